@@ -91,16 +91,16 @@ def document(rows: list[dict[str, Any]]) -> str:
     lines = [
         "# Convergence",
         "",
-        "Made by `python benchmarks/convergence.py`; seed 0, 40 steps, camera 1280 x 720. Each symbol starts where its shipped",
-        "scenario does, rolled by 5 deg and pitched by -2 deg. *Settle* is the step from which centroid, length and shear stay near",
-        "their final values (`summary.json`), or `–` where they never do, or where the symbol is off its target. *Error* is the",
-        "centroid's, along / across, in % of",
+        "Made by `python benchmarks/convergence.py`; seed 0, 40 steps, camera 1280 x 720 px. Each symbol starts as in its shipped",
+        "scenario, rolled by 5 deg and pitched by -2 deg. *Settle* is the step from which centroid, length and shear stay near",
+        "their final values (`summary.json`), or `–` if they never do, or if the symbol is off its target. *Error* is that of the",
+        "centroid, along / across, in % of",
         "the symbol's length / width. *Open* is the flat-road primitive at the target without control.",
         "",
         "Goals on the first four roads: settle within 20 steps in the raw image and within 15 in the bird's-eye view, overshoot at most",
-        "25 %, error at most 2 %. On the others nothing is promised: four degrees of freedom cannot undo a step in the road, and the",
-        "figures say what they cost or bring. All views use the thesis' gains but the second table, whose rotation loops have 1.4 times",
-        "them; each view has rate limits of its own. With the thesis' gains an ideal rotation loop needs 17 steps from 5 deg.",
+        "25 %, error at most 2 %. The other roads have no goals: four degrees of freedom cannot compensate a step in the road, and the",
+        "figures show whether control helps. All tables use the thesis' gains, except that the rotation gains of the second table are",
+        "1.4 times as large; each view has its own rate limits. With the thesis' gains an ideal rotation loop needs 17 steps from 5 deg.",
     ]
     for part in dict.fromkeys(r["part"] for r in rows):
         cells = (

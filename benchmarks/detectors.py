@@ -55,8 +55,8 @@ CURVES = """![Confidence against illuminance](images/detector-confidence.jpg)
 """
 SEEN = f"""![One scene in three lights, with boxes](images/detector-boxes.jpg)
 
-*A held-out scene with 10 lx and with 0.5 lx everywhere, and with 10 lx on its objects alone amid 0.05 lx; boxes with a score of {SURE:g}
-and more.*
+*A held-out scene with 10 lx and with 0.5 lx everywhere, and with 10 lx on its objects alone amid 0.05 lx; boxes with a score of at least
+{SURE:g}.*
 """
 
 
@@ -67,8 +67,8 @@ def hog_page(found: dict) -> str:
         f"{value:.2f} at {lx:g} lx" for lx, value in zip(curves["lx"], curves["pedestrian"]["upper"], strict=True) if lx >= 1
     )
     people, riders = (f"{lit['recall_by_class'][name]:.0%}" for name in ("pedestrian", "cyclist"))
-    return f"""HOG, on {found["scenes"]} of the same scenes at 10 lx and with a score of at least {found["sure"]:g}, finds {people} of the \
-pedestrians and {riders} of the cyclists, at {lit["false_a_frame"]:g} false boxes a frame; a frame takes {found["ms_a_frame"]:g} ms. \
+    return f"""On {found["scenes"]} of the same scenes, at 10 lx and with a score of at least {found["sure"]:g}, HOG finds {people} of the \
+pedestrians and {riders} of the cyclists, at {lit["false_a_frame"]:g} false positives a frame; a frame takes {found["ms_a_frame"]:g} ms. \
 Its score for pedestrians (upper quartile): {medians}.
 """
 

@@ -188,19 +188,19 @@ def _switches(rows: Sequence[Row]) -> float | None:
 
 PERCENT = "{:.1%}"
 MASKS = (
-    "of half of those who are not kept full light is not sure either (below 0.9), and a third have no track; people at 40 m have dark "
+    "of the objects that are not kept, half have less than 0.9 in full light, too, and a third have no track; people at 40 m have dark "
     "bodies below a dark head, since pixels are blurred by 0.4 deg"
 )
 LOST = (
-    "17 times a pedestrian and 15 times a car; in 13 of these full light is not sure either (below 0.9), and in 10 they are still found, "
-    "but shown by no track of their own"
+    "17 times a pedestrian and 15 times a car; in 13 of these the object has less than 0.9 in full light, too, and in 10 it is still "
+    "found, but has no separate track"
 )
-MOVING = "who moves takes more or less flux all the time"
-SEARCH = "a tenth of the tracks never settle; of those that do nine in ten have in 1.4 s"
-UNSEEN = "what the base beam shows too little of is found late or never"
+MOVING = "the flux for moving objects changes all the time"
+SEARCH = "10 % of the tracks never settle; of the others 90 % settle within 1.4 s"
+UNSEEN = "objects with too little light from the base beam are found late or never"
 SIZES = (
-    "who is placed 1.4 times as far away as he is, or farther, gets 1.1 lx or more in most frames (four of five looked into), and who has "
-    "no track is lit by the light on who stands beside"
+    "an object placed at 1.4 times its distance or more gets at least 1.1 lx in most frames (four of five that were examined), and one "
+    "without a track gets the light on its neighbours"
 )
 GOALS = (
     Goal("Flux saved against the low beam, median, at least 85 %", lambda m: median_saved(m.ours()), 0.85, MOVING, True, PERCENT),

@@ -85,20 +85,25 @@ class Goal:
 
 ROADS = (*EVEN, *CURVED, *SCANS, *STEEP)
 STRAYS = (
-    "a look that is late comes late: 4 steps where frames are on time, 9 where they are 3 steps late; heights in shadow (speed bump) and "
-    "those finer than the mesh (rough course) go on moving"
+    "late frames delay settling: 4 steps with frames on time, 9 with frames 3 steps late; estimated heights in shadow (speed bump) and "
+    "those finer than the mesh (rough course) keep changing"
 )
 FINE = "heights finer than the mesh drift on the rough course, where the open loop is nearly right: its IoU is 0.88"
 MESH = "heights 20 x 15 cm apart are coarser than stones and edges of bars; drawn for the exact road the centroid is 0.1 to 0.6 % off"
-SHADOW = "the bump's back is in the lamp's shadow, where its height is a guess; drawn for the exact road the centroid is 1.5 % off"
-PIXELS = "heights are known to a share of a camera pixel, which spans 10 to 20 cm of the road there"
-BODY = "late and noisy sensors [predict the body](control.md#on-the-move), which the road jolts meanwhile; 1 cm moves the light by 23 cm"
+SHADOW = "the bump's back is in the lamp's shadow, where its height cannot be measured; drawn for the exact road the centroid is 1.5 % off"
+PIXELS = "heights are known to a fraction of a camera pixel, which spans 10 to 20 cm of the road there"
+BODY = (
+    "late and noisy sensors [predict the body](control.md#on-the-move), which the road jolts meanwhile; "
+    "1 cm of height moves the light by 23 cm"
+)
 BOUND = BODY + "; drawn for the true road from the true pose it is {}"
-LEFT = "noise leaves wrong heights, which later looks mend by a few percent a step"
-LUCK = "in single steps the body swings through its rest, where the open loop happens to be right, and luxloop trusts its sensors"
+LEFT = "noise leaves wrong heights, which later observations correct by a few percent a step"
+LUCK = (
+    "in single steps the body swings through its rest position, where the open loop happens to be right, while luxloop follows its sensors"
+)
 GOALS = (
     Goal("Settling, mean of roads and latencies, at most 6 steps", "settle", 6, ROADS, STRAYS, each="all"),
-    Goal("Overshoot at most 5 %", "overshoot", 5, ROADS, "heights from the first look of a symbol far from its place"),
+    Goal("Overshoot at most 5 %", "overshoot", 5, ROADS, "heights from the first observation of a symbol far from its place"),
     Goal("Centroid at most 1 % off on flat, curved and measured roads", "centroid", 1, (*EVEN, *CURVED, *SCANS), MESH),
     Goal("Centroid at most 2 % off on speed bump and curb", "centroid", 2, STEEP, SHADOW),
     Goal("IoU at least 0.99 on the flat road", "iou", 0.99, EVEN, PIXELS, least=True),
@@ -110,7 +115,7 @@ GOALS = (
     Goal("Mean IoU at least 0.92 at 5 m/s", "iou", 0.92, ("5 m/s",), BOUND.format("0.84"), least=True),
     Goal("Mean IoU at least 0.88 at 10 m/s", "iou", 0.88, ("10 m/s",), BOUND.format("0.87"), least=True),
     Goal("Mean IoU at least 0.80 at 20 m/s", "iou", 0.80, ("20 m/s",), BOUND.format("0.80"), least=True),
-    Goal("The same with a start that is 3 cm wrong", "iou", 0.80, ("20 m/s, from 3 cm off",), BOUND.format("0.80"), least=True),
+    Goal("The same with a start height that is 3 cm wrong", "iou", 0.80, ("20 m/s, from 3 cm off",), BOUND.format("0.80"), least=True),
     Goal("Mean IoU at least 0.90 while the nose nods by 0.2°", "iou", 0.90, ("nods by 0.2°",), BODY, least=True),
     Goal("Mean IoU at least 0.60 while it nods by 1°", "iou", 0.60, ("nods by 1°",), BODY, least=True),
     Goal("Recovered within 10 steps of a disturbance's end", "recovery", 10, DISTURBANCES, LEFT, each="case"),

@@ -40,7 +40,7 @@ def parse(text: str) -> Objective:
     for part in text.split("+"):
         match = re.fullmatch(r"\s*(?:(\d+\.?\d*|\.\d+)\s*\*)?\s*(\w+)\s*", part)
         if not match:
-            raise LuxloopError(f"--objective {text}: {part.strip()!r} is no term; write for example settling+0.5*overshoot")
+            raise LuxloopError(f"--objective {text}: {part.strip()!r} is not a term; write for example settling+0.5*overshoot")
         weight, name = match.groups()
         if name not in TERMS:
             raise LuxloopError(f"--objective {text}: there is no term {name!r}; {did_you_mean(name, TERMS)}")

@@ -18,10 +18,9 @@ from controllers.symbol.sensing.projection import ProjectionCommand
 from loop.lighting.commanded import unmoved
 from loop.lighting.controlled import ControlledSymbol
 from loop.lighting.record import row, schema, valued
-from loop.lighting.recorder import Recorder
+from loop.lighting.recorder import Recorder, refuse_foreign
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
-from loop.plant.simulated import SimulatedPlant
 from loop.recording.checks import Checks, lights, refuse_unknown
 from loop.recording.files import REPORT, TRAJECTORY, VIDEO
 from loop.recording.remedies import of_target
@@ -84,6 +83,8 @@ def run(
     Ctrl-C ends the recording, reports on the steps so far and goes on as KeyboardInterrupt. Raises LuxloopError where the scenario cannot
     be read or run, or another process writes into the folder; nothing is written before the first step is done.
     """
+    if folder is not None and not isinstance(folder, str | Path):
+        raise LuxloopError(f"run: folder is a {type(folder).__name__}, not a path; give other values of keys as overrides=[...]")
     if isinstance(scenario, str | Path):
         scenario = load(str(scenario), **values)
     elif values:
@@ -97,6 +98,7 @@ def run(
         raise LuxloopError(f"{folder}: is the recording that is played, which this run would replace; give another folder with --out")
     folder = Path(folder)
     with output_folder(folder), ExitStack() as stack:
+        refuse_foreign(folder)
         simulation, white = prepare(scenario, device), None
         camera, watched = scenario.camera, Watched(simulation)
         run_checks = Checks(scenario.checks, (lambda light: map(row, simulation.lit_by(light).run())) if checks else None)
@@ -122,13 +124,14 @@ def prepare(scenario: Scenario, device: str = "auto") -> Simulation:
     """A simulation, to be stepped: `state = simulation.start()`, `state, result = simulation.step(state)`.
 
     scenario: a loaded one. device: "auto", "cpu" or "cuda". Raises LuxloopError where a file is missing, and of a symbol that the lamps
-    cannot draw at its target, or that the camera cannot see there, or where a check names a column or light that is not there.
+    cannot draw at its target, or that the camera cannot see there, or where a check names a column or light that is not there, or that the
+    plant does not know.
     """
     simulation = Simulation.prepare(scenario, torch_device(device))
     with located(scenario.source):
-        simulated = isinstance(simulation.plant, SimulatedPlant)  # where it is not, checks that compare are evaluated in no run
-        others = [simulation.lit_by(light) for light in lights(scenario.checks)] if simulated else [simulation]
-        refuse_unknown(scenario.checks, schema(simulation), {name for other in others for name in valued(other)})
+        others = [simulation.lit_by(light) for light in lights(scenario.checks)]
+        compared = {name for other in others for name in valued(other)}
+        refuse_unknown(scenario.checks, schema(simulation), compared, schema(simulation, detects=True).names)
     return simulation
 
 

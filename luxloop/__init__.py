@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from loop.contracts.detector import check_detector
     from loop.contracts.function import check_function
     from loop.contracts.plant import check_plant
+    from loop.contracts.tracker import check_tracker
     from loop.lighting.simulation import Simulation
     from loop.pictures.headlight import show as show_headlight
     from loop.plant.protocol import Arrivals, Exposure, Frame
@@ -83,6 +84,7 @@ __all__ = [
     "check_detector",
     "check_function",
     "check_plant",
+    "check_tracker",
     "concatenate",
     "idealised",
     "load",
@@ -111,6 +113,7 @@ _MODULES = {
     "loop.contracts.detector": ("check_detector",),
     "loop.contracts.function": ("check_function",),
     "loop.contracts.plant": ("check_plant",),
+    "loop.contracts.tracker": ("check_tracker",),
     "loop.pictures.headlight": ("show as show_headlight",),
     "loop.plant.protocol": ("Arrivals", "Exposure", "Frame"),
     "loop.plant.simulated": ("simulated_plant",),

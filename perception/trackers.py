@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated, Any
 
+import torch
 from pydantic import Field, Tag
 from torch import Tensor
 
@@ -42,7 +43,12 @@ def tracker(params: TrackerParams | OwnTracker, classes: tuple[Category, ...], v
     """The tracker of a scenario. Raises LuxloopError if a user-defined one cannot be made."""
     if isinstance(params, TrackerParams):
         return Tracker(classes, view, params)
-    return CheckedTracker(plugin.make(params.kind, KEY, {"classes": classes, "view": view}, params.options, METHODS), classes)
+    return own_tracker(plugin.load(params.kind, KEY, METHODS), params, classes, view)
+
+
+def own_tracker(made_by: type, params: OwnTracker, classes: tuple[Category, ...], view: View) -> "CheckedTracker":
+    """A user-defined tracker of a class with the methods. Raises LuxloopError if it cannot be made."""
+    return CheckedTracker(plugin.made(made_by, params.kind, KEY, {"classes": classes, "view": view}, params.options), classes)
 
 
 @dataclass(frozen=True)
@@ -62,7 +68,10 @@ class CheckedTracker:
 
     def report(self, state: Any, time_s: float) -> TrackedBoxes:
         """The report on the CPU in double precision. Raises LuxloopError if it is invalid."""
-        told = self.own.report(state, time_s)
+        return self.checked(self.own.report(state, time_s))
+
+    def checked(self, told: Any) -> TrackedBoxes:
+        """A report on the CPU in double precision. Raises LuxloopError if it is invalid."""
         where, all_classes = f"{KEY}: {self.own.name}: report", len(self.classes)
         if not isinstance(told, TrackedBoxes):
             raise LuxloopError(f"{where} gives a {type(told).__name__}; it must give luxloop.TrackedBoxes")
@@ -73,6 +82,13 @@ class CheckedTracker:
                 raise LuxloopError(
                     f"{where} gives {name} {list(getattr(told, name).shape)} for {n} tracks and {all_classes} classes; give {list(shape)}"
                 )
+        for name in ("number", "category"):
+            if (dtype := getattr(told, name).dtype) != torch.int64:
+                raise LuxloopError(f"{where} gives {name} as {dtype}; give torch.int64, with dtype=torch.int64 or to(torch.int64)")
+        if n and int(told.number.min()) < 1:
+            raise LuxloopError(f"{where} gives the numbers {told.number.tolist()}; number tracks from 1 on")
+        if bool(told.since_s.isnan().any() or told.until_s.isnan().any()):
+            raise LuxloopError(f"{where} gives NaN as a time; give since_s in s, and until_s = inf for a track that is not lost")
         if not all(bool(each.isfinite().all()) for each in (told.boxes, told.confidence)):
             raise LuxloopError(f"{where} gives boxes or confidence that are not finite; only score may be NaN, where nothing was found")
         if len(set(told.number.tolist())) < n:

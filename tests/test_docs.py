@@ -1,6 +1,6 @@
 """The documentation tells the truth: commands run, Python runs, TOML is valid, tables are those of the models, links lead somewhere.
 
-`python tests/test_docs.py` writes the tables of docs/scenarios.md and docs/lampfiles.md anew from the models.
+`python -m tests.test_docs` writes the tables of docs/scenarios.md and docs/lampfiles.md anew from the models.
 """
 
 import json
@@ -255,7 +255,7 @@ def with_tables(text: str) -> str:
 def test_every_key_of_a_file_is_documented(page: Path) -> None:
     text = page.read_text("utf-8")
     assert sorted(name for name, _ in MARKED.findall(text)) == sorted(models(TABLES[page]))
-    assert with_tables(text) == text, "the models have changed: write the tables anew with `python tests/test_docs.py`"
+    assert with_tables(text) == text, "the models have changed: write the tables anew with `python -m tests.test_docs`"
 
 
 def test_every_required_key_has_an_example_for_messages() -> None:

@@ -1,7 +1,7 @@
 """docs/equations.md says which function implements which equation of the thesis; docs/thesis_coverage.md lists its systems.
 
 A docstring cites a section as T 7.3.3, an equation as T eq. 7.4.1, a figure as T fig. 7.10, tables as T tables 8.2 and 8.3, and several of
-them as (T 7.5.2, eq. 7.4.1 to 7.4.3). `python tests/test_equations.py` writes the tables of the page anew.
+them as (T 7.5.2, eq. 7.4.1 to 7.4.3). `python -m tests.test_equations` writes the tables of the page anew.
 """
 
 import ast
@@ -121,7 +121,7 @@ def test_every_citation_names_what_the_thesis_has() -> None:
 
 def test_the_page_says_what_docstrings_cite() -> None:
     text = PAGE.read_text("utf-8")
-    assert with_tables(text) == text, "docstrings have changed: write the tables anew with `python tests/test_equations.py`"
+    assert with_tables(text) == text, "docstrings have changed: write the tables anew with `python -m tests.test_equations`"
 
 
 def test_every_equation_is_implemented_or_said_not_to_be() -> None:

@@ -1,7 +1,7 @@
 """docs/interfaces.md has the fields of what parts of one's own get and give, as annotations and docstrings say.
 
 The docstring of a class describes a field as `name: what it is.`, or names it in backticks in its first sentence, and says when it is None.
-`python tests/test_interfaces.py` writes the tables of the page anew.
+`python -m tests.test_interfaces` writes the tables of the page anew.
 """
 
 import ast
@@ -68,7 +68,7 @@ def with_tables(text: str) -> str:
 
 def test_the_page_says_what_the_classes_say() -> None:
     text = PAGE.read_text("utf-8")
-    assert with_tables(text) == text, "fields or docstrings have changed: write the tables anew with `python tests/test_interfaces.py`"
+    assert with_tables(text) == text, "fields or docstrings have changed: write the tables anew with `python -m tests.test_interfaces`"
 
 
 @pytest.mark.parametrize(("module", "name"), CLASSES)

@@ -11,6 +11,7 @@ LONGEST_SENTENCE: Final = 1000
 MOST_ERRORS: Final = 10  # of a file that are listed
 
 NEAR = 0.7  # share of the letters that two near names have in common, in the same order
+BEGINNING = 3  # letters of a name that are enough of its beginning
 
 
 class LuxloopError(ValueError):
@@ -62,8 +63,11 @@ def did_you_mean(given: str, known: Iterable[str], otherwise: str = "") -> str:
 
 
 def near(given: str, known: Iterable[str]) -> str | None:
-    """The known name that is near the given one, None where there is none. One wrong letter is always near."""
+    """The known name that is near the given one, None where there is none. One wrong letter is always near, and so are three at the
+    beginning of the name.
+    """
     names = {name.lower(): name for name in known}
     letters = max(len(given), 2)
     found = difflib.get_close_matches(given.lower(), names, 1, min(NEAR, (letters - 1) / letters))
-    return names[found[0]] if found else None
+    begun = [name for name in names if len(given) >= BEGINNING and name.startswith(given.lower())]
+    return names[found[0] if found else min(begun, key=len)] if found or begun else None

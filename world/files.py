@@ -53,7 +53,7 @@ def whole(path: Path) -> Iterator[Path]:
     Raises: LuxloopError where it cannot be written.
     """
     if os.path.isdir(path):
-        raise LuxloopError(f"{path}: cannot be written, for it is a folder; name a file in it")
+        raise LuxloopError(f"{path}: cannot be written, because it is a folder; name a file in it")
     part = part_of(path)
     try:
         yield part

@@ -16,7 +16,8 @@ PLAIN = "[a-z][a-z0-9_]*"
 def _plain(name: str) -> str:
     if not re.fullmatch(PLAIN, name):
         better = re.sub("[^a-z0-9]+", "_", name.lower()).lstrip("_0123456789").rstrip("_")
-        raise ValueError(f"{name!r} is no name: it has lower-case letters, digits and _, a letter first; write {better or 'another'}")
+        rule = "names have lower-case letters, digits and _, with a letter first"
+        raise ValueError(f"{name!r} is not a valid name: {rule}; write {better or 'another'}")
     return name
 
 

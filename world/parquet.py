@@ -23,7 +23,7 @@ def read_parquet(file: Path) -> pa.Table:
     with reading(file, "damaged, not readable as Parquet", "record the run again"):
         schema = pq.read_schema(file)
         if strange := [field.name for field in schema if field.type not in TYPES]:
-            raise ValueError(f"the column {strange[0]!r} is of no type that recordings have")
+            raise ValueError(f"the column {strange[0]!r} has a type that recordings do not have")
         texts = [field.name for field in schema if field.type == pa.string()]
         with pq.ParquetFile(file, read_dictionary=texts) as stored:
             afford(f"{file}: its table", _declared(stored.metadata), "record the run again")

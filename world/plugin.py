@@ -11,8 +11,8 @@ from importlib import import_module
 from importlib.machinery import PathFinder
 from inspect import Parameter, signature
 from pathlib import Path
-from traceback import extract_tb
-from typing import Annotated, Any, Final
+from traceback import walk_tb
+from typing import Annotated, Any, Final, get_args
 
 from pydantic import BaseModel, Discriminator, Field, GetCoreSchemaHandler, ValidationError
 from pydantic_core.core_schema import CoreSchema, no_info_after_validator_function, str_schema
@@ -61,6 +61,12 @@ def known_or_own(key: str, default: str | None = None) -> Discriminator:
 
     tag.__name__ = key  # which is what an error calls it
     return Discriminator(tag)
+
+
+def dotted(text: str) -> str | None:
+    """What to write in place of a name with a dot for its colon; None of other texts, such as a file's name."""
+    meant = ":".join(text.rsplit(".", 1))
+    return f"write {meant}, with a colon before the class" if re.fullmatch(PATTERN, meant) and not text.endswith(".py") else None
 
 
 def file_of(folder: Path, module: str) -> Path | None:
@@ -133,7 +139,8 @@ def load(name: Name, key: str, methods: Sequence[str]) -> Any:
     found = getattr(module, name.attribute, None)
     if not isinstance(found, type):
         what = f"module {name.module} has no {name.attribute}" if found is None else f"{name.attribute} is no class"
-        raise LuxloopError(f"{where}: {what}; name a class of it")
+        classes = [each for each, of in vars(module).items() if isinstance(of, type) and of.__module__ == module.__name__]
+        raise LuxloopError(f"{where}: {what}; {did_you_mean(name.attribute, classes) if classes else 'name a class of it'}")
     check_methods(found, where, methods)
     return found
 
@@ -193,22 +200,21 @@ def running(name: Name, key: str, what: str) -> Iterator[None]:
     except LuxloopError:
         raise
     except Exception as error:
-        raise LuxloopError(f"{key}: {name}: {what} fails{_place(error, name)} ({in_a_line(error)}); mend it") from error
+        raise LuxloopError(f"{key}: {name}: {what} fails{_place(error, name)} ({in_a_line(error)})") from error
 
 
 def _place(error: Exception, name: Name) -> str:
-    """File and line of the innermost call in the module's package, or in the files beside the module; empty where there is none."""
+    """File and line of the innermost call in the module, its package, or the files beside it; empty where there is none."""
     top = name.module.partition(".")[0]
     path = None if name.folder is None else [str(name.folder)]
-    spec = getattr(sys.modules.get(top), "__spec__", None) or PathFinder.find_spec(top, path)
-    if spec is None:
-        return ""
-    packages = [Path(folder) for folder in spec.submodule_search_locations or ()]
-    folder = Path(spec.origin).parent if spec.origin and not packages else None
-    for frame in reversed(extract_tb(error.__traceback__)):
-        file = Path(frame.filename)
-        if file.parent == folder or any(file.is_relative_to(package) for package in packages):
-            return f" at {file}, line {frame.lineno}"
+    spec = getattr(sys.modules.get(top), "__spec__", None) or PathFinder.find_spec(top, path)  # None of the main program
+    packages = [Path(folder) for folder in (spec and spec.submodule_search_locations) or ()]
+    folder = Path(spec.origin).parent if spec and spec.origin and not packages else None
+    for frame, line in reversed([*walk_tb(error.__traceback__)]):
+        file = Path(frame.f_code.co_filename)
+        mine = frame.f_globals.get("__name__") == name.module
+        if mine or file.parent == folder or any(file.is_relative_to(package) for package in packages):
+            return f" at {file}, line {line}"
     return ""
 
 
@@ -231,8 +237,22 @@ def _fitting(made_by: Callable[..., Any], name: str, table: str, given: Sequence
         for key in strange
     ]
     wrong += [f"{table}.{key}: is missing, and {name} has no default for it; add it" for key in lacking]
+    texts = {each.name: options[each.name] for each in left if _takes_number(each) and isinstance(options.get(each.name), str)}
+    wrong += [f"{table}.{key}: is the text {text!r}; write {_number_in(text) or 'a number'}" for key, text in texts.items()]
     if wrong:
         raise all_of(wrong)
+
+
+def _takes_number(parameter: Parameter) -> bool:
+    """Whether its default or its annotation is a number, and the annotation no text as well."""
+    kinds = (parameter.annotation, *get_args(parameter.annotation))
+    return str not in kinds and (type(parameter.default) in (int, float) or any(each in (int, float, "int", "float") for each in kinds))
+
+
+def _number_in(text: str) -> str:
+    """The number of a text with a decimal comma, as TOML writes it; empty where it is none."""
+    number = text.replace(",", ".")
+    return number if re.fullmatch(r"[+-]?\d+(\.\d+)?", number) else ""
 
 
 def in_a_line(error: Exception) -> str:

@@ -102,9 +102,7 @@ def _picture(path: Path) -> Tensor:
         try:
             coded = resvg_py.svg_to_bytes(svg_string=self_contained(coded), width=DRAWN_PX, height=DRAWN_PX)
         except ValueError as error:
-            raise LuxloopError(
-                f"symbol {path} is no SVG that can be drawn ({error}): export it again as plain SVG, or save it as a PNG"
-            ) from error
+            raise LuxloopError(f"symbol {path} is not a valid SVG ({error}): export it again as plain SVG, or save it as a PNG") from error
     image = decoded(coded, f"symbol {path}")
     if image is None or image.dtype.kind != "u":
         raise LuxloopError(f"symbol {path} cannot be read as a picture of 8 or 16 bits: save it as an 8-bit PNG")

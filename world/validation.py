@@ -1,6 +1,7 @@
 """Read TOML files, and turn pydantic's errors into sentences that name the key and the remedy."""
 
 import json
+import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import date, time
@@ -12,7 +13,7 @@ from pydantic.fields import FieldInfo
 
 from world.errors import LuxloopError, all_of, did_you_mean, near
 from world.files import content, reading
-from world.plugin import OWN
+from world.plugin import OWN, dotted
 
 WANTED = {
     "int_type": "a whole number",
@@ -26,7 +27,10 @@ WANTED = {
 TABLE_ERRORS = ("model_type", "model_attributes_type", "dict_type")
 MISSING = ("missing", "union_tag_not_found")
 KEY_ITSELF = "[key]"  # how pydantic calls a key that is none, after it
+INDEX = r"\[\d+\]"
+TWICE = r"Cannot declare \(('.*'),?\) twice"  # as tomllib says it of [header]
 SHOWN_CHARACTERS = 60
+HALF_TURN = 180  # deg, to which angles reach that go all round
 Model = TypeVar("Model", bound=BaseModel)
 DEEPEST = 50  # levels of tables and lists in a file; a scenario has up to six
 
@@ -43,7 +47,13 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 def parsed_toml(text: str) -> dict[str, Any]:
     """The tables of a text. Raises ValueError with the reason where it is no TOML, or none that can be worked with."""
-    return _workable(lambda: tomllib.loads(text))
+    try:
+        return _workable(lambda: tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        if (twice := re.search(TWICE, str(error))) is None:
+            raise
+        table = twice[1].replace("'", "").replace(", ", ".")
+        raise ValueError(f"{error}: write [[{table}]] above each item of a list, and other tables once") from error
 
 
 def parsed_json(text: str | bytes) -> Any:
@@ -135,7 +145,7 @@ def _sentence(detail: Any, model: type[BaseModel], example: str) -> str:
     key, fields, variants = _place(model, detail["loc"])
     if detail["type"].startswith("union_tag") and isinstance(detail["input"], dict):
         key = f"{key}.{_discriminator(detail)}"
-    what = f"is missing; {_remedy(detail, fields, variants)}{example}" if _is_missing(detail) else _what(detail, fields)
+    what = f"is missing; {_remedy(detail, fields, variants)}{example}" if _is_missing(detail) else _what(detail, key, fields, variants)
     return f"{key}: {what}" if key else what
 
 
@@ -154,14 +164,26 @@ def _remedy(detail: Any, fields: Mapping[str, FieldInfo], variants: Iterable[typ
     return f"{written}: {field.description}" if field and field.description else written
 
 
-def _what(detail: Any, fields: dict[str, FieldInfo]) -> str:
+def _what(detail: Any, key: str, fields: dict[str, FieldInfo], variants: Iterable[type[BaseModel]]) -> str:
+    """key: as a file writes it; fields: of the table that it lies in; variants: models that may stand there."""
     kind, given, context = detail["type"], detail.get("input"), detail.get("ctx", {})
+    table = re.sub(INDEX, "", key)
+    name = table.rpartition(".")[2]
     if kind == "extra_forbidden":
-        return f"unknown key; {did_you_mean(str(detail['loc'][-1]), fields)}"
+        inner = [each for each, field in fields.items() if any(name in model.model_fields for model in _models(field.annotation))]
+        if len(inner) == 1 and not near(name, fields):
+            return f"unknown key; write {inner[0]} = {toml({name: given})}"
+        return f"unknown key; {did_you_mean(name, fields)}"
     if kind in (*TABLE_ERRORS, "union_tag_not_found"):
-        return f"{_shown(given)} is no table of keys; write key = value below a [header]"
+        meant = (each for model in variants for each, field in model.model_fields.items() if given in get_args(field.annotation))
+        written = next((f"{name} = {toml({each: given})}" for each in meant), "key = value below a [header]")
+        return f"{_shown(given)} is no table of keys; write {written}"
+    if kind == "tuple_type" and isinstance(given, dict):
+        return f"is one table, but a list of them is wanted; write [[{table}]] above each"
     if kind == "union_tag_invalid":
-        return f"there is no {context['tag']!r}; {did_you_mean(context['tag'], _quoted(context['expected_tags']))}"
+        known = _quoted(context["expected_tags"])
+        remedy = dotted(context["tag"]) if OWN in known else None
+        return f"there is no {context['tag']!r}; {remedy or did_you_mean(context['tag'], known)}"
     if kind == "literal_error":
         expected = context["expected"].replace(" or ", ", ")
         return f"{_shown(given)} is not possible; {did_you_mean(str(given), _quoted(expected), f'give one of {expected}')}"
@@ -173,7 +195,12 @@ def _what(detail: Any, fields: dict[str, FieldInfo]) -> str:
     message = detail["msg"]
     for subject in ("Input ", "String ", "Tuple "):
         message = message.removeprefix(subject)
-    return f"{_shown(given)} {message.replace(' after validation', '')}"
+    turn = (
+        f"; write {(given + 180) % 360 - 180:g}"
+        if name.endswith("_deg") and HALF_TURN in (context.get("le"), -context.get("ge", 0))
+        else ""
+    )
+    return f"{_shown(given)} {message.replace(' after validation', '')}{turn}"
 
 
 def _shown(value: Any) -> str:

@@ -60,7 +60,7 @@ class ObjectBasedParams(SelectionParams):
     def _not_negative(cls, setpoints_lx: dict[Category, float]) -> dict[Category, float]:
         for category, lx in setpoints_lx.items():
             if lx < 0:
-                raise ValueError(f"{category}: {lx:g} lx is less than no light; give 0 or more")
+                raise ValueError(f"{category}: {lx:g} lx is negative; give 0 or more")
         return setpoints_lx
 
     def start(self) -> ObjectBasedState:

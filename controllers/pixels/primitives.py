@@ -14,6 +14,7 @@ from world.frames import rotation
 Quantity = Literal["I_v", "E_v", "u_abs", "u_rel"]
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)  # a quantity's code is its place in here
 I_V, E_V, U_ABS, U_REL = range(4)
+Vector = Tensor | Sequence[float]
 HEAVIEST = 1e12  # limit of finite weights, so that their sums stay finite
 
 _VECTORS = ("origin", "d1", "d2", "normal")
@@ -114,13 +115,13 @@ class Primitives:
 
 
 def rectangle(
-    origin: Tensor,
-    d1: Tensor,
-    d2: Tensor,
+    origin: Vector,
+    d1: Vector,
+    d2: Vector,
     value: float | Tensor,
     quantity: Quantity = "u_abs",
     *,
-    normal: Tensor | None = None,
+    normal: Vector | None = None,
     symbol: Tensor | None = None,
     weight: float | Tensor = 1.0,
     forced: bool = False,
@@ -131,11 +132,11 @@ def rectangle(
 ) -> Primitives:
     """One rectangle with a setpoint (T 4.2.2, 7.2.1), or several that share all but position, setpoint and weight.
 
-    origin, d1, d2: `[3]` or `[..., P, 3]` m, a corner and the edges along the symbol's columns and rows. value: number or `[..., P]`,
-    setpoint where the symbol is 1, of the quantity "u_abs" (utilisation 0..1), "u_rel" (multiple of the base pattern), "I_v" (cd) or "E_v"
-    (lx). normal: of any length, by default d1 x d2. symbol: `[h, w]` in 0..1 or `[2, h, w]` with opacity, by default homogeneous. weight:
-    number or `[..., P]`. forced, priority, nearest, modules, shared: see `Primitives`. Raises LuxloopError for an unknown quantity, a
-    symbol that is no image, and, for weights on the host, a weight below zero or NaN.
+    origin, d1, d2: `[3]` or `[..., P, 3]` m, a corner and the edges along the symbol's columns and rows; tensors, or sequences of numbers.
+    value: number or `[..., P]`, setpoint where the symbol is 1, of the quantity "u_abs" (utilisation 0..1), "u_rel" (multiple of the base
+    pattern), "I_v" (cd) or "E_v" (lx). normal: of any length, by default d1 x d2. symbol: `[h, w]` in 0..1 or `[2, h, w]` with opacity, by
+    default homogeneous. weight: number or `[..., P]`. forced, priority, nearest, modules, shared: see `Primitives`. Raises LuxloopError for
+    an unknown quantity, a symbol that is no image, and, for weights on the host, a weight below zero or NaN.
     """
     if quantity not in QUANTITIES:
         raise LuxloopError(f"a primitive has no quantity {quantity!r}; the quantities are {', '.join(QUANTITIES)}")
@@ -144,24 +145,28 @@ def rectangle(
         raise LuxloopError(f"a primitive's symbol is an image [rows, columns], or two with its opacity, not of shape {list(symbol.shape)}")
     if (not isinstance(weight, Tensor) or weight.device.type == "cpu") and not bool((torch.as_tensor(weight) >= 0).all()):
         raise LuxloopError("a primitive's weight is below zero or not a number; give 0 to infinity")
-    origin, d1, d2 = torch.broadcast_tensors(*torch.atleast_2d(origin, d1, d2))
-    normal = torch.linalg.cross(d1, d2) if normal is None else normal.to(origin).expand_as(origin)
-    P = origin.shape[-2]
+    like = next((each for each in (origin, d1, d2) if isinstance(each, Tensor)), torch.empty(0))
+    vectors = (
+        each if isinstance(each, Tensor) else torch.as_tensor(each, dtype=like.dtype, device=like.device) for each in (origin, d1, d2)
+    )
+    at, along, down = torch.broadcast_tensors(*torch.atleast_2d(*vectors))
+    normal = torch.linalg.cross(along, down) if normal is None else torch.as_tensor(normal).to(at).expand_as(at)
+    P = at.shape[-2]
 
     def each(number: float | Tensor) -> Tensor:
-        return torch.as_tensor(number, dtype=origin.dtype, device=origin.device).expand(origin.shape[:-1])
+        return torch.as_tensor(number, dtype=at.dtype, device=at.device).expand(at.shape[:-1])
 
     return Primitives(
-        origin,
-        d1,
-        d2,
+        at,
+        along,
+        down,
         torch.nn.functional.normalize(normal, dim=-1),
         each(value),
         each(weight),
         torch.full((P,), QUANTITIES.index(quantity)),
         torch.full((P,), forced),
         torch.full((P,), priority),
-        (symbol.to(origin),),
+        (symbol.to(at),),
         torch.zeros(P, dtype=torch.int64),
         torch.full((P,), nearest),
         (tuple(modules),) * P,

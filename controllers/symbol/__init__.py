@@ -64,7 +64,7 @@ def refuse_place(params: AnyParams, target: str) -> None:
     own = isinstance(params, OwnParams) and params.warp is None and params.supervisor is None
     if target == "place" and isinstance(params, StagedParams) and not own:
         raise ValueError(
-            f"target: {params.name} compares with the appearance of a symbol on a flat road and holds no place; "
+            f"target: {params.name} compares with the appearance on a flat road and cannot hold a place; "
             'set controller.name = "luxloop", or target = "appearance"'
         )
 

@@ -91,7 +91,7 @@ class MaterialParams(SelectionParams):
     @model_validator(mode="after")
     def _some_road(self) -> Self:
         if self.road_m is not None and not 0 < self.road_m[0] < self.road_m[1]:
-            raise ValueError(f"road_m: {list(self.road_m)} is no range; give two distances ahead of the car, the nearer one first")
+            raise ValueError(f"road_m: {list(self.road_m)} is not a range; give two distances ahead of the car, the nearer one first")
         return self
 
     def start(self) -> None:
@@ -103,7 +103,7 @@ class MaterialParams(SelectionParams):
         if seen is None:
             return state
         if seen.albedo is None or seen.material is None:
-            raise LuxloopError("kind: material-based light needs a source of materials beside the camera, and there is none")
+            raise LuxloopError("kind: material-based light needs a source of materials in addition to the camera, and there is none")
         albedo = seen.albedo.float()
         lx, which = torch.full_like(albedo, torch.nan), torch.full_like(seen.material, -1)
         for number, light in reversed(list(enumerate(self.lights))):

@@ -51,7 +51,7 @@ def mounted(params: HeadlightParams, device: torch.device, unnamed: Callable[[La
         names = ", ".join(module.name for module in modules)
         for movement in ("swivel_deg", "level_deg"):
             if getattr(params, movement) and not any(any(getattr(module, movement)) for module in modules):
-                raise LuxloopError(f"headlight.{movement}: none of the modules ({names}) can turn so; leave it out or name others")
+                raise LuxloopError(f"headlight.{movement}: none of the modules ({names}) can turn in this way; leave it out or name others")
         peak_cd = max(module.headlight.peak_cd for module in modules)
         if not peak_cd > 0:
             raise LuxloopError(f"headlight.modules: {names} give no light; name others")

@@ -34,5 +34,5 @@ def _own(name: Name, headlight: Headlight) -> PixelController:
     with running(name, key, "prepare"):
         made = made_by.prepare(headlight)
     if lacking := [part for part in ("headlight", "default", "utilisation", "over") if not hasattr(made, part)]:
-        raise LuxloopError(f"{key}: {name} has no {lacking[0]!r}; write one as docs/python.md has it")
+        raise LuxloopError(f"{key}: {name} has no {lacking[0]!r}; write one as in docs/python.md")
     return cast(PixelController, Guarded(made, name, key))

@@ -59,7 +59,7 @@ class BeamJudge:
         """The scene at a simulation's start. Raises LuxloopError if no object that counts is in view."""
         judge = cls(simulation, goal, detector, simulation.world.lit(0.0))
         if not judge.masks:
-            raise LuxloopError("objects: none with a category that counts is in the camera's sight at the start; put one there")
+            raise LuxloopError("objects: none with a category that counts is in the camera's view at the start; put one there")
         return judge
 
     @cached_property

@@ -50,7 +50,7 @@ def optimise_beam(
     except ValidationError as error:
         raise all_of([f"--{each}" for each in sentences(error, BeamGoal, "")]) from error
     if steps is not None and steps < 1:
-        raise LuxloopError(f"--steps {steps}: nothing can be found in that; give 1 or more")
+        raise LuxloopError(f"--steps {steps}: too few; give 1 or more")
     scenario = scenario.model_copy(update={"functions": {}})
     simulation = Simulation.prepare(scenario, torch_device(device))
     with located(scenario.source):

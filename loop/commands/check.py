@@ -14,16 +14,22 @@ RULE_OF_BEAM: Mapping[str, str] = MappingProxyType(
 
 
 def judge(
-    lamp: Lamp, beam: str, rule: str | None = None, aimed: bool = False, traffic: Traffic = "right"
+    lamp: Lamp, beam: str | None = None, rule: str | None = None, aimed: bool = False, traffic: Traffic = "right"
 ) -> tuple[str, tuple[Result, ...]]:
     """Title and results of a check of a beam against a rule. aimed: first aim the lamp by its cut-off or maximum, as the regulation does.
 
-    Raises LuxloopError for an unknown beam or rule, and where no rule is given for a beam that RULE_OF_BEAM does not list.
+    beam: by default that which the rule is for, low or high, or full where the lamp has none; without a rule its default beam. Raises
+    LuxloopError for an unknown beam or rule, and where no rule is given for a beam that RULE_OF_BEAM does not list.
     """
+    rules = None if rule is None else rule_set(rule)
+    if rules is None and (beam or lamp.default_beam) not in RULE_OF_BEAM:
+        why = f"{lamp.name} has no low beam, whose rule would be the default" if beam is None else f"no rule is known for beam {beam!r}"
+        raise LuxloopError(f"{why}; name a rule with --rule, `luxloop headlight rules` lists them")
+    if beam is None:
+        wanted = "low" if rules is None or rules.beam == "low" else "high"
+        beam = wanted if wanted in lamp.beams else "full"
     intensity = lamp.lit(lamp.beam(beam))
-    if rule is None and beam not in RULE_OF_BEAM:
-        raise LuxloopError(f"no rule is known for beam {beam!r}; name one with --rule, `luxloop headlight rules` lists them")
-    rules = rule_set(RULE_OF_BEAM[beam] if rule is None else rule)
+    rules = rules or rule_set(RULE_OF_BEAM[beam])
     turn = aim(intensity, rules.id, traffic=traffic) if aimed else (0.0, 0.0)
     turned = f", aimed by {turn[0]:+.2f} deg to the right and {turn[1]:+.2f} deg up" if aimed else ""
     only = sum(module.headlight.n_pixels for module in lamp.modules) == 1

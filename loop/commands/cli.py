@@ -37,7 +37,7 @@ def version() -> str:
 app = App(
     name="luxloop",
     version=version,
-    help="Closed loops around HD matrix headlights: what the camera sees of a projected symbol controls the light.",
+    help="Closed-loop control of HD matrix headlights: simulate lamp, road and camera, and control the light with camera feedback.",
     help_epilogue="First run: luxloop run snowflake. With --debug, any command shows the traceback of an error.",
     version_flags=["--version"],
     suppress_keyboard_interrupt=False,
@@ -201,7 +201,7 @@ def run(
     seed
         Seed of all noise.
     steps
-        Number of control steps.
+        Number of control steps; by default the scenario's, with --plant until the recording ends at most.
     controller
         Controller to use instead, with its defaults (see `luxloop list controllers`).
     plant
@@ -223,6 +223,10 @@ def run(
     given: dict[str, Any] = {key: value for key, value in {"seed": seed, "steps": steps}.items() if value is not None}
     given |= {} if plant is None else {"plant": {"kind": "recording", "folder": str(plant)}}
     scenario = load(name, set or [], allow_code=allow_code, **given, **with_controller(controller))
+    if plant is not None and steps is None:
+        from loop.plant.recorded import to_the_end
+
+        scenario = to_the_end(scenario)
     passed = run_scenario(scenario, out or Path("runs") / Path(name).stem, device, checks, video=video, report=report, frames=frames)
     return OK if passed or not checks else FAILED
 

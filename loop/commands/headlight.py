@@ -96,14 +96,14 @@ def show(
     out
         Picture to write (.png, .jpg, .pdf or .svg); by default named after lamp, beam and view.
     """
-    from loop.pictures.styles import check_format, style_of
+    from loop.pictures.styles import check_out, style_of
     from world.errors import LuxloopError
 
     stem = Path(lamp).stem
     if view is not None or style is not None:
         style_of(view or "overview", style)
     if out is not None:
-        check_format(out)
+        check_out(out)
     chosen = {
         "beam": beam,
         "style": style,
@@ -244,7 +244,7 @@ def check(
     lamp
         Preset, lamp file, description or photometric file.
     beam
-        Name of the beam, full or off; by default low, or full where the lamp has no low beam.
+        Name of the beam, full or off; by default low for a passing beam's rule, high for a driving beam's, or full where the lamp has none.
     rule
         Set of test points (see `luxloop headlight rules`); by default the R149 set for the beam's name.
     side
@@ -260,7 +260,7 @@ def check(
     from world.regulation import passes
 
     judged = for_traffic(load_lamp(lamp, side), traffic)
-    title, results = judge(judged, beam or judged.default_beam, rule, aim, traffic)
+    title, results = judge(judged, beam, rule, aim, traffic)
     tables.show(headlight_tables.results(results, title))
     return 0 if passes(results) else DIFFERS
 

@@ -27,7 +27,7 @@ def presets() -> Table:
     """The shipped lamps."""
     rows = ((f"[bold]{name}[/]", escape(summary)) for name, summary in SUMMARIES.items())
     caption = "`luxloop headlight info LAMP` shows what is published about a lamp and what is assumed."
-    return plain(("lamp", "what it is"), rows, caption=caption)
+    return plain(("lamp", "description"), rows, caption=caption)
 
 
 def photometry(file: Photometry) -> Table:
@@ -119,7 +119,7 @@ def rules() -> Table:
     for name, each in sorted(sets().items()):
         also = f"\n[dim]also {each.also}[/]" if each.also else ""
         rows.append((f"[bold]{name}[/]{also}", escape(each.title), escape(each.table), escape(each.confidence)))
-    return plain(("rule", "what it is", "table", "confidence"), rows, caption="Second-hand numbers for development, not for approval.")
+    return plain(("rule", "description", "table", "confidence"), rows, caption="Second-hand numbers for development, not for approval.")
 
 
 def results(found: Sequence[Result], title: str) -> Table:

@@ -31,7 +31,7 @@ def list_(kind: Kind = "scenarios", /, *, json: Json = False) -> None:
         tables.show_json(found)
         return
     scenarios = kind == "scenarios"
-    columns = (kind.removesuffix("s"), *(["functions and controllers"] if scenarios else []), "what it is")
+    columns = (kind.removesuffix("s"), *(["functions and controllers"] if scenarios else []), "description")
     rows = []
     for each in found:
         remedy = f"\n[yellow]needs {each['lacks']}: luxloop data get {each['lacks']}[/]" if each.get("lacks") else ""
@@ -62,7 +62,7 @@ def doctor(*, json: Json = False) -> int:
         tables.show_json({"ok": all_good(found), "checks": [asdict(check) for check in found]})
     else:
         rows = ((f"[{COLOURS[each.status]}]{each.status}[/]", *map(escape, (each.name, each.found, each.remedy))) for each in found)
-        tables.show(tables.plain(("", "what", "found", "mend it with"), rows))
+        tables.show(tables.plain(("", "what", "found", "remedy"), rows))
     return OK if all_good(found) else DIFFERS
 
 
@@ -81,7 +81,7 @@ def data_list() -> None:
         for each in data.rows()
     )
     caption = "Get one with `luxloop data get NAME`, all with `luxloop data get all`."
-    tables.show(tables.plain(("name", "kind", "MB", "licence", "what it is", "where it is"), rows, caption=caption))
+    tables.show(tables.plain(("name", "kind", "MB", "licence", "description", "where it is"), rows, caption=caption))
 
 
 @data_app.command(name="get")

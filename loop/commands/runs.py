@@ -50,6 +50,10 @@ def run_scenario(scenario: Scenario, out: Path, device: str, checks: bool, *, re
         except KeyboardInterrupt as error:
             raise KeyboardInterrupt(f"{done} of {scenario.steps} steps are kept in {out}" if done else "nothing was recorded") from error
     tables.show(shown(result.summary, str(out)))
+    left_out = sum(check.compare is not None for check in scenario.checks.values())
+    if left_out and not checks:
+        word = "compares" if left_out == 1 else "compare"
+        tables.console().print(f"{tables.counted(left_out, 'more check')} {word} with another light: --checks", markup=False)
     if checks and not scenario.checks:
         tables.console().print(f"{scenario.name} has no [checks.NAME]", markup=False)
     return passed(result.summary)

@@ -22,7 +22,7 @@ def lights_by_side(scenario: Scenario, lamp: str, time_s: float) -> tuple[Mappin
     except LuxloopError as error:
         first, *others = error.args
         raise LuxloopError(
-            f"{lamp} cannot show what {scenario.name} draws; give --beam for a beam of {lamp} there, or mend this: {first}", *others
+            f"{lamp} cannot show what {scenario.name} draws; give --beam for a beam of {lamp} there, or correct this: {first}", *others
         ) from error
     lights, commands = simulation.lights_at(time_s)
     found: dict[str, list[Tensor]] = {}

@@ -17,7 +17,7 @@ from loop.lighting.controlled import ControlledSymbol, Frames
 from loop.lighting.simulation import Simulation
 from loop.run import prepare
 from loop.scenario.model import validate
-from perception.egomotion import Ego
+from perception.egomotion import Ego, Sample, Samples, Sensor, ego_of
 from perception.extraction import Loss
 from world.errors import LuxloopError, located
 from world.plugin import Guarded, check_methods, made
@@ -45,21 +45,27 @@ REMEDY = (
     "observation.measurement.errors are in units of the image"
 )
 LOST_AFTER = (0, 4)  # steps; at each of them the symbol is lost as well
+DRIVES_AFTER = 2  # steps, of which one is also taken on a car that moves
+SENSED: dict[Sensor, list[float]] = {  # of that car
+    "wheels": [10.0, 10.1],
+    "gyro": [0.01, 0.02, 0.1],
+    "attitude": [0.005, 0.002, 0.003, 0.02, 0.01, 0.001, 0.02, 0.002],
+}
 AWAY = 1.5  # times as far from the target as at the start, and some noise
 
 
 def check_controller(controller: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
-    """Check a symbol controller of your own against the contract of `luxloop.SymbolController`, in a few seconds.
+    """Check your own symbol controller against the contract of `luxloop.SymbolController`, in a few seconds.
 
     controller: the class, of which a scenario makes `controller(sensor, **options)`. A class and not an instance, since an instance has
     the sensor of another scenario, and since making it belongs to the contract; a class and not its name, so that it can be checked where
     it is written, in a notebook or in a test. options: those of the scenario. device: "auto", "cpu" or "cuda".
 
-    It runs for 8 steps on a flat road, seen by a camera of 320 x 180 px, and in some of them also without frames, and with frames that do
-    not show the symbol. Raises LuxloopError with the likely cause and the remedy where a method is missing or fails, changes what
-    it was given, or gives something else for the same input; where a state is no data; where a projection has another shape, dtype or
-    device than the pose `[4]` that `start` is given, is not finite, or not in m and rad; and where the symbol is moved away from its
-    target.
+    It runs for 8 steps on a flat road, seen by a camera of 320 x 180 px, and in some of them also without frames, with frames that do not
+    show the symbol, and on a car that moves, with its attitude and rates and where nothing measures these (NaN). Raises LuxloopError with
+    the likely cause and the remedy where a method is missing or fails, changes what it was given, or gives something else for the same
+    input; where a state is no data; where a projection has another shape, dtype or device than the pose `[4]` that `start` is given, is not
+    finite, or not in m and rad; and where the symbol is moved away from its target.
     """
     name = name_of(controller)
     check_methods(controller, f"{KEY}: {name}", METHODS)
@@ -121,7 +127,20 @@ class Watched:
                     self.projection(blind, observation.ego)
                 with located(f"after {situation}"):
                     self.projection(self._stepped(blind, observation), observation.ego)
+        if state.steps == DRIVES_AFTER:
+            for situation, ego in self._driving().items():
+                moving = replace(observation, ego=ego, shown=replace(observation.shown, ego=ego))
+                with located(f"on a car {situation}"):
+                    self.projection(self._stepped(state, moving), ego)
         return after
+
+    def _driving(self) -> dict[str, Ego | None]:
+        like = self.symbol.projector.target
+        samples: Samples = {sensor: Sample(sensor, 0.05, 0.06, like.new_tensor(values)) for sensor, values in SENSED.items()}
+        return {
+            "that moves": ego_of(samples, None, 0.1, 1 / 60),
+            "of which nothing measures attitude and rates, which are NaN in ego": ego_of({"wheels": samples["wheels"]}, None, 0.1, 1 / 60),
+        }
 
     def _stepped(self, state: WatchedState, observation: Observation) -> WatchedState:
         after = pure(self.own, "step", {"state": state.inner, "observation": observation}, "state")

@@ -1,5 +1,6 @@
 """The contract of a detector of the user's own."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
@@ -34,7 +35,7 @@ ROUNDING = 0.02  # px and score by which what is found may differ in another bat
 
 
 def check_detector(detector: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
-    """Check a detector of your own against the contract of `[detector]`, in a few seconds.
+    """Check your own detector against the contract of `[detector]`, in a few seconds.
 
     detector: the class, of which a scenario makes `detector(device, **options)`; see `check_controller` for why it is the class. options:
     those of `[detector]`. device: "auto", "cpu" or "cuda", on which it is made and gets its frames.
@@ -42,8 +43,8 @@ def check_detector(detector: type, options: Mapping[str, Any] | None = None, dev
     It looks at frames `[B, 360, 640]` of a road, dark, in the high beam, and with a pedestrian and a car on it, one by one and in batches.
     Raises LuxloopError with the likely cause and the remedy where `detect` or `classes` is missing or wrong; where it fails, changes the
     frames, or gives something else for the same frames, or for a frame in another batch; where it does not give one `Detections` a frame of
-    finite boxes `[n, 4]` (left, top, right, bottom, in px, their middle in the frame) and scores `[n, classes]` of 0..1. Whether it finds
-    anything is not asked.
+    finite boxes `[n, 4]` (left, top, right, bottom, in px, their middle in the frame) and scores `[n, classes]` of 0..1. Warns where a
+    detector of pedestrians or cars finds nothing.
     """
     name = name_of(detector)
     check_methods(detector, f"{KEY}: {name}", METHODS)
@@ -58,6 +59,12 @@ def check_detector(detector: type, options: Mapping[str, Any] | None = None, dev
                     f"{KEY}: {name}: detect finds something else in a frame where others are beside it; look at each frame of a batch by "
                     "itself"
                 )
+    if not any(map(len, alone)) and {"pedestrian", "car"} & {*found_by.classes}:
+        warnings.warn(
+            f"{KEY}: {name}: nothing found in {len(frames)} frames, of which one shows a pedestrian and a car; frames are shares 0..1 of "
+            "the largest number",
+            stacklevel=2,
+        )
 
 
 @cache

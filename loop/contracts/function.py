@@ -40,7 +40,7 @@ SCENARIO = {
 
 
 def check_function(function: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
-    """Check a lighting function of your own against the contract of `[functions.NAME]`, in a few seconds.
+    """Check your own lighting function against the contract of `[functions.NAME]`, in a few seconds.
 
     function: the class, of which a scenario makes `function(**options)`; see `check_controller` for why it is the class. options: those of
     `[functions.NAME]`. device: "auto", "cpu" or "cuda", of the lamps; a situation lies on the CPU.
@@ -67,9 +67,9 @@ def check_function(function: type, options: Mapping[str, Any] | None = None, dev
         if drawn and all(one.equal(other) for k in drawn for one, other in zip(results[k].lights, bare[k].lights, strict=True)):
             corner = [round(value, 3) for value in next(iter(drawn.values())).tolist()]
             raise LuxloopError(
-                f"functions.{NAME}: {KEY}: {name}: what it draws changes no lamp's light, with a corner at {corner} m say; places are in m "
-                "in the world, from the car's frame (x ahead, y left, z up) by now.T_world_vehicle; normals, d1 x d2 where there are none, "
-                "point to the lamps; and what is thinner than the lamps' rays are apart is missed"
+                f"functions.{NAME}: {KEY}: {name}: its primitives change no lamp's light, such as one with a corner at {corner} m; "
+                "places are in m in the world, from the car's frame (x ahead, y left, z up) by now.T_world_vehicle; normals, by default "
+                "d1 x d2, point to the lamps; primitives thinner than the spacing of the lamps' rays are missed"
             )
 
 

@@ -18,11 +18,12 @@ from loop.plant.world import World
 from loop.run import prepare
 from loop.scenario.model import validate
 from world.errors import LuxloopError, located
-from world.plugin import Guarded, check_methods, made
+from world.plugin import Guarded, Name, check_methods, made
 
 CALLS = {"start": (), "show": ("state", "exposure")}
 GIVES = "(state, arrivals)"
 EXPOSURES = 24  # more than those of the 10 steps by which the frames of a scenario's camera may be late
+UNDER_WAY = 4  # more than those of a step by which they are late, so that some come that a state must have held
 SCENARIO: dict[str, Any] = {
     "name": "check_plant",
     "camera": {"width_px": 320, "height_px": 180, "oversampling": 1},
@@ -33,13 +34,14 @@ SCENARIO: dict[str, Any] = {
 
 
 def check_plant(plant: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
-    """Check a plant of your own against the contract of `[plant]`, in a few seconds.
+    """Check your own plant against the contract of `[plant]`, in a few seconds.
 
     plant: the class, of which a scenario makes `plant(scenario, modules, **options)`; see `check_controller` for why it is the class.
     options: those of `[plant]`. device: "auto", "cpu" or "cuda".
 
     It shows 24 exposures of 1/60 s, with and without a symbol in turn, to a camera of 320 x 180 px: each of them twice from the same state,
-    and once more from that state at the end. Raises LuxloopError with the likely cause and the remedy where a method is missing or fails,
+    and once more from that state at the end; then four more in a world whose camera is a step late, so that a plant that wraps
+    `simulated_plant` must hand its state on. Raises LuxloopError with the likely cause and the remedy where a method is missing or fails,
     changes what it was given, or gives something else for the same state and exposure; where a state is no data; where its time does not go
     on; where a frame is of no exposure that was shown, comes twice or out of order, or has times that contradict each other; where an image
     is no tensor `[height, width]` of whole digital numbers within `camera.bits`; where a sample is of no sensor that there is, or has other
@@ -47,13 +49,18 @@ def check_plant(plant: type, options: Mapping[str, Any] | None = None, device: s
     """
     name = name_of(plant)
     check_methods(plant, f"{KEY}: {name}", METHODS)
-    simulation = _world(device)
-    own = made(plant, name, KEY, {"scenario": simulation.scenario, "modules": lamp_modules(simulation.modules)}, options or {})
+    _check_shown(plant, name, options or {}, _world(device), EXPOSURES)
+    _check_shown(plant, name, options or {}, _world(device, latency_steps=1), UNDER_WAY)
+
+
+def _check_shown(plant: type, name: Name, options: Mapping[str, Any], simulation: Simulation, exposures: int) -> None:
+    """Raises LuxloopError as `check_plant`, of one in a world and so many exposures."""
+    own = made(plant, name, KEY, {"scenario": simulation.scenario, "modules": lamp_modules(simulation.modules)}, options)
     check_calls(own, CALLS)
     _check_truth(own)
     shown: list[Shown] = []
     state, arrivals = _said(own, "start", {}, shown, simulation)
-    for number in range(EXPOSURES):
+    for number in range(exposures):
         light = (
             simulation.symbol.projector.light(simulation.symbol.projector.target)
             if number % 2 == 0
@@ -63,9 +70,9 @@ def check_plant(plant: type, options: Mapping[str, Any] | None = None, device: s
         before = state
         state, arrivals = _said(own, "show", {"state": before, "exposure": exposure}, shown, simulation)
         shown.append(Shown(before, exposure, arrivals, copied((state, arrivals), GIVES)))
-    if not any(each.arrivals.frames for each in shown):
+    if exposures == EXPOSURES and not any(each.arrivals.frames for each in shown):
         raise LuxloopError(
-            f"{KEY}: {name}: of {EXPOSURES} exposures no frame has come, nor word that it is lost; give frames in Arrivals.frames"
+            f"{KEY}: {name}: no frame of {exposures} exposures has arrived or been reported lost; give frames in Arrivals.frames"
         )
     for each in shown:
         if differs := difference(each.gave, own.show(each.state, each.exposure), GIVES):
@@ -76,8 +83,9 @@ def check_plant(plant: type, options: Mapping[str, Any] | None = None, device: s
 
 
 @cache
-def _world(device: str) -> Simulation:
-    return prepare(validate(SCENARIO, SCENARIO["name"]), device)
+def _world(device: str, latency_steps: int = 0) -> Simulation:
+    camera = SCENARIO["camera"] | {"latency_steps": latency_steps}
+    return prepare(validate(SCENARIO | {"camera": camera}, SCENARIO["name"]), device)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ Parts = dict[str, Any]  # what a value consists of, by its place: "state.gains[0
 def name_of(made_by: type) -> Name:
     """As a scenario would name a class. Raises LuxloopError where it is none."""
     if not isinstance(made_by, type):
-        raise LuxloopError(f"{made_by!r} is no class; give the class itself, such as Mine, and its options as a second value")
+        raise LuxloopError(f"{made_by!r} is not a class; give the class itself, such as Mine, and its options as a second value")
     return Name(f"{made_by.__module__}:{made_by.__name__}")
 
 
@@ -48,12 +48,12 @@ def pure(own: Guarded, method: str, inputs: Mapping[str, Any], gives: str) -> An
     result = call(*inputs.values())
     if changed := difference(before, inputs):
         raise LuxloopError(
-            f"{where} changes {changed}, which it was given; make a new value, with dataclasses.replace and without operations in place"
+            f"{where} changes {changed}, which was passed to it; make a new value, with dataclasses.replace and without operations in place"
         )
     first = copied(result, gives)
     again = call(*inputs.values())
     if changed := difference(first, result, gives):
-        raise LuxloopError(f"{where} changes {changed}, which it gave before, when it is called again; give a copy, with clone()")
+        raise LuxloopError(f"{where} changes {changed}, which it returned before, when it is called again; return a copy, with clone()")
     if differs := difference(first, again, gives):
         given = " and ".join(inputs)
         remedy = "keep what it remembers in the state and not in self" if "state" in (*inputs, gives) else "keep nothing in self"
@@ -85,7 +85,7 @@ def check_tensor(value: Any, like: Tensor, shape: tuple[int, ...], what: str) ->
     if not value.isfinite().all():
         raise LuxloopError(
             f"{what} is not finite, {_shown(value)}; errors are NaN where the symbol is not seen: leave the state as it is where "
-            "observation.measurement.code != Loss.SEEN"
+            "observation.measurement.code != Loss.SEEN; attitude and rates of an Ego are NaN where they are not measured: use nan_to_num()"
         )
 
 
@@ -110,6 +110,8 @@ def _parts(value: Any, place: str) -> Iterator[tuple[str, Any]]:
         inner = {f".{name}": each for name, each in value}
     elif isinstance(value, Mapping):
         inner = {f".{name}" if place else name: each for name, each in value.items()}
+    elif isinstance(value, slice):
+        inner = {f".{name}": getattr(value, name) for name in ("start", "stop", "step")}
     elif isinstance(value, tuple | list):
         inner = {f"[{number}]": each for number, each in enumerate(value)}
     if inner is None:

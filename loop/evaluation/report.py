@@ -47,10 +47,10 @@ MEASURES = {
     "a_r": "best a_r",
 }
 CAPTIONS = {
-    "errors": "MAE of the joint optimum, and how much larger that of MRPC is, over all setpoints (T figures 8.5 to 8.8)",
-    "difference": "light of MRPC less that of the joint optimum (T figures 8.9, 8.10)",
-    "profiles": "where the two differ (T figure 8.11)",
-    "sensitivity": "errors of the wide rectangle over the parameters, bright where small, a star where least (T figures 8.12 to 8.19)",
+    "errors": "MAE of the joint optimum, and excess of that of MRPC, over all setpoints (T figures 8.5 to 8.8)",
+    "difference": "light of MRPC minus that of the joint optimum (T figures 8.9, 8.10)",
+    "profiles": "differences between the two (T figure 8.11)",
+    "sensitivity": "errors of the wide rectangle over the parameters; bright: small, star: minimum (T figures 8.12 to 8.19)",
     "parameters": "best parameters of all setpoints (T figures B.2 to B.7)",
 }
 
@@ -129,7 +129,7 @@ def _changes(one: Evaluation, name: str) -> list[str]:
         changes = [f"{100 * (row[error] / reference[error] - 1):+.1f} ({value:+.1f})" for error, value in zip(errors, thesis, strict=True)]
         body.append([key, *(number(row[f"best_{name}"], ".2f") for name in ("a_m", "a_x", "a_r")), *changes])
     text = (
-        "A rectangle of 8.9° x 7.7°, as T tables 8.2 and 8.3 have it: change in % (the thesis' in brackets) against pixels taken as their "
+        "A rectangle of 8.9° x 7.7°, as in T tables 8.2 and 8.3: change in % (the thesis' in brackets) relative to pixels used as their "
         f"bounding rectangles at half of their peak, without mapping, whose MAE is {reference['mae']:.3f}."
     )
     return [text, tables.markdown(["tuned", "a_m", "a_x", "a_r", "MAE", "RMSE", "DSSIM", "MARE"], body)]

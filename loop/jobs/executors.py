@@ -86,7 +86,7 @@ def dask(scheduler: str) -> Executor:
         try:
             client = distributed.Client(scheduler, timeout=CONNECTING_S, set_as_default=False)
         except (OSError, ValueError) as error:
-            raise LuxloopError(f"{where}: nobody answers; start `dask scheduler`, and give the address that it prints") from error
+            raise LuxloopError(f"{where}: no answer; start `dask scheduler`, and give the address that it prints") from error
         try:
             client.wait_for_workers(1, timeout=CONNECTING_S)
             digests = client.run(digest_of_code)

@@ -142,7 +142,7 @@ def _read(file: Path) -> dict[str, dict[str, Any]]:
                 os.truncate(file, len(content) - len(last))
         return results
     except (ValueError, KeyError, TypeError) as error:
-        raise LuxloopError(f"{file}: holds something else than job results; remove it or give another folder") from error
+        raise LuxloopError(f"{file}: holds something other than job results; remove it or give another folder") from error
     except OSError as error:
         raise LuxloopError(f"{file}: cannot be read ({error.strerror}); check its permissions") from error
 

@@ -62,7 +62,7 @@ def check(simulation: Simulation, keys: Any) -> None:
         raise LuxloopError(f"{scenario.name}: batched rollouts have no stages; leave out controller.warp and controller.supervisor")
     if scenario.metered:
         others = "other functions, the detector and objects' categories"
-        raise LuxloopError(f"{scenario.name}: batched rollouts are of a symbol alone; take {others} out, or tune without --gradient")
+        raise LuxloopError(f"{scenario.name}: batched rollouts support only a single symbol; take {others} out, or tune without --gradient")
     if timed := [key for key in ("start_s", "stop_s") if getattr(scenario.symbol, key) is not None]:
         key = f"functions.{only(scenario.controlled)}.{timed[0]}"
         raise LuxloopError(
@@ -71,11 +71,11 @@ def check(simulation: Simulation, keys: Any) -> None:
     changing = ("oncoming", "ambient", "noise", "drops")
     if found := [name for name in changing if getattr(scenario.disturbances, name)]:
         raise LuxloopError(
-            f"{scenario.name}: batched rollouts know nothing of disturbances.{found[0]}; leave it out, or tune without --gradient"
+            f"{scenario.name}: batched rollouts do not support disturbances.{found[0]}; leave it out, or tune without --gradient"
         )
     if not isinstance(scenario.plant, SimulatedPlantParams):
         raise LuxloopError(
-            f"{scenario.name}: batched rollouts are of the simulated plant, not of {scenario.plant.kind}; tune without --gradient"
+            f"{scenario.name}: batched rollouts need the simulated plant, not {scenario.plant.kind}; tune without --gradient"
         )
     world, camera = simulation.world, scenario.camera
     still = [scenario.vehicle is None, not world.moving, camera.drop_probability == 0, camera.latency_spread_steps == 0]

@@ -42,7 +42,7 @@ def refuse_commands(planner: Planner, modules: Sequence[ShiningModule], controll
             how = MOVED[function.movement]
             if not any(function.moves(module) for module in modules):
                 raise LuxloopError(
-                    f"functions.{name}.modules: none of those meant can be {how}; name others, or take another lamp as headlight.model"
+                    f"functions.{name}.modules: none of these modules can be {how}; name others, or take another lamp as headlight.model"
                 )
             for symbol, each in controlled.items():
                 for module in (modules[k] for k in each.drawn_by if function.moves(modules[k])):

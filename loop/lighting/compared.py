@@ -22,8 +22,7 @@ def compared(simulation: Simulation, table: pa.Table) -> Mapping[str, NDArray[np
     modules, beams = simulation.modules, table["beam"].to_pylist()
     steps = np.ones(table.num_rows)
     found = {STANDBY: steps * _watts(simulation, [module.flux * 0 for module in modules])}
-    if all(LOW in module.lamp.beams for module in modules):
-        low = [module.lamp.beam(LOW)[module.number].to(module.flux) for module in modules]
+    if low := _low_beam(simulation):
         found[f"{LOW} beam"] = steps * _watts(simulation, low)
     own = dict.fromkeys(simulation.base(beam) for beam in beams)
     if set(own) - {*found, "base beam off"}:
@@ -33,7 +32,25 @@ def compared(simulation: Simulation, table: pa.Table) -> Mapping[str, NDArray[np
     return found
 
 
-def _watts(simulation: Simulation, lights: Sequence[Tensor]) -> float:
+def low_beam_lm(simulation: Simulation) -> float | None:
+    """Luminous flux of all lamps in the low beam that nothing dims; None where they have none."""
+    low = _low_beam(simulation)
+    return sum(_flux_lm(simulation, low)) if low else None
+
+
+def _low_beam(simulation: Simulation) -> list[Tensor]:
+    """Utilisations `[n_p]`, one a module; none where a lamp has no low beam."""
+    modules = simulation.modules
+    known = all(LOW in module.lamp.beams for module in modules)
+    return [module.lamp.beam(LOW)[module.number].to(module.flux) for module in modules] if known else []
+
+
+def _flux_lm(simulation: Simulation, lights: Sequence[Tensor]) -> list[float]:
+    """Of each lamp, within the power limit."""
     modules, limit = simulation.modules, simulation.scenario.lighting.power_limit or 1.0
     given, most = flux_by_side(modules, lights), flux_by_side(modules, [torch.ones_like(module.flux) for module in modules])
-    return sum(simulation.scenario.headlight.power_w(min(lm, limit * most[side])) for side, lm in given.items())
+    return [min(lm, limit * most[side]) for side, lm in given.items()]
+
+
+def _watts(simulation: Simulation, lights: Sequence[Tensor]) -> float:
+    return sum(map(simulation.scenario.headlight.power_w, _flux_lm(simulation, lights)))

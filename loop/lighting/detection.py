@@ -1,6 +1,6 @@
 """How the car sees: frames go to a detector, what it finds to a tracker, and tracks become boxes on the road."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, get_args
 
@@ -22,16 +22,19 @@ from perception.tracks import ObjectTracker, TrackedBoxes
 from world.traffic.tracked import Category
 from world.view import View
 
+LEAST_PX = 24.0  # height from which on a detector ought to find somebody
+
 
 @dataclass(frozen=True)
 class Recognised:
     """What is made of an object that is there. track: its number, None for none. confidence and score: of that track, 0 for none;
-    of what was found in this frame alone.
+    of what was found in this frame alone. findable: whether it is of a class that the detector has, and tall enough.
     """
 
     track: int | None
     confidence: float
     score: float
+    findable: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +94,8 @@ def name_of(number: int) -> str:
     return f"track_{number}"
 
 
-def recognised(view: LitScene, tracks: TrackedBoxes, found: Detections) -> Mapping[str, Recognised]:
-    """What is made of each object in sight, by its name."""
+def recognised(view: LitScene, tracks: TrackedBoxes, found: Detections, classes: Collection[Category]) -> Mapping[str, Recognised]:
+    """What is made of each object in sight, by its name. classes: those of the detector."""
     boxes, scores = found.boxes.double().cpu(), found.scores.double().cpu()
     its_track = dict(pairs(view.boxes, tracks.boxes))
     its_box = dict(pairs(view.boxes, boxes))
@@ -103,6 +106,7 @@ def recognised(view: LitScene, tracks: TrackedBoxes, found: Detections) -> Mappi
             None if row is None else int(tracks.number[row]),
             0.0 if row is None else float(sure[row]),
             0.0 if column is None else float(scores[column].max()),
+            each.category in classes and float(view.boxes[k, 3] - view.boxes[k, 1]) >= LEAST_PX,
         )
     return whole
 

@@ -19,9 +19,9 @@ LEAST_PX = 4  # of the target in either direction; quadrants need two pixels eac
 def refuse_unseen(symbol: SymbolParams, scenario: Scenario) -> None:
     """Raises LuxloopError where the camera does not see the target."""
     if not _in_the_image(symbol, scenario.camera):
-        raise LuxloopError(f"{_target(symbol)} is out of the camera's sight; move it, or turn the camera")
+        raise LuxloopError(f"{_target(symbol)} is outside of the camera's view; move it, or turn the camera")
     if not _in_the_image(symbol, true_camera(scenario)):
-        raise LuxloopError(f"{_target(symbol)} is out of the sight of the camera as it truly is; make disturbances.calibration smaller")
+        raise LuxloopError(f"{_target(symbol)} is outside of the view of the true camera; reduce disturbances.calibration")
 
 
 def refuse_undrawable(sensor: SymbolSensor, judge: Judge | None, beam: str) -> None:
@@ -42,7 +42,7 @@ def refuse_undrawable(sensor: SymbolSensor, judge: Judge | None, beam: str) -> N
         )
     if not (model.gains.isfinite() & (model.gains != 0)).all():
         raise LuxloopError(
-            f"{where} cannot be told from noise on a flat road ({_pixels_there(projector)}); raise value or "
+            f"{where} cannot be distinguished from noise on a flat road ({_pixels_there(projector)}); raise value or "
             "headlight.intensity_cd, draw the symbol larger or with wider strokes, or take a lamp with finer pixels or a finer camera"
         )
     brightest = float(brightness(sensor, judge) + model.beams.median())

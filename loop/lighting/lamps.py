@@ -108,7 +108,7 @@ def shining_modules(scenario: Scenario, device: torch.device) -> tuple[ShiningMo
     for each in mounted(scenario.headlight, device, lambda lamp: lamp.modules):
         light, flux, raw = each.headlight, pixel_flux(each.headlight), _raw(scenario, each.name, each.headlight)
         base = scenario.lighting.base.names if raw is None else ()
-        beams: dict[str, Morphing] = {name: Morphing(light, each.lamp.beam(name)[each.number].to(flux)) for name in base}
+        beams: dict[str, Morphing] = {name: Morphing(light, _base_beam(each, name).to(flux)) for name in base}
         lasting = beams.get(scenario.lighting.base.beam)  # None of one by the situation
         controller = pixel_controller(scenario, light, None if lasting is None else lasting.beam)
         where = each.T_world_module, each.swivel_deg, each.level_deg
@@ -116,12 +116,19 @@ def shining_modules(scenario: Scenario, device: torch.device) -> tuple[ShiningMo
     return tuple(modules)
 
 
+def _base_beam(module: MountedModule, name: str) -> Tensor:
+    try:
+        return module.lamp.beam(name)[module.number]
+    except LuxloopError as error:
+        raise LuxloopError(f'lighting.base.beam: {error}; write beam = "full" for all pixels on') from error
+
+
 def _raw(scenario: Scenario, name: str, headlight: Headlight) -> RawUtilisation | None:
     """The raw utilisations of a module. Raises LuxloopError that names the key and the file where they are not its own."""
     mine = [(i, raw) for i, raw in enumerate(scenario.lighting.raw) if meant(raw.modules, name)]
     if len(mine) > 1:
         both = " and ".join(f"lighting.raw[{i}]" for i, _ in mine[:2])
-        raise LuxloopError(f"{both} are both meant for module {name!r}; name the modules of each in its modules")
+        raise LuxloopError(f"{both} both apply to module {name!r}; name the modules of each in its modules")
     for i, raw in mine:
         with located(f"lighting.raw[{i}].file, for module {name!r} (its modules say which are meant)"):
             file = named(raw.file, "utilisations")

@@ -3,10 +3,11 @@
 from typing import Any
 
 from loop.lighting.lamps import ShiningModule
+from loop.recording.columns import of_truth
 from loop.scenario.model import Scenario, objects_named
 from loop.scenario.plant import shadow_of
 from perception.detection.params import TruthParams
-from world.errors import LuxloopError
+from world.errors import LuxloopError, all_of
 
 
 def check_names(scenario: Scenario, modules: tuple[ShiningModule, ...]) -> None:
@@ -28,11 +29,12 @@ def check_names(scenario: Scenario, modules: tuple[ShiningModule, ...]) -> None:
                 )
 
 
-def refuse_unknown(scenario: Scenario) -> None:
-    """Raises LuxloopError that names the first key that needs a plant which knows the truth.
+def refuse_unknown(scenario: Scenario, known: bool) -> None:
+    """Raises LuxloopError that names all keys that need a plant which knows the truth, unless it is known, or the simulated world.
 
     In shadow, where nothing is shown, objects are merely unknown.
     """
+    kind = scenario.plant.kind
     params, tracked = scenario.lighting, any(each.category for each in scenario.all_objects)
     wants = {
         "detector.kind": (isinstance(scenario.detector, TruthParams), "give a detector that looks at frames"),
@@ -42,12 +44,15 @@ def refuse_unknown(scenario: Scenario) -> None:
         ),
         "lighting.street_lamps": (params.street_lamps, "leave it out"),
         "lighting.shadow_rays": (params.shadow_rays, "leave it out"),
-        **{
-            f"checks.{name}.metric": (check.metric.startswith("objects."), "take such checks out, all with --set checks={}")
-            for name, check in scenario.checks.items()
-        },
         **{f"functions.{name}": (function.kind == "material", "take it out") for name, function in scenario.functions.items()},
     }
-    for key, (wanted, remedy) in wants.items():
-        if wanted:
-            raise LuxloopError(f"{key}: needs the truth, which the plant {scenario.plant.kind} does not know; {remedy}")
+    truth = f"needs the truth, which the plant {kind} does not know"
+    wrong = [f"{key}: {truth}; {remedy}" for key, (wanted, remedy) in wants.items() if wanted and not known]
+    for name, check in scenario.checks.items():
+        remedy = f"take it out with --set checks.{name}={{}}"
+        if not known and of_truth(check.metric):
+            wrong.append(f"checks.{name}.metric: {truth}; {remedy}")
+        elif check.compare is not None and kind != "simulated":
+            wrong.append(f"checks.{name}.compare: needs the simulated world to run another light in, but the plant is {kind}; {remedy}")
+    if wrong:
+        raise all_of(wrong)

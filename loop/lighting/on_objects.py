@@ -10,12 +10,11 @@ from torch import Tensor
 from controllers.functions.glare_free import GlareFreeParams
 from controllers.pixels.rthc import masks
 from controllers.situation import Situation, TrackedObject
-from loop.lighting.detection import Recognised, name_of
+from loop.lighting.detection import LEAST_PX, Recognised, name_of
 from loop.plant.world import LitScene, Metered
 from world.traffic.tracked import ROAD_USERS
 
 DRIVEN = ROAD_USERS - {"pedestrian"}
-LEAST_PX = 24.0  # height from which on a detector ought to find somebody
 DUE_S = 0.3 - 1e-6  # the time that it has for that, less the rounding of clocks
 
 

@@ -8,14 +8,14 @@ import pyarrow as pa
 import torch
 
 from loop.lighting.commanded import moved
-from loop.lighting.compared import compared
+from loop.lighting.compared import compared, low_beam_lm
 from loop.lighting.controlled import Held
 from loop.lighting.on_materials import quantities
 from loop.lighting.redrawn import covering, opened
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.lighting.summary import of_modules, summarise
-from loop.recording.columns import AIM, CENTROIDS, CUT, ERRORS, POSE, SYMBOL, loss_name, of_one
+from loop.recording.columns import AIM, CENTROIDS, CUT, ERRORS, LOOKING_OF_TRUTH, POSE, SYMBOL, loss_name, of_one
 from loop.recording.summary import Circumstances
 from loop.recording.summary import summarise as summarise_symbol
 from loop.scenario.plant import shadow_of
@@ -26,83 +26,102 @@ STEP = {
     "step": (pa.int64(), "1", "control step, from 0"),
     "time_s": (pa.float64(), "s", "time since the scenario's start"),
     "speed_m_s": (pa.float64(), "m/s", "speed of the car, as measured"),
-    "curvature_1_m": (pa.float64(), "1/m", "curvature of its course, as measured"),
+    "curvature_1_m": (pa.float64(), "1/m", "curvature of the car's course, as measured"),
     "beam": (pa.string(), "", "base beam"),
-    "bend_deg": (pa.float64(), "deg", "its bend to the left"),
-    "level_deg": (pa.float64(), "deg", "its level, down"),
-    "roll_deg": (pa.float64(), "deg", "its roll, right side down"),
-    "primitives": (pa.int64(), "1", "rectangles of all functions together"),
-    "dark_lx_max": (pa.float64(), "lx", "most light of the lamps on any object that must be dark; empty while there is none in sight"),
-    "plan_ms": (pa.float64(), "ms", "from the objects to primitives"),
-    "light_ms": (pa.float64(), "ms", "from primitives to utilisations"),
-    "look_ms": (pa.float64(), "ms", "rendering and judging, which are no part of the car"),
-    "processing_ms": (pa.float64(), "ms", "all that the car computes, without look_ms, as time of one thread on the processor"),
+    "bend_deg": (pa.float64(), "deg", "bend of the base beam to the left"),
+    "level_deg": (pa.float64(), "deg", "level of the base beam, down"),
+    "roll_deg": (pa.float64(), "deg", "roll of the base beam, right side down"),
+    "primitives": (pa.int64(), "1", "number of rectangles of all functions"),
+    "dark_lx_max": (pa.float64(), "lx", "largest illuminance by the lamps on any object that must be dark; empty while none is in sight"),
+    "plan_ms": (pa.float64(), "ms", "time from the objects to primitives"),
+    "light_ms": (pa.float64(), "ms", "time from primitives to utilisations"),
+    "look_ms": (pa.float64(), "ms", "time of rendering and judging, which are not part of the car"),
+    "processing_ms": (pa.float64(), "ms", "time of everything that the car computes, without look_ms, on one thread of the processor"),
 }
-CONTROL = {"control_ms": (pa.float64(), "ms", "measurement and controllers of all symbols that are held")}
-OBSERVED = {"symbol_iou_min": (pa.float64(), "1", "least IoU of a symbol with what its observer shall see; empty while there is none")}
+CONTROL = {"control_ms": (pa.float64(), "ms", "time of measurement and controllers of all held symbols")}
+OBSERVED = {
+    "symbol_iou_min": (pa.float64(), "1", "lowest IoU of a symbol with the picture that its observer should see; empty while there is none")
+}
 LAMP = {
     "flux_lm": (pa.float64(), "lm", "luminous flux"),
     "power_share": (pa.float64(), "1", "power, as a share of all pixels on"),
     "power_factor": (pa.float64(), "1", "factor by which the power limit dims all pixels"),
 }
-LAMP_PEAK = {"flux_lm_peak": (pa.float64(), "lm", "luminous flux while it is highest; flux_lm and power are means over the step")}
-OBJECT_PEAK = {"lx_peak": (pa.float64(), "lx", "lx_max while it is highest; the others are means over the step")}
-EYES_PEAK = {"eyes_lx_peak": (pa.float64(), "lx", "eyes_lx_max while it is highest, which is a mean over the step")}
+LAMP_PEAK = {"flux_lm_peak": (pa.float64(), "lm", "highest luminous flux within the step; flux_lm and power are means over the step")}
+OBJECT_PEAK = {"lx_peak": (pa.float64(), "lx", "highest lx_max within the step; the others are means over the step")}
+EYES_PEAK = {"eyes_lx_peak": (pa.float64(), "lx", "highest value within the step; eyes_lx_max is a mean over the step")}
 LEARNING = {
-    "base_share": (pa.float64(), "1", "what is left of the base beam"),
+    "base_share": (pa.float64(), "1", "remaining share of the base beam"),
     "flux_lm": (pa.float64(), "lm", "luminous flux of all lamps"),
-    "power_w": (pa.float64(), "W", "electrical power of all lamps, by the lamp model of headlight.standby_w and efficacy_lm_w"),
-    "find_ms": (pa.float64(), "ms", "detector, tracker and what functions learn"),
+    "power_w": (pa.float64(), "W", "electrical power of all lamps, from the model with headlight.standby_w and efficacy_lm_w"),
+    "find_ms": (pa.float64(), "ms", "time of detector, tracker and learning functions"),
 }
 LOOKING = {
-    "detections": (pa.int64(), "1", "boxes that the detector found"),
-    "false_positives": (pa.int64(), "1", "of them, those of at least tracker.start_score that overlap no object by an IoU of 0.3"),
-    "tracks": (pa.int64(), "1", "objects that the tracker has confirmed and not lost"),
-    "eyes_lx_max": (pa.float64(), "lx", "most light of the lamps on heads and windscreens of road users; empty while none is seen"),
+    "detections": (pa.int64(), "1", "number of boxes that the detector found"),
+    "false_positives": (
+        pa.int64(),
+        "1",
+        "number of these with a score of at least tracker.start_score that overlap no object by an IoU of 0.3",
+    ),
+    "tracks": (pa.int64(), "1", "number of objects that the tracker has confirmed and not lost"),
+    "eyes_lx_max": (
+        pa.float64(),
+        "lx",
+        "largest illuminance by the lamps on heads and windscreens of road users; empty while none is seen",
+    ),
     "oncoming_lx_max": (
         pa.float64(),
         "lx",
-        "the same of oncoming drivers and riders alone, each from 0.3 s after it is at least 24 px tall and half visible",
+        "the same for oncoming drivers and riders only, each from 0.3 s after being at least 24 px tall and half visible",
     ),
     "road_lx_ratio_max": (
         pa.float64(),
         "1",
-        "most light on a point of the road, as a multiple of the largest setpoint of functions and base beam there",
+        "largest ratio of the light on a point of the road to the largest setpoint of functions and base beam there",
     ),
 }
-# Columns that only a plant can tell that knows the truth.
-OF_TRUTH = ("false_positives", "eyes_lx_max", "eyes_lx_peak", "oncoming_lx_max", "road_lx_ratio_max")
 OBJECT = {
-    "pixels": (pa.int64(), "px", "of the camera that see it"),
-    "lx_min": (pa.float64(), "lx", "least light of the lamps on what the camera sees of it; empty where that is nothing"),
-    "lx_mean": (pa.float64(), "lx", "mean of the light on its pixels"),
-    "lx_max": (pa.float64(), "lx", "most light on it"),
+    "pixels": (pa.int64(), "px", "number of camera pixels that see it"),
+    "lx_min": (pa.float64(), "lx", "lowest illuminance by the lamps on its visible part; empty while the camera does not see it"),
+    "lx_mean": (pa.float64(), "lx", "mean illuminance on its visible part"),
+    "lx_max": (pa.float64(), "lx", "largest illuminance on its visible part"),
     "masked": (pa.bool_(), "", "whether a mask must keep it dark"),
 }
 ZONE = {
-    "lx": (pa.float64(), "lx", "illuminance that its loop asks for"),
-    "luminance": (pa.float64(), "cd/m^2", "mean luminance of its pixels, without the camera's noise; empty out of its sight"),
-    "target": (pa.float64(), "cd/m^2", "luminance wanted"),
+    "lx": (pa.float64(), "lx", "setpoint of its loop"),
+    "luminance": (
+        pa.float64(),
+        "cd/m^2",
+        "mean luminance of its pixels, without the camera's noise; empty while the camera does not see it",
+    ),
+    "target": (pa.float64(), "cd/m^2", "wanted luminance"),
 }
 MODULE = {
-    "swivel_deg": (pa.float64(), "deg", "how far it is swivelled from its rest, to the left"),
-    "level_deg": (pa.float64(), "deg", "how far it is levelled from its rest, down"),
-    "intensity": (pa.float64(), "1", "its maximum intensity, as a share of its own"),
+    "swivel_deg": (pa.float64(), "deg", "swivel from its rest position, to the left"),
+    "level_deg": (pa.float64(), "deg", "level from its rest position, down"),
+    "intensity": (pa.float64(), "1", "maximum intensity as a share of the undimmed one"),
 }
 MATERIAL = {"lx": ("lx", "illuminance"), "luminance": ("cd/m^2", "luminance")}
 NAN = torch.tensor(torch.nan)
 NOT_JUDGED = Verdict(NAN.expand(2), NAN, NAN, NAN, NAN)
 LOOKED_AT = {
     "track": (pa.int64(), "", "number of the track that shows it; empty without one"),
-    "confidence": (pa.float64(), "1", "of that track, filtered over frames, 0 without one; empty while the camera sees nothing of it"),
-    "score": (pa.float64(), "1", "of what the detector found in this frame alone"),
+    "confidence": (
+        pa.float64(),
+        "1",
+        "confidence of that track, filtered over frames, 0 without one; empty while the camera does not see the object",
+    ),
+    "score": (pa.float64(), "1", "score of the detection in this frame alone"),
 }
 
 
-def schema(simulation: Simulation) -> pa.Schema:
-    """Columns of a simulation's recording: `lamp.left.flux_lm`, `objects.NAME.lx_max`, `modules.left hires.level_deg`."""
+def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
+    """Columns of a simulation's recording: `lamp.left.flux_lm`, `objects.NAME.lx_max`, `modules.left hires.level_deg`.
+
+    detects: as they were with a detector.
+    """
     sides = dict.fromkeys(module.side for module in simulation.modules)
-    tracked, looks = simulation.watched, simulation.pipeline is not None
+    tracked, looks = simulation.watched, detects or simulation.pipeline is not None
     held = bool(simulation.controlled)  # so that a step has exposures of different light
     observed = any(getattr(function, "observer", None) for function in simulation.scenario.functions.values())
     columns = STEP | (CONTROL if held else {}) | (OBSERVED if observed else {})
@@ -110,7 +129,7 @@ def schema(simulation: Simulation) -> pa.Schema:
     columns |= LEARNING if looks or simulation.planner.learns else {}
     if looks:
         looking = LOOKING | (EYES_PEAK if held else {})
-        columns |= {key: of for key, of in looking.items() if simulation.truth is not None or key not in OF_TRUTH}
+        columns |= {key: of for key, of in looking.items() if simulation.truth is not None or key not in LOOKING_OF_TRUTH}
     of_object = OBJECT | (OBJECT_PEAK if held else {}) | (LOOKED_AT if looks else {})
     columns |= {f"objects.{name}.{key}": of for name in tracked for key, of in of_object.items()}
     columns |= {
@@ -220,6 +239,7 @@ def summary_of(
         judge_every = None if symbol.judge is None else scenario.judge_every
         run = Circumstances(judge_every, scenario.vehicle is not None, road_m, getattr(symbol.params, "highest_m", None))
         held[name] = summarise_symbol(mine, symbol.params.name, iou, by, run)
-    summary = summarise(table, scenario.name, compared(simulation, table), held) | {"shadow_of": shadow_of(scenario.plant)}
+    summary = summarise(table, scenario.name, compared(simulation, table), held)
+    summary |= {"shadow_of": shadow_of(scenario.plant), "low_beam_lm": low_beam_lm(simulation)}
     summary |= {"modules": modules} if (modules := of_modules(table, simulation.modules)) else {}
     return summary | ({"flicker": {"rate_hz": scenario.rate_hz, "on_share": 1 - scenario.off_share}} if held else {})

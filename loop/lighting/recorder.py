@@ -48,15 +48,14 @@ class Recorder:
         self.manifest = Manifest.of(simulation.scenario, simulation.renderer, simulation.device)
         self._frames = FrameRecorder(directory, simulation.scenario.camera.bits) if frames else None
         self._idle, self._last = set(simulation.scenario.functions), dict[str, StepResult]()
-        self._covered = dict[str, StepResult]()
+        self._covered, self._findable = dict[str, StepResult](), set[str]()
         self._asked, self._came = set[int](), list[int]()  # numbers of exposures, and of frames with an image
         self._written = schema(simulation).empty_table()
         self._fresh: list[dict[str, Any]] = []
         self._next_write_s = 0.0
         self._begun = False
         self.summary = dict[str, Any]()
-        with self._writing():
-            _refuse(directory)
+        refuse_foreign(directory)
 
     def _summarised(self) -> dict[str, Any]:
         """The steps in a few numbers, and what has come of checks."""
@@ -67,7 +66,11 @@ class Recorder:
         frames = {"asked": len(self._asked), "came": fitting, "unknown": len(self._came) - fitting}
         sees = self.simulation.pipeline is not None or self.simulation.planner.adaptive or self.simulation.controlled
         looks = {"frames": frames} if sees else {}
-        return summary_of(self.simulation, self.table(), self._last, self._covered) | looks | {"idle_functions": idle, "checks": checks}
+        summary = summary_of(self.simulation, self.table(), self._last, self._covered)
+        if self.simulation.pipeline is not None:
+            for name, each in summary["objects"].items():
+                each["findable"] = name in self._findable
+        return summary | looks | {"idle_functions": idle, "checks": checks}
 
     def __enter__(self) -> Self:
         return self
@@ -79,6 +82,8 @@ class Recorder:
             self._idle &= self.simulation.idle(result)
         self._last |= dict.fromkeys(result.held, result)
         self._covered |= {name: result for name, each in result.held.items() if each.measurement.code == Loss.COVERED}
+        if result.look is not None:
+            self._findable |= {name for name, each in result.look.recognised.items() if each.findable}
         self._asked |= {each.exposure.number for each in result.showings}
         self._came += [frame.number for each in result.showings for frame in each.after.frames if frame.image is not None]
         if not self._begun:
@@ -115,7 +120,7 @@ class Recorder:
 
     def _begin(self) -> None:
         """Make the directory, remove an old recording, its manifest last, and write the new one's."""
-        with self._writing():
+        with _writing(self.directory):
             self.directory.mkdir(parents=True, exist_ok=True)
             remove(self.directory)
             for name in FILES:
@@ -132,23 +137,24 @@ class Recorder:
         write_table(self.directory / TRAJECTORY, self.table())
         self._next_write_s = time.perf_counter() + REST * (time.thread_time() - start)
 
-    @contextmanager
-    def _writing(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            reason = error.strerror or error
-            raise LuxloopError(f"{self.directory}: cannot be written ({reason}); give another directory with --out") from error
+
+@contextmanager
+def _writing(directory: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or error
+        raise LuxloopError(f"{directory}: cannot be written ({reason}); give another directory with --out") from error
 
 
-def _refuse(directory: Path) -> None:
-    """Raises LuxloopError where the directory holds something else than a recording, OSError where it cannot be written."""
-    with tempfile.TemporaryFile(dir=next(each for each in (directory, *directory.parents) if each.exists())):
-        pass
-    if directory.exists() and any(directory.iterdir()):
-        try:
-            Manifest.read(directory)
-        except LuxloopError as error:
-            raise LuxloopError(
-                f"{directory}: holds files that are no recording of this luxloop; give an empty or a new directory"
-            ) from error
+def refuse_foreign(directory: Path) -> None:
+    """Raises LuxloopError where the directory holds something else than a recording, or cannot be written."""
+    with _writing(directory):
+        with tempfile.TemporaryFile(dir=next(each for each in (directory, *directory.parents) if each.exists())):
+            pass
+        if not directory.exists() or not any(directory.iterdir()):
+            return
+    try:
+        Manifest.read(directory)
+    except LuxloopError as error:
+        raise LuxloopError(f"{directory}: holds files that are no recording of this luxloop; give an empty or a new directory") from error

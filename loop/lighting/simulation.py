@@ -85,8 +85,7 @@ class Simulation:
         check_names(scenario, modules)
         plant = build_plant(scenario, lamp_modules(modules))
         truth = getattr(plant, "truth", None)
-        if truth is None:
-            refuse_unknown(scenario)
+        refuse_unknown(scenario, truth is not None)
         controlled = controlled_symbols(scenario, modules, planner, truth)
         refuse_commands(planner, modules, controlled)
         lights = tuple((module.name, Light.of(module.headlight, module.T_world_module)) for module in modules)
@@ -416,7 +415,7 @@ class Simulation:
         false = false_positives(then, found, self.scenario.tracker.start_score)
         eyes = most_on([each.seen.eyes for each in metered], metered, shares)
         oncoming, _ = most_on([each.seen.eyes_of(due) for each in metered], metered, shares)
-        return FrameDetections(found, present, recognised(then, present, found), false, *eyes, oncoming)
+        return FrameDetections(found, present, recognised(then, present, found, pipeline.classes), false, *eyes, oncoming)
 
     def _learnt(self, now: Situation, then: LitScene | None, then_s: float, image: Tensor, view: View, tracks: Any) -> Situation:
         """The situation once a frame is there, which was taken at then_s of the scene then, in a view that the car believes."""

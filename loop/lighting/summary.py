@@ -10,10 +10,11 @@ from rich.table import Table
 
 from controllers.functions.commands import MOVED, Movable
 from controllers.zones.material import Quantity
+from loop.lighting.detection import LEAST_PX
 from loop.recording.checks import lines
 from loop.recording.remedies import of_frames, remedies, unjudged
 from loop.recording.summary import column
-from loop.terminal.tables import facts, number
+from loop.terminal.tables import counted, facts, number
 from world.headlight.lamp import REST
 
 START_UP_S = 1.0  # in which functions that learn begin with more light than they come to need
@@ -204,22 +205,25 @@ def shown(values: dict[str, Any], files: str) -> Table:
     """The closing table of a run."""
     rows = {"steps": str(values["steps"])}
     if values["shadow_of"] is not None:
-        rows["in shadow"] = f"on the frames of {values['shadow_of']}; what this run asked for was shown nowhere and not judged"
+        rows["in shadow"] = f"on the frames of {values['shadow_of']}; the commands of this run were not shown and not judged"
     for side, lamp in values["lamps"].items():
         dimmed = f", dimmed to {100 * lamp['power_factor_min']:.0f} % in the worst step" if (lamp["power_factor_min"] or 1.0) < 1 else ""
         rows[f"{side} lamp"] = (
             f"{number(lamp['flux_lm_mean'], '.0f')} lm (mean), {number(lamp['power_share_max'], '.1%')} of its power at most{dimmed}"
         )
+    if values.get("low_beam_lm") and all(lamp["flux_lm_mean"] is not None for lamp in values["lamps"].values()):
+        flux, low = sum(lamp["flux_lm_mean"] for lamp in values["lamps"].values()), values["low_beam_lm"]
+        rows["flux"] = f"{flux:.0f} lm (mean), {flux / low:.0%} of the undimmed low beam's {low:.0f} lm"
     if values.get("modules"):
         rows["modules"] = _of_modules(values["modules"], values["steps"])
     rows |= _of_light(values["objects"], values["steps"])
     if values["dark_lx_max"] is not None:
-        late = ", as masks follow what the detector found in frames before" if values["dark_lx_max"] and "detections" in values else ""
-        rows["on what must be dark"] = f"{values['dark_lx_max']:.3g} lx at most{late}"
+        late = ", since masks follow detections in earlier frames" if values["dark_lx_max"] and "detections" in values else ""
+        rows["on masked objects"] = f"{values['dark_lx_max']:.3g} lx at most{late}"
     for name, symbol in values["functions"].items():
         rows |= {f"{spoken(name)}: {key}": text for key, text in _of_symbol(symbol).items()}
     if (flicker := values.get("flicker")) is not None:
-        rows["flicker"] = f"a symbol that is measured is on for {flicker['on_share']:.0%} of a step, at {flicker['rate_hz']:g} Hz"
+        rows["flicker"] = f"a measured symbol is on for {flicker['on_share']:.0%} of a step, at {flicker['rate_hz']:g} Hz"
     for name, zone in values.get("zones", {}).items():
         when = "not settled" if zone["settled_step"] is None else f"within 5 % from step {zone['settled_step']} on"
         rows[f"zone {spoken(name)}"] = f"{number(zone['luminance'], '.3g')} of {zone['target']:.3g} cd/m^2, {when}"
@@ -229,39 +233,41 @@ def shown(values: dict[str, Any], files: str) -> Table:
         got = "out of sight" if each["median"] is None else f"{each['median']:.3g} {unit}{share}, median of its pixels at the end"
         rows[f"material {spoken(name)}"] = f"{each['wanted']:.3g} {unit} wanted: {got}"
     if values["symbol_iou_min"] is not None:
-        rows["symbols, to their observers"] = f"IoU {values['symbol_iou_min']:.3f} at least"
+        rows["symbols, as seen by their observers"] = f"IoU {values['symbol_iou_min']:.3f} at least"
     objects = values["objects"].values()
     untracked = "detections" in values and bool(objects) and not any(each["tracks"] for each in objects)
     if values["idle_functions"]:
         nobody = "; no object was tracked yet" if untracked else ""
-        why = f"nothing to draw or to command, or nothing that a lamp reaches, in all steps{nobody}"
+        why = f"nothing to draw or to command, or nothing within reach of a lamp, in all steps{nobody}"
         rows["without effect"] = f"{', '.join(values['idle_functions'])}: {why}"
     if values.get("energy_j") is not None:
         rows["energy"] = _of_energy(values["energy_j"], values["energy_compared_j"])
         if values["base_share_final"] < 1:
             learnt = values["base_share_final"] < values["base_share_first"]
             why = "; no object was tracked, so none asked for more" if untracked and learnt else ""
-            rows["base beam"] = f"{values['base_share_final']:.1%} of it left at the end{why}"
+            rows["base beam"] = f"{values['base_share_final']:.1%} of its flux left at the end{why}"
     if "detections" in values:
         rows["found"] = f"{number(values['detections'], '.1f')} boxes a step"
         if values.get("false_positives") is not None:
-            rows["found"] += f"; {values['false_positives']:.2f} a step are sure and show nothing"
+            rows["found"] += f"; {values['false_positives']:.2f} a step with a score high enough to start a track show no object"
         lit = max((light["lx_max"] for light in values["objects"].values() if light["lx_max"] is not None), default=0.0)
         if values["detections"] == 0 and lit >= WELL_LIT_LX:
             rows["found"] = (
-                f"no box in any step, though objects in sight had up to {lit:.3g} lx; correct the keys of [detector], or train it anew"
+                f"no box in any step, though objects in sight had up to {lit:.3g} lx; correct the keys of [detector], or train it again"
             )
         if values.get("eyes_lx_max") is not None:
             rows["on heads and windscreens"] = _on_eyes(values["eyes_lx_max"], values["eyes_lx_max_after_start_up"])
     if least := {name: each["confidence_min"] for name, each in values["objects"].items() if each.get("confidence_min") is not None}:
         lowest = sorted(least, key=least.__getitem__)
-        told = ", ".join(f"{spoken(name)} {least[name]:.2f}" for name in lowest[:NAMED])
-        more = f", {len(lowest) - NAMED} others {least[lowest[NAMED]]:.2f} or more" if len(lowest) > NAMED else ""
-        rows["least confidence"] = f"{told}{more}, each from its first track on"
+        told = ", ".join(f"{name} {least[name]:.2f}" for name in lowest[:NAMED])
+        more = f", {counted(len(lowest) - NAMED, 'other')} {least[lowest[NAMED]]:.2f} or more" if len(lowest) > NAMED else ""
+        rows["minimum confidence"] = f"{told}{more}, each from its first track on"
     if values.get("tracks_of_nothing"):
-        rows["tracks of nothing"] = f"in {values['tracks_of_nothing']} of {values['steps']} steps a track shows no object of its own"
+        rows["tracks without object"] = (
+            f"in {values['tracks_of_nothing']} of {values['steps']} steps a track shows no object, or one of another track"
+        )
     rows |= _of_lost(values["objects"])
-    rows["time a step"] = processing(values, "of one core (median) for all that the car computes")
+    rows["time a step"] = processing(values, "of one core (median) for all computations of the car")
     rows |= lines(values)
     notes = of_frames(values["frames"]) if "frames" in values else []
     several = len(values["functions"]) > 1
@@ -292,11 +298,11 @@ def _of_light(objects: Mapping[str, Mapping[str, Any]], steps: int) -> dict[str,
     for name in one_by_one:
         each = objects[name]
         masked = f", masked in {each['masked_steps']} of {steps} steps" if each["masked_steps"] else ""
-        rows[f"light on {spoken(name)}"] = f"{each['lx_mean']:.3g} lx (mean), {each['lx_max']:.3g} lx at most{masked}"
+        rows[f"light on {name}"] = f"{each['lx_mean']:.3g} lx (mean), {each['lx_max']:.3g} lx at most{masked}"
     others = [each["lx_max"] for name, each in objects.items() if name not in one_by_one and each["lx_max"] is not None]
     if others:
-        rows[f"light on {len(others)} {'others' if one_by_one else 'objects'}"] = f"{max(others):.3g} lx at most"
-    if unseen := [spoken(name) for name, each in objects.items() if each["lx_max"] is None]:
+        rows[f"light on {counted(len(others), 'other' if one_by_one else 'object')}"] = f"{max(others):.3g} lx at most"
+    if unseen := [name for name, each in objects.items() if each["lx_max"] is None]:
         rows["never in sight"] = ", ".join(unseen) if len(unseen) <= NAMED else f"{len(unseen)} objects"
     return rows
 
@@ -304,17 +310,20 @@ def _of_light(objects: Mapping[str, Mapping[str, Any]], steps: int) -> dict[str,
 def _of_lost(objects: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     """Whom no track shows at times, the largest in the image one by one."""
     gone = {name: each for name, each in objects.items() if each.get("steps_in_sight") and (each["steps_lost"] or not each["tracks"])}
+    hopeless = [name for name, each in gone.items() if not each["tracks"] and not each.get("findable", True)]
+    gone = {name: each for name, each in gone.items() if name not in hopeless}
     rows, largest = {}, sorted(gone, key=lambda name: -gone[name]["pixels_max"])
     for name in largest[:NAMED]:
         each = gone[name]
         word, steps = ("lost", each["steps_lost"]) if each["tracks"] else ("missed", each["steps_in_sight"])
         large = "" if each["tracks"] else f", of {each['pixels_max']:.0f} px at most"
-        rows[f"{word} {spoken(name)}"] = (
-            f"no track shows it in {steps} of the {each['steps_in_sight']} steps in which it is in sight{large}"
-        )
+        rows[f"{word} {name}"] = f"no track shows it in {steps} of the {each['steps_in_sight']} steps in which it is in sight{large}"
     if smaller := largest[NAMED:]:
         missed = sum(not gone[name]["tracks"] for name in smaller)
         rows["smaller objects"] = f"{missed} missed, {len(smaller) - missed} lost, of {gone[smaller[0]]['pixels_max']:.0f} px at most"
+    if hopeless:
+        who = ", ".join(map(spoken, hopeless)) if len(hopeless) <= NAMED else f"{len(hopeless)} objects"
+        rows["not to be found"] = f"{who}: of no class that the detector has, or never {LEAST_PX:g} px tall"
     return rows
 
 
@@ -326,14 +335,15 @@ def processing(values: Mapping[str, Any], what: str) -> str:
 
 def _of_symbol(values: dict[str, Any]) -> dict[str, str]:
     if (why := unjudged(values)) is not None:
-        return {"how it lies": why, "lost steps": f"{values['lost_steps']}{_covered(values)}"}
+        return {"result": why, "lost steps": f"{values['lost_steps']}{_covered(values)}"}
     x, y = values["centroid_error_percent"]
     settled = values["settle_step"]
+    ended, without = (number(values[key], ".3f") for key in ("iou_final", "iou_open"))
     late = f"; {number(values['iou_mean'], '.3f')} on average and {number(values['iou_min'], '.3f')} at least in the second half"
     return {
         "settle step": f"{settled} of {values['shown_steps']}" if settled is not None else "not settled",
         "centroid error": f"{number(x, '.2f')} % along, {number(y, '.2f')} % across",
-        "IoU": f"{number(values['iou_final'], '.3f')} at the end, {number(values['iou_open'], '.3f')} without control (open loop){late}",
+        "IoU": f"{ended} at the last step, {without} without control (open loop) at the last step{late}",
         "overshoot": number(values["overshoot_percent"], ".1f", " %"),
         "lost steps": f"{values['lost_steps']}{_covered(values)}",
     }
@@ -346,12 +356,16 @@ def _covered(values: dict[str, Any]) -> str:
 
 def _of_energy(own_j: float, compared_j: Mapping[str, float]) -> str:
     standby, *others = compared_j.items()
-    beams = "".join(f", {name} {joules:.0f} J" for name, joules in others)
+    beams = "".join(f", {name} {_joules(joules)}" for name, joules in others)
     undimmed = f"; undimmed{beams[1:]}" if beams else ""
-    return f"{own_j:.0f} J by the lamp model, {standby[1]:.0f} J of it {standby[0]}{undimmed}"
+    return f"{_joules(own_j)} by the lamp model, {_joules(standby[1])} of it {standby[0]}{undimmed}"
+
+
+def _joules(joules: float) -> str:
+    return f"{joules:.3g} J" if joules < 100 else f"{joules:.0f} J"
 
 
 def _on_eyes(most_lx: float, later_lx: float | None) -> str:
     if later_lx is None:
         return f"{most_lx:.3g} lx at most, all within the first {START_UP_S:g} s"
-    return f"{later_lx:.3g} lx at most from {START_UP_S:g} s on, {most_lx:.3g} lx with the start-up before"
+    return f"{later_lx:.3g} lx at most from {START_UP_S:g} s on, {most_lx:.3g} lx including the start-up before"

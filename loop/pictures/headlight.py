@@ -13,7 +13,7 @@ from loop.assembly.lamps import turned
 from loop.pictures import charts
 from loop.pictures.overview import draw_overview
 from loop.pictures.panels import WALL_M, draw_birdseye, draw_eye, draw_pixels, draw_texture, draw_wall
-from loop.pictures.styles import check_format, style_of
+from loop.pictures.styles import check_out, style_of
 from loop.pictures.views import SIDES, LitCar, Road, beside, birdseye, driver
 from loop.recording.style import STYLE
 from loop.scenario.model import HeadlightParams, Scenario
@@ -58,7 +58,7 @@ def show(
     view, and a file that cannot be written.
     """
     style = style_of(view, style)
-    check_format(out)
+    check_out(out)
     if view in ("pixels", "texture") and scenario is not None:
         raise LuxloopError(f"the view {view!r} shows the lamps by themselves; leave the scenario out or choose another view")
     if view != "volume" and visibility_m is not None:

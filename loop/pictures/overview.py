@@ -12,11 +12,13 @@ from loop.pictures import charts
 from loop.pictures.facts import borders_deg, flux_lm, peak
 from loop.pictures.panels import WALL_M, draw_birdseye, draw_eye, draw_wall
 from loop.pictures.views import LitCar, Road, birdseye, driver, grey, picture
+from loop.terminal.tables import counted
 from world.headlight import Headlight
 from world.light.emitters import surface_light
 from world.rendering.flat_road import flat_road
 
 REACHES_LX = (1.0, 3.0, 10.0)
+NAME = 15  # characters that fit before a value; longer names have a line of their own
 CELL_M, ROAD_M = 0.5, (0.0, 300.0)
 
 
@@ -47,7 +49,7 @@ def facts(car: LitCar, beam: str) -> list[tuple[str, str]]:
     brightest = peak(lamp, pattern)
     return [
         ("beam", beam),
-        (f"{side} lamp", f"{sum(module.headlight.n_pixels for module in lamp.modules):,} pixels, {sum(fluxes):,.0f} lm"),
+        (f"{side} lamp", f"{counted(sum(module.headlight.n_pixels for module in lamp.modules), 'pixel')}, {sum(fluxes):,.0f} lm"),
         *((f"   {module.name}", _described(module.headlight, flux)) for module, flux in zip(lamp.modules, fluxes, strict=True)),
         ("peak", f"{brightest.candela / 1e3:.3g} kcd, {brightest.candela / WALL_M**2:.3g} lx at {WALL_M:g} m"),
         ("", "even" if brightest.even else f"{_angle(brightest.h_deg, 'right', 'left')}, {_angle(brightest.v_deg, 'up', 'down')}"),
@@ -91,7 +93,8 @@ def _angle(angle: float, positive: str, negative: str) -> str:
     return size if size == "0.0°" else f"{size} {positive if angle > 0 else negative}"
 
 
-def _write_facts(axes: Axes, rows: Sequence[tuple[str, str]]) -> None:
+def _write_facts(axes: Axes, facts: Sequence[tuple[str, str]]) -> None:
+    rows = [row for name, value in facts for row in ([(name, value)] if len(name) <= NAME else [(name, ""), ("", value)])]
     for i, (name, value) in enumerate(rows):
         y = 0.97 - i / max(len(rows), 12)
         axes.text(0.0, y, name, transform=axes.transAxes, va="top", fontsize=9.5, color="0.4")

@@ -11,7 +11,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from loop.pictures import charts
 from loop.pictures.headlight import DPI, write
-from loop.pictures.styles import check_format
+from loop.pictures.styles import check_out
 from loop.pictures.views import Image
 from loop.recording.style import FOUR, STYLE
 from world.photometry import Distribution, Photometry
@@ -23,7 +23,7 @@ LABELS = {"A": ("to the right", "up"), "B": ("to the right", "up"), "C": ("C pla
 
 def show_distribution(photometry: Photometry, out: Path) -> Path:
     """Draw a photometric file; returns the picture's file. Raises LuxloopError where that cannot be written."""
-    check_format(out)
+    check_out(out)
     distribution = photometry.distribution
     with rc_context(STYLE):
         figure = Figure((12.0, 5.3), DPI, layout="constrained")

@@ -1,5 +1,6 @@
 """The views of a lamp, their styles and picture formats, checked before heavy imports."""
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -30,7 +31,9 @@ def style_of(view: str, style: str | None) -> str:
     raise LuxloopError(f"view {view!r} has no style {style!r}; it has {', '.join(VIEWS[view])}")
 
 
-def check_format(out: Path) -> None:
-    """Raises LuxloopError for a file name that does not end in a picture format."""
+def check_out(out: Path) -> None:
+    """Raises LuxloopError for a file name that does not end in a picture format, or whose folder is not there, before it is drawn."""
     if out.suffix.lower() not in FORMATS:
         raise LuxloopError(f"{out}: pictures are written as {', '.join(FORMATS)}; end the file's name in one of them")
+    if not os.path.isdir(out.parent):
+        raise LuxloopError(f"{out}: cannot be written, for there is no folder {out.parent}; make it first")

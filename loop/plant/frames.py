@@ -39,15 +39,19 @@ Row = dict[str, Any]
 
 # name: (type, unit, description)
 COLUMNS: dict[str, tuple[pa.DataType, str, str]] = {
-    "number": (pa.int64(), "1", "number of the exposure; that of the last row is of none, but of the plant at the end"),
+    "number": (pa.int64(), "1", "number of the exposure; the last row is not an exposure, but the state of the plant at the end"),
     "time_s": (pa.float64(), "s", "when it began"),
-    "duration_s": (pa.float64(), "s", "how long it was asked to last"),
-    "light": (pa.int64(), "1", "number of the file with what was shown"),
-    "taken_s": (pa.float64(), "s", "when its frame was taken; empty while that is under way"),
-    "arrived_s": (pa.float64(), "s", "when that arrived"),
-    "came_with": (pa.int64(), "1", "number of the exposure by whose end the frame had come, or word that it is lost"),
-    "lost": (pa.bool_(), "", "whether it is lost, so that there is no file of it"),
-    "samples": (pa.string(), "", "[sensor, measured_s, arrived_s, values] of each `Sample` that came since the exposure before, as JSON"),
+    "duration_s": (pa.float64(), "s", "its commanded duration"),
+    "light": (pa.int64(), "1", "number of the file with its light"),
+    "taken_s": (pa.float64(), "s", "when its frame was taken; empty until the frame arrives"),
+    "arrived_s": (pa.float64(), "s", "when the frame arrived"),
+    "came_with": (pa.int64(), "1", "number of the exposure by whose end the frame had arrived, or was reported lost"),
+    "lost": (pa.bool_(), "", "whether the frame is lost, so that it has no file"),
+    "samples": (
+        pa.string(),
+        "",
+        "[sensor, measured_s, arrived_s, values] of each `Sample` that arrived since the previous exposure, as JSON",
+    ),
 }
 SCHEMA = pa.schema(pa.field(name, kind, metadata={"unit": unit, "description": text}) for name, (kind, unit, text) in COLUMNS.items())
 
@@ -79,7 +83,7 @@ def write_image(file: Path, image: Tensor, bits: int) -> None:
     numbers = image.clamp(0, 2**bits - 1).round()
     if not numbers.equal(image):
         raise LuxloopError(
-            f"{file}: cannot be kept, for the frame holds more than digital numbers of 0 to {2**bits - 1}; check the plant with "
+            f"{file}: cannot be stored, as the frame has values other than digital numbers of 0 to {2**bits - 1}; check the plant with "
             "luxloop.check_plant"
         )
     coded = cv2.imencode(".png", numbers.cpu().numpy().astype(np.uint16), QUICK)[1]

@@ -15,7 +15,7 @@ from loop.plant.protocol import Arrivals, Exposure, Frame
 from loop.scenario.model import Scenario
 from loop.scenario.plant import RecordedPlantParams
 from perception.camera import CameraParams
-from world.errors import LuxloopError
+from world.errors import LuxloopError, located
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,13 +59,7 @@ class RecordedPlant:
 
 def recorded_plant(scenario: Scenario, params: RecordedPlantParams, modules: Sequence[LampModule]) -> RecordedPlant:
     """The recording that a scenario names. Raises LuxloopError where it has no frames of such exposures, or too few of them."""
-    folder, per_step = Path(params.folder), len(scenario.shares)
-    table = inside(folder / TABLE, folder)
-    if not os.path.isfile(table):
-        raise LuxloopError(
-            f"plant.folder: {folder} holds no frames; record them with `luxloop run --frames` (a plant of your own: --set plant.kind=NAME)"
-        )
-    rows = tuple(read_exposures(table))
+    folder, per_step, rows = Path(params.folder), len(scenario.shares), recorded_rows(Path(params.folder))
     pixels, like = tuple(module.headlight.n_pixels for module in modules), modules[0].headlight.matrix.values
     if len(rows) > per_step:
         lights = [read_light(inside(light_file(folder, row["light"]), folder), pixels, like.device) for row in rows[:per_step]]
@@ -85,6 +79,26 @@ def recorded_plant(scenario: Scenario, params: RecordedPlantParams, modules: Seq
     if scenario.steps > steps:
         raise LuxloopError(f"plant.folder: {folder} holds {steps} steps, but steps = {scenario.steps}; give --steps {steps} at most")
     return RecordedPlant(folder, rows, per_step, scenario.camera, pixels, like)
+
+
+def recorded_rows(folder: Path) -> tuple[Row, ...]:
+    """The exposures of a recording, and a row of its end. Raises LuxloopError where it has none."""
+    table = inside(folder / TABLE, folder)
+    if not os.path.isfile(table):
+        lacks = "holds no frames" if os.path.isdir(folder) else "does not exist, or is no folder"
+        raise LuxloopError(
+            f"plant.folder: {folder} {lacks}; record frames with `luxloop run --frames` (a plant of your own: --set plant.kind=NAME)"
+        )
+    return tuple(read_exposures(table))
+
+
+def to_the_end(scenario: Scenario) -> Scenario:
+    """The scenario with no more steps than the recording that it plays has. Raises LuxloopError as `recorded_rows`."""
+    if not isinstance(scenario.plant, RecordedPlantParams):
+        return scenario
+    with located(scenario.source):
+        steps = (len(recorded_rows(Path(scenario.plant.folder))) - 1) // len(scenario.shares)
+    return scenario.model_copy(update={"steps": max(min(scenario.steps, steps), 1)})
 
 
 def inside(file: Path, folder: Path) -> Path:

@@ -48,7 +48,8 @@ def outcome(check: CheckParams, table: pa.Table, beside: Mapping[Light, Sequence
             held = _taken(check, times_s, values - others if check.by == "difference" else np.where(others > 0, values > 0, math.nan))
     by = dict.fromkeys(get_args(By))
     return {
-        **check.model_dump(include={"metric", "take", "over_s", "compare", "at_least", "at_most"}),
+        **check.model_dump(include={"metric", "from_s", "until_s", "take", "over_s", "compare", "at_least", "at_most"}),
+        "run_until_s": float(times_s[-1]) if len(times_s) else None,
         "unit": table.schema.field(check.metric).metadata[b"unit"].decode(),
         "value": value,
         "compared_value": other,
@@ -69,21 +70,23 @@ def lights(checks: Mapping[str, CheckParams]) -> tuple[Light, ...]:
     return tuple(dict.fromkeys(check.compare for check in checks.values() if check.compare is not None))
 
 
-def refuse_unknown(checks: Mapping[str, CheckParams], schema: pa.Schema, compared: Collection[str]) -> None:
+def refuse_unknown(checks: Mapping[str, CheckParams], schema: pa.Schema, compared: Collection[str], detected: Collection[str] = ()) -> None:
     """Raises LuxloopError where a check names no column of numbers of the recording, or compares one that other light lacks.
 
-    compared: columns that the recordings of other lights have as well.
+    compared: columns that the recordings of other lights have as well. detected: those that there are with a detector.
     """
     known = [field.name for field in schema if field.type != pa.string()]
     for name, check in checks.items():
         where = f"checks.{name}.metric: {check.metric!r}"
+        if check.metric not in known and check.metric in detected and check.metric not in schema.names:
+            raise LuxloopError(f'{where} is recorded with a [detector] alone; give one, kind = "truth" say, which knows all objects')
         if check.metric not in known:
             raise LuxloopError(
-                f"{where} is no column of numbers of the recording; {did_you_mean(check.metric, known, _known(check.metric, known))}"
+                f"{where} is not a numeric column of the recording; {did_you_mean(check.metric, known, _known(check.metric, known))}"
             )
         if check.compare is not None and check.metric not in compared:
             raise LuxloopError(
-                f"{where} is there with lighting functions alone, so {check.compare} has nothing to compare it with; take a column "
+                f"{where} exists only with lighting functions, so {check.compare} has nothing to compare it with; take a column "
                 "of lamps or objects, or leave compare out"
             )
 
@@ -110,14 +113,19 @@ def _line(outcome: Mapping[str, Any]) -> str:
     unit = "" if outcome["unit"] in ("", "1") else f" {outcome['unit']}"
     over = "" if outcome["over_s"] is None else f" over {outcome['over_s']:g} s"
     parts = [f"{outcome['take']} {outcome['metric']}{over}"]
-    if outcome["value"] is None:
+    ends_s = outcome["run_until_s"]
+    if ends_s is not None and outcome["from_s"] > ends_s + ROUNDING_S:
+        parts.append(f"begins at {outcome['from_s']:g} s, the run ends at {ends_s:.4g} s; raise steps")
+    elif outcome["value"] is None:
         parts.append(NOTHING)
     else:
         parts[0] += f" {outcome['value']:.4g}{unit}"
         if outcome["compare"] is not None:
             parts.append(_compared(outcome, unit))
     of_bound = unit if outcome["compare"] is None or outcome["difference"] is not None else ""
-    parts += [f"{bound.replace('_', ' ')} {outcome[bound]:g}{of_bound}" for bound in ("at_least", "at_most") if outcome[bound] is not None]
+    for bound in (each for each in ("at_least", "at_most") if outcome[each] is not None):
+        given = _percent(outcome[bound]) if outcome["recall"] is not None else f"{outcome[bound]:g}{of_bound}"
+        parts.append(f"{bound.replace('_', ' ')} {given}")
     return f"{', '.join(parts)}: {'passed' if outcome['passed'] else 'failed'}"
 
 
@@ -126,11 +134,15 @@ def _compared(outcome: Mapping[str, Any], unit: str) -> str:
     if other is None:
         return f"{NOTHING} with {light}"
     if outcome["recall"] is not None:
-        return f"above 0 in {outcome['recall']:.4g} of the steps in which it is with {light}"
+        return f"above 0 in {_percent(outcome['recall'])} of the steps in which it is above 0 with {light}"
     if outcome["difference"] is not None:
-        return f"{outcome['take']} {outcome['difference']:+.4g}{unit} to what it is with {light}"
+        return f"{outcome['take']} {outcome['difference']:+.4g}{unit} relative to {light}"
     share = "an infinite multiple" if outcome["ratio"] is None else f"{outcome['ratio']:.4g}"
     return f"{share} of {other:.4g}{unit} with {light}"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.4g} %"
 
 
 def _taken(check: CheckParams, times_s: np.ndarray, values: np.ndarray) -> float | None:

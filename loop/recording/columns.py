@@ -22,7 +22,7 @@ SYMBOL: dict[str, tuple[str, str]] = {
     "cut_right": ("1", "share cut at the right border"),
     "cut_top": ("1", "share cut at the upper border"),
     "cut_bottom": ("1", "share cut at the lower border"),
-    "aim_x_m": ("m", "place on the road where the symbol is aimed, since its target cannot be lit as asked; null for the target"),
+    "aim_x_m": ("m", "place on the road where the symbol is aimed, if its target cannot be lit; null for the target"),
     "aim_y_m": ("m", "the same to the left"),
     "e_x": ("axes", "error of the centre along u, seen minus target"),
     "e_y": ("axes", "error of the centre along v"),
@@ -39,18 +39,33 @@ SYMBOL: dict[str, tuple[str, str]] = {
         for point, name in (("tl", "top left"), ("tr", "top right"), ("bl", "bottom left"), ("br", "bottom right"))
         for axis in "uv"
     },
-    "area_ratio": ("1", "area of the extracted symbol, as a multiple of what the flat road, or one of the acquired shape, would show"),
+    "area_ratio": ("1", "area of the extracted symbol relative to its area on the flat road or on the acquired road"),
     "loss": (
         "",
-        "why the symbol was lost: no_frame, nothing, too_small, too_large or covered (by other functions); empty where it was seen",
+        "why the symbol was lost: no_frame, nothing, too_small, too_large or covered (by other functions); empty if it was seen",
     ),
-    "centroid_error_x_percent": ("%", "judge: error of the centroid along x, of the symbol's length"),
-    "centroid_error_y_percent": ("%", "judge: error of the centroid along y, of the symbol's width"),
+    "centroid_error_x_percent": ("%", "judge: error of the centroid along x, in % of the symbol's length"),
+    "centroid_error_y_percent": ("%", "judge: error of the centroid along y, in % of the symbol's width"),
     "iou": ("1", "judge: intersection over union with the target"),
     "ssim": ("1", "judge: structural similarity to the target"),
-    "length": ("1", "judge: second-moment length as a multiple of the target's"),
+    "length": ("1", "judge: second-moment length relative to the target's"),
     "shear": ("1", "judge: shear mu11 / mu20 on the road plane"),
 }
+
+# of all that lighting functions do: what there is only on a plant that knows the truth
+LOOKING_OF_TRUTH = ("false_positives", "eyes_lx_max", "eyes_lx_peak", "oncoming_lx_max", "road_lx_ratio_max")
+OF_TRUTH = {
+    "dark_lx_max",
+    "symbol_iou_min",
+    "luminance",
+    *LOOKING_OF_TRUTH,
+    *(key for key in SYMBOL if SYMBOL[key][1].startswith("judge: ")),
+}
+
+
+def of_truth(column: str) -> bool:
+    """Whether a column is missing or empty on a plant that does not know the truth."""
+    return column.startswith("objects.") or column.rpartition(".")[2] in OF_TRUTH
 
 
 def held_in(table: pa.Table) -> list[str]:

@@ -18,11 +18,11 @@ BORDERS = {  # and what brings a symbol back into the field
 
 def of_frames(frames: dict[str, int]) -> list[str]:
     """What is wrong with the frames of a run, by their part of its summary; empty where nothing is."""
-    mend = "give each frame the number of its exposure, exposure.number, and try luxloop.check_plant"
-    late = "raise steps where frames are late, lower camera.drop_probability, or try luxloop.check_plant on a plant of your own"
+    mend = "give each frame the number of its exposure, exposure.number, and test the plant with luxloop.check_plant"
+    late = "raise steps if frames are late, lower camera.drop_probability, or test your own plant with luxloop.check_plant"
     if frames["unknown"]:
-        return [f"{frames['unknown']} frames were of no exposure that was shown, and nothing looked at them; {mend}"]
-    return [] if frames["came"] else [f"no frame came of any of the {frames['asked']} exposures, so that nothing was seen; {late}"]
+        return [f"{frames['unknown']} frames belong to no shown exposure and were ignored; {mend}"]
+    return [] if frames["came"] else [f"no frame arrived for any of the {frames['asked']} exposures; {late}"]
 
 
 def unjudged(values: dict[str, Any]) -> str | None:
@@ -31,9 +31,9 @@ def unjudged(values: dict[str, Any]) -> str | None:
         case "not_shown":
             return "never shown"
         case "not_judged" if values["judge_every"] is None:
-            return "nobody judged, as the plant does not know the truth"
+            return "not judged, because the plant does not know the truth"
         case "not_judged":
-            return f"nobody judged, as judge_every = {values['judge_every']}"
+            return f"not judged, because judge_every = {values['judge_every']}"
     return None
 
 
@@ -47,12 +47,12 @@ def _remedies(values: dict[str, Any]) -> list[str]:
     is_cut = cut is not None and cut > CUT
     found = [_cut("the symbol", cut, values["cut_side"])] if is_cut else []
     if values["aim"] is not None:
-        place = f"lies on it {values['aim'][0]:.3g} m ahead, the nearest place that the lamps light"
-        found.append(f"on this road the target cannot be lit as asked; the symbol {place}")
+        place = f"lies {values['aim'][0]:.3g} m ahead, the nearest place that they can light"
+        found.append(f"on this road the lamps cannot light the target; the symbol {place}")
     if why is not None and not ((is_cut or values["aim"] is not None) and _astray(values)):
         found.append(_why_unsettled(values))
     if why is None and values["controller"] != "open" and (values["iou_final"] or 0.0) < (values["iou_open"] or 0.0):
-        found.append(f"the symbol lies worse than without control; {_of_controller(values['controller'])}")
+        found.append(f"the symbol has a lower IoU at the last step than without control; {_of_controller(values['controller'])}")
     return found
 
 
@@ -79,12 +79,12 @@ def _why_unsettled(values: dict[str, Any]) -> str:
     road_m, highest_m = values["road_m"] or 0.0, values["highest_m"]
     if _astray(values) and values["drives"] and highest_m is not None and abs(road_m) > highest_m:
         why = "x m ahead, a road of radius R is about x²/(2R) off that plane"
-        within = f"NAME.controller.highest_m = {highest_m:g} of a road that bends on as the ground does"
-        where = f"the road lies up to {_off_plane(road_m, '.2f')} at the target, and is looked for within {within}"
+        within = f"NAME.controller.highest_m = {highest_m:g} of a road that continues the ground's curvature"
+        where = f"the road lies up to {_off_plane(road_m, '.2f')} at the target, but heights are searched only within {within}"
         return f"{where}; raise that, to 0.3 at most, or lower NAME.x_m: {why}"
     match values["unsettled"]:
         case "too_short":
-            return "too few steps were judged to show whether the symbol settles; lower judge_every where it is above 1, or raise steps"
+            return "too few steps were judged to show whether the symbol settles; lower judge_every if it is above 1, or raise steps"
         case "not_shown":
             return "the symbol was never shown; see NAME.when, NAME.unless, NAME.start_s and NAME.stop_s"
         case "not_judged" if values["judge_every"] is None:
@@ -95,20 +95,20 @@ def _why_unsettled(values: dict[str, Any]) -> str:
             keys = "camera.drop_probability or camera.latency_spread_steps"
             return f"most frames of the last {FINAL} steps are missing; lower {keys}, or take disturbances.drops out"
         case "moving":
-            what = f"the symbol goes on moving in the last {FINAL} steps"
+            what = f"the symbol keeps moving in the last {FINAL} steps"
             if values["shown_steps"] < SHORT and not values["drives"]:
                 return f"{what}; raise steps to {SHORT} at least"
             if values["drives"]:
-                what += " while the car drives, where its IoU in the second half says how it lies"
+                what += " while the car drives (its IoU in the second half of the run tells how well it lies)"
             elif values["controller"] == "luxloop":
-                return f"{what}, as it does where an object moves; if none does, lower NAME.x_m, as a nearer symbol moves less"
+                return f"{what}, as it does if an object moves; otherwise lower NAME.x_m, since a nearer symbol moves less"
         case "covered":
             others = ", ".join(f"functions.{name}" for name in values["covered_by"]) or "other functions"
             return (
-                f"{others} took too much light from the symbol to measure it; move one of them, or raise NAME.priority where no mask does"
+                f"{others} took too much light from the symbol to measure it; move one of them, or, if none is a mask, raise NAME.priority"
             )
         case "lost" if not values["seen_steps"]:
-            what = "the camera never saw the symbol, whose light may pass over a road that falls"
+            what = "the camera never saw the symbol; on a falling road its light may land out of sight"
             if values["controller"] not in AT_ONCE:
                 return f'{what}; lower NAME.start.x_m, and try NAME.controller.name = "luxloop"'
         case "lost":
@@ -128,9 +128,9 @@ def _of_controller(name: str) -> str:
     """The remedy for a symbol that does not lie right, by controller."""
     match name:
         case "luxloop":
-            return "lower NAME.x_m, as its light is brighter on a nearer road, and the road moves it less"
+            return "lower NAME.x_m, since a nearer symbol is brighter and less sensitive to the road's height"
         case "feedforward":
             near = "near the plane of the ground, measure it with NAME.controller.survey = true"
-            return f"give the road as it is in NAME.controller.road, or, {near}"
+            return f"give the true road in NAME.controller.road, or, {near}"
         case _:
-            return 'try NAME.controller.name = "luxloop", which draws for the heights of the road that it finds'
+            return 'try NAME.controller.name = "luxloop", which estimates the heights of the road and draws for them'

@@ -58,7 +58,7 @@ def _imported(file: Path, package: str) -> Iterator[str]:
     try:
         tree = ast.parse(file.read_bytes())
     except (SyntaxError, ValueError, OSError) as error:
-        raise LuxloopError(f"{file}: cannot be read as Python ({error}); mend it") from error
+        raise LuxloopError(f"{file}: cannot be read as Python ({error}); correct it") from error
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)

@@ -17,6 +17,7 @@ from loop.lighting.summary import START_UP_S, UNITS, materials_of, named, spoken
 from loop.recording.columns import held_in
 from loop.recording.style import FOUR, headed
 from loop.recording.summary import column
+from loop.terminal.tables import counted
 
 COLOURS = (*FOUR, "#56b4e9", "#d55e00", "#000000", "#999999")
 GREYS = (":", "--", "-.")  # lines of what power is compared with
@@ -133,7 +134,7 @@ def _confidences(axes: Axes, table: pa.Table, names: Sequence[str], summary: dic
         axes.plot(column(table, "time_s"), column(table, f"objects.{name}.confidence"), color=colour, label=label)
     axes.set(ylim=(0, 1.02))
     if nothing := summary["tracks_of_nothing"]:
-        axes.plot([], [], " ", label=f"a track of nothing in {nothing} steps")
+        axes.plot([], [], " ", label=f"a track without an object in {nothing} steps")
     headed(axes, "Confidence of objects, filtered over frames")
 
 
@@ -149,13 +150,13 @@ def _on_objects(axes: Axes, table: pa.Table, names: Sequence[str], summary: Mapp
     if others:
         most = np.fmax.reduce([column(table, f"objects.{name}.lx_max") for name in others])
         lit = "" if np.nanmax(most) else ": 0 lx throughout"
-        axes.plot(time_s, most, color="0.5", linewidth=0.9, label=f"most on {len(others)} {'others' if names else 'objects'}{lit}")
+        axes.plot(time_s, most, color="0.5", linewidth=0.9, label=f"most on {counted(len(others), 'other' if names else 'object')}{lit}")
     if names:
         axes.plot([], [], color="0.5", linestyle=":", linewidth=0.9, label="most on each")
     if summary.get("eyes_lx_max") is not None:
         later = summary["eyes_lx_max_after_start_up"]
         told = "" if later is None else f": {later:.2g} lx from {START_UP_S:g} s on"
-        axes.plot(time_s, column(table, "eyes_lx_max"), color="0.5", linestyle="--", label=f"most on heads and windscreens{told}")
+        axes.plot(time_s, column(table, "eyes_lx_max"), color="0.5", linestyle="--", label=f"maximum on heads and windscreens{told}")
     axes.set_ylabel("lx")
     if axes.dataLim.ymin < FAINTEST_LX:
         axes.set_yscale("symlog", linthresh=FAINTEST_LX)

@@ -127,12 +127,12 @@ def _draw_light(
 
 def _title(simulation: Simulation, last: StepResult, summary: Mapping[str, Any]) -> str:
     dark_lx, scenario = summary["dark_lx_max"], simulation.scenario
-    masked = "" if dark_lx is None else f"  ·  {dark_lx:.3g} lx at most on what must be dark"
+    masked = "" if dark_lx is None else f"  ·  {dark_lx:.3g} lx at most on masked objects"
     flicker = f"  ·  symbols on for {1 - scenario.off_share:.0%} at {scenario.rate_hz:g} Hz" if scenario.controlled else ""
     if (folder := shadow_of(scenario.plant)) is not None:
-        flicker += f"  ·  {SHADOW} {folder}"
+        flicker += f"  ·  {SHADOW} {Path(folder).name}"
     steps = f"{summary['steps']} steps to {last.time_s:.2f} s"
-    return f"{scenario.name}  ·  {scenario.headlight.model}  ·  {steps}{masked}{flicker}  ·  {processing(summary, 'a step')}"
+    return f"{scenario.name}  ·  {simulation.modules[0].lamp.name}  ·  {steps}{masked}{flicker}  ·  {processing(summary, 'a step')}"
 
 
 def _cameras(figure: SubFigure, simulation: Simulation, moments: Sequence[StepResult]) -> None:
@@ -153,14 +153,14 @@ def _cameras(figure: SubFigure, simulation: Simulation, moments: Sequence[StepRe
 def _told_of_boxes(simulation: Simulation) -> str:
     """What the camera's pictures show: colours are named where they occur."""
     kinds = {function.kind for function in simulation.scenario.functions.values()}
-    zones = "; with its name: a zone" if "zone" in kinds else ""
-    zones += "; blue: where a symbol that is held shall lie" if simulation.controlled else ""
+    zones = "; named: zones" if "zone" in kinds else ""
+    zones += "; blue: target of a held symbol" if simulation.controlled else ""
     if not simulation.watched and simulation.pipeline is None:
-        return f"What the camera sees{zones}"
+        return f"Camera's view{zones}"
     orange = ", orange where a mask keeps it dark" if "glare_free" in kinds else ""
     if simulation.pipeline is None:
-        return f"What the camera sees; a green box is an object that functions are told of{orange}{zones}"
-    return f"What the camera sees; green: tracked, and how sure{orange}; grey: found in this frame{zones}"
+        return f"Camera's view; green boxes: objects that functions receive{orange}{zones}"
+    return f"Camera's view; green: tracked, with confidence{orange}; grey: found in this frame{zones}"
 
 
 def _camera(axes: Axes, simulation: Simulation, result: StepResult, white: float) -> None:
@@ -181,7 +181,7 @@ def _camera(axes: Axes, simulation: Simulation, result: StepResult, white: float
 
 
 def _observed(figure: SubFigure, observed: Sequence[tuple[StepResult, ObservedSymbol]]) -> None:
-    figure.suptitle("What observers see of their symbols: luminance, as a share of that of a white picture", x=0.02, ha="left", fontsize=9)
+    figure.suptitle("Symbols as seen by their observers: luminance relative to that of a white picture", x=0.02, ha="left", fontsize=9)
     for axes, (result, symbol) in zip(figure.subplots(1, len(observed), squeeze=False)[0], observed, strict=True):
         axes.imshow(symbol.share.nan_to_num().cpu().numpy(), **SHARES)
         axes.set(xticks=[], yticks=[], anchor="N")
@@ -192,7 +192,7 @@ def _observed(figure: SubFigure, observed: Sequence[tuple[StepResult, ObservedSy
 def _from_above(axes: Axes, simulation: Simulation, last: StepResult) -> None:
     if (truth := simulation.truth) is None:
         _outlines(axes, last)
-        axes.set(xlabel="ahead in m", ylabel="to the left in m", title="Objects from above, at the end; nobody knows where the light lies")
+        axes.set(xlabel="ahead in m", ylabel="to the left in m", title="Objects from above, at the end; the light on the road is unknown")
         axes.set(xlim=BIRDSEYE_X_M, ylim=BIRDSEYE_Y_M)
         return
     light, extent = _from_near(lambda view: truth.through(view, last.time_s).light(last.lights, last.now.commands)[0])

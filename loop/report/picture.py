@@ -122,7 +122,7 @@ def captions(result: StepResult, simulation: Simulation) -> list[tuple[str, tupl
     lamps = ", ".join(f"{side} {power.flux_lm:.0f} lm" for side, power in result.powers.items())
     lines = [simulation.scenario.name, f"step {result.step}, {result.time_s:.2f} s", simulation.base(base.name), lamps]
     if shadow_of(simulation.scenario.plant) is not None:
-        lines[2] = f"asked for in shadow: {lines[2]}"
+        lines[2] = f"commanded in shadow: {lines[2]}"
     if base.bend or base.level or base.roll:
         lines[2] += f", bend {math.degrees(base.bend):+.1f}, level {math.degrees(base.level):+.1f} deg"
     if base.share < 1:
@@ -130,7 +130,7 @@ def captions(result: StepResult, simulation: Simulation) -> list[tuple[str, tupl
     if result.look is not None:
         lines[3] += f", {sum(power.watts for power in result.powers.values()):.0f} W"
     if result.dark_lx_max is not None:
-        lines.append(f"on what must be dark: {result.dark_lx_max:.3g} lx")
+        lines.append(f"on masked objects: {result.dark_lx_max:.3g} lx")
     return [(line, TEXT_RGB) for line in lines] + [_of_symbol(name, simulation, held) for name, held in result.held.items()]
 
 

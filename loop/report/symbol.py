@@ -1,6 +1,7 @@
 """What happened with a symbol that is held, as the thesis' figures 9.12 to 9.17 show it."""
 
 import math
+from pathlib import Path
 from textwrap import fill
 from typing import Any
 
@@ -42,6 +43,8 @@ TARGET, PATH, LOST = "#00c8ff", "#ff2020", "#d55e00"
 PAST_SYMBOLS = 12
 HIGH_IN = 9.4  # of a symbol's part of a page
 TITLE, NOTE = 125, 175  # characters of a line as wide as the page
+WHY = 40  # of a line in a chart
+FEW_STEPS = 60  # which are marked one by one
 LEAST_M, LEAST_DEG = 0.01, 0.1  # that the axes of poses show to both sides: less is nothing that anybody sees
 
 
@@ -108,7 +111,7 @@ def draw_symbol(figure: SubFigure, simulation: Simulation, gathered: Gathered, t
 def _title(simulation: Simulation, name: str, summary: dict[str, Any], shadow: str | None) -> str:
     who = f"{simulation.scenario.name}: {name}  ({summary['controller']})"
     if shadow is not None:
-        return f"{who}  ·  {SHADOW} {shadow}"
+        return f"{who}  ·  {SHADOW} {Path(shadow).name}"
     lost = f"  ·  lost in {summary['lost_steps']} of {summary['shown_steps']} steps" if summary["lost_steps"] else ""
     if (why := unjudged(summary)) is not None:
         return f"{who}  ·  {why}{lost}"
@@ -116,7 +119,7 @@ def _title(simulation: Simulation, name: str, summary: dict[str, Any], shadow: s
     settled = f"settled at step {summary['settle_step']}" if unsettled is None else f"not settled: {unsettled.replace('_', ' ')}"
     x, y = (number(value, ".1f") for value in summary["centroid_error_percent"])
     iou, without = (number(summary[key], ".2f") for key in ("iou_final", "iou_open"))
-    return f"{who}  ·  {settled}  ·  IoU {iou}, without control {without}  ·  centroid error {x} %, {y} %{lost}"
+    return f"{who}  ·  {settled}  ·  IoU {iou}, without control {without}, both at the last step  ·  centroid error {x} %, {y} %{lost}"
 
 
 def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: Gathered, table: pa.Table, summary: dict[str, Any]) -> None:
@@ -131,7 +134,7 @@ def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: Gathered
         lost_label = "_lost"
         if summary["settle_step"] is not None:
             axes.axvline(summary["settle_step"], color="0.3", lw=1.2, ls=":", label="settled" if axes is errors else "_settled")
-    marker = "o" if len(steps) <= 60 else ""
+    marker = "o" if len(steps) <= FEW_STEPS else ""
 
     for name, colour, unit in zip(ERRORS, FOUR, _error_units(target.features), strict=True):
         values = column(table, name)
@@ -163,21 +166,29 @@ def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: Gathered
 
     judged.axhspan(-2, 2, color="0.5", alpha=0.15, lw=0)
     for name, colour, label in (("x", FOUR[0], "centroid along"), ("y", FOUR[1], "centroid across")):
-        judged.plot(steps, column(table, f"centroid_error_{name}_percent"), color=colour, label=label)
+        _joined(judged, steps, column(table, f"centroid_error_{name}_percent"), color=colour, label=label)
     judged.set_yscale("symlog", linthresh=5, linscale=1.2)
     judged.yaxis.set_major_formatter(PercentFormatter(decimals=0))
     judged.set_yticks([-100, -20, -5, -2, 0, 2, 5, 20, 100])
     judged.set_ylabel("error in % of the symbol's size")
     overlap = _right_axis(judged)
-    overlap.plot(steps, column(table, "iou"), color="black", label="IoU")
+    _joined(overlap, steps, column(table, "iou"), color="black", label="IoU")
+    if why := unjudged(summary):
+        judged.text(0.5, 0.5, fill(why, WHY), transform=judged.transAxes, ha="center", va="center", color="0.4")
     if summary["iou_open"] is not None:
-        overlap.axhline(summary["iou_open"], color="black", ls="--", lw=1, label="IoU without control")
+        overlap.axhline(summary["iou_open"], color="black", ls="--", lw=1, label="IoU without control, at the last step")
     overlap.set_ylim(0, 1)
     overlap.set_ylabel("IoU with the target")
     headed(judged, "How the symbol lies, without noise", overlap)
     judged.set_xlabel("control step")
     judged.set_xlim(steps[0], max(steps[-1], steps[0] + 1))
     judged.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+def _joined(axes: Axes, steps: Image, values: Image, **style: Any) -> None:
+    """A line over the steps in which there are values, each of them marked where they are few: not all steps are judged."""
+    there = np.isfinite(values)
+    axes.plot(steps[there], values[there], marker="o" if there.sum() <= FEW_STEPS else "", ms=2.2, **style)
 
 
 def _right_axis(axes: Axes) -> Axes:

@@ -51,7 +51,7 @@ class CheckParams(Params):
         if self.by == "recall" and (self.take != "mean" or self.over_s is not None):
             raise ValueError("by: recall counts steps, so that nothing else is taken of them; leave take and over_s out")
         if self.compare is not None and self.metric.endswith("_ms"):
-            raise ValueError(f"compare: the runs share what is rendered, so {self.metric} says nothing of the other; leave compare out")
+            raise ValueError(f"compare: the runs share rendering, so {self.metric} cannot be compared; leave compare out")
         return self
 
 

@@ -112,12 +112,12 @@ def _download(wanted: DataFile, url: str, target: Path) -> None:
             os.replace(Path(partial) / target.name, target)
     except requests.HTTPError as error:
         remedy = f"save it by hand as {target} or set {MIRROR_VARIABLE} to a mirror"
-        raise LuxloopError(f"{target.name} cannot be had: {error}; {remedy}") from error
+        raise LuxloopError(f"{target.name} cannot be fetched: {error}; {remedy}") from error
     except requests.RequestException as error:
         remedy = f"connect to the network or set {FOLDER_VARIABLE} to a folder with {wanted.file}"
         raise LuxloopError(f"{url} cannot be reached; {remedy}") from error
     except ValueError as error:
-        raise LuxloopError(f"{url} gives another content than registered (SHA-256 differs); nothing was kept, try again") from error
+        raise LuxloopError(f"{url} has other content than registered (SHA-256 differs); nothing was kept, try again") from error
     except OSError as error:
         raise LuxloopError(f"{target} cannot be written ({error.strerror}); give another folder with --dir") from error
 

@@ -29,7 +29,7 @@ from world.errors import LuxloopError, did_you_mean, located
 from world.materials.library import RoadSurfaceParams
 from world.materials.spots import SpotParams
 from world.params import Params, PlainName
-from world.plugin import PATTERN, Name, refuse_code
+from world.plugin import PATTERN, Name, dotted, refuse_code
 from world.roads.shapes import Flat, RoadParams
 from world.scene.scene import StreetLamp
 from world.scene.vehicle import VehicleParams
@@ -103,7 +103,7 @@ class Scenario(Params):
     light: LightParams = Field(LightParams(), description="ambient light and street lamps")
     headlight: HeadlightParams = Field(HeadlightParams(), description="the lamps")
     camera: CameraParams = Field(CameraParams(), description="the camera")
-    pixel_controller: str = Field("ssc", description="what drives the pixels: ssc, jpo, or one of your own as package.module:Name")
+    pixel_controller: str = Field("ssc", description="what drives the pixels: ssc, jpo, or your own as package.module:Name")
     ssc: MrpcParams = Field(MrpcParams(), description="SuperSampling Control, which joint pixel optimisation starts from")
     jpo: JpoParams = Field(JpoParams(), description='joint pixel optimisation, with pixel_controller = "jpo"')
     renderer: Literal["auto", "opengl", "raycast"] = Field("auto", description="source of the G-buffer")
@@ -131,8 +131,8 @@ class Scenario(Params):
     @classmethod
     def _known_or_own(cls, name: str) -> str:
         if name not in PIXEL_CONTROLLERS and not re.fullmatch(PATTERN, name):
-            known = did_you_mean(name, PIXEL_CONTROLLERS)
-            raise ValueError(f"there is no pixel controller {name!r}; {known} One of your own is given as package.module:Name")
+            remedy = dotted(name) or f"{did_you_mean(name, PIXEL_CONTROLLERS)} Give your own as package.module:Name"
+            raise ValueError(f"there is no pixel controller {name!r}; {remedy}")
         return name if name in PIXEL_CONTROLLERS else Name(name)
 
     @model_validator(mode="after")
@@ -159,25 +159,26 @@ class Scenario(Params):
             refuse_long_exposures(self.camera.exposure_s, self.off_share, self.rate_hz)
             return self
         if self.off_share != 0.5:
-            raise ValueError("off_share: no controller holds a symbol here that could be off; leave it out")
+            raise ValueError("off_share: no controller holds a symbol here; leave it out")
         for key in ("oncoming", "ambient"):
             if off := [k for k, each in enumerate(getattr(self.disturbances, key)) if each.frames == "off"]:
-                raise ValueError(
-                    f"disturbances.{key}[{off[0]}].frames: without a symbol that a controller holds steps have no off frame; leave it out"
-                )
+                raise ValueError(f"disturbances.{key}[{off[0]}].frames: without a held symbol, steps have no off frame; leave it out")
         return self
 
     @model_validator(mode="after")
     def _tracks_what_is_detected(self) -> Self:
         if self.detector_frames != "on" and not (self.controlled and self.detector):
             lacking = "detector" if self.controlled else "symbol that a controller holds"
-            raise ValueError(f"detector_frames: there is no {lacking} here, so that it means nothing; leave it out")
+            raise ValueError(f"detector_frames: there is no {lacking} here, so it has no effect; leave it out")
         if self.detector is None and self.tracker != TrackerParams():
             raise ValueError('tracker: follows what a detector finds, but there is none; give one, detector = {kind = "network"} say')
-        if self.detector is not None and (named := [name for name, each in self.functions.items() if any(objects_named(each))]):
+        named = {f"functions.{name}.{key}": name for name, each in self.functions.items() for key, _ in objects_named(each)}
+        if self.detector is not None and named:
+            emptied = " ".join(f"{key}=[]" for key in named if key.endswith("names"))
+            remedies = [*([f"--set {emptied}"] if emptied else []), *(f"leave {key} out" for key in named if not key.endswith("names"))]
             raise ValueError(
-                f"functions.{named[0]}: names objects, but a detector knows them by class alone; leave names out, "
-                "or take the [detector] out"
+                f"functions.{next(iter(named.values()))}: names objects, but a detector knows only their class; "
+                f"{' and '.join(remedies)}, or take the [detector] out"
             )
         return self
 
@@ -188,7 +189,7 @@ class Scenario(Params):
             raise ValueError(f"conditions: time_s must ascend from entry to entry, here {times}")
         names = [each.name for each in self.all_objects]
         if doubled := [name for name in names if names.count(name) > 1]:
-            raise ValueError(f"objects: the name {doubled[0]!r} is there twice, but recordings tell objects by name; rename one")
+            raise ValueError(f"objects: the name {doubled[0]!r} occurs twice, but recordings identify objects by name; rename one")
         return self
 
     @property
@@ -281,13 +282,18 @@ def load(name: str, overrides: Sequence[Override] = (), *, allow_code: bool = Fa
     if overrides:
         data = overridden(_with_defaults(data), overrides)
     given = [
-        *(f"{key}={value['name'] if isinstance(value, dict) and 'name' in value else value}" for key, value in values.items()),
-        *(override for override in overrides if isinstance(override, str)),
+        *(f"{key}={_name(value)}" for key, value in values.items()),
+        *dict.fromkeys(override if isinstance(override, str) else "these changes" for override in overrides if override),
     ]
     scenario = validate(data, f"{path} with {' '.join(given)}" if given else str(path))
     if not allow_code:
         refuse_code(scenario, scenario.source, typed=set(texts([tables(each) for each in (values, *overrides) if not is_file(each)])))
     return scenario
+
+
+def _name(value: Any) -> Any:
+    """What tells a table apart, for messages: its name, or a recording's folder."""
+    return next((value[key] for key in ("name", "folder") if key in value), value) if isinstance(value, dict) else value
 
 
 def validate(data: Mapping[str, Any], source: str) -> Scenario:

@@ -46,7 +46,7 @@ schema_version = 1
 """
 NIGHT_HEAD = """\
 # A night on the road, drawn from a seed. Check it with `luxloop check FILE`, run it with `luxloop run FILE`.
-# Another traffic.seed: others elsewhere. Objects of your own come as [[objects]] besides.
+# Another traffic.seed: others elsewhere. Add your own objects as [[objects]].
 
 schema_version = 1
 """

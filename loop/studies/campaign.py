@@ -154,7 +154,7 @@ def checked(scenario: Mapping[str, Any], inputs: dict[str, str]) -> Scenario:
     here = digests(valid)
     if others := [key for key in inputs | here if inputs.get(key) != here.get(key)]:
         raise LuxloopError(
-            f"{valid.name}: {others[0]}: is another file here than where the run was asked for, or has changed since; put the same at "
+            f"{valid.name}: {others[0]}: differs here from the file where the run was started, or has changed since; put the same at "
             "the same place on every machine and start again"
         )
     return valid

@@ -19,7 +19,7 @@ from loop.scenario.model import only
 from loop.studies.ranges import Range
 from loop.studies.study import STUDY, finished, keeping, study_in
 from loop.studies.surrogate import Learned, near
-from loop.studies.tune import FAILURES, TRACES, Task, Trace, Tuned, begun, failed, ran
+from loop.studies.tune import FAILURES, SETTLED, TRACES, Task, Trace, Tuned, begun, failed, ran
 from loop.terminal.progress import progress
 from perception.extraction import ExtractionParams
 from world.errors import LuxloopError, located
@@ -65,8 +65,8 @@ def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) 
                     if finished(study) >= iterations:
                         break
                     values = descend(task, simulations, _before(task, study))
-                    costs, traces = ran(task, task.runs(values), execute)
-                    kept = {TRACES: traces, FAILURES: failed(traces)}
+                    costs, traces, settled = ran(task, task.runs(values), execute)
+                    kept = {TRACES: traces, FAILURES: failed(traces), SETTLED: settled}
                     study.add_trial(create_trial(params=values, distributions=space, value=float(np.mean(costs)), user_attrs=kept))
                 done = finished(study)
                 advance(done - shown)

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from loop.run import prepare
 from loop.scenario.model import Scenario, validate
 from loop.scenario.overrides import INDEX, overridden, toml_key
 from world.errors import LuxloopError, located
@@ -39,7 +40,7 @@ def parse(text: str, scenarios: Sequence[Scenario]) -> Range:
             f"{where}: is not of the form key=low:high; write for example functions.symbol.controller.position.kp=0.1:2"
         ) from error
     if scale not in ("", "log"):
-        raise LuxloopError(f"{where}: {scale!r} is no scale; write {key}={low_text}:{high_text}:log, or leave it out")
+        raise LuxloopError(f"{where}: {scale!r} is not a scale; write {key}={low_text}:{high_text}:log, or leave it out")
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         turned = f"write {key}={high_text}:{low_text}" if high < low else f"give {key} two different ends"
         raise LuxloopError(f"{where}: the range is the wrong way round or empty; {turned}")
@@ -56,7 +57,9 @@ def parse(text: str, scenarios: Sequence[Scenario]) -> Range:
         made = Range(key, low, high, bool(scale), whole)
         for scenario in scenarios:
             for end in (low, high):
-                changed(scenario, {key: int(end) if whole else end})
+                ready = changed(scenario, {key: int(end) if whole else end})
+            if ".options." in key and value_of(scenario, key) is None:  # only the class knows whether it has such an option
+                prepare(ready, "cpu")
     return made
 
 
@@ -74,7 +77,7 @@ def value_of(scenario: Scenario, key: str) -> float | int | None:
         else:
             table = table.get(part) if isinstance(table, dict) else None
     if isinstance(table, bool) or not (table is None or isinstance(table, int | float)):
-        raise LuxloopError(f"is no number, and only numbers are tuned; {_hint(key, table)}")
+        raise LuxloopError(f"is not a number, and only numbers can be tuned; {_hint(key, table)}")
     return table
 
 

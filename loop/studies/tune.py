@@ -29,6 +29,7 @@ from world.errors import LuxloopError
 from world.folders import turn
 
 FAILURES = "failures"
+SETTLED = "settled"  # attribute with how many runs of a trial settled
 TRACES = "traces"  # attribute with the traces of a trial's runs
 APART = 1_000_003  # distance between the seeds of two searches, so that they share no trial's seed
 STARTUP = 8  # random trials before the sampler uses results
@@ -95,6 +96,13 @@ class Tuned:
         return [why for trial in self.study.get_trials(deepcopy=False, states=FINISHED) for why in trial.user_attrs.get(FAILURES, [])]
 
     @property
+    def unsettled(self) -> bool:
+        """Whether the objective weighs settling, and no run of any trial settled."""
+        trials = self.study.get_trials(deepcopy=False, states=FINISHED)
+        attributes = [self.study.user_attrs, *(trial.user_attrs for trial in trials)]
+        return "settling" in self.task.objective.weights and not any(each.get(SETTLED) for each in attributes)
+
+    @property
     def best(self) -> tuple[dict[str, float | int], float]:
         """Values and cost of the best trial; no values if the given ones are best."""
         values, cost = self.study.best_params, self.study.best_value
@@ -141,23 +149,26 @@ def _try(study: optuna.Study, trial: optuna.Trial, task: Task, execute: Executor
     """Do all runs of a trial, which may be pruned after half of them; the same runs for any number of processes."""
     runs = task.runs(trial.params)
     half = -(-len(runs) // 2)
-    costs, traces = ran(task, runs[:half], execute)
+    costs, traces, settled = ran(task, runs[:half], execute)
     trial.set_user_attr(FAILURES, failed(traces))
+    trial.set_user_attr(SETTLED, settled)
     if len(runs) > half:
         trial.report(float(np.mean(costs)), 0)
         if trial.should_prune():
             study.tell(trial, state=TrialState.PRUNED)
             return
-        more, others = ran(task, runs[half:], execute)
+        more, others, settled_later = ran(task, runs[half:], execute)
         costs += more
         trial.set_user_attr(FAILURES, failed(traces + others))
+        trial.set_user_attr(SETTLED, settled + settled_later)
     study.tell(trial, float(np.mean(costs)))
 
 
-def ran(task: Task, runs: Runs, execute: Executor) -> tuple[list[float], list[Trace]]:
-    """Costs and traces in the order of the runs, whatever order they end in, so that sums round equally."""
+def ran(task: Task, runs: Runs, execute: Executor) -> tuple[list[float], list[Trace], int]:
+    """Costs and traces in the order of the runs, whatever order they end in, so that sums round equally, and how many settled."""
     done = sorted(execute(_traced, list(enumerate(runs))), key=itemgetter(0))
-    return [task.objective.cost(figures) for _, figures, _ in done], [trace for _, _, trace in done]
+    settled = sum(figures.get("settle_step") is not None for _, figures, _ in done)
+    return [task.objective.cost(figures) for _, figures, _ in done], [trace for _, _, trace in done], settled
 
 
 def failed(traces: list[Trace]) -> list[str]:
@@ -188,11 +199,12 @@ def begun(study: optuna.Study, task: Task, out: Path, execute: Executor) -> dict
     LuxloopError if all runs with them fail.
     """
     if "given_cost" not in study.user_attrs:
-        costs, traces = ran(task, task.runs({}), execute)
+        costs, traces, settled = ran(task, task.runs({}), execute)
         if len(reasons := failed(traces)) == len(costs):
             (out / STUDY).unlink()  # it is empty, and other settings should not need another folder
             raise LuxloopError(f"every run with the given values fails, so there is nothing to tune; the first: {reasons[0]}")
         study.set_user_attr(TRACES, traces)
+        study.set_user_attr(SETTLED, settled)
         study.set_user_attr("given_cost", float(np.mean(costs)))
     space = {each.key: _distribution(each) for each in task.ranges}
     if not study.get_trials(deepcopy=False) and all(_within(each, task.given[each.key]) for each in task.ranges):

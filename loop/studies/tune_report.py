@@ -40,8 +40,8 @@ def do_tune(task: Task, folder: Path, trials: int, processes: int | None, gradie
     rows = [(f"[bold]{key}[/]", given, values.get(key, given)) for key, given in task.given.items()]
     rows.append(("cost", tuned.given_cost, cost))
     tables.show(tables.plain(("key", "given", "best"), ((name, number(given, ".4g"), number(best, ".4g")) for name, given, best in rows)))
-    if failed := _failed(tuned):
-        print(failed.strip())
+    if notes := _notes(tuned):
+        print(notes.strip())
     if values:
         print(f"{folder / BEST} and {folder / REPORT} written; run it with: luxloop run {played_by} --set {folder / BEST}")
     else:
@@ -87,14 +87,15 @@ def page(tuned: Tuned) -> str:
     ]
     terms = "".join(f"- `{name}`: {objective.TERMS[name][2]}\n" for name in task.objective.weights)
     names = ", ".join(each.name for each in task.scenarios)
-    what = f"{len(finished)} trials ({pruned} pruned halfway) of {names} with {task.seeds} seeds each.{_failed(tuned)}"
+    what = f"{len(finished)} trials ({pruned} pruned halfway) of {names} with {task.seeds} seeds each.{_notes(tuned)}"
     table = tables.markdown(("key", "range", "given", "best", "importance"), rows, "llr")
     return f"# Tuning\n\n{what} The cost is `{task.objective}`:\n\n{terms}\n{table}\n\n![History, and cost over each key]({PICTURE})\n"
 
 
-def _failed(tuned: Tuned) -> str:
+def _notes(tuned: Tuned) -> str:
     failures = tuned.failures
-    return f" {len(failures)} {'runs' if len(failures) > 1 else 'run'} failed, the first: {failures[0]}." if failures else ""
+    failed = f" {len(failures)} {'runs' if len(failures) > 1 else 'run'} failed, the first: {failures[0]}." if failures else ""
+    return failed + (" No trial settled; raise steps." if tuned.unsettled else "")
 
 
 def _importances(tuned: Tuned) -> dict[str, float]:

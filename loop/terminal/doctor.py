@@ -156,7 +156,7 @@ def data_check() -> Check:
 
     rows, own = data.rows(), os.environ.get(data.FOLDER_VARIABLE)
     here = sum(row.path is not None for row in rows)
-    looked = f"{data.FOLDER_VARIABLE} is {own or 'not set'}, fetched files lie in {data.cache_folder()}"
+    looked = f"{data.FOLDER_VARIABLE} is {own or 'not set'}, fetched files are in {data.cache_folder()}"
     found = f"{here} of {len(rows)} road and photometric files; {looked}"
     return Check("data", "ok", found) if here else Check("data", "warn", f"{found}; measured roads cannot be run", "luxloop data get all")
 

@@ -9,13 +9,13 @@ from loop.scenario.shipped import examples, shipped, shipped_files
 Kind = Literal["scenarios", "functions", "controllers", "roads", "symbols", "detectors", "lamps", "plants", "examples"]
 USES: dict[Kind, str] = {
     "scenarios": "Run one with `luxloop run NAME`, copy it with `luxloop new FILE --like NAME`.",
-    "functions": "Take one as functions.NAME.kind of a scenario (keys in docs/scenarios.md); one of your own is package.module:Name.",
-    "controllers": "Take one with `--controller NAME`, or as functions.NAME.controller; one of your own is package.module:Name.",
-    "roads": "Take one with `--set road.kind=NAME`; `luxloop schema` has the keys of each; one of your own is package.module:Name.",
-    "symbols": "Take one as functions.NAME.image of a symbol; one of your own is the path of a picture.",
-    "detectors": "Take one with `--set detector.kind=NAME`; one of your own is package.module:Name.",
-    "lamps": "Take one with `--set headlight.model=NAME`; `luxloop headlight info NAME` describes it.",
-    "plants": "Take one with `--set plant.kind=NAME`, a recording with `--plant FOLDER`; one of your own is package.module:Name.",
+    "functions": "Use one as functions.NAME.kind of a scenario (keys in docs/scenarios.md); your own is package.module:Name.",
+    "controllers": "Use one with `--controller NAME`, or as functions.NAME.controller; your own is package.module:Name.",
+    "roads": "Use one with `--set road.kind=NAME`; `luxloop schema` has the keys of each; your own is package.module:Name.",
+    "symbols": "Use one as functions.NAME.image of a symbol; your own is the path of a picture.",
+    "detectors": "Use one with `--set detector.kind=NAME`; your own is package.module:Name.",
+    "lamps": "Use one with `--set headlight.model=NAME`; `luxloop headlight info NAME` describes it.",
+    "plants": "Use one with `--set plant.kind=NAME`, a recording with `--plant FOLDER`; your own is package.module:Name.",
     "examples": "Copy one with `luxloop new --like NAME`.",
 }
 

@@ -26,7 +26,7 @@ def progress(title: str, total: int, done: int = 0) -> Iterator[Advance]:
     start, before = time.monotonic(), done
     shown_s = start
     if done and not console.is_terminal:
-        console.print(f"{title}: {done} of {total} done before", markup=False)
+        console.print(f"{title}: {done} of {total} already done", markup=False)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(title, total=total, completed=done)
 

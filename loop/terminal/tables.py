@@ -61,6 +61,11 @@ def markdown(columns: Iterable[str], rows: Rows, align: str = "lr") -> str:
     return "\n".join(f"| {' | '.join(map(str, row))} |" for row in (names, rules, *rows))
 
 
+def counted(count: int, noun: str) -> str:
+    """A number of things, such as "1 object" and "2 objects"."""
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"
+
+
 def number(value: float | None, form: str = "g", unit: str = "") -> str:
     """A number in a form such as `.2f`; a dash where there is none."""
     return "–" if value is None or math.isnan(value) else f"{value:{form}}{unit}"

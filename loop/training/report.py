@@ -54,9 +54,9 @@ def page(report: Report) -> str:
     kept = ", ".join(f"{name} {number(value)}" for name, value in alone["kept_by_class"].items())
     by_class = ", ".join(f"{name} {number(value)}" for name, value in found["recall_by_class"].items())
     rows = ((name, limit, number(value), "yes" if reached else "no") for name, limit, value, reached in goals(report))
-    others = "; ".join(f"{number(each['recall'])} at {each['false_a_frame']:g} with {each['score']:g}" for each in report["by_score"])
+    others = "; ".join(f"{number(each['recall'])} at {each['false_a_frame']:g} ({each['score']:g})" for each in report["by_score"])
     right = ", ".join(
-        f"{number(each['right'])} of {each['boxes']} with {each['from']:g} to {each['to']:g} ({number(each['score'])} in the mean)"
+        f"{number(each['right'])} of {each['boxes']} boxes with scores of {each['from']:g} to {each['to']:g} (mean {number(each['score'])})"
         for each in report["right"]
     )
     learnt = training["scenes"] - training["calibrated_on"]
@@ -68,28 +68,33 @@ def page(report: Report) -> str:
     medians = ((name, *(number(each, ".2f") for each in of["median"])) for name, of in curves.items())
     return f"""Trained on {report["date"]} on {learnt or training["scenes"]} scenes, {training["epochs"]} epochs \
 ({training["examples"]} examples), seed {training["seed"]}{f" ({minutes})" if minutes else ""}; calibrated on {asked}; \
-judged on {report["scenes"]} others with {found["objects"]} objects, which share no object with them.
+judged on {report["scenes"]} other scenes with {found["objects"]} objects, none of which occurs in the training scenes.
 
 {tables.markdown(("", "goal", "measured", "reached"), rows, "llrl")}
 
-An object counts where it is at least {HEIGHT_PX} px tall and {VISIBLE:.0%} visible. It is found by a box of a score of at least \
-{report["sure"]:g} whose IoU with it is {FOUND_IOU:g} or more; a box on nothing is false, one on a smaller or more hidden object neither. \
-Precision is {found["precision"]:g}, the class of what is found is right in {number(found["class_accuracy"], ".1%")}, recall by class: \
-{by_class}. \
-Recall at false boxes a frame with other scores: {others}. A frame takes {report["ms_a_frame"]:g} ms of processor time.
+Objects count if they are at least {HEIGHT_PX} px tall and {VISIBLE:.0%} visible. An object is found if a box with a score of at least \
+{report["sure"]:g} has an IoU of {FOUND_IOU:g} or more with it. A box on no object is a false positive; a box on a smaller or more \
+occluded object counts neither way. Precision is {found["precision"]:g}, and {number(found["class_accuracy"], ".1%")} of the found \
+objects have the right class. Recall by class: {by_class}.
 
-Scores are shares of boxes that are right (a slope of {training["slope"]:g} and a shift of {training["shift"]:g} of the logits, found in \
-light of {JUDGED_LX:g} lx and in object-based light). On the scenes held out, at {JUDGED_LX:g} lx, right are {right}.
+Recall at false positives a frame, for other thresholds of the score (in brackets): {others}. \
+A frame takes {report["ms_a_frame"]:g} ms of processor time.
 
-x lx is light of which every surface that faces the lamps gets x lx, however far away it is: the lamps' intensity grows with the square \
-of the distance. Confidence against illuminance, below, is that of scenes without any other light; *at night*, as all else here, there is \
-the light of each scene's night besides: the sky, street lamps, and other cars' lamps, which show many objects without the headlamps. An \
-object's confidence is the best score of its class among boxes on it, 0 where there is none.
+The score of a box estimates the probability that it is right (with a slope of {training["slope"]:g} and a shift of {training["shift"]:g} \
+of the logits, fitted in light of {JUDGED_LX:g} lx and in object-based light).
+
+Share of right boxes on the scenes held out, at {JUDGED_LX:g} lx: {right}.
+
+*x lx* means that every surface that faces the lamps gets x lx at any distance: the lamps' intensity grows with the square \
+of the distance. The curves of confidence against illuminance are for scenes without other light. *At night*, and for all other figures, \
+the scene also has its own light: the sky, street lamps, and other cars' lamps, which show many objects without the headlamps. An \
+object's confidence is the best score of its class among the boxes on it, or 0 without a box.
 
 Object-based light is {ALONE_LX:g} lx on objects amid {AROUND_LX:g} lx, with heads and windscreens roughly as dark as `object_based` \
-leaves them by default. Of {alone["objects"]} objects that are found in full light of {ALONE_LX:g} lx everywhere the confidence falls \
-by no more than {AGREE:g} in {number(alone["kept"], ".0%")} ({kept}); its median change is {number(alone["median_change"], "+g")}. \
-Near 1 the same loss of certainty is a smaller one of confidence: from 0.99 to 0.94 it is as large as from 0.5 to 0.14.
+leaves them by default. Of {alone["objects"]} objects that are found in full light of {ALONE_LX:g} lx everywhere, \
+{number(alone["kept"], ".0%")} lose no more than {AGREE:g} of confidence ({kept}); the median change is \
+{number(alone["median_change"], "+g")}. Near 1 the same change of the logit is a smaller change of confidence: from 0.99 to 0.94 it is as \
+large as from 0.5 to 0.14.
 
 {tables.markdown(("median confidence at lx", *(f"{each:g}" for each in lx)), medians)}
 """

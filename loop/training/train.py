@@ -36,7 +36,7 @@ def train(out: Path, number: int, held_out: int, epochs: int, seed: int, process
     """
     for key, value in (("scenes", number), ("held-out", held_out), ("epochs", epochs)):
         if value < 1:
-            raise LuxloopError(f"--{key} {value}: nothing can be learnt from that; give 1 or more")
+            raise LuxloopError(f"--{key} {value}: too few; give 1 or more")
     if seed < 0:
         raise LuxloopError(f"--seed {seed}: a seed is 0 or more")
     executor = local(processes)
@@ -52,7 +52,7 @@ def train(out: Path, number: int, held_out: int, epochs: int, seed: int, process
         except OSError as error:
             raise LuxloopError(f"{out}: a scene cannot be read ({error}); remove {out / JOBS}, so that all are drawn again") from error
         except KeyboardInterrupt as error:
-            kept = f"all scenes are kept in {out}, the same command trains from its start"
+            kept = f"all scenes are stored in {out}, the same command trains from its start"
             raise KeyboardInterrupt(kept) from error
         report = {"date": datetime.date.today().isoformat(), "training": training, "camera": scenes.CAMERA.model_dump(), **found}
         store(detector, report, out)

@@ -30,7 +30,7 @@ def opened(params: OnnxParams) -> cv2.dnn.Net:
         # the classic engine gives outputs in another order
         return cv2.dnn.readNetFromONNX(params.file, cv2.dnn.ENGINE_NEW)
     except cv2.error as error:
-        raise LuxloopError(f"detector.file: {params.file}: OpenCV cannot read it ({said(error)}); export it anew") from error
+        raise LuxloopError(f"detector.file: {params.file}: OpenCV cannot read it ({said(error)}); export it again") from error
 
 
 def said(error: Exception) -> str:
@@ -52,7 +52,7 @@ def _sound(file: str) -> "onnx.ModelProto":
         onnx.checker.check_model(file)
         return onnx.load(file, load_external_data=False)
     except (OSError, DecodeError, UnicodeDecodeError, onnx.checker.ValidationError) as error:
-        raise LuxloopError(f"detector.file: {file}: is no sound ONNX file ({said(error)}); export it anew") from error
+        raise LuxloopError(f"detector.file: {file}: is not a valid ONNX file ({said(error)}); export it again") from error
 
 
 def _check(model: "onnx.ModelProto", params: OnnxParams) -> None:
@@ -96,7 +96,7 @@ def _most_numbers(model: "onnx.ModelProto", where: str) -> int:
     try:
         graph = infer_shapes(model, data_prop=True).graph
     except (InferenceError, UnicodeDecodeError) as error:
-        raise LuxloopError(f"{where}: its layers do not fit each other ({said(error)}); export it anew") from error
+        raise LuxloopError(f"{where}: its layers do not fit each other ({said(error)}); export it again") from error
     shapes = (each.type.tensor_type.shape.dim for each in (*graph.value_info, *graph.output))
     return max((math.prod(size.dim_value for size in shape) for shape in shapes), default=0)
 

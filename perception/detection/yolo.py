@@ -61,7 +61,7 @@ def _plausible(boxes: Tensor, scores: Tensor) -> None:
 def _by_class(scores: Tensor, numbers: Tensor) -> Tensor:
     """Scores `[n, C]` of boxes of one class each, from those scores and the classes' numbers `[n]`."""
     if len(numbers) and not (_whole(numbers) and numbers.min() >= 0 and numbers.max() < MOST_CLASSES):
-        raise ValueError("the sixth number of each box is no class's number")
+        raise ValueError("the sixth number of each box is not a class number")
     return scores[:, None] * one_hot(numbers.long(), int(max(numbers.tolist(), default=0)) + 1)
 
 

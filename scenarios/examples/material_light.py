@@ -1,6 +1,6 @@
 """How near light by material comes to what is wanted: `python material_light.py [LAMP]`, of the scenario `materials`.
 
-It imports from the inside of luxloop, which may change.
+It imports from internal packages of luxloop, which may change.
 """
 
 import sys

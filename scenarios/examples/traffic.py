@@ -1,6 +1,6 @@
 """The pictures and times of docs/traffic.md: `python traffic.py pictures`.
 
-It imports from the inside of luxloop, which may change.
+It imports from internal packages of luxloop, which may change.
 """
 
 import sys

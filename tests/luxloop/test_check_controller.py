@@ -57,6 +57,17 @@ class NotANumber(Halfway):
         return State(state.pose - self.share * observation.measurement.pose_error)
 
 
+class NoEgo(Halfway):
+    def projection(self, state: State, ego: Any) -> ProjectionCommand:
+        return ProjectionCommand(state.pose - ego[0] if ego else state.pose)
+
+
+class AlwaysMeasured(Halfway):
+    def projection(self, state: State, ego: Any) -> ProjectionCommand:
+        pitched = torch.cat([state.pose[:3], state.pose[3:] - ego.attitude[2]]) if ego else state.pose
+        return ProjectionCommand(pitched)
+
+
 class NeedsFrames(Halfway):
     def step(self, state: State, observation: Observation) -> State:
         on, _ = observation.frames
@@ -162,12 +173,14 @@ BROKEN: dict[Any, list[str]] = {
     FarAway: ["x 117 and y 100 m, where no lamp can draw", "subtract a share"],
     Adding: ["moves the symbol away", "subtract a share of observation.measurement.pose_error"],
     NotANumber: ["in a step without frames", "pose is not finite, [nan, nan, nan, nan]", "observation.measurement.code != Loss.SEEN"],
-    NeedsFrames: ["in a step without frames (observation.frames is None)", "step fails at", "test_check_controller.py, line", "mend it"],
+    NoEgo: ["on a car that moves: ", "projection fails at", "'Ego' object is not subscriptable"],
+    AlwaysMeasured: ["on a car of which nothing measures attitude and rates", "pose is not finite", "use nan_to_num()"],
+    NeedsFrames: ["in a step without frames (observation.frames is None)", "step fails at", "test_check_controller.py, line"],
     NeedsSymbol: ["in a step whose frames do not show the symbol", "step fails at", "IndexError"],
-    InPlace: ["step changes state.pose, which it was given", "dataclasses.replace"],
-    SpoilsTheLook: ["in a step without frames", "step changes observation.measurement.", "which it was given"],
+    InPlace: ["step changes state.pose, which was passed to it", "dataclasses.replace"],
+    SpoilsTheLook: ["in a step without frames", "step changes observation.measurement.", "which was passed to it"],
     Counting: ["step gives another state.steps", "same state and observation", "not in self"],
-    Buffered: ["step changes state.pose, which it gave before", "clone()"],
+    Buffered: ["step changes state.pose, which it returned before", "clone()"],
     Dithering: ["projection gives another projection.pose", "same state", "seed random numbers"],
     StateIsSelf: ["start gives a state that cannot be saved", "state.law is of the type StateIsSelf", "frozen dataclass"],
     Double: ["pose is float64 [4]", "it must be a tensor float32 [4]", "new_tensor"],
@@ -215,5 +228,5 @@ def test_options_are_those_of_the_scenario(device: torch.device) -> None:
 
 
 def test_an_instance_is_refused() -> None:
-    with pytest.raises(LuxloopError, match="is no class; give the class itself"):
+    with pytest.raises(LuxloopError, match="is not a class; give the class itself"):
         check_controller(Halfway(None))  # type: ignore[arg-type]

@@ -32,6 +32,10 @@ class Nothing(Brightest):
         return Detections(frame.new_zeros(0, 4), frame.new_zeros(0, 1))
 
 
+class OfBytes(Nothing):
+    classes = ("car",)
+
+
 class AsShares(Brightest):
     def found(self, frame: Tensor) -> Detections:
         found = super().found(frame)
@@ -122,7 +126,7 @@ BROKEN: dict[Any, list[str]] = {
     MeanOfAll: ["something else in a frame where others are beside it", "by itself"],
     Remembering: ["another detections[0].scores", "same frames", "keep nothing in self"],
     Lazy: ["gives a generator", "a list with one luxloop.Detections a frame"],
-    InPlace: ["changes frames, which it was given"],
+    InPlace: ["changes frames, which was passed to it"],
     NoneInTheDark: ["'NoneType' object has no attribute 'boxes'"],
 }
 
@@ -148,6 +152,11 @@ class Network:
 @pytest.mark.parametrize("kept", [Brightest, Nothing, Network])
 def test_what_keeps_the_contract_passes(kept: Any, device: torch.device) -> None:
     check_detector(kept, device=device.type)
+
+
+def test_a_detector_of_cars_that_finds_none_is_told_what_frames_are(device: torch.device) -> None:
+    with pytest.warns(UserWarning, match=r"nothing found in 3 frames, .*; frames are shares 0\.\.1 of the largest number"):
+        check_detector(OfBytes, device=device.type)
 
 
 def test_options_are_those_of_the_scenario(device: torch.device) -> None:

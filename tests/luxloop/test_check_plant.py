@@ -37,6 +37,14 @@ class Kept:
         return frame
 
 
+class Warming(Kept):
+    """Keeps the light that it showed last."""
+
+    def show(self, state: Any, exposure: Exposure) -> Any:
+        (inner, _), arrivals = super().show((state[0], ()), exposure)
+        return (inner, exposure.lights), arrivals
+
+
 class Losing(Kept):
     def made(self, frame: Frame, exposure: Exposure) -> Frame:
         return frame if frame.number % 3 else Frame(frame.number, math.nan, math.nan, None)
@@ -73,7 +81,7 @@ class Sampling(Kept):
         return replace(arrivals, frames=frames, samples=self.samples(arrivals.time_s, frames[0].image[0, :3] if frames else torch.zeros(3)))
 
 
-@pytest.mark.parametrize("kept", [Kept, Losing, Dropping, Slow, Sampling])
+@pytest.mark.parametrize("kept", [Kept, Warming, Losing, Dropping, Slow, Sampling])
 def test_what_keeps_the_contract_passes(kept: Any, device: torch.device) -> None:
     check_plant(kept, device=device.type)
 
@@ -107,6 +115,18 @@ class PlainTuple(Kept):
 class LockedState(Kept):
     def start(self) -> Any:
         return (super().start()[0], count()), Arrivals(0.0)
+
+
+class StateInSelf(Kept):
+    """Hands on no state, which a simulated camera that is not late does not miss."""
+
+    def start(self) -> Any:
+        self.state, arrivals = self.inner.start()
+        return None, arrivals
+
+    def show(self, state: Any, exposure: Exposure) -> Any:
+        self.state, arrivals = self.inner.show(self.state, exposure)
+        return None, arrivals
 
 
 class QueueInSelf(Kept):
@@ -285,10 +305,11 @@ BROKEN: dict[Any, list[str]] = {
     ArrivalsAlone: ["show: gives Arrivals", "return the state and luxloop.Arrivals"],
     PlainTuple: ["show: gives (tuple, tuple)", "as (state, arrivals)"],
     LockedState: ["start gives a state that cannot be saved: state[1] is of the type count", "frozen dataclass"],
+    StateInSelf: ["another (state, arrivals)[1].frames", "same state and exposure", "in the state and not in self"],
     QueueInSelf: ["when an earlier state is shown its exposure again after others", "in the state and not in self"],
-    OneBuffer: ["changes (state, arrivals)[1].frames[0].image, which it gave before", "with clone()"],
+    OneBuffer: ["changes (state, arrivals)[1].frames[0].image, which it returned before", "with clone()"],
     Unseeded: ["another (state, arrivals)[1].frames[0].image", "same state and exposure", "seed random numbers anew"],
-    DimsInPlace: ["changes exposure.lights[0].u, which it was given", "without operations in place"],
+    DimsInPlace: ["changes exposure.lights[0].u, which was passed to it", "without operations in place"],
     StandsStill: ["gives the time_s 0 after an exposure that began at 0 s", "exposure.start_s + exposure.duration_s"],
     NoTime: ["gives the time_s nan; give the plant's time in s"],
     List: ["no tuple of luxloop.Frame", "or () where none has come"],
@@ -307,7 +328,7 @@ BROKEN: dict[Any, list[str]] = {
     Luminance: ["no whole numbers; it may hold a luminance: give digital numbers of 0 to 4095"],
     SixteenBits: ["digital numbers of camera.bits = 12 are 0 to 4095"],
     LostAsNothing: ["has an image that is not finite; a frame that is lost has the image None"],
-    Silent: ["of 24 exposures no frame has come, nor word that it is lost"],
+    Silent: ["no frame of 24 exposures has arrived or been reported lost"],
     Pairs: ["gives samples that are no tuple of luxloop.Sample", "or leave them out"],
     Radar: ["gives a sample of 'wheel'", "did you mean 'wheels'"],
     TwoRates: ["sample of gyro: has values that are a torch.float32 [2]", "give a tensor [3], torch.float32 on"],
@@ -344,5 +365,5 @@ def test_options_are_those_of_the_scenario(device: torch.device) -> None:
     check_plant(Dimmed, {"share": 0.6}, device.type)
     with pytest.raises(LuxloopError, match=r"plant\.options\.shar: .*did you mean 'share'\?"):
         check_plant(Dimmed, {"shar": 0.6}, device.type)
-    with pytest.raises(LuxloopError, match="is no class; give the class itself"):
+    with pytest.raises(LuxloopError, match="is not a class; give the class itself"):
         check_plant(3, device=device.type)  # type: ignore[arg-type]

@@ -76,8 +76,13 @@ def test_overrides_of_a_loaded_scenario_are_refused(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+def test_overrides_in_the_place_of_the_folder_are_named() -> None:
+    with pytest.raises(LuxloopError, match=r"folder is a list, not a path; give other values of keys as overrides=\[\.\.\.\]"):
+        luxloop.run("snowflake", ["road.kind=bumps"])  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_pages_and_examples_import_from_the_door_or_say_that_they_do_not(page: Path) -> None:
     text = page.read_text("utf-8")
     inside = re.search(r"^(?:from|import) (?:world|perception|controllers|loop)\b", text, re.M)
-    assert bool(inside) == bool(re.search(r"\binside\b.*, which may change", text)), f"{page.name} imports from the inside: {inside}"
+    assert bool(inside) == bool(re.search(r"\binternal\b.*\bmay change", text)), f"{page.name} imports internal packages: {inside}"

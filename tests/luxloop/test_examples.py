@@ -1,13 +1,16 @@
 """The examples of parts of one's own keep their contracts and do what docs/examples.md says of them."""
 
+import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
+import torch
 
 from loop.run import prepare
 from loop.scenario.model import load
-from luxloop import check_controller
+from luxloop import ProjectionCommand, check_controller
 
 EXAMPLES = Path(__file__).parents[2] / "scenarios" / "examples"
 SETTLED = 10  # steps
@@ -38,6 +41,31 @@ def test_what_is_drawn_for_the_body_s_motion_lies_better_than_a_correction_of_th
 
 def test_the_interaction_matrix_is_learnt_in_five_steps() -> None:
     assert min(ious("snowflake", "visual_servo:VisualServo", 9)[5:]) > 0.88, "0.91 over three seeds; a frame of noise costs 0.01"
+
+
+def test_what_the_body_s_motion_explains_of_a_pose_error_is_taken_out_as_interfaces_md_shows() -> None:
+    (code,) = re.findall(r"^```python\n(.*?)^```", (EXAMPLES.parents[1] / "docs" / "interfaces.md").read_text("utf-8"), re.M | re.S)
+    shown: dict[str, Any] = {}
+    exec(code, shown)
+    changes = ["steps=8", "road.kind=flat", "vehicle.oscillation={pitch_deg=0.1, rate_hz=1.2}", "sensors={fitted=['wheels', 'attitude']}"]
+    simulation = prepare(load("driving", changes), "cpu")
+    seen: list[torch.Tensor] = []
+
+    class Still:
+        def start(self, pose: torch.Tensor) -> torch.Tensor:
+            return pose
+
+        def projection(self, state: torch.Tensor, ego: Any) -> ProjectionCommand:
+            return ProjectionCommand(state)
+
+        def step(self, state: torch.Tensor, observation: Any) -> torch.Tensor:
+            own = shown["ground_error"](simulation.symbol.sensor, observation)
+            seen.append(torch.stack([own, observation.measurement.pose_error])[:, 0])
+            return state
+
+    truth = [float(step.symbol.verdict.centroid_percent[0]) / 100 for step in simulation.with_controller(Still()).run()]
+    off = (torch.stack(seen) / simulation.symbol.projector.params.length_m - torch.tensor(truth)[:, None]).abs().amax(0)
+    assert off[0] < 0.04 and off[1] > 3 * off[0], f"share of the symbol's length: its own motion is left out, {off}"
 
 
 def test_the_tracker_keeps_whom_the_detector_finds() -> None:

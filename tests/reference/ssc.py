@@ -65,7 +65,7 @@ def ray_through(headlight: Headlight, row: float, col: float) -> Array:
 
 
 def trace(primitives: Primitives, headlight: Headlight, T_world_headlight: Array, asked: Asked | None = None) -> list[Ray]:
-    """The setpoint of the ray through every texel's centre, row by row, for a single scene (7.3.3), (7.2.1)."""
+    """The setpoint of the ray through every texel's centre, row by row, for a single scene (T eq. 7.2.1 and 7.3.3)."""
     texels = [(row, col) for row in range(headlight.rows) for col in range(headlight.cols)]
     return [_cast(primitives, headlight, T_world_headlight, row, col, asked) for row, col in texels]
 
@@ -187,7 +187,7 @@ def _masked_at(origin: Array, d1: Array, d2: Array, normal: Array, headlight: He
 
 
 def map_reduce(I_m: Array, rays: list[Ray], params: MrpcParams, u_def: Array, cols: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Utilisation `[n_p]` from a dense headlight matrix `[n_t, n_p]` and the rays of its texels, (7.4.1) to (7.4.5).
+    """Utilisation `[n_p]` from a dense headlight matrix `[n_t, n_p]` and the rays of its texels, T eq. 7.4.1 to 7.4.5.
 
     Also which pixels have an entry so near to the threshold a_x that a rounding may decide. cols: the texture's columns.
     """

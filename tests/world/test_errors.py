@@ -10,7 +10,16 @@ KNOWN = ("zones", "flat", "gfhb", "belgian_block", "kp")
 
 
 @pytest.mark.parametrize(
-    ("given", "meant"), [("zone", "zones"), ("Flat", "flat"), ("gfbh", "gfhb"), ("belgian", "belgian_block"), ("kq", "kp"), ("flt", "flat")]
+    ("given", "meant"),
+    [
+        ("zone", "zones"),
+        ("Flat", "flat"),
+        ("gfbh", "gfhb"),
+        ("belgian", "belgian_block"),
+        ("kq", "kp"),
+        ("flt", "flat"),
+        ("bel", "belgian_block"),
+    ],
 )
 def test_one_slip_is_recognised(given: str, meant: str) -> None:
     assert did_you_mean(given, KNOWN) == f"did you mean {meant!r}?"

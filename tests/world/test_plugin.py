@@ -1,6 +1,8 @@
 """Parts of the user's own are found by name, and what is wrong with them is said in one sentence."""
 
 import copy
+import os
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -79,8 +81,8 @@ def test_a_class_makes_a_part() -> None:
         ("no_such_parts:Part", {}, ["No module named 'no_such_parts'", "PYTHONPATH"]),
         ("broken_parts:Part", {}, ["importing broken_parts fails at ", "broken_parts.py, line 1 (ZeroDivisionError"]),
         ("half_written_parts:Part", {}, ["importing half_written_parts fails", "SyntaxError", "line 1"]),
-        ("own_parts:Port", {}, ["own_parts has no Port"]),
-        ("own_parts:helper", {}, ["helper is no class"]),
+        ("own_parts:Port", {}, ["own_parts has no Port; did you mean 'Part'?"]),
+        ("own_parts:helper", {}, ["helper is no class; known are Part, Shared, "]),
         (
             "own_parts:OfFile",
             {"file": "no.csv"},
@@ -103,6 +105,9 @@ def test_what_is_wrong_is_said_in_a_sentence(name: str, options: dict[str, Any],
     [
         ("own_parts:Part", {"shore": 1}, "road.options.shore: own_parts:Part has no option of this name; did you mean 'share'?"),
         ("own_parts:Part", {"a": 1}, "road.options.a: own_parts:Part has no option of this name; known are share"),  # 'a' is the place
+        ("own_parts:Part", {"share": "0,3"}, "road.options.share: is the text '0,3'; write 0.3"),
+        ("own_parts:Part", {"share": "much"}, "road.options.share: is the text 'much'; write a number"),
+        (f"{__name__}:Checked", {"share": "0,3"}, "road.options.share: is the text '0,3'; write 0.3"),
         ("own_parts:Shared", {}, "road.options.share: is missing, and own_parts:Shared has no default for it; add it"),
         (
             "own_parts:Bare",
@@ -132,7 +137,7 @@ def test_what_takes_any_option_gets_them_all() -> None:
 
 
 def test_options_that_a_model_refuses_are_told_in_one_line() -> None:
-    with pytest.raises(LuxloopError, match=r"road\.options fails \(share: Input should be greater than 0\); mend it$"):
+    with pytest.raises(LuxloopError, match=r"road\.options fails \(share: Input should be greater than 0\)$"):
         plugin.make(plugin.Name(f"{__name__}:Checked"), "road.kind", {}, {"share": -1}, ())
 
 
@@ -146,6 +151,18 @@ def test_a_method_that_fails_is_said_as_init_is() -> None:
     with pytest.raises(LuxloopError, match="work fails at"):
         again.work()
     assert copy.copy(made).a == 3
+
+
+def test_a_class_of_the_main_program_is_placed_as_well(tmp_path: Path) -> None:
+    """As in a script or a notebook."""
+    (file := tmp_path / "script.py").write_text(
+        "from world import plugin\n\nclass Part:\n    def work(self):\n        return None.frames\n\n"
+        "plugin.made(Part, plugin.Name('__main__:Part'), 'road.kind', {}, {}).work()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, file], env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, capture_output=True, text=True
+    )
+    assert f"work fails at {file}, line 5 (AttributeError: 'NoneType' object has no attribute 'frames')" in done.stderr
 
 
 def test_what_is_no_such_class_is_not_called(tmp_path: Path) -> None:

@@ -96,7 +96,7 @@ def test_a_still_picture_is_the_same_at_any_time() -> None:
     [
         ("a.png", b"no picture", "cannot be read as a picture"),
         ("a.png", b"", "cannot be read as a picture"),
-        ("a.svg", b"<svg", "no SVG that can be drawn"),
+        ("a.svg", b"<svg", "is not a valid SVG"),
         ("a.svg", SVG.format("black").encode(), "all black"),
         ("a.mp4", b"no video", "convert it to H.264"),
         ("a.txt", b"hello", "cannot be read as a picture"),

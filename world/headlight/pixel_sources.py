@@ -45,7 +45,7 @@ class FolderSource(Params):
     def pixels(self) -> PixelArray:
         """Read all files. Raises LuxloopError that names the folder, and the file that is missing, one too many or broken."""
         if not os.path.isdir(self.path):
-            raise LuxloopError(f"{self.path}: is no folder; give one that holds a photometric file for each pixel")
+            raise LuxloopError(f"{self.path}: is not a folder; give one that holds a photometric file for each pixel")
         files = sorted((path for path in self.path.iterdir() if path.suffix.lower() in SUFFIXES), key=_natural)
         files = self._in_order(files) if self.pattern is None else self._by_place(files, self.pattern)
         return PixelArray([Pixel(read(path).distribution) for path in files], self.rows, self.columns, self.aim)

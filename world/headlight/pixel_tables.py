@@ -120,7 +120,7 @@ def _csv_columns(path: Path) -> Mapping[str, Array]:
         columns = {name: table.column(i).cast(pa.float64()).to_numpy() for i, name in enumerate(names) if name in KNOWN}
     except (pa.ArrowException, UnicodeDecodeError) as error:
         reason = str(error).split("\n")[0]
-        raise LuxloopError(f"{path}: is no table of numbers ({reason}); the first line must name {CSV_FORM}") from error
+        raise LuxloopError(f"{path}: is not a table of numbers ({reason}); the first line must name {CSV_FORM}") from error
     twice = next((name for name in columns if names.count(name) > 1), None)
     if twice is not None:
         raise LuxloopError(f"{path}: has two columns {twice}; remove one")

@@ -74,7 +74,7 @@ class Header(Params):
         for what, names in (("module", [module.name for module in self.modules]), ("beam", [*self.beams, *ALWAYS])):
             twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
             if twice is not None:
-                raise ValueError(f"{what} {twice!r} is there twice" + " (every lamp has it)" * (what == "beam" and twice in ALWAYS))
+                raise ValueError(f"{what} {twice!r} occurs twice" + " (every lamp has it)" * (what == "beam" and twice in ALWAYS))
         return self
 
 
@@ -154,7 +154,7 @@ def _luxloop_version() -> str:
 
 def _header(path: Path, arrays: Arrays) -> Header:
     if "header" not in arrays:
-        raise LuxloopError(f"{path}: no lamp file of luxloop, for it has no header; give a file that `luxloop headlight build` wrote")
+        raise LuxloopError(f"{path}: not a lamp file of luxloop, as it has no header; give a file that `luxloop headlight build` wrote")
     text = arrays["header"].tobytes()
     try:
         stamp = _Stamp.model_validate_json(text)

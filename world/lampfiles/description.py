@@ -35,7 +35,7 @@ class BeamsParams(Params):
 
     default: bool = Field(False, description="fit the default beams (low, high and others) to the pixels")
     given: dict[str, dict[str, Path]] = Field(
-        {}, description="beams of your own: utilisations (.npy, .csv or .png) by names of beam and module; modules left out are dark"
+        {}, description="your own beams: utilisations (.npy, .csv or .png) by names of beam and module; modules left out are dark"
     )
 
 

@@ -29,7 +29,7 @@ class OwnRoad(RoadModel):
         places = np.broadcast_shapes(x.shape, y.shape)
         heights = np.asarray(self.road.z(x, y))
         if heights.dtype.kind not in "fiu" or not np.isfinite(heights).all():
-            raise LuxloopError(f"road.kind: {self.kind}: z gives what is no finite number; give a height in m everywhere")
+            raise LuxloopError(f"road.kind: {self.kind}: z gives values that are not finite; give a height in m everywhere")
         try:
             return np.array(np.broadcast_to(heights, places), np.float64)
         except ValueError as error:

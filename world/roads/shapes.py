@@ -246,7 +246,7 @@ class Mixed(RoadModel):
         lowest, highest = bumps_m
         if not -0.5 <= lowest <= 0 <= highest <= 0.5:
             raise ValueError(
-                f"[{lowest}, {highest}] is no range of heights about zero; give [lowest, highest], as [-0.015, 0.025], at most 0.5"
+                f"[{lowest}, {highest}] is not a range of heights about zero; give [lowest, highest], as [-0.015, 0.025], at most 0.5"
             )
         return bumps_m
 

@@ -42,7 +42,7 @@ class SymbolParams(Params):
     @model_validator(mode="after")
     def _a_share_is_at_most_one(self) -> Self:
         if self.quantity == "u_abs" and self.value > 1:
-            raise ValueError(f"value: {self.value:g} is no share; give at most 1, or name the quantity I_v (cd) or E_v (lx)")
+            raise ValueError(f"value: {self.value:g} is not a share; give at most 1, or name the quantity I_v (cd) or E_v (lx)")
         return self
 
 

@@ -24,11 +24,12 @@ ENDS = 0.1  # of a footprint's rows, at its near and its far end
 class Measurement:
     """One look at the symbol.
 
-    code: `[...]` int64, a `Loss`. errors: `[..., 4]`, e_x, e_y, e_roll, e_pitch in the units of the features, valid where it is seen.
-    pose_error: `[..., 4]`, the same in m and rad of x, y, roll, pitch, each divided by its plant gain. area_ratio: `[...]`, seen to
-    expected. appearance: five centroids and second moments. symbol: `[..., h, w]` in 0..1, the lit share of each pixel, cut from the
-    camera's image at crop. crop: where that is, px. shape: `[4]` of the road on which it was looked for, see
-    `controllers.symbol.sensing.shape`, None for the flat one. acquired: what a search of the whole image found, None where there was no
+    code: `[...]` int64, a `Loss`. errors: `[..., 4]`, e_x, e_y, e_roll, e_pitch in the units of the features, valid where it is seen; seen
+    minus the flat model's target, which is fixed to the body, so that on a body that moves a symbol at its place on the ground has errors
+    as well, which the motion in `Shown` explains. pose_error: `[..., 4]`, the same in m and rad of x, y, roll, pitch, each divided by its
+    plant gain. area_ratio: `[...]`, seen to expected. appearance: five centroids and second moments. symbol: `[..., h, w]` in 0..1, the lit
+    share of each pixel, cut from the camera's image at crop. crop: where that is, px. shape: `[4]` of the road on which it was looked for,
+    see `controllers.symbol.sensing.shape`, None for the flat one. acquired: what a search of the whole image found, None where there was no
     search.
     """
 

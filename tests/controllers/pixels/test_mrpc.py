@@ -1,4 +1,4 @@
-"""Map and reduce against the plain sums of (7.4.1) and (7.4.5), entry by entry."""
+"""Map and reduce against the plain sums of T eq. 7.4.1 and 7.4.5, entry by entry."""
 
 from dataclasses import replace
 

@@ -44,7 +44,7 @@ def wanted() -> torch.Tensor:
 
 
 def plainly(I_m: Array, s: Array, trial: Trial) -> Array:
-    """(7.4.1), (7.4.3), (7.4.5) texel by texel; s: `[rows, cols]`."""
+    """T eq. 7.4.1, 7.4.3 and 7.4.5 texel by texel; s: `[rows, cols]`."""
     n_t, n_p = I_m.shape
     cols = s.shape[1]
     s = s.ravel()

@@ -107,6 +107,17 @@ def test_observers_go_with_their_primitives() -> None:
     assert concatenate(board(10), board(11)).observer is None
 
 
+def test_vectors_may_be_sequences_and_take_the_precision_of_the_tensors_beside_them() -> None:
+    for like in (torch.float32, torch.float64):
+        corner = torch.tensor([10.1, 1.0, 0.0], dtype=like)
+        beside = (torch.tensor([0.0, -1.7, 0.0], dtype=like), torch.tensor([-2.0, 0.0, 0.0], dtype=like))
+        listed = rectangle(corner, [0, -1.7, 0], (-2, 0, 0), 1.0, normal=[0, 0, 3])
+        made = rectangle(corner, *beside, 1.0, normal=corner.new_tensor([0, 0, 3]))
+        for name in ("origin", "d1", "d2", "normal"):
+            assert getattr(listed, name).dtype == like and getattr(listed, name).equal(getattr(made, name))
+    assert rectangle([10, 1, 0], [0, -2, 0], [-2, 0, 0], 1.0).origin.dtype == torch.float32
+
+
 def test_a_normal_of_any_length_is_normalised() -> None:
     assert board(10, normal=torch.tensor([-3.0, 0.0, 4.0])).normal.tolist() == [[-0.6, 0.0, 0.8]]
     np.testing.assert_allclose(board(10).normal, [[1, 0, 0]])

@@ -236,7 +236,7 @@ def test_lamps_that_are_not_there_are_named(name: str, words: str) -> None:
 @pytest.mark.parametrize(
     ("angles", "words"),
     [
-        (np.linspace(-60, 60, 121), "cannot be told from noise"),
+        (np.linspace(-60, 60, 121), "cannot be distinguished from noise"),
         (np.linspace(-60, 60, 13), "is out of the lamps' reach, or the symbol is too small for their pixels"),  # it falls between texels
     ],
 )

@@ -114,7 +114,7 @@ def test_the_command_leaves_what_a_scenario_plays(tmp_path: Path, capsys: pytest
     ("arguments", "complaint"),
     [
         (["gfhb", "--energy", "-1"], "energy"),
-        (["gfhb", "--steps", "0"], "nothing can be found"),
+        (["gfhb", "--steps", "0"], "--steps 0: too few"),
         (["zones", "--metric", "edges"], r"zones\.toml: objects: none with a category"),
         (["gfhb", "--metric", "edges", "--out", f"{__file__}/beam"], r"^error: .*beam: cannot be written \(Not a directory\)"),
     ],

@@ -187,7 +187,7 @@ def test_several_errors_have_a_line_each(lux: Lux, command: str) -> None:
         ("run small.toml --set road.kind=opencrg road.file=short.crg", ["short.crg", "truncated"]),
         ("run mesh.toml --set road.kind=flat", ["none.obj", "no such mesh"]),
         ("run badmesh.toml", ["text.stl", "triangles"]),
-        ("run small.toml --set camera.yaw_deg=90", ["functions.symbol: the target at x_m = 17", "camera's sight"]),
+        ("run small.toml --set camera.yaw_deg=90", ["functions.symbol: the target at x_m = 17", "camera's view"]),
         (
             "run small.toml --set functions.symbol.y_m=-9 camera.yaw_deg=-26",
             ["functions.symbol: the target at x_m = 17, y_m = -9", "lamps' reach"],

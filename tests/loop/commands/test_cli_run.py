@@ -84,8 +84,8 @@ def test_failure_in_the_midst_keeps_the_steps_and_says_why(lux: Lux, tmp_path: P
 
     def run(simulation: Simulation):  # type: ignore[no-untyped-def]
         yield next(steps(simulation))
-        raise LuxloopError("the lamp is broken; mend it")
+        raise LuxloopError("the lamp is broken; correct it")
 
     monkeypatch.setattr(Simulation, "run", run)
-    assert lux("run", "small.toml", "--no-video") == (2, "", "error: the lamp is broken; mend it\n")
+    assert lux("run", "small.toml", "--no-video") == (2, "", "error: the lamp is broken; correct it\n")
     assert len(pd.read_parquet(tmp_path / "runs" / "small" / "trajectory.parquet")) == 1

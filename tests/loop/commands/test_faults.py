@@ -209,7 +209,7 @@ def test_a_tune_that_was_killed_goes_on_at_once(folder: Path) -> None:
         stream.write(b'{"op_code":8,"worker')
     done = journal.read_bytes()
     code, said = Command(folder, *TUNE, "--trials", "6", *QUICK).ended()
-    assert code == 0 and " of 6 done before" in said
+    assert code == 0 and " of 6 already done" in said
     assert journal.read_bytes().startswith(done[: done.rindex(b"\n") + 1])
     assert sum(trial.state in FINISHED for trial in study(folder).trials) >= 6
     assert not any(trial.state == TrialState.RUNNING for trial in study(folder).trials)
@@ -236,7 +236,7 @@ def test_training_that_is_stopped_leaves_nothing_half_done(folder: Path) -> None
         training.send(how)
         code, said = training.ended()
         if how == signal.SIGINT:
-            assert code == 130 and said.endswith("interrupted: all scenes are kept in out, the same command trains from its start\n"), said
+            assert code == 130 and said.endswith("all scenes are stored in out, the same command trains from its start\n"), said
         assert {file.name for file in out.iterdir()} == {"scenes.jsonl", "scenes"} and not half_written(out)
     before = {file: file.stat().st_mtime_ns for file in (out / "scenes").iterdir()}
     assert len(before) == 3

@@ -67,6 +67,15 @@ def test_a_failing_beam_is_told_by_the_exit_code_and_the_worst_point(lux: Lux) -
     assert "requirements fail" in out and "B50L" in out and "-3.43, +0.57" in out
 
 
+def test_a_rule_without_a_beam_judges_the_beam_that_it_is_for(lux: Lux) -> None:
+    for rule, beam in (("r149-passing-c", "low"), ("r149-driving-b", "high"), ("r123-oncoming-50m", "high")):
+        assert f"hd84, beam {beam}" in lux(f"check hd84 --rule {rule}")[1]
+    lux("export hd84 --beam high --out high.ies --step-deg 1")
+    assert lux("check high.ies --rule r149-driving-b")[1] == lux("check high.ies --beam full --rule r149-driving-b")[1] != ""
+    code, _, err = lux("check high.ies")
+    assert code == 2 and "has no low beam" in err and "--rule" in err and "headlight rules" in err
+
+
 def test_rules_say_how_sure_they_are(lux: Lux) -> None:
     code, out, _ = lux("rules")
     assert code == 0 and "fmvss108-lb2v" in out and "transcription" in out and "not for approval" in out
@@ -104,7 +113,7 @@ def test_a_photometric_file_is_drawn_as_it_was_measured(lux: Lux) -> None:
             "show hd84 --view pixels --scenario flat",
             [
                 "functions.symbol: the target",
-                "cannot be told from noise",
+                "cannot be distinguished from noise",
                 "finer pixels",
                 "hd84 cannot show what flat draws; give --beam for a beam of hd84 there",
             ],
@@ -114,6 +123,7 @@ def test_a_photometric_file_is_drawn_as_it_was_measured(lux: Lux) -> None:
         ("show hd84 --scenario gfhb --traffic left", ["--traffic", "--beam"]),
         ("show hd84 --scenario raw_utilisations", ["lighting.raw[0].file", "'left matrix'", "64 x 256", "3 x 28"]),
         ("show hd84 --view wall --out wall.bmp", ["wall.bmp", ".png"]),
+        ("show nothing --out no/where/wall.svg", ["no/where/wall.svg", "cannot be written", "make it"]),
         ("check hd84 --rule r149-passing-x", ["'r149-passing-x'", "r149-passing-"]),
         ("check hd84 --beam full", ["'full'", "--rule"]),
         ("check hd84 --rule=", ["no rule ''"]),

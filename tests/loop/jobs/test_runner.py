@@ -81,7 +81,7 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, capsys: pytest.CaptureFi
         results = run(square, numbers(*xs, log=str(log)), file, version="1", executor=local(1))
         assert [row["square"] for row in results.rows] == [x * x for x in xs]
     assert log.read_text().split() == ["1", "2", "3"]
-    assert "2 of 3 done before" in capsys.readouterr().err
+    assert "2 of 3 already done" in capsys.readouterr().err
 
 
 def test_other_versions_and_parameters_are_done_anew_and_old_results_stay(tmp_path: Path) -> None:
@@ -181,7 +181,7 @@ def test_junk_in_the_last_line_costs_that_line(junk: bytes, tmp_path: Path) -> N
 def test_files_of_another_kind_are_left_alone(content: bytes, tmp_path: Path) -> None:
     file = tmp_path / "mine.txt"
     file.write_bytes(content)
-    with pytest.raises(LuxloopError, match=r"mine\.txt: holds something else than job results"):
+    with pytest.raises(LuxloopError, match=r"mine\.txt: holds something other than job results"):
         run(square, numbers(1), file, version="1", executor=local(1))
     assert file.read_bytes() == content
 

@@ -239,8 +239,8 @@ def test_functions_of_ones_own_command_modules(lamp: str) -> None:
 SYMBOL = {"kind": "symbol", "image": "snowflake", "controller": "open"}
 AT = {"kind": "dimming", "entries": [{"share": 0.5}]}
 WRONG: dict[str, tuple[dict[str, Any], dict[str, Any], list[str]]] = {
-    "no swivel": ({"bend": {"kind": "bending"}}, {"model": "hd84"}, ["functions.bend.modules: none of those meant can be swivelled"]),
-    "no level": ({"a": {"kind": "levelling"}}, {"model": "hd84"}, ["functions.a.modules: none of those meant can be levelled"]),
+    "no swivel": ({"bend": {"kind": "bending"}}, {"model": "hd84"}, ["functions.bend.modules: none of these modules can be swivelled"]),
+    "no level": ({"a": {"kind": "levelling"}}, {"model": "hd84"}, ["functions.a.modules: none of these modules can be levelled"]),
     "no module": ({"a": {"kind": "bending", "modules": ["coarse"]}}, {}, ["functions.a.modules", "'coarse'", "left fine"]),
     "held": ({"flake": SYMBOL, "bend": {"kind": "bending"}}, {}, ["functions.flake.modules: 'left fine' is swivelled by functions.bend"]),
     "held and dimmed": ({"flake": SYMBOL, "dim": AT}, {}, ["functions.flake.modules: 'left fine' is dimmed by functions.dim"]),

@@ -118,7 +118,7 @@ def test_what_no_frame_shows_is_recorded_as_unknown(late: dict[str, Any]) -> Non
 
 
 def test_lighting_functions_have_no_off_frame() -> None:
-    with pytest.raises(LuxloopError, match=r"disturbances\.ambient\[0\]\.frames: without a symbol that .* steps have no off frame"):
+    with pytest.raises(LuxloopError, match=r"disturbances\.ambient\[0\]\.frames: without a held symbol, steps have no off frame"):
         scenario(disturbances={"ambient": [{"factor": 2.0, "frames": "off"}]})
 
 
@@ -224,7 +224,7 @@ def test_scenes_without_objects_and_out_of_sight_are_recorded(tmp_path: Path) ->
     summary = run(scenario(objects=[behind], steps=2), tmp_path / "run", video=False).summary
     assert summary["objects"]["walker"] == {
         **{"lx_mean": None, "lx_max": None, "masked_steps": 0, "confidence_final": None, "confidence_min": None},
-        **{"tracks": 0, "pixels_max": 0.0, "steps_in_sight": 0, "steps_lost": 0},
+        **{"tracks": 0, "pixels_max": 0.0, "steps_in_sight": 0, "steps_lost": 0, "findable": False},
     }
     console = Console(record=True, width=160)
     console.print(shown(summary, "here"))

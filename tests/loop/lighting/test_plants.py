@@ -35,6 +35,11 @@ class Blind:
         assert len(exposure.lights) == len(self.names)
         return self.inner.show(state, exposure)
 
+class Knowing(Blind):
+    @property
+    def truth(self):
+        return self.inner.truth
+
 class Straying(Blind):
     def show(self, state, exposure):
         state, arrivals = self.inner.show(state, exposure)
@@ -158,6 +163,26 @@ def test_what_needs_the_truth_is_refused_without_it(key: str) -> None:
     with pytest.raises(LuxloopError, match=f"lit: {key}: needs the truth, which the plant own:Blind does not know") as refused:
         simulation(**NEEDS[key], plant=BLIND)
     assert_one_sentence(f"error: {refused.value}\n")
+
+
+UNJUDGED = {
+    "lit": {"metric": "objects.parked.lx_max", "at_least": 0.0},
+    "zone": {"metric": "functions.near.luminance", "at_least": 0.0},
+    "dark": {"metric": "dark_lx_max", "at_most": 0.0},
+    "flux": {"metric": "lamp.left.flux_lm", "at_least": 0.0},
+    "saved": {"metric": "lamp.left.flux_lm", "at_most": 0.5, "compare": "full_light"},
+}
+
+
+@pytest.mark.usefixtures("own")
+@pytest.mark.parametrize(("plant", "refused"), [("Blind", ["lit", "zone", "dark", "saved"]), ("Knowing", ["saved"])])
+def test_all_checks_that_a_plant_cannot_be_held_to_are_named_with_their_remedies(plant: str, refused: list[str]) -> None:
+    with pytest.raises(LuxloopError) as error:
+        simulation(checks=UNJUDGED, plant={"kind": f"own:{plant}"}, objects=[CAR], detector={"kind": "own:Brightest"})
+    *_, last = lines = str(error.value).splitlines()
+    assert "checks.saved.compare: needs the simulated world" in last
+    assert [name for name in UNJUDGED if f"--set checks.{name}={{}}" in str(error.value)] == refused
+    assert len(lines) == len(refused) + (len(refused) > 1)
 
 
 @pytest.mark.usefixtures("own")

@@ -1,5 +1,6 @@
 """What report and summary of lighting functions tell: charts that nothing hides, energy beside that of beams, whom the tracker loses."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import torch
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -15,6 +17,7 @@ from rich.console import Console
 
 from loop.lighting import record
 from loop.lighting.compared import compared
+from loop.lighting.detection import recognised
 from loop.lighting.simulation import Simulation
 from loop.lighting.summary import NAMED, _of_light, _of_lost, eyes_lx, lost_steps, named, shown, steps_of_nothing
 from loop.recording.style import STYLE
@@ -22,6 +25,7 @@ from loop.report.courses import COLOURS, _materials, _on_objects, write_courses
 from loop.report.marks import Mark, readable
 from loop.run import check, in_words, run
 from loop.scenario.model import Scenario, validate
+from perception.detection.protocol import Detections
 
 WALKER = {"kind": "pedestrian", "name": "walker", "seed": 3, "track": [{"position_m": [15, -2, 0]}]}
 ZONE = {"kind": "zone", "centre_m": [14, 1, 1.0], "size_m": [0, 1.6, 1.6], "luminance_cd_m2": 0.1}
@@ -82,11 +86,12 @@ def test_of_many_objects_the_brightest_are_named_and_the_rest_counted() -> None:
     lit = {f"car_{k}": in_sight(float(k)) for k in range(20)}
     unseen = {f"sign_{k}": in_sight(None) for k in range(9)}
     rows = _of_light(lit | unseen, 9)
-    assert [*rows] == [*(f"light on car {k}" for k in range(19, 11, -1)), "light on 12 others", "never in sight"]
+    assert [*rows] == [*(f"light on car_{k}" for k in range(19, 11, -1)), "light on 12 others", "never in sight"]
     assert (rows["light on 12 others"], rows["never in sight"]) == ("11 lx at most", "9 objects")
+    assert "light on 1 other" in _of_light({f"car_{k}": in_sight(float(k)) for k in range(NAMED + 1)}, 9)
     assert _of_light({f"car_{k}": in_sight(0.0) for k in range(NAMED + 1)}, 9) == {f"light on {NAMED + 1} objects": "0 lx at most"}
     few = {f"car_{k}": in_sight(0.0) for k in range(NAMED)}
-    assert [*_of_light(few, 9)] == [f"light on car {k}" for k in range(NAMED)] and named(few) == [*few]
+    assert [*_of_light(few, 9)] == [f"light on car_{k}" for k in range(NAMED)] and named(few) == [*few]
 
 
 def test_of_an_object_that_was_masked_at_times_it_is_said_how_often() -> None:
@@ -100,8 +105,11 @@ def test_of_many_objects_the_largest_that_are_lost_are_named() -> None:
     missed = {"steps_lost": 0, "tracks": 0, "steps_in_sight": 9}
     objects = {f"car_{k}": in_sight(1.0, pixels_max=float(k), **(lost if k % 2 else missed)) for k in range(12)}
     rows = _of_lost(objects | {"held": in_sight(1.0, pixels_max=99.0, steps_lost=0, tracks=1, steps_in_sight=9)})
-    assert [*rows] == [f"{'lost' if k % 2 else 'missed'} car {k}" for k in range(11, 3, -1)] + ["smaller objects"]
+    assert [*rows] == [f"{'lost' if k % 2 else 'missed'} car_{k}" for k in range(11, 3, -1)] + ["smaller objects"]
     assert rows["smaller objects"] == "2 missed, 2 lost, of 3 px at most"
+    assert _of_lost({"deer": in_sight(1.0, pixels_max=99.0, **missed, findable=False)}) == {
+        "not to be found": "deer: of no class that the detector has, or never 24 px tall"
+    }
 
 
 def test_light_on_many_objects_is_drawn_of_the_brightest_and_of_the_others_together() -> None:
@@ -133,7 +141,11 @@ def test_energy_stands_beside_that_of_standby_and_of_undimmed_beams(tmp_path: Pa
     assert dimmed["energy_j"] - others["standby"] == pytest.approx(0.5 * (full["energy_j"] - others["standby"]), rel=1e-5)
     console = Console(record=True, width=160)
     console.print(shown(dimmed, "here"))
-    assert f"standby; undimmed low beam {others['low beam']:.0f} J, high beam" in console.export_text()
+    told = console.export_text()
+    assert f"standby; undimmed low beam {others['low beam']:.3g} J, high beam" in told
+    flux, low = sum(lamp["flux_lm_mean"] for lamp in dimmed["lamps"].values()), dimmed["low_beam_lm"]
+    assert low == pytest.approx((others["low beam"] - others["standby"]) / seconds * 40.0, rel=1e-5)  # lm/W; float32
+    assert f"{flux:.0f} lm (mean), {flux / low:.0%} of the undimmed low beam's {low:.0f} lm" in told
 
 
 def test_power_is_compared_within_the_same_limit_and_beams_are_named_once() -> None:
@@ -216,6 +228,17 @@ def test_whom_the_tracker_loses_is_told(tmp_path: Path) -> None:
     assert "walker 0.00, each from its first track on" in told
 
 
+def test_who_is_too_small_or_of_another_class_is_not_missed() -> None:
+    far = {"kind": "pedestrian", "name": "far", "track": [{"position_m": [80.0, 3.0, 0.0]}]}
+    simulation = Simulation.prepare(scenario({}, objects=[WALKER, far], detector={"kind": "truth"}))
+    view = simulation.world.lit(0.0)
+    assert simulation.pipeline is not None
+    nothing = simulation.pipeline.present(simulation.pipeline.tracker.start(), 0.0), Detections(torch.zeros(0, 4), torch.zeros(0, 8))
+    both, cars = (recognised(view, *nothing, classes) for classes in (("pedestrian", "car"), ("car",)))
+    assert {name: each.findable for name, each in both.items()} == {"walker": True, "far": False}
+    assert not cars["walker"].findable
+
+
 def test_check_says_how_much_is_found_in_the_first_frame() -> None:
     some, none = check(scenario({})), check(scenario({}, detector={"kind": "truth", "least_height_px": 1000}))
     assert some["boxes"] == 1 and some["lx_max"] > 5
@@ -237,10 +260,11 @@ def test_a_run_that_finds_nobody_says_how_small_they_were(tmp_path: Path) -> Non
         told[case] = console.export_text()
         if objects:
             pixels = summary["objects"]["walker"]["pixels_max"]
+            assert summary["objects"]["walker"]["findable"]
             assert pixels > 100 and f"in 2 of the 2 steps in which it is in sight, of {pixels:.0f} px at most" in told[case]
     assert "no box in any step, though objects in sight had up to" in " ".join(told["falls"].split()) and "no box" not in told["nobody"]
-    assert "50.0% of it left at the end; no object was tracked, so none asked for more" in told["falls"]
-    assert all("50.0% of it left at the end" in told[case] and "none asked" not in told[case] for case in ("constant", "nobody"))
+    assert "50.0% of its flux left at the end; no object was tracked, so none asked for more" in told["falls"]
+    assert all("50.0% of its flux left at the end" in told[case] and "none asked" not in told[case] for case in ("constant", "nobody"))
 
 
 def columns_in_markdown() -> list[str]:
@@ -254,9 +278,11 @@ def columns_in_markdown() -> list[str]:
     return [f"| `{prefix}{name}` | {unit} | {text} |" for prefix, group in groups.items() for name, (_, unit, text) in group.items()]
 
 
-def test_every_column_is_documented() -> None:
+def test_every_column_is_documented_once() -> None:
     page = (Path(__file__).parents[3] / "docs" / "recordings.md").read_text("utf-8")
     assert not [line for line in columns_in_markdown() if line not in page]
+    columns = re.findall(r"^\| `(.*?)`", page.split("## Columns")[1].split("## Summary")[0], re.M)
+    assert len(columns) == len(set(columns))
 
 
 if __name__ == "__main__":

@@ -275,6 +275,13 @@ def test_a_scenario_is_shown_at_full_size(lamps: dict[str, Lamp], tmp_path: Path
     assert cv2.imread(str(show(lamps, tmp_path / "driver.png", view="driver", scenario=bumpy))).shape[1] == 1210
 
 
+def test_a_long_name_leaves_room_for_its_value() -> None:
+    axes = Figure().subplots()
+    overview._write_facts(axes, [("beam", "low"), ("   a module of a long name", "1 x 1")])
+    at = {text.get_text(): text.get_position()[1] for text in axes.texts}
+    assert at["beam"] == at["low"] > at["   a module of a long name"] > at["1 x 1"]
+
+
 @pytest.mark.parametrize("view", ["wall", "pixels", "overview"])
 @pytest.mark.usefixtures("quick")
 def test_a_dark_lamp_can_be_shown(view: str, lamps: dict[str, Lamp], tmp_path: Path) -> None:

@@ -150,7 +150,7 @@ def test_a_pair_that_lacks_a_frame_waits_and_one_that_lost_a_frame_is_lost(small
 def test_a_plant_without_truth_runs_to_the_end(lux: Lux, tmp_path: Path) -> None:
     (tmp_path / "blind.toml").write_text((tmp_path / "small.toml").read_text().replace("steps = 3", "steps = 11"))
     code, out, _ = lux("run", "blind.toml", "--set", "plant.kind=own:Blind", "--out", "runs/blind")
-    assert code == 0 and "nobody judged, as the plant does not know the truth" in " ".join(out.split())
+    assert code == 0 and "not judged, because the plant does not know the truth" in " ".join(out.split())
     table = pq.read_table(tmp_path / "runs/blind/trajectory.parquet")
     assert table.num_rows == 11 and all(table[f"functions.symbol.{name}"].null_count == 11 for name in JUDGED)
     assert set(table["functions.symbol.loss"].to_pylist()) == {""} and table["functions.symbol.e_x"].null_count == 0
@@ -163,10 +163,10 @@ def test_a_plant_without_truth_runs_to_the_end(lux: Lux, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("plant", "frames", "words"),
     [
-        ("{kind='own:Miscounting', options={ahead=1000}}", (6, 0, 6), "6 frames were of no exposure that was shown"),
-        ("{kind='own:Miscounting', options={ahead=-2}}", (6, 4, 2), "2 frames were of no exposure that was shown"),
-        ("{kind='own:Silent'}", (6, 0, 0), "no frame came of any of the 6 exposures"),
-        ("{kind='own:Blind', options={lost=[0, 1, 2, 3, 4, 5]}}", (6, 0, 0), "no frame came of any of the 6 exposures"),
+        ("{kind='own:Miscounting', options={ahead=1000}}", (6, 0, 6), "6 frames belong to no shown exposure"),
+        ("{kind='own:Miscounting', options={ahead=-2}}", (6, 4, 2), "2 frames belong to no shown exposure"),
+        ("{kind='own:Silent'}", (6, 0, 0), "no frame arrived for any of the 6 exposures"),
+        ("{kind='own:Blind', options={lost=[0, 1, 2, 3, 4, 5]}}", (6, 0, 0), "no frame arrived for any of the 6 exposures"),
     ],
 )
 def test_frames_that_fit_no_exposure_are_told_at_the_end(

@@ -148,7 +148,7 @@ def test_a_shadow_is_recorded_beside_and_says_what_it_is(lux: Lux, tmp_path: Pat
     assert lux("run", "small.toml", "--out", "drive", "--frames", "--no-video", "--no-report")[0] == 0
     before = {file.name: file.read_bytes() for file in (tmp_path / "drive").rglob("*") if file.is_file()}
     code, out, _ = lux("run", "small.toml", "--plant", "drive", "--controller", "thesis_pid", "--out", "shadow")
-    words = f"in shadow on the frames of {tmp_path / 'drive'}; what this run asked for was shown nowhere and not judged"
+    words = f"in shadow on the frames of {tmp_path / 'drive'}; the commands of this run were not shown and not judged"
     assert code == 0 and "".join(words.split()) in "".join(out.split())
     assert (tmp_path / "shadow/report.png").exists() and (tmp_path / "shadow/video.mp4").exists()
     assert {file.name: file.read_bytes() for file in (tmp_path / "drive").rglob("*") if file.is_file()} == before
@@ -160,8 +160,13 @@ def test_a_shadow_is_recorded_beside_and_says_what_it_is(lux: Lux, tmp_path: Pat
     assert code == 2 and "drive: is the recording that is played, which this run would replace" in error
     code, _, error = lux("run", "small.toml", "--plant", "drive", "--steps", "4", "--out", "other")
     assert code == 2 and "holds 3 steps, but steps = 4; give --steps 3 at most" in error
+    assert error.startswith("error: small.toml with steps=4 plant=drive: plant.folder: ")
+    code, out, _ = lux("run", "small.toml", "--plant", "drive", "--set", "steps=9", "--out", "other", "--no-video", "--no-report")
+    assert code == 0 and pq.read_table(tmp_path / "other/trajectory.parquet").num_rows == 3, "it ends with the recording"
+    code, _, error = lux("run", "small.toml", "--plant", "drives", "--out", "none")
+    assert code == 2 and "drives does not exist" in error
     code, _, error = lux("run", "small.toml", "--plant", "shadow", "--out", "other")
-    assert code == 2 and "shadow holds no frames; record them with `luxloop run --frames`" in error
+    assert code == 2 and "shadow holds no frames; record frames with `luxloop run --frames`" in error
     assert_one_sentence(error)
 
 
@@ -262,7 +267,7 @@ DAMAGE: dict[str, tuple[Callable[[Path], Any], str]] = {
     "of too much": (of_too_much, "u_0 is no utilisation"),
     "of few pixels": (of_few_pixels, "the utilisations of symbol are of none of the modules"),
     "of no name": (of_no_name, "is no name of a symbol"),
-    "no table": (lambda folder: (folder / TABLE).unlink(), "holds no frames; record them with `luxloop run --frames`"),
+    "no table": (lambda folder: (folder / TABLE).unlink(), "holds no frames; record frames with `luxloop run --frames`"),
     "no row": (in_table(lambda table: table.slice(0, 1)), "no exposures that are numbered from 0"),
     "other rows": (in_table(lambda table: table.slice(2)), "no exposures that are numbered from 0"),
     "no column": (in_table(lambda table: table.drop(["came_with"])), "exposures.parquet: damaged, or no table of exposures .*came_with"),

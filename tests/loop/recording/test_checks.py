@@ -72,7 +72,8 @@ def test_a_value_is_taken_of_the_steps_in_the_window_that_have_one(check: dict[s
     assert got["value"] == (value if value is None else pytest.approx(value))
     assert got["passed"] is (value is not None and value >= 0.3)
     if value is None:
-        assert lines({"checks": {"it": got}})["check it"].endswith(f"{IOU}, nothing was there to check, at least 0.3: failed")
+        why = "begins at 7 s, the run ends at 0.4 s; raise steps" if check["from_s"] == 7 else "nothing was there to check"
+        assert lines({"checks": {"it": got}})["check it"].endswith(f"{IOU}, {why}, at least 0.3: failed")
 
 
 @pytest.mark.parametrize(
@@ -98,12 +99,15 @@ def test_a_difference_is_taken_step_by_step() -> None:
     over = beside([0.5, 0.9, 0.6, 0.7], [0.6, 0.5, 0.7, 0.6], by="difference", take="min", over_s=0.2, at_least=0.1)
     assert over["difference"] == pytest.approx(0.2 / 3) and not over["passed"], "of the first three: -0.1, 0.4 and -0.1"
     assert beside([0.5, 0.6], [0.5, 0.6], by="difference", over_s=5.0, at_least=0.0)["difference"] is None, "no window is as long"
-    assert "min -0.1 to what it is with open loop" in lines({"checks": {"it": worst}})["check it"]
+    assert "min -0.1 relative to open loop" in lines({"checks": {"it": worst}})["check it"]
 
 
 def test_recall_is_the_share_of_what_the_other_light_finds() -> None:
     got = beside([0.0, 0.3, None, 0.9, 0.8], [0.9, 0.2, 0.5, None, 0.0], by="recall", at_least=0.5)
     assert got["recall"] == pytest.approx(1 / 3) and not got["passed"], "one of three that the other finds; out of sight is not found"
+    assert lines({"checks": {"it": got}})["check it"].endswith(
+        "in 33.33 % of the steps in which it is above 0 with open loop, at least 50 %: failed"
+    )
     assert beside([0.5], [0.0], by="recall", at_least=0.5)["passed"] is False, "nothing was there to find"
 
 
@@ -127,11 +131,13 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], list[str]]] = {
     ),
     "unknown key": (SMALL, {"metric": IOU, "atleast": 0.0}, ["checks.it.atleast", "'at_least'"]),
     "unknown column": (SMALL, {"metric": "functions.symbol.iuo", "at_least": 0.0}, ["checks.it.metric", f"'{IOU}'"]),
-    "texts": (SMALL, {"metric": "functions.symbol.loss", "at_least": 0.0}, ["checks.it.metric", ".loss'", "numbers"]),
+    "texts": (SMALL, {"metric": "functions.symbol.loss", "at_least": 0.0}, ["checks.it.metric", ".loss'", "numeric"]),
     "a symbol in full light": (SMALL, {"metric": IOU, "at_least": 0.0, "compare": "full_light"}, ["checks.it.metric", "leave compare out"]),
     "no symbol": (LIT, FLUX | {"compare": "open_loop"}, ["checks.it.compare", "full_light or low_beam"]),
     "timings": (SMALL, {"metric": "light_ms", "at_most": 1.0, "compare": "open_loop"}, ["checks.it", "light_ms", "leave compare out"]),
     "unknown object": (LIT, {"metric": "objects.walkr.lx_max", "at_most": 1.0}, ["checks.it.metric", "'objects.walker.lx_max'"]),
+    "no detector": (LIT, {"metric": "oncoming_lx_max", "at_most": 1.0}, ["checks.it.metric", "[detector]", "truth"]),
+    "no detector of an object": (LIT, {"metric": "objects.car.score", "at_least": 0.0}, ["checks.it.metric", "[detector]", "truth"]),
     "no masks beside": (LIT, FLUX | {"metric": "dark_lx_max"}, ["checks.it.metric", "full_light", "leave compare out"]),
 }
 
@@ -165,6 +171,15 @@ def test_a_light_that_the_lamp_has_no_beam_for_is_refused(tmp_path: Path) -> Non
     bare = LIT | {"headlight": {"model": str(tmp_path / "bare.toml")}, "lighting": {"base": {"beam": "full"}}, "functions": {}}
     with pytest.raises(LuxloopError, match=r"^lit: checks: compare = 'low_beam': lamp 'bare' has no beam 'low'; it has full, off$"):
         check(validate(with_checks(bare, it=FLUX | {"compare": "low_beam"}), "lit"), "cpu")
+
+
+def test_a_base_beam_that_the_lamp_lacks_is_named_by_its_key(tmp_path: Path) -> None:
+    (tmp_path / "bare.toml").write_text(LAMP)
+    bare = LIT | {"headlight": {"model": str(tmp_path / "bare.toml")}, "lighting": {"base": {"beam": "low"}}}
+    with pytest.raises(
+        LuxloopError, match=r"^lit: lighting\.base\.beam: lamp 'bare' has no beam 'low'; it has full, off; write beam = \"full\""
+    ):
+        check(validate(bare, "lit"), "cpu")
 
 
 def test_names_of_checks_are_plain() -> None:
@@ -223,8 +238,9 @@ def test_the_command_says_what_passed_and_fails_where_a_check_does(lux: Lux) -> 
     quick = ("run", "small.toml", "--no-video", "--no-report")
     code, said, _ = lux(*quick, "--set", "checks.lies.at_least=2.0")
     assert code == 0 and "check lies" in said and "at least 2: failed" in said and "check gains" not in said
+    assert said.endswith("1 more check compares with another light: --checks\n")
     code, said, _ = lux(*quick, "--checks")
-    assert code == 1 and "at least 0: passed" in said and "with open loop, at least 2: failed" in said
+    assert code == 1 and "more check" not in said and "at least 0: passed" in said and "with open loop, at least 2: failed" in said
     assert lux(*quick, "--checks", "--set", "checks.gains={}")[0] == 0
     code, said, _ = lux(*quick, "--checks", "--set", "checks={}")
     assert code == 0 and "small has no [checks.NAME]" in said
@@ -252,7 +268,7 @@ def test_columns_of_texts_are_not_named_as_known(small_simulation: Simulation) -
 def test_columns_like_one_that_is_not_there_are_named(metric: str, said: str) -> None:
     names = ("step", "modules.left main.level_deg", "functions.flake.x_m", "functions.flake.iou")
     columns = pa.schema([(name, pa.float64()) for name in names])
-    with pytest.raises(LuxloopError, match=f"{metric}' is no column of numbers of the recording; {said}[?]?$"):
+    with pytest.raises(LuxloopError, match=f"{metric}' is not a numeric column of the recording; {said}[?]?$"):
         refuse_unknown({"it": CheckParams(metric=metric, at_least=0.0)}, columns, ())
 
 

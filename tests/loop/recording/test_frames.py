@@ -166,5 +166,5 @@ def test_frames_that_would_not_be_kept_as_they_are_are_refused(
     assert frame.image is not None
     broken: Frame = replace(frame, image=torch.full_like(frame.image, value))
     result = replace(small_results[0], showings=(Showing(showing.before, showing.exposure, replace(showing.after, frames=(broken,))),))
-    with pytest.raises(LuxloopError, match=r"frame_00000000.png: cannot be kept, .* 0 to 4095; check the plant with luxloop.check_plant"):
+    with pytest.raises(LuxloopError, match=r"frame_00000000.png: cannot be stored, .* 0 to 4095; check the plant with luxloop.check_plant"):
         Recorder(tmp_path, small_simulation, frames=True).add(result)

@@ -73,5 +73,5 @@ def test_a_changed_symbol_is_another_run(symbol: Path) -> None:
     drawn(symbol.parent, 80)
     assert figures(scenario, "cpu")["utilisation_mean"] > before["utilisation_mean"]  # type: ignore[operator]
     assert Task((scenario,), (), parse("iou")).digest != study
-    with pytest.raises(LuxloopError, match=re.escape("flat: functions.symbol.image mine.svg: is another file here")):
+    with pytest.raises(LuxloopError, match=re.escape("flat: functions.symbol.image mine.svg: differs here from the file")):
         figures_of(scenario.model_dump(mode="json"), asked, "cpu")

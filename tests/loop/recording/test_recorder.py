@@ -31,6 +31,7 @@ from loop.recording.manifest import Manifest
 from loop.run import run
 from loop.scenario.model import Scenario, validate
 from perception.extraction import Loss
+from tests.loop.conftest import SMALL
 from world.errors import LuxloopError
 from world.partial import Part, PartialImage
 
@@ -248,6 +249,8 @@ def test_what_ends_before_its_first_step_leaves_all_as_it_was(
 )
 def test_directory_of_something_else_is_left_alone(tmp_path: Path, small_simulation: Simulation, name: str, content: str) -> None:
     (tmp_path / name).write_text(content)
+    with pytest.raises(LuxloopError, match=r"holds files that are no recording"):
+        run(validate(SMALL | {"headlight": {"model": "nothing.npz"}}, "never made ready"), tmp_path)
     with pytest.raises(LuxloopError, match=r"holds files that are no recording.*; give an empty or a new directory"):
         Recorder(tmp_path, small_simulation)
     assert (tmp_path / name).read_text() == content

@@ -255,7 +255,7 @@ DAMAGE = {
     ),
     "a type of another kind": (
         lambda d: rewrite(d, lists),
-        r"damaged, not readable as Parquet \(the column 'more' is of no type that recordings have\); record",
+        r"damaged, not readable as Parquet \(the column 'more' has a type that recordings do not have\); record",
     ),
     "words for numbers": (lambda d: rewrite(d, words), r"trajectory.parquet: a column is not of its type \(.*\); record the run again"),
     "no rows": (lambda d: rewrite(d, lambda t: t.slice(0, 0)), r"trajectory.parquet: holds no step; record the run again"),

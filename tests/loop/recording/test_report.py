@@ -101,7 +101,7 @@ def test_the_pose_shows_height_on_an_axis_of_a_centimetre_at_least(
     for name, value in held.items():
         table = table.set_column(table.column_names.index(name), name, pa.array([value] * table.num_rows))
     figure = Figure()
-    summary = {"settle_step": None, "iou_open": None}
+    summary = {"settle_step": None, "iou_open": None, "unsettled": "too_short"}
     _courses(figure.add_subfigure(figure.add_gridspec()[0]), function, Gathered("symbol", 12), table, summary)
     pose = figure.axes[1]
     lines = {str(line.get_label()): line for line in pose.get_lines()}
@@ -110,9 +110,29 @@ def test_the_pose_shows_height_on_an_axis_of_a_centimetre_at_least(
     assert low <= -0.01 and least_m <= high < 1.2 * least_m  # matplotlib leaves 5 % of the range free
 
 
+def test_judgements_far_apart_are_joined_and_where_there_are_none_the_chart_says_why(
+    small_simulation: Simulation, small_results: list[StepResult]
+) -> None:
+    table = of_one(table_of([row(result) for result in small_results], schema(small_simulation)), "symbol")
+    at = table.column_names.index("iou")
+    for iou, unsettled, told in (([0.5, None, None, 0.7] * 3, "too_short", ""), ([None] * 12, "not_judged", "not judged, b")):
+        figure, values = Figure(), pa.array(iou, pa.float64())
+        summary = {"settle_step": None, "iou_open": None, "unsettled": unsettled, "judge_every": None}
+        _courses(
+            figure.add_subfigure(figure.add_gridspec()[0]),
+            small_simulation.symbol.function,
+            Gathered("symbol", 12),
+            table.set_column(at, "iou", values),
+            summary,
+        )
+        (line,) = (line for axes in figure.axes for line in axes.get_lines() if line.get_label() == "IoU")
+        assert np.asarray(line.get_ydata()).tolist() == [each for each in iou if each is not None]
+        assert [text.get_text()[:13] for text in figure.axes[2].texts if text.get_text()] == ([told] if told else [])
+
+
 def test_the_page_says_why_nobody_judged(small_simulation: Simulation) -> None:
     summary = {"controller": "open", "unsettled": "not_judged", "judge_every": 0, "lost_steps": 0}
-    assert _title(small_simulation, "symbol", summary, None).endswith("  ·  nobody judged, as judge_every = 0")
+    assert _title(small_simulation, "symbol", summary, None).endswith("  ·  not judged, because judge_every = 0")
 
 
 def test_light_from_above_is_looked_at_closely_where_it_is() -> None:

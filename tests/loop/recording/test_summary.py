@@ -221,6 +221,12 @@ def test_a_symbol_that_swings_on_needs_more_steps_only_in_a_short_run() -> None:
     assert 'functions.symbol.controller.name = "luxloop"' in remedies("symbol", summarise(long, "thesis_pid", 0.0))[0]
 
 
+def test_a_car_that_drives_has_no_overshoot() -> None:
+    swings = table(30, **{OFF: 10 * np.cos(np.arange(30))})
+    still, drives = (summarise(swings, "luxloop", 0.0, run=Circumstances(drives=each)) for each in (False, True))
+    assert still["overshoot_percent"] > 50 and drives["overshoot_percent"] is None
+
+
 def test_a_car_that_drives_is_not_asked_for_more_steps() -> None:
     swings = table(30, **{OFF: 10 * np.sin(np.arange(30))})
     for controller, key in (("luxloop", "functions.symbol.x_m"), ("thesis_pid", "functions.symbol.controller.name")):
@@ -236,23 +242,28 @@ def test_a_road_beyond_what_is_looked_for_is_named(road_m: float, is_named: bool
     assert (f"0.17 m {'above' if road_m > 0 else 'below'} the plane" in said) == is_named
     swing = 10 * np.sin(np.arange(40))
     there, astray = (remedies("symbol", summarise(table(**{OFF: off}), "luxloop", 0.0, run=run))[0] for off in (swing, swing + 20))
-    assert "goes on moving" in there and "highest_m" not in there, "it is at the target on the mean, so the road is found"
+    assert "keeps moving" in there and "highest_m" not in there, "it is at the target on the mean, so the road is found"
     assert ("highest_m" in astray) == is_named
 
 
 @pytest.mark.parametrize(
     ("recorded", "judge_every", "why"),
     [
-        (table(iou=math.nan), 0, "nobody judged, as judge_every = 0"),
-        (table(iou=math.nan), None, "nobody judged, as the plant does not know the truth"),
+        (table(iou=math.nan), 0, "not judged, because judge_every = 0"),
+        (table(iou=math.nan), None, "not judged, because the plant does not know the truth"),
         (table(0), 1, "never shown"),
     ],
 )
 def test_the_closing_table_says_why_nobody_judged_in_place_of_dashes(recorded: pa.Table, judge_every: int | None, why: str) -> None:
     rows = closing({"symbol": summarise(recorded, "open", math.nan, run=Circumstances(judge_every))})
-    assert rows["symbol: how it lies"] == why
+    assert rows["symbol: result"] == why
     assert not [row for name, row in rows.items() if name.startswith("symbol: ") and "–" in row]
     assert ("judge_every" in rows["note"]) == (judge_every == 0)
+
+
+def test_the_open_loop_is_told_for_the_last_step() -> None:
+    rows = closing({"symbol": summarise(table(iou=0.9), "luxloop", 0.4)})
+    assert rows["symbol: IoU"].startswith("0.900 at the last step, 0.400 without control (open loop) at the last step; 0.900 on average")
 
 
 def test_notes_name_the_symbol_where_there_are_several() -> None:

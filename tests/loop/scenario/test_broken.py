@@ -28,8 +28,15 @@ BROKEN = {
     "number for a text": (GOOD.replace('"good"', "7"), ["name", "7", "quotes"]),
     "truth for a number": (GOOD + "[camera]\nhfov_deg = true", ["camera.hfov_deg", "true is not a number"]),
     "value for a table": ("camera = 3" + GOOD, ["camera", "table"]),
+    "beginning of a key": (GOOD + "[camera]\nhfov = 40", ["camera.hfov", "'hfov_deg'"]),
+    "name for a table": (GOOD + '[lighting]\nbase = "low"', ["lighting.base", 'write base = {beam = "low"}']),
+    "kind for a table": ('road = "bumps"\n' + GOOD, ["road", 'write road = {kind = "bumps"}']),
+    "key of an inner table": (GOOD + '[lighting]\nbeam = "low"', ["lighting.beam", 'write base = {beam = "low"}']),
+    "table for a list": (GOOD + BOX.replace("[[objects]]", "[objects]"), ["objects", "write [[objects]] above each"]),
+    "tables for a list": (GOOD + 2 * BOX.replace("[[objects]]", "[objects]"), ["not valid TOML", "write [[objects]] above each"]),
     "value for a list": (GOOD + "[headlight]\nlamps = 'left'", ["headlight.lamps", "list"]),
     "below the range": (GOOD.replace("steps = 3", "steps = 0"), ["steps", "greater than or equal to 1"]),
+    "beyond half a turn": (GOOD + BOX.replace("0]}", "0], yaw_deg = 270}"), ["objects[0].track[0].yaw_deg", "180; write -90"]),
     "above the range": (GOOD + "[camera]\nhfov_deg = 200", ["camera.hfov_deg", "less than or equal to 150"]),
     "negative seed": ("seed = -1" + GOOD, ["seed", "-1", "greater than or equal to 0"]),
     "infinity": (GOOD + "[camera]\nexposure_s = inf", ["camera.exposure_s", "inf", "finite"]),
@@ -128,11 +135,11 @@ BROKEN_LIGHTING = {
     "typo in a function": (LIT + '[functions.marker]\nkind = "marker"\nwidth = 1', ["functions.marker.width: ", "'width_m'"]),
     "a function's name": (
         LIT + '[functions."Own width"]\nkind = "width"',
-        ["functions.Own width: 'Own width' is no name", "write own_width"],
+        ["functions.Own width: 'Own width' is not a valid name", "write own_width"],
     ),
     "no kind": (LIT + "[functions.own]\nvalue = 1", ['functions.own.kind: is missing; write kind = "glare_free", or one of marker, sign']),
     "a list of functions": (LIT + '[[functions]]\nkind = "width"', ["functions: [{'kind': 'width'}] is no table"]),
-    "an object's name": (LIT + BOX.replace("crate", "big crate"), ["objects[0].name: 'big crate' is no name", "write big_crate"]),
+    "an object's name": (LIT + BOX.replace("crate", "big crate"), ["objects[0].name: 'big crate' is not a valid name", "write big_crate"]),
     "unknown category": (LIT + BOX + 'category = "pedestrain"', ["objects[0].category", "'pedestrian'"]),
     "one name twice": (LIT + BOX + BOX, ["objects", "'crate'", "rename"]),
     "typo in the table of its kind": ('name = "x"\n[lightning]\nbase = { beam = "low" }', ["lightning: unknown key", "'lighting'"]),
@@ -214,15 +221,25 @@ def test_each_key_that_is_broken_is_named(name: str) -> None:
     assert sorted(line.partition(": ")[0] for line in caught.value.args[1:]) == sorted(broken)
 
 
+def test_a_class_with_a_dot_for_its_colon_is_told_how_to_be_written() -> None:
+    named = {"functions.symbol.controller.name": "pi_ff.PiFeedForward", "detector.kind": "det.Blobs", "pixel_controller": "bold.Bold"}
+    for key, name in named.items():
+        assert (
+            f"there is no {'pixel controller ' if key[0] == 'p' else ''}'{name}'; write {name.replace('.', ':')}, with a colon"
+            in failure("flat", f"{key}={name}")
+        )
+    assert "write" not in failure("flat", "functions.symbol.controller.name=half.py")
+
+
 @pytest.mark.parametrize(
     ("name", "override", "said"),
     [
         ("snowflake", "detector_frames=off", "detector_frames: there is no detector here"),
         ("obl", "detector_frames=off", "detector_frames: there is no symbol that a controller holds here"),
-        ("obl", "off_share=0.3", "off_share: no controller holds a symbol here that could be off; leave it out"),
-        ("obl", "disturbances.ambient=[{factor=2.0, frames='off'}]", "disturbances.ambient[0].frames: without a symbol that a controller"),
+        ("obl", "off_share=0.3", "off_share: no controller holds a symbol here; leave it out"),
+        ("obl", "disturbances.ambient=[{factor=2.0, frames='off'}]", "disturbances.ambient[0].frames: without a held symbol"),
         ("snowflake", "tracker.confirm_frames=5", "tracker: follows what a detector finds, but there is none"),
-        ("night_traffic", "detector.kind=hog", "names objects, but a detector knows them by class alone"),
+        ("night_traffic", "detector.kind=hog", "a detector knows only their class; --set functions.guide_line.names=[]"),
     ],
 )
 def test_what_means_nothing_without_something_else_is_told(name: str, override: str, said: str) -> None:

@@ -117,7 +117,7 @@ def test_a_changed_copy_of_the_users_is_refused_and_left_alone(server: str, tmp_
 
 
 def test_what_the_server_lacks(server: str, nothing_at_hand: Path) -> None:
-    with pytest.raises(LuxloopError, match=r"none\.crg cannot be had: 404 .* save it by hand as .*none\.crg"):
+    with pytest.raises(LuxloopError, match=r"none\.crg cannot be fetched: 404 .* save it by hand as .*none\.crg"):
         data.get("setts", known=known(server, file="roads/none.crg"))
     assert files(nothing_at_hand) == []
 

@@ -155,7 +155,7 @@ def test_a_camera_on_another_place_sees_from_there(small_scenario: Scenario) -> 
 @pytest.mark.parametrize(
     ("disturbances", "changes", "words"),
     [
-        ({"calibration": {"z_m": -0.5, "pitch_deg": -10}}, {}, "make disturbances.calibration smaller"),
+        ({"calibration": {"z_m": -0.5, "pitch_deg": -10}}, {}, "reduce disturbances.calibration"),
         (
             {"calibration": {"z_m": -0.5}},
             {"camera": {"z_m": 0.4}},

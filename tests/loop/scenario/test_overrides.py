@@ -85,7 +85,7 @@ def test_one_key_of_one_item_of_a_list_can_be_set(tmp_path: Path, monkeypatch: p
         load("marker_light", ["objects[1].albedo=1"])
     with pytest.raises(LuxloopError, match=r"functions.guide_line.valeu: unknown key; did you mean 'value'"):
         load("marker_light", ["functions.guide_line.valeu=1"])
-    with pytest.raises(LuxloopError, match=r"functions\..*: '' is no name"):
+    with pytest.raises(LuxloopError, match=r"functions\..*: '' is not a valid name"):
         load("marker_light", ["functions.''.kind=lane"])
     with pytest.raises(LuxloopError, match=r"^objects: is a list and has no '0'; write --set 'objects\[0\].KEY"):
         load("marker_light", ["objects.0.albedo=1"])

@@ -94,7 +94,9 @@ def test_all_errors_of_a_file_and_of_a_scenario_are_listed(tmp_path: Path) -> No
     with pytest.raises(LuxloopError, match=r"night\.toml: 3 errors\n  runs\[0\]\.seed: .*\n  scenario: .*\n  seeds\[0\]: ") as caught:
         read(written(tmp_path, 'scenario = ["flat"]\nseeds = [-1]\nruns = [{ scenario = "flat", seed = 2026-01-01 }]'))
     assert len(caught.value.args) == 4
-    with pytest.raises(LuxloopError, match=r"night\.toml: variants\.wet: .*flat\.toml: 2 errors\n  camera\.bit: .*\n  steps: "):
+    with pytest.raises(
+        LuxloopError, match=r"night\.toml: variants\.wet: .*flat\.toml with these changes: 2 errors\n  camera\.bit: .*\n  steps: "
+    ):
         read(written(tmp_path, 'scenarios = ["flat"]\nvariants.wet = { camera.bit = 8, steps = 0 }'))
 
 
@@ -108,7 +110,7 @@ def test_table_report_and_failures(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     found = run_campaign(file, out, executor=local(1))
     assert [row["variant"] for row in found.rows] == ["here", "off"] * 2
     assert list(found.failures) == ["flat, open, off, seed 0", "flat, thesis_pid, off, seed 0"]
-    assert "out of the camera's sight" in found.rows[1]["error"]
+    assert "outside of the camera's view" in found.rows[1]["error"]
     table = pq.read_table(out / TABLE).to_pylist()
     assert table == found.rows
     assert table[0]["iou_final"] == table[0]["iou_open"] and table[1]["iou_final"] is None
@@ -156,7 +158,7 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     for wrong, said in (
         (["--jobs", "0"], "too few processes"),
         (["--jobs", "2", "--scheduler", "tcp://x:1"], "one of the two"),
-        (["--scheduler", "nonsense://x"], "nobody answers"),
+        (["--scheduler", "nonsense://x"], "no answer"),
     ):
         assert cli.main(["campaign", str(file), *wrong]) == cli.WRONG
         assert said in capsys.readouterr().err

@@ -49,18 +49,18 @@ def task(scenario: Scenario, seeds: int = 2) -> Task:
         ("functions.symbol.controler.position.kp=0.1:2", "did you mean 'controller'"),
         ("functions.symbol.controller.position.kp.a=0.1:2", "functions.symbol.controller.position.kp: a table is not a number"),
         ("headlight.lamps[1]=0.1:2", r"lamps\[1\]: there are 1 lamps, numbered from 0"),
-        ("headlight.lamps[0]=0.1:2", "is no number"),
-        ("objects=0.1:2", "is no number"),
+        ("headlight.lamps[0]=0.1:2", "is not a number"),
+        ("objects=0.1:2", "is not a number"),
         ("functions.symbol.controller.supervisor.grace_step=1:9", "unknown key; did you mean 'grace_steps'"),
-        ("functions.symbol.controller.position=0.1:2", "is no number.*such as functions.symbol.controller.position.kp"),
-        ("functions.symbol.controller.name=0.1:2", "is no number"),
-        ("camera.noise=0:1", "is no number"),
+        ("functions.symbol.controller.position=0.1:2", "is not a number.*such as functions.symbol.controller.position.kp"),
+        ("functions.symbol.controller.name=0.1:2", "is not a number"),
+        ("camera.noise=0:1", "is not a number"),
         ("functions.symbol.controller.position.kp=2:0.1", "wrong way round.*write functions.symbol.controller.position.kp=0.1:2"),
         ("functions.symbol.controller.position.kp=2:2", "two different ends"),
         ("functions.symbol.controller.position.kp=2", "not of the form"),
         ("functions.symbol.controller.position.kp", "not of the form"),
         ("functions.symbol.controller.position.kp=0:2:log", "no logarithm"),
-        ("functions.symbol.controller.position.kp=1:2:ln", "'ln' is no scale"),
+        ("functions.symbol.controller.position.kp=1:2:ln", "'ln' is not a scale"),
         ("functions.symbol.controller.losses_to_reset=1:2.5", "only whole numbers"),
         (
             "functions.symbol.controller.losses_to_reset=0:2",
@@ -180,7 +180,7 @@ def test_what_is_held_beside_other_functions_is_tuned(tmp_path: Path) -> None:
     for scenario, said in (
         (late, r"flat: functions\.symbol\.start_s: batched rollouts show the symbol in all steps; .*tune without --gradient"),
         (short, r"flat: functions\.symbol\.stop_s: "),
-        (one, "flat: batched rollouts are of a symbol alone; .*tune without --gradient"),
+        (one, "flat: batched rollouts support only a single symbol; .*tune without --gradient"),
         (two, "flat: --gradient: .*not one"),
     ):
         gains = (ranges.parse("functions.symbol.controller.position.kp=0.1:2", [scenario]),)
@@ -263,6 +263,19 @@ def test_failures_of_trials_are_told_and_those_of_all_given_runs_stop(tmp_path: 
     assert re.search(rf"{len(heavy)} runs? failed, the first: .*IndexError: too heavy", (folder / REPORT).read_text())
 
 
+def test_an_option_that_a_class_of_ones_own_lacks_is_refused_before_anything_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "frail_controllers.py").write_text(FRAIL)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    given = ["--controller", "frail_controllers:Frail", "--trials", "1", "--jobs", "1", "--objective", "iou", "--set", *SMALL]
+    assert cli.main(["tune", "flat", "--key", "functions.symbol.controller.options.wieght=0.1:0.4", *given]) == cli.WRONG
+    said = " ".join(capsys.readouterr().err.split())
+    assert "controller.options.wieght: " in said and "did you mean 'weight'?" in said
+    assert not (tmp_path / "runs").exists()
+
+
 def test_other_settings_need_another_folder(tuned: Tuned, scenario: Scenario, tmp_path: Path) -> None:
     tune(task(scenario, seeds=1), tmp_path, 1, local(1))
     with pytest.raises(LuxloopError, match="study of other settings"):
@@ -282,6 +295,9 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     assert cli.main(["tune", "flat", "--key", *KEYS, *given]) == cli.OK
     said = capsys.readouterr()
     assert "runs/tune-flat" in said.out and said.err == ""  # not that of an empty folder something was done before
+    assert cli.main(["tune", "flat", "--key", *KEYS, "--objective", "settling", "--out", "runs/short", *given[2:]]) == cli.OK
+    assert "No trial settled; raise steps." in capsys.readouterr().out
+    assert "No trial settled" not in Path("runs/tune-flat", REPORT).read_text()
     for wrong, said in (
         (["tune", "flat"], "--key: is missing"),
         (["tune", "flat", "--key", KEYS[0], "--trials", "0"], "--trials: 0 is too few"),

@@ -82,11 +82,11 @@ def test_heights_are_one_a_place() -> None:
     [
         ({"kind": "no_such_roads:Along"}, ["No module named 'no_such_roads'", "PYTHONPATH"]),
         ({"kind": "own:Across"}, ["own has no Across"]),
-        ({"kind": "own:Along", "options": {"rise": "much"}}, ["road.options", "rise", "valid number"]),
+        ({"kind": "own:Along", "options": {"rise": "much"}}, ["road.options.rise: is the text 'much'; write a number"]),
         ({"kind": "own:Along", "options": {"raise": 1}}, ["road.options", "raise"]),
         ({"kind": "own:Heightless"}, ["no method z", "z, grid"]),
         ({"kind": "own:Shapeless"}, ["(3,)", "one a place"]),
-        ({"kind": "own:Bottomless"}, ["no finite number"]),
+        ({"kind": "own:Bottomless"}, ["not finite"]),
         ({"kind": "own:Mistyped"}, ["z fails", "sinn"]),
         ({"kind": "own:Meshless"}, ["grid gives float", "MeshGrid"]),
         ({"kind": "own:"}, ["road.kind", "pattern"]),

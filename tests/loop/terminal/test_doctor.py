@@ -88,7 +88,7 @@ def test_data_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("LUXLOOP_DATA", raising=False)
     unset = doctor.data_check()
     assert unset.status == "warn" and unset.remedy == "luxloop data get all"
-    assert f"LUXLOOP_DATA is not set, fetched files lie in {tmp_path / 'fetched'}" in unset.found
+    assert f"LUXLOOP_DATA is not set, fetched files are in {tmp_path / 'fetched'}" in unset.found
     (tmp_path / "belgian_block.crg").touch()
     monkeypatch.setenv("LUXLOOP_DATA", str(tmp_path))
     found = doctor.data_check()

@@ -14,7 +14,7 @@ def test_a_log_gets_a_line_now_and_then(capsys: pytest.CaptureFixture[str], monk
             now_s += 0.6 * LINE_S
             advance()
     assert capsys.readouterr().err.splitlines() == [
-        "night [1]: 2 of 7 done before",
+        "night [1]: 2 of 7 already done",
         "night [1]: 4 of 7 done after 36 s, about 54 s left",
         "night [1]: 6 of 7 done after 72 s, about 18 s left",
     ]

@@ -121,7 +121,7 @@ def test_what_is_no_network_is_said_in_a_sentence(tmp_path: Path) -> None:
         OnnxDetector(OnnxParams(file=str(tmp_path / "none.onnx")))
     broken = tmp_path / "broken.onnx"
     broken.write_bytes(b"no network")
-    with pytest.raises(LuxloopError, match=r"broken.onnx: is no sound ONNX file"):
+    with pytest.raises(LuxloopError, match=r"broken.onnx: is not a valid ONNX file"):
         OnnxDetector(OnnxParams(file=str(broken)))
 
 

@@ -115,7 +115,7 @@ REFUSED: dict[str, tuple[nn.Module, tuple[Tensor, ...], dict[str, Any], str]] = 
         YoloV5(6),
         (PICTURE,),
         {"layout": "yolov10", "classes": {0: "pedestrian"}},
-        r"layout: .* cannot be yolov10: the sixth number .* is no class's number; set detector.layout = \"yolov5\", or export it as .*",
+        r"layout: .* cannot be yolov10: the sixth number .* is not a class number; set detector.layout = \"yolov5\", or export it as .*",
     ),
     "before the sigmoid": (
         Tiny(84, logits=True),
@@ -227,7 +227,7 @@ def test_sizes_that_are_only_declared_fill_no_memory(tmp_path: Path) -> None:
     """OpenCV crashes at weights that are not there, and takes 40 GB for numbers that a layer makes of nothing."""
     weights = TensorProto(name="w", data_type=TensorProto.FLOAT, dims=(30_000, 30_000), raw_data=b"0000")
     add = helper.make_node("Add", ["x", "w"], ["y"])
-    with pytest.raises(LuxloopError, match=r"is no sound ONNX file \(.*size \(4 bytes\) is too small.*\); export it anew"):
+    with pytest.raises(LuxloopError, match=r"is not a valid ONNX file \(.*size \(4 bytes\) is too small.*\); export it again"):
         OnnxDetector(OnnxParams(file=written([add], [weights], tmp_path / "weights.onnx"), input_px=(SIZE, SIZE)))
     nodes = [helper.make_node("ReduceSum", ["x"], ["d"], keepdims=0), helper.make_node("Expand", ["d", "sides"], ["w"]), add]
     sides = numpy_helper.from_array(np.array([100_000, 100_000]), "sides")

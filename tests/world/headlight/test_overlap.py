@@ -33,7 +33,7 @@ def gaussian_lamp(pixels: int = 9, texels: int = 60) -> Csr:
 
 
 def dense_reference(row: np.ndarray, keep: int, method: Method, cases: np.ndarray) -> np.ndarray:
-    """One row, as T (5.2.1) and (5.2.2) are written."""
+    """One row, as T eq. 5.2.1 and 5.2.2 are written."""
     kept = sorted(sorted(range(len(row)), key=lambda j: (-row[j], j))[:keep])
     kept = [j for j in kept if row[j] > 0]
     out = np.zeros_like(row)

@@ -105,7 +105,7 @@ def test_what_is_wrong_in_a_folder_is_named(tmp_path: Path, change: Callable[[Pa
         with pytest.raises(LuxloopError) as error:
             FolderSource(path=tmp_path / "p", rows=ROWS, columns=COLUMNS, pattern=pattern).pixels()
         assert words in str(error.value)
-    with pytest.raises(LuxloopError, match="is no folder"):
+    with pytest.raises(LuxloopError, match="is not a folder"):
         FolderSource(path=tmp_path / "q", rows=1, columns=1).pixels()
 
 
@@ -227,16 +227,16 @@ HEAD = "pixel,horizontal_deg,vertical_deg,candela\n"
         (single_array, "no readable .npz file (File is not a zip file)"),
         (csv(HEAD), "has a first line only"),
         (csv(HEAD.replace("vertical_deg", "candela") + "0,1,1,1\n"), "two columns candela"),
-        (csv(HEAD + "0,1,1,2020-01-01\n"), "no table of numbers"),
-        (csv("pixel\xe9,horizontal_deg,vertical_deg,candela\n0,1,1,1\n", encoding="latin-1"), "no table of numbers"),
+        (csv(HEAD + "0,1,1,2020-01-01\n"), "not a table of numbers"),
+        (csv("pixel\xe9,horizontal_deg,vertical_deg,candela\n0,1,1,1\n", encoding="latin-1"), "not a table of numbers"),
         (csv("row,column,horizontal_deg,vertical_deg,candela\n0,0,1,1,1\n1000000,1000000,2,2,1\n"), "row goes up to 1e+06 in 2 lines"),
         (csv("row,column,horizontal_deg,vertical_deg,candela\n0,0,1,1,1\n1,1,2,2,1\n"), "names 2 x 2 pixels in 2 lines"),
         (csv(HEAD + "0,0,0,1\n1e300,1,1,1\n"), "pixel goes up to 1e+300 in 2 lines"),
         (csv("nothing", "t.txt"), "neither .npz nor .csv"),
         (csv("nothing", "t.npz"), "no readable .npz"),
         (csv("a,b\n1,2\n"), "has the columns a, b"),
-        (csv(HEAD + "0,1,1,bright\n"), "no table of numbers"),
-        (csv(HEAD + "0,1,1\n"), "no table of numbers"),
+        (csv(HEAD + "0,1,1,bright\n"), "not a table of numbers"),
+        (csv(HEAD + "0,1,1\n"), "not a table of numbers"),
         (csv(HEAD + "2,0,0,1\n"), "from 0 or 1"),
         (csv(HEAD + "0,0,0,1\n0,0,0,1\n1,1,1,1\n"), "two lines for the same angles"),
         (csv(HEAD + "0,0,0,1\n0,1,1,1\n0,0,1,1\n3,1,1,1\n"), "pixel 0, 1, counted from 0, has no lines"),

@@ -152,9 +152,9 @@ def rewritten(content: bytes, change: Callable[[dict[str, Any]], None]) -> bytes
         (lambda a: a.update(module0_pose=np.zeros((4, 4))), "module0_pose"),
         (lambda a: a.update(module0_pose=np.diag([1.0, -1, 1, 1])), "module0_pose"),
         (lambda a: a["header"]["modules"][1].update(swivel_deg=[5, -5]), "swivel_deg = 5 to -5 is in the wrong order"),
-        (lambda a: a["header"]["modules"][1].update(name="matrix"), "module 'matrix' is there twice"),
-        (lambda a: a["header"].update(beams=["town", "town"]), "beam 'town' is there twice"),
-        (lambda a: a["header"].update(beams=["low beam", "full"]), "beam 'full' is there twice (every lamp has it)"),
+        (lambda a: a["header"]["modules"][1].update(name="matrix"), "module 'matrix' occurs twice"),
+        (lambda a: a["header"].update(beams=["town", "town"]), "beam 'town' occurs twice"),
+        (lambda a: a["header"].update(beams=["low beam", "full"]), "beam 'full' occurs twice (every lamp has it)"),
         (lambda a: a.pop("module0_values"), "module0_values"),
     ],
 )
@@ -189,6 +189,6 @@ def test_writing_names_what_is_wrong_and_leaves_nothing_behind(lamp: Lamp, tmp_p
         save(tmp_path / "lamp.toml", lamp)
     with pytest.raises(LuxloopError, match="cannot be written"):
         save(tmp_path / "no folder" / "lamp.npz", lamp)
-    with pytest.raises(LuxloopError, match="beam 'off' is there twice"):
+    with pytest.raises(LuxloopError, match="beam 'off' occurs twice"):
         save(tmp_path / "lamp.npz", replace(lamp, beams={"off": lamp.beams["town"]}))
     assert list(tmp_path.iterdir()) == []

@@ -202,7 +202,7 @@ def test_writing_to_nowhere_is_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(LuxloopError, match="cannot be written"):
         write(tmp_path / "no" / "lamp.ies", parsed(PLAIN).distribution)
     (tmp_path / "d.ies").mkdir()
-    with pytest.raises(LuxloopError, match=r"d\.ies: cannot be written, for it is a folder"):
+    with pytest.raises(LuxloopError, match=r"d\.ies: cannot be written, because it is a folder"):
         write(tmp_path / "d.ies", parsed(PLAIN).distribution)
     assert [path.name for path in tmp_path.iterdir()] == ["d.ies"]
 
