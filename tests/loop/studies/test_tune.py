@@ -110,7 +110,8 @@ def test_a_whole_share_of_ones_own_part_says_how_it_can_be_a_fraction() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"), [("setling", "did you mean 'settling'"), ("2 iou", "no term"), ("0*iou", "weighs nothing"), ("", "no term")]
+    ("text", "said"),
+    [("setling", "did you mean 'settling'"), ("2 iou", "is not a term"), ("0*iou", "weighs nothing"), ("", "is not a term")],
 )
 def test_wrong_objectives_are_one_sentence(text: str, said: str) -> None:
     with pytest.raises(LuxloopError, match=said):
