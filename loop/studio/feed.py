@@ -31,6 +31,7 @@ class Feed:
             yield packed(published.scenario)
         more, self._wanted = looks.wanted - self._wanted, looks.wanted
         for sent in self._sent:
+            yield from sent.edits()
             yield from sent.rows()
             run, step = looks.at or (sent.number, len(sent.run.snapshots) - 1)
             if run == sent.number and self._steps - looks.shown < AHEAD * len(self._sent):
@@ -53,10 +54,16 @@ class Sent:
 
     def __init__(self, number: int, run: Run) -> None:
         self.number, self.run = number, run
-        self._rows, self._meshes, self._step = 0, 0, (-1, False)
+        self._rows, self._edits, self._meshes, self._step = 0, 0, 0, (-1, False)
         self._u: list[torch.Tensor | None] = [None] * len(run.simulation.modules)  # as last shown
         self._textures: list[np.ndarray | None] = [None] * len(run.simulation.modules)
         self._utilisations: list[torch.Tensor | None] = [None] * len(run.simulation.modules)
+
+    def edits(self) -> Iterator[bytes]:
+        """Those that it was not told of."""
+        for step, overrides in self.run.edits[self._edits :]:
+            self._edits += 1
+            yield packed({"type": "edit", "run": self.number, "step": step, "overrides": overrides})
 
     def rows(self) -> Iterator[bytes]:
         """Values of the steps that it lacks."""

@@ -8,11 +8,13 @@ import numpy as np
 import pyarrow as pa
 import torch
 
+from loop.lighting.edited import edited
 from loop.lighting.record import row, schema, summary_of
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.recording.files import table_of
 from loop.report.picture import white_of
+from loop.scenario.model import Scenario
 from loop.studio.messages import View
 from loop.studio.shapes import Shapes
 from loop.studio.snapshot import Snapshot, snapshot
@@ -29,8 +31,8 @@ REST: Final = 10  # times what a picture takes pass between two, so that looking
 class Run:
     """Steps of one simulation, with what clients show of them.
 
-    The thread that steps it adds to `snapshots`, `rows` and `shapes`; others read them, and nothing that was added changes but for what
-    old snapshots hold. label: for the page.
+    The thread that steps it adds to `snapshots`, `rows`, `edits` and `shapes`, which others read; what was added stays, except the
+    light and pictures of old snapshots. label: for the page.
     """
 
     def __init__(self, simulation: Simulation, label: str, overrides: Collection[str]) -> None:
@@ -39,6 +41,7 @@ class Run:
         self.schema = schema(simulation)
         self.columns = [each for each in self.schema if not pa.types.is_string(each.type)]
         self.shapes, self.snapshots, self.rows = Shapes(), list[Snapshot](), list[np.ndarray]()
+        self.edits = list[tuple[int, tuple[str, ...]]]()  # the step from which on other values of keys hold, and these
         self.step_ms = float("nan")
         self._state, self._kept, self._forgotten = simulation.start(), 0, 0
         self._plain, self._last = list[dict[str, Any]](), dict[str, StepResult]()
@@ -71,6 +74,11 @@ class Run:
         while self._kept > KEPT_BYTES and self._forgotten < len(self.snapshots) - 1:
             self._forget(self._forgotten)
         return result
+
+    def edit(self, scenario: Scenario, overrides: tuple[str, ...]) -> None:
+        """Go on with a scenario that `is_live`, from the next step on. overrides: that make it. Raises LuxloopError and stays as it is."""
+        self.simulation, self._state = edited(self.simulation, self._state, scenario)
+        self.edits.append((len(self.rows), overrides))
 
     def _forget(self, number: int) -> None:
         old = self.snapshots[number]

@@ -141,7 +141,7 @@ class Session:
                 self._prepare((self._source(opened),))
             case Set(overrides=overrides):
                 self._refuse(overrides)
-                self._prepare(tuple(replace(each, overrides=(*each.overrides, *overrides)) for each in self._sources))
+                self._edit(overrides)
             case Compare(overrides=None, recording=None):
                 self._prepare(self._sources[:1])
             case Compare() as compared:
@@ -201,6 +201,20 @@ class Session:
         over = all(run.over for run in published.runs)
         step_ms = sum(run.step_ms for run in runs)
         self._publish(playing=published.playing and not over, step_ms=step_ms, real_time=real_time)
+
+    def _edit(self, overrides: tuple[str, ...]) -> None:
+        """Other values of keys: from the next step on where world and lamps stay as they are, else in runs that start anew."""
+        from loop.lighting.edited import is_live
+
+        sources = tuple(replace(each, overrides=(*each.overrides, *overrides)) for each in self._sources)
+        scenarios, runs = [self._loaded(each) for each in sources], self.published.runs
+        if not runs or not all(is_live(run.simulation.scenario, each) for run, each in zip(runs, scenarios, strict=True)):
+            self._prepare(sources)
+            return
+        for run, scenario in zip(runs, scenarios, strict=True):
+            run.edit(scenario, overrides)
+        self._sources = sources
+        self._publish(failed=None)
 
     def _prepare(self, sources: tuple[Source, ...]) -> None:
         """Make runs of sources in place of those there are; where one cannot be made, they stay. Raises LuxloopError."""

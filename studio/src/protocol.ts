@@ -152,6 +152,7 @@ export type ServerMessage =
   | MeshesMessage
   | StepMessage
   | RowsMessage
+  | { type: "edit"; run: number; step: number; overrides: string[] }
   | { type: "summary"; run: number; summary: unknown }
   | { type: "beam"; run: number; rule: string; side: string; points: BeamPoint[] };
 

@@ -133,6 +133,9 @@ export class Session {
         store.set({ rows_version: store.state.rows_version + 1 });
         return;
       }
+      case "edit":
+        if (message.run === 0) this.toast(`From step ${message.step} on: ${message.overrides.join(" ")}`);
+        return;
       case "summary": {
         const run = store.state.runs[message.run];
         if (run) run.summary = message.summary;

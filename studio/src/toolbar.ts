@@ -121,8 +121,9 @@ function keyControls(store: Studio, session: Session): HTMLElement[] {
     type: "text",
     class: "keys",
     placeholder: "road.kind=bumps camera.bits=10",
-    "aria-label": "Other values of keys; Enter starts anew with them, Shift and Enter compare",
-    title: "Other values of keys. Enter: start anew with them. Shift+Enter: compare with a run that has them.",
+    "aria-label": "Other values of keys; Enter takes them, Shift and Enter compare",
+    title:
+      "Other values of keys. Enter: take them, functions at the next step, all else in a run that starts anew. Shift+Enter: compare with a run that has them.",
     spellcheck: "false",
     autocomplete: "off",
   });

@@ -1,0 +1,163 @@
+"""What the studio costs the loop: `python benchmarks/studio.py [--json FILE] [--quick]`.
+
+Steps of scenarios by the clock: alone, in the studio that nobody watches, and watched by another process, which reads and acknowledges all
+that it gets; block by block in turn, on two cores. Then bytes and time of a message, and the time from the command to the first picture.
+"""
+
+import argparse
+import asyncio
+import json
+import subprocess
+import sys
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from bench import machine, on_one_thread
+from rich.table import Table
+
+from loop.lighting.simulation import Simulation
+from loop.studio.feed import Feed, Looks
+from loop.studio.messages import LENGTH, Button
+from loop.studio.server import Studio, Tokens
+from loop.studio.session import Session, Source
+from loop.terminal import tables
+
+SMALL = ("camera.width_px=640", "camera.height_px=360", "judge_every=0")
+SCENARIOS, QUICK = ("snowflake", "gfhb", "driving"), ("snowflake",)
+WATCHER = """
+import json, struct, sys
+from websockets.sync.client import connect
+def message(**head):
+    text = json.dumps(head).encode()
+    return struct.pack("<I", len(text)) + text
+with connect(f"ws://127.0.0.1:{sys.argv[1]}/socket", max_size=None, compression=None) as socket:
+    socket.send(message(type="hello", token=sys.argv[2]))
+    for data in socket:
+        (length,) = struct.unpack_from("<I", data)
+        if json.loads(data[4 : 4 + length])["type"] == "step":
+            socket.send(message(type="shown"))
+            print("step", flush=True)
+"""
+
+
+@contextmanager
+def studio(name: str, steps: int) -> Iterator[tuple[Session, int, Tokens]]:
+    """A studio of a scenario that is prepared, its port and its tokens."""
+    loop, tokens = asyncio.new_event_loop(), Tokens()
+    threading.Thread(target=loop.run_forever, daemon=True).start()
+
+    async def begin() -> tuple[Studio, int]:
+        served = Studio((Source(name, (*SMALL, f"steps={steps}")),), Path("none"), tokens, device="cpu")
+        server = await served.serve("127.0.0.1", 0)
+        return served, server.sockets[0].getsockname()[1]
+
+    served, port = asyncio.run_coroutine_threadsafe(begin(), loop).result()
+    while served.session.published.progress is not None:
+        time.sleep(0.05)
+    if served.session.published.failed:
+        sys.exit(served.session.published.failed)
+    yield served.session, port, tokens
+    served.stop()
+
+
+def played_ms(session: Session) -> float:
+    """Start anew and play to the end; ms of the clock a step."""
+    number = session.published.number
+    session.ask(Button(type="reset"), print)
+    while session.published.number == number:
+        time.sleep(0.01)
+    (run,) = session.published.runs
+    began_s = time.perf_counter()
+    session.ask(Button(type="play"), print)
+    while not run.over:
+        time.sleep(0.002)
+    return 1e3 * (time.perf_counter() - began_s) / (len(run.rows) - 1)
+
+
+def alone_ms(simulation: Simulation) -> float:
+    """The same of the simulation alone."""
+    state, _ = simulation.step(simulation.start())
+    steps, began_s = simulation.scenario.steps - 1, time.perf_counter()
+    for _ in range(steps):
+        state, _ = simulation.step(state)
+    return 1e3 * (time.perf_counter() - began_s) / steps
+
+
+def messages_of(session: Session) -> dict[str, dict[str, float]]:
+    """Median bytes and ms of a message, by type, to a client that gets each step of a run that is over."""
+    found = defaultdict(list)
+    feed, published = Feed(), session.published
+    for step in range(len(published.runs[0].snapshots)):
+        messages = feed.messages(published, Looks(at=(0, step), shown=step))
+        began_s = time.perf_counter()
+        for data in messages:
+            (length,) = LENGTH.unpack_from(data)
+            kind = json.loads(data[LENGTH.size : LENGTH.size + length])["type"]
+            found[kind].append((len(data), 1e3 * (time.perf_counter() - began_s)))
+            began_s = time.perf_counter()
+    medians = {kind: [median(each) for each in zip(*of_kind[-8:], strict=True)] for kind, of_kind in found.items()}
+    return {kind: {"bytes": size, "ms": ms} for kind, (size, ms) in medians.items()}
+
+
+def measured(name: str, steps: int, rounds: int) -> dict[str, Any]:
+    """One scenario: ms a step alone, unwatched and watched, medians of rounds in turn, and its messages."""
+    taken = defaultdict(list)
+    with studio(name, steps) as (session, port, tokens):
+        simulation = session.published.runs[0].simulation
+        for _ in range(rounds):
+            if simulation.scenario.renderer != "opengl" and not simulation.world.moving:
+                taken["alone"].append(alone_ms(simulation))  # nothing is rendered, whose thread is another one
+            taken["unwatched"].append(played_ms(session))
+            watcher = subprocess.Popen([sys.executable, "-c", WATCHER, str(port), tokens.watch], stdout=subprocess.PIPE)
+            assert watcher.stdout is not None
+            watcher.stdout.readline()
+            taken["watched"].append(played_ms(session))
+            watcher.kill()
+        return {**{kind: median(each) for kind, each in taken.items()}, "messages": messages_of(session)}
+
+
+def first_picture_s(name: str) -> float:
+    """From the command to the first step at a client."""
+    began_s = time.perf_counter()
+    command = [sys.executable, "-m", "loop.commands.cli", "studio", name, "--no-open", "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        address = next(line.split()[-1] for line in server.stdout if line.startswith("To watch"))
+        port, token = address.rpartition(":")[2].split("/#")
+        with subprocess.Popen([sys.executable, "-c", WATCHER, port, token], stdout=subprocess.PIPE) as watcher:
+            assert watcher.stdout is not None
+            watcher.stdout.readline()
+            seconds = time.perf_counter() - began_s
+            watcher.kill()
+        server.terminate()
+    return seconds
+
+
+def main() -> None:
+    on_one_thread("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--quick", action="store_true")
+    given = parser.parse_args()
+    names, steps, rounds = (QUICK, 4, 1) if given.quick else (SCENARIOS, 40, 3)
+    found = {name: measured(name, steps, rounds) for name in names}
+    result = {"machine": machine("websockets", "torch"), "scenarios": found, "first_picture_s": first_picture_s("snowflake")}
+    table = Table("scenario", "alone", "unwatched", "watched", "watched / unwatched", "bytes of a step", "ms of a step's message")
+    for name, each in found.items():
+        ms = [f"{each[key]:.1f}" if key in each else "" for key in ("alone", "unwatched", "watched")]
+        message = each["messages"]["step"]
+        table.add_row(name, *ms, f"{each['watched'] / each['unwatched']:.2f}", f"{message['bytes']:.0f}", f"{message['ms']:.1f}")
+    tables.show(table)
+    print(f"first picture of snowflake: {result['first_picture_s']:.1f} s")
+    if given.json:
+        given.json.write_text(json.dumps(result, indent=1))
+
+
+if __name__ == "__main__":
+    main()

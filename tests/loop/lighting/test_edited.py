@@ -1,0 +1,80 @@
+"""A simulation goes on with other values of keys."""
+
+import pytest
+import torch
+
+from loop.lighting.edited import edited, is_live
+from loop.lighting.result import SimulationState, StepResult
+from loop.lighting.simulation import Simulation
+from loop.scenario.model import Scenario, load
+from world.errors import LuxloopError
+
+SMALL = ("camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "judge_every=0")
+
+
+def scenario(*overrides: str) -> Scenario:
+    return load("snowflake", (*SMALL, *overrides))
+
+
+@pytest.fixture(scope="module")
+def simulation() -> Simulation:
+    return Simulation.prepare(scenario())
+
+
+def stepped(simulation: Simulation, state: SimulationState, steps: int) -> tuple[SimulationState, list[StepResult]]:
+    results = []
+    for _ in range(steps):
+        state, result = simulation.step(state)
+        results.append(result)
+    return state, results
+
+
+def poses(results: list[StepResult]) -> torch.Tensor:
+    return torch.stack([each.symbol.pose for each in results])
+
+
+def test_the_same_values_change_nothing(simulation: Simulation) -> None:
+    state, _ = stepped(simulation, simulation.start(), 3)
+    assert is_live(simulation.scenario, scenario())
+    expected = poses(stepped(simulation, state, 3)[1])
+    assert poses(stepped(*edited(simulation, state, scenario()), 3)[1]).equal(expected)
+
+
+def test_a_gain_holds_from_the_next_step_on_and_the_controller_goes_on(simulation: Simulation) -> None:
+    state, _ = stepped(simulation, simulation.start(), 3)
+    other = scenario("functions.symbol.controller.position.kp=0.2")
+    found = poses(stepped(*edited(simulation, state, other), 3)[1])
+    assert found.equal(poses(stepped(Simulation.prepare(other), state, 3)[1]))
+    before = poses(stepped(simulation, state, 3)[1])
+    assert found[0].equal(before[0])  # which the step before has measured
+    assert found[1:, :2].ne(before[1:, :2]).all()
+
+
+def test_another_controller_starts_where_the_symbol_starts(simulation: Simulation) -> None:
+    state, _ = stepped(simulation, simulation.start(), 3)
+    after, there = edited(simulation, state, scenario("functions.symbol.controller=open"))
+    _, (result,) = stepped(after, there, 1)
+    assert result.symbol.pose.equal(after.symbol.projector.target)
+
+
+def test_functions_come_and_go() -> None:
+    guarded, plain = (load("gfhb", (*SMALL, *overrides)) for overrides in ((), ("functions={}", "checks={}")))
+    simulation = Simulation.prepare(guarded)
+    assert is_live(guarded, plain)
+    state, masked = stepped(simulation, simulation.start(), 1)
+    open_, state = edited(simulation, state, plain)
+    state, bright = stepped(open_, state, 1)
+    _, again = stepped(*edited(open_, state, guarded), 1)
+    dark, lit, back = (sum(float(u.sum()) for u in result.lights) for (result,) in (masked, bright, again))
+    assert lit > 1.05 * max(dark, back)
+
+
+@pytest.mark.parametrize("key", ["camera.bits=8", "seed=1", "road.kind=flat", "rate_hz=20.0", "headlight.level_deg=0.1", "off_share=0.48"])
+def test_what_changes_world_or_lamps_is_prepared_anew(simulation: Simulation, key: str) -> None:
+    assert not is_live(simulation.scenario, scenario(key))
+
+
+def test_a_symbol_that_cannot_be_drawn_is_refused(simulation: Simulation) -> None:
+    state = simulation.start()
+    with pytest.raises(LuxloopError, match=r"functions\.symbol"):
+        edited(simulation, state, scenario("functions.symbol.x_m=400.0"))
