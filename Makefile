@@ -65,4 +65,4 @@ opengl: | environment
 		|| echo "Going on without OpenGL: luxloop casts rays instead."
 
 clean:
-	rm -rf $(VENV) build *.egg-info
+	rm -rf $(VENV) build *.egg-info loop/studio/page studio/node_modules

@@ -22,7 +22,7 @@ from bench import machine, on_one_thread
 from rich.table import Table
 
 from loop.lighting.simulation import Simulation
-from loop.studio.feed import Feed, Looks
+from loop.studio.feed import Feed, Request
 from loop.studio.messages import LENGTH, Button
 from loop.studio.server import Studio, Tokens
 from loop.studio.session import Session, Source
@@ -40,8 +40,9 @@ with connect(f"ws://127.0.0.1:{sys.argv[1]}/socket", max_size=None, compression=
     socket.send(message(type="hello", token=sys.argv[2]))
     for data in socket:
         (length,) = struct.unpack_from("<I", data)
-        if json.loads(data[4 : 4 + length])["type"] == "step":
-            socket.send(message(type="shown"))
+        head = json.loads(data[4 : 4 + length])
+        if head["type"] == "step":
+            socket.send(message(type="shown", id=head["id"]))
             print("step", flush=True)
 """
 
@@ -94,7 +95,7 @@ def messages_of(session: Session) -> dict[str, dict[str, float]]:
     found = defaultdict(list)
     feed, published = Feed(), session.published
     for step in range(len(published.runs[0].snapshots)):
-        messages = feed.messages(published, Looks(at=(0, step), shown=step))
+        messages = feed.messages(published, Request(at=(0, step), shown=step))
         began_s = time.perf_counter()
         for data in messages:
             (length,) = LENGTH.unpack_from(data)

@@ -1,6 +1,7 @@
 """The command that serves the studio."""
 
 import asyncio
+import socket
 import webbrowser
 from pathlib import Path
 
@@ -50,10 +51,11 @@ def studio(
     async def serve() -> None:
         served = Studio(sources, files, tokens, allow_code=allow_code, device=device)
         server = await served.serve(host, port)
-        address = f"http://{host}:{server.sockets[0].getsockname()[1]}/"
+        reached = socket.gethostname() if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+        address = f"http://{reached}:{server.sockets[0].getsockname()[1]}/"
         print(f"To edit:  {address}#{tokens.edit}\nTo watch: {address}#{tokens.watch}\nEnd it with Ctrl-C.", flush=True)
         if open:
-            webbrowser.open(f"{address}#{tokens.edit}")
+            await asyncio.to_thread(webbrowser.open, f"{address}#{tokens.edit}")
         try:
             await server.serve_forever()
         finally:

@@ -10,54 +10,62 @@ import torch
 from loop.studio.messages import VIEWS, Coded, View, coded, grey, packed
 from loop.studio.runs import Run
 from loop.studio.session import Published
-from loop.studio.shapes import whole
+from loop.studio.shapes import merged
+from loop.studio.snapshot import Snapshot
 
-AHEAD: Final = 2  # steps of a run that a client may not have shown yet: one on its way, and one that it is at
-HALF: Final = 1024.0  # peak of a module in units of its half floats, far from where these overflow
-
-
-class Feed:
-    """What a client has got of a session. It is used by one thread at a time, which may be another one each time."""
-
-    def __init__(self) -> None:
-        self._number, self._steps = -1, 0
-        self._sent, self._wanted = list[Sent](), frozenset[View]()
-
-    def messages(self, published: Published, looks: "Looks") -> Iterator[bytes]:
-        """Those that bring the client up to date, as it looks."""
-        if published.number != self._number and published.scenario is not None:
-            self._number = published.number
-            self._sent = [Sent(number, run) for number, run in enumerate(published.runs)]
-            yield packed(published.scenario)
-        more, self._wanted = looks.wanted - self._wanted, looks.wanted
-        for sent in self._sent:
-            yield from sent.edits()
-            yield from sent.rows()
-            run, step = looks.at or (sent.number, len(sent.run.snapshots) - 1)
-            if run == sent.number and self._steps - looks.shown < AHEAD * len(self._sent):
-                fresh = list(sent.step(min(step, len(sent.run.snapshots) - 1), looks, anew=bool(more)))
-                self._steps += bool(fresh)
-                yield from fresh
+MOST_UNSHOWN: Final = 2  # steps of a run that a client may not have shown yet: one on its way, and one that it is at
+HALF_PEAK: Final = 1024.0  # of a module in units of its half floats, far from where these overflow
 
 
 @dataclass(frozen=True)
-class Looks:
-    """How a client looks. at: run and step in place of the newest. shown: steps that it has shown."""
+class Request:
+    """What a client wants to see. at: run and step in place of the newest. shown: the last `id` of a step that it has shown."""
 
     wanted: frozenset[View] = frozenset(VIEWS)
     at: tuple[int, int] | None = None
     shown: int = 0
 
 
-class Sent:
-    """What a client has got of one run."""
+class Feed:
+    """What a client has got of a session. It is used by one thread at a time, which may be another one each time."""
+
+    def __init__(self) -> None:
+        self._number, self._id = -1, 0
+        self._sent = list[SentRun]()
+
+    def messages(self, published: Published, request: Request) -> Iterator[bytes]:
+        """Those that bring the client up to date."""
+        if published.number != self._number and published.scenario is not None:
+            self._number = published.number
+            self._sent = [SentRun(number, run) for number, run in enumerate(published.runs)]
+            yield packed(published.scenario)
+        for sent in self._sent:
+            yield from sent.edits()
+            yield from sent.rows()
+            run, step = request.at or (sent.number, len(sent.run.snapshots) - 1)
+            if run == sent.number and sent.unshown(request.shown) < MOST_UNSHOWN:
+                for data in sent.step(min(step, len(sent.run.snapshots) - 1), request, self._id + 1):
+                    self._id = sent.ids[-1]
+                    yield data
+
+
+class SentRun:
+    """What a client has got of one run. ids: of the steps that were sent and, as far as is known, not shown."""
 
     def __init__(self, number: int, run: Run) -> None:
         self.number, self.run = number, run
-        self._rows, self._edits, self._meshes, self._step = 0, 0, 0, (-1, False)
-        self._u: list[torch.Tensor | None] = [None] * len(run.simulation.modules)  # as last shown
-        self._textures: list[np.ndarray | None] = [None] * len(run.simulation.modules)
-        self._utilisations: list[torch.Tensor | None] = [None] * len(run.simulation.modules)
+        self.ids = list[int]()
+        self._rows, self._edits, self._meshes = 0, 0, set[int]()
+        self._step: tuple[Snapshot | None, bool, frozenset[View]] = None, False, frozenset()
+        modules = len(run.simulation.modules)
+        self._u: list[torch.Tensor | None] = [None] * modules  # as last shown
+        self._textures: list[np.ndarray | None] = [None] * modules
+        self._utilisations: list[torch.Tensor | None] = [None] * modules
+
+    def unshown(self, shown: int) -> int:
+        """How many steps are on their way, where the last one with the `id` shown has arrived."""
+        self.ids = [each for each in self.ids if each > shown]
+        return len(self.ids)
 
     def edits(self) -> Iterator[bytes]:
         """Those that it was not told of."""
@@ -73,20 +81,21 @@ class Sent:
             self._rows += len(fresh)
             yield packed(head, {"rows": coded(np.stack(fresh))})
 
-    def step(self, number: int, looks: Looks, anew: bool) -> Iterator[bytes]:
-        """A step, and before it the meshes that it lacks; nothing where it has got that step, unless it shall come anew."""
-        scrubbed, wanted = looks.at is not None, looks.wanted
-        if (number, scrubbed) == self._step and not anew:
+    def step(self, number: int, request: Request, id_: int) -> Iterator[bytes]:
+        """A step, and before it the meshes that it lacks; nothing where it has got all that it wants of that step."""
+        scrubbed, wanted, snapshot = request.at is not None, request.wanted, self.run.snapshots[number]
+        before, was_scrubbed, had = self._step
+        if before is snapshot and was_scrubbed == scrubbed and wanted <= had:
             return
-        self._step = number, scrubbed
-        snapshot = self.run.snapshots[number]
-        if fresh := self.run.shapes.meshes[self._meshes :]:
-            self._meshes += len(fresh)
-            heads, arrays = whole(fresh)
+        self.ids.append(id_)
+        self._step = snapshot, scrubbed, wanted
+        if lacking := sorted({each["mesh"] for each in snapshot.head["bodies"]} - self._meshes):
+            self._meshes.update(lacking)
+            heads, arrays = merged([self.run.shapes.meshes[each] for each in lacking])
             yield packed({"type": "meshes", "run": self.number, "meshes": heads}, {name: coded(each) for name, each in arrays.items()})
         arrays_, light_rows, scales = dict[str, Coded](), dict[str, Any](), []
         for k, peak_cd in enumerate(self.run.peaks_cd):
-            scales.append(max(peak_cd, 1e-6) / HALF)
+            scales.append(max(peak_cd, 1e-6) / HALF_PEAK)
             if not snapshot.lights:
                 continue
             u = snapshot.lights[k]
@@ -100,14 +109,16 @@ class Sent:
                 share = (255 * u.clamp(0, 1)).round().byte().view(light.pixel_rows, light.pixel_cols)
                 arrays_[f"u.{k}"] = coded(share.numpy())
         if "camera" in wanted:
-            arrays_ |= {name: grey(picture) for name, picture in self._seen(number).items()}
-        head = {"type": "step", "run": self.number, "scrub": scrubbed, **snapshot.head, "light_rows": light_rows}
+            seen = snapshot if snapshot.pictures or not (scrubbed or before is None) else self._seen_before(number)
+            arrays_ |= {name: grey(picture) for name, picture in seen.pictures.items()}
+        head = {"type": "step", "id": id_, "run": self.number, "scrub": scrubbed, **snapshot.head, "light_rows": light_rows}
         head["modules"] = [{**each, "scale_cd": scale} for each, scale in zip(snapshot.head["modules"], scales, strict=True)]
         yield packed(head, arrays_)
 
-    def _seen(self, number: int) -> dict[str, np.ndarray]:
-        """Pictures of a step, or of the last one before it that has some."""
-        return next((each.pictures for each in reversed(self.run.snapshots[: number + 1]) if each.pictures), {})
+    def _seen_before(self, number: int) -> Snapshot:
+        """The last snapshot up to a step that has pictures, or that of the step."""
+        snapshots = self.run.snapshots
+        return next((snapshots[k] for k in range(number, -1, -1) if snapshots[k].pictures), snapshots[number])
 
     def _changed(self, k: int, u: torch.Tensor, scale_cd: float) -> tuple[list[int], Coded] | None:
         """Rows of a module's light texture in units of scale_cd that it lacks, and which they are."""

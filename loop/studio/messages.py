@@ -57,18 +57,26 @@ class AskSummary(Params):
 
 
 class AskBeam(Params):
-    """Ask for a regulation's verdict on a lamp's light."""
+    """Ask for a regulation's verdict on a lamp's light in a step, None for the newest."""
 
     type: Literal["beam"]
     run: Number = 0
     rule: Text
     side: Literal["left", "right"] = "left"
+    step: Number | None = None
+
+
+class Shown(Params):
+    """A step is shown. id: that of its message."""
+
+    type: Literal["shown"]
+    id: Number
 
 
 class Button(Params):
     """What has no value."""
 
-    type: Literal["shown", "pen", "play", "pause", "step", "reset"]
+    type: Literal["pen", "play", "pause", "step", "reset"]
 
 
 class Speed(Params):
@@ -102,7 +110,7 @@ class Compare(Params):
     recording: Text | None = None
 
 
-Message = Hello | Want | Scrub | AskSummary | AskBeam | Button | Speed | Open | Set | Compare
+Message = Hello | Want | Scrub | AskSummary | AskBeam | Shown | Button | Speed | Open | Set | Compare
 MESSAGE: Final[TypeAdapter[Message]] = TypeAdapter(Annotated[Message, Field(discriminator="type")])
 
 

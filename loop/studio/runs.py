@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Collection
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -17,11 +18,12 @@ from loop.report.picture import white_of
 from loop.scenario.model import Scenario
 from loop.studio.messages import View
 from loop.studio.shapes import Shapes
-from loop.studio.snapshot import Snapshot, snapshot
+from loop.studio.snapshot import Snapshot, bodies_at, snapshot
 from perception.camera import camera_view, saturation_luminance
-from world.errors import located
+from world.errors import LuxloopError, located
 from world.frames import inverse
 from world.regulation import check
+from world.scene.triangles import NOTHING
 
 KEPT_BYTES: Final = 2**30  # of light and pictures of steps that are over; the oldest are forgotten beyond
 UNITS: Final = {"flux": "lm", "sharpness": "decades in 0.1 deg", "straightness": "deg"}  # of requirements by kind, else cd
@@ -45,9 +47,10 @@ class Run:
         self.step_ms = float("nan")
         self._state, self._kept, self._forgotten = simulation.start(), 0, 0
         self._plain, self._last = list[dict[str, Any]](), dict[str, StepResult]()
+        self._bodies = NOTHING
         self._look_s = 0.0  # when a picture may be taken again
-        self.white_cd_m2 = float("nan")
-        self.white_cd_m2 = float(white_of(self.step(("camera", "marks")), simulation))
+        self._result = self.step(("camera", "marks"))
+        self.white_cd_m2 = float(white_of(self._result, simulation))
         self.peaks_cd = [each.headlight.peak_cd for each in simulation.modules]
 
     @property
@@ -59,21 +62,32 @@ class Run:
         """Do a step. wanted: what somebody looks at. still: nothing follows at once, so that there is time for pictures."""
         began_s = time.perf_counter()
         with located(self.simulation.scenario.source):
-            self._state, result = self.simulation.step(self._state)
+            state, result = self.simulation.step(self._state)
         self.step_ms = 1e3 * (time.perf_counter() - began_s)
-        values = row(result)
-        self._plain.append(values)
-        self._last |= dict.fromkeys(result.held, result)
         looks = set(wanted) if still or time.perf_counter() >= self._look_s else set(wanted) - {"camera"}
         began_s = time.perf_counter()
-        taken = snapshot(self.simulation, result, self.shapes, self.snapshots[-1] if self.snapshots else None, looks)
-        self._look_s = time.perf_counter() + REST * (time.perf_counter() - began_s)
+        before = self.snapshots[-1] if self.snapshots else None
+        taken, values = self._taken(result, before, looks), row(result)
+        if "camera" in looks:
+            self._look_s = time.perf_counter() + REST * (time.perf_counter() - began_s)
+        self._state, self._result = state, result
+        self._plain.append(values)
+        self._last |= dict.fromkeys(result.held, result)
         self.rows.append(np.array([_number(values.get(each.name)) for each in self.columns], np.float32))
         self.snapshots.append(taken)
-        self._kept += taken.bytes
+        self._kept += taken.bytes_beside(before)
         while self._kept > KEPT_BYTES and self._forgotten < len(self.snapshots) - 1:
             self._forget(self._forgotten)
         return result
+
+    def look_again(self, wanted: Collection[View]) -> None:
+        """Take the last snapshot anew, with all that somebody looks at now."""
+        self.snapshots[-1] = self._taken(self._result, self.snapshots[-1], wanted)
+
+    def _taken(self, result: StepResult, before: Snapshot | None, wanted: Collection[View]) -> Snapshot:
+        self._bodies = bodies_at(self.simulation, result.time_s, self._bodies)
+        numbered = [(self.shapes.number(each), each) for each in self._bodies.placed]
+        return snapshot(self.simulation, result, numbered, before, wanted)
 
     def edit(self, scenario: Scenario, overrides: tuple[str, ...]) -> None:
         """Go on with a scenario that `is_live`, from the next step on. overrides: that make it. Raises LuxloopError and stays as it is."""
@@ -81,18 +95,23 @@ class Run:
         self.edits.append((len(self.rows), overrides))
 
     def _forget(self, number: int) -> None:
-        old = self.snapshots[number]
-        self.snapshots[number] = Snapshot(old.step, old.head, (), {}, old.bodies)
-        self._kept -= old.bytes
+        old, after = self.snapshots[number : number + 2]
+        self.snapshots[number] = replace(old, lights=(), pictures={})
+        self._kept -= old.bytes_beside(after)
         self._forgotten = number + 1
 
     def summary(self) -> dict[str, Any]:
         """Of all steps so far, as `summary.json` has it. It renders, and so runs where the steps do."""
         return summary_of(self.simulation, table_of(self._plain, self.schema), self._last)
 
-    def beam(self, rule: str, side: str) -> list[dict[str, Any]]:
-        """A regulation's verdict on what the lamp of a side shows now, as the protocol has it. Raises LuxloopError for an unknown rule."""
-        shown = self.snapshots[-1]
+    def beam(self, rule: str, side: str, step: int | None) -> list[dict[str, Any]]:
+        """A regulation's verdict on what the lamp of a side shows in a step, the newest for None, as the protocol has it.
+
+        Raises LuxloopError for an unknown rule, and where the light of that step is no longer kept.
+        """
+        shown = self.snapshots[-1 if step is None else min(step, len(self.snapshots) - 1)]
+        if not shown.lights:
+            raise LuxloopError(f"step {step}: its light is no longer kept; start anew to see it")
         body = torch.tensor(shown.head["T_world_body"], dtype=torch.float64).view(4, 4)
         lit = []
         for module, u, posed in zip(self.simulation.modules, shown.lights, shown.head["modules"], strict=True):

@@ -3,22 +3,42 @@
 import asyncio
 import json
 import secrets
+import socket
 import time
+import traceback
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from http import HTTPStatus
+from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+from urllib.parse import urlsplit
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
-from websockets.http11 import Request, Response
+from websockets.http11 import Request as Asked
+from websockets.http11 import Response
 
-from loop.studio.messages import LARGEST, PROTOCOL, VIEWS, Button, Hello, Message, Scrub, View, Want, packed, read
+from loop.studio.messages import (
+    LARGEST,
+    PROTOCOL,
+    VIEWS,
+    AskBeam,
+    AskSummary,
+    Button,
+    Hello,
+    Message,
+    Scrub,
+    Shown,
+    View,
+    Want,
+    packed,
+    read,
+)
 from loop.studio.session import Session, Source
 from world.errors import LuxloopError
 
@@ -28,7 +48,8 @@ if TYPE_CHECKING:
 HELLO_S: Final = 10.0  # in which a client must say its token
 UNKNOWN: Final = 4401  # code by which a connection with another token is closed
 STATUS_S: Final = 0.1  # between two words on the session's state
-ASKING: Final = ("want", "scrub", "shown", "summary", "beam")  # what watchers may send as well
+READ_ONLY: Final = ("hello", "want", "scrub", "shown", "summary", "beam")  # types of messages that watchers may send as well
+MOST_ANSWERS: Final = 100  # that a client has not read yet
 KINDS: Final = {".html": "text/html; charset=utf-8", ".js": "text/javascript", ".css": "text/css", ".txt": "text/plain; charset=utf-8"}
 
 
@@ -52,8 +73,8 @@ class Client:
         self.feed: Feed | None = None  # made where PyTorch is imported
         self.wanted: frozenset[View] = frozenset(VIEWS)
         self.at: tuple[int, int] | None = None  # run and step that it looks at in place of the newest
-        self.shown = 0
-        self.changed, self.answers = asyncio.Event(), list[dict[str, Any]]()
+        self.shown = 0  # id of the last step that it has shown
+        self.changed, self.answers, self.asks = asyncio.Event(), list[dict[str, Any]](), set[tuple[str, int]]()
 
 
 class Studio:
@@ -67,7 +88,7 @@ class Studio:
         self._pen: int | None = None
         self._threads = ThreadPoolExecutor(2, "messages")
         self.session = Session(sources, self._changed, allow_code=allow_code, device=device)
-        self._hosts: frozenset[str] = frozenset()
+        self._names = frozenset({"localhost", socket.gethostname().lower()})
 
     async def serve(self, host: str, port: int) -> Server:
         """Listen; a port of 0 takes a free one. Raises LuxloopError where the port cannot be had."""
@@ -79,19 +100,18 @@ class Studio:
             raise LuxloopError(
                 f"--port {port}: cannot listen on {host}:{port} ({error.strerror}); give another --port, 0 for a free one"
             ) from error
-        bound = server.sockets[0].getsockname()[1]
-        self._hosts = frozenset(f"{name}:{bound}" for name in (host, "localhost", "127.0.0.1") if name)
+        self._names |= {host.lower()}
         self.session.start()
         return server
 
     def stop(self) -> None:
         """End the session after the step that it is at."""
         self.session.stop()
-        self._threads.shutdown()
+        self._threads.shutdown(cancel_futures=True)
 
-    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
-        host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
-        if host not in self._hosts or (origin is not None and origin not in (f"http://{host}", f"https://{host}")):
+    def _answer(self, connection: ServerConnection, request: Asked) -> Response | None:
+        host, origin = request.headers.get("Host", "").lower(), request.headers.get("Origin")
+        if not self._is_ours(host) or (origin is not None and origin.lower() not in (f"http://{host}", f"https://{host}")):
             return _response(HTTPStatus.FORBIDDEN, "text/plain", b"This address is not that of the studio.\n")
         path = request.path.partition("?")[0]
         if path == "/socket":
@@ -101,6 +121,13 @@ class Studio:
         if name not in known or known[name].suffix not in KINDS:
             return _response(HTTPStatus.NOT_FOUND, "text/plain", b"There is no such file.\n")
         return _response(HTTPStatus.OK, KINDS[known[name].suffix], known[name].read_bytes())
+
+    def _is_ours(self, host: str) -> bool:
+        """Whether a Host header names this machine: a page of somebody else, whose name is made to lead here, has that name in it."""
+        name = urlsplit(f"//{host}").hostname or ""
+        with suppress(ValueError):
+            return bool(ip_address(name))
+        return name in self._names
 
     async def _client(self, connection: ServerConnection) -> None:
         try:
@@ -142,14 +169,23 @@ class Studio:
         except LuxloopError as error:
             reply({"type": "error", "text": str(error), "about": None})
             return
+        if len(client.answers) > MOST_ANSWERS:
+            client.changed.set()
+            return
         match message:
             case Want(views=views):
                 client.wanted = frozenset(views)
                 self._look()
             case Scrub(step=step):
                 client.at = None if step is None else (message.run, step)
-            case Button(type="shown"):
-                client.shown += 1
+            case Shown(id=id_):
+                client.shown = max(client.shown, id_)
+            case AskSummary(run=run) | AskBeam(run=run):
+                if (message.type, run) in client.asks:
+                    reply({"type": "error", "text": f"{message.type}: the last one is not answered yet", "about": message.type})
+                else:
+                    client.asks.add((message.type, run))
+                    self.session.ask(message, partial(self._later, partial(self._answered, client, (message.type, run))))
             case Button(type="pen"):
                 self._pen = client.number
                 self._tell()
@@ -160,7 +196,7 @@ class Studio:
         client.changed.set()
 
     def _refuse(self, client: Client, message: Message) -> None:
-        if message.type in (*ASKING, "hello"):
+        if message.type in READ_ONLY:
             return
         if client.role != "edit":
             raise LuxloopError(f"{message.type}: this address lets you watch; open the one that luxloop studio prints for editing")
@@ -174,28 +210,39 @@ class Studio:
 
         return reply
 
+    def _answered(self, client: Client, ask: tuple[str, int], head: dict[str, Any]) -> None:
+        client.asks.discard(ask)
+        self._reply_to(client)(head)
+
     def _changed(self) -> None:
         """Tell clients, from another thread."""
-        self._loop.call_soon_threadsafe(self._tell)
+        with suppress(RuntimeError):  # the loop is closed, and nobody listens
+            self._loop.call_soon_threadsafe(self._tell)
 
     def _later(self, reply: Callable[[dict[str, Any]], None], head: dict[str, Any]) -> None:
         """Reply from another thread."""
-        self._loop.call_soon_threadsafe(reply, head)
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(reply, head)
 
     def _look(self) -> None:
-        self.session.wanted = frozenset(view for client in self._clients for view in client.wanted)
+        self.session.look(frozenset(view for client in self._clients for view in client.wanted))
 
     def _tell(self) -> None:
         for client in self._clients:
             client.changed.set()
 
     async def _keep_sending(self, client: Client) -> None:
-        with suppress(ConnectionClosed):
+        try:
             await self._send(client)
+        except ConnectionClosed:
+            pass
+        except Exception:
+            traceback.print_exc()
+            await client.connection.close(1011, "the server failed to send; the terminal of luxloop studio shows why")
 
     async def _send(self, client: Client) -> None:
         """Send what a client lacks whenever something has changed; while it takes that, changes gather, and the newest comes next."""
-        last, said_s, preparing = "", 0.0, None
+        last, said_s, preparing, soon = "", 0.0, None, False
         while True:
             await client.changed.wait()
             client.changed.clear()
@@ -209,16 +256,17 @@ class Studio:
             keys = ("playing", "speed", "step_ms", "real_time", "failed")
             status = {"type": "status", **{key: getattr(published, key) for key in keys}, "pen": self._pen, "clients": len(self._clients)}
             if (text := json.dumps(status)) != last:
-                if time.monotonic() - said_s >= STATUS_S or not published.playing:
-                    last, said_s = text, time.monotonic()
+                if (waits_s := said_s + STATUS_S - time.monotonic()) <= 0 or not published.playing:
+                    last, said_s, soon = text, time.monotonic(), False
                     await client.connection.send(packed(status))
-                else:
-                    self._loop.call_later(STATUS_S, client.changed.set)
+                elif not soon:
+                    soon = True
+                    self._loop.call_later(waits_s, client.changed.set)
             if published.runs:
-                from loop.studio.feed import Feed, Looks  # which import PyTorch, as the session has done by now
+                from loop.studio.feed import Feed, Request  # which import PyTorch, as the session has done by now
 
                 client.feed = client.feed or Feed()
-                messages = client.feed.messages(published, Looks(client.wanted, client.at, client.shown))
+                messages = client.feed.messages(published, Request(client.wanted, client.at, client.shown))
                 while (data := await self._loop.run_in_executor(self._threads, next, messages, None)) is not None:
                     await client.connection.send(data)
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from loop.studio.messages import VIEWS, AskBeam, AskSummary, Button, Compare, Message, Open, Set, Speed, View
 from world.errors import LuxloopError
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from loop.studio.runs import Run
 
 PATIENCE_S: Final = 5.0  # with a step, when all shall end
+LOOK: Final = "look"
+MOST_WAITING: Final = 2  # messages behind a step that is still done
 SMOOTH: Final = 0.2  # share of a step in the mean of its time
 
 Reply = Callable[[dict[str, Any]], None]
@@ -30,6 +32,18 @@ class Source:
     name: str
     overrides: tuple[str, ...] = ()
     recording: Path | None = None
+    apart: tuple[str, ...] = ()  # values by which it differs from the run beside it
+
+    @property
+    def all(self) -> tuple[str, ...]:
+        """All other values of keys."""
+        return (*self.overrides, *self.apart)
+
+    def with_values(self, overrides: Sequence[str]) -> "Source":
+        """The same with other values, in place of earlier ones of the same keys."""
+        keys = {each.partition("=")[0].strip() for each in overrides}
+        left = tuple(each for each in self.overrides if each.partition("=")[0].strip() not in keys)
+        return replace(self, overrides=(*left, *overrides))
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +81,7 @@ class Session:
         self.wanted: frozenset[View] = frozenset(VIEWS)
         self._sources = self._given = sources
         self._changed, self._allow_code, self._device = changed, allow_code, device
-        self._asked: queue.SimpleQueue[Asked | None] = queue.SimpleQueue()
+        self._asked: queue.SimpleQueue[Asked | Literal["look"] | None] = queue.SimpleQueue()
         self._next_s = 0.0
         self._thread = threading.Thread(target=self._work, name="simulation", daemon=True)
 
@@ -78,6 +92,12 @@ class Session:
     def ask(self, message: Message, reply: Reply) -> None:
         """Do as a client asks, in turn; reply: gets heads of answers, from the session's thread."""
         self._asked.put(Asked(message, reply))
+
+    def look(self, wanted: frozenset[View]) -> None:
+        """What somebody looks at; where that is more than before, a step that rests is looked at anew."""
+        more, self.wanted = wanted - self.wanted, wanted
+        if more:
+            self._asked.put(LOOK)
 
     def stop(self) -> None:
         """End the thread after the step that it is at; one that prepares something for long ends with the process."""
@@ -95,7 +115,10 @@ class Session:
                 continue
             if asked is None:
                 return
-            self._attempt(partial(self._do, asked), asked)
+            if asked == LOOK:
+                self._attempt(self._look_again, None)
+            else:
+                self._attempt(partial(self._do, asked), asked)
 
     def _attempt(self, what: Callable[[], None], asked: Asked | None) -> None:
         """Errors become a sentence: the answer to who asked, and of what nobody asked the state of the session."""
@@ -109,7 +132,8 @@ class Session:
             text = f"{type(error).__name__}: {error}; the terminal of luxloop studio shows where"
         if asked is not None:
             asked.reply({"type": "error", "text": text, "about": asked.message.type})
-            self._publish(progress=None)
+            if self.published.progress is not None:
+                self._publish(progress=None)
         else:
             self._publish(playing=False, failed=text, progress=None)
 
@@ -128,9 +152,11 @@ class Session:
                 self._publish(playing=True, failed=None)
             case Button(type="pause"):
                 self._publish(playing=False)
+                self._look_again()
             case Button(type="step"):
                 self._publish(playing=False)
-                self._step()
+                if self._asked.qsize() <= MOST_WAITING:  # a key that is held down
+                    self._step()
             case Button(type="reset"):
                 self._publish(playing=False)
                 self._prepare(self._sources)
@@ -148,12 +174,19 @@ class Session:
                 overrides = compared.overrides or ()
                 self._refuse(overrides)
                 first = self._sources[0]
-                other = replace(first, overrides=(*first.overrides, *overrides)) if compared.recording is None else self._source(compared)
+                other = replace(first, apart=overrides) if compared.recording is None else self._source(compared)
                 self._prepare((first, other))
             case AskSummary(run=number):
                 asked.reply({"type": "summary", "run": number, "summary": self._run(number).summary()})
             case AskBeam() as beam:
-                asked.reply({**beam.model_dump(), "points": self._run(beam.run).beam(beam.rule, beam.side)})
+                asked.reply({**beam.model_dump(), "points": self._run(beam.run).beam(beam.rule, beam.side, beam.step)})
+
+    def _look_again(self) -> None:
+        if self.published.playing:
+            return
+        for run in self.published.runs:
+            run.look_again(self.wanted)
+        self._changed()
 
     def _run(self, number: int) -> "Run":
         runs = self.published.runs
@@ -206,7 +239,7 @@ class Session:
         """Other values of keys: from the next step on where world and lamps stay as they are, else in runs that start anew."""
         from loop.lighting.edited import is_live
 
-        sources = tuple(replace(each, overrides=(*each.overrides, *overrides)) for each in self._sources)
+        sources = tuple(each.with_values(overrides) for each in self._sources)
         scenarios, runs = [self._loaded(each) for each in sources], self.published.runs
         if not runs or not all(is_live(run.simulation.scenario, each) for run, each in zip(runs, scenarios, strict=True)):
             self._prepare(sources)
@@ -232,7 +265,7 @@ class Session:
             same = (run.simulation for run in self.published.runs if run.simulation.scenario == scenario)
             simulation = next(same, None) or prepare(scenario, self._device)
             self._publish(progress=f"first step of {scenario.name}")
-            runs.append(Run(simulation, _label(source, sources[0]), source.overrides))
+            runs.append(Run(simulation, " ".join(source.apart) or source.name or str(source.recording), source.all))
         first = runs[0].simulation.scenario
         head = {
             "type": "scenario",
@@ -251,21 +284,14 @@ class Session:
         from world.plugin import refuse_code
 
         if source.recording is None:
-            return load(source.name, source.overrides, allow_code=self._allow_code)
+            return load(source.name, source.all, allow_code=self._allow_code)
         recording = replay.load(source.recording)
         as_far = {"steps": max(recording.table.num_rows, 1)}
-        data = overridden(recording.scenario.model_dump(mode="json"), [as_far, *source.overrides])
+        data = overridden(recording.scenario.model_dump(mode="json"), [as_far, *source.all])
         scenario = validate(data, str(source.recording))
         if not self._allow_code:
             refuse_code(scenario, scenario.source)
         return scenario
-
-
-def _label(source: Source, first: Source) -> str:
-    """What tells a run from the first: values of keys, or where it comes from."""
-    same = source is not first and (source.name, source.recording) == (first.name, first.recording)
-    told = " ".join(source.overrides[len(first.overrides) :]) if same else ""
-    return told or source.name or str(source.recording)
 
 
 def _choices() -> dict[str, Any]:

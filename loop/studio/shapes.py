@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from typing import Any, Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -20,16 +21,14 @@ class Shapes:
 
     def __init__(self) -> None:
         self.meshes: list[Mesh] = []
-        self._known: dict[int, tuple[int, Body]] = {}  # by identity; a body that is kept keeps its identity
+        self._known: WeakKeyDictionary[Body, int] = WeakKeyDictionary()
 
     def number(self, placed: Placed) -> int:
         """That of a placed body's mesh."""
-        body = placed.body
-        if id(body) not in self._known:
-            number = len(self.meshes)
-            self.meshes.append(_mesh(number, body, "road" if placed.object_id == 0 else "object"))
-            self._known[id(body)] = number, body
-        return self._known[id(body)][0]
+        number = self._known.setdefault(placed.body, len(self.meshes))
+        if number == len(self.meshes):
+            self.meshes.append(_mesh(number, placed.body, "road" if placed.object_id == 0 else "object"))
+        return number
 
 
 def _mesh(number: int, body: Body, kind: str) -> Mesh:
@@ -66,6 +65,6 @@ def _byte(share: np.ndarray) -> np.ndarray:
     return coded
 
 
-def whole(meshes: list[Mesh]) -> tuple[list[dict[str, Any]], Mapping[str, np.ndarray]]:
+def merged(meshes: list[Mesh]) -> tuple[list[dict[str, Any]], Mapping[str, np.ndarray]]:
     """Heads and arrays of several meshes."""
     return [head for head, _ in meshes], {name: array for _, arrays in meshes for name, array in arrays.items()}

@@ -1,6 +1,6 @@
 """A step as the studio's clients see it: poses, bodies, light and pictures, made where the simulation runs."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,11 +14,10 @@ from loop.recording.columns import loss_name
 from loop.report.marks import marks
 from loop.report.picture import captions
 from loop.studio.messages import View
-from loop.studio.shapes import Shapes
 from world.frames import transform
 from world.headlight.lamp import REST
 from world.scene.body import Spotlight
-from world.scene.triangles import NOTHING, Triangles
+from world.scene.triangles import NOTHING, Placed, Triangles
 
 Pictures = dict[str, np.ndarray]  # `[height, width]` uint8, by name
 
@@ -26,34 +25,41 @@ Pictures = dict[str, np.ndarray]  # `[height, width]` uint8, by name
 @dataclass(frozen=True, eq=False)
 class Snapshot:
     """A step. head: what is plain. lights: utilisations `[n_p]`, dimmed as modules were commanded, one a module; the same tensor as in the
-    step before where nothing changed. pictures: `camera.on`, `camera.off`, `camera.symbol`, where somebody looked. bodies: at its time.
+    step before where nothing changed. pictures: `camera.on`, `camera.off`, `camera.symbol`, where somebody looked.
     """
 
     step: int
     head: dict[str, Any]
     lights: tuple[Tensor, ...]
     pictures: Pictures
-    bodies: Triangles = NOTHING
 
-    @property
-    def bytes(self) -> int:
-        """What it holds, what it shares with other steps included."""
-        return sum(u.nbytes for u in self.lights) + sum(picture.nbytes for picture in self.pictures.values())
+    def bytes_beside(self, before: "Snapshot | None") -> int:
+        """What it holds that the snapshot of the step before does not."""
+        shared = set() if before is None else {id(u) for u in before.lights}
+        return sum(u.nbytes for u in self.lights if id(u) not in shared) + sum(picture.nbytes for picture in self.pictures.values())
 
 
-def snapshot(simulation: Simulation, result: StepResult, shapes: Shapes, before: Snapshot | None, wanted: Collection[View]) -> Snapshot:
-    """Of a step that was just done. before: the snapshot of the step before. wanted: what somebody looks at.
+def bodies_at(simulation: Simulation, time_s: float, before: Triangles) -> Triangles:
+    """What is there at a time, where the plant knows it. before: those of another time."""
+    world = simulation.truth
+    return NOTHING if world is None else world.scene.at(time_s, world.motion.at(time_s).T_world_ground, before)
+
+
+def snapshot(
+    simulation: Simulation, result: StepResult, bodies: Sequence[tuple[int, Placed]], before: Snapshot | None, wanted: Collection[View]
+) -> Snapshot:
+    """Of a step that was just done. bodies: what is there, with the numbers of their meshes. before: the snapshot of the step before.
+    wanted: what somebody looks at.
 
     It renders what pictures need, and so runs where the simulation does.
     """
     world, time_s = simulation.truth, result.time_s
     eye = torch.eye(4, dtype=torch.float64)
     T_world_ground = T_world_body = eye
-    bodies, spotlights = NOTHING, tuple[Spotlight, ...]()
+    spotlights: tuple[Spotlight, ...] = ()
     if world is not None:
         state = world.motion.at(time_s)
         T_world_ground, T_world_body = state.T_world_ground, state.T_world_body
-        bodies = world.scene.at(time_s, T_world_ground, NOTHING if before is None else before.bodies)
         spotlights = world.scene.spotlights_at(time_s)
     resting = [each.T_world_headlight for each in world.modules] if world else [each.T_world_module for each in simulation.modules]
     commands = result.now.commands or (REST,) * len(resting)
@@ -71,7 +77,7 @@ def snapshot(simulation: Simulation, result: StepResult, shapes: Shapes, before:
             {"T_world_module": _numbers(T_world_body @ command.turned(T.double().cpu()))}
             for T, command in zip(resting, commands, strict=True)
         ],
-        "bodies": [{"mesh": shapes.number(each), "T_world_body": _numbers(each.T_world_body)} for each in bodies.placed],
+        "bodies": [{"mesh": number, "T_world_body": _numbers(each.T_world_body)} for number, each in bodies],
         "spotlights": [
             {
                 "position_m": each.position.tolist(),
@@ -86,7 +92,7 @@ def snapshot(simulation: Simulation, result: StepResult, shapes: Shapes, before:
         "notes": [text for text, _ in captions(result, simulation)],
     }
     pictures = _pictures(simulation, result) if "camera" in wanted else {}
-    return Snapshot(result.step, head, lights, pictures, bodies)
+    return Snapshot(result.step, head, lights, pictures)
 
 
 def _kept(u: Tensor, before: Tensor | None) -> Tensor:

@@ -101,6 +101,7 @@ export interface Mark {
 
 export interface StepMessage {
   type: "step";
+  id: number;
   run: number;
   step: number;
   time_s: number;
@@ -163,8 +164,9 @@ export type ClientMessage =
   | { type: "want"; views: View[] }
   | { type: "scrub"; run: number; step: number | null }
   | { type: "summary"; run: number }
-  | { type: "beam"; run: number; rule: string; side: "left" | "right" }
-  | { type: "shown" | "pen" | "play" | "pause" | "step" | "reset" }
+  | { type: "beam"; run: number; rule: string; side: "left" | "right"; step: number | null }
+  | { type: "shown"; id: number }
+  | { type: "pen" | "play" | "pause" | "step" | "reset" }
   | { type: "speed"; factor: number | null }
   | { type: "open"; name: string; overrides: string[]; recording: string | null }
   | { type: "set"; overrides: string[] }

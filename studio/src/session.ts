@@ -110,6 +110,7 @@ export class Session {
         return;
       case "scenario":
         this.#forget();
+        this.#connection.send({ type: "scrub", run: 0, step: null });
         this.scenes.begin(message);
         store.set({
           scenario: message,
@@ -124,8 +125,11 @@ export class Session {
         this.scenes.meshes(message, arrays);
         return;
       case "step":
-        this.#step(message, arrays);
-        this.#connection.send({ type: "shown" });
+        try {
+          this.#step(message, arrays);
+        } finally {
+          this.#connection.send({ type: "shown", id: message.id });
+        }
         return;
       case "rows": {
         const values = arrays.get("rows")?.values;

@@ -1,5 +1,6 @@
 """Depths and normals straight from OpenGL, for views of a world that moves: no exact intersections, but several times as fast."""
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -20,6 +21,7 @@ from world.view import View
 PART_BITS = 6  # of a body: its number and that of a part share a float of 24 bits
 MOST_PARTS = 2**PART_BITS
 MARGIN_PX = 1  # beyond a part, of what is drawn for it
+_GONE: deque[tuple[int, list[int]]] = deque()  # buffers of bodies that are gone, wherever that was noticed, until something is drawn again
 KEPT = 8  # views of which an image of what stands still is kept
 
 
@@ -82,6 +84,7 @@ class DeferredRenderer:
         from OpenGL import GL
 
         context()._platform.make_current()
+        _delete_gone()
         program = _program()
         GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, _sized_framebuffer(view.width, view.height))
         GL.glViewport(0, 0, view.width, view.height)
@@ -125,7 +128,7 @@ class DeferredRenderer:
                 corners = torch.cat([body.corners, body.corner_normals, part[:, None, None].expand(-1, 3, 1)], -1).flatten(0, 1).numpy()
                 faces = np.arange(len(corners))
             array, buffers = _upload(corners, faces)
-            finalize(body, _delete, array, buffers).atexit = False  # when the context may be gone
+            finalize(body, _GONE.append, (array, buffers)).atexit = False  # when the context may be gone
             self._arrays[body] = (array, faces.size)
         return self._arrays[body]
 
@@ -148,12 +151,14 @@ def _upload(corners: np.ndarray, faces: np.ndarray) -> tuple[int, list[int]]:
     return array, buffers
 
 
-def _delete(array: int, buffers: list[int]) -> None:
+def _delete_gone() -> None:
+    """The last use of a body may end in a thread to which the context does not belong: its buffers go when that draws again."""
     from OpenGL import GL
 
-    context()._platform.make_current()
-    GL.glDeleteVertexArrays(1, [array])
-    GL.glDeleteBuffers(len(buffers), buffers)
+    while _GONE:
+        array, buffers = _GONE.popleft()
+        GL.glDeleteVertexArrays(1, [array])
+        GL.glDeleteBuffers(len(buffers), buffers)
 
 
 def _projection(view: View) -> np.ndarray:

@@ -33,7 +33,7 @@ export function beamControls(store: Studio, session: Session, bar: HTMLElement, 
     if (state.viewpoint !== "wall" || !state.rule || state.link !== "open") return;
     asked_ms = performance.now();
     waiting = true;
-    for (const run of state.runs.keys()) session.send({ type: "beam", run, rule: state.rule, side: state.side });
+    for (const run of state.runs.keys()) session.send({ type: "beam", run, rule: state.rule, side: state.side, step: state.scrub });
   };
   store.on(["viewpoint", "rule", "side", "scenario"], () => {
     if (again !== null) clearTimeout(again);

@@ -52,7 +52,7 @@ class Watcher:
             assert isinstance(data, bytes)
             self.got.append(unpacked(data))
             if self.got[-1][0]["type"] == "step":
-                self.say(type="shown")
+                self.say(type="shown", id=self.got[-1][0]["id"])
             if fits(self.got[-1][0]):
                 return self.got[-1]
 

@@ -13,6 +13,7 @@ from websockets.sync.client import connect
 
 import luxloop
 from loop.lighting.record import row
+from loop.studio.trust import refuse_foreign
 from tests.loop.studio.clients import Watcher, message, watching
 from tests.loop.studio.conftest import SMALL, Served
 
@@ -115,6 +116,31 @@ def test_a_step_can_be_seen_again_and_is_not_overtaken(served: Served) -> None:
         assert watcher.got[-1][0]["step"] == 3
 
 
+def test_who_looks_back_follows_again_after_a_new_start(served: Served) -> None:
+    with watching(served.port, served.tokens.edit) as watcher:
+        watcher.of("scenario")
+        watcher.say(type="step")
+        watcher.of("step")
+        watcher.say(type="scrub", run=0, step=0)
+        watcher.of("step", scrub=True)
+        watcher.say(type="reset")
+        watcher.of("scenario")
+        watcher.say(type="scrub", step=None)
+        watcher.say(type="step")
+        watcher.of("step", step=1, scrub=False)
+
+
+def test_addresses_of_this_machine_are_let_in(served: Served) -> None:
+    for host in (f"192.168.1.5:{served.port}", f"LOCALHOST:{served.port}", "[::1]", "127.0.0.1"):
+        assert fetched(served, "/", Host=host)[0] == 200
+
+
+def test_values_that_are_no_files_may_have_dots() -> None:
+    refuse_foreign(
+        ['name="v1.2"', 'checks.c={metric="functions.symbol.iou", at_least=0.1}', "functions.symbol.image=chevrons", "road.kind=bumps"]
+    )
+
+
 def test_watchers_cannot_write_and_one_holds_the_pen(served: Served) -> None:
     with watching(served.port, served.tokens.edit) as editor, watching(served.port, served.tokens.watch) as watcher:
         assert editor.of("welcome")[0]["role"] == "edit" and watcher.of("welcome")[0]["role"] == "watch"
@@ -133,10 +159,9 @@ def test_watchers_cannot_write_and_one_holds_the_pen(served: Served) -> None:
         with watching(served.port, served.tokens.edit) as second:
             second.say(type="pause")
             assert "pen" in second.of("error")[0]["text"]
+            number = second.got[0][0]["id"]
             second.say(type="pen")
-            second.of("status", pen=second.of("welcome")[0]["id"]) if not any(
-                head["type"] == "welcome" for head, _ in second.got
-            ) else second.of("status")
+            second.of("status", pen=number)
 
 
 @pytest.mark.parametrize(
@@ -147,6 +172,7 @@ def test_watchers_cannot_write_and_one_holds_the_pen(served: Served) -> None:
         ("functions.symbol.image=../../x.svg", "names a file"),
         ("keys.toml", "cannot name a file"),
         ("plant.kind=simulated", "plant"),
+        ("detector={kind='network', weights='mine'}", "names a file"),
         ('objects=[{kind="mesh", file="/dev/zero"}]', "names a file"),
     ],
 )
