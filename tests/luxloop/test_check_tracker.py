@@ -1,5 +1,6 @@
 """The contract of trackers: what keeps it passes, and each way of breaking it has a sentence with cause and remedy."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -7,6 +8,7 @@ from typing import Any
 import pytest
 import torch
 
+from loop.scenario.shipped import examples
 from luxloop import LuxloopError, TrackedBoxes, check_tracker
 from perception.tracking import Tracker, TrackerParams
 
@@ -129,9 +131,10 @@ def test_each_way_to_break_the_contract_is_told_in_a_sentence(broken: Any, devic
     assert all(words in sentence for words in BROKEN[broken]), sentence
 
 
-def test_what_keeps_the_contract_passes(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_keeps_the_contract_passes(device: torch.device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     check_tracker(Kept, {"confirm_frames": 2}, device.type)
-    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "scenarios" / "examples")
+    shutil.copy(examples()["alpha_beta.py"], tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
     check_tracker(__import__("alpha_beta").AlphaBeta, device=device.type)
     with pytest.warns(UserWarning, match="reported none of 2 objects in 12 frames"):
         check_tracker(Silent, device=device.type)
