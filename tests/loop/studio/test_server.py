@@ -211,10 +211,10 @@ def test_a_gain_holds_at_the_next_step_and_nothing_starts_anew(served: Served) -
         told, _ = watcher.of("edit")
         assert (told["step"], told["overrides"]) == (len(run.rows), ["functions.symbol.controller.position.kp=0.31"])
         assert served.studio.session.published.number == number
-        assert float(run.simulation.symbol.controller.gains.kp[0]) == pytest.approx(0.31)
+        assert run.simulation.symbol.params.position.kp == 0.31
         watcher.say(type="set", overrides=["functions.symbol.x_m=400.0"])
         assert "functions.symbol" in watcher.of("error", about="set")[0]["text"]
-        assert float(run.simulation.symbol.controller.gains.kp[0]) == pytest.approx(0.31)
+        assert run.simulation.symbol.params.position.kp == 0.31
 
 
 def test_a_second_run_steps_beside_the_first(served: Served) -> None:
