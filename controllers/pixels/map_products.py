@@ -127,12 +127,12 @@ def _utilisation(piece: _Piece, pixels: PixelMajor) -> Image:
         return piece.value
     asked = piece.value
     if isinstance(piece.in_cd, Tensor):
-        asked = torch.lerp(asked, asked * pixels.share.view(size)[cut], piece.in_cd)
+        asked = torch.lerp(asked, asked * pixels.share.view(size)[cut], piece.in_cd)  # u = share_i I_s,i (T eq. 7.4.1)
     elif piece.in_cd:
         asked = asked * pixels.share.view(size)[cut]
     if pixels.darkening is not None:
-        asked = asked * pixels.darkening.view(size)[cut]
-    return asked.clamp(0, 1)
+        asked = asked * pixels.darkening.view(size)[cut]  # T eq. 7.4.2
+    return asked.clamp(0, 1)  # 0 <= I_s,ij <= I_m,ij
 
 
 def _times(a: Image, b: Image) -> Image:
@@ -152,8 +152,8 @@ def _summed(images: dict[str, Tensor], ruling: bool, pixels: PixelMajor, default
 
     def summed(matrix: Csr, *names: str) -> dict[str, Tensor]:
         there = [name for name in names if name in images]
-        at_once = torch.stack([images[name].flatten(-2) for name in there])  # one pass over the matrix for all of them
-        return dict(zip(there, multiply(matrix.band(band.start, band.stop), at_once), strict=True))
+        at_once = torch.stack([images[name].flatten(-2) for name in there])  # [images, ..., n_t]: one pass over the matrix
+        return dict(zip(there, multiply(matrix.band(band.start, band.stop), at_once), strict=True))  # [images, ..., band]
 
     finite, infinite = ("light", "of_default", "missed", "weight"), ("forced", "forced_light", "forced_of_default")
     if pixels.weight is pixels.full:
@@ -163,12 +163,12 @@ def _summed(images: dict[str, Tensor], ruling: bool, pixels: PixelMajor, default
     light, forced_light, forced_weight, lit = sums["light"], None, sums.get("forced"), None
     for name in ("of_default", "missed"):
         if name in sums:
-            light = light + default * sums[name]
+            light = light + default * sums[name]  # terms of T eq. 7.4.5 with the factor u_def,j, [..., band]
     if forced_weight is not None:
         forced_light = sums.get("forced_light", torch.zeros_like(forced_weight))
         if "forced_of_default" in sums:
             forced_light = forced_light + default * sums["forced_of_default"]
     if "lit" in images:
         counts = summed(pixels.ones, "lit", "missed", "lit_of_default")
-        lit = counts.pop("lit") + sum((default > 0) * count for count in counts.values())
+        lit = counts.pop("lit") + sum((default > 0) * count for count in counts.values())  # misses and shares are lit where u_def,j > 0
     return Sums(light, sums.get("weight"), forced_light, forced_weight, lit, RULED if ruling else None)

@@ -92,7 +92,6 @@ def _reduced(sums: Sums, pixels: PixelMajor, params: MrpcParams, default: Tensor
         u = u * (sums.weight < sums.ruled_from).to(u)  # an infinite weight of a zero setpoint: dark
     if sums.forced_light is not None and sums.forced_weight is not None:
         forced = sums.forced_weight > 0
-        u = torch.where(
-            forced, sums.forced_light / torch.where(forced, sums.forced_weight, 1.0), u
-        )  # T eq. 7.4.5 over infinite weights only
+        # T eq. 7.4.5 over infinite weights only, [..., band].
+        u = torch.where(forced, sums.forced_light / torch.where(forced, sums.forced_weight, 1.0), u)
     return u.clamp(0, 1)

@@ -189,7 +189,7 @@ class Casting:
 
     def strokes(self) -> Iterator[Stroke]:
         """The primitives in painting order."""
-        weight, windows = self.primitives.weight[..., None, None], self.windows
+        weight, windows = self.primitives.weight[..., None, None], self.windows  # [..., P, 1, 1]
         infinite = weight.isinf()
         finite, forced = torch.where(infinite, 0.0, weight.clamp(max=HEAVIEST)), infinite.to(weight)
         rays = _Rays(self.seen, *self.grid.tangents(weight.dtype, weight.device), any(mask is not False for mask in self.is_mask))
@@ -293,7 +293,7 @@ class _Rays:
 
     def _times(self, a: Tensor, aside: Tensor | None = None) -> _Product:
         constant = a[..., 0] if aside is None else a[..., 0] - aside
-        rows, cols = constant[..., None] + a[..., 2:] * self.z, a[..., 1:2] * self.y
+        rows, cols = constant[..., None] + a[..., 2:] * self.z, a[..., 1:2] * self.y  # a_0 + a_2 z [..., rows], a_1 y [..., cols]
         of_primitives = self.seen.n.ndim - 2
         return _Product(rows.unbind(of_primitives), cols.unbind(of_primitives))
 
@@ -303,7 +303,7 @@ def _from_the_front(seen: Homographies) -> list[bool | None]:
 
     It may differ if a given normal is not that of the edges. For masks the centre decides.
     """
-    cosine = (seen.normal * seen.n).sum(-1).abs() / seen.n.norm(dim=-1)
+    cosine = (seen.normal * seen.n).sum(-1).abs() / seen.n.norm(dim=-1)  # [..., P]
     decided = seen.mask | (cosine > 1 - PARALLEL)
     return [front if known else None for front, known in zip((seen.toward > 0).tolist(), decided.tolist(), strict=True)]
 
@@ -325,7 +325,7 @@ def _hit(rays: _Rays, seen: Homographies, p: int, mask: bool | None, front: bool
 
     mask, front: whether it is a mask and whether the lamp sees its front, None if unknown on the host.
     """
-    n, uv = rays.n.on(p, window), rays.uv.on(p, window)
+    n, uv = rays.n.on(p, window), rays.uv.on(p, window)  # [..., rows, cols], [..., 2, rows, cols]
     if mask is False:
         hit = _inside(n, uv)
         return hit if front else hit * _step(rays.facing.on(p, window).detach())
@@ -340,7 +340,7 @@ def _hit(rays: _Rays, seen: Homographies, p: int, mask: bool | None, front: bool
 
 def _won(hit: Tensor, rays: _Rays, seen: Homographies, p: int, mask: bool | None, window: Window, nearest: Tensor) -> Tensor:
     """The part of a hit without a nearer one of its class. nearest: lower bound of the class's 1/x, updated in place."""
-    closeness = rays.closeness.on(p, window).detach()
+    closeness = rays.closeness.on(p, window).detach()  # 1/x, [..., rows, cols]
     if mask is not False:  # a mask's hit beyond its outline is limited to the distances of its corners
         closeness = _between_corners(closeness, seen, p)
     rounding = seen.rounding[..., p, None, None]
@@ -361,7 +361,7 @@ def _points(rays: _Rays, seen: Homographies, p: int, window: Window, T_world_hea
     x = 1 / _between_corners(rays.closeness.on(p, window), seen, p)
     rows, cols = window.slices
     forward, left, up, position = T_world_headlight[:3, :, None, None].to(x).unbind(1)
-    ray = (forward + up * rays.z[rows, None]) + left * rays.y[cols]
+    ray = (forward + up * rays.z[rows, None]) + left * rays.y[cols]  # R [1, y, z], [3, rows, cols]
     return position + x[..., None, :, :] * ray  # p = o + x d (T eq. 3.1.1), [..., 3, rows, cols]
 
 
@@ -393,9 +393,10 @@ def _setpoint(p: int, hit: Tensor, rays: _Rays, primitives: Primitives, seen: Ho
         value = value * _read(symbol, p, rays, primitives, window)
     if not illuminance:
         return value
+    # d.n and -d.normal, 1 beside hits, [..., rows, cols] each.
     across, facing = (hit.new_ones(()).lerp(product.on(p, window), hit) for product in (rays.n, rays.facing))
     rows, cols = window.slices
-    d2 = (1 + rays.z[rows, None] ** 2) + rays.y[cols] ** 2
+    d2 = (1 + rays.z[rows, None] ** 2) + rays.y[cols] ** 2  # |ray|^2 [rows, cols]
     return value * seen.qn[..., p, None, None] ** 2 * (d2 * d2.sqrt()) / (across * across * facing)  # E (qn / d.n)^2 |ray|^3 / facing
 
 
@@ -416,7 +417,7 @@ def _symbol_value(symbol: Tensor, uv: Tensor, nearest: bool) -> Tensor:
     """A symbol image `[h, w]` at coordinates -1..1 `[..., 2, rows, cols]`, bilinear or nearest, texel centres at (2 k + 1) / n - 1."""
     if not uv.numel():
         return uv[..., 0, :, :]  # an empty window
-    at = uv.reshape(-1, *uv.shape[-3:]).movedim(1, -1)
+    at = uv.reshape(-1, *uv.shape[-3:]).movedim(1, -1)  # [B, rows, cols, 2]
     images = symbol.expand(len(at), 1, *symbol.shape)
     sampled = grid_sample(images, at, "nearest" if nearest else "bilinear", padding_mode="border", align_corners=False)
     return sampled.reshape(*uv.shape[:-3], *uv.shape[-2:])

@@ -41,7 +41,7 @@ def sees(triangles: Triangles, eye: Tensor, points: Tensor, tolerance_m: float =
     Hidden is what lies deeper than the first face on the way to it, by more than the tolerance along the ray.
     """
     eye = eye.double().cpu()
-    ways = points.double().cpu().movedim(-2, 0).flatten(1) - eye[:, None]
+    ways = points.double().cpu().movedim(-2, 0).flatten(1) - eye[:, None]  # [3, ... * N]
     distance = ways.square().sum(0).sqrt_()
     _, depth = _cast(triangles, eye, ways, (1 - tolerance_m / distance).float())
     return ((1 - depth) * distance <= tolerance_m).to(points.device).view(points[..., 0, :].shape)
@@ -59,16 +59,16 @@ def _cast(triangles: Triangles, origin: Tensor, directions: Tensor, farthest: Te
         if not len(rays):
             continue
         T_body_world, body = inverse(placed.T_world_body), placed.body
-        local_origin = T_body_world[:3, :3] @ origin + T_body_world[:3, 3]
-        local = T_body_world[:3, :3] @ directions.index_select(1, rays)
+        local_origin = T_body_world[:3, :3] @ origin + T_body_world[:3, 3]  # o [3]
+        local = T_body_world[:3, :3] @ directions.index_select(1, rays)  # d [3, rays]
         near = torch.nonzero(_near(body.bounds, local_origin, local, farthest[rays]))[:, 0]
         rays, local = rays[near], local.index_select(1, near)
         if not len(rays):
             continue
         face = torch.from_numpy(body.intersector.intersects_first(local_origin.expand(len(rays), 3).numpy(), local.T.numpy())).long()
-        normal, offset = body.planes[face].T.split((3, 1))
+        normal, offset = body.planes[face].T.split((3, 1))  # n x = c, [3, rays], [1, rays]
         towards = (normal * local).sum(0)
-        hit_depth = (offset[0] - local_origin @ normal) / towards
+        hit_depth = (offset[0] - local_origin @ normal) / towards  # t where n (o + t d) = c, [rays]
         closer = (face >= 0) & (hit_depth < depth[rays])
         if not body.two_sided:  # from within a closed body, one sees out
             closer &= towards < 0
@@ -89,14 +89,14 @@ def _towards(placed: Sequence[Placed], origin: Tensor, ways: Tensor, farthest: T
     axis = int(along.abs().argmax())
     sides, sign = [each for each in range(3) if each != axis], math.copysign(1.0, along[axis])
     ahead = sign * ways[axis]
-    slopes, ends = ways[sides] / ahead, ways * farthest
+    slopes, ends = ways[sides] / ahead, ways * farthest  # [2, N], [3, N]
     aside = torch.nonzero((ahead <= 0).logical_or_((slopes.abs() > STEEPEST).any(0)))[:, 0]
     corners = torch.stack([each.box for each in placed]) - origin  # [n, 8, 3]
-    low, high = corners.amin(1), corners.amax(1)
+    low, high = corners.amin(1), corners.amax(1)  # [n, 3] each
     depths = sign * torch.stack([low, high], 1)[:, :, axis]  # [n, 2]
     edges = (torch.stack([low, high], 1)[:, :, None, sides] / depths.clamp(min=NEAREST_M)[:, None, :, None]).flatten(1, 2)  # [n, 4, 2]
     spare = ROUNDING * (1 + edges.abs())
-    least, most = (edges - spare).amin(1).tolist(), (edges + spare).amax(1).tolist()
+    least, most = (edges - spare).amin(1).tolist(), (edges + spare).amax(1).tolist()  # [n, 2] each
     for bottom, top, (l0, l1), (m0, m1), far in zip(low.tolist(), high.tolist(), least, most, depths.amax(1).tolist(), strict=True):
         met = aside
         if far > 0:
@@ -114,8 +114,8 @@ def _towards(placed: Sequence[Placed], origin: Tensor, ways: Tensor, farthest: T
 
 def _near(bounds: Tensor, origin: Tensor, directions: Tensor, farthest: Tensor) -> Tensor:
     """Which rays `[3, N]` pass through the box around a body: most miss a small one, and asking embree costs more."""
-    low, high = (bounds - origin + bounds.new_tensor([[-MARGIN_M], [MARGIN_M]])).float()
+    low, high = (bounds - origin + bounds.new_tensor([[-MARGIN_M], [MARGIN_M]])).float()  # [3] each
     per_m = 1 / directions.float()
     crossings = low[:, None] * per_m, high[:, None] * per_m  # of the six planes; 0 / 0 where a ray lies in one
     entering, leaving = torch.fmin(*crossings).amax(0).clamp(min=0), torch.fmax(*crossings).amin(0).minimum(farthest)
-    return (entering <= leaving) & (entering < torch.inf)
+    return (entering <= leaving) & (entering < torch.inf)  # slab test: the last plane is entered before the first is left, [N]

@@ -82,11 +82,11 @@ def intersect(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions
     for hits in _on_planes(triangles, face_ids, origin, directions):
         beside = torch.nonzero(~(hits.barycentric.amin(0) >= -0.1))[:, 0]
         if len(beside):
-            held = hits.barycentric[:, beside].nan_to_num(1.0, 1.0, 0.0).clamp(min=0.0)
+            held = hits.barycentric[:, beside].nan_to_num(1.0, 1.0, 0.0).clamp(min=0.0)  # [3 corners, m]
             hits.barycentric[:, beside] = held = held / held.sum(0)
-            along = directions[:, hits.pixels[beside]]
-            points = torch.einsum("im,mij->jm", held, hits.placed.corners[hits.faces[beside]] - origin)
-            hits.depth[beside] = (points * along).sum(0) / (along * along).sum(0)
+            along = directions[:, hits.pixels[beside]]  # d [3, m]
+            points = torch.einsum("im,mij->jm", held, hits.placed.corners[hits.faces[beside]] - origin)  # p = sum_i w_i corner_i, [3, m]
+            hits.depth[beside] = (points * along).sum(0) / (along * along).sum(0)  # of the ray's point nearest to p, [m]
         yield hits
 
 
@@ -107,14 +107,14 @@ def _on_planes(triangles: Triangles, face_ids: Tensor, origin: Tensor, direction
         seen[faces] = True
         # A direction d = sum_i w_i corner_i, corners relative to the origin, has w_i = d . edge_i / volume, edge_i being the cross product
         # of the two other corners: w_i are the barycentric coordinates times 1 / depth.
-        a, b, c = (placed.corners[seen] - origin).unbind(1)
-        edges = torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], 1)
-        volume = (a * edges[:, 0]).sum(-1)
+        a, b, c = (placed.corners[seen] - origin).unbind(1)  # of the S faces that are seen, [S, 3] each
+        edges = torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], 1)  # [S, 3 corners, 3]
+        volume = (a * edges[:, 0]).sum(-1)  # triple product a (b x c), [S]
         compact = (torch.cumsum(seen, 0) - 1)[faces]
-        volume, edges = volume[compact], edges[compact]
+        volume, edges = volume[compact], edges[compact]  # [M], [M, 3 corners, 3]
         d = directions[:, pixels]
-        w = torch.stack([edges[:, i, 0] * d[0] + edges[:, i, 1] * d[1] + edges[:, i, 2] * d[2] for i in range(3)])
-        total = w[0] + w[1] + w[2]
+        w = torch.stack([edges[:, i, 0] * d[0] + edges[:, i, 1] * d[1] + edges[:, i, 2] * d[2] for i in range(3)])  # w_i volume, [3, M]
+        total = w[0] + w[1] + w[2]  # volume / depth, since barycentric coordinates add up to 1, [M]
         yield Hits(placed, pixels, faces, volume / total, w / total, volume < 0)
 
 

@@ -71,16 +71,17 @@ class BodyFilter:
         front, rear = 2 * ego.pivot_x_m - ego.rear_x_m, ego.rear_x_m
         start = math.floor((rear - BEHIND_M) / CELL_M) * CELL_M
         count = math.ceil((reach_m - start) / CELL_M)
-        covariance = torch.diag(torch.tensor(FIRST, dtype=torch.float64).square().repeat_interleave(3))
+        covariance = torch.diag(torch.tensor(FIRST, dtype=torch.float64).square().repeat_interleave(3))  # [15, 15]
+        # P [n, n], n = BODY + 2 count: the mean of two independent tracks has half their variance, the difference twice.
         covariance = torch.block_diag(covariance, covariance[:1, :1], *(share * (UNEVEN_M**2 + _walk(count)) for share in (0.5, 2.0)))
         mean = torch.zeros(BODY + 2 * count, dtype=torch.float64)
         height, slope, *_ = ego.ground.tolist()
-        mean[[0, 2]] = mean.new_tensor([height - slope * ego.pivot_x_m, slope])
+        mean[[0, 2]] = mean.new_tensor([height - slope * ego.pivot_x_m, slope])  # heave at the pivot, and pitch
         mean[BODY : BODY + count] = height - slope * (start + CELL_M * torch.arange(count, dtype=torch.float64))
         distance_m = symbol_x_m - ego.pivot_x_m
         body = cls(params, ego.told_s[0], 0.0, float(ego.speed_m_s), start, start, slope, (front, rear), mean, covariance, distance_m)
         rest = torch.eye(len(mean), dtype=torch.float64)
-        rest[:3, BODY:] = body._bases(torch.zeros(1, dtype=torch.float64))[0]  # the body rests on the road
+        rest[:3, BODY:] = body._bases(torch.zeros(1, dtype=torch.float64))[0]  # the body rests on the road: P = R P R'
         return replace(body, covariance=rest @ covariance @ rest.T)._measured(ego).updated(ego)
 
     @property
@@ -119,11 +120,11 @@ class BodyFilter:
         for time_s, pitched_rad in self.observations:
             body = body.at(time_s)
             row = body._pitch()
-            row[LEVEL] -= 1
+            row[LEVEL] -= 1  # H, pitch now less that of the last observation, [n]
             if pitched_rad is not None:
                 body = body._learnt(row[None], torch.tensor([pitched_rad]).double(), torch.tensor([PITCH_SEEN**2]).double())
             pitch, mean, covariance = body._pitch(), body.mean.clone(), body.covariance.clone()
-            mean[LEVEL] = pitch @ body.mean
+            mean[LEVEL] = pitch @ body.mean  # x = G x, P = G P G'; row LEVEL of G is the pitch now
             covariance[LEVEL] = covariance[:, LEVEL] = pitch @ body.covariance
             covariance[LEVEL, LEVEL] = pitch @ body.covariance @ pitch
             body = replace(body, mean=mean, covariance=covariance)
@@ -139,19 +140,20 @@ class BodyFilter:
         if not len(way_m):
             return self
         at, none = self._weights(way_m), torch.zeros(len(way_m), len(self._cells()), dtype=torch.float64)
+        # H of the left track, mean + difference / 2, and of the right one, mean - difference / 2: [k, n] each.
         rows = [torch.cat([none.new_zeros(len(way_m), BODY), at, side * at / 2], 1) for side in (1, -1)]
         return replace(self, known_m=float(way_m[-1]))._learnt(torch.cat(rows), exact(heights).flatten(), exact(variance).flatten())
 
     def T_level_body(self, time_s: float) -> Tensor:
         """Pose `[4, 4]` of the body in the level frame below it at another time."""
-        body = self._transition(time_s - self.time_s) @ self.mean
+        body = self._transition(time_s - self.time_s) @ self.mean  # [BODY]
         return body_pose(_shaken(0, BODY) @ body, self.pivot_x_m)
 
     def _measured(self, ego: Ego) -> "BodyFilter":
         """After what was measured at its time."""
         rows = torch.cat([_shaken(0, len(self.mean)), _shaken(1, len(self.mean))])
         values = torch.cat([exact(ego.level_attitude), exact(ego.rates)])
-        times_s = values.new_tensor([ego.attitude_s] * 4 + [ego.rates_s] * 2)
+        times_s = values.new_tensor([ego.attitude_s] * 4 + [ego.rates_s] * 2)  # [6]; the rate of heave is measured with the attitude
         told = (times_s == self.time_s) & values.isfinite()
         return self._learnt(rows[told], values[told], torch.tensor(NOISE, dtype=torch.float64).square().flatten()[told])
 
@@ -164,7 +166,7 @@ class BodyFilter:
 
     def _pitch(self) -> Tensor:
         heave, _, pitch = _shaken(0, len(self.mean))
-        return pitch - heave / self.distance_m
+        return pitch - heave / self.distance_m  # H [n]
 
     def at(self, time_s: float) -> "BodyFilter":
         """Kalman's prediction for another time at this speed, `x = F x`, `P = F P F' + Q`; the strip goes along by whole cells."""
@@ -178,32 +180,32 @@ class BodyFilter:
         mean, way_m = torch.cat([body @ self.mean, self.mean[strip]]), self.way_m + self.speed_m_s * duration_s
         count, shift = len(self._cells()), max(math.floor((way_m + self.axles_m[1] - BEHIND_M - self.start_m) / CELL_M), 0)
         kept = (torch.arange(count) + shift).clamp(max=count - 1)  # the road goes on from where it was seen last
-        order = torch.cat([torch.arange(BODY), BODY + kept, BODY + count + kept])
+        order = torch.cat([torch.arange(BODY), BODY + kept, BODY + count + kept])  # [n]
         mean, covariance = mean[order], covariance[order][:, order]
-        mean[BODY : BODY + count] -= self.slope_rad * CELL_M * (torch.arange(count) + shift - kept)
-        new = torch.nn.functional.pad(_walk(min(shift, count)), (max(count - shift, 0), 0) * 2)
+        mean[BODY : BODY + count] -= self.slope_rad * CELL_M * (torch.arange(count) + shift - kept)  # new cells only
+        new = torch.nn.functional.pad(_walk(min(shift, count)), (max(count - shift, 0), 0) * 2)  # [count, count], 0 but for new cells
         covariance = covariance + torch.block_diag(new.new_zeros(BODY, BODY), 0.5 * new, 2.0 * new)
         return replace(self, time_s=time_s, way_m=way_m, start_m=self.start_m + shift * CELL_M, mean=mean, covariance=covariance)
 
     def _transition(self, duration_s: float) -> Tensor:
         """The body `[BODY, n]` after some time at this speed, as a share of each state now."""
         share = torch.linspace(0, 1, PARTS + 1, dtype=torch.float64)
-        bases = self._bases(self.way_m + self.speed_m_s * duration_s * share)
+        bases = self._bases(self.way_m + self.speed_m_s * duration_s * share)  # [PARTS + 1, 3, 2 * cells]
         found = bases.new_zeros(BODY, len(self.mean))
         for mode, rate_hz in enumerate((self.params.heave_hz, self.params.roll_hz, self.params.pitch_hz)):
-            answer, at = followed(rate_hz, self.params.damping, duration_s), [mode, 3 + mode]
+            answer, at = followed(rate_hz, self.params.damping, duration_s), [mode, 3 + mode]  # [2, 2 + PARTS + 1], value and rate
             found[at, mode], found[at, 3 + mode] = answer[:, 0], answer[:, 1]
             found[at, BODY:] = answer[:, 2:] @ bases[:, mode]
-        found[OTHER, OTHER] = torch.kron(other(duration_s), torch.eye(3, dtype=torch.float64))
+        found[OTHER, OTHER] = torch.kron(other(duration_s), torch.eye(3, dtype=torch.float64))  # [9, 9]
         found[LEVEL, LEVEL] = 1
         return found
 
     def _bases(self, way_m: Tensor) -> Tensor:
         """What heave, roll and pitch follow, `[k, 3, cells of both strips]`, where the car is so far `[k]` along its way."""
-        front, rear = (self._weights(way_m + axle) for axle in self.axles_m)
+        front, rear = (self._weights(way_m + axle) for axle in self.axles_m)  # [k, cells] each
         none = torch.zeros_like(front)
-        heave, pitch = (front + rear) / 2, (rear - front) / (self.axles_m[0] - self.axles_m[1])
-        modes = ((heave, none), (none, heave / self.params.track_m), (pitch, none))
+        heave, pitch = (front + rear) / 2, (rear - front) / (self.axles_m[0] - self.axles_m[1])  # [k, cells] each; nose down is positive
+        modes = ((heave, none), (none, heave / self.params.track_m), (pitch, none))  # of the tracks' mean and of left minus right
         return torch.stack([torch.cat(mode, 1) for mode in modes], 1)
 
     def _weights(self, way_m: Tensor) -> Tensor:
@@ -218,14 +220,14 @@ class BodyFilter:
 def _walk(count: int) -> Tensor:
     """Covariance `[count, count]` of a wheel's height along cells, of what comes after a known one."""
     steps = torch.arange(1, count + 1, dtype=torch.float64)
-    return ROUGH_M * CELL_M * torch.minimum(steps[:, None], steps)
+    return ROUGH_M * CELL_M * torch.minimum(steps[:, None], steps)  # a random walk's
 
 
 def _shaken(derivative: int, states: int) -> Tensor:
     """Heave, roll and pitch (or their rates), `[3, n]` on the state."""
     rows = torch.zeros(3, states, dtype=torch.float64)
     for mode in range(3):
-        rows[mode, [3 * derivative + mode, 6 + 3 * derivative + mode]] = 1
+        rows[mode, [3 * derivative + mode, 6 + 3 * derivative + mode]] = 1  # what the road and what others shake add up
     return rows
 
 

@@ -33,6 +33,7 @@ class Following:
         now = ground_at(ego, ego.time_s)
         if ego.stands and _rests(body, now, ego.time_s):
             return cls()
+        # T_ground_level (then) T_then_now T_level_ground (now), and T_ground_level T_level_body (both now).
         return cls(inverse(ground) @ exact(ego.way(ego.time_s - since_s)) @ now, inverse(now) @ body.T_level_body(ego.time_s))
 
     @property
@@ -72,8 +73,8 @@ class BodyPoses:
         if then.stands and _rests(body, ground, seen_s) and Following.of(observation.ego, body, seen_s, ground).still:
             return cls(seen_s, ground)
         T_ground_level, way = inverse(ground), exact(then.way(seen_s - before_s))
-        since = inverse(ground if before is None else before) @ way @ ground
-        off = exact(then.way(on_s)) @ body.T_level_body(seen_s + on_s)
+        since = inverse(ground if before is None else before) @ way @ ground  # T_ground_level (before) T_before_then T_level_ground (then)
+        off = exact(then.way(on_s)) @ body.T_level_body(seen_s + on_s)  # T_level_body, in the level frame of the on frame
         return cls(seen_s, ground, since, T_ground_level @ body.T_level_body(seen_s), T_ground_level @ off)
 
     @property
@@ -94,5 +95,6 @@ def ground_at(ego: Ego, time_s: float) -> Tensor:
 
 def _rests(body: BodyFilter, ground: Tensor, time_s: float) -> bool:
     """Whether the body stands even at a time and does not only swing through; heave, of which no sensor tells the rate, may do so."""
+    # Third row of T_ground_body - 1, [4]: to first order -pitch, roll, 0, and heave + pitch times the pivot's x.
     away, later = ((inverse(ground) @ body.T_level_body(t_s) - HERE)[2].abs() for t_s in (time_s, time_s + LATER_S))
     return bool((away < EVEN).all() and (later[:3] < EVEN).all())

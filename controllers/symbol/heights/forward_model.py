@@ -38,17 +38,17 @@ class LampSight:
 
     def rows(self, heights: Tensor) -> tuple[Tensor, Tensor]:
         """Texture coordinates (row, column) `[..., H, w]` of points at heights `[..., H, w]` m."""
-        x, y, z = (a + b * heights for a, b in zip(self.on_plane, self.per_m, strict=True))
-        return self.headlight.texel_of(y / x, z / x)
+        x, y, z = (a + b * heights for a, b in zip(self.on_plane, self.per_m, strict=True))  # in the lamp's frame, [..., H, w] each
+        return self.headlight.texel_of(y / x, z / x)  # T eq. 2.3.2
 
     def luminance(self, texture: Tensor, heights: Tensor) -> Tensor:
         """Luminance `[B, H, w]` in cd/m^2 of a light texture `[rows, cols]` on heights `[B, H, w]` m; what is nearer may cast shadows."""
         light = self.headlight
         row, col = self.rows(heights)  # [B, H, w]
-        u, v = 2 * col / light.cols - 1, 2 * row / light.rows - 1
-        image = texture.expand(len(heights), 1, -1, -1)
-        seen = grid_sample(image, torch.stack([u, v], -1), align_corners=False)[:, 0]
-        horizon = row.flip(-2).cummin(-2).values.flip(-2)  # of all that is nearer
+        u, v = 2 * col / light.cols - 1, 2 * row / light.rows - 1  # -1..1 from border to border, [B, H, w]
+        image = texture.expand(len(heights), 1, -1, -1)  # [B, 1, rows, cols]
+        seen = grid_sample(image, torch.stack([u, v], -1), align_corners=False)[:, 0]  # I(ray) in cd, [B, H, w]
+        horizon = row.flip(-2).cummin(-2).values.flip(-2)  # highest ray (least row) to all that is nearer, [B, H, w]
         # L = I(ray) factor (T eq. 2.1.5; factor: albedo cos / (pi d^2) on the plane), less what nearer heights shade.
         return seen * self.factor * ((horizon - row) / DARKNESS_TEXELS + 1.5).clamp(0, 1)
 
@@ -93,36 +93,39 @@ class ForwardModel:
         device = projector.symbol.device
         whole = _from(T_on, camera_view(camera))
         x, y = torch.tensor([[region.x_near_m, region.x_far_m], [region.y_left_m, region.y_right_m]], dtype=torch.float64)
-        corners = torch.stack([x.repeat_interleave(2), y.repeat(2), torch.zeros(4, dtype=torch.float64)])
+        corners = torch.stack([x.repeat_interleave(2), y.repeat(2), torch.zeros(4, dtype=torch.float64)])  # [3, 4] m
         uv, _ = whole.project(corners)
         (u0, v0), (u1, v1) = (end.tolist() for end in uv.aminmax(dim=1))
         u0, v0 = max(math.floor(u0), 0), max(math.floor(v0), 0)
         width = (min(math.ceil(u1), whole.width) - u0) // step * step
         crop = Crop(v0, max(min(math.ceil(v1), camera.height_px), v0), u0, u0 + max(width, 0))
-        rays = whole.within(*crop.slices).with_rows(samples).rays().unflatten(-1, (-1, step)).mean(-1)
+        rays = whole.within(*crop.slices).with_rows(samples).rays().unflatten(-1, (-1, step)).mean(-1)  # [3, H, w], H = samples * h
         eye = whole.origin
-        ground = eye[:, None, None] - rays * (eye[2] / rays[2])
+        ground = eye[:, None, None] - rays * (eye[2] / rays[2])  # g, where rays meet z = 0, [3, H, w] m
         lamps = []
         for module in projector.modules:
             T_ground_headlight = T_on @ module.T_world_headlight.cpu().double()
-            T, origin = inverse(T_ground_headlight), T_ground_headlight[:3, 3]
+            T, origin = inverse(T_ground_headlight), T_ground_headlight[:3, 3]  # T_headlight_ground [4, 4], [3] m
             on_plane = torch.einsum("ij,jhw->ihw", T[:3, :3], ground) + T[:3, 3, None, None]
+            # Derivative by z of the line of sight g + (e - g) z / e_z in the lamp's frame, [3, H, w].
             per_m = torch.einsum("ij,jhw->ihw", T[:3, :3], (eye[:, None, None] - ground) / eye[2])
+            # albedo cos / (pi d^2) with cos = o_z / d (T eq. 2.1.5), [H, w].
             factor = sensor.model.albedo * origin[2] / (ground - origin[:, None, None]).norm(dim=0) ** 3 / math.pi
             parts = (part.float().to(device) for part in (on_plane, per_m, factor, origin))
             lamps.append(LampSight(module.pixel_controller.headlight, *parts))
-        middle = average_rows(ground, samples)
+        middle = average_rows(ground, samples)  # [3, h, w] m
         rows = round((region.x_far_m - region.x_near_m) / cell_m[0])
         cols = round((region.y_left_m - region.y_right_m) / cell_m[1])
         down, inside_x = _place(region.x_far_m, region.x_near_m, middle[0], rows)
         right, inside_y = _place(region.y_left_m, region.y_right_m, middle[1], cols)
         r0, c0 = down.floor().clamp(max=rows - 2), right.floor().clamp(max=cols - 2)
+        # Upper left node, shares of the lower row and of the right column, [h * w] each.
         first, a, b = (r0 * cols + c0).long().flatten(), (down - r0).flatten(), (right - c0).flatten()
         node = torch.stack([first, first + 1, first + cols, first + cols + 1])
         weight = torch.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b]).float()
         inside = (inside_x & inside_y).float()
         node, weight, seen = node.to(device), weight.to(device), inside.to(device)
-        off = None if T_off.equal(T_on) else _place_in_image(whole, _from(T_off, camera_view(camera)), crop).to(device)
+        off = None if T_off.equal(T_on) else _place_in_image(whole, _from(T_off, camera_view(camera)), crop).to(device)  # [2, h, step * w]
         origin, params = eye.float().to(device), sensor.params
         return cls(region, crop, origin, step, samples, tuple(lamps), rows, cols, node, weight, seen, camera, params, off)
 
@@ -144,10 +147,12 @@ class ForwardModel:
         nothing is left dark, neither is known.
         """
         contrast, limit, without = self._looked(frames)
+        # Pixels that the symbol leaves dark on the plane, [h, w] bool.
         dark = (self.inside > 0) & (self.luminance(textures, torch.zeros_like(limit)[None])[0] < limit)
-        rise = (contrast / without)[dark].median()
+        rise = (contrast / without)[dark].median()  # change of the other light as a share of it, []
         changed = (contrast / limit)[dark].median().abs() > 1
         contrast = torch.where(changed, contrast - rise * without, contrast)
+        # Standard deviation of the noise, 1.4826 MAD, as a multiple of the camera's, [].
         noise = (contrast / limit)[dark].abs().median() * (SIGMAS * self.params.threshold_sigma)
         return contrast, limit * noise.nan_to_num(1.0).clamp(min=1)
 
@@ -155,14 +160,14 @@ class ForwardModel:
         """Contrast, threshold, and luminance without the lamps' light."""
         on, off = frames[0][self.crop.slices], self._compensated(frames[1])
         images = torch.stack([difference(on, off, self.camera), threshold(off, self.camera, self.params), luminance_of(off, self.camera)])
-        contrast, limit, without = avg_pool2d(images[:, None], (1, self.step))[:, 0]
+        contrast, limit, without = avg_pool2d(images[:, None], (1, self.step))[:, 0]  # means of step columns, [h, w] each
         return contrast, limit, without
 
     def _compensated(self, off: Tensor) -> Tensor:
         """The off frame `[height, width]` as the camera would see the plane where the on frame was exposed, cut at the crop."""
         if self.off_place is None:
             return off[self.crop.slices]
-        u, v = self.off_place[:, None]
+        u, v = self.off_place[:, None]  # [1, h, step * w] each
         seen = torch.zeros(off.shape, dtype=off.dtype, device=off.device)
         read = tuple(
             slice(max(math.floor(low), 0), max(math.ceil(high), 0))
@@ -174,17 +179,17 @@ class ForwardModel:
 
     def on_pixels(self, nodes: Tensor) -> Tensor:
         """Values of nodes `[..., n]` at the pixels, `[..., h, w]`."""
-        return (nodes[..., self.node] * self.weight).sum(-2).unflatten(-1, self.shape)
+        return (nodes[..., self.node] * self.weight).sum(-2).unflatten(-1, self.shape)  # sum over the four nodes, [..., 4, h * w]
 
     def on_nodes(self, image: Tensor) -> Tensor:
         """Adjoint of `on_pixels`: an image's `[..., h, w]` values gathered by the nodes, `[..., n]`."""
-        shares = (image.flatten(-2)[..., None, :] * self.weight).flatten(-2)
+        shares = (image.flatten(-2)[..., None, :] * self.weight).flatten(-2)  # [..., 4 * h * w]
         return image.new_zeros(*image.shape[:-2], self.rows * self.cols).index_add(-1, self.node.flatten(), shares)
 
     def luminance(self, textures: Sequence[Tensor], heights: Tensor) -> Tensor:
         """Luminance `[B, h, w]` in cd/m^2 of light textures, one a module, on heights `[B, h, w]` m at the pixels."""
-        fine = heights.repeat_interleave(self.samples, -2)
-        total = torch.stack([lamp.luminance(texture, fine) for lamp, texture in zip(self.lamps, textures, strict=True)]).sum(0)
+        fine = heights.repeat_interleave(self.samples, -2)  # [B, H, w]
+        total = torch.stack([lamp.luminance(texture, fine) for lamp, texture in zip(self.lamps, textures, strict=True)]).sum(0)  # [B, H, w]
         return average_rows(total, self.samples)
 
     def symbol(self, contrast: Tensor, limit: Tensor) -> Tensor:
@@ -200,7 +205,7 @@ def _from(T_ground_body: Tensor, view: View) -> View:
 def _place_in_image(view: View, other: View, crop: Crop) -> Tensor:
     """Where another view sees the plane that a view sees in the pixels of a crop: `[2, h, w]`, -1 to 1 over its image."""
     rays = view.within(*crop.slices).rays().flatten(1)
-    uv, _ = other.project(view.origin[:, None] - rays * (view.origin[2] / rays[2]))
+    uv, _ = other.project(view.origin[:, None] - rays * (view.origin[2] / rays[2]))  # of where rays meet z = 0, [2, h * w] px
     size = uv.new_tensor([[other.width], [other.height]])
     return (2 * uv / size - 1).float().unflatten(1, (crop.v_stop - crop.v_start, -1))
 

@@ -27,15 +27,17 @@ def drawn_on(relief: Relief, lamps: Tensor, symbol: SymbolParams, T_body_ground:
     lamps = lamps.to(relief.heights)
     T, size_m, depth_m = _patch(relief, lamps, symbol, in_place)
     rows, cols = (n // FOLLOWED for n in CELLS)
+    # Centres of blocks of FOLLOWED cells along and across, [rows], [cols] m.
     x, y = (length * (0.5 - (torch.arange(n).to(lamps) + 0.5) / n) for length, n in zip(size_m, (rows, cols), strict=True))
     cells = torch.stack([x[:, None].expand(rows, cols), y.expand(rows, cols), torch.zeros(rows, cols).to(lamps)])  # [3, rows, cols]
     points = transform(T, cells.flatten(1)).view_as(cells)
+    # Each lamp's light on the plane, [m, rows, cols] each.
     x_seen, y_seen = torch.stack([torch.stack(relief.seen_from(lamp, points, T[:3, 2], depth_m)) for lamp in lamps]).unbind(1)
     brightness = relief.at(relief.brightness, x_seen.flatten(0, 1), y_seen.flatten(0, 1)).view_as(x_seen)
     if in_place:
         x_seen, y_seen, _ = relief.points(x_seen, y_seen)
-    source = [2 * (symbol.y_m - y_seen) / symbol.width_m, 2 * (symbol.x_m - x_seen) / symbol.length_m]
-    fine = interpolate(torch.stack([*source, 1 / brightness.clamp(min=1)], 1), scale_factor=FOLLOWED, mode="bilinear")
+    source = [2 * (symbol.y_m - y_seen) / symbol.width_m, 2 * (symbol.x_m - x_seen) / symbol.length_m]  # u, v in -1..1
+    fine = interpolate(torch.stack([*source, 1 / brightness.clamp(min=1)], 1), scale_factor=FOLLOWED, mode="bilinear")  # [m, 3, *CELLS]
     return ProjectionCommand(*placed(T_body_ground.to(T) @ T), Warp(fine[:, :2], fine[:, 2], size_m))
 
 
@@ -46,6 +48,7 @@ def _patch(relief: Relief, lamps: Tensor, symbol: SymbolParams, in_place: bool) 
     since edges across and along the road stay along the cells of its patch.
     """
     along, across = (torch.linspace(-0.5, 0.5, n).to(lamps) for n in SAMPLES)
+    # The symbol's points, [33, 17] m each.
     x, y = torch.broadcast_tensors((symbol.x_m + symbol.length_m * along)[:, None], symbol.y_m + symbol.width_m * across)
     road = (torch.stack([x, y, relief.under(x, y)[0]]) if in_place else relief.points(x, y)).flatten(1)  # [3, k]
     level, size = pose(lamps.new_tensor([symbol.x_m, symbol.y_m, 0.0]), torch.eye(3).to(lamps)), (symbol.length_m, symbol.width_m)
@@ -74,5 +77,5 @@ def _fitted(road: Tensor, lamps: Tensor) -> Tensor:
     centre = road.mean(1, keepdim=True)
     x, y, z = road - centre
     # on a CPU the default driver, gelsy, reads pivots that torch leaves unset
-    slope_x, slope_y = torch.linalg.lstsq(torch.stack([x, y], 1), z[:, None], driver="gels").solution[:, 0]
+    slope_x, slope_y = torch.linalg.lstsq(torch.stack([x, y], 1), z[:, None], driver="gels").solution[:, 0]  # z = s_x x + s_y y
     return below_lamps(centre[:, 0], slope_x, slope_y, lamps)

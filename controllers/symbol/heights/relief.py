@@ -30,21 +30,22 @@ class Relief:
         """Values of the cells `[rows, cols]` behind points `[h, w]` of the plane, bilinear; beyond: what they are out of the region."""
         r = self.region
         u = 2 * (r.y_left_m - y) / (r.y_left_m - r.y_right_m) - 1
-        v = 2 * (r.x_far_m - x) / (r.x_far_m - r.x_near_m) - 1
+        v = 2 * (r.x_far_m - x) / (r.x_far_m - r.x_near_m) - 1  # -1..1 from border to border
         return grid_sample(values[None, None], torch.stack([u, v], -1)[None], padding_mode=beyond, align_corners=False)[0, 0]
 
     def points(self, x: Tensor, y: Tensor) -> Tensor:
         """The road's points `[3, ...]` m behind points of the plane."""
         x, y = torch.broadcast_tensors(x, y)
-        h, eye = self.at(self.heights, x.reshape(1, -1), y.reshape(1, -1)).view_as(x), self.eye.to(x)
+        h, eye = self.at(self.heights, x.reshape(1, -1), y.reshape(1, -1)).view_as(x), self.eye.to(x)  # h [...] m
         place = torch.stack([x, y, torch.zeros_like(x)])
-        return place + (eye.view(3, *(1,) * x.dim()) - place) * (h / eye[2])
+        return place + (eye.view(3, *(1,) * x.dim()) - place) * (h / eye[2])  # where lines of sight are at height h
 
     def under(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Height `[h, w]` m of the road at x and y `[h, w]` themselves, and the points `[2, h, w]` of the plane behind which it is."""
         eye, place = self.eye.to(x), torch.stack([x, y])
         heights = torch.zeros_like(x)
         for _ in range(ROUNDS):  # by halves, or what falls off would swing
+            # Where lines of sight to height h over the places meet z = 0, [2, h, w].
             behind = eye[:2, None, None] + (place - eye[:2, None, None]) * (eye[2] / (eye[2] - heights))
             heights = (heights + self.at(self.heights, *behind)) / 2
         return heights, behind
@@ -59,13 +60,14 @@ class Relief:
         over_patch = ((lamp[:, None, None] - points) * normal[:, None, None]).sum(0)  # [h, w] m, the same everywhere
         h = torch.linspace(deepest_m, -deepest_m, LAYERS, dtype=points.dtype, device=points.device)[:, None, None]
         x, y, z = (point + (lamp[axis] - point) * (h / over_patch) for axis, point in enumerate(points))  # [layers, h, w]
-        rise = z / (eye[2] - z).clamp(min=LEAST_DROP_M)
+        rise = z / (eye[2] - z).clamp(min=LEAST_DROP_M)  # the eye sees p at p + (p - e) z / (e_z - z) on the plane
         ways = [x + (x - eye[0]) * rise, y + (y - eye[1]) * rise]
+        # Height of the road over the light, [layers, h, w] m.
         above = self.at(self.heights, *(way.flatten(0, 1) for way in ways)).view_as(ways[0]) - z
         above[-1].clamp_(min=0)  # what comes so far down ends there
-        under = (above >= 0).to(torch.uint8).argmax(0, keepdim=True)
+        under = (above >= 0).to(torch.uint8).argmax(0, keepdim=True)  # first layer, [1, h, w]
         over = (under - 1).clamp(min=0)
         d_over, d_under = above.gather(0, over), above.gather(0, under)
-        share = torch.where(under > 0, d_under / (d_under - d_over).clamp(min=1e-9), 0.0)
+        share = torch.where(under > 0, d_under / (d_under - d_over).clamp(min=1e-9), 0.0)  # of the layer over it: linear between both
         x_seen, y_seen = (torch.lerp(way.gather(0, under), way.gather(0, over), share)[0] for way in ways)
         return x_seen, y_seen

@@ -121,30 +121,30 @@ class RoadMap:
     def tracks(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Height in m of the road at places `[2, k]` of the ground, and its information in 1/m^2: 0 outside of the region."""
         relief = self.relief()
-        heights, places = relief.under(x, y)
+        heights, places = relief.under(x, y)  # [2, k] m, [2 (x, y), 2, k] m
         r = self.region
         inside = (places[0] > r.x_near_m) & (places[0] < r.x_far_m) & (places[1] < r.y_left_m) & (places[1] > r.y_right_m)
         return heights, relief.at(self.heights.information.diagonal().view(self.grid), *places) * inside
 
     def levelled(self, pitch_rad: float, pivot_x_m: float) -> "RoadMap":
         """As it would be, had the body that saw it pitched by so many rad more."""
-        heights = self.heights.mean - pitch_rad * (self.nodes()[0] - pivot_x_m)
+        heights = self.heights.mean - pitch_rad * (self.nodes()[0] - pivot_x_m)  # [n]
         return replace(self, heights=replace(self.heights, mean=heights))
 
     def loosened(self, pitch_rad: float, pivot_x_m: float) -> "RoadMap":
         """With a body whose pitch is uncertain by so many rad: heights may all be higher by as much times their distance (Woodbury)."""
-        L, arm = self.heights.information, self.nodes()[0] - pivot_x_m
+        L, arm = self.heights.information, self.nodes()[0] - pivot_x_m  # [n, n], a [n] m
         pull = L @ arm
-        information = L - pull[:, None] * pull / (1 / pitch_rad**2 + arm @ pull)
+        information = L - pull[:, None] * pull / (1 / pitch_rad**2 + arm @ pull)  # L - L a a' L / (1 / sigma^2 + a' L a)
         return replace(self, heights=replace(self.heights, information=information))
 
     def pitched(self, before: "RoadMap", pivot_x_m: float) -> float | None:
         """By how many rad the body has pitched more than it was taken to, if the road is still as it was known before; None: unknown."""
         known, seen = (each.heights.information.diagonal() for each in (before, self))
         arm = self.nodes()[0] - pivot_x_m
-        weight = arm * known * seen / (known + seen).clamp(min=1.0)
+        weight = arm * known * seen / (known + seen).clamp(min=1.0)  # a / (1 / k + 1 / s), [n]
         lever = float(weight @ arm)
-        return float(weight @ (self.heights.mean - before.heights.mean)) / lever if lever > 0 else None
+        return float(weight @ (self.heights.mean - before.heights.mean)) / lever if lever > 0 else None  # weighted least squares
 
     def nodes(self) -> Tensor:
         """Places `[3, n]` of the nodes on the plane."""
@@ -163,7 +163,7 @@ class RoadMap:
         relief, nodes = self.relief(), self.nodes()
         heights = -transform(T, nodes)[2]  # of the old plane
         for _ in range(3):  # where on the road a line of sight ends is known once its height is
-            x, y, z = self._seen_anew(nodes, heights, eye, T, self.eye)
+            x, y, z = self._seen_anew(nodes, heights, eye, T, self.eye)  # [1, n] each
             heights = heights + (relief.at(relief.heights, x, y) - z).flatten()
         return heights, 1 + relief.at(relief.brightness - 1, x, y, beyond="zeros").flatten()
 
@@ -172,8 +172,8 @@ class RoadMap:
 
         T: the ground frame of eye and nodes in that of the other. Returns x, y there and the road's height in that frame, `[3, 1, n]`.
         """
-        road = transform(T, nodes + (eye[:, None] - nodes) * (heights / eye[2]))
-        x, y, _ = other[:, None] + (road - other[:, None]) * (other[2] / (other[2] - road[2]))
+        road = transform(T, nodes + (eye[:, None] - nodes) * (heights / eye[2]))  # p = T (q + (e - q) h / e_z), [3, n] m
+        x, y, _ = other[:, None] + (road - other[:, None]) * (other[2] / (other[2] - road[2]))  # where lines of sight meet z = 0, [n] each
         return torch.stack([x, y, road[2]])[:, None]
 
     def _carried(self, places: Tensor) -> Tensor:
@@ -189,9 +189,9 @@ class RoadMap:
         r0, c0 = down.floor().clamp(max=rows - 2), right.floor().clamp(max=cols - 2)
         a, b, first = down - r0, right - c0, (r0 * cols + c0).long()
         to = torch.stack([first, first + 1, first + cols, first + cols + 1])
-        weight = torch.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b]) * stays
+        weight = torch.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b]) * stays  # of V, [4, n]
         information = self.heights.information
-        for _ in range(2):  # both sides of a symmetric matrix
-            shares = (weight[:, :, None] * information).flatten(0, 1)
+        for _ in range(2):  # V' L, transposed, and V' of that: V' L V, since L is symmetric
+            shares = (weight[:, :, None] * information).flatten(0, 1)  # [4 * n, n]
             information = torch.zeros_like(information).index_add_(0, to.flatten(), shares).T.contiguous()
         return information
