@@ -237,7 +237,7 @@ class Session:
 
     def _edit(self, overrides: tuple[str, ...]) -> None:
         """Other values of keys: from the next step on where world and lamps stay as they are, else in runs that start anew."""
-        from loop.lighting.edited import is_live
+        from loop.studio.edited import is_live
 
         sources = tuple(each.with_values(overrides) for each in self._sources)
         scenarios, runs = [self._loaded(each) for each in sources], self.published.runs

@@ -3,10 +3,10 @@
 import pytest
 import torch
 
-from loop.lighting.edited import edited, is_live
 from loop.lighting.result import SimulationState, StepResult
 from loop.lighting.simulation import Simulation
 from loop.scenario.model import Scenario, load
+from loop.studio.edited import edited, is_live
 from world.errors import LuxloopError
 
 SMALL = ("camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "judge_every=0")
