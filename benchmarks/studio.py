@@ -1,7 +1,8 @@
 """What the studio costs the loop: `python benchmarks/studio.py [--json FILE] [--quick]`.
 
-Steps of scenarios by the clock: alone, in the studio that nobody watches, and watched by another process, which reads and acknowledges all
-that it gets; block by block in turn, on two cores. Then bytes and time of a message, and the time from the command to the first picture.
+Steps of scenarios by the clock: in the studio that nobody watches, and watched by another process, which reads and acknowledges all that it
+gets; run by run in turn, on two cores, each scenario in a process of its own. Then bytes and time of a message, and the time from the
+command to the first picture.
 """
 
 import argparse
@@ -21,7 +22,6 @@ from typing import Any
 from bench import machine, on_one_thread
 from rich.table import Table
 
-from loop.lighting.simulation import Simulation
 from loop.studio.feed import Feed, Request
 from loop.studio.messages import LENGTH, Button
 from loop.studio.server import Studio, Tokens
@@ -81,15 +81,6 @@ def played_ms(session: Session) -> float:
     return 1e3 * (time.perf_counter() - began_s) / (len(run.rows) - 1)
 
 
-def alone_ms(simulation: Simulation) -> float:
-    """The same of the simulation alone."""
-    state, _ = simulation.step(simulation.start())
-    steps, began_s = simulation.scenario.steps - 1, time.perf_counter()
-    for _ in range(steps):
-        state, _ = simulation.step(state)
-    return 1e3 * (time.perf_counter() - began_s) / steps
-
-
 def messages_of(session: Session) -> dict[str, dict[str, float]]:
     """Median bytes and ms of a message, by type, to a client that gets each step of a run that is over."""
     found = defaultdict(list)
@@ -107,13 +98,10 @@ def messages_of(session: Session) -> dict[str, dict[str, float]]:
 
 
 def measured(name: str, steps: int, rounds: int) -> dict[str, Any]:
-    """One scenario: ms a step alone, unwatched and watched, medians of rounds in turn, and its messages."""
+    """One scenario: ms a step unwatched and watched, medians of rounds in turn, and its messages."""
     taken = defaultdict(list)
     with studio(name, steps) as (session, port, tokens):
-        simulation = session.published.runs[0].simulation
         for _ in range(rounds):
-            if simulation.scenario.renderer != "opengl" and not simulation.world.moving:
-                taken["alone"].append(alone_ms(simulation))  # nothing is rendered, whose thread is another one
             taken["unwatched"].append(played_ms(session))
             watcher = subprocess.Popen([sys.executable, "-c", WATCHER, str(port), tokens.watch], stdout=subprocess.PIPE)
             assert watcher.stdout is not None
@@ -145,13 +133,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--scenario", help="measure it alone, and print that as JSON")
     given = parser.parse_args()
     names, steps, rounds = (QUICK, 4, 1) if given.quick else (SCENARIOS, 40, 3)
-    found = {name: measured(name, steps, rounds) for name in names}
+    if given.scenario:
+        print(json.dumps(measured(given.scenario, steps, rounds)))
+        return
+    found = {}
+    for name in names:  # the context of OpenGL belongs to one thread of a process
+        command = [sys.executable, __file__, "--scenario", name, *(["--quick"] if given.quick else [])]
+        found[name] = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)
     result = {"machine": machine("websockets", "torch"), "scenarios": found, "first_picture_s": first_picture_s("snowflake")}
-    table = Table("scenario", "alone", "unwatched", "watched", "watched / unwatched", "bytes of a step", "ms of a step's message")
+    table = Table("scenario", "unwatched", "watched", "watched / unwatched", "bytes of a step", "ms of a step's message")
     for name, each in found.items():
-        ms = [f"{each[key]:.1f}" if key in each else "" for key in ("alone", "unwatched", "watched")]
+        ms = [f"{each[key]:.1f}" for key in ("unwatched", "watched")]
         message = each["messages"]["step"]
         table.add_row(name, *ms, f"{each['watched'] / each['unwatched']:.2f}", f"{message['bytes']:.0f}", f"{message['ms']:.1f}")
     tables.show(table)
