@@ -22,8 +22,8 @@ from typing import Any
 from bench import machine, on_one_thread
 from rich.table import Table
 
-from loop.studio.feed import Feed, Request
-from loop.studio.messages import LENGTH, Button
+from loop.studio.feed import Feed
+from loop.studio.messages import LENGTH, Button, Request
 from loop.studio.server import Studio, Tokens
 from loop.studio.session import Session, Source
 from loop.terminal import tables

@@ -1,13 +1,12 @@
 """What one client gets: the newest of everything that it shows, each part only where it has changed since it got that last."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 import torch
 
-from loop.studio.messages import VIEWS, Coded, View, coded, grey, packed
+from loop.studio.messages import Coded, Request, View, coded, grey, packed
 from loop.studio.runs import Run
 from loop.studio.session import Published
 from loop.studio.shapes import merged
@@ -15,15 +14,6 @@ from loop.studio.snapshot import Snapshot
 
 MOST_UNSHOWN: Final = 2  # steps of a run that a client may not have shown yet: one on its way, and one that it is at
 HALF_PEAK: Final = 1024.0  # of a module in units of its half floats, far from where these overflow
-
-
-@dataclass(frozen=True)
-class Request:
-    """What a client wants to see. at: run and step in place of the newest. shown: the last `id` of a step that it has shown."""
-
-    wanted: frozenset[View] = frozenset(VIEWS)
-    at: tuple[int, int] | None = None
-    shown: int = 0
 
 
 class Feed:

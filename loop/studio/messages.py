@@ -115,6 +115,15 @@ MESSAGE: Final[TypeAdapter[Message]] = TypeAdapter(Annotated[Message, Field(disc
 
 
 @dataclass(frozen=True)
+class Request:
+    """What a client wants to see. at: run and step in place of the newest. shown: the last `id` of a step that it has shown."""
+
+    wanted: frozenset[View] = frozenset(VIEWS)
+    at: tuple[int, int] | None = None
+    shown: int = 0
+
+
+@dataclass(frozen=True)
 class Coded:
     """An array as a message carries it."""
 

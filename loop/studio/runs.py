@@ -10,7 +10,7 @@ import pyarrow as pa
 import torch
 
 from loop.lighting.record import row, schema, summary_of
-from loop.lighting.result import StepResult
+from loop.lighting.result import SimulationState, StepResult
 from loop.lighting.simulation import Simulation
 from loop.recording.files import table_of
 from loop.report.picture import white_of
@@ -22,6 +22,7 @@ from loop.studio.snapshot import Snapshot, bodies_at, snapshot
 from perception.camera import camera_view, saturation_luminance
 from world.errors import LuxloopError, located
 from world.frames import inverse
+from world.headlight.lamp import Lamp, Module
 from world.regulation import check
 from world.scene.triangles import NOTHING
 
@@ -40,8 +41,7 @@ class Run:
     def __init__(self, simulation: Simulation, label: str, overrides: Collection[str]) -> None:
         """Does the first step, so that there is something to see."""
         self.simulation, self.label, self.overrides = simulation, label, list(overrides)
-        self.schema = schema(simulation)
-        self.columns = [each for each in self.schema if not pa.types.is_string(each.type)]
+        self.columns = [each for each in schema(simulation) if not pa.types.is_string(each.type)]
         self.shapes, self.snapshots, self.rows = Shapes(), list[Snapshot](), list[np.ndarray]()
         self.edits = list[tuple[int, tuple[str, ...]]]()  # the step from which on other values of keys hold, and these
         self.step_ms = float("nan")
@@ -49,8 +49,8 @@ class Run:
         self._plain, self._last = list[dict[str, Any]](), dict[str, StepResult]()
         self._bodies = NOTHING
         self._look_s = 0.0  # when a picture may be taken again
-        self._result = self.step(("camera", "marks"))
-        self.white_cd_m2 = float(white_of(self._result, simulation))
+        self._made = simulation, self.step(("camera", "marks"))  # the last result, and the simulation that gave it
+        self.white_cd_m2 = float(white_of(self._made[1], simulation))
         self.peaks_cd = [each.headlight.peak_cd for each in simulation.modules]
 
     @property
@@ -67,10 +67,10 @@ class Run:
         looks = set(wanted) if still or time.perf_counter() >= self._look_s else set(wanted) - {"camera"}
         began_s = time.perf_counter()
         before = self.snapshots[-1] if self.snapshots else None
-        taken, values = self._taken(result, before, looks), row(result)
+        taken, values = self._taken(self.simulation, result, before, looks), row(result)
         if "camera" in looks:
             self._look_s = time.perf_counter() + REST * (time.perf_counter() - began_s)
-        self._state, self._result = state, result
+        self._state, self._made = state, (self.simulation, result)
         self._plain.append(values)
         self._last |= dict.fromkeys(result.held, result)
         self.rows.append(np.array([_number(values.get(each.name)) for each in self.columns], np.float32))
@@ -82,16 +82,20 @@ class Run:
 
     def look_again(self, wanted: Collection[View]) -> None:
         """Take the last snapshot anew, with all that somebody looks at now."""
-        self.snapshots[-1] = self._taken(self._result, self.snapshots[-1], wanted)
+        self.snapshots[-1] = self._taken(*self._made, self.snapshots[-1], wanted)
 
-    def _taken(self, result: StepResult, before: Snapshot | None, wanted: Collection[View]) -> Snapshot:
-        self._bodies = bodies_at(self.simulation, result.time_s, self._bodies)
+    def _taken(self, simulation: Simulation, result: StepResult, before: Snapshot | None, wanted: Collection[View]) -> Snapshot:
+        self._bodies = bodies_at(simulation, result.time_s, self._bodies)
         numbered = [(self.shapes.number(each), each) for each in self._bodies.placed]
-        return snapshot(self.simulation, result, numbered, before, wanted)
+        return snapshot(simulation, result, numbered, before, wanted)
 
-    def edit(self, scenario: Scenario, overrides: tuple[str, ...]) -> None:
-        """Go on with a scenario that `is_live`, from the next step on. overrides: that make it. Raises LuxloopError and stays as it is."""
-        self.simulation, self._state = edited(self.simulation, self._state, scenario)
+    def edited(self, scenario: Scenario) -> tuple[Simulation, SimulationState]:
+        """What it would go on with under a scenario that `is_live`. Raises LuxloopError."""
+        return edited(self.simulation, self._state, scenario)
+
+    def edit(self, after: tuple[Simulation, SimulationState], overrides: tuple[str, ...]) -> None:
+        """Go on with what `edited` gave, from the next step on. overrides: that make its scenario."""
+        self.simulation, self._state = after
         self.edits.append((len(self.rows), overrides))
 
     def _forget(self, number: int) -> None:
@@ -101,8 +105,8 @@ class Run:
         self._forgotten = number + 1
 
     def summary(self) -> dict[str, Any]:
-        """Of all steps so far, as `summary.json` has it. It renders, and so runs where the steps do."""
-        return summary_of(self.simulation, table_of(self._plain, self.schema), self._last)
+        """Results of all steps so far. It renders, and so runs where the steps do."""
+        return summary_of(self.simulation, table_of(self._plain, schema(self.simulation)), self._last)
 
     def beam(self, rule: str, side: str, step: int | None) -> list[dict[str, Any]]:
         """A regulation's verdict on what the lamp of a side shows in a step, the newest for None, as the protocol has it.
@@ -112,17 +116,11 @@ class Run:
         shown = self.snapshots[-1 if step is None else min(step, len(self.snapshots) - 1)]
         if not shown.lights:
             raise LuxloopError(f"step {step}: its light is no longer kept; start anew to see it")
-        body = torch.tensor(shown.head["T_world_body"], dtype=torch.float64).view(4, 4)
-        lit = []
+        T_body_world, modules, lights = inverse(_pose(shown.head["T_world_body"])), [], []
         for module, u, posed in zip(self.simulation.modules, shown.lights, shown.head["modules"], strict=True):
-            if module.side == side and bool(u.any()):
-                R = (inverse(body) @ torch.tensor(posed["T_world_module"], dtype=torch.float64).view(4, 4))[:3, :3]
-                lit.append((module.headlight, module.headlight.light_texture(u.to(module.flux)).double().cpu(), R))
-
-        def intensity(directions: torch.Tensor) -> torch.Tensor:
-            parts = [headlight.intensity(texture, R.T @ directions.double()) for headlight, texture, R in lit]
-            return sum(parts, torch.zeros(directions.shape[1], dtype=torch.float64))
-
+            if module.side == side:
+                modules.append(Module(module.name, module.headlight, T_body_world @ _pose(posed["T_world_module"])))
+                lights.append(u.to(module.flux))
         verdicts = {"pass": True, "fail": False, "not applicable": None}
         return [
             {
@@ -133,7 +131,7 @@ class Run:
                 "limit": each.limits,
                 "passed": verdicts[each.verdict],
             }
-            for each in check(intensity, rule)
+            for each in check(Lamp(side, tuple(modules)).lit(lights), rule)
         ]
 
     def facts(self) -> dict[str, Any]:
@@ -162,6 +160,10 @@ class Run:
         keys = ("rows", "cols", "left", "right", "bottom", "top", "pixel_rows", "pixel_cols")
         grid = {key: getattr(module.headlight, key) for key in keys}
         return {"name": module.name, "side": module.side, **grid, "peak_cd": self.peaks_cd[number], "flux_lm": module.flux_lm}
+
+
+def _pose(numbers: list[float]) -> torch.Tensor:
+    return torch.tensor(numbers, dtype=torch.float64).view(4, 4)
 
 
 def _number(value: Any) -> float:

@@ -9,7 +9,7 @@ import traceback
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from http import HTTPStatus
 from ipaddress import ip_address
@@ -20,21 +20,20 @@ from urllib.parse import urlsplit
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
-from websockets.http11 import Request as Asked
+from websockets.http11 import Request as HttpRequest
 from websockets.http11 import Response
 
 from loop.studio.messages import (
     LARGEST,
     PROTOCOL,
-    VIEWS,
     AskBeam,
     AskSummary,
     Button,
     Hello,
     Message,
+    Request,
     Scrub,
     Shown,
-    View,
     Want,
     packed,
     read,
@@ -71,9 +70,7 @@ class Client:
     def __init__(self, connection: ServerConnection, number: int, role: str) -> None:
         self.connection, self.number, self.role = connection, number, role
         self.feed: Feed | None = None  # made where PyTorch is imported
-        self.wanted: frozenset[View] = frozenset(VIEWS)
-        self.at: tuple[int, int] | None = None  # run and step that it looks at in place of the newest
-        self.shown = 0  # id of the last step that it has shown
+        self.request = Request()
         self.changed, self.answers, self.asks = asyncio.Event(), list[dict[str, Any]](), set[tuple[str, int]]()
 
 
@@ -109,7 +106,7 @@ class Studio:
         self.session.stop()
         self._threads.shutdown(cancel_futures=True)
 
-    def _answer(self, connection: ServerConnection, request: Asked) -> Response | None:
+    def _answer(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
         host, origin = request.headers.get("Host", "").lower(), request.headers.get("Origin")
         if not self._is_ours(host) or (origin is not None and origin.lower() not in (f"http://{host}", f"https://{host}")):
             return _response(HTTPStatus.FORBIDDEN, "text/plain", b"This address is not that of the studio.\n")
@@ -124,7 +121,10 @@ class Studio:
 
     def _is_ours(self, host: str) -> bool:
         """Whether a Host header names this machine: a page of somebody else, whose name is made to lead here, has that name in it."""
-        name = urlsplit(f"//{host}").hostname or ""
+        try:
+            name = urlsplit(f"//{host}").hostname or ""
+        except ValueError:
+            return False
         with suppress(ValueError):
             return bool(ip_address(name))
         return name in self._names
@@ -151,6 +151,8 @@ class Studio:
         try:
             async for data in connection:
                 self._receive(client, data)
+                while len(client.answers) > MOST_ANSWERS:  # who does not read is not read
+                    await asyncio.sleep(STATUS_S)
         except ConnectionClosed:
             pass
         finally:
@@ -169,17 +171,14 @@ class Studio:
         except LuxloopError as error:
             reply({"type": "error", "text": str(error), "about": None})
             return
-        if len(client.answers) > MOST_ANSWERS:
-            client.changed.set()
-            return
         match message:
             case Want(views=views):
-                client.wanted = frozenset(views)
+                client.request = replace(client.request, wanted=frozenset(views))
                 self._look()
             case Scrub(step=step):
-                client.at = None if step is None else (message.run, step)
+                client.request = replace(client.request, at=None if step is None else (message.run, step))
             case Shown(id=id_):
-                client.shown = max(client.shown, id_)
+                client.request = replace(client.request, shown=max(client.request.shown, id_))
             case AskSummary(run=run) | AskBeam(run=run):
                 if (message.type, run) in client.asks:
                     reply({"type": "error", "text": f"{message.type}: the last one is not answered yet", "about": message.type})
@@ -225,7 +224,7 @@ class Studio:
             self._loop.call_soon_threadsafe(reply, head)
 
     def _look(self) -> None:
-        self.session.look(frozenset(view for client in self._clients for view in client.wanted))
+        self.session.look(frozenset(view for client in self._clients for view in client.request.wanted))
 
     def _tell(self) -> None:
         for client in self._clients:
@@ -255,18 +254,20 @@ class Studio:
                 await client.connection.send(packed({"type": "progress", "text": preparing}))
             keys = ("playing", "speed", "step_ms", "real_time", "failed")
             status = {"type": "status", **{key: getattr(published, key) for key in keys}, "pen": self._pen, "clients": len(self._clients)}
-            if (text := json.dumps(status)) != last:
-                if (waits_s := said_s + STATUS_S - time.monotonic()) <= 0 or not published.playing:
-                    last, said_s, soon = text, time.monotonic(), False
-                    await client.connection.send(packed(status))
-                elif not soon:
-                    soon = True
-                    self._loop.call_later(waits_s, client.changed.set)
+            text, waits_s = json.dumps(status), said_s + STATUS_S - time.monotonic()
+            if text == last:
+                soon = False
+            elif waits_s <= 0 or not published.playing:
+                last, said_s, soon = text, time.monotonic(), False
+                await client.connection.send(packed(status))
+            elif not soon:
+                soon = True
+                self._loop.call_later(waits_s, client.changed.set)
             if published.runs:
-                from loop.studio.feed import Feed, Request  # which import PyTorch, as the session has done by now
+                from loop.studio.feed import Feed  # which imports PyTorch, as the session has done by now
 
                 client.feed = client.feed or Feed()
-                messages = client.feed.messages(published, Request(client.wanted, client.at, client.shown))
+                messages = client.feed.messages(published, client.request)
                 while (data := await self._loop.run_in_executor(self._threads, next, messages, None)) is not None:
                     await client.connection.send(data)
 

@@ -244,8 +244,9 @@ class Session:
         if not runs or not all(is_live(run.simulation.scenario, each) for run, each in zip(runs, scenarios, strict=True)):
             self._prepare(sources)
             return
-        for run, scenario in zip(runs, scenarios, strict=True):
-            run.edit(scenario, overrides)
+        made = [run.edited(scenario) for run, scenario in zip(runs, scenarios, strict=True)]  # all of them, or none where one cannot be
+        for run, after in zip(runs, made, strict=True):
+            run.edit(after, overrides)
         self._sources = sources
         self._publish(failed=None)
 

@@ -138,6 +138,6 @@ def _pictures(simulation: Simulation, result: StepResult) -> Pictures:
 
 def _coded(frame: Tensor, most: int) -> np.ndarray:
     """Digital numbers as 255 times the root of their share of the most: noise is as coarse in the dark as in the light."""
-    share = (frame.float() + 0.0).cpu().numpy() / most
+    share = frame.float().cpu().numpy() / most
     coded: np.ndarray = (255 * np.sqrt(np.clip(share, 0, 1))).round().astype(np.uint8)
     return coded

@@ -7,6 +7,8 @@ from loop.lighting.result import SimulationState, StepResult
 from loop.lighting.simulation import Simulation
 from loop.scenario.model import Scenario, load
 from loop.studio.edited import edited, is_live
+from loop.studio.messages import VIEWS
+from loop.studio.runs import Run
 from world.errors import LuxloopError
 
 SMALL = ("camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "judge_every=0")
@@ -78,3 +80,19 @@ def test_a_symbol_that_cannot_be_drawn_is_refused(simulation: Simulation) -> Non
     state = simulation.start()
     with pytest.raises(LuxloopError, match=r"functions\.symbol"):
         edited(simulation, state, scenario("functions.symbol.x_m=400.0"))
+
+
+def test_a_run_goes_on_without_one_of_its_symbols_and_with_it_again() -> None:
+    few = ("renderer=raycast", "camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "judge_every=0", "steps=9")
+    both, one = (load("two_symbols", (*few, *overrides, "checks={}")) for overrides in ((), ("functions.flake={}",)))
+    assert "flake" in both.functions and "flake" not in one.functions and is_live(both, one)
+    run = Run(Simulation.prepare(both), "two_symbols", ())
+    run.step(VIEWS)
+    run.edit(run.edited(one), ("functions.flake={}",))
+    run.look_again(VIEWS)  # at a step that still has both
+    assert set(run.snapshots[-1].head["symbols"]) == set(both.controlled)
+    run.step(VIEWS)
+    assert set(run.snapshots[-1].head["symbols"]) == set(one.controlled) == set(run.summary()["functions"])
+    run.edit(run.edited(both), ())
+    run.step(VIEWS)
+    assert set(run.snapshots[-1].head["symbols"]) == set(both.controlled) == set(run.summary()["functions"])
