@@ -31,7 +31,7 @@ def studio(
     set
         Other values of keys, as KEY=VALUE in TOML, or a .toml file of keys.
     host
-        Address to listen on; with another one than 127.0.0.1 whoever has a token can open the page from other machines.
+        Address to listen on; with an address other than 127.0.0.1, other machines can open the page with a token.
     port
         Port to listen on, 0 for a free one.
     open

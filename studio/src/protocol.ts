@@ -94,7 +94,7 @@ export interface MeshesMessage {
 
 export interface Mark {
   lines: [[number, number], [number, number]][];
-  kind: "tracked" | "masked" | "found" | "target" | "seen";
+  kind: "tracked" | "masked" | "found" | "target";
   text: string;
   at: [number, number];
 }

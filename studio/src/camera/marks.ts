@@ -1,4 +1,4 @@
-// Marks over the camera's picture: what is tracked, masked, found, aimed at and seen.
+// Marks over the camera's picture: what is tracked, masked, found and aimed at.
 
 import type { Mark } from "../protocol.ts";
 
@@ -8,7 +8,6 @@ export const MARKS: Record<Mark["kind"], { colour: string; dash: number[]; text:
   masked: { colour: "#e69f00", dash: [], text: "masked" },
   found: { colour: "#f0e442", dash: [2, 3], text: "found" },
   target: { colour: "#ffffff", dash: [6, 4], text: "target" },
-  seen: { colour: "#e08fbf", dash: [], text: "seen" },
 };
 
 /** Draw marks in pixels of the camera; `scale` is CSS pixels a pixel. */

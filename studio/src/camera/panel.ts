@@ -82,7 +82,7 @@ export function cameraPanel(store: Studio): HTMLElement {
       frame === "on" || on === undefined ? "No picture of the camera yet." : "The camera takes no picture with the light off.";
     view.redraw();
   };
-  const marksToggle = toggle("marks", "Draw what is tracked, masked, found, aimed at and seen", (now) => {
+  const marksToggle = toggle("marks", "Draw what is tracked, masked, found and aimed at", (now) => {
     withMarks = now;
     marksToggle.show(now);
     changed();
