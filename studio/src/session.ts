@@ -27,7 +27,7 @@ export class Session {
     address: { url: string; token: string },
     private readonly store: Studio,
     private readonly scenes: SceneSink,
-    private readonly toast: (sentence: string) => void,
+    private readonly toast: (sentence: string, good?: boolean) => void,
   ) {
     this.#connection = new Connection(address.url, address.token, {
       link: (link) => this.store.set({ link }),
@@ -138,7 +138,7 @@ export class Session {
         return;
       }
       case "edit":
-        if (message.run === 0) this.toast(`From step ${message.step} on: ${message.overrides.join(" ")}`);
+        if (message.run === 0) this.toast(`From step ${message.step} on: ${message.overrides.join(" ")}`, true);
         return;
       case "summary": {
         const run = store.state.runs[message.run];

@@ -8,11 +8,12 @@ const MOST = 4;
 export class Toasts {
   readonly element = h("div", { class: "toasts", role: "alert", "aria-live": "assertive" });
 
-  readonly show = (sentence: string): void => {
+  /** good: a thing that was done; else one that is wrong. */
+  readonly show = (sentence: string, good = false): void => {
     const same = [...this.element.children].find((each) => each.firstChild?.textContent === sentence);
     same?.remove();
     const close = h("button", { type: "button", class: "quiet", "aria-label": "Close this message" }, icon(ICONS.close));
-    const toast = h("div", { class: "toast" }, h("span", {}, sentence), close);
+    const toast = h("div", { class: good ? "toast good" : "toast" }, h("span", {}, sentence), close);
     close.addEventListener("click", () => toast.remove());
     this.element.append(toast);
     while (this.element.children.length > MOST) this.element.firstElementChild?.remove();
