@@ -60,6 +60,7 @@ def studio(
             await server.serve_forever()
         finally:
             server.close()
+            await server.wait_closed()
             served.stop()
 
     asyncio.run(serve())
