@@ -245,7 +245,7 @@ def replay(directory: Path, /, *, compare: bool | None = None, csv: Path | None 
         File to write the recorded steps to, as comma-separated values.
     """
     from loop.commands.runs import compare_recording
-    from loop.lighting.replay import to_csv
+    from loop.replay.replay import to_csv
 
     if csv is not None:
         to_csv(directory, csv)

@@ -7,12 +7,12 @@ from pathlib import Path
 import torch
 from rich.markup import escape
 
-from loop.lighting.replay import replay
 from loop.lighting.result import StepResult
 from loop.lighting.summary import shown
 from loop.recording.checks import passed
 from loop.recording.files import TRAJECTORY
 from loop.recording.manifest import Manifest
+from loop.replay.replay import replay
 from loop.run import run
 from loop.scenario.model import Scenario
 from loop.terminal import tables

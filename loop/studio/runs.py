@@ -13,9 +13,9 @@ from loop.lighting.record import row, schema, summary_of
 from loop.lighting.result import SimulationState, StepResult
 from loop.lighting.simulation import Simulation
 from loop.recording.files import table_of
+from loop.replay.edited import edited
 from loop.report.picture import white_of
 from loop.scenario.model import Scenario
-from loop.studio.edited import edited
 from loop.studio.messages import View
 from loop.studio.shapes import Shapes
 from loop.studio.snapshot import Snapshot, bodies_at, snapshot

@@ -237,7 +237,7 @@ class Session:
 
     def _edit(self, overrides: tuple[str, ...]) -> None:
         """Other values of keys: from the next step on where world and lamps stay as they are, else in runs that start anew."""
-        from loop.studio.edited import is_live
+        from loop.replay.edited import is_live
 
         sources = tuple(each.with_values(overrides) for each in self._sources)
         scenarios, runs = [self._loaded(each) for each in sources], self.published.runs
@@ -279,7 +279,7 @@ class Session:
         self._publish(number=number, scenario=head, runs=tuple(runs), progress=None, failed=None, step_ms=None, real_time=None)
 
     def _loaded(self, source: Source) -> "Scenario":
-        from loop.lighting import replay
+        from loop.replay import replay
         from loop.scenario.model import load, validate
         from loop.scenario.overrides import overridden
         from world.plugin import refuse_code

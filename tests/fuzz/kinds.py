@@ -17,10 +17,10 @@ import torch
 from controllers.pixels.ssc import Utilisation
 from controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from loop.jobs.runner import run as run_jobs
-from loop.lighting import replay
 from loop.plant import frames
 from loop.plant.protocol import Exposure
 from loop.recording.manifest import Manifest
+from loop.replay import replay
 from loop.run import check
 from loop.scenario.model import load, validate
 from loop.scenario.shipped import shipped

@@ -22,12 +22,12 @@ from controllers.symbol.sensing.projection import ProjectionCommand
 from loop.lighting import recorder
 from loop.lighting.record import ZONE, row, schema, summary_of
 from loop.lighting.recorder import Recorder
-from loop.lighting.replay import load
 from loop.lighting.result import Clock, StepResult
 from loop.lighting.simulation import Simulation
 from loop.recording.columns import POSE, SYMBOL, loss_name
 from loop.recording.files import table_of
 from loop.recording.manifest import Manifest
+from loop.replay.replay import load
 from loop.run import run
 from loop.scenario.model import Scenario, validate
 from perception.extraction import Loss

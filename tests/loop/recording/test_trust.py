@@ -11,8 +11,8 @@ import pytest
 
 from loop.commands import cli
 from loop.jobs.executors import local
-from loop.lighting.replay import replay
 from loop.recording.manifest import FILE, Manifest, digests
+from loop.replay.replay import replay
 from loop.run import run
 from loop.scenario.model import load
 from loop.studies import campaign

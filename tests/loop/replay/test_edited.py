@@ -5,8 +5,8 @@ import torch
 
 from loop.lighting.result import SimulationState, StepResult
 from loop.lighting.simulation import Simulation
+from loop.replay.edited import edited, is_live
 from loop.scenario.model import Scenario, load
-from loop.studio.edited import edited, is_live
 from loop.studio.messages import VIEWS
 from loop.studio.runs import Run
 from world.errors import LuxloopError

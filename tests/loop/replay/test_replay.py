@@ -18,13 +18,13 @@ import pytest
 from controllers.symbol.sensing.flat_model import FeatureParams
 from loop.lighting.record import row, schema
 from loop.lighting.recorder import Recorder
-from loop.lighting.replay import load, replay, to_csv
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.recording.columns import SYMBOL, of_one
 from loop.recording.comparison import CENTROID_M, CENTROID_PX, SHARE, SHEAR, TOLERANCES, compare, tolerances
 from loop.recording.files import table_of
 from loop.recording.summary import steady_step
+from loop.replay.replay import load, replay, to_csv
 from loop.scenario.model import Scenario
 from world.errors import LuxloopError
 from world.parquet import read_parquet
