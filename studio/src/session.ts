@@ -1,6 +1,7 @@
 // What the page does with the server's messages, and what it asks of the server.
 
 import { Connection } from "./connection.ts";
+import { Edits } from "./edits.ts";
 import type { Arrays, ClientMessage, MeshesMessage, ScenarioMessage, ServerMessage, StepMessage, View } from "./protocol.ts";
 import { type PanelName, RunData, type Studio } from "./state.ts";
 
@@ -17,6 +18,7 @@ const ALL: PanelName[] = ["scene", "camera", "matrix", "curves"];
 
 export class Session {
   readonly #connection: Connection;
+  readonly #edits = new Edits((overrides) => this.send({ type: "set", overrides }));
   /** The scrub that is not answered yet. The server answers the last one alone, so there is one at a time, and the runs take turns. */
   #asked: { run: number; step: number; timer: ReturnType<typeof setTimeout> } | null = null;
   /** By run, the step that the server has sent again last. */
@@ -30,7 +32,10 @@ export class Session {
     private readonly toast: (sentence: string, good?: boolean) => void,
   ) {
     this.#connection = new Connection(address.url, address.token, {
-      link: (link) => this.store.set({ link }),
+      link: (link) => {
+        this.#edits.clear();
+        this.store.set({ link });
+      },
       message: (message, arrays) => this.#take(message, arrays),
       broken: toast,
     });
@@ -43,6 +48,12 @@ export class Session {
       return;
     }
     this.#connection.send(message);
+  }
+
+  /** Change values of keys, each `key=value`. For sliders and drags as well: an edit at a time is on its way, and then the newest values. */
+  edit(overrides: readonly string[]): void {
+    if (this.store.state.link === "open") this.#edits.add(overrides);
+    else this.toast("There is no connection to the server.");
   }
 
   /** Look at a step again, or follow the newest. */
@@ -100,6 +111,7 @@ export class Session {
         return;
       case "error":
         if (message.about === "scrub") this.#forget();
+        if (message.about === "set") store.set({ refused: { overrides: this.#edits.answered() ?? [], text: message.text } });
         this.toast(message.text);
         return;
       case "progress":
@@ -110,6 +122,7 @@ export class Session {
         return;
       case "scenario":
         this.#forget();
+        this.#edits.answered();
         this.#connection.send({ type: "scrub", run: 0, step: null });
         this.scenes.begin(message);
         store.set({
@@ -138,7 +151,8 @@ export class Session {
         return;
       }
       case "edit":
-        if (message.run === 0) this.toast(`From step ${message.step} on: ${message.overrides.join(" ")}`, true);
+        if (message.run !== 0) return;
+        if (!this.#edits.answered()) this.toast(`From step ${message.step} on: ${message.overrides.join(" ")}`, true);
         return;
       case "summary": {
         const run = store.state.runs[message.run];

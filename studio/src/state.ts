@@ -66,6 +66,8 @@ export interface State {
   status: StatusMessage | null;
   progress: string | null;
   scenario: ScenarioMessage | null;
+  /** The last edit that the server refused, and why; of overrides that were not sent by `Session.edit` the text alone. */
+  refused: { overrides: string[]; text: string } | null;
   runs: RunData[];
   /** The step that is looked at again; null follows the newest. */
   scrub: number | null;
@@ -102,6 +104,7 @@ export function newStore(): Studio {
     status: null,
     progress: null,
     scenario: null,
+    refused: null,
     runs: [],
     scrub: null,
     step_version: 0,
