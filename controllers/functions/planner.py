@@ -1,7 +1,7 @@
 """The planner: base beam and lighting functions, composed for one moment into primitives (T 4.1, 7.2.2)."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, cast
@@ -15,11 +15,13 @@ from controllers.functions.glare_free import GlareFreeParams
 from controllers.functions.lane import LaneParams, WidthParams
 from controllers.functions.marker import MarkerParams
 from controllers.functions.own import OwnFunction, own_commands, own_function
+from controllers.functions.painted import Painted, PaintedParams, painted_layers
 from controllers.functions.path import PathParams
 from controllers.functions.sign import SignParams
 from controllers.functions.symbol import SymbolFunctionParams
 from controllers.obl.function import ObjectBasedParams
 from controllers.pixels.primitives import Primitives, concatenate
+from controllers.pixels.ssc import Utilisation
 from controllers.situation import AdaptiveFunction, LightingFunction, Situation
 from controllers.zones.material import MaterialParams
 from controllers.zones.zone import ZoneParams
@@ -78,6 +80,7 @@ class LightingParams(Params):
 
     base: BaseBeamParams = Field(BaseBeamParams(), description="the light on which all functions are drawn")
     raw: tuple[RawParams, ...] = Field((), description="given pixel utilisations that replace the base beam")
+    painted: tuple[PaintedParams, ...] = Field((), description="painted pixel utilisations, over what the functions give or in its place")
     power_limit: float | None = Field(None, gt=0, le=1, description="power limit of a lamp, as a share of all pixels on; left out: none")
     share: bool = Field(True, description="modules that reach the same point share its illuminance, so that light is not doubled")
     street_lamps: bool = Field(False, description="subtract the light of street lamps from setpoints")
@@ -88,11 +91,12 @@ class LightingParams(Params):
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What the lamps show at one time. primitives: None if no function draws, so that the base beam alone is shown."""
+    """What the lamps show at one time. primitives: None if no function draws, so that the base beam alone is shown. painted: by module."""
 
     time_s: float
     base: BaseBeam
     primitives: Primitives | None
+    painted: Mapping[str, Painted] = field(default_factory=dict)
 
     def for_module(self, name: str) -> Primitives | None:
         """The primitives of a module, named by itself, its lamp or both ("left hires"); None if there are none."""
@@ -137,6 +141,15 @@ class Planner:
     def adaptive(self) -> Mapping[str, AdaptiveFunction]:
         """The functions with a state that depends on what is seen, by name."""
         return {name: each for name, each in self.functions.items() if isinstance(each, AdaptiveFunction)}
+
+    @cached_property
+    def painted(self) -> Mapping[str, Painted]:
+        """The painted layers, by module."""
+        return painted_layers(self.lighting.painted)
+
+    def paint(self, module: str, light: Utilisation) -> Utilisation:
+        """The light of a module with what is painted."""
+        return self.painted[module].on(light) if module in self.painted else light
 
     @cached_property
     def commanding(self) -> Mapping[str, CommandingFunction]:
@@ -192,9 +205,10 @@ class Planner:
         parts = [primitives for name in reversed(tuple(self.functions)) for primitives in drawn.get(name, ())]
         base = replace(self.lighting.base.at(now), share=self._base_share(states))
         if not parts:
-            return Plan(now.time_s, base, None)
+            return Plan(now.time_s, base, None, self.painted)
         primitives = concatenate(*parts).to(self.dtype)
-        return Plan(now.time_s, base, replace(primitives, shared=primitives.shared & self.lighting.share))
+        shared = replace(primitives, shared=primitives.shared & self.lighting.share)
+        return Plan(now.time_s, base, shared, self.painted)
 
     def _base_share(self, states: States) -> float:
         asked = (each.base_share(states[name]) for name, each in self.adaptive.items())

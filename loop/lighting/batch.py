@@ -63,6 +63,10 @@ def check(simulation: Simulation, keys: Any) -> None:
     if scenario.metered:
         others = "other functions, the detector and objects' categories"
         raise LuxloopError(f"{scenario.name}: batched rollouts support only a single symbol; take {others} out, or tune without --gradient")
+    if scenario.lighting.painted:
+        raise LuxloopError(
+            f"{scenario.name}: lighting.painted: batched rollouts show no painted pixels; leave it out, or tune without --gradient"
+        )
     if timed := [key for key in ("start_s", "stop_s") if getattr(scenario.symbol, key) is not None]:
         key = f"functions.{only(scenario.controlled)}.{timed[0]}"
         raise LuxloopError(

@@ -65,11 +65,13 @@ class ShiningModule(MountedModule):
         return shown if beam.share == 1 else beam.share * shown
 
     def utilisation(self, plan: Plan, secondary: SecondaryRays) -> Utilisation:
-        """Of base beam and functions; secondary: what this module's rays ask where they hit."""
-        base, primitives = self.base(plan), plan.for_module(self.name)
-        if primitives is None:
-            return Utilisation(base, slice(0, 0) if self.raw is None and plan.base.name == "off" else None)
-        return self.controller.over(base).utilisation(primitives.to(base.device), self.T_world_module, secondary)
+        """Of base beam and functions, and what is painted over them; secondary: what this module's rays ask where they hit."""
+        base, primitives, layer = self.base(plan), plan.for_module(self.name), plan.painted.get(self.name)
+        if primitives is None or (layer is not None and not layer.over):
+            light = Utilisation(base, slice(0, 0) if self.raw is None and plan.base.name == "off" else None)
+        else:
+            light = self.controller.over(base).utilisation(primitives.to(base.device), self.T_world_module, secondary)
+        return light if layer is None else layer.on(light)
 
 
 @dataclass(frozen=True)

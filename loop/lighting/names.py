@@ -7,11 +7,12 @@ from loop.recording.columns import of_truth
 from loop.scenario.model import Scenario, objects_named
 from loop.scenario.plant import shadow_of
 from perception.detection.params import TruthParams
-from world.errors import LuxloopError, all_of
+from world.errors import LuxloopError, all_of, did_you_mean
 
 
 def check_names(scenario: Scenario, modules: tuple[ShiningModule, ...]) -> None:
-    """Raises LuxloopError where raw utilisations or a function are meant for a lamp, module or object that is not there."""
+    """Raises LuxloopError where utilisations or a function are meant for a lamp, module or object that is not there."""
+    _check_painted(scenario, modules)
     known = dict.fromkeys(word for module in modules for word in (*module.name.split(" ", 1), module.name))
     objects = [item.name for item in scenario.all_objects if item.category is not None]
     drawn: dict[str, Any] = {f"lighting.raw[{k}]": raw for k, raw in enumerate(scenario.lighting.raw)}
@@ -27,6 +28,19 @@ def check_names(scenario: Scenario, modules: tuple[ShiningModule, ...]) -> None:
                     f"{where}.{key}: there is no object {name!r} with a category; there are "
                     f"{', '.join(objects) or 'none'}, an object is tracked if it has a category"
                 )
+
+
+def _check_painted(scenario: Scenario, modules: tuple[ShiningModule, ...]) -> None:
+    sizes = {each.name: (each.headlight.pixel_rows, each.headlight.pixel_cols) for each in modules}
+    for k, each in enumerate(scenario.lighting.painted):
+        if each.module not in sizes:
+            raise LuxloopError(f"lighting.painted[{k}].module: there is no module {each.module!r}; {did_you_mean(each.module, sizes)}")
+        given, own = each.pictures[0].shape, sizes[each.module]
+        if given != own:
+            raise LuxloopError(
+                f"lighting.painted[{k}].png: has {given[0]} x {given[1]} pixels, but the module {each.module!r} has {own[0]} x {own[1]}; "
+                "bring it to this size"
+            )
 
 
 def refuse_unknown(scenario: Scenario, known: bool) -> None:

@@ -142,7 +142,7 @@ class Simulation:
         beam = BEAMS[light]
         with located(f"checks: compare = {light!r}"):
             modules = tuple(module.showing(beam) for module in self.modules)
-        alone = self.scenario.lighting.model_copy(update={"base": BaseBeamParams(beam=beam), "raw": ()})
+        alone = self.scenario.lighting.model_copy(update={"base": BaseBeamParams(beam=beam), "raw": (), "painted": ()})
         scenario = self.scenario.model_copy(update={"lighting": alone, "functions": {}})
         plant = replace(plant, shares=scenario.shares)
         return replace(self, scenario=scenario, planner=Planner.prepare({}, alone), modules=modules, plant=plant, controlled={})
@@ -334,7 +334,7 @@ class Simulation:
                 if len(self.planner.functions) > 1:
                     raise LuxloopError(f"functions.{name}.controller: drives all pixels, which leaves none to others; take them out")
                 for k, u in zip(self.controlled[name].drawn_by, projection.raw, strict=True):
-                    shown[k] = Utilisation(u)
+                    shown[k] = self.planner.paint(self.modules[k].name, Utilisation(u))
         return tuple(shown)
 
     def _drawn(self, state: SimulationState, now: Situation, ego: Ego | None) -> tuple[dict[str, ProjectionCommand], Parts]:

@@ -21,6 +21,8 @@ LIVE: Final = frozenset({"name", "description", "functions", "conditions", "judg
 
 def is_live(before: Scenario, after: Scenario) -> bool:
     """Whether a simulation of the one scenario can go on with the other: world, lamps and exposures are the same."""
+    painted = {"painted": after.lighting.painted}
+    before = before.model_copy(update={"lighting": before.lighting.model_copy(update=painted)})
     same = all(getattr(before, key) == getattr(after, key) for key in Scenario.model_fields.keys() - LIVE)
     return same and before.shares == after.shares and before.metered == after.metered
 

@@ -101,9 +101,10 @@ def write_report(file: Path, simulation: Simulation, watched: Watched, table: pa
 
 def symbols_alone(simulation: Simulation) -> bool:
     """Whether nothing shines and nothing is watched but symbols that are held."""
-    scenario = simulation.scenario
+    scenario, lighting = simulation.scenario, simulation.scenario.lighting
     others = simulation.planner.functions.keys() - simulation.controlled.keys()
-    return not (others or simulation.watched or scenario.detector or scenario.lighting.raw or scenario.lighting.base.beam != "off")
+    below = lighting.raw or lighting.painted or lighting.base.beam != "off"
+    return not (others or simulation.watched or scenario.detector or below)
 
 
 def _draw_light(

@@ -6,7 +6,8 @@ from typing import Any, Final
 import numpy as np
 import torch
 
-from loop.studio.messages import Coded, Request, View, coded, grey, packed
+from loop.studio.arrays import Coded, coded, grey
+from loop.studio.messages import Request, View, packed
 from loop.studio.runs import Run
 from loop.studio.session import Published
 from loop.studio.shapes import merged

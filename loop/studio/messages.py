@@ -2,7 +2,6 @@
 
 import json
 import struct
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Final, Literal
@@ -10,14 +9,15 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
+from loop.studio.arrays import ArrayHead, Arrays, Coded, given_arrays
 from world.errors import LuxloopError
 from world.params import Params
 from world.plugin import in_a_line
 
 PROTOCOL: Final = 1
-LARGEST: Final = 2**20  # bytes of a client's message
+LARGEST: Final = 2**22  # bytes of a client's message
+LARGEST_HEAD: Final = 2**20
 LENGTH: Final = struct.Struct("<I")
-CODES: Final = {"uint8": "u1", "uint16": "u2", "uint32": "u4", "float16": "f2", "float32": "f4"}
 
 View = Literal["scene", "light", "camera", "matrix", "marks"]
 VIEWS: Final[tuple[View, ...]] = ("scene", "light", "camera", "matrix", "marks")
@@ -110,7 +110,21 @@ class Compare(Params):
     recording: Text | None = None
 
 
-Message = Hello | Want | Scrub | AskSummary | AskBeam | Shown | Button | Speed | Open | Set | Compare
+class Paint(Params):
+    """Pixels of a module of the first run are painted.
+
+    box: first row, end row, first column, end column. Its arrays `[rows, columns]` take the place of what was painted there: value, 255 for
+    full utilisation; painted, 255 where the value holds, 0 where nothing is painted, and shares between.
+    """
+
+    type: Literal["paint"]
+    module: Number
+    box: tuple[Number, Number, Number, Number]
+    over: bool = True
+
+
+Message = Hello | Want | Scrub | AskSummary | AskBeam | Shown | Button | Speed | Open | Set | Compare | Paint
+ARRAYS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {"paint": {"value": ("u1",), "painted": ("u1",)}}  # dtypes, by type and name
 MESSAGE: Final[TypeAdapter[Message]] = TypeAdapter(Annotated[Message, Field(discriminator="type")])
 
 
@@ -123,31 +137,6 @@ class Request:
     shown: int = 0
 
 
-@dataclass(frozen=True)
-class Coded:
-    """An array as a message carries it."""
-
-    dtype: str
-    shape: tuple[int, ...]
-    coding: Literal["raw", "deflate", "png"]
-    data: bytes
-
-
-def coded(array: np.ndarray) -> Coded:
-    """An array, compressed where that pays. Raises KeyError for a dtype that has no code."""
-    raw = np.ascontiguousarray(array).tobytes()
-    small = zlib.compress(raw, 1)
-    coding: Literal["raw", "deflate"] = "deflate" if len(small) < 0.9 * len(raw) else "raw"
-    return Coded(CODES[str(array.dtype)], array.shape, coding, small if coding == "deflate" else raw)
-
-
-def grey(array: np.ndarray) -> Coded:
-    """A picture `[height, width]` uint8 as PNG."""
-    import cv2
-
-    return Coded("u1", array.shape, "png", cv2.imencode(".png", array, (cv2.IMWRITE_PNG_COMPRESSION, 1))[1].tobytes())
-
-
 def packed(head: Mapping[str, Any], arrays: Mapping[str, Coded] | None = None) -> bytes:
     """A message. Numbers that are not finite become null, which JSON has in their place."""
     listed, start = {}, 0
@@ -158,17 +147,30 @@ def packed(head: Mapping[str, Any], arrays: Mapping[str, Coded] | None = None) -
     return b"".join([LENGTH.pack(len(text)), text, *(each.data for each in (arrays or {}).values())])
 
 
-def read(data: bytes | str) -> Message:
-    """A client's message. Raises LuxloopError that says in a sentence what is wrong with it."""
+class Body(Params):
+    """The arrays of a message's body."""
+
+    arrays: dict[str, ArrayHead] = Field({}, max_length=4)
+
+
+def read(data: bytes | str) -> tuple[Message, Arrays]:
+    """A client's message, and the arrays that messages of its type have. Raises LuxloopError that says what is wrong with it."""
     try:
         if isinstance(data, str):
             raise ValueError("it is text; messages are binary")
         (length,) = LENGTH.unpack_from(data)
-        if LENGTH.size + length != len(data):
-            raise ValueError(f"its head has {length} bytes, but {len(data) - LENGTH.size} are there")
-        return MESSAGE.validate_json(data[LENGTH.size :])
+        if length > min(len(data) - LENGTH.size, LARGEST_HEAD):
+            raise ValueError(f"its head has {length} bytes, but {len(data) - LENGTH.size} are there, and {LARGEST_HEAD} may be")
+        head = json.loads(data[LENGTH.size : LENGTH.size + length])
+        if not isinstance(head, dict):
+            raise ValueError("its head is no object")
+        body = Body(arrays=head.pop("arrays", {}))
+        message = MESSAGE.validate_python(head)
+        return message, given_arrays(body.arrays, data[LENGTH.size + length :], ARRAYS.get(message.type, {}))
     except ValidationError as error:
         raise LuxloopError(f"message: {in_a_line(error)}") from error
+    except RecursionError as error:
+        raise LuxloopError("message: not understood (it is nested too deep)") from error
     except (struct.error, ValueError) as error:
         raise LuxloopError(f"message: not understood ({error})") from error
 

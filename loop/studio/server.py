@@ -132,7 +132,7 @@ class Studio:
     async def _client(self, connection: ServerConnection) -> None:
         try:
             async with asyncio.timeout(HELLO_S):
-                hello = read(await connection.recv())
+                hello, _ = read(await connection.recv())
             role = self.tokens.role(hello.token) if isinstance(hello, Hello) else None
         except (LuxloopError, TimeoutError, ConnectionClosed):
             role = None
@@ -166,7 +166,7 @@ class Studio:
     def _receive(self, client: Client, data: bytes | str) -> None:
         reply = self._reply_to(client)
         try:
-            message = read(data)
+            message, arrays = read(data)
             self._refuse(client, message)
         except LuxloopError as error:
             reply({"type": "error", "text": str(error), "about": None})
@@ -191,7 +191,7 @@ class Studio:
             case Hello():
                 pass
             case _:
-                self.session.ask(message, partial(self._later, reply))
+                self.session.ask(message, partial(self._later, reply), arrays)
         client.changed.set()
 
     def _refuse(self, client: Client, message: Message) -> None:

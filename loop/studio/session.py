@@ -5,12 +5,13 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from loop.studio.messages import VIEWS, AskBeam, AskSummary, Button, Compare, Message, Open, Set, Speed, View
+from loop.studio.arrays import Arrays
+from loop.studio.messages import VIEWS, AskBeam, AskSummary, Button, Compare, Message, Open, Paint, Set, Speed, View
 from world.errors import LuxloopError
 
 if TYPE_CHECKING:
@@ -63,10 +64,11 @@ class Published:
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """A client's message, and where its answer goes."""
+    """A client's message, and where its answer goes. arrays: of its body."""
 
     message: Message
     reply: Reply
+    arrays: Arrays = field(default_factory=dict)
 
 
 class Session:
@@ -89,9 +91,9 @@ class Session:
         """Begin to prepare."""
         self._thread.start()
 
-    def ask(self, message: Message, reply: Reply) -> None:
-        """Do as a client asks, in turn; reply: gets heads of answers, from the session's thread."""
-        self._asked.put(Asked(message, reply))
+    def ask(self, message: Message, reply: Reply, arrays: Arrays | None = None) -> None:
+        """Do as a client asks, in turn; reply: gets heads of answers, from the session's thread. arrays: of the message's body."""
+        self._asked.put(Asked(message, reply, arrays or {}))
 
     def look(self, wanted: frozenset[View]) -> None:
         """What somebody looks at; where that is more than before, a step that rests is looked at anew."""
@@ -168,6 +170,10 @@ class Session:
             case Set(overrides=overrides):
                 self._refuse(overrides)
                 self._edit(overrides)
+            case Paint() as paint:
+                from loop.studio.painting import painted
+
+                self._edit((painted(self._run(0).simulation, paint, asked.arrays),))
             case Compare(overrides=None, recording=None):
                 self._prepare(self._sources[:1])
             case Compare() as compared:

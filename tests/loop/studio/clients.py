@@ -14,10 +14,17 @@ from websockets.sync.client import ClientConnection, connect
 Arrays = dict[str, np.ndarray]
 
 
-def message(**head: Any) -> bytes:
+def message(arrays: Arrays | None = None, coding: str = "deflate", **head: Any) -> bytes:
     """A message of a client."""
-    text = json.dumps(head).encode()
-    return struct.pack("<I", len(text)) + text
+    body, listed = b"", {}
+    for name, array in (arrays or {}).items():
+        raw = array.tobytes()
+        data = {"raw": raw, "deflate": zlib.compress(raw)}.get(coding) or cv2.imencode(".png", array)[1].tobytes()
+        dtype = array.dtype.str[1:]
+        listed[name] = {"dtype": dtype, "shape": array.shape, "start": len(body), "bytes": len(data), "coding": coding}
+        body += data
+    text = json.dumps(head | ({"arrays": listed} if listed else {})).encode()
+    return struct.pack("<I", len(text)) + text + body
 
 
 def unpacked(data: bytes) -> tuple[dict[str, Any], Arrays]:
@@ -41,9 +48,9 @@ class Watcher:
     def __init__(self, socket: ClientConnection) -> None:
         self.socket, self.got = socket, list[tuple[dict[str, Any], Arrays]]()
 
-    def say(self, **head: Any) -> None:
+    def say(self, arrays: Arrays | None = None, **head: Any) -> None:
         """Send a message."""
-        self.socket.send(message(**head))
+        self.socket.send(message(arrays, **head))
 
     def until(self, fits: Callable[[dict[str, Any]], bool], timeout_s: float = 120.0) -> tuple[dict[str, Any], Arrays]:
         """Wait for a message that fits; the time is what a busy machine takes to prepare a scenario."""

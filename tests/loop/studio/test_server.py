@@ -243,7 +243,9 @@ def test_a_regulation_judges_the_light_that_is_shown(served: Served) -> None:
 @pytest.mark.parametrize("count", [500, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_damaged_messages_change_nothing_and_end_nothing(served: Served, count: int) -> None:
     rng = random.Random(0)
+    picture = {name: np.full((20, 30), 7, np.uint8) for name in ("value", "painted")}
     good = [message(type="want", views=["scene"]), message(type="scrub", run=0, step=2), message(type="beam", rule="r149-passing-c")]
+    good += [message(picture, coding, type="paint", module=0, box=[0, 20, 0, 30]) for coding in ("raw", "deflate", "png")]
     with watching(served.port, served.tokens.watch) as watcher:
         watcher.of("scenario")
         before = served.studio.session.published

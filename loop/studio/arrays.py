@@ -1,0 +1,105 @@
+"""Arrays in the body of a message (docs/studio_protocol.md): coded for clients, and read from them within strict limits."""
+
+import struct
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import prod
+from typing import Annotated, Any, Final, Literal
+
+import numpy as np
+from pydantic import Field
+
+from world.params import Params
+
+CODES: Final = {"uint8": "u1", "uint16": "u2", "uint32": "u4", "float16": "f2", "float32": "f4"}
+MOST_BYTES: Final = 2**22  # of an array of a client, decoded
+PNG: Final = b"\x89PNG\r\n\x1a\n"
+GREY: Final = (8, 0)  # bits and colour type of a PNG
+
+Arrays = Mapping[str, np.ndarray]
+Size = Annotated[int, Field(ge=0, lt=2**31)]
+
+
+@dataclass(frozen=True)
+class Coded:
+    """An array as a message carries it."""
+
+    dtype: str
+    shape: tuple[int, ...]
+    coding: Literal["raw", "deflate", "png"]
+    data: bytes
+
+
+def coded(array: np.ndarray) -> Coded:
+    """An array, compressed where that pays. Raises KeyError for a dtype that has no code."""
+    raw = np.ascontiguousarray(array).tobytes()
+    small = zlib.compress(raw, 1)
+    coding: Literal["raw", "deflate"] = "deflate" if len(small) < 0.9 * len(raw) else "raw"
+    return Coded(CODES[str(array.dtype)], array.shape, coding, small if coding == "deflate" else raw)
+
+
+def grey(array: np.ndarray) -> Coded:
+    """A picture `[height, width]` uint8 as PNG."""
+    import cv2
+
+    return Coded("u1", array.shape, "png", cv2.imencode(".png", array, (cv2.IMWRITE_PNG_COMPRESSION, 1))[1].tobytes())
+
+
+class ArrayHead(Params):
+    """What a client says of an array. start, bytes: where it lies in the body."""
+
+    dtype: Literal["u1", "u2", "u4", "f2", "f4"]
+    shape: tuple[Size, ...] = Field(max_length=3)
+    start: Size
+    bytes: Size
+    coding: Literal["raw", "deflate", "png"]
+
+
+def given_arrays(heads: Mapping[str, ArrayHead], body: Any, wanted: Mapping[str, tuple[str, ...]]) -> Arrays:
+    """The arrays of a client's message. wanted: the dtypes that each may have; all must be there, and nothing else.
+
+    An array is decoded once its size is known to be allowed, and only as far as that size. Raises ValueError where one is not as it is said
+    to be.
+    """
+    if heads.keys() != wanted.keys():
+        raise ValueError(f"its arrays are {', '.join(heads) or 'none'}, but it has {', '.join(wanted) or 'none'}")
+    end = max((head.start + head.bytes for head in heads.values()), default=0)
+    if end != len(body):
+        raise ValueError(f"its body has {len(body)} bytes, but its arrays end at {end}")
+    for name, head in heads.items():
+        if head.dtype not in wanted[name]:
+            raise ValueError(f"array {name} is {head.dtype}; it may be {' or '.join(wanted[name])}")
+        if int(head.dtype[1]) * prod(head.shape) > MOST_BYTES:
+            raise ValueError(f"array {name} has the shape {list(head.shape)}; arrays have at most {MOST_BYTES} bytes")
+    return {name: _decoded(name, head, bytes(body[head.start : head.start + head.bytes])) for name, head in heads.items()}
+
+
+def _decoded(name: str, head: ArrayHead, data: bytes) -> np.ndarray:
+    size = int(head.dtype[1]) * prod(head.shape)
+    if head.coding == "png":
+        return _picture(name, head, data)
+    if head.coding == "deflate":
+        inflating = zlib.decompressobj()
+        try:
+            data = inflating.decompress(data, size + 1)
+        except zlib.error as error:
+            raise ValueError(f"array {name} is no zlib stream") from error
+    if len(data) != size:
+        raise ValueError(f"array {name} has not the {size} bytes of its shape")
+    return np.frombuffer(data, f"<{head.dtype}").reshape(head.shape)
+
+
+def _picture(name: str, head: ArrayHead, data: bytes) -> np.ndarray:
+    import cv2
+
+    told = struct.unpack(">IIBB", data[16:26]) if data.startswith(PNG) and data[12:16] == b"IHDR" and len(data) >= 26 else None
+    if told is None or head.dtype != "u1" or told != (*reversed(head.shape), *GREY):
+        raise ValueError(f"array {name} is no 8-bit grey PNG of its shape")
+    try:
+        picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        picture = None
+    if picture is None or picture.shape != head.shape:
+        raise ValueError(f"array {name} is no 8-bit grey PNG of its shape")
+    return picture

@@ -1,0 +1,141 @@
+"""Painted pixels reach the light, where the library says that they shine; what is painted is an edit like any other."""
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import torch
+
+from loop.run import prepare
+from loop.scenario.model import load
+from loop.studio.session import Source
+from tests.loop.studio.clients import Arrays, Watcher, watching
+from tests.loop.studio.conftest import Served, serving
+from world.frames import transform
+
+BARE = ("renderer=raycast", "camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "steps=40", "functions={}", "checks={}")
+LAMPS = {"hd84": (3, 28), "idealised-332x1024": (332, 1024)}
+QUICK_S = 1.0  # a tenth of it is what it takes; a busy machine may need more
+
+
+Painted = tuple[Served, str]
+
+
+@pytest.fixture(scope="module", params=LAMPS)
+def lamp(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Painted]:
+    page = tmp_path_factory.mktemp("page")
+    (page / "index.html").write_text("<!doctype html><title>studio</title>")
+    for served in serving(Source("gfhb", (*BARE, f"headlight.model={request.param}")), page):
+        yield served, request.param
+
+
+def spot(rows: int, cols: int, value: int = 255) -> Arrays:
+    return {"value": np.full((rows, cols), value, np.uint8), "painted": np.full((rows, cols), 255, np.uint8)}
+
+
+def painted(watcher: Watcher, box: list[int], over: bool, arrays: Arrays | None = None) -> Arrays:
+    """Arrays of the first step that shows it."""
+    watcher.say(arrays or spot(box[1] - box[0], box[3] - box[2]), type="paint", module=0, box=box, over=over)
+    step = watcher.of("edit", run=0)[0]["step"]
+    watcher.say(type="step")
+    return watcher.until(lambda head: head["type"] == "step" and head["run"] == 0 and head["step"] >= step)[1]
+
+
+def test_the_place_that_lights_up_is_that_of_the_pixels(lamp: Painted) -> None:
+    """The brightest texel of the light that arrives, cast onto the road, lies where the pixels' own light is brightest."""
+    served, (rows, cols) = lamp[0], LAMPS[lamp[1]]
+    row, col = int(0.8 * rows), int(0.4 * cols)
+    box = [row, row + max(1, rows // 40), col, col + max(1, cols // 40)]
+    with watching(served.port, served.tokens.edit) as watcher:
+        watcher.of("scenario")
+        number = served.studio.session.published.number
+        began_s = time.monotonic()
+        watcher.say(spot(box[1] - box[0], box[3] - box[2]), type="paint", module=0, box=box, over=False)
+        watcher.of("edit")
+        assert time.monotonic() - began_s < QUICK_S
+        watcher.say(type="step")
+        head, arrays = watcher.until(lambda head: head["type"] == "step" and "0" in head["light_rows"] and head["step"] > 0)
+        assert served.studio.session.published.number == number  # nothing starts anew
+        u = np.zeros((rows, cols), np.uint8)
+        u[box[0] : box[1], box[2] : box[3]] = 255
+        assert np.array_equal(arrays["u.0"], u)
+
+        module = served.studio.session.published.runs[0].simulation.modules[0]
+        light = module.headlight
+        texture = np.zeros((light.rows, light.cols), np.float32)
+        first, stop = head["light_rows"]["0"]
+        texture[first:stop] = arrays["light.0"]
+        T = torch.tensor(head["modules"][0]["T_world_module"], dtype=torch.float64).view(4, 4)
+        expected = light.matrix.to_scipy()[:, np.flatnonzero(u)].sum(1).A.reshape(texture.shape)
+        there, wanted = (on_road(T, centre(light, each)) for each in (texture, expected))
+        assert (
+            3 < wanted[0] < 100 and torch.linalg.norm(there - wanted) < 0.02 * wanted[0]
+        )  # two per cent: half floats, poses of six digits
+
+
+def centre(light: object, texture: np.ndarray) -> tuple[float, float]:
+    """Tangents to the left and up of the centre of a light texture."""
+    grid = {key: float(getattr(light, key)) for key in ("left", "right", "top", "bottom")}
+    rows, cols = texture.shape
+    row, col = (float((texture.sum(axis) * (np.arange(n) + 0.5)).sum() / texture.sum() / n) for axis, n in ((1, rows), (0, cols)))
+    return grid["left"] + col * (grid["right"] - grid["left"]), grid["top"] + row * (grid["bottom"] - grid["top"])
+
+
+def on_road(T_world_module: torch.Tensor, tangents: tuple[float, float]) -> torch.Tensor:
+    origin, tip = transform(T_world_module, torch.tensor([[0.0, 1.0], [0.0, tangents[0]], [0.0, tangents[1]]], dtype=torch.float64)).T
+    return origin + (tip - origin) * origin[2] / (origin[2] - tip[2])
+
+
+def test_boxes_add_up_and_what_is_rubbed_out_is_as_before(lamp: Painted) -> None:
+    served, model = lamp
+    _, cols = LAMPS[model]
+    with watching(served.port, served.tokens.edit) as watcher:
+        watcher.of("scenario")
+        watcher.say(type="set", overrides=["lighting.painted=[]"])
+        watcher.of("edit")
+        watcher.say(type="reset")
+        watcher.of("scenario")
+        before = watcher.of("step", step=0)[1]["u.0"]
+        painted(watcher, [0, 1, 0, 5], True, spot(1, 5, 100))
+        u = painted(watcher, [1, 3, 2, 4], True, spot(2, 2, 7))["u.0"]
+        expected = before.copy()
+        expected[0, :5], expected[1:3, 2:4] = 100, 7
+        assert np.array_equal(u, expected)
+        nothing = {"value": np.full((2, cols), 9, np.uint8), "painted": np.zeros((2, cols), np.uint8)}
+        u = painted(watcher, [0, 2, 0, cols], True, nothing)["u.0"]
+        expected[:2] = before[:2]
+        assert np.array_equal(u, expected)
+        published = served.studio.session.published
+        params = published.runs[0].simulation.scenario.lighting.painted[0]
+        assert params.module == "left matrix" and np.array_equal(params.pictures[1][2], np.where(np.arange(cols) // 2 == 1, 255, 0))
+        (override,) = published.runs[0].edits[-1][1]
+        again = prepare(load("gfhb", [*BARE, f"headlight.model={model}", override]), "cpu")
+        assert again.at(1).lights[0].equal(published.runs[0].simulation.at(1).lights[0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"module": 9}, "no module 9"),
+        ({"box": [0, 4, 0, 99999]}, "not within"),
+        ({"box": [1, 1, 0, 5]}, "not within"),
+        ({"box": [0, 2, 0, 4]}, "2 x 4 pixels"),
+    ],
+)
+def test_what_does_not_fit_changes_nothing(lamp: Painted, changes: dict, told: str) -> None:
+    served, _ = lamp
+    with watching(served.port, served.tokens.edit) as watcher:
+        watcher.of("scenario")
+        before = served.studio.session.published.runs[0].simulation.scenario
+        watcher.say(spot(1, 5), **{"type": "paint", "module": 0, "box": [0, 1, 0, 5], "over": True} | changes)
+        assert told in watcher.of("error", about="paint")[0]["text"]
+        assert served.studio.session.published.runs[0].simulation.scenario == before
+
+
+def test_a_watcher_cannot_paint(lamp: Painted) -> None:
+    served, _ = lamp
+    with watching(served.port, served.tokens.watch) as watcher:
+        watcher.of("scenario")
+        watcher.say(spot(1, 5), type="paint", module=0, box=[0, 1, 0, 5])
+        assert "watch" in watcher.of("error")[0]["text"]
