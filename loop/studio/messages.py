@@ -66,6 +66,12 @@ class AskBeam(Params):
     step: Number | None = None
 
 
+class AskSchema(Params):
+    """Ask for the schema of the scenario model."""
+
+    type: Literal["schema"]
+
+
 class Shown(Params):
     """A step is shown. id: that of its message."""
 
@@ -123,7 +129,7 @@ class Paint(Params):
     over: bool = True
 
 
-Message = Hello | Want | Scrub | AskSummary | AskBeam | Shown | Button | Speed | Open | Set | Compare | Paint
+Message = Hello | Want | Scrub | AskSummary | AskBeam | AskSchema | Shown | Button | Speed | Open | Set | Compare | Paint
 ARRAYS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {"paint": {"value": ("u1",), "painted": ("u1",)}}  # dtypes, by type and name
 MESSAGE: Final[TypeAdapter[Message]] = TypeAdapter(Annotated[Message, Field(discriminator="type")])
 

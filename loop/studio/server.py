@@ -27,6 +27,7 @@ from loop.studio.messages import (
     LARGEST,
     PROTOCOL,
     AskBeam,
+    AskSchema,
     AskSummary,
     Button,
     Hello,
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
 HELLO_S: Final = 10.0  # in which a client must say its token
 UNKNOWN: Final = 4401  # code by which a connection with another token is closed
 STATUS_S: Final = 0.1  # between two words on the session's state
-READ_ONLY: Final = ("hello", "want", "scrub", "shown", "summary", "beam")  # types of messages that watchers may send as well
+READ_ONLY: Final = ("hello", "want", "scrub", "shown", "summary", "beam", "schema")  # types of messages that watchers may send as well
 MOST_ANSWERS: Final = 100  # that a client has not read yet
 KINDS: Final = {".html": "text/html; charset=utf-8", ".js": "text/javascript", ".css": "text/css", ".txt": "text/plain; charset=utf-8"}
 
@@ -179,12 +180,13 @@ class Studio:
                 client.request = replace(client.request, at=None if step is None else (message.run, step))
             case Shown(id=id_):
                 client.request = replace(client.request, shown=max(client.request.shown, id_))
-            case AskSummary(run=run) | AskBeam(run=run):
-                if (message.type, run) in client.asks:
+            case AskSummary() | AskBeam() | AskSchema():
+                ask = message.type, getattr(message, "run", 0)
+                if ask in client.asks:
                     reply({"type": "error", "text": f"{message.type}: the last one is not answered yet", "about": message.type})
                 else:
-                    client.asks.add((message.type, run))
-                    self.session.ask(message, partial(self._later, partial(self._answered, client, (message.type, run))))
+                    client.asks.add(ask)
+                    self.session.ask(message, partial(self._later, partial(self._answered, client, ask)))
             case Button(type="pen"):
                 self._pen = client.number
                 self._tell()

@@ -6,12 +6,12 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from loop.studio.arrays import Arrays
-from loop.studio.messages import VIEWS, AskBeam, AskSummary, Button, Compare, Message, Open, Paint, Set, Speed, View
+from loop.studio.messages import VIEWS, AskBeam, AskSchema, AskSummary, Button, Compare, Message, Open, Paint, Set, Speed, View
 from world.errors import LuxloopError
 
 if TYPE_CHECKING:
@@ -184,6 +184,8 @@ class Session:
                 self._prepare((first, other))
             case AskSummary(run=number):
                 asked.reply({"type": "summary", "run": number, "summary": self._run(number).summary()})
+            case AskSchema():
+                asked.reply({"type": "schema", "schema": _schema()})
             case AskBeam() as beam:
                 asked.reply({**beam.model_dump(), "points": self._run(beam.run).beam(beam.rule, beam.side, beam.step)})
 
@@ -299,6 +301,13 @@ class Session:
         if not self._allow_code:
             refuse_code(scenario, scenario.source)
         return scenario
+
+
+@cache
+def _schema() -> dict[str, Any]:
+    from loop.scenario.model import Scenario
+
+    return Scenario.model_json_schema()
 
 
 def _choices() -> dict[str, Any]:

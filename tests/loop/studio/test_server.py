@@ -240,6 +240,16 @@ def test_a_regulation_judges_the_light_that_is_shown(served: Served) -> None:
         assert {True, False} <= {each["passed"] for each in points}  # a symbol alone is no passing beam, but dazzles nobody
 
 
+def test_a_watcher_may_ask_for_the_schema_which_has_every_key_of_the_model(served: Served) -> None:
+    with watching(served.port, served.tokens.watch) as watcher:
+        scenario, _ = watcher.of("scenario")
+        watcher.say(type="schema")
+        schema = watcher.of("schema")[0]["schema"]
+        assert schema["properties"].keys() == scenario["model"].keys()
+        gain = schema["$defs"]["PidTuning"]["properties"]["kp"]
+        assert gain["description"] == "proportional gain" and gain["minimum"] < gain["maximum"]
+
+
 @pytest.mark.parametrize("count", [500, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_damaged_messages_change_nothing_and_end_nothing(served: Served, count: int) -> None:
     rng = random.Random(0)
