@@ -1,7 +1,8 @@
 """What the studio costs the loop: `python benchmarks/studio.py [--json FILE] [--quick]`.
 
 Steps of scenarios by the clock: in the studio that nobody watches, and watched by another process, which reads and acknowledges all that it
-gets; run by run in turn, on two cores, each scenario in a process of its own. Then bytes and time of a message, and the time from the
+gets; run by run in turn, on two cores, each scenario in a process of its own. The time of the processor for the loop's thread counts beside
+that by the clock, which other programs lengthen. Then bytes and time of a message, and the time from the
 command to the first picture.
 """
 
@@ -29,7 +30,8 @@ from loop.studio.session import Session, Source
 from loop.terminal import tables
 
 SMALL = ("camera.width_px=640", "camera.height_px=360", "judge_every=0")
-SCENARIOS, QUICK = ("snowflake", "gfhb", "driving"), ("snowflake",)
+STEPS = {"snowflake": 240, "gfhb": 60, "driving": 40}  # some four seconds each
+SETTLED_S = 1.0  # in which a client has got the meshes of a run that starts
 WATCHER = """
 import json, struct, sys
 from websockets.sync.client import connect
@@ -67,18 +69,22 @@ def studio(name: str, steps: int) -> Iterator[tuple[Session, int, Tokens]]:
     served.stop()
 
 
-def played_ms(session: Session) -> float:
-    """Start anew and play to the end; ms of the clock a step."""
+def played_ms(session: Session) -> tuple[float, float]:
+    """Start anew and play to the end; ms of the clock a step, and of the processor for the loop's thread."""
     number = session.published.number
     session.ask(Button(type="reset"), print)
     while session.published.number == number:
         time.sleep(0.01)
+    time.sleep(SETTLED_S)
     (run,) = session.published.runs
-    began_s = time.perf_counter()
+    (thread,) = (each for each in threading.enumerate() if each.name == "simulation")
+    clocks = time.CLOCK_MONOTONIC, time.pthread_getcpuclockid(thread.ident or 0)
+    began_s = [time.clock_gettime(each) for each in clocks]
     session.ask(Button(type="play"), print)
     while not run.over:
         time.sleep(0.002)
-    return 1e3 * (time.perf_counter() - began_s) / (len(run.rows) - 1)
+    wall, busy = (1e3 * (time.clock_gettime(each) - began) / (len(run.rows) - 1) for each, began in zip(clocks, began_s, strict=True))
+    return wall, busy
 
 
 def messages_of(session: Session) -> dict[str, dict[str, float]]:
@@ -98,17 +104,19 @@ def messages_of(session: Session) -> dict[str, dict[str, float]]:
 
 
 def measured(name: str, steps: int, rounds: int) -> dict[str, Any]:
-    """One scenario: ms a step unwatched and watched, medians of rounds in turn, and its messages."""
-    taken = defaultdict(list)
+    """One scenario: ms a step unwatched and watched, run by run in turn, the median ratio of two that follow, and its messages."""
+    unwatched, watched = list[tuple[float, float]](), list[tuple[float, float]]()
     with studio(name, steps) as (session, port, tokens):
         for _ in range(rounds):
-            taken["unwatched"].append(played_ms(session))
+            unwatched.append(played_ms(session))
             watcher = subprocess.Popen([sys.executable, "-c", WATCHER, str(port), tokens.watch], stdout=subprocess.PIPE)
             assert watcher.stdout is not None
             watcher.stdout.readline()
-            taken["watched"].append(played_ms(session))
+            watched.append(played_ms(session))
             watcher.kill()
-        return {**{kind: median(each) for kind, each in taken.items()}, "messages": messages_of(session)}
+        wall, busy = (median(after[k] / before[k] for before, after in zip(unwatched, watched, strict=True)) for k in (0, 1))
+        ms = {key: median(each[0] for each in taken) for key, taken in (("unwatched", unwatched), ("watched", watched))}
+        return {**ms, "ratio": wall, "busy_ratio": busy, "messages": messages_of(session)}
 
 
 def first_picture_s(name: str) -> float:
@@ -135,20 +143,24 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--scenario", help="measure it alone, and print that as JSON")
     given = parser.parse_args()
-    names, steps, rounds = (QUICK, 4, 1) if given.quick else (SCENARIOS, 40, 3)
+    names = ["snowflake"] if given.quick else list(STEPS)
     if given.scenario:
-        print(json.dumps(measured(given.scenario, steps, rounds)))
+        print(json.dumps(measured(given.scenario, *((4, 1) if given.quick else (STEPS[given.scenario], 5)))))
         return
     found = {}
     for name in names:  # the context of OpenGL belongs to one thread of a process
         command = [sys.executable, __file__, "--scenario", name, *(["--quick"] if given.quick else [])]
         found[name] = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)
     result = {"machine": machine("websockets", "torch"), "scenarios": found, "first_picture_s": first_picture_s("snowflake")}
-    table = Table("scenario", "unwatched", "watched", "watched / unwatched", "bytes of a step", "ms of a step's message")
+    table = Table(
+        "scenario", "unwatched", "watched", "watched / unwatched", "by the processor", "bytes of a step", "ms of a step's message"
+    )
     for name, each in found.items():
         ms = [f"{each[key]:.1f}" for key in ("unwatched", "watched")]
         message = each["messages"]["step"]
-        table.add_row(name, *ms, f"{each['watched'] / each['unwatched']:.2f}", f"{message['bytes']:.0f}", f"{message['ms']:.1f}")
+        table.add_row(
+            name, *ms, *(f"{each[key]:.2f}" for key in ("ratio", "busy_ratio")), f"{message['bytes']:.0f}", f"{message['ms']:.1f}"
+        )
     tables.show(table)
     print(f"first picture of snowflake: {result['first_picture_s']:.1f} s")
     if given.json:

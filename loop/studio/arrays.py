@@ -4,6 +4,7 @@ import struct
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import chain
 from math import prod
 from typing import Annotated, Any, Final, Literal
 
@@ -43,7 +44,12 @@ def grey(array: np.ndarray) -> Coded:
     """A picture `[height, width]` uint8 as PNG."""
     import cv2
 
-    return Coded("u1", array.shape, "png", cv2.imencode(".png", array, (cv2.IMWRITE_PNG_COMPRESSION, 1))[1].tobytes())
+    how = {  # three times as fast as by default, and smaller: noise repeats nothing
+        cv2.IMWRITE_PNG_COMPRESSION: 1,
+        cv2.IMWRITE_PNG_STRATEGY: cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY,
+        cv2.IMWRITE_PNG_FILTER: cv2.IMWRITE_PNG_FILTER_NONE,
+    }
+    return Coded("u1", array.shape, "png", cv2.imencode(".png", array, list(chain.from_iterable(how.items())))[1].tobytes())
 
 
 class ArrayHead(Params):

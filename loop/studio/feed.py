@@ -1,5 +1,6 @@
 """What one client gets: the newest of everything that it shows, each part only where it has changed since it got that last."""
 
+import time
 from collections.abc import Iterator
 from typing import Any, Final
 
@@ -14,6 +15,8 @@ from loop.studio.shapes import merged
 from loop.studio.snapshot import Snapshot
 
 MOST_UNSHOWN: Final = 2  # steps of a run that a client may not have shown yet: one on its way, and one that it is at
+PERIOD_S: Final = 0.05  # between two steps of a run that plays, at least
+REST: Final = 10  # times what making messages takes pass until the next ones
 HALF_PEAK: Final = 1024.0  # of a module in units of its half floats, far from where these overflow
 
 
@@ -21,17 +24,34 @@ class Feed:
     """What a client has got of a session. It is used by one thread at a time, which may be another one each time."""
 
     def __init__(self) -> None:
-        self._number, self._id = -1, 0
+        self._number, self._id, self._rests_s = -1, 0, 0.0
         self._sent = list[SentRun]()
 
     def messages(self, published: Published, request: Request) -> Iterator[bytes]:
-        """Those that bring the client up to date."""
+        """Those that bring the client up to date. While the session plays, rows and steps come at intervals, so that making them takes a
+        small share of the time.
+        """
+        resting = published.playing and request.at is None and time.perf_counter() < self._rests_s
+        made, spent_s, last = self._made(published, request, resting), 0.0, self._id
+        while True:
+            began_s = time.perf_counter()
+            data = next(made, None)
+            spent_s += time.perf_counter() - began_s
+            if data is None:
+                break
+            yield data
+        if self._id != last:
+            self._rests_s = began_s + max(REST * spent_s, PERIOD_S)
+
+    def _made(self, published: Published, request: Request, resting: bool) -> Iterator[bytes]:
         if published.number != self._number and published.scenario is not None:
             self._number = published.number
             self._sent = [SentRun(number, run) for number, run in enumerate(published.runs)]
             yield packed(published.scenario)
         for sent in self._sent:
             yield from sent.edits()
+            if resting:
+                continue
             yield from sent.rows()
             run, step = request.at or (sent.number, len(sent.run.snapshots) - 1)
             if run == sent.number and sent.unshown(request.shown) < MOST_UNSHOWN:
@@ -50,7 +70,6 @@ class SentRun:
         self._step: tuple[Snapshot | None, bool, frozenset[View]] = None, False, frozenset()
         modules = len(run.simulation.modules)
         self._u: list[torch.Tensor | None] = [None] * modules  # as last shown
-        self._textures: list[np.ndarray | None] = [None] * modules
         self._utilisations: list[torch.Tensor | None] = [None] * modules
 
     def unshown(self, shown: int) -> int:
@@ -84,16 +103,15 @@ class SentRun:
             self._meshes.update(lacking)
             heads, arrays = merged([self.run.shapes.meshes[each] for each in lacking])
             yield packed({"type": "meshes", "run": self.number, "meshes": heads}, {name: coded(each) for name, each in arrays.items()})
-        arrays_, light_rows, scales = dict[str, Coded](), dict[str, Any](), []
+        arrays_, windows, scales = dict[str, Coded](), dict[str, Any](), []
         for k, peak_cd in enumerate(self.run.peaks_cd):
             scales.append(max(peak_cd, 1e-6) / HALF_PEAK)
             if not snapshot.lights:
                 continue
             u = snapshot.lights[k]
             if "light" in wanted and u is not self._u[k]:
+                windows[str(k)], arrays_[f"light.{k}"] = self._lit(k, u, scales[k])
                 self._u[k] = u
-                if (changed := self._changed(k, u, scales[k])) is not None:
-                    light_rows[str(k)], arrays_[f"light.{k}"] = changed
             if "matrix" in wanted and u is not self._utilisations[k]:
                 self._utilisations[k] = u
                 light = self.run.simulation.modules[k].headlight
@@ -102,7 +120,7 @@ class SentRun:
         if "camera" in wanted:
             seen = snapshot if snapshot.pictures or not (scrubbed or before is None) else self._seen_before(number)
             arrays_ |= {name: grey(picture) for name, picture in seen.pictures.items()}
-        head = {"type": "step", "id": id_, "run": self.number, "scrub": scrubbed, **snapshot.head, "light_rows": light_rows}
+        head = {"type": "step", "id": id_, "run": self.number, "scrub": scrubbed, **snapshot.head, "light_windows": windows}
         head["modules"] = [{**each, "scale_cd": scale} for each, scale in zip(snapshot.head["modules"], scales, strict=True)]
         yield packed(head, arrays_)
 
@@ -111,13 +129,24 @@ class SentRun:
         snapshots = self.run.snapshots
         return next((snapshots[k] for k in range(number, -1, -1) if snapshots[k].pictures), snapshots[number])
 
-    def _changed(self, k: int, u: torch.Tensor, scale_cd: float) -> tuple[list[int], Coded] | None:
-        """Rows of a module's light texture in units of scale_cd that it lacks, and which they are."""
-        headlight = self.run.simulation.modules[k].headlight
-        texture = (headlight.light_texture(u.to(headlight.matrix.values)).cpu().numpy() / scale_cd).astype(np.float16)
-        before, self._textures[k] = self._textures[k], texture
-        differs = np.ones(len(texture), bool) if before is None else (before != texture).any(1)
-        if not differs.any():
-            return None
-        first, last = (int(each) for each in np.flatnonzero(differs)[[0, -1]])
-        return [first, last + 1], coded(texture[first : last + 1])
+    def _lit(self, k: int, u: torch.Tensor, scale_cd: float) -> tuple[list[int], Coded]:
+        """The window of a module's light texture that the pixels light which differ from those that it has got, in units of scale_cd, and
+        its first row, last + 1, first column, last + 1.
+        """
+        headlight, before = self.run.simulation.modules[k].headlight, self._u[k]
+        rows, cols = slice(0, headlight.rows), slice(0, headlight.cols)
+        if before is not None:
+            differ = (u != before).view(headlight.pixel_rows, headlight.pixel_cols)
+            (top, bottom), (left, right) = (_ends(differ.any(axis)) for axis in (1, 0))
+            rows, cols = (
+                headlight.rows_of(slice(top * headlight.pixel_cols, bottom * headlight.pixel_cols)),
+                headlight.cols_of(slice(left, right)),
+            )
+        light = headlight.light_rows(u.to(headlight.matrix.values), rows)[:, cols]
+        return [rows.start, rows.stop, cols.start, cols.stop], coded((light / scale_cd).half().cpu().numpy())
+
+
+def _ends(true: torch.Tensor) -> tuple[int, int]:
+    """The first index that is true of some, and the last + 1."""
+    found = torch.nonzero(true)[:, 0]
+    return int(found[0]), int(found[-1]) + 1

@@ -110,7 +110,8 @@ export interface StepMessage {
   T_world_body: Matrix4x4;
   T_world_camera: Matrix4x4;
   modules: { T_world_module: Matrix4x4; scale_cd: number }[];
-  light_rows: Record<string, [number, number]>;
+  /** First row, last + 1, first column, last + 1 of the texels in `light.K`. */
+  light_windows: Record<string, [number, number, number, number]>;
   bodies: { mesh: number; T_world_body: Matrix4x4 }[];
   spotlights: { position_m: Vector; axis: Vector; intensity_cd: number; width_deg: [number, number] }[];
   symbols: Record<string, { pose: [number, number, number, number]; loss: string; target: Vector[] }>;

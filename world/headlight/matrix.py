@@ -53,25 +53,34 @@ class Headlight(TexelGrid):
         band: range of pixels outside which all are dark, to skip texel rows that they do not reach.
         """
         rows = self.rows_of(band)
-        part = multiply(self.matrix.band(rows.start * self.cols, rows.stop * self.cols), utilisation).unflatten(-1, (-1, self.cols))
+        part = self.light_rows(utilisation, rows)
         if part.shape[-2] == self.rows:
             return part
         texture = zeros((*utilisation.shape[:-1], self.rows, self.cols), part.dtype, part.device)
         texture[..., rows, :] = part
         return texture
 
+    def light_rows(self, utilisation: Tensor, rows: slice) -> Tensor:
+        """Some rows `[..., n, cols]` of the light texture in cd."""
+        return multiply(self.matrix.band(rows.start * self.cols, rows.stop * self.cols), utilisation).unflatten(-1, (-1, self.cols))
+
     def rows_of(self, band: slice | None) -> slice:
         """Texel rows that the pixels of a band can light; all rows for None."""
-        if band is None:
-            return slice(0, self.rows)
-        first, last = self._pixels_of_rows
-        lit = torch.nonzero((first < band.stop) & (last >= band.start))[:, 0].tolist()
-        return slice(lit[0], lit[-1] + 1) if lit else slice(0, 0)
+        return slice(0, self.rows) if band is None else _lit(self._pixels_of_rows, band)
+
+    def cols_of(self, pixel_cols: slice) -> slice:
+        """Texel columns that pixels of these columns can light."""
+        return _lit(self._pixel_cols_of_cols, pixel_cols)
 
     @cached_property
     def _pixels_of_rows(self) -> tuple[Tensor, Tensor]:
         """The first and the last pixel that lights each row of texels, both `[rows]`."""
         return segment_bounds(row_of_entries(self.matrix) // self.cols, self.matrix.indices, self.rows)
+
+    @cached_property
+    def _pixel_cols_of_cols(self) -> tuple[Tensor, Tensor]:
+        """The first and the last column of pixels that lights each column of texels, both `[cols]`."""
+        return segment_bounds(row_of_entries(self.matrix) % self.cols, self.matrix.indices % self.pixel_cols, self.cols)
 
     def colour_texture(self, utilisation: Tensor) -> Tensor:
         """Light texture in linear sRGB, `[..., 3, rows, cols]` in cd, one matrix product per channel; its luminance is `light_texture` (T
@@ -107,3 +116,10 @@ class Headlight(TexelGrid):
 
     def to(self, device: torch.device) -> "Headlight":
         return replace(self, matrix=self.matrix.to(device), chroma=None if self.chroma is None else self.chroma.to(device))
+
+
+def _lit(bounds: tuple[Tensor, Tensor], sources: slice) -> slice:
+    """Range of those whose first and last source `[n]` enclose some of a range of sources."""
+    first, last = bounds
+    lit = torch.nonzero((first < sources.stop) & (last >= sources.start))[:, 0].tolist()
+    return slice(lit[0], lit[-1] + 1) if lit else slice(0, 0)

@@ -1,4 +1,4 @@
-// The light textures of all modules in one texture, of which a step replaces only the rows that changed.
+// The light textures of all modules in one texture, of which a step replaces only the window that changed.
 
 import { ClampToEdgeWrapping, DataTexture, HalfFloatType, LinearFilter, RedFormat, Vector2, Vector4, type WebGLRenderer } from "three";
 import type { Arrays, Module, StepMessage } from "../protocol.ts";
@@ -28,12 +28,12 @@ export class LightAtlas {
     renderer.initTexture(this.texture);
   }
 
-  /** Takes the rows that a step brings. */
+  /** Takes the windows that a step brings. */
   update(step: StepMessage, arrays: Arrays): void {
     this.places.forEach((place, k) => {
-      const rows = arrays.get(`light.${k}`)?.values;
-      const first = step.light_rows?.[k]?.[0] ?? 0;
-      if (rows instanceof Uint16Array && rows.length) this.replace(k, place, first, rows);
+      const light = arrays.get(`light.${k}`)?.values;
+      const window = step.light_windows[k];
+      if (light instanceof Uint16Array && light.length && window) this.replace(k, place, window, light);
     });
   }
 
@@ -45,19 +45,23 @@ export class LightAtlas {
     this.texture.dispose();
   }
 
-  private replace(k: number, place: Vector4, first: number, rows: Uint16Array): void {
-    const cols = place.z;
-    const count = Math.min(rows.length / cols, place.w - first);
+  private replace(k: number, place: Vector4, [first, last, left, right]: [number, number, number, number], light: Uint16Array): void {
+    const cols = right - left;
     const { width } = this.texture.image;
-    for (let i = 0; i < count; i++) {
-      const row = rows.subarray(i * cols, (i + 1) * cols);
+    for (let i = 0; i < last - first; i++) {
+      const part = light.subarray(i * cols, (i + 1) * cols);
+      const start = (place.y + first + i) * width + place.x;
       // The whole is kept here for a graphics context that is lost and restored.
-      this.texels.set(row, (place.y + first + i) * width + place.x);
-      this.litRows[k]![first + i] = row.some((half) => (half & ~SIGN) !== 0) ? 1 : 0;
+      this.texels.set(part, start + left);
+      this.litRows[k]![first + i] = part.some(isLit) || this.texels.subarray(start, start + place.z).some(isLit) ? 1 : 0;
     }
-    const part = new DataTexture(rows, cols, count, RedFormat, HalfFloatType);
-    this.renderer.copyTextureToTexture(part, this.texture, null, new Vector2(place.x, place.y + first));
+    const part = new DataTexture(light, cols, last - first, RedFormat, HalfFloatType);
+    this.renderer.copyTextureToTexture(part, this.texture, null, new Vector2(place.x + left, place.y + first));
   }
+}
+
+function isLit(half: number): boolean {
+  return (half & ~SIGN) !== 0;
 }
 
 /** Rectangles side by side in shelves, the highest first. */

@@ -78,7 +78,7 @@ def test_a_client_gets_the_run_and_the_values_of_the_command_line(served: Served
         assert np.array_equal(rows[:, names.index(name)], np.array([each[name] for each in expected], np.float32))
 
 
-def test_light_arrives_row_by_row_as_the_library_has_it(served: Served) -> None:
+def test_light_arrives_window_by_window_as_the_library_has_it(served: Served) -> None:
     with watching(served.port, served.tokens.edit) as watcher:
         watcher.of("scenario")
         watcher.say(type="reset")
@@ -88,9 +88,9 @@ def test_light_arrives_row_by_row_as_the_library_has_it(served: Served) -> None:
         texture = np.zeros((module.headlight.rows, module.headlight.cols), np.float32)
         for step in range(3):
             head, arrays = watcher.until(lambda head, step=step: head["type"] == "step" and head["step"] == step)
-            if "0" in head["light_rows"]:
-                first, stop = head["light_rows"]["0"]
-                texture[first:stop] = arrays["light.0"] * np.float32(head["modules"][0]["scale_cd"])
+            if "0" in head["light_windows"]:
+                top, bottom, left, right = head["light_windows"]["0"]
+                texture[top:bottom, left:right] = arrays["light.0"] * np.float32(head["modules"][0]["scale_cd"])
             u = run.snapshots[step].lights[0]
             expected = module.headlight.light_texture(u).numpy()
             assert np.abs(texture - expected).max() <= expected.max() * 2**-10  # a half float has 11 bits

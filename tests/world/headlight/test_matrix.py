@@ -123,3 +123,15 @@ def test_one_colour_is_white_with_the_light_textures_luminance() -> None:
     u = torch.rand(2, lamp.n_pixels)
     assert lamp.colour_texture(u).shape == (2, 3, lamp.rows, lamp.cols)
     torch.testing.assert_close(lamp.colour_texture(u)[:, 1], lamp.light_texture(u))
+
+
+@pytest.mark.parametrize(("row", "col"), [(0, 0), (3, 6), (2, 4)])
+def test_a_pixel_lights_the_rows_and_columns_that_are_said(row: int, col: int) -> None:
+    lamp = idealised(4, 7, texels_per_pixel=(4, 2), intensity_cd=1e4)
+    u = torch.zeros(4, 7)
+    u[row, col] = 1
+    light = lamp.light_texture(u.flatten())
+    rows, cols = lamp.rows_of(slice(7 * row + col, 7 * row + col + 1)), lamp.cols_of(slice(col, col + 1))
+    found = [torch.nonzero(light.any(axis))[:, 0].tolist() for axis in (1, 0)]
+    assert [list(range(rows.start, rows.stop)), list(range(cols.start, cols.stop))] == found
+    assert torch.equal(lamp.light_rows(u.flatten(), rows), light[rows])
