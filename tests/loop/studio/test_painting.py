@@ -55,7 +55,7 @@ def test_the_place_that_lights_up_is_that_of_the_pixels(lamp: Painted) -> None:
         watcher.of("edit")
         assert time.monotonic() - began_s < QUICK_S
         watcher.say(type="step")
-        head, arrays = watcher.until(lambda head: head["type"] == "step" and "0" in head["light_rows"] and head["step"] > 0)
+        head, arrays = watcher.until(lambda head: head["type"] == "step" and "0" in head["light_windows"] and head["step"] > 0)
         assert served.studio.session.published.number == number  # nothing starts anew
         u = np.zeros((rows, cols), np.uint8)
         u[box[0] : box[1], box[2] : box[3]] = 255
@@ -64,8 +64,8 @@ def test_the_place_that_lights_up_is_that_of_the_pixels(lamp: Painted) -> None:
         module = served.studio.session.published.runs[0].simulation.modules[0]
         light = module.headlight
         texture = np.zeros((light.rows, light.cols), np.float32)
-        first, stop = head["light_rows"]["0"]
-        texture[first:stop] = arrays["light.0"]
+        top, bottom, left, right = head["light_windows"]["0"]
+        texture[top:bottom, left:right] = arrays["light.0"]
         T = torch.tensor(head["modules"][0]["T_world_module"], dtype=torch.float64).view(4, 4)
         expected = light.matrix.to_scipy()[:, np.flatnonzero(u)].sum(1).A.reshape(texture.shape)
         there, wanted = (on_road(T, centre(light, each)) for each in (texture, expected))
