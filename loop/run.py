@@ -120,14 +120,15 @@ def run(
     return RunResult(recorder.summary, read_parquet(folder / TRAJECTORY), folder, temporary)
 
 
-def prepare(scenario: Scenario, device: str = "auto") -> Simulation:
+def prepare(scenario: Scenario, device: str = "auto", before: Simulation | None = None) -> Simulation:
     """A simulation, to be stepped: `state = simulation.start()`, `state, result = simulation.step(state)`.
 
-    scenario: a loaded one. device: "auto", "cpu" or "cuda". Raises LuxloopError where a file is missing, and of a symbol that the lamps
+    scenario: a loaded one. device: "auto", "cpu" or "cuda". before: another one, whose parts that stay the same serve again.
+    Raises LuxloopError where a file is missing, and of a symbol that the lamps
     cannot draw at its target, or that the camera cannot see there, or where a check names a column or light that is not there, or that the
     plant does not know.
     """
-    simulation = Simulation.prepare(scenario, torch_device(device))
+    simulation = Simulation.prepare(scenario, torch_device(device), before)
     with located(scenario.source):
         others = [simulation.lit_by(light) for light in lights(scenario.checks)]
         compared = {name for other in others for name in valued(other)}

@@ -1,17 +1,20 @@
 """From a scenario to the things it names: scene, lamps, symbol."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from controllers.symbol import AnyParams, build_controller
 from controllers.symbol.heights.feedforward import FeedforwardParams
 from controllers.symbol.sensing.protocol import SymbolController
 from controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from loop.assembly.made import Made
 from loop.scenario import data
 from loop.scenario.model import Scenario
 from loop.scenario.shipped import named
 from world.errors import located
-from world.materials.spots import SpottedTexture
+from world.materials.library import RoadSurfaceParams
+from world.materials.spots import SpotParams, SpottedTexture
 from world.roads.base import Road
 from world.roads.mesh import road_mesh
 from world.roads.scan import OpenCrgRoad
@@ -21,6 +24,8 @@ from world.scene.road_tiles import AROUND_M, SIGHT_M, RoadTiles
 from world.scene.scene import Scene
 from world.scene.vehicle import STANDING, Motion, drive
 from world.traffic.objects import ObjectParams
+
+Along = tuple[tuple[float, float], tuple[float, ...], float]  # range of y of a course, y of what else is there, how far one sees, in m
 
 
 def build_road(scenario: Scenario) -> Road:
@@ -35,19 +40,27 @@ def build_motion(scenario: Scenario) -> Motion:
     return drive(scenario.vehicle, build_road(scenario), (scenario.steps + 1) / scenario.rate_hz)
 
 
-def build_scene(scenario: Scenario, motion: Motion = STANDING) -> Scene:
+def build_scene(scenario: Scenario, motion: Motion = STANDING, made: Made | None = None) -> Scene:
     """Road, along the vehicle's course, and objects. Raises LuxloopError where a file is missing or broken."""
-    road, surface = build_road(scenario), scenario.surface
-    texture = SpottedTexture(surface, scenario.spots) if scenario.spots else surface.texture()
-    objects = tuple(_built(item, road) for item in scenario.all_objects)
-    ground: Body | RoadTiles
-    if motion is STANDING:
-        ground = Body("road", road_mesh(road), surface.albedo, texture, smooth=True)
-    else:
+    made = made or Made()
+    road, light = build_road(scenario), scenario.light
+    objects = tuple(made(f"object {item.name}", (item, road), partial(_built, item, road)) for item in scenario.all_objects)
+    along = None
+    if motion is not STANDING:
         others_y_m = tuple(y for each in objects for y in each.track.T_world_body[:, 1, 3].tolist())
         sight_m = SIGHT_M if scenario.traffic is None else max(SIGHT_M, scenario.traffic.sight_m + AROUND_M)
-        ground = RoadTiles(road, motion.range_y_m, surface.albedo, texture, others_y_m=others_y_m, sight_m=sight_m)
-    return Scene((ground, *objects), scenario.light.ambient_lx, scenario.light.street_lamps)
+        along = motion.range_y_m, others_y_m, sight_m
+    of_ground = road, scenario.surface, scenario.spots, along
+    bodies = (made("ground", of_ground, partial(_ground, *of_ground)), *objects)
+    return made("scene", (bodies, light), lambda: Scene(bodies, light.ambient_lx, light.street_lamps))
+
+
+def _ground(road: Road, surface: RoadSurfaceParams, spots: tuple[SpotParams, ...], along: Along | None) -> Body | RoadTiles:
+    texture = SpottedTexture(surface, spots) if spots else surface.texture()
+    if along is None:
+        return Body("road", road_mesh(road), surface.albedo, texture, smooth=True)
+    range_y_m, others_y_m, sight_m = along
+    return RoadTiles(road, range_y_m, surface.albedo, texture, others_y_m=others_y_m, sight_m=sight_m)
 
 
 def _built(item: ObjectParams, road: Road) -> Body | Figure:

@@ -2,8 +2,6 @@
 
 from typing import cast
 
-from torch import Tensor
-
 from controllers.jpo.controller import Jpo
 from controllers.pixels.ssc import PixelController, Ssc
 from loop.scenario.model import Scenario
@@ -12,20 +10,19 @@ from world.headlight import Headlight
 from world.plugin import Guarded, Name, load, running
 
 
-def pixel_controller(scenario: Scenario, headlight: Headlight, default: Tensor | None = None) -> PixelController:
-    """The pixel controller that a scenario names, for one headlight; default: `[n_p]`, the base pattern (dark).
+def pixel_controller(scenario: Scenario, headlight: Headlight) -> PixelController:
+    """The pixel controller that a scenario names, for one headlight, over a dark base pattern.
 
     One of the user's own, "package.module:Name", is made by its `Name.prepare(headlight)`.
     Raises LuxloopError where there is no such class, or it cannot be made.
     """
     match scenario.pixel_controller:
         case "ssc":
-            return Ssc.prepare(headlight, scenario.ssc, default)
+            return Ssc.prepare(headlight, scenario.ssc)
         case "jpo":
-            return Jpo.prepare(headlight, scenario.jpo, default, scenario.ssc)
+            return Jpo.prepare(headlight, scenario.jpo, mrpc=scenario.ssc)
         case name:
-            own = _own(Name(name), headlight)
-            return own if default is None else own.over(default)
+            return _own(Name(name), headlight)
 
 
 def _own(name: Name, headlight: Headlight) -> PixelController:

@@ -16,7 +16,7 @@ from world.frames import pose_from_degrees
 from world.headlight import Headlight
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LampModule:
     """A module as it shines. T_world_headlight: `[4, 4]`, where the vehicle stands at its start."""
 

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from controllers.functions.planner import Planner
+from controllers.functions.planner import Plan, Planner
 from controllers.functions.symbol import SymbolFunctionParams
 from controllers.pixels.primitives import Primitives, concatenate, meant
 from controllers.pixels.ssc import Utilisation
@@ -16,12 +16,13 @@ from controllers.situation import LAYERS, Situation
 from controllers.symbol import ControllerParams
 from controllers.symbol.laws.open_loop import OpenLoopParams
 from controllers.symbol.sensing.field import cut
-from controllers.symbol.sensing.flat_model import FlatModel, flat_model
+from controllers.symbol.sensing.flat_model import flat_model
 from controllers.symbol.sensing.projection import ProjectionCommand
 from controllers.symbol.sensing.projector import DrawingModule, Projector
 from controllers.symbol.sensing.protocol import Observation, Shown, SymbolController
 from controllers.symbol.sensing.symbol_sensor import Measurement, SymbolSensor
 from loop.assembly.build import build_road, build_symbol_controller
+from loop.assembly.made import Made
 from loop.lighting.feasible import brightness, refuse_undrawable, refuse_unseen
 from loop.lighting.judging import Judge
 from loop.lighting.lamps import ShiningModule
@@ -122,30 +123,39 @@ class ControlledSymbol:
 
     @classmethod
     def prepare(
-        cls, function: SymbolFunctionParams, scenario: Scenario, modules: Sequence[ShiningModule], planner: Planner, world: World | None
+        cls, name: str, scenario: Scenario, modules: Sequence[ShiningModule], planner: Planner, world: World | None, made: Made
     ) -> "ControlledSymbol":
-        """Raises LuxloopError where its file is missing or broken, and where its lamps cannot draw it or the camera cannot see it."""
-        assert function.controller is not None
+        """The symbol of a name. Raises LuxloopError where its file is missing or broken, and where its lamps cannot draw it or the camera
+        cannot see it.
+        """
+        function, camera, light = planner.functions[name], scenario.camera, scenario.light
+        assert isinstance(function, SymbolFunctionParams) and function.controller is not None
         refuse_unseen(function.held, scenario)
-        base = planner.composed(Situation(0.0, torch.eye(4), torch.zeros(0, 3)), planner.start(), {})
+        plan = planner.composed(Situation(0.0, torch.eye(4), torch.zeros(0, 3)), planner.start(), {})
         drawn_by = _chosen(function, modules)
-        mine = [modules[k] for k in drawn_by]
-        drawing = tuple(DrawingModule(each.name, each.controller.over(each.base(base)), each.T_world_module) for each in mine)
-        with located("image"):
-            image = load_still(named(function.image, "symbols")).to(modules[0].flux.device)
-        projector = Projector(drawing, image, function.held, camera_view(scenario.camera).origin)
 
-        def model_of(camera: CameraParams) -> FlatModel:
-            return flat_model(projector, camera, scenario.surface, scenario.light.ambient_lx, function.extraction, function.features)
+        def sensor_of(camera: CameraParams) -> SymbolSensor:
+            projector = _projector(function, [modules[k] for k in drawn_by], plan, camera_view(scenario.camera).origin)
+            model = flat_model(projector, camera, scenario.surface, light.ambient_lx, function.extraction, function.features)
+            return SymbolSensor(projector, model, camera, function.extraction)
 
-        model = model_of(scenario.camera)
-        sensor = SymbolSensor(projector, model, scenario.camera, function.extraction)
-        judge = None
-        if world is not None:
-            judged = model if world.camera == scenario.camera else model_of(world.camera)  # the judge knows where the camera is
-            judge = Judge.of(world, function.held, build_road(scenario), judged.luminance(projector.light(projector.target)))
-        refuse_undrawable(sensor, judge, base.base.name)
-        return cls(function, drawn_by, sensor, build_symbol_controller(function.controller, sensor), judge)
+        drawn = {key: each for key, each in function if key not in ("controller", "start")}
+        of_sensor = drawn, vars(plan.base), tuple(modules), camera, scenario.surface, light.ambient_lx
+        sensor = made(f"{name}: sensor", of_sensor, lambda: sensor_of(camera))
+
+        def checked() -> Judge | None:
+            judge = None
+            if world is not None:
+                knows = sensor if world.camera == camera else sensor_of(world.camera)  # where the camera is
+                flat_luminance = knows.model.luminance(sensor.projector.light(sensor.projector.target))
+                judge = Judge.of(world, function.held, build_road(scenario), flat_luminance)
+            refuse_undrawable(sensor, judge, plan.base.name)
+            return judge
+
+        judge = made(f"{name}: judge", (sensor, world), checked)
+        of_controller = function.controller, sensor
+        controller = made(f"{name}: controller", of_controller, lambda: build_symbol_controller(*of_controller))
+        return cls(function, drawn_by, sensor, controller, judge)
 
     @property
     def params(self) -> ControllerParams:
@@ -230,15 +240,22 @@ class ControlledSymbol:
         return self.projector.footprint(projection, self.sensor.model.eye.view, self.sensor.params.footprint_margin_m)
 
 
+def _projector(function: SymbolFunctionParams, modules: Sequence[ShiningModule], plan: Plan, eye_m: Tensor) -> Projector:
+    drawing = tuple(DrawingModule(each.name, each.controller.over(each.base(plan)), each.T_world_module) for each in modules)
+    with located("image"):
+        image = load_still(named(function.image, "symbols")).to(modules[0].flux.device)
+    return Projector(drawing, image, function.held, eye_m)
+
+
 def controlled_symbols(
-    scenario: Scenario, modules: Sequence[ShiningModule], planner: Planner, world: World | None
+    scenario: Scenario, modules: Sequence[ShiningModule], planner: Planner, world: World | None, made: Made
 ) -> Mapping[str, ControlledSymbol]:
     """All of a scenario by name, from top to bottom. Raises LuxloopError as `ControlledSymbol.prepare`."""
     found: dict[str, ControlledSymbol] = {}
     for name, function in planner.functions.items():
         if isinstance(function, SymbolFunctionParams) and function.controller is not None:
             with located(f"functions.{name}"):
-                found[name] = ControlledSymbol.prepare(function, scenario, modules, planner, world)
+                found[name] = ControlledSymbol.prepare(name, scenario, modules, planner, world, made)
     return found
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import torch
 from torch import Tensor
@@ -17,6 +17,7 @@ from controllers.pixels.ssc import PixelController, Utilisation
 from controllers.pixels.windows import projected_windows
 from controllers.situation import Situation
 from loop.assembly.lamps import MountedModule, mounted
+from loop.assembly.made import Made
 from loop.assembly.pixel_control import pixel_controller
 from loop.assembly.truth import LampModule
 from loop.scenario.model import Scenario
@@ -104,18 +105,34 @@ def mean_powers(powers: Sequence[Mapping[str, LampPower]], shares: Sequence[floa
     return {side: of(side) for side in first}
 
 
-def shining_modules(scenario: Scenario, device: torch.device) -> tuple[ShiningModule, ...]:
+def shining_modules(scenario: Scenario, device: torch.device, made: Made | None = None) -> tuple[ShiningModule, ...]:
     """The shining modules of a scenario's lamps, all where it names none. Raises LuxloopError as `mounted`, and for a missing beam."""
-    modules = []
-    for each in mounted(scenario.headlight, device, lambda lamp: lamp.modules):
-        light, flux, raw = each.headlight, pixel_flux(each.headlight), _raw(scenario, each.name, each.headlight)
-        base = scenario.lighting.base.names if raw is None else ()
-        beams: dict[str, Morphing] = {name: Morphing(light, _base_beam(each, name).to(flux)) for name in base}
-        lasting = beams.get(scenario.lighting.base.beam)  # None of one by the situation
-        controller = pixel_controller(scenario, light, None if lasting is None else lasting.beam)
-        where = each.T_world_module, each.swivel_deg, each.level_deg
-        modules.append(ShiningModule(each.side, each.lamp, each.number, light, *where, controller, flux, beams, raw))
-    return tuple(modules)
+    made, headlight = made or Made(), scenario.headlight
+    mounts = made("mounted modules", headlight, lambda: tuple(mounted(headlight, device, lambda lamp: lamp.modules)))
+    return tuple(_shining(scenario, each, made) for each in mounts)
+
+
+def _shining(scenario: Scenario, mount: MountedModule, made: Made) -> ShiningModule:
+    light, name, given = mount.headlight, mount.name, scenario.lighting
+    flux = made(f"{name}: flux", light, lambda: pixel_flux(light))
+    raw = made(f"{name}: raw", (light, given.raw), lambda: _raw(scenario, name, light))
+    wanted = given.base.names if raw is None else ()
+    beams: dict[str, Morphing] = {beam: made(f"{name}: {beam} beam", light, partial(_beam, mount, beam, flux)) for beam in wanted}
+    lasting = beams.get(given.base.beam)  # None of one by the situation
+    driven_by = light, scenario.pixel_controller, scenario.ssc, scenario.jpo
+    controller = made(f"{name}: pixel controller", driven_by, lambda: pixel_controller(scenario, light))
+    if lasting is not None:
+        controller = made(f"{name}: pixel controller over its beam", (controller, lasting), lambda: controller.over(lasting.beam))
+
+    def module() -> ShiningModule:
+        where = mount.T_world_module, mount.swivel_deg, mount.level_deg
+        return ShiningModule(mount.side, mount.lamp, mount.number, light, *where, controller, flux, beams, raw)
+
+    return made(f"{name}: module", (mount, controller, flux, beams, raw), module)
+
+
+def _beam(mount: MountedModule, name: str, flux: Tensor) -> Morphing:
+    return Morphing(mount.headlight, _base_beam(mount, name).to(flux))
 
 
 def _base_beam(module: MountedModule, name: str) -> Tensor:

@@ -14,13 +14,71 @@ from loop.lighting.record import row, schema, summary_of
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.plant.frames import remove
-from loop.recording.files import FILES, SUMMARY, TRAJECTORY, table_of, write_table
+from loop.recording.files import EDITS, FILES, SUMMARY, TRAJECTORY, table_of, write_table
 from loop.recording.frames import FrameRecorder
 from loop.recording.manifest import Manifest, write_json
+from loop.scenario.edits import Edit
 from perception.extraction import Loss
 from world.errors import LuxloopError
 
 REST = 10  # times what a write takes pass between two: recording costs a tenth at most, and a kill the last 50 ms or so
+
+
+class Tally:
+    """Rows of a run's steps, and what its summary needs beside them. edits: while it ran, in their order."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        self.first = self.simulation = simulation
+        self.edits = list[Edit]()
+        self._idle, self._last = set(simulation.scenario.functions), dict[str, StepResult]()
+        self._covered, self._findable = dict[str, StepResult](), set[str]()
+        self._asked, self._came = set[int](), list[int]()  # numbers of exposures, and of frames with an image
+        self._written = schema(simulation).empty_table()
+        self._fresh: list[dict[str, Any]] = []
+
+    def add(self, result: StepResult) -> dict[str, Any]:
+        """Take a step. Returns its row."""
+        added = row(result)
+        if self._idle:
+            self._idle &= self.simulation.idle(result)
+        self._last |= dict.fromkeys(result.held, result)
+        self._covered |= {name: result for name, each in result.held.items() if each.measurement.code == Loss.COVERED}
+        if result.look is not None:
+            self._findable |= {name for name, each in result.look.recognised.items() if each.findable}
+        self._asked |= {each.exposure.number for each in result.showings}
+        self._came += [frame.number for each in result.showings for frame in each.after.frames if frame.image is not None]
+        self._fresh.append(added)
+        return added
+
+    def edit(self, simulation: Simulation, edit: Edit) -> None:
+        """The run goes on with an edited simulation, whose columns join those there are."""
+        self._idle |= simulation.scenario.functions.keys() - self.simulation.scenario.functions.keys()
+        columns = pa.unify_schemas([self.table().schema, schema(simulation)])
+        self._written = table_of(self._written.to_pylist(), columns) if columns != self._written.schema else self._written
+        self.simulation = simulation
+        self.edits.append(edit)
+
+    def table(self) -> pa.Table:
+        """All steps so far."""
+        if self._fresh:
+            self._written = pa.concat_tables([self._written, table_of(self._fresh, self._written.schema)]).combine_chunks()
+            self._fresh = []
+        return self._written
+
+    def summary(self, checked: Callable[[pa.Table], dict[str, Any]] | None = None) -> dict[str, Any]:
+        """The steps in a few numbers. checked: what has come of checks, by name."""
+        functions = sorted(self.simulation.scenario.functions.items())
+        idle = [f"functions.{name} ({each.kind})" for name, each in functions if name in self._idle]
+        checks = {} if checked is None else checked(self.table())
+        fitting = sum(number in self._asked for number in self._came)
+        frames = {"asked": len(self._asked), "came": fitting, "unknown": len(self._came) - fitting}
+        sees = self.simulation.pipeline is not None or self.simulation.planner.adaptive or self.simulation.controlled
+        looks = {"frames": frames} if sees else {}
+        summary = summary_of(self.simulation, self.table(), self._last, self._covered)
+        if self.simulation.pipeline is not None:
+            for name, each in summary["objects"].items():
+                each["findable"] = name in self._findable
+        return summary | looks | {"idle_functions": idle, "checks": checks}
 
 
 class Recorder:
@@ -34,72 +92,47 @@ class Recorder:
     def __init__(
         self,
         directory: Path,
-        simulation: Simulation,
+        run: Simulation | Tally,
         report: Callable[[pa.Table, dict[str, Any]], None] | None = None,
         checked: Callable[[pa.Table], dict[str, Any]] | None = None,
         frames: bool = False,
     ) -> None:
-        """report: draws what the table and the summary of the run say. checked: what has come of its checks, by name. frames: whether to
-        keep them.
+        """run: a simulation, or a run of one so far, whose steps are recorded as well. report: draws what the table and the summary of the
+        run say. checked: what has come of its checks, by name. frames: whether to keep them.
 
         Raises LuxloopError if the directory holds something else than a recording, or cannot be written, or an input file not be read.
         """
-        self.directory, self.simulation, self._report, self._checked = directory, simulation, report, checked
-        self.manifest = Manifest.of(simulation.scenario, simulation.renderer, simulation.device)
-        self._frames = FrameRecorder(directory, simulation.scenario.camera.bits) if frames else None
-        self._idle, self._last = set(simulation.scenario.functions), dict[str, StepResult]()
-        self._covered, self._findable = dict[str, StepResult](), set[str]()
-        self._asked, self._came = set[int](), list[int]()  # numbers of exposures, and of frames with an image
-        self._written = schema(simulation).empty_table()
-        self._fresh: list[dict[str, Any]] = []
+        self.directory, self.tally, self._report, self._checked = directory, run if isinstance(run, Tally) else Tally(run), report, checked
+        first = self.tally.first
+        self.manifest = Manifest.of(first.scenario, first.renderer, first.device)
+        self._frames = FrameRecorder(directory, first.scenario.camera.bits) if frames else None
         self._next_write_s = 0.0
         self._begun = False
         self.summary = dict[str, Any]()
         refuse_foreign(directory)
 
-    def _summarised(self) -> dict[str, Any]:
-        """The steps in a few numbers, and what has come of checks."""
-        functions = sorted(self.simulation.scenario.functions.items())
-        idle = [f"functions.{name} ({each.kind})" for name, each in functions if name in self._idle]
-        checks = {} if self._checked is None else self._checked(self.table())
-        fitting = sum(number in self._asked for number in self._came)
-        frames = {"asked": len(self._asked), "came": fitting, "unknown": len(self._came) - fitting}
-        sees = self.simulation.pipeline is not None or self.simulation.planner.adaptive or self.simulation.controlled
-        looks = {"frames": frames} if sees else {}
-        summary = summary_of(self.simulation, self.table(), self._last, self._covered)
-        if self.simulation.pipeline is not None:
-            for name, each in summary["objects"].items():
-                each["findable"] = name in self._findable
-        return summary | looks | {"idle_functions": idle, "checks": checks}
-
     def __enter__(self) -> Self:
         return self
 
-    def add(self, result: StepResult) -> None:
-        """Record a step. Raises LuxloopError if the directory can no longer be written."""
-        added = row(result)
-        if self._idle:
-            self._idle &= self.simulation.idle(result)
-        self._last |= dict.fromkeys(result.held, result)
-        self._covered |= {name: result for name, each in result.held.items() if each.measurement.code == Loss.COVERED}
-        if result.look is not None:
-            self._findable |= {name for name, each in result.look.recognised.items() if each.findable}
-        self._asked |= {each.exposure.number for each in result.showings}
-        self._came += [frame.number for each in result.showings for frame in each.after.frames if frame.image is not None]
-        if not self._begun:
-            self._begin()
+    def add(self, result: StepResult) -> dict[str, Any]:
+        """Record a step. Returns its row. Raises LuxloopError if the directory can no longer be written."""
+        added = self.tally.add(result)
+        self.begin()
         if self._frames is not None:
             self._frames.add(result.showings)
-        self._fresh.append(added)
         if time.perf_counter() >= self._next_write_s:
             self._write_trajectory()
+        return added
+
+    def edit(self, simulation: Simulation, edit: Edit) -> None:
+        """The run goes on with an edited simulation. Raises LuxloopError if the directory can no longer be written."""
+        self.tally.edit(simulation, edit)
+        if self._begun:
+            self._write_edits()
 
     def table(self) -> pa.Table:
         """All steps so far."""
-        if self._fresh:
-            self._written = pa.concat_tables([self._written, table_of(self._fresh, self._written.schema)]).combine_chunks()
-            self._fresh = []
-        return self._written
+        return self.tally.table()
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         if not self._begun:
@@ -107,7 +140,7 @@ class Recorder:
         ended = "complete" if error is None else "failed" if isinstance(error, Exception) else "interrupted"
         try:
             self._write_trajectory()
-            self.summary = self._summarised()
+            self.summary = self.tally.summary(self._checked)
             write_json(self.directory / SUMMARY, self.summary)
             self.manifest = self.manifest.ended(ended, self.directory)
             if self._report is not None:
@@ -118,8 +151,10 @@ class Recorder:
             if ended != "failed":  # else the first error is raised
                 raise
 
-    def _begin(self) -> None:
-        """Make the directory, remove an old recording, its manifest last, and write the new one's."""
+    def begin(self) -> None:
+        """Make the directory, remove an old recording, its manifest last, and write the new one's, unless that is done."""
+        if self._begun:
+            return
         with _writing(self.directory):
             self.directory.mkdir(parents=True, exist_ok=True)
             remove(self.directory)
@@ -129,6 +164,11 @@ class Recorder:
             if self._frames is not None:
                 self._frames.begin()
         self._begun = True
+        self._write_edits()
+
+    def _write_edits(self) -> None:
+        if self.tally.edits:
+            write_json(self.directory / EDITS, [each.model_dump(mode="json") for each in self.tally.edits])
 
     def _write_trajectory(self) -> None:
         start = time.thread_time()  # a busy machine makes writes last, but not rarer

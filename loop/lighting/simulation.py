@@ -19,26 +19,25 @@ from controllers.situation import Seen, Situation, TrackedObject
 from controllers.symbol.sensing.projection import ProjectionCommand
 from controllers.symbol.sensing.protocol import SymbolController
 from controllers.symbol.sensing.symbol_sensor import Measurement
-from loop.lighting.commanded import commanded, refuse_commands
-from loop.lighting.controlled import ControlledSymbol, Moment, controlled_symbols, turn
+from loop.assembly.made import Made
+from loop.lighting.commanded import commanded
+from loop.lighting.controlled import ControlledSymbol, Moment, turn
 from loop.lighting.detection import DetectionPipeline, false_positives, recognised
 from loop.lighting.ground import attitude, moved, seen_from
 from loop.lighting.judging import over_setpoint
-from loop.lighting.lamps import LampPower, ShiningModule, driven, in_reach, lamp_modules, mean_powers, shining_modules
-from loop.lighting.names import check_names, refuse_unknown
+from loop.lighting.lamps import LampPower, ShiningModule, driven, in_reach, mean_powers
 from loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
 from loop.lighting.on_materials import OnMaterial, in_zones, on_materials
 from loop.lighting.on_objects import DUE_S, OnObject, most_on, must_be_dark, near_enough, on_objects, told_as
+from loop.lighting.parts import parts
 from loop.lighting.result import Clock, FrameDetections, SimulationState, StepResult
-from loop.plant.build import build_plant
 from loop.plant.pairing import paired
 from loop.plant.protocol import Arrivals, Exposure, Plant, Showing
 from loop.plant.simulated import as_simulated
 from loop.plant.world import LitScene, Metered, World, categories
 from loop.scenario.checks import Light as OtherLight
 from loop.scenario.model import Scenario, only
-from loop.scenario.shipped import named
-from perception.camera import camera_view, luminance_of, saturation_luminance
+from perception.camera import luminance_of, saturation_luminance
 from perception.detection.protocol import Detections
 from perception.egomotion import Ego, Samples, ego_of, newest
 from perception.judge import Verdict
@@ -58,8 +57,8 @@ class Simulation:
     """A scenario made ready to run on one device.
 
     Functions live in the ground frame, which drives with the car. view: what the camera of a car on a level body would see, as the car
-    believes. pipeline: None without a detector. controlled: symbols that are held, by name. Without any of these steps depend on their time
-    alone, unless a function learns, or commands modules.
+    believes. pipeline: None without a detector. controlled: symbols that are held, by name. made: the parts. Without detector and held
+    symbols steps depend on their time alone, unless a function learns, or commands modules.
     """
 
     scenario: Scenario
@@ -71,28 +70,20 @@ class Simulation:
     plant: Plant
     pipeline: DetectionPipeline | None = None
     controlled: Mapping[str, ControlledSymbol] = field(default_factory=dict)
+    made: Made = field(default_factory=Made)
 
     @classmethod
-    def prepare(cls, scenario: Scenario, device: torch.device | str = "cpu") -> "Simulation":
-        """Build scene and lamps, load symbols, plan a step. Raises LuxloopError where something is missing, beams included, or broken."""
+    def prepare(cls, scenario: Scenario, device: torch.device | str = "cpu", before: "Simulation | None" = None) -> "Simulation":
+        """Build scene and lamps, load symbols, plan a step. Raises LuxloopError where something is missing, beams included, or broken.
+
+        before: another simulation, of which all that has stayed as it was serves again.
+        """
+        device = torch.device(device)
+        made = Made(None if before is None or before.device != device else before.made)
         with located(scenario.source):
-            return cls._prepare(scenario, torch.device(device))
-
-    @classmethod
-    def _prepare(cls, scenario: Scenario, device: torch.device) -> "Simulation":
-        planner = Planner.prepare(scenario.functions, scenario.lighting, lambda image: named(image, "symbols"))
-        modules = shining_modules(scenario, device)
-        check_names(scenario, modules)
-        plant = build_plant(scenario, lamp_modules(modules))
-        truth = getattr(plant, "truth", None)
-        refuse_unknown(scenario, truth is not None)
-        controlled = controlled_symbols(scenario, modules, planner, truth)
-        refuse_commands(planner, modules, controlled)
-        lights = tuple((module.name, Light.of(module.headlight, module.T_world_module)) for module in modules)
-        view, given = camera_view(scenario.camera), scenario.detector
-        pipeline = None if given is None else DetectionPipeline.prepare(given, scenario.tracker, view, device)
-        simulation = cls(scenario, device, planner, modules, lights, view, plant, pipeline, controlled)
-        planner.plan(simulation.situation(0.0))
+            simulation = cls(scenario, device, made=made, **parts(scenario, device, made))
+            simulation.planner.plan(simulation.situation(0.0))
+        made.end()
         return simulation
 
     @property

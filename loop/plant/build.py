@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import cast
 
+from loop.assembly.made import Made
 from loop.assembly.truth import LampModule
 from loop.plant.clock import FromZero
 from loop.plant.protocol import Plant
@@ -16,11 +17,11 @@ KEY = "plant.kind"
 METHODS = ("start", "show")
 
 
-def build_plant(scenario: Scenario, modules: Sequence[LampModule]) -> Plant:
+def build_plant(scenario: Scenario, modules: Sequence[LampModule], made: Made | None = None) -> Plant:
     """A plant whose time begins at 0. Raises LuxloopError where a file is missing or broken, or a plant of one's own cannot be made."""
     params = scenario.plant
     if isinstance(params, SimulatedPlantParams):
-        return simulated_plant(scenario, modules)
+        return simulated_plant(scenario, modules, made or Made())
     if isinstance(params, RecordedPlantParams):
         return recorded_plant(scenario, params, modules)
     given = {"scenario": scenario, "modules": modules}

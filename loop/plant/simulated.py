@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from loop.assembly.build import build_motion, build_scene
+from loop.assembly.made import Made
 from loop.assembly.truth import LampModule, true_camera, true_modules
 from loop.plant.protocol import Arrivals, Exposure, Frame, Plant
 from loop.plant.world import World
@@ -119,11 +120,16 @@ class SimulatedPlant:
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(step, key)))
 
 
-def simulated_plant(scenario: Scenario, modules: Sequence[LampModule]) -> SimulatedPlant:
+def simulated_plant(scenario: Scenario, modules: Sequence[LampModule], made: Made) -> SimulatedPlant:
     """The world of a scenario, lit by these modules. Raises LuxloopError where a file is missing or broken."""
-    motion, source = build_motion(scenario), face_source(scenario.renderer)
-    scene, true = build_scene(scenario, motion), true_modules(scenario.disturbances, modules)
-    world = World(scene, true, true_camera(scenario), source, motion, scenario.metered, scenario.all_objects)
+    wrong, given = scenario.disturbances, scenario.all_objects
+    source = made("face source", scenario.renderer, lambda: face_source(scenario.renderer))
+    lasts_s = scenario.vehicle and (scenario.steps, scenario.rate_hz)
+    motion = made("motion", (scenario.vehicle, scenario.road, lasts_s), lambda: build_motion(scenario))
+    scene, camera = build_scene(scenario, motion, made), true_camera(scenario)
+    true = made("true modules", (tuple(modules), wrong.aim, wrong.wear), lambda: true_modules(wrong, modules))
+    of_world = scene, true, camera, source, motion, scenario.metered, given
+    world = made("world", of_world, lambda: World(*of_world).after(made.before("world", None)))
     return SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, scenario.disturbances, scenario.shares)
 
 

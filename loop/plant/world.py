@@ -5,7 +5,7 @@ from collections import OrderedDict, deque
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
-from typing import Any, TypeVar, cast
+from typing import Any, Self, TypeVar, cast
 
 import torch
 from torch import Tensor
@@ -186,7 +186,13 @@ class World:
         self._lit: OrderedDict[Any, LitScene] = OrderedDict()
         self._made: deque[tuple[LitScene, tuple[Utilisation, ...], Commands, Any]] = deque(maxlen=2)  # of an on and an off exposure
         self._asked: tuple[float, Any] = (math.nan, None)
-        self._triangles = NOTHING
+        self._triangles: Triangles = NOTHING
+
+    def after(self, before: "World | None") -> Self:
+        """This world; its bodies that were in another one as well keep what was derived from them there."""
+        if before is not None:
+            self._triangles = before._triangles
+        return self
 
     def view_at(self, t_s: float) -> View:
         """The camera's view at a time."""

@@ -9,8 +9,8 @@ import pyarrow.parquet as pq
 from loop.recording.manifest import FILE as MANIFEST
 from world.files import whole
 
-TRAJECTORY, SUMMARY, REPORT, VIDEO = "trajectory.parquet", "summary.json", "report.png", "video.mp4"
-FILES = (TRAJECTORY, SUMMARY, REPORT, VIDEO, MANIFEST)
+TRAJECTORY, SUMMARY, REPORT, VIDEO, EDITS = "trajectory.parquet", "summary.json", "report.png", "video.mp4", "edits.json"
+FILES = (TRAJECTORY, SUMMARY, REPORT, VIDEO, EDITS, MANIFEST)
 
 
 def table_of(rows: list[dict[str, Any]], schema: pa.Schema) -> pa.Table:

@@ -1,46 +1,30 @@
-"""A simulation that goes on with other values of keys: functions and their controllers change from one step to the next."""
+"""A simulation that goes on with other values of keys."""
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
-from typing import Any, Final
+from typing import Any
 
 from torch import Tensor
 
-from controllers.functions.planner import Planner
-from loop.lighting.commanded import refuse_commands
-from loop.lighting.controlled import controlled_symbols
-from loop.lighting.names import check_names
 from loop.lighting.result import SimulationState
 from loop.lighting.simulation import Simulation
+from loop.scenario.acts import acts
 from loop.scenario.model import Scenario
-from loop.scenario.shipped import named
-from world.errors import located
-
-LIVE: Final = frozenset({"name", "description", "functions", "conditions", "judge_every", "checks"})  # world and lamps stay
-
-
-def is_live(before: Scenario, after: Scenario) -> bool:
-    """Whether a simulation of the one scenario can go on with the other: world, lamps and exposures are the same."""
-    painted = {"painted": after.lighting.painted}
-    before = before.model_copy(update={"lighting": before.lighting.model_copy(update=painted)})
-    same = all(getattr(before, key) == getattr(after, key) for key in Scenario.model_fields.keys() - LIVE)
-    return same and before.shares == after.shares and before.metered == after.metered
+from world.errors import LuxloopError
 
 
 def edited(simulation: Simulation, state: SimulationState, scenario: Scenario) -> tuple[Simulation, SimulationState]:
-    """The simulation with a scenario that `is_live`, and its state before the next step.
+    """The simulation with another scenario, and its state before the next step.
 
-    Functions and controllers whose state still fits go on from it; others start. Raises LuxloopError as `Simulation.prepare`.
+    Functions and controllers whose state still fits go on from it; others start. Frames under way show what was there when they were
+    taken. Raises LuxloopError as `Simulation.prepare`, and where the scenario needs a simulation that starts anew.
     """
-    with located(scenario.source):
-        planner = Planner.prepare(scenario.functions, scenario.lighting, lambda image: named(image, "symbols"))
-        check_names(scenario, simulation.modules)
-        controlled = controlled_symbols(scenario, simulation.modules, planner, simulation.truth)
-        refuse_commands(planner, simulation.modules, controlled)
-    held = {name: each.start() for name, each in controlled.items()}
-    functions, kept = _kept(planner.start(), state.functions), _kept(held, state.held)
-    commanded = {name: each for name, each in state.commanded.items() if name in planner.commanding}
-    after = replace(simulation, scenario=scenario, planner=planner, controlled=controlled)
+    if acts(simulation.scenario, scenario) == "restart":
+        raise LuxloopError(f"{scenario.source}: a run cannot go on with these values; start it anew")
+    after = Simulation.prepare(scenario, simulation.device, simulation)
+    held = {name: each.start() for name, each in after.controlled.items()}
+    functions, kept = _kept(after.planner.start(), state.functions), _kept(held, state.held)
+    commanded = {name: each for name, each in state.commanded.items() if name in after.planner.commanding}
     return after, replace(state, functions=functions, held=kept, commanded=commanded)
 
 

@@ -1,41 +1,75 @@
 """Recordings read back: run the recorded scenario again and hold it against the recording, or write it as CSV."""
 
-import itertools
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import pyarrow as pa
 import pyarrow.csv
 import torch
+from pydantic import TypeAdapter
 
+from controllers.symbol.sensing.flat_model import FeatureParams
 from loop.lighting.record import row, schema
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.recording.comparison import Comparison, compare
-from loop.recording.files import TRAJECTORY, table_of
+from loop.recording.files import EDITS, TRAJECTORY, table_of
 from loop.recording.manifest import FILE, Manifest
+from loop.replay.edited import edited
+from loop.scenario.edits import Edit, changed
 from loop.scenario.model import Scenario, validate
-from world.errors import LuxloopError
-from world.files import whole
+from world.errors import LuxloopError, located
+from world.files import content, reading, whole
 from world.parquet import read_parquet
 from world.plugin import refuse_code
+from world.validation import parsed_json
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A recording as it was read: its manifest, the scenario in it, and the table of its steps."""
+    """A recording as it was read: its manifest, the scenario in it, the table of its steps, and the edits while it ran."""
 
     manifest: Manifest
     scenario: Scenario
     table: pa.Table
+    edits: tuple[Edit, ...] = ()
+
+
+EDIT_LIST: Final = TypeAdapter(tuple[Edit, ...])
 
 
 def load(directory: Path) -> Recording:
     """Read a recording. Raises LuxloopError where it is none, damaged, or written by a newer luxloop."""
     manifest = Manifest.read(directory)
     scenario = validate(manifest.scenario, f"{directory}/manifest.json: scenario")
-    return Recording(manifest, scenario, read_parquet(directory / TRAJECTORY))
+    return Recording(manifest, scenario, read_parquet(directory / TRAJECTORY), _edits(directory / EDITS))
+
+
+def _edits(file: Path) -> tuple[Edit, ...]:
+    if not file.is_file():
+        return ()
+    with reading(file, "damaged, not the edits of a run", "record the run again"):
+        return EDIT_LIST.validate_python(parsed_json(content(file)))
+
+
+def rerun(recording: Recording, simulation: Simulation, allow_code: bool = False) -> Iterator[tuple[Simulation, StepResult]]:
+    """The steps of a recording once more, each with the simulation that made it. simulation: of its scenario.
+
+    allow_code: whether modules that edits name may run. Raises LuxloopError where an edit cannot be repeated.
+    """
+    state, edits = simulation.start(), deque(recording.edits)
+    for _ in range(recording.table.num_rows):
+        while edits and edits[0].step <= state.step:
+            scenario = changed(simulation.scenario, edits.popleft().overrides)
+            if not allow_code:
+                refuse_code(scenario, scenario.source)
+            simulation, state = edited(simulation, state, scenario)
+        with located(simulation.scenario.source):
+            state, result = simulation.step(state)
+        yield simulation, result
 
 
 def replay(
@@ -45,28 +79,31 @@ def replay(
     *,
     allow_code: bool = False,
 ) -> Comparison:
-    """Run the scenario of a recording again, for as many steps as it has, and compare.
+    """Run the scenario of a recording again, with its edits, for as many steps as it has, and compare.
 
     device: that of the recording if None, or the CPU where there is no such device. on_step: called after every step. allow_code: whether
-    modules that the manifest names may run.
+    modules that the manifest or edits name may run.
     Raises LuxloopError where the recording is damaged or an input file is missing.
     """
     recording = load(directory)
-    manifest, scenario, steps = recording.manifest, recording.scenario, recording.table.num_rows
-    if steps == 0:
+    manifest, scenario = recording.manifest, recording.scenario
+    if recording.table.num_rows == 0:
         raise LuxloopError(f"{directory / TRAJECTORY}: holds no step; record the run again")
     if not allow_code:
         refuse_code(scenario, str(directory / FILE))
     simulation = Simulation.prepare(scenario, device or manifest.device_here)
     columns = schema(simulation)
-    recorded = columns_of(recording.table, columns, directory / TRAJECTORY)
+    columns_of(recording.table, columns, directory / TRAJECTORY)
     notes = manifest.changes(Manifest.of(scenario, simulation.renderer, simulation.device))
+    held = dict[str, FeatureParams]()
     rows = []
-    for result in itertools.islice(simulation.run(), steps):
+    for made_by, result in rerun(recording, simulation, allow_code):
         rows.append(row(result))
+        held |= {name: symbol.function.features for name, symbol in made_by.controlled.items()}
+        columns = pa.unify_schemas([columns, schema(made_by)])
         on_step(result)
-    held = {name: symbol.function.features for name, symbol in simulation.controlled.items()}
-    return Comparison(steps, compare(recorded, table_of(rows, columns), held), tuple(notes))
+    recorded = columns_of(recording.table, columns, directory / TRAJECTORY)
+    return Comparison(len(rows), compare(recorded, table_of(rows, columns), held), tuple(notes))
 
 
 def columns_of(table: pa.Table, columns: pa.Schema, file: Path) -> pa.Table:

@@ -103,15 +103,13 @@ def _merge(into: dict[str, Any], changes: Mapping[str, Any], within: str = "") -
                 raise LuxloopError(f"{whole}{strange[0]}: {found}; change another, or set all of {whole}")
             _merge(items, value, whole)
             into[key] = list(items.values())
-        elif isinstance(old, list) and value == {}:
-            raise LuxloopError(f"{whole}: is a list and no table; write --set '{whole}=[]' to empty it")
+        elif value == {} and key in into:
+            into[key] = CLEARED
         elif isinstance(old, list) and isinstance(value, dict):
             raise LuxloopError(
                 f"{whole}: is a list and has no {next(iter(value))!r}; write --set '{whole}[0].KEY=VALUE' for its first, "
                 f"--set '{whole}=[...]' for all of it, or change a copy, `luxloop new FILE --like NAME`"
             )
-        elif value == {} and key in into:
-            into[key] = CLEARED
         elif isinstance(old, dict) and isinstance(value, dict) and _same_variant(old, value):
             _merge(old, value, whole)
         else:

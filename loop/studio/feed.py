@@ -49,10 +49,11 @@ class Feed:
             self._sent = [SentRun(number, run) for number, run in enumerate(published.runs)]
             yield packed(published.scenario)
         for sent in self._sent:
-            yield from sent.edits()
+            rows = [] if resting else sent.rows()
+            yield from sent.edits()  # which bring all columns that the rows have
+            yield from rows
             if resting:
                 continue
-            yield from sent.rows()
             run, step = request.at or (sent.number, len(sent.run.snapshots) - 1)
             if run == sent.number and sent.unshown(request.shown) < MOST_UNSHOWN:
                 for data in sent.step(min(step, len(sent.run.snapshots) - 1), request, self._id + 1):
@@ -78,18 +79,25 @@ class SentRun:
         return len(self.ids)
 
     def edits(self) -> Iterator[bytes]:
-        """Those that it was not told of."""
-        for step, overrides in self.run.edits[self._edits :]:
-            self._edits += 1
-            yield packed({"type": "edit", "run": self.number, "step": step, "overrides": overrides})
+        """Those that it was not told of; the newest with what is there now."""
+        fresh = self.run.edits[self._edits :]
+        self._edits += len(fresh)
+        for left, edit in zip(range(len(fresh) - 1, -1, -1), fresh, strict=True):
+            model = None if left else self.run.simulation.scenario.model_dump(mode="json")
+            facts = None if left else self.run.facts()
+            yield packed({"type": "edit", "run": self.number, **edit.model_dump(mode="json"), "model": model, "facts": facts})
 
-    def rows(self) -> Iterator[bytes]:
+    def rows(self) -> list[bytes]:
         """Values of the steps that it lacks."""
         fresh = self.run.rows[self._rows :]
-        if fresh:
-            head = {"type": "rows", "run": self.number, "first": self._rows}
-            self._rows += len(fresh)
-            yield packed(head, {"rows": coded(np.stack(fresh))})
+        if not fresh:
+            return []
+        head = {"type": "rows", "run": self.number, "first": self._rows}
+        self._rows += len(fresh)
+        rows = np.full((len(fresh), max(map(len, fresh))), np.nan, np.float32)
+        for k, each in enumerate(fresh):
+            rows[k, : len(each)] = each
+        return [packed(head, {"rows": coded(rows)})]
 
     def step(self, number: int, request: Request, id_: int) -> Iterator[bytes]:
         """A step, and before it the meshes that it lacks; nothing where it has got all that it wants of that step."""

@@ -82,7 +82,7 @@ class Shown(Params):
 class Button(Params):
     """What has no value."""
 
-    type: Literal["pen", "play", "pause", "step", "reset"]
+    type: Literal["pen", "play", "pause", "step", "reset", "undo", "redo", "save"]
 
 
 class Speed(Params):
@@ -108,6 +108,13 @@ class Set(Params):
     overrides: Overrides
 
 
+class Record(Params):
+    """Record the first run into a folder of this name below `runs`, None to end that."""
+
+    type: Literal["record"]
+    folder: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_. -]{0,79}$")] | None
+
+
 class Compare(Params):
     """A second run beside the first, None for none."""
 
@@ -129,7 +136,7 @@ class Paint(Params):
     over: bool = True
 
 
-Message = Hello | Want | Scrub | AskSummary | AskBeam | AskSchema | Shown | Button | Speed | Open | Set | Compare | Paint
+Message = Hello | Want | Scrub | AskSummary | AskBeam | AskSchema | Shown | Button | Speed | Open | Set | Record | Compare | Paint
 ARRAYS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {"paint": {"value": ("u1",), "painted": ("u1",)}}  # dtypes, by type and name
 MESSAGE: Final[TypeAdapter[Message]] = TypeAdapter(Annotated[Message, Field(discriminator="type")])
 

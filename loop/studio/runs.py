@@ -3,18 +3,20 @@
 import time
 from collections.abc import Collection
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 import torch
 
-from loop.lighting.record import row, schema, summary_of
+from loop.lighting.record import schema
+from loop.lighting.recorder import Recorder, Tally
 from loop.lighting.result import SimulationState, StepResult
 from loop.lighting.simulation import Simulation
-from loop.recording.files import table_of
 from loop.replay.edited import edited
 from loop.report.picture import white_of
+from loop.scenario.edits import Edit
 from loop.scenario.model import Scenario
 from loop.studio.messages import View
 from loop.studio.shapes import Shapes
@@ -35,18 +37,19 @@ class Run:
     """Steps of one simulation, with what clients show of them.
 
     The thread that steps it adds to `snapshots`, `rows`, `edits` and `shapes`, which others read; what was added stays, except the
-    light and pictures of old snapshots. label: for the page.
+    light and pictures of old snapshots. columns: of the rows, the later ones of which may have more. recorder: None while nothing is
+    recorded. label: for the page.
     """
 
     def __init__(self, simulation: Simulation, label: str, overrides: Collection[str]) -> None:
         """Does the first step, so that there is something to see."""
         self.simulation, self.label, self.overrides = simulation, label, list(overrides)
-        self.columns = [each for each in schema(simulation) if not pa.types.is_string(each.type)]
+        self.tally = Tally(simulation)
+        self.recorder: Recorder | None = None
+        self.columns = _numbers(simulation)
         self.shapes, self.snapshots, self.rows = Shapes(), list[Snapshot](), list[np.ndarray]()
-        self.edits = list[tuple[int, tuple[str, ...]]]()  # the step from which on other values of keys hold, and these
         self.step_ms = float("nan")
         self._state, self._kept, self._forgotten = simulation.start(), 0, 0
-        self._plain, self._last = list[dict[str, Any]](), dict[str, StepResult]()
         self._bodies = NOTHING
         self._look_s = 0.0  # when a picture may be taken again
         self._made = simulation, self.step(("camera", "marks"))  # the last result, and the simulation that gave it
@@ -58,6 +61,11 @@ class Run:
         """Whether all steps of the scenario are done."""
         return len(self.snapshots) >= self.simulation.scenario.steps
 
+    @property
+    def edits(self) -> list[Edit]:
+        """Those so far, in their order."""
+        return self.tally.edits
+
     def step(self, wanted: Collection[View], still: bool = True) -> StepResult:
         """Do a step. wanted: what somebody looks at. still: nothing follows at once, so that there is time for pictures."""
         began_s = time.perf_counter()
@@ -67,18 +75,29 @@ class Run:
         looks = set(wanted) if still or time.perf_counter() >= self._look_s else set(wanted) - {"camera"}
         began_s = time.perf_counter()
         before = self.snapshots[-1] if self.snapshots else None
-        taken, values = self._taken(self.simulation, result, before, looks), row(result)
+        taken = self._taken(self.simulation, result, before, looks)
         if "camera" in looks:
             self._look_s = time.perf_counter() + REST * (time.perf_counter() - began_s)
+        values = (self.recorder or self.tally).add(result)
         self._state, self._made = state, (self.simulation, result)
-        self._plain.append(values)
-        self._last |= dict.fromkeys(result.held, result)
         self.rows.append(np.array([_number(values.get(each.name)) for each in self.columns], np.float32))
         self.snapshots.append(taken)
         self._kept += taken.bytes_beside(before)
         while self._kept > KEPT_BYTES and self._forgotten < len(self.snapshots) - 1:
             self._forget(self._forgotten)
         return result
+
+    def record(self, directory: Path) -> None:
+        """Record all steps so far, and those to come until `end_recording`. Raises LuxloopError as `Recorder`."""
+        self.end_recording()
+        self.recorder = Recorder(directory, self.tally)
+        self.recorder.begin()
+
+    def end_recording(self) -> None:
+        """Finish the recording, if there is one."""
+        recorder, self.recorder = self.recorder, None
+        if recorder is not None:
+            recorder.__exit__(None, None, None)
 
     def look_again(self, wanted: Collection[View]) -> None:
         """Take the last snapshot anew, with all that somebody looks at now."""
@@ -90,13 +109,15 @@ class Run:
         return snapshot(simulation, result, numbered, before, wanted)
 
     def edited(self, scenario: Scenario) -> tuple[Simulation, SimulationState]:
-        """What it would go on with under a scenario that `is_live`. Raises LuxloopError."""
+        """What it would go on with under another scenario. Raises LuxloopError."""
         return edited(self.simulation, self._state, scenario)
 
     def edit(self, after: tuple[Simulation, SimulationState], overrides: tuple[str, ...]) -> None:
         """Go on with what `edited` gave, from the next step on. overrides: that make its scenario."""
         self.simulation, self._state = after
-        self.edits.append((len(self.rows), overrides))
+        known = {each.name for each in self.columns}
+        self.columns = [*self.columns, *(each for each in _numbers(self.simulation) if each.name not in known)]
+        (self.recorder or self.tally).edit(self.simulation, Edit(step=len(self.rows), overrides=overrides))
 
     def _forget(self, number: int) -> None:
         old, after = self.snapshots[number : number + 2]
@@ -106,7 +127,7 @@ class Run:
 
     def summary(self) -> dict[str, Any]:
         """Results of all steps so far. It renders, and so runs where the steps do."""
-        return summary_of(self.simulation, table_of(self._plain, schema(self.simulation)), self._last)
+        return self.tally.summary()
 
     def beam(self, rule: str, side: str, step: int | None) -> list[dict[str, Any]]:
         """A regulation's verdict on what the lamp of a side shows in a step, the newest for None, as the protocol has it.
@@ -143,10 +164,7 @@ class Run:
             "label": self.label,
             "overrides": self.overrides,
             "controllers": {name: each.params.name for name, each in self.simulation.controlled.items()},
-            "columns": [
-                {"name": each.name, **{key.decode(): value.decode() for key, value in (each.metadata or {}).items()}}
-                for each in self.columns
-            ],
+            "columns": self.column_facts(),
             "modules": [self._module(k) for k in range(len(self.simulation.modules))],
             "camera": {**lens, "bits": scenario.camera.bits, "saturation_cd_m2": saturation_luminance(scenario.camera)},
             "ambient_lx": scenario.light.ambient_lx,
@@ -155,11 +173,21 @@ class Run:
             "street_lamps": [each.model_dump(mode="json") for each in scenario.light.street_lamps],
         }
 
+    def column_facts(self) -> list[dict[str, str]]:
+        """Name, unit and description of each column."""
+        told = [(each.name, each.metadata or {}) for each in self.columns]
+        return [{"name": name, **{key.decode(): value.decode() for key, value in of.items()}} for name, of in told]
+
     def _module(self, number: int) -> dict[str, Any]:
         module = self.simulation.modules[number]
         keys = ("rows", "cols", "left", "right", "bottom", "top", "pixel_rows", "pixel_cols")
         grid = {key: getattr(module.headlight, key) for key in keys}
         return {"name": module.name, "side": module.side, **grid, "peak_cd": self.peaks_cd[number], "flux_lm": module.flux_lm}
+
+
+def _numbers(simulation: Simulation) -> list[pa.Field]:
+    """Columns of numbers."""
+    return [each for each in schema(simulation) if not pa.types.is_string(each.type)]
 
 
 def _pose(numbers: list[float]) -> torch.Tensor:

@@ -254,7 +254,7 @@ class Studio:
             if published.progress != preparing:
                 preparing = published.progress
                 await client.connection.send(packed({"type": "progress", "text": preparing}))
-            keys = ("playing", "speed", "step_ms", "real_time", "failed")
+            keys = ("playing", "speed", "step_ms", "real_time", "failed", "recording")
             status = {"type": "status", **{key: getattr(published, key) for key in keys}, "pen": self._pen, "clients": len(self._clients)}
             text, waits_s = json.dumps(status), said_s + STATUS_S - time.monotonic()
             if text == last:

@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from loop.studio.arrays import Arrays
-from loop.studio.messages import VIEWS, AskBeam, AskSchema, AskSummary, Button, Compare, Message, Open, Paint, Set, Speed, View
+from loop.studio.history import History
+from loop.studio.messages import VIEWS, AskBeam, AskSchema, AskSummary, Button, Compare, Message, Open, Paint, Record, Set, Speed, View
+from loop.studio.watched import WatchedFile
 from world.errors import LuxloopError
 
 if TYPE_CHECKING:
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
 
 PATIENCE_S: Final = 5.0  # with a step, when all shall end
 LOOK: Final = "look"
+LOOK_AT_FILE_S: Final = 0.5  # between two looks at the scenario's file
 MOST_WAITING: Final = 2  # messages behind a step that is still done
 SMOOTH: Final = 0.2  # share of a step in the mean of its time
 
@@ -40,11 +43,10 @@ class Source:
         """All other values of keys."""
         return (*self.overrides, *self.apart)
 
-    def with_values(self, overrides: Sequence[str]) -> "Source":
-        """The same with other values, in place of earlier ones of the same keys."""
-        keys = {each.partition("=")[0].strip() for each in overrides}
-        left = tuple(each for each in self.overrides if each.partition("=")[0].strip() not in keys)
-        return replace(self, overrides=(*left, *overrides))
+    @property
+    def label(self) -> str:
+        """For the page."""
+        return " ".join(self.apart) or self.name or str(self.recording)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +62,7 @@ class Published:
     real_time: float | None = None
     failed: str | None = None
     progress: str | None = "starting"
+    recording: str | None = None  # folder below runs
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +88,8 @@ class Session:
         self._changed, self._allow_code, self._device = changed, allow_code, device
         self._asked: queue.SimpleQueue[Asked | Literal["look"] | None] = queue.SimpleQueue()
         self._next_s = 0.0
+        self._history = History()
+        self._file = WatchedFile()
         self._thread = threading.Thread(target=self._work, name="simulation", daemon=True)
 
     def start(self) -> None:
@@ -109,13 +114,18 @@ class Session:
     def _work(self) -> None:
         self._attempt(lambda: self._prepare(self._sources), None)
         while True:
-            waits_s = max(self._next_s - time.perf_counter(), 0.0) if self.published.playing else None
+            if self._file.changed():
+                self._attempt(self._reload, None)
+            waits_s = max(self._next_s - time.perf_counter(), 0.0) if self.published.playing else LOOK_AT_FILE_S
             try:
-                asked = self._asked.get(timeout=waits_s) if waits_s is None or waits_s > 0 else self._asked.get_nowait()
+                asked = self._asked.get(timeout=waits_s) if waits_s > 0 else self._asked.get_nowait()
             except queue.Empty:
-                self._attempt(self._step, None)
+                if self.published.playing:
+                    self._attempt(self._step, None)
                 continue
             if asked is None:
+                for run in self.published.runs:
+                    self._attempt(run.end_recording, None)
                 return
             if asked == LOOK:
                 self._attempt(self._look_again, None)
@@ -144,12 +154,14 @@ class Session:
         self._changed()
 
     def _do(self, asked: Asked) -> None:
+        from loop.scenario.written import written
+
         match asked.message:
             case Button(type="play"):
                 if not self.published.runs:
                     raise LuxloopError("play: nothing is prepared; open a scenario first")
                 if all(run.over for run in self.published.runs):
-                    self._prepare(self._sources)
+                    self._prepare(self._sources, self._scenarios())
                 self._next_s = time.perf_counter()
                 self._publish(playing=True, failed=None)
             case Button(type="pause"):
@@ -161,7 +173,16 @@ class Session:
                     self._step()
             case Button(type="reset"):
                 self._publish(playing=False)
-                self._prepare(self._sources)
+                self._prepare(self._sources, self._scenarios())
+            case Button(type="undo" | "redo" as way):
+                before = self._scenarios()
+                self._become(self._history.newest(way))
+                self._history.go(way, before)
+            case Button(type="save"):
+                scenario = self._run(0).simulation.scenario
+                asked.reply({"type": "saved", "name": f"{scenario.name}.toml", "text": written(scenario)})
+            case Record(folder=folder):
+                self._record(folder)
             case Speed(factor=factor):
                 self._next_s = time.perf_counter()
                 self._publish(speed=factor)
@@ -243,44 +264,94 @@ class Session:
         step_ms = sum(run.step_ms for run in runs)
         self._publish(playing=published.playing and not over, step_ms=step_ms, real_time=real_time)
 
+    def _scenarios(self) -> tuple["Scenario", ...]:
+        """As they are now, of all runs. Raises LuxloopError where there are none."""
+        if not self.published.runs:
+            raise LuxloopError("nothing is prepared; open a scenario first")
+        return tuple(run.simulation.scenario for run in self.published.runs)
+
     def _edit(self, overrides: tuple[str, ...]) -> None:
-        """Other values of keys: from the next step on where world and lamps stay as they are, else in runs that start anew."""
-        from loop.replay.edited import is_live
+        """Other values of keys in all runs. Raises LuxloopError where one cannot have them."""
+        from loop.scenario.edits import changed
 
-        sources = tuple(each.with_values(overrides) for each in self._sources)
-        scenarios, runs = [self._loaded(each) for each in sources], self.published.runs
-        if not runs or not all(is_live(run.simulation.scenario, each) for run, each in zip(runs, scenarios, strict=True)):
-            self._prepare(sources)
+        before = self._scenarios()
+        after = (changed(each, (*overrides, *source.apart)) for each, source in zip(before, self._sources, strict=True))
+        self._become(tuple(after), overrides)
+        self._history.add(before, overrides)
+
+    def _become(self, scenarios: tuple["Scenario", ...], overrides: tuple[str, ...] | None = None) -> None:
+        """Other values of keys: while the runs go on, as far as that can be, else in runs that start anew. overrides: that make them of
+        those there are; None for what tells them apart.
+        """
+        from loop.scenario.acts import acts
+        from loop.scenario.edits import differences
+
+        runs = self.published.runs
+        before = self._scenarios()
+        found = {acts(*pair) for pair in zip(before, scenarios, strict=True)}
+        if "restart" in found:
+            self._prepare(self._sources, scenarios)
             return
+        told = [differences(*pair) if overrides is None else overrides for pair in zip(before, scenarios, strict=True)]
+        if "prepared" in found:
+            self._publish(progress=f"preparing {' '.join(told[0])}"[:200])
         made = [run.edited(scenario) for run, scenario in zip(runs, scenarios, strict=True)]  # all of them, or none where one cannot be
-        for run, after in zip(runs, made, strict=True):
-            run.edit(after, overrides)
-        self._sources = sources
-        self._publish(failed=None)
+        for run, after, each in zip(runs, made, told, strict=True):
+            run.edit(after, each)
+        self._publish(failed=None, progress=None)
 
-    def _prepare(self, sources: tuple[Source, ...]) -> None:
-        """Make runs of sources in place of those there are; where one cannot be made, they stay. Raises LuxloopError."""
+    def _reload(self) -> None:
+        """What has changed in the file is an edit."""
+        from loop.scenario.edits import changed, differences
+
+        before, after = self._file.scenario, self._loaded(self._sources[0])
+        if before is not None and self.published.runs and (told := differences(before, after)):
+            scenarios = self._scenarios()
+            self._become(tuple(changed(each, told) for each in scenarios), told)
+            self._history.add(scenarios, told)
+        self._file.scenario = after
+
+    def _record(self, folder: str | None) -> None:
+        for run in self.published.runs:
+            run.end_recording()
+        self._publish(recording=None)
+        if folder is not None:
+            self._run(0).record(Path("runs") / folder)
+            self._publish(recording=folder)
+
+    def _prepare(self, sources: tuple[Source, ...], scenarios: tuple["Scenario", ...] | None = None) -> None:
+        """Make runs of sources in place of those there are; where one cannot be made, they stay. scenarios: as they are read, if None.
+
+        Raises LuxloopError.
+        """
         self._publish(progress="importing PyTorch and the renderer")
         import torch
 
         from loop.run import prepare
+        from loop.scenario.acts import ACTS
+        from loop.scenario.shipped import find, shipped
         from loop.studio.runs import Run
 
         torch.set_num_threads(1)  # a step's operations are too small for two
-        runs = list[Run]()
-        for source in sources:
-            scenario = self._loaded(source)
+        opened = scenarios is None
+        scenarios = scenarios or tuple(map(self._loaded, sources))
+        runs, before = list[Run](), next((run.simulation for run in self.published.runs), None)
+        for source, scenario in zip(sources, scenarios, strict=True):
             self._publish(progress=f"preparing {scenario.name}")
-            same = (run.simulation for run in self.published.runs if run.simulation.scenario == scenario)
-            simulation = next(same, None) or prepare(scenario, self._device)
+            simulation = before = prepare(scenario, self._device, before)
             self._publish(progress=f"first step of {scenario.name}")
-            runs.append(Run(simulation, " ".join(source.apart) or source.name or str(source.recording), source.all))
+            runs.append(Run(simulation, source.label, source.all))
+        self._record(None)
+        if opened:
+            path = None if sources[0].recording or sources[0].name in shipped() else find(sources[0].name)
+            self._history, self._file = History(), WatchedFile(path, scenarios[0])
         first = runs[0].simulation.scenario
         head = {
             "type": "scenario",
             **{key: getattr(first, key) for key in ("name", "source", "steps", "rate_hz", "seed")},
             "runs": [run.facts() for run in runs],
             "model": first.model_dump(mode="json"),
+            "acts": ACTS,
             "choices": _choices(),
         }
         self._sources, number = sources, self.published.number + 1

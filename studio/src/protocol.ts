@@ -60,6 +60,10 @@ export interface Run {
   street_lamps: { position_m: Vector; intensity_cd: number }[];
 }
 
+/** The scenario as it is now, with all defaults. */
+export type Model = { steps: number; seed: number } & Record<string, unknown>;
+export type Acts = "step" | "prepared" | "restart";
+
 export interface Named {
   name: string;
   description: string;
@@ -73,7 +77,9 @@ export interface ScenarioMessage {
   rate_hz: number;
   seed: number;
   runs: Run[];
-  model: unknown;
+  model: Model;
+  /** When keys act, by the beginning of a key; the longest counts. */
+  acts: Record<string, Acts>;
   choices: { scenarios: Named[]; controllers: Named[]; rules: string[] };
 }
 
@@ -134,6 +140,8 @@ export interface StatusMessage {
   step_ms: number | null;
   real_time: number | null;
   failed: string | null;
+  /** Folder below runs that the first run is recorded into. */
+  recording: string | null;
 }
 
 export interface BeamPoint {
@@ -154,7 +162,8 @@ export type ServerMessage =
   | MeshesMessage
   | StepMessage
   | RowsMessage
-  | { type: "edit"; run: number; step: number; overrides: string[] }
+  | { type: "edit"; run: number; step: number; overrides: string[]; model: Model | null; facts: Run | null }
+  | { type: "saved"; name: string; text: string }
   | { type: "summary"; run: number; summary: unknown }
   | { type: "beam"; run: number; rule: string; side: string; points: BeamPoint[] };
 
@@ -167,7 +176,8 @@ export type ClientMessage =
   | { type: "summary"; run: number }
   | { type: "beam"; run: number; rule: string; side: "left" | "right"; step: number | null }
   | { type: "shown"; id: number }
-  | { type: "pen" | "play" | "pause" | "step" | "reset" }
+  | { type: "pen" | "play" | "pause" | "step" | "reset" | "undo" | "redo" | "save" }
+  | { type: "record"; folder: string | null }
   | { type: "speed"; factor: number | null }
   | { type: "open"; name: string; overrides: string[]; recording: string | null }
   | { type: "set"; overrides: string[] }

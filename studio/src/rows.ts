@@ -3,18 +3,24 @@
 import type { Column } from "./protocol.ts";
 
 export class Rows {
-  readonly #buffers: Float32Array[];
-  readonly #numbers: ReadonlyMap<string, number>;
+  readonly #buffers: Float32Array[] = [];
+  readonly #numbers = new Map<string, number>();
   count = 0;
 
-  constructor(readonly columns: readonly Column[]) {
-    this.#buffers = columns.map(() => new Float32Array(1024));
-    this.#numbers = new Map(columns.map(({ name }, number) => [name, number]));
+  constructor(columns: readonly Column[]) {
+    this.grow(columns);
   }
 
-  /** Put in steps `first` and following, `values` row by row. Steps that never came are NaN; with step 0 a run begins anew. */
-  add(first: number, values: Float32Array): void {
-    const width = this.columns.length;
+  /** Take further columns, which have no values so far. */
+  grow(columns: readonly Column[]): void {
+    for (const { name } of columns.slice(this.#buffers.length)) {
+      this.#numbers.set(name, this.#buffers.length);
+      this.#buffers.push(new Float32Array(Math.max(1024, this.count)).fill(Number.NaN));
+    }
+  }
+
+  /** Put in steps `first` and following, `values` row by row, `width` each. What never came is NaN; with step 0 a run begins anew. */
+  add(first: number, values: Float32Array, width = this.#buffers.length): void {
     if (width === 0) return;
     const steps = values.length / width;
     const end = first + steps;
@@ -25,7 +31,7 @@ export class Rows {
         buffer = this.#buffers[column] = larger;
       }
       if (first > this.count) buffer.fill(Number.NaN, this.count, first);
-      for (let step = 0; step < steps; step++) buffer[first + step] = values[step * width + column];
+      for (let step = 0; step < steps; step++) buffer[first + step] = column < width ? values[step * width + column] : Number.NaN;
     });
     this.count = first === 0 ? steps : Math.max(end, this.count);
   }

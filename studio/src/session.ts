@@ -8,6 +8,8 @@ import { type PanelName, RunData, type Studio } from "./state.ts";
 /** What the scenes are given, in the order in which it came. */
 export interface SceneSink {
   begin(scenario: ScenarioMessage): void;
+  /** Other facts of a run hold. */
+  edited(run: number): void;
   meshes(message: MeshesMessage, arrays: Arrays): void;
   step(message: StepMessage, arrays: Arrays): void;
 }
@@ -127,6 +129,7 @@ export class Session {
         this.scenes.begin(message);
         store.set({
           scenario: message,
+          model: message.model,
           runs: message.runs.map((_, run) => new RunData(message, run)),
           beams: message.runs.map(() => null),
           scrub: null,
@@ -145,12 +148,13 @@ export class Session {
         }
         return;
       case "rows": {
-        const values = arrays.get("rows")?.values;
-        if (values instanceof Float32Array) store.state.runs[message.run]?.rows.add(message.first, values);
+        const { values, shape } = arrays.get("rows") ?? {};
+        if (values instanceof Float32Array && shape) store.state.runs[message.run]?.rows.add(message.first, values, shape[1]);
         store.set({ rows_version: store.state.rows_version + 1 });
         return;
       }
       case "edit":
+        this.#edited(message);
         if (message.run !== 0) return;
         if (!this.#edits.answered()) this.toast(`From step ${message.step} on: ${message.overrides.join(" ")}`, true);
         return;
@@ -167,6 +171,17 @@ export class Session {
         return;
       }
     }
+  }
+
+  #edited({ run, model, facts }: Extract<ServerMessage, { type: "edit" }>): void {
+    const { scenario, runs } = this.store.state;
+    if (!scenario || !facts) return;
+    const grown = facts.columns.length > scenario.runs[run].columns.length;
+    Object.assign(scenario.runs[run], facts);
+    runs[run].rows.grow(facts.columns);
+    this.scenes.edited(run);
+    if (run === 0 && model) Object.assign(scenario, { steps: model.steps, seed: model.seed });
+    this.store.set({ ...(run === 0 && model && { model }), ...(grown && { scenario: { ...scenario } }) });
   }
 
   #step(message: StepMessage, arrays: Arrays): void {

@@ -1,7 +1,7 @@
 // What the page knows, and how it is shown.
 
 import type { Link } from "./connection.ts";
-import type { Arrays, BeamPoint, Mark, Picture, ScenarioMessage, StatusMessage, StepMessage } from "./protocol.ts";
+import type { Arrays, BeamPoint, Mark, Model, Picture, ScenarioMessage, StatusMessage, StepMessage } from "./protocol.ts";
 import { Rows } from "./rows.ts";
 import { Store } from "./store.ts";
 
@@ -68,6 +68,8 @@ export interface State {
   scenario: ScenarioMessage | null;
   /** The last edit that the server refused, and why; of overrides that were not sent by `Session.edit` the text alone. */
   refused: { overrides: string[]; text: string } | null;
+  /** The scenario of the first run as it is now. */
+  model: Model | null;
   runs: RunData[];
   /** The step that is looked at again; null follows the newest. */
   scrub: number | null;
@@ -105,6 +107,7 @@ export function newStore(): Studio {
     progress: null,
     scenario: null,
     refused: null,
+    model: null,
     runs: [],
     scrub: null,
     step_version: 0,

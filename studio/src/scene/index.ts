@@ -127,6 +127,12 @@ export class SceneView {
     this.changed();
   }
 
+  /** Other facts of the run hold. */
+  edited(): void {
+    if (this.run) this.markers.setCamera(this.run.camera);
+    this.changed();
+  }
+
   addMeshes(message: MeshesMessage, arrays: Arrays): void {
     this.bodies.add(message, arrays);
   }

@@ -61,6 +61,10 @@ export class ScenesPanel implements SceneSink {
     });
   }
 
+  edited(run: number): void {
+    this.#cells[run]?.view?.edited();
+  }
+
   meshes(message: MeshesMessage, arrays: Arrays): void {
     this.#cells[message.run]?.view?.addMeshes(message, arrays);
   }

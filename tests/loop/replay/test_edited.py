@@ -5,7 +5,9 @@ import torch
 
 from loop.lighting.result import SimulationState, StepResult
 from loop.lighting.simulation import Simulation
-from loop.replay.edited import edited, is_live
+from loop.replay.edited import edited
+from loop.scenario.acts import acts
+from loop.scenario.edits import changed
 from loop.scenario.model import Scenario, load
 from loop.studio.messages import VIEWS
 from loop.studio.runs import Run
@@ -37,7 +39,7 @@ def poses(results: list[StepResult]) -> torch.Tensor:
 
 def test_the_same_values_change_nothing(simulation: Simulation) -> None:
     state, _ = stepped(simulation, simulation.start(), 3)
-    assert is_live(simulation.scenario, scenario())
+    assert acts(simulation.scenario, scenario()) == "step"
     expected = poses(stepped(simulation, state, 3)[1])
     assert poses(stepped(*edited(simulation, state, scenario()), 3)[1]).equal(expected)
 
@@ -62,7 +64,7 @@ def test_another_controller_starts_where_the_symbol_starts(simulation: Simulatio
 def test_functions_come_and_go() -> None:
     guarded, plain = (load("gfhb", (*SMALL, *overrides)) for overrides in ((), ("functions={}", "checks={}")))
     simulation = Simulation.prepare(guarded)
-    assert is_live(guarded, plain)
+    assert acts(guarded, plain) == "step"
     state, masked = stepped(simulation, simulation.start(), 1)
     open_, state = edited(simulation, state, plain)
     state, bright = stepped(open_, state, 1)
@@ -71,9 +73,47 @@ def test_functions_come_and_go() -> None:
     assert lit > 1.05 * max(dark, back)
 
 
-@pytest.mark.parametrize("key", ["camera.bits=8", "seed=1", "road.kind=flat", "rate_hz=20.0", "headlight.level_deg=0.1", "off_share=0.48"])
-def test_what_changes_world_or_lamps_is_prepared_anew(simulation: Simulation, key: str) -> None:
-    assert not is_live(simulation.scenario, scenario(key))
+WHEN = {
+    "step": ["functions.symbol.controller.position.kp=0.2", "judge_every=1", "steps=50", "lighting.base.beam=low"],
+    "prepared": ["road.kind=flat", "light.ambient_lx=1.0", "camera.pitch_deg=2.1", "headlight.level_deg=0.1", "camera.latency_steps=1"],
+    "restart": ["camera.bits=8", "camera.width_px=300", "seed=1", "rate_hz=20.0", "off_share=0.48", "headlight.model=ssl-hd-lores"],
+}
+
+
+@pytest.mark.parametrize(("when", "key"), [(when, key) for when, keys in WHEN.items() for key in keys])
+def test_keys_act_when_it_is_said(when: str, key: str) -> None:
+    before = scenario("headlight.model=ssl-hd")
+    assert acts(before, changed(before, [key])) == when
+
+
+def test_a_car_cannot_begin_to_drive_in_a_run_that_stands(simulation: Simulation) -> None:
+    drives = scenario("vehicle={course = [{speed_m_s = 5.0}]}")
+    assert acts(simulation.scenario, drives) == "restart"
+    with pytest.raises(LuxloopError, match="cannot go on with these values; start it anew"):
+        edited(simulation, simulation.start(), drives)
+
+
+def test_what_has_stayed_is_not_made_anew(simulation: Simulation) -> None:
+    state = simulation.start()
+    after, _ = edited(simulation, state, scenario("functions.symbol.controller.position.kp=0.2"))
+    assert after.world is simulation.world and after.modules == simulation.modules
+    assert after.symbol.sensor is simulation.symbol.sensor and after.symbol.judge is simulation.symbol.judge
+    assert after.symbol.controller is not simulation.symbol.controller
+    object_ = 'objects=[{kind = "box", name = "box", size_m = [0.4, 0.4, 0.3], track = [{position_m = [25.0, 3.0, 0.0]}]}]'
+    fuller, _ = edited(after, state, scenario("functions.symbol.controller.position.kp=0.2", object_))
+    assert fuller.world is not after.world and fuller.world.scene.bodies[0] is after.world.scene.bodies[0]
+    assert fuller.symbol.sensor is after.symbol.sensor and fuller.symbol.judge is not after.symbol.judge
+
+
+def test_the_world_changes_while_a_run_goes_on(simulation: Simulation) -> None:
+    state, _ = stepped(simulation, simulation.start(), 3)
+    after, state = edited(simulation, state, scenario("light.ambient_lx=3.0"))
+    _, (result,) = stepped(after, state, 1)
+    assert result.step == 3
+    fresh = Simulation.prepare(scenario("light.ambient_lx=3.0"))
+    luminance = fresh.world.lit(0.0).base
+    assert after.world.lit(result.time_s).base.equal(luminance)
+    assert luminance.mean() > 5 * simulation.world.lit(0.0).base.mean()
 
 
 def test_a_symbol_that_cannot_be_drawn_is_refused(simulation: Simulation) -> None:
@@ -85,7 +125,7 @@ def test_a_symbol_that_cannot_be_drawn_is_refused(simulation: Simulation) -> Non
 def test_a_run_goes_on_without_one_of_its_symbols_and_with_it_again() -> None:
     few = ("renderer=raycast", "camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "judge_every=0", "steps=9")
     both, one = (load("two_symbols", (*few, *overrides, "checks={}")) for overrides in ((), ("functions.flake={}",)))
-    assert "flake" in both.functions and "flake" not in one.functions and is_live(both, one)
+    assert "flake" in both.functions and "flake" not in one.functions and acts(both, one) == "step"
     run = Run(Simulation.prepare(both), "two_symbols", ())
     run.step(VIEWS)
     run.edit(run.edited(one), ("functions.flake={}",))

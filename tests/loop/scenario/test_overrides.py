@@ -89,9 +89,7 @@ def test_one_key_of_one_item_of_a_list_can_be_set(tmp_path: Path, monkeypatch: p
         load("marker_light", ["functions.''.kind=lane"])
     with pytest.raises(LuxloopError, match=r"^objects: is a list and has no '0'; write --set 'objects\[0\].KEY"):
         load("marker_light", ["objects.0.albedo=1"])
-    with pytest.raises(LuxloopError, match=r"^objects: is a list and no table; write --set 'objects=\[\]' to empty it$"):
-        load("marker_light", ["objects={}"])
-    assert not load("marker_light", ["objects=[]"]).objects
+    assert not load("marker_light", ["objects={}"]).objects and not load("marker_light", ["objects=[]"]).objects
     with pytest.raises(LuxloopError, match=r"^objects\[0\].track\[7\]: there are \d+ track, numbered from 0"):
         load("marker_light", ["objects[0].track[7].time_s=1"])
 

@@ -148,7 +148,8 @@ def test_watchers_cannot_write_and_one_holds_the_pen(served: Served) -> None:
         ready(watcher)
         before = served.studio.session.published
         for head in (
-            *({"type": kind} for kind in ("pen", "play", "pause", "step", "reset")),
+            *({"type": kind} for kind in ("pen", "play", "pause", "step", "reset", "undo", "redo", "save")),
+            {"type": "record", "folder": "mine"},
             {"type": "speed", "factor": 1},
             {"type": "set", "overrides": ["camera.bits=8"]},
             {"type": "open", "name": "flat"},

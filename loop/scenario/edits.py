@@ -1,0 +1,45 @@
+"""Changes of a scenario while it runs: other values of keys from a step on."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from pydantic import Field
+
+from loop.scenario.model import Scenario, validate
+from loop.scenario.overrides import TAGS, overridden
+from world.errors import LuxloopError
+from world.params import Params
+from world.validation import toml
+
+
+class Edit(Params):
+    """Other values of keys, as `--set` has them, from the beginning of a step on."""
+
+    step: int = Field(ge=0)
+    overrides: tuple[str, ...]
+
+
+def changed(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
+    """A scenario with other values of keys. Modules that they name may run. Raises LuxloopError as `validate`."""
+    return validate(overridden(scenario.model_dump(mode="json"), overrides), scenario.source)
+
+
+def differences(before: Scenario, after: Scenario) -> tuple[str, ...]:
+    """Overrides that make one scenario of another. Raises LuxloopError where there are none."""
+    found = tuple(_differences(before.model_dump(mode="json"), after.model_dump(mode="json")))
+    if changed(before, found) != after:
+        raise LuxloopError(f"{after.name}: this change cannot be said in values of keys; open the scenario anew")
+    return found
+
+
+def _differences(before: Mapping[str, Any], after: Mapping[str, Any], within: str = "") -> Iterator[str]:
+    for key in {**before, **after}:
+        old, new, whole = before.get(key), after.get(key), f"{within}{key}"
+        if old == new:
+            continue
+        if new is None:
+            yield f"{whole}={{}}"
+        elif isinstance(old, dict) and isinstance(new, dict) and all(old.get(tag) == new.get(tag) for tag in TAGS):
+            yield from _differences(old, new, f"{whole}.")
+        else:
+            yield f"{whole}={toml(new)}"

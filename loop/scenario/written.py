@@ -1,0 +1,42 @@
+"""A scenario as the text of a file."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from loop.scenario.model import Scenario
+from loop.scenario.overrides import TAGS
+from world.validation import toml
+
+
+def written(scenario: Scenario) -> str:
+    """The text of a file that `load` reads as this scenario; defaults are left out."""
+    values, lines, tables = _plain(scenario), list[str](), list[str]()
+    for key, value in values.items():
+        if key in ("functions", "checks") and isinstance(value, dict):
+            tables += [_table(f"[{key}.{name}]", each) for name, each in value.items()]
+        elif isinstance(value, dict):
+            tables.append(_table(f"[{key}]", value))
+        elif isinstance(value, list) and value and all(isinstance(each, dict) for each in value):
+            tables += [_table(f"[[{key}]]", each) for each in value]
+        else:
+            lines.append(f"{key} = {toml(value)}")
+    return "\n\n".join(["\n".join(lines), *tables]) + "\n"
+
+
+def _table(head: str, values: Mapping[str, Any]) -> str:
+    return "\n".join([head, *(f"{key} = {toml(value)}" for key, value in values.items())])
+
+
+def _plain(value: Any) -> Any:
+    """Plain data without defaults and what is left out; tags of variants stay."""
+    if isinstance(value, BaseModel):
+        told = {key: (getattr(value, key), field) for key, field in type(value).model_fields.items()}
+        return {key: _plain(each) for key, (each, field) in told.items() if key in TAGS or each != field.get_default()}
+    if isinstance(value, Mapping):
+        return {str(key): _plain(each) for key, each in value.items() if each is not None}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return str(value) if isinstance(value, Path) else value

@@ -1,0 +1,149 @@
+"""Edits of a run in the studio: taken back, saved, recorded, and made in the scenario's file."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from loop.replay.replay import load as recording
+from loop.replay.replay import replay
+from loop.scenario.model import load
+from loop.scenario.written import written
+from loop.studio.history import TOGETHER_S
+from loop.studio.session import Source
+from tests.loop.studio.clients import Watcher, watching
+from tests.loop.studio.conftest import SMALL, Served, serving
+
+KP = "functions.symbol.controller.position.kp"
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scenario's file of somebody's own."""
+    path = tmp_path_factory.mktemp("own") / "own.toml"
+    path.write_text(written(load("snowflake", [*SMALL, "steps=30", "judge_every=0"])))
+    return path
+
+
+@pytest.fixture(scope="module")
+def own(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    page = tmp_path_factory.mktemp("page")
+    (page / "index.html").write_text("<!doctype html><title>studio</title>")
+    yield from serving(Source(str(file)), page)
+
+
+@pytest.fixture
+def editor(own: Served) -> Iterator[Watcher]:
+    with watching(own.port, own.tokens.edit) as watcher:
+        watcher.of("scenario")
+        watcher.say(type="reset")
+        watcher.of("scenario")
+        watcher.of("step", step=0)
+        yield watcher
+
+
+def kp(served: Served) -> float:
+    return float(served.studio.session.published.runs[0].simulation.symbol.params.position.kp)  # type: ignore[union-attr]
+
+
+def test_an_edit_tells_the_model_and_what_the_page_must_know(own: Served, editor: Watcher) -> None:
+    editor.say(type="set", overrides=["light.ambient_lx=2.5", f"{KP}=0.4"])
+    edit, _ = editor.of("edit")
+    assert edit["model"]["light"]["ambient_lx"] == 2.5 and edit["facts"]["ambient_lx"] == 2.5
+    assert edit["step"] == 1 and kp(own) == 0.4
+    editor.say(type="step")
+    editor.of("step", step=1)  # the run goes on in the brighter world
+    (run,) = own.studio.session.published.runs
+    assert run.simulation.world.scene.ambient_lx == 2.5 and len(run.rows) == 2
+
+
+def test_edits_are_taken_back_and_made_again(own: Served, editor: Watcher, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("loop.studio.history.TOGETHER_S", 0.0)
+    first = kp(own)
+    for value in (0.5, 0.6):
+        editor.say(type="set", overrides=[f"{KP}={value}"])
+        editor.of("edit", overrides=[f"{KP}={value}"])
+    editor.say(type="undo")
+    editor.of("edit", overrides=[f"{KP}=0.5"])
+    editor.say(type="undo")
+    editor.of("edit", overrides=[f"{KP}={first}"])
+    editor.say(type="redo")
+    editor.of("edit", overrides=[f"{KP}=0.5"])
+    assert kp(own) == 0.5
+    editor.say(type="set", overrides=[f"{KP}=0.7"])
+    editor.of("edit", overrides=[f"{KP}=0.7"])
+    editor.say(type="redo")
+    assert editor.of("error", about="redo")[0]["text"] == "redo: there is nothing to redo"
+
+
+def test_edits_of_a_drag_are_one(own: Served, editor: Watcher, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("loop.studio.history.TOGETHER_S", 60.0)  # a busy machine takes longer than TOGETHER_S for some edits
+    assert TOGETHER_S < 60
+    before = own.studio.session.published.runs[0].simulation.scenario
+    for x_m in (17.1, 17.2, 17.3):
+        editor.say(type="set", overrides=[f"functions.symbol.x_m={x_m}"])
+        editor.of("edit", overrides=[f"functions.symbol.x_m={x_m}"])
+    editor.say(type="undo")
+    editor.until(lambda head: head["type"] == "edit" and head["model"]["functions"]["symbol"]["x_m"] == 17.0)
+    assert own.studio.session.published.runs[0].simulation.scenario == before
+
+
+def test_what_starts_anew_is_taken_back_as_well(own: Served, editor: Watcher) -> None:
+    editor.say(type="set", overrides=["seed=5"])
+    assert editor.of("scenario")[0]["seed"] == 5
+    editor.say(type="undo")
+    assert editor.of("scenario")[0]["seed"] == 0
+
+
+def test_what_is_saved_is_the_scenario_as_it_is_now(own: Served, editor: Watcher, tmp_path: Path) -> None:
+    editor.say(type="set", overrides=[f"{KP}=0.45", "light.ambient_lx=0.4"])
+    editor.of("edit")
+    editor.say(type="save")
+    saved, _ = editor.of("saved")
+    (tmp_path / saved["name"]).write_text(saved["text"])
+    assert saved["name"] == "snowflake.toml"
+    assert load(str(tmp_path / saved["name"])) == own.studio.session.published.runs[0].simulation.scenario
+
+
+def test_a_recording_has_all_steps_and_edits_and_is_repeated(
+    own: Served, editor: Watcher, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    editor.say(type="step")
+    editor.of("step", step=1)
+    editor.say(type="set", overrides=[f"{KP}=0.33"])
+    editor.of("edit")
+    editor.say(type="record", folder="mine")
+    editor.of("status", recording="mine")
+    for step in (2, 3):
+        editor.say(type="step")
+        editor.of("step", step=step)
+    editor.say(type="set", overrides=["light.ambient_lx=0.5"])
+    editor.of("edit")
+    editor.say(type="step")
+    editor.of("step", step=4)
+    editor.say(type="record", folder=None)
+    editor.of("status", recording=None)
+    read = recording(tmp_path / "runs/mine")
+    assert read.manifest.status == "complete" and read.table.num_rows == 5
+    assert [(each.step, each.overrides) for each in read.edits] == [(2, (f"{KP}=0.33",)), (4, ("light.ambient_lx=0.5",))]
+    assert replay(tmp_path / "runs/mine").agrees
+    editor.say(type="record", folder="../mine")
+    assert "folder" in editor.of("error")[0]["text"]
+
+
+def test_the_file_is_an_editor_as_well(own: Served, editor: Watcher, file: Path) -> None:
+    editor.say(type="set", overrides=["light.ambient_lx=0.7"])
+    editor.of("edit")
+    text = file.read_text()
+    file.write_text(text.replace("description = ", "x = ", 1))
+    assert "unknown key" in editor.until(lambda head: head["type"] == "status" and head["failed"] is not None)[0]["failed"]
+    assert "[light]" not in text
+    file.write_text(text + "\n[light]\nstreet_lamps = [{position_m = [20.0, 5.0, 6.0], intensity_cd = 900.0}]\n")
+    told, _ = editor.of("edit")
+    assert "street_lamps" in told["overrides"][0]
+    light = own.studio.session.published.runs[0].simulation.scenario.light
+    assert light.ambient_lx == 0.7 and light.street_lamps[0].intensity_cd == 900
+    file.write_text(text)
+    editor.of("edit")
+    assert not own.studio.session.published.runs[0].simulation.scenario.light.street_lamps
