@@ -21,7 +21,7 @@ def build_plant(scenario: Scenario, modules: Sequence[LampModule], made: Made | 
     """A plant whose time begins at 0. Raises LuxloopError where a file is missing or broken, or a plant of one's own cannot be made."""
     params = scenario.plant
     if isinstance(params, SimulatedPlantParams):
-        return simulated_plant(scenario, modules, made or Made())
+        return simulated_plant(scenario, modules, made)
     if isinstance(params, RecordedPlantParams):
         return recorded_plant(scenario, params, modules)
     given = {"scenario": scenario, "modules": modules}

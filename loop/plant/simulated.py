@@ -120,9 +120,9 @@ class SimulatedPlant:
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(step, key)))
 
 
-def simulated_plant(scenario: Scenario, modules: Sequence[LampModule], made: Made) -> SimulatedPlant:
+def simulated_plant(scenario: Scenario, modules: Sequence[LampModule], made: Made | None = None) -> SimulatedPlant:
     """The world of a scenario, lit by these modules. Raises LuxloopError where a file is missing or broken."""
-    wrong, given = scenario.disturbances, scenario.all_objects
+    made, wrong, given = made or Made(), scenario.disturbances, scenario.all_objects
     source = made("face source", scenario.renderer, lambda: face_source(scenario.renderer))
     lasts_s = scenario.vehicle and (scenario.steps, scenario.rate_hz)
     motion = made("motion", (scenario.vehicle, scenario.road, lasts_s), lambda: build_motion(scenario))
