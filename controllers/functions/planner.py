@@ -17,6 +17,7 @@ from controllers.functions.marker import MarkerParams
 from controllers.functions.own import OwnFunction, own_commands, own_function
 from controllers.functions.painted import Painted, PaintedParams, painted_layers
 from controllers.functions.path import PathParams
+from controllers.functions.primitive import PrimitiveParams
 from controllers.functions.sign import SignParams
 from controllers.functions.symbol import SymbolFunctionParams
 from controllers.obl.function import ObjectBasedParams
@@ -35,6 +36,7 @@ FunctionParams = Annotated[
     | Annotated[MarkerParams, Tag("marker")]
     | Annotated[SignParams, Tag("sign")]
     | Annotated[SymbolFunctionParams, Tag("symbol")]
+    | Annotated[PrimitiveParams, Tag("primitive")]
     | Annotated[PathParams, Tag("path")]
     | Annotated[LaneParams, Tag("lane")]
     | Annotated[WidthParams, Tag("width")]
@@ -50,6 +52,7 @@ FunctionParams = Annotated[
 ORDER: Final = (  # from top to bottom, for functions of equal priority that overlap
     ("glare_free",),
     ("symbol",),
+    ("primitive",),
     (OWN,),
     ("path", "lane", "width"),
     ("marker",),
