@@ -50,7 +50,8 @@ class Rasteriser:
                 first_ids[node] = [((first + 1) >> shift) & 255 for shift in (0, 8, 16)]
         self._context.viewport_width, self._context.viewport_height = view.width, view.height
         rgb, _ = self._context.render(scene, pyrender.RenderFlags.SEG, first_ids)
-        return _through_centres(triangles, view, torch.from_numpy((rgb @ np.array([1, 1 << 8, 1 << 16])) - 1))
+        red, green, blue = torch.from_numpy(rgb.copy()).permute(2, 0, 1).long()
+        return _through_centres(triangles, view, red + (green << 8) + (blue << 16) - 1)
 
     def _meshes_of(self, body: Body) -> list[Any]:
         if body not in self._meshes:

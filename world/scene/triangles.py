@@ -3,11 +3,14 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 import torch
 from torch import Tensor
 
 from world.scene.body import Body
+
+CHUNK: Final = 2**15  # rays at a time, whose numbers stay in the processor's cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +60,7 @@ NOTHING = Triangles(())
 
 @dataclass(frozen=True)
 class Hits:
-    """Rays on one body, M of them. pixels: `[M]`, index of the ray. faces: `[M]`, index of the body's face.
+    """Some rays on one body, M of them. pixels: `[M]`, index of the ray. faces: `[M]`, index of the body's face.
 
     depth: `[M]`, in lengths of the ray's direction. barycentric: `[3 corners, M]`, within -0.1 and 1.2.
     front: `[M]`, the face is seen from the side where its corners run counter-clockwise.
@@ -72,7 +75,7 @@ class Hits:
 
 
 def intersect(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: Tensor) -> Iterator[Hits]:
-    """Intersect rays with the planes of the faces that they are known to hit, body by body, exactly (float64).
+    """Intersect rays with the planes of the faces that they are known to hit, some rays of a body at a time, exactly (float64).
 
     face_ids: `[N]` int64, -1 = none. origin: `[3]` m, common to all rays. directions: `[3, N]`, any length.
 
@@ -110,12 +113,13 @@ def _on_planes(triangles: Triangles, face_ids: Tensor, origin: Tensor, direction
         a, b, c = (placed.corners[seen] - origin).unbind(1)  # of the S faces that are seen, [S, 3] each
         edges = torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], 1)  # [S, 3 corners, 3]
         volume = (a * edges[:, 0]).sum(-1)  # triple product a (b x c), [S]
-        compact = (torch.cumsum(seen, 0) - 1)[faces]
-        volume, edges = volume[compact], edges[compact]  # [M], [M, 3 corners, 3]
-        d = directions[:, pixels]
-        w = torch.stack([edges[:, i, 0] * d[0] + edges[:, i, 1] * d[1] + edges[:, i, 2] * d[2] for i in range(3)])  # w_i volume, [3, M]
-        total = w[0] + w[1] + w[2]  # volume / depth, since barycentric coordinates add up to 1, [M]
-        yield Hits(placed, pixels, faces, volume / total, w / total, volume < 0)
+        compact = torch.cumsum(seen, 0) - 1
+        for some, on in zip(pixels.split(CHUNK), faces.split(CHUNK), strict=True):
+            edge, d = edges[compact[on]], directions[:, some]  # [M, 3 corners, 3], [3, M]
+            w = torch.stack([edge[:, i, 0] * d[0] + edge[:, i, 1] * d[1] + edge[:, i, 2] * d[2] for i in range(3)])  # w_i volume, [3, M]
+            total = w[0] + w[1] + w[2]  # volume / depth, since barycentric coordinates add up to 1, [M]
+            volumes = volume[compact[on]]
+            yield Hits(placed, some, on, volumes / total, w / total, volumes < 0)
 
 
 def depths(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: Tensor) -> Tensor:
