@@ -13,6 +13,7 @@ from loop.studio.runs import Run
 from loop.studio.session import Published
 from loop.studio.shapes import merged
 from loop.studio.snapshot import Snapshot
+from world.headlight import Headlight
 
 MOST_UNSHOWN: Final = 2  # steps of a run that a client may not have shown yet: one on its way, and one that it is at
 PERIOD_S: Final = 0.05  # between two steps of a run that plays, at least
@@ -70,7 +71,7 @@ class SentRun:
         self._rows, self._edits, self._meshes = 0, 0, set[int]()
         self._step: tuple[Snapshot | None, bool, frozenset[View]] = None, False, frozenset()
         modules = len(run.simulation.modules)
-        self._u: list[torch.Tensor | None] = [None] * modules  # as last shown
+        self._lights: list[tuple[Headlight, torch.Tensor] | None] = [None] * modules  # as last shown
         self._utilisations: list[torch.Tensor | None] = [None] * modules
 
     def unshown(self, shown: int) -> int:
@@ -117,9 +118,8 @@ class SentRun:
             if not snapshot.lights:
                 continue
             u = snapshot.lights[k]
-            if "light" in wanted and u is not self._u[k]:
-                windows[str(k)], arrays_[f"light.{k}"] = self._lit(k, u, scales[k])
-                self._u[k] = u
+            if "light" in wanted and (lit := self._lit(k, u, scales[k])) is not None:
+                windows[str(k)], arrays_[f"light.{k}"] = lit
             if "matrix" in wanted and u is not self._utilisations[k]:
                 self._utilisations[k] = u
                 light = self.run.simulation.modules[k].headlight
@@ -137,21 +137,21 @@ class SentRun:
         snapshots = self.run.snapshots
         return next((snapshots[k] for k in range(number, -1, -1) if snapshots[k].pictures), snapshots[number])
 
-    def _lit(self, k: int, u: torch.Tensor, scale_cd: float) -> tuple[list[int], Coded]:
+    def _lit(self, k: int, u: torch.Tensor, scale_cd: float) -> tuple[list[int], Coded] | None:
         """The window of a module's light texture that the pixels light which differ from those that it has got, in units of scale_cd, and
-        its first row, last + 1, first column, last + 1.
+        its first row, last + 1, first column, last + 1; None where it has got all.
         """
-        headlight, before = self.run.simulation.modules[k].headlight, self._u[k]
-        rows, cols = slice(0, headlight.rows), slice(0, headlight.cols)
-        if before is not None:
-            differ = (u != before).view(headlight.pixel_rows, headlight.pixel_cols)
+        light = self.run.simulation.modules[k].headlight
+        before, self._lights[k] = self._lights[k], (light, u)
+        rows, cols = slice(0, light.rows), slice(0, light.cols)
+        if before is not None and before[0] is light:  # not another lamp by an edit
+            if u is before[1] or u.equal(before[1]):
+                return None
+            differ = (u != before[1]).view(light.pixel_rows, light.pixel_cols)
             (top, bottom), (left, right) = (_ends(differ.any(axis)) for axis in (1, 0))
-            rows, cols = (
-                headlight.rows_of(slice(top * headlight.pixel_cols, bottom * headlight.pixel_cols)),
-                headlight.cols_of(slice(left, right)),
-            )
-        light = headlight.light_rows(u.to(headlight.matrix.values), rows)[:, cols]
-        return [rows.start, rows.stop, cols.start, cols.stop], coded((light / scale_cd).half().cpu().numpy())
+            rows, cols = light.rows_of(slice(top * light.pixel_cols, bottom * light.pixel_cols)), light.cols_of(slice(left, right))
+        texture = light.light_rows(u.to(light.matrix.values), rows)[:, cols]
+        return [rows.start, rows.stop, cols.start, cols.stop], coded((texture / scale_cd).half().cpu().numpy())
 
 
 def _ends(true: torch.Tensor) -> tuple[int, int]:

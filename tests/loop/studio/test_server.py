@@ -5,6 +5,7 @@ import random
 import time
 import urllib.error
 import urllib.request
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +14,10 @@ from websockets.sync.client import connect
 
 import luxloop
 from loop.lighting.record import row
+from loop.studio.feed import Feed
+from loop.studio.messages import Request
 from loop.studio.trust import refuse_foreign
-from tests.loop.studio.clients import Watcher, message, watching
+from tests.loop.studio.clients import Watcher, message, unpacked, watching
 from tests.loop.studio.conftest import SMALL, Served
 
 
@@ -96,6 +99,18 @@ def test_light_arrives_window_by_window_as_the_library_has_it(served: Served) ->
             assert np.abs(texture - expected).max() <= expected.max() * 2**-10  # a half float has 11 bits
             assert np.array_equal(arrays["u.0"], (255 * u).round().byte().view(arrays["u.0"].shape).numpy())
             watcher.say(type="step")
+
+
+def test_light_that_is_the_same_is_not_sent_again(served: Served) -> None:
+    with watching(served.port, served.tokens.edit) as watcher:
+        watcher.of("scenario")
+    published, feed = served.studio.session.published, Feed()
+    sent = [unpacked(each)[0] for each in feed.messages(published, Request(at=(0, 0)))]
+    assert "0" in sent[-1]["light_windows"]
+    run, first = published.runs[0], published.runs[0].snapshots[0]
+    run.snapshots[0] = replace(first, lights=tuple(u.clone() for u in first.lights))
+    (again,) = (unpacked(each)[0] for each in feed.messages(published, Request(at=(0, 0), shown=sent[-1]["id"])))
+    assert again["light_windows"] == {}
 
 
 def test_a_step_can_be_seen_again_and_is_not_overtaken(served: Served) -> None:
