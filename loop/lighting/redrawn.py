@@ -1,6 +1,7 @@
-"""The light of a step if something else had been drawn: its symbols in open loop, or without what covers them."""
+"""The light of a step if something else had been drawn: its symbols in open loop, or without what covers them or is painted."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from controllers.pixels.primitives import Primitives
 from controllers.pixels.ssc import Utilisation
@@ -17,6 +18,15 @@ def opened(simulation: Simulation, result: StepResult, name: str) -> Pair:
     """Lights of a step with one of its symbols that are held as the open loop draws it, and without that one."""
     target = ProjectionCommand(simulation.controlled[name].projector.target)
     return _pair(simulation, result, name, _drawn(simulation, result, {name: target}))
+
+
+def unpainted(simulation: Simulation, result: StepResult) -> tuple[Utilisation, ...]:
+    """Lights of a step without what is painted on pixels."""
+    if not simulation.planner.painted:
+        return tuple(map(Utilisation, result.lights))
+    lighting = simulation.planner.lighting.model_copy(update={"painted": ()})
+    bare = replace(simulation, planner=replace(simulation.planner, lighting=lighting))
+    return bare.lights_of(result, _drawn(simulation, result, {}))
 
 
 def covering(simulation: Simulation, result: StepResult, name: str) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """A run that is watched: its simulation, its steps so far, and their values."""
 
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -10,8 +10,10 @@ import numpy as np
 import pyarrow as pa
 import torch
 
+from controllers.pixels.ssc import Utilisation
 from loop.lighting.record import schema
 from loop.lighting.recorder import Recorder, Tally
+from loop.lighting.redrawn import unpainted
 from loop.lighting.result import SimulationState, StepResult
 from loop.lighting.simulation import Simulation
 from loop.replay.edited import edited
@@ -51,6 +53,7 @@ class Run:
         self.step_ms = float("nan")
         self._state, self._kept, self._forgotten = simulation.start(), 0, 0
         self._bodies = NOTHING
+        self._below: Sequence[Utilisation] | None = None  # light of the last step below what is painted, where another one is shown
         self._look_s = 0.0  # when a picture may be taken again
         self._made = simulation, self.step(("camera", "marks"))  # the last result, and the simulation that gave it
         self.white_cd_m2 = float(white_of(self._made[1], simulation))
@@ -68,6 +71,8 @@ class Run:
 
     def step(self, wanted: Collection[View], still: bool = True) -> StepResult:
         """Do a step. wanted: what somebody looks at. still: nothing follows at once, so that there is time for pictures."""
+        if self._below is not None:
+            self.snapshots[-1], self._below = self._taken(*self._made, self.snapshots[-1], wanted), None
         began_s = time.perf_counter()
         with located(self.simulation.scenario.source):
             state, result = self.simulation.step(self._state)
@@ -100,8 +105,17 @@ class Run:
             recorder.__exit__(None, None, None)
 
     def look_again(self, wanted: Collection[View]) -> None:
-        """Take the last snapshot anew, with all that somebody looks at now."""
-        self.snapshots[-1] = self._taken(*self._made, self.snapshots[-1], wanted)
+        """Take the last snapshot anew, with all that somebody looks at now, and in the light of what is painted on pixels now."""
+        self.snapshots[-1] = self._taken(self._made[0], self._repainted(), self.snapshots[-1], wanted)
+
+    def _repainted(self) -> StepResult:
+        """The last result, with what is painted since; the next step shows it if that stays."""
+        (simulation, result), lighting = self._made, self.simulation.scenario.lighting
+        if lighting.painted == simulation.scenario.lighting.painted:
+            return result
+        self._below = self._below or unpainted(simulation, result)
+        lights = (self.simulation.planner.paint(each.name, below).u for each, below in zip(simulation.modules, self._below, strict=True))
+        return replace(result, lights=tuple(lights))
 
     def _taken(self, simulation: Simulation, result: StepResult, before: Snapshot | None, wanted: Collection[View]) -> Snapshot:
         self._bodies = bodies_at(simulation, result.time_s, self._bodies)

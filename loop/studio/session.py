@@ -298,6 +298,7 @@ class Session:
         made = [run.edited(scenario) for run, scenario in zip(runs, scenarios, strict=True)]  # all of them, or none where one cannot be
         for run, after, each in zip(runs, made, told, strict=True):
             run.edit(after, each)
+        self._look_again()
         self._publish(failed=None, progress=None)
 
     def _reload(self) -> None:

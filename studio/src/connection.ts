@@ -28,8 +28,8 @@ export class Connection {
   }
 
   /** Send a message; without a connection it is dropped, as all comes anew after the next `welcome`. */
-  send(message: ClientMessage): void {
-    if (this.#socket?.readyState === WebSocket.OPEN) this.#socket.send(encode(message));
+  send(message: ClientMessage, arrays?: Arrays): void {
+    if (this.#socket?.readyState === WebSocket.OPEN) this.#socket.send(encode(message, arrays));
   }
 
   #connect(): void {

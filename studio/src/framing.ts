@@ -12,12 +12,33 @@ interface ArrayHead {
 
 const TYPES = { u1: Uint8Array, u2: Uint16Array, u4: Uint32Array, f2: Uint16Array, f4: Float32Array } as const;
 
-export function encode(message: ClientMessage): ArrayBuffer {
-  const head = new TextEncoder().encode(JSON.stringify(message));
-  const frame = new Uint8Array(4 + head.length);
+/** A client's message; its arrays go as they are. */
+export function encode(message: ClientMessage, arrays: Arrays = new Map()): ArrayBuffer {
+  const heads: Record<string, ArrayHead> = {};
+  const bodies: Uint8Array[] = [];
+  let start = 0;
+  for (const [name, { shape, values }] of arrays) {
+    if (!values) continue;
+    const body = new Uint8Array(values.buffer, values.byteOffset, values.byteLength);
+    heads[name] = { dtype: dtype(values), shape, start, bytes: body.length, coding: "raw" };
+    bodies.push(body);
+    start += body.length;
+  }
+  const head = new TextEncoder().encode(JSON.stringify(start > 0 ? { ...message, arrays: heads } : message));
+  const frame = new Uint8Array(4 + head.length + start);
   new DataView(frame.buffer).setUint32(0, head.length, true);
   frame.set(head, 4);
+  let at = 4 + head.length;
+  for (const body of bodies) {
+    frame.set(body, at);
+    at += body.length;
+  }
   return frame.buffer;
+}
+
+function dtype(values: Values): ArrayHead["dtype"] {
+  if (values instanceof Float32Array) return "f4";
+  return values instanceof Uint8Array ? "u1" : values instanceof Uint16Array ? "u2" : "u4";
 }
 
 /** A message and its arrays. Rejects with an Error that says what is wrong with the frame. */

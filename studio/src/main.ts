@@ -5,7 +5,8 @@ import { curvesPanel } from "./curves/panel.ts";
 import { helpDialog, summaryDialog } from "./dialogs.ts";
 import { h } from "./dom.ts";
 import { bindKeys } from "./keys.ts";
-import { matrixPanel } from "./matrix/panel.ts";
+import type { Painting } from "./matrix/painting.ts";
+import { type MatrixPanel, matrixPanel } from "./matrix/panel.ts";
 import { notices } from "./notices.ts";
 import type { SceneView } from "./scene/index.ts";
 import { beamControls } from "./scenes/beam.ts";
@@ -17,8 +18,8 @@ import { toolbar } from "./toolbar.ts";
 
 declare global {
   interface Window {
-    /** For tests: the page's state, and the scene of each run. */
-    luxloop: { store: Studio; readonly scenes: SceneView[] };
+    /** For tests: the page's state, the scene of each run, what is painted, and where its pixels are. */
+    luxloop: { store: Studio; readonly scenes: SceneView[]; painting: Painting; pixelAt: MatrixPanel["pixelAt"] };
   }
 }
 
@@ -33,7 +34,8 @@ const summary = summaryDialog(store, session);
 const tools = toolbar(store, session, { help: help.open, summary: summary.open });
 beamControls(store, session, scenes.bar, scenes.body);
 
-const main = h("main", {}, scenes.element, cameraPanel(store), matrixPanel(store), curvesPanel(store, session));
+const matrix = matrixPanel(store, session, toasts.show);
+const main = h("main", {}, scenes.element, cameraPanel(store), matrix.element, curvesPanel(store, session));
 document.body.append(h("header", { class: "top" }, tools.element, notices(store)), main, toasts.element, help.element, summary.element);
 store.on(["maximised"], ({ maximised }) => main.classList.toggle("maximised", maximised !== null));
 store.on(["scenario"], ({ scenario }) => {
@@ -44,6 +46,8 @@ addEventListener("hashchange", () => location.reload());
 
 window.luxloop = {
   store,
+  painting: matrix.painting,
+  pixelAt: matrix.pixelAt,
   get scenes() {
     return scenes.views;
   },

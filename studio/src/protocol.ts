@@ -167,6 +167,14 @@ export type ServerMessage =
   | { type: "summary"; run: number; summary: unknown }
   | { type: "beam"; run: number; rule: string; side: string; points: BeamPoint[] };
 
+/** With arrays `value` and `painted`, u1. box: first row, end row, first column, end column. */
+export interface PaintMessage {
+  type: "paint";
+  module: number;
+  box: [number, number, number, number];
+  over: boolean;
+}
+
 export type View = "scene" | "light" | "camera" | "matrix" | "marks";
 
 export type ClientMessage =
@@ -181,4 +189,5 @@ export type ClientMessage =
   | { type: "speed"; factor: number | null }
   | { type: "open"; name: string; overrides: string[]; recording: string | null }
   | { type: "set"; overrides: string[] }
-  | { type: "compare"; overrides: string[] | null; recording?: string | null };
+  | { type: "compare"; overrides: string[] | null; recording?: string | null }
+  | PaintMessage;

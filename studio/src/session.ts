@@ -44,12 +44,12 @@ export class Session {
     store.on(["maximised", "link", "status"], () => this.#want());
   }
 
-  send(message: ClientMessage): void {
+  send(message: ClientMessage, arrays?: Arrays): void {
     if (this.store.state.link !== "open") {
       this.toast("There is no connection to the server.");
       return;
     }
-    this.#connection.send(message);
+    this.#connection.send(message, arrays);
   }
 
   /** Change values of keys, each `key=value`. For sliders and drags as well: an edit at a time is on its way, and then the newest values. */
@@ -113,6 +113,7 @@ export class Session {
         return;
       case "error":
         if (message.about === "scrub") this.#forget();
+        if (message.about === "paint") store.set({ answered: store.state.answered + 1 });
         if (message.about === "set") store.set({ refused: { overrides: this.#edits.answered() ?? [], text: message.text } });
         this.toast(message.text);
         return;
@@ -156,7 +157,8 @@ export class Session {
       case "edit":
         this.#edited(message);
         if (message.run !== 0) return;
-        if (!this.#edits.answered()) this.toast(`From step ${message.step} on: ${message.overrides.join(" ")}`, true);
+        store.set({ answered: store.state.answered + 1 });
+        if (!this.#edits.answered()) this.#tell(message.step, message.overrides);
         return;
       case "summary": {
         const run = store.state.runs[message.run];
@@ -182,6 +184,12 @@ export class Session {
     this.scenes.edited(run);
     if (run === 0 && model) Object.assign(scenario, { steps: model.steps, seed: model.seed });
     this.store.set({ ...(run === 0 && model && { model }), ...(grown && { scenario: { ...scenario } }) });
+  }
+
+  /** Of values that another one has changed; what is painted is seen. */
+  #tell(step: number, overrides: readonly string[]): void {
+    const told = overrides.filter((each) => !each.startsWith("lighting.painted=")).join(" ");
+    if (told) this.toast(`From step ${step} on: ${told}`, true);
   }
 
   #step(message: StepMessage, arrays: Arrays): void {

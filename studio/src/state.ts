@@ -66,6 +66,8 @@ export interface State {
   status: StatusMessage | null;
   progress: string | null;
   scenario: ScenarioMessage | null;
+  /** How many edits the server has answered. */
+  answered: number;
   /** The last edit that the server refused, and why; of overrides that were not sent by `Session.edit` the text alone. */
   refused: { overrides: string[]; text: string } | null;
   /** The scenario of the first run as it is now. */
@@ -106,6 +108,7 @@ export function newStore(): Studio {
     status: null,
     progress: null,
     scenario: null,
+    answered: 0,
     refused: null,
     model: null,
     runs: [],

@@ -5,21 +5,35 @@ import { h, onceAFrame } from "./dom.ts";
 const WHEEL = 0.0016; // of a pixel of the wheel, as a natural logarithm of scale
 const KEY_PX = 40;
 
+export interface Point {
+  x: number;
+  y: number;
+}
+
 export class Viewport {
   readonly canvas = h("canvas", { tabindex: 0 });
   readonly redraw: () => void;
+  /** A double click is two strokes where strokes are drawn. */
+  doubleClickFits = true;
   #content = { width: 1, height: 1 };
   /** CSS pixels a unit of content, and where its corner lies; null shows all of it. */
   #view: { scale: number; x: number; y: number } | null = null;
-  #drag: { x: number; y: number } | null = null;
+  #drag: Point | null = null;
+  #stroke = false;
   readonly #context: CanvasRenderingContext2D;
 
-  /** on.draw: draw, in units of content; `scale` is screen pixels a unit. on.hover: the point below the cursor, null outside. */
+  /**
+   * on.draw: draw, in units of content; `scale` is screen pixels a unit. on.hover: the point below the cursor, null outside. on.press: the main
+   * button goes down; where it returns true, all points up to `release` are those of a stroke, and nothing moves.
+   */
   constructor(
     label: string,
     private readonly on: {
       draw: (context: CanvasRenderingContext2D, scale: number) => void;
-      hover: (point: { x: number; y: number } | null) => void;
+      hover: (point: Point | null) => void;
+      press?: (point: Point) => boolean;
+      stroke?: (point: Point) => void;
+      release?: () => void;
     },
     private readonly largestScale = 64,
   ) {
@@ -49,6 +63,12 @@ export class Viewport {
   at(x: number, y: number): { x: number; y: number } {
     const view = this.#shown();
     return { x: (x - view.x) / view.scale, y: (y - view.y) / view.scale };
+  }
+
+  /** Point of the canvas in CSS pixels where a unit of content is. */
+  of(x: number, y: number): [number, number] {
+    const view = this.#shown();
+    return [view.x + view.scale * x, view.y + view.scale * y];
   }
 
   #shown(): { scale: number; x: number; y: number } {
@@ -93,10 +113,15 @@ export class Viewport {
     );
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
-      this.#drag = { x: event.offsetX, y: event.offsetY };
+      this.#stroke = event.button === 0 && (this.on.press?.(this.at(event.offsetX, event.offsetY)) ?? false);
+      if (!this.#stroke) this.#drag = { x: event.offsetX, y: event.offsetY };
     });
     canvas.addEventListener("pointermove", (event) => {
-      if (this.#drag) {
+      if (this.#stroke) {
+        const { left, top } = canvas.getBoundingClientRect();
+        for (const { clientX, clientY } of event.getCoalescedEvents()) this.on.stroke?.(this.at(clientX - left, clientY - top));
+        this.on.stroke?.(this.at(event.offsetX, event.offsetY));
+      } else if (this.#drag) {
         this.#move(event.offsetX - this.#drag.x, event.offsetY - this.#drag.y);
         this.#drag = { x: event.offsetX, y: event.offsetY };
       }
@@ -104,11 +129,14 @@ export class Viewport {
     });
     for (const end of ["pointerup", "pointercancel"] as const) {
       canvas.addEventListener(end, () => {
+        if (this.#stroke) this.on.release?.();
+        this.#stroke = false;
         this.#drag = null;
       });
     }
     canvas.addEventListener("pointerleave", () => this.on.hover(null));
-    canvas.addEventListener("dblclick", () => this.fit());
+    canvas.addEventListener("contextmenu", (event) => this.on.press && event.preventDefault());
+    canvas.addEventListener("dblclick", () => this.doubleClickFits && this.fit());
     canvas.addEventListener("keydown", (event) => {
       const { clientWidth: width, clientHeight: height } = canvas;
       const keys: Record<string, () => void> = {

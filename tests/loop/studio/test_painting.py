@@ -34,12 +34,10 @@ def spot(rows: int, cols: int, value: int = 255) -> Arrays:
     return {"value": np.full((rows, cols), value, np.uint8), "painted": np.full((rows, cols), 255, np.uint8)}
 
 
-def painted(watcher: Watcher, box: list[int], over: bool, arrays: Arrays | None = None) -> Arrays:
-    """Arrays of the first step that shows it."""
+def painted(watcher: Watcher, box: list[int], over: bool, arrays: Arrays | None = None) -> np.ndarray:
+    """Utilisations of the module as they come at rest."""
     watcher.say(arrays or spot(box[1] - box[0], box[3] - box[2]), type="paint", module=0, box=box, over=over)
-    step = watcher.of("edit", run=0)[0]["step"]
-    watcher.say(type="step")
-    return watcher.until(lambda head: head["type"] == "step" and head["run"] == 0 and head["step"] >= step)[1]
+    return watcher.until(lambda head: head["type"] == "step" and "u.0" in head["arrays"])[1]["u.0"]
 
 
 def test_the_place_that_lights_up_is_that_of_the_pixels(lamp: Painted) -> None:
@@ -49,29 +47,26 @@ def test_the_place_that_lights_up_is_that_of_the_pixels(lamp: Painted) -> None:
     box = [row, row + max(1, rows // 40), col, col + max(1, cols // 40)]
     with watching(served.port, served.tokens.edit) as watcher:
         watcher.of("scenario")
-        number = served.studio.session.published.number
+        first, before = watcher.of("step")
+        published = served.studio.session.published
+        light = published.runs[0].simulation.modules[0].headlight
+        texture = np.zeros((light.rows, light.cols), np.float32)
         began_s = time.monotonic()
         watcher.say(spot(box[1] - box[0], box[3] - box[2]), type="paint", module=0, box=box, over=False)
-        watcher.of("edit")
+        head, arrays = watcher.until(lambda head: head["type"] == "step" and "0" in head["light_windows"])
         assert time.monotonic() - began_s < QUICK_S
-        watcher.say(type="step")
-        head, arrays = watcher.until(lambda head: head["type"] == "step" and "0" in head["light_windows"] and head["step"] > 0)
-        assert served.studio.session.published.number == number  # nothing starts anew
+        assert served.studio.session.published.number == published.number  # nothing starts anew
         u = np.zeros((rows, cols), np.uint8)
         u[box[0] : box[1], box[2] : box[3]] = 255
         assert np.array_equal(arrays["u.0"], u)
-
-        module = served.studio.session.published.runs[0].simulation.modules[0]
-        light = module.headlight
-        texture = np.zeros((light.rows, light.cols), np.float32)
-        top, bottom, left, right = head["light_windows"]["0"]
-        texture[top:bottom, left:right] = arrays["light.0"]
+        for told, sent in ((first, before), (head, arrays)):
+            top, bottom, left, right = told["light_windows"]["0"]
+            texture[top:bottom, left:right] = sent["light.0"]
         T = torch.tensor(head["modules"][0]["T_world_module"], dtype=torch.float64).view(4, 4)
         expected = light.matrix.to_scipy()[:, np.flatnonzero(u)].sum(1).A.reshape(texture.shape)
         there, wanted = (on_road(T, centre(light, each)) for each in (texture, expected))
-        assert (
-            3 < wanted[0] < 100 and torch.linalg.norm(there - wanted) < 0.02 * wanted[0]
-        )  # two per cent: half floats, poses of six digits
+        assert 3 < wanted[0] < 100
+        assert torch.linalg.norm(there - wanted) < 0.02 * wanted[0]  # light is sent as half floats, poses with six digits
 
 
 def centre(light: object, texture: np.ndarray) -> tuple[float, float]:
@@ -98,20 +93,22 @@ def test_boxes_add_up_and_what_is_rubbed_out_is_as_before(lamp: Painted) -> None
         watcher.of("scenario")
         before = watcher.of("step", step=0)[1]["u.0"]
         painted(watcher, [0, 1, 0, 5], True, spot(1, 5, 100))
-        u = painted(watcher, [1, 3, 2, 4], True, spot(2, 2, 7))["u.0"]
+        u = painted(watcher, [1, 3, 2, 4], True, spot(2, 2, 7))
         expected = before.copy()
         expected[0, :5], expected[1:3, 2:4] = 100, 7
         assert np.array_equal(u, expected)
         nothing = {"value": np.full((2, cols), 9, np.uint8), "painted": np.zeros((2, cols), np.uint8)}
-        u = painted(watcher, [0, 2, 0, cols], True, nothing)["u.0"]
+        u = painted(watcher, [0, 2, 0, cols], True, nothing)
         expected[:2] = before[:2]
         assert np.array_equal(u, expected)
         published = served.studio.session.published
         params = published.runs[0].simulation.scenario.lighting.painted[0]
         assert params.module == "left matrix" and np.array_equal(params.pictures[1][2], np.where(np.arange(cols) // 2 == 1, 255, 0))
-        (override,) = published.runs[0].edits[-1][1]
+        (override,) = published.runs[0].edits[-1].overrides
         again = prepare(load("gfhb", [*BARE, f"headlight.model={model}", override]), "cpu")
-        assert again.at(1).lights[0].equal(published.runs[0].simulation.at(1).lights[0])
+        watcher.say(type="step")
+        watcher.of("step", step=1)
+        assert again.at(1).lights[0].equal(published.runs[0].snapshots[1].lights[0])
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,137 @@
+"""Painting in a real browser: what one draws on a module is its light, in the page and in the loop."""
+
+import base64
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from selenium import webdriver
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.by import By
+from selenium.webdriver.support.ui import WebDriverWait
+
+from loop.studio.page import PAGE
+from loop.studio.session import Source
+from tests.loop.studio.conftest import SMALL, Served, serving
+from tests.loop.studio.test_browser import browser, opened, pytestmark, until
+from world.lampfiles.utilisations import read_utilisation
+
+__all__ = ["browser", "pytestmark"]  # of all tests in a browser
+ROWS, COLUMNS = 3, 28
+MARKED = "return [luxloop.painting.layers[0].painted, luxloop.painting.layers[0].value].map((each) => [...each])"
+SHOWN = "return [...(luxloop.store.state.runs[0].utilisations.get(0) ?? [])]"
+
+
+@pytest.fixture(scope="module")
+def plain() -> Iterator[Served]:
+    """84 pixels a lamp, and nothing but high beam."""
+    yield from serving(Source("gfhb", (*SMALL, "headlight.model=hd84", "functions={}", "checks={}", "objects=[]")), PAGE)
+
+
+@pytest.fixture
+def page(browser: webdriver.Chrome, plain: Served) -> webdriver.Chrome:
+    opened(browser, plain)
+    until(browser, "return luxloop.store.state.runs[0].utilisations.size === 2")
+    browser.execute_script("document.querySelector('.matrix [title=\"Paint pixels\"]').click()")
+    clicked(browser, "clear")
+    until(browser, "return luxloop.store.state.model.lighting.painted.length === 0")
+    until(browser, "return luxloop.store.state.runs[0].utilisations.get(0)[1 * 28 + 1] < 255")
+    return browser
+
+
+def clicked(page: webdriver.Chrome, text: str) -> None:
+    script = "[...document.querySelectorAll('.paint-tools button')].find((each) => each.textContent === arguments[0]).click()"
+    page.execute_script(script, text)
+
+
+def drawn(page: webdriver.Chrome, *pixels: tuple[int, int]) -> None:
+    """A stroke of the mouse over pixels of the left module: row and column each."""
+    canvas = page.find_element(By.CSS_SELECTOR, ".matrix canvas")
+    places = [page.execute_script("return luxloop.pixelAt(0, ...arguments)", *pixel) for pixel in pixels]
+    width, height = canvas.size["width"], canvas.size["height"]
+    actions = ActionChains(page, duration=20)
+    for k, (x, y) in enumerate(places):
+        actions.move_to_element_with_offset(canvas, round(x - width / 2), round(y - height / 2))
+        if k == 0:
+            actions.click_and_hold()
+    actions.release().perform()
+
+
+def utilisations(page: webdriver.Chrome) -> np.ndarray:
+    """Those of the left module that the page has got last."""
+    return np.array(page.execute_script(SHOWN)).reshape(ROWS, COLUMNS)
+
+
+def is_lit(page: webdriver.Chrome, served: Served, expected: np.ndarray) -> None:
+    """The left module comes to these utilisations, and what is painted in the page is what the scenario has."""
+    WebDriverWait(page, 20, 0.1).until(lambda page: np.array_equal(utilisations(page), expected), str(expected))
+    painted, value = (np.array(each, np.uint8).reshape(ROWS, COLUMNS) for each in page.execute_script(MARKED))
+    params = served.studio.session.published.runs[0].simulation.scenario.lighting.painted
+    (left,) = (each for each in params if each.module == "left matrix")
+    assert np.array_equal(left.pictures[1], painted) and np.array_equal(left.pictures[0] * (painted > 0), value)
+
+
+def test_a_stroke_is_light_where_it_was_drawn(page: webdriver.Chrome, plain: Served) -> None:
+    before = utilisations(page)
+    drawn(page, (0, 3), (0, 8), (2, 8))
+    expected = before.copy()
+    expected[0, 3:9] = expected[:, 8] = 255
+    is_lit(page, plain, expected)
+    clicked(page, "eraser")
+    drawn(page, (0, 4), (0, 6))
+    expected[0, 4:7] = before[0, 4:7]
+    is_lit(page, plain, expected)
+
+
+def test_it_is_shown_in_place_of_the_functions_and_filled(page: webdriver.Chrome, plain: Served) -> None:
+    clicked(page, "line")
+    drawn(page, (0, 14), (2, 14))
+    page.execute_script("luxloop.painting.value = 51; luxloop.painting.setOver(false)")
+    clicked(page, "fill")
+    drawn(page, (1, 20))
+    expected = np.zeros((ROWS, COLUMNS))
+    expected[:, 14], expected[:, 15:] = 255, 51
+    is_lit(page, plain, expected)
+    page.execute_script("luxloop.painting.value = 255; luxloop.painting.setOver(true)")
+
+
+def test_files_are_taken_where_they_fit_and_saved_as_shown(page: webdriver.Chrome, plain: Served, tmp_path: Path) -> None:
+    picture = np.random.default_rng(0).integers(0, 256, (ROWS, COLUMNS)).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "mine.png"), picture)
+    np.savetxt(tmp_path / "wrong.csv", np.zeros((4, COLUMNS)), delimiter=",")
+    file = page.find_element(By.CSS_SELECTOR, ".paint-tools input[type=file]")
+    file.send_keys(str(tmp_path / "wrong.csv"))
+    until(page, "return document.body.innerText.includes('wrong.csv: has 4 x 28 pixels, but left matrix has 3 x 28')")
+    file.send_keys(str(tmp_path / "mine.png"))
+    until(page, "return luxloop.painting.layers[0].painted.every((each) => each === 255)")
+    is_lit(page, plain, picture)
+    page.execute_script(
+        """const make = URL.createObjectURL;
+        URL.createObjectURL = (blob) => { window.made = blob; return make.call(URL, blob); };
+        HTMLAnchorElement.prototype.click = function () { (window.saved ??= {})[this.download] = window.made; };"""
+    )
+    for kind in ("PNG", "CSV"):
+        clicked(page, kind)
+    until(page, "return Object.keys(window.saved ?? {}).length === 2")
+    for name in ("left_matrix.png", "left_matrix.csv"):
+        script = """const [name, done] = arguments, reader = new FileReader();
+            reader.onload = () => done(reader.result.split(',')[1]);
+            reader.readAsDataURL(saved[name]);"""
+        (tmp_path / name).write_bytes(base64.b64decode(page.execute_async_script(script, name)))
+        assert np.array_equal((255 * read_utilisation(tmp_path / name, ROWS, COLUMNS)).round(), picture.ravel())
+
+
+def test_what_another_client_paints_is_shown(page: webdriver.Chrome, plain: Served) -> None:
+    from tests.loop.studio.clients import watching
+
+    before = utilisations(page)
+    drawn(page, (1, 1))
+    before[1, 1] = 255
+    is_lit(page, plain, before)
+    with watching(plain.port, plain.tokens.edit) as other:
+        other.say(type="pen")
+        spot = {"value": np.full((1, 2), 77, np.uint8), "painted": np.full((1, 2), 255, np.uint8)}
+        other.say(spot, type="paint", module=0, box=[2, 3, 5, 7])
+        until(page, "return luxloop.store.state.runs[0].utilisations.get(0)[2 * 28 + 6] === 77")
