@@ -1,0 +1,35 @@
+"""Scenarios are written as they are read, and told apart in values of keys."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from loop.scenario.edits import changed, differences
+from loop.scenario.model import Scenario, load
+from loop.scenario.shipped import shipped
+from loop.scenario.written import written
+
+ALL = [load(name) for name in shipped()]
+
+
+@pytest.mark.parametrize("scenario", ALL, ids=lambda each: each.name)
+def test_a_written_scenario_is_read_as_it_was(scenario: Scenario, tmp_path: Path) -> None:
+    file = tmp_path / "written.toml"
+    file.write_text(written(scenario), "utf-8")
+    assert load(str(file)) == scenario
+    assert "description" not in file.read_text("utf-8") or scenario.description  # defaults are left out
+
+
+@pytest.mark.parametrize(("before", "after"), list(pairwise(ALL)), ids=lambda each: each.name)
+def test_differences_make_one_scenario_of_another(before: Scenario, after: Scenario) -> None:
+    assert differences(before, before) == ()
+    assert changed(before, differences(before, after)) == after
+
+
+def test_differences_name_the_keys_that_differ() -> None:
+    before = load("gfhb")
+    after = load("gfhb", ["light.ambient_lx=1.5", "objects[1].albedo=0.5", "functions.guard_traffic={}"])
+    told = differences(before, after)
+    assert "light.ambient_lx=1.5" in told and "functions.guard_traffic={}" in told
+    assert len(told) == 3 and any(each.startswith("objects=[") for each in told)
