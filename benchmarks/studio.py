@@ -26,7 +26,8 @@ from rich.table import Table
 from loop.studio.feed import Feed
 from loop.studio.messages import LENGTH, Button, Request
 from loop.studio.server import Studio, Tokens
-from loop.studio.session import Session, Source
+from loop.studio.session import Session
+from loop.studio.sources import Source
 from loop.terminal import tables
 
 SMALL = ("camera.width_px=640", "camera.height_px=360", "judge_every=0")

@@ -41,7 +41,7 @@ def studio(
     """
     from loop.studio.page import page
     from loop.studio.server import Studio, Tokens
-    from loop.studio.session import Source
+    from loop.studio.sources import Source
 
     overrides, files, tokens = tuple(set or ()), page(), Tokens()
     sources = tuple(

@@ -18,6 +18,7 @@ from world.headlight import Headlight
 MOST_UNSHOWN: Final = 2  # steps of a run that a client may not have shown yet: one on its way, and one that it is at
 PERIOD_S: Final = 0.05  # between two steps of a run that plays, at least
 REST: Final = 10  # times what making messages takes pass until the next ones
+FORGOTTEN: Final = "light and pictures of this step are no longer kept: those of the step shown last are drawn; start anew to see them"
 HALF_PEAK: Final = 1024.0  # of a module in units of its half floats, far from where these overflow
 
 
@@ -57,7 +58,7 @@ class Feed:
                 continue
             run, step = request.at or (sent.number, len(sent.run.snapshots) - 1)
             if run == sent.number and sent.unshown(request.shown) < MOST_UNSHOWN:
-                for data in sent.step(min(step, len(sent.run.snapshots) - 1), request, self._id + 1):
+                for data in sent.step(step, request, self._id + 1):
                     self._id = sent.ids[-1]
                     yield data
 
@@ -68,7 +69,7 @@ class SentRun:
     def __init__(self, number: int, run: Run) -> None:
         self.number, self.run = number, run
         self.ids = list[int]()
-        self._rows, self._edits, self._meshes = 0, 0, set[int]()
+        self._rows, self._rows_of, self._edits, self._meshes = 0, run.rows, 0, set[int]()
         self._step: tuple[Snapshot | None, bool, frozenset[View]] = None, False, frozenset()
         modules = len(run.simulation.modules)
         self._lights: list[tuple[Headlight, torch.Tensor] | None] = [None] * modules  # as last shown
@@ -90,19 +91,22 @@ class SentRun:
 
     def rows(self) -> list[bytes]:
         """Values of the steps that it lacks."""
-        fresh = self.run.rows[self._rows :]
+        rows = self.run.rows
+        if rows is not self._rows_of:  # those of a recording that is repeated no longer
+            self._rows, self._rows_of = 0, rows
+        fresh = rows[self._rows :]
         if not fresh:
             return []
         head = {"type": "rows", "run": self.number, "first": self._rows}
         self._rows += len(fresh)
-        rows = np.full((len(fresh), max(map(len, fresh))), np.nan, np.float32)
+        values = np.full((len(fresh), max(map(len, fresh))), np.nan, np.float32)
         for k, each in enumerate(fresh):
-            rows[k, : len(each)] = each
-        return [packed(head, {"rows": coded(rows)})]
+            values[k, : len(each)] = each
+        return [packed(head, {"rows": coded(values)})]
 
     def step(self, number: int, request: Request, id_: int) -> Iterator[bytes]:
         """A step, and before it the meshes that it lacks; nothing where it has got all that it wants of that step."""
-        scrubbed, wanted, snapshot = request.at is not None, request.wanted, self.run.snapshots[number]
+        scrubbed, wanted, snapshot = request.at is not None, request.wanted, self.run.at(number)
         before, was_scrubbed, had = self._step
         if before is snapshot and was_scrubbed == scrubbed and wanted <= had:
             return
@@ -129,13 +133,16 @@ class SentRun:
             seen = snapshot if snapshot.pictures or not (scrubbed or before is None) else self._seen_before(number)
             arrays_ |= {name: grey(picture) for name, picture in seen.pictures.items()}
         head = {"type": "step", "id": id_, "run": self.number, "scrub": scrubbed, **snapshot.head, "light_windows": windows}
+        if not snapshot.lights and snapshot.step < len(self.run.snapshots):
+            head["notes"] = [*head["notes"], FORGOTTEN]
         head["modules"] = [{**each, "scale_cd": scale} for each, scale in zip(snapshot.head["modules"], scales, strict=True)]
         yield packed(head, arrays_)
 
     def _seen_before(self, number: int) -> Snapshot:
         """The last snapshot up to a step that has pictures, or that of the step."""
         snapshots = self.run.snapshots
-        return next((snapshots[k] for k in range(number, -1, -1) if snapshots[k].pictures), snapshots[number])
+        last = min(number, len(snapshots) - 1)
+        return next((snapshots[k] for k in range(last, -1, -1) if snapshots[k].pictures), snapshots[last])
 
     def _lit(self, k: int, u: torch.Tensor, scale_cd: float) -> tuple[list[int], Coded] | None:
         """The window of a module's light texture that the pixels light which differ from those that it has got, in units of scale_cd, and

@@ -18,9 +18,10 @@ from loop.lighting.result import SimulationState, StepResult
 from loop.lighting.simulation import Simulation
 from loop.replay.edited import edited
 from loop.report.picture import white_of
-from loop.scenario.edits import Edit
+from loop.scenario.edits import Edit, changed
 from loop.scenario.model import Scenario
 from loop.studio.messages import View
+from loop.studio.recorded import Recorded
 from loop.studio.shapes import Shapes
 from loop.studio.snapshot import Snapshot, bodies_at, snapshot
 from perception.camera import camera_view, saturation_luminance
@@ -39,17 +40,19 @@ class Run:
     """Steps of one simulation, with what clients show of them.
 
     The thread that steps it adds to `snapshots`, `rows`, `edits` and `shapes`, which others read; what was added stays, except the
-    light and pictures of old snapshots. columns: of the rows, the later ones of which may have more. recorder: None while nothing is
-    recorded. label: for the page.
+    light and pictures of old snapshots. rows: of a recording that is repeated those of all its steps; another list where an edit has ended
+    that. columns: of the rows, the later ones of which may have more. recorder: None while nothing is recorded. label: for the page.
     """
 
-    def __init__(self, simulation: Simulation, label: str, overrides: Collection[str]) -> None:
-        """Does the first step, so that there is something to see."""
+    def __init__(self, simulation: Simulation, label: str, overrides: Collection[str], recorded: Recorded | None = None) -> None:
+        """Does the first step, so that there is something to see. recorded: what is repeated."""
         self.simulation, self.label, self.overrides = simulation, label, list(overrides)
         self.tally = Tally(simulation)
         self.recorder: Recorder | None = None
-        self.columns = _numbers(simulation)
-        self.shapes, self.snapshots, self.rows = Shapes(), list[Snapshot](), list[np.ndarray]()
+        self.recorded = recorded
+        self.columns = _numbers(simulation) if recorded is None else recorded.columns(_numbers(simulation))
+        self.shapes, self.snapshots = Shapes(), list[Snapshot]()
+        self.rows = list[np.ndarray]() if recorded is None else recorded.rows(self.columns)
         self.step_ms = float("nan")
         self._state, self._kept, self._forgotten = simulation.start(), 0, 0
         self._bodies = NOTHING
@@ -73,6 +76,8 @@ class Run:
         """Do a step. wanted: what somebody looks at. still: nothing follows at once, so that there is time for pictures."""
         if self._below is not None:
             self.snapshots[-1], self._below = self._taken(*self._made, self.snapshots[-1], wanted), None
+        while self.recorded is not None and (due := self.recorded.due(len(self.snapshots))) is not None:
+            self._go_on(self.edited(changed(self.simulation.scenario, due.overrides)), due.overrides)
         began_s = time.perf_counter()
         with located(self.simulation.scenario.source):
             state, result = self.simulation.step(self._state)
@@ -85,12 +90,20 @@ class Run:
             self._look_s = time.perf_counter() + REST * (time.perf_counter() - began_s)
         values = (self.recorder or self.tally).add(result)
         self._state, self._made = state, (self.simulation, result)
-        self.rows.append(np.array([_number(values.get(each.name)) for each in self.columns], np.float32))
+        if len(self.rows) == len(self.snapshots):  # not a step that was recorded
+            self.rows.append(np.array([_number(values.get(each.name)) for each in self.columns], np.float32))
         self.snapshots.append(taken)
         self._kept += taken.bytes_beside(before)
         while self._kept > KEPT_BYTES and self._forgotten < len(self.snapshots) - 1:
             self._forget(self._forgotten)
         return result
+
+    def at(self, step: int) -> Snapshot:
+        """A step that is done, the last one for one beyond; or what a recording has of one that is not run again yet."""
+        snapshots, recorded = self.snapshots, self.recorded
+        if recorded is None or step < len(snapshots):
+            return snapshots[min(step, len(snapshots) - 1)]
+        return recorded.snapshot(min(step, len(self.rows) - 1), snapshots[-1])
 
     def record(self, directory: Path) -> None:
         """Record all steps so far, and those to come until `end_recording`. Raises LuxloopError as `Recorder`."""
@@ -127,11 +140,16 @@ class Run:
         return edited(self.simulation, self._state, scenario)
 
     def edit(self, after: tuple[Simulation, SimulationState], overrides: tuple[str, ...]) -> None:
-        """Go on with what `edited` gave, from the next step on. overrides: that make its scenario."""
+        """Go on with what `edited` gave, from the next step on; a recording is repeated no longer. overrides: that make its scenario."""
+        if self.recorded is not None:
+            self.recorded, self.rows = None, self.rows[: len(self.snapshots)]
+        self._go_on(after, overrides)
+
+    def _go_on(self, after: tuple[Simulation, SimulationState], overrides: tuple[str, ...]) -> None:
         self.simulation, self._state = after
         known = {each.name for each in self.columns}
         self.columns = [*self.columns, *(each for each in _numbers(self.simulation) if each.name not in known)]
-        (self.recorder or self.tally).edit(self.simulation, Edit(step=len(self.rows), overrides=overrides))
+        (self.recorder or self.tally).edit(self.simulation, Edit(step=len(self.snapshots), overrides=overrides))
 
     def _forget(self, number: int) -> None:
         old, after = self.snapshots[number : number + 2]

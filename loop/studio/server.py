@@ -39,7 +39,8 @@ from loop.studio.messages import (
     packed,
     read,
 )
-from loop.studio.session import Session, Source
+from loop.studio.session import Session
+from loop.studio.sources import Source
 from world.errors import LuxloopError
 
 if TYPE_CHECKING:
@@ -243,7 +244,7 @@ class Studio:
 
     async def _send(self, client: Client) -> None:
         """Send what a client lacks whenever something has changed; while it takes that, changes gather, and the newest comes next."""
-        last, said_s, preparing, soon = "", 0.0, None, False
+        last, said_s, preparing, chosen, soon = "", 0.0, None, None, False
         while True:
             await client.changed.wait()
             client.changed.clear()
@@ -254,6 +255,9 @@ class Studio:
             if published.progress != preparing:
                 preparing = published.progress
                 await client.connection.send(packed({"type": "progress", "text": preparing}))
+            if published.choices is not chosen:
+                chosen = published.choices
+                await client.connection.send(packed({"type": "choices", **(chosen or {})}))
             keys = ("playing", "speed", "step_ms", "real_time", "failed", "recording")
             status = {"type": "status", **{key: getattr(published, key) for key in keys}, "pen": self._pen, "clients": len(self._clients)}
             text, waits_s = json.dumps(status), said_s + STATUS_S - time.monotonic()

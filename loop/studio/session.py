@@ -7,12 +7,12 @@ import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from loop.studio.arrays import Arrays
 from loop.studio.history import History
 from loop.studio.messages import VIEWS, AskBeam, AskSchema, AskSummary, Button, Compare, Message, Open, Paint, Record, Set, Speed, View
+from loop.studio.sources import RUNS, Source, loaded, named
 from loop.studio.watched import WatchedFile
 from world.errors import LuxloopError
 
@@ -29,31 +29,14 @@ SMOOTH: Final = 0.2  # share of a step in the mean of its time
 Reply = Callable[[dict[str, Any]], None]
 
 
-@dataclass(frozen=True)
-class Source:
-    """What a run is made from: a scenario by name or path, with other values of keys, or the folder of a recording."""
-
-    name: str
-    overrides: tuple[str, ...] = ()
-    recording: Path | None = None
-    apart: tuple[str, ...] = ()  # values by which it differs from the run beside it
-
-    @property
-    def all(self) -> tuple[str, ...]:
-        """All other values of keys."""
-        return (*self.overrides, *self.apart)
-
-    @property
-    def label(self) -> str:
-        """For the page."""
-        return " ".join(self.apart) or self.name or str(self.recording)
-
-
 @dataclass(frozen=True, eq=False)
 class Published:
-    """What all clients may see. number: another one where runs were made anew. scenario: head of the message. real_time: as a multiple."""
+    """What all clients may see. number: another one where runs were made anew. choices, scenario: heads of messages. real_time: as a
+    multiple.
+    """
 
     number: int = 0
+    choices: dict[str, Any] | None = None
     scenario: dict[str, Any] | None = None
     runs: tuple["Run", ...] = ()
     playing: bool = False
@@ -161,7 +144,7 @@ class Session:
                 if not self.published.runs:
                     raise LuxloopError("play: nothing is prepared; open a scenario first")
                 if all(run.over for run in self.published.runs):
-                    self._prepare(self._sources, self._scenarios())
+                    self._start_anew()
                 self._next_s = time.perf_counter()
                 self._publish(playing=True, failed=None)
             case Button(type="pause"):
@@ -173,7 +156,7 @@ class Session:
                     self._step()
             case Button(type="reset"):
                 self._publish(playing=False)
-                self._prepare(self._sources, self._scenarios())
+                self._start_anew()
             case Button(type="undo" | "redo" as way):
                 before = self._scenarios()
                 self._become(self._history.newest(way))
@@ -230,19 +213,10 @@ class Session:
             refuse_foreign(overrides)
 
     def _source(self, asked: Open | Compare) -> Source:
-        """What a client names: shipped scenarios, and what the server was started with. Raises LuxloopError for all else."""
-        from loop.scenario.shipped import shipped
-
+        """What a client names. Raises LuxloopError for what it may not open."""
         self._refuse(asked.overrides or ())
-        name = asked.name if isinstance(asked, Open) else ""
-        recording = None if asked.recording is None else Path(asked.recording)
-        given = any((each.name, each.recording) == (name, recording) for each in self._given)
-        if not self._allow_code and not given and (recording or name not in shipped()):
-            raise LuxloopError(
-                f"{recording or name!r}: is neither a shipped scenario nor what luxloop studio was started with; start it with that or "
-                "with --allow-code"
-            )
-        return Source(name, tuple(asked.overrides or ()), recording)
+        recordings = {each["name"] for each in (self.published.choices or {}).get("recordings", ())}
+        return named(asked, self._given, recordings, self._allow_code)
 
     def _step(self) -> None:
         published, wanted = self.published, self.wanted
@@ -305,20 +279,32 @@ class Session:
         """What has changed in the file is an edit."""
         from loop.scenario.edits import changed, differences
 
-        before, after = self._file.scenario, self._loaded(self._sources[0])
+        before, after = self._file.scenario, loaded(self._sources[0], self._allow_code)[0]
         if before is not None and self.published.runs and (told := differences(before, after)):
             scenarios = self._scenarios()
             self._become(tuple(changed(each, told) for each in scenarios), told)
             self._history.add(scenarios, told)
         self._file.scenario = after
 
+    def _start_anew(self) -> None:
+        """With all edits; a recording as it was recorded."""
+        self._prepare(self._sources, None if any(each.recording for each in self._sources) else self._scenarios())
+
     def _record(self, folder: str | None) -> None:
         for run in self.published.runs:
             run.end_recording()
         self._publish(recording=None)
+        self._choose()
         if folder is not None:
-            self._run(0).record(Path("runs") / folder)
+            self._run(0).record(RUNS / folder)
             self._publish(recording=folder)
+
+    def _choose(self) -> None:
+        """Tell what there is to choose from, where that has changed."""
+        from loop.studio.choices import choices
+
+        if (found := choices()) != self.published.choices:
+            self._publish(choices=found)
 
     def _prepare(self, sources: tuple[Source, ...], scenarios: tuple["Scenario", ...] | None = None) -> None:
         """Make runs of sources in place of those there are; where one cannot be made, they stay. scenarios: as they are read, if None.
@@ -331,21 +317,24 @@ class Session:
         from loop.run import prepare
         from loop.scenario.acts import ACTS
         from loop.scenario.shipped import find, shipped
+        from loop.studio.recorded import Recorded
         from loop.studio.runs import Run
 
         torch.set_num_threads(1)  # a step's operations are too small for two
         opened = scenarios is None
-        scenarios = scenarios or tuple(map(self._loaded, sources))
+        self._choose()
+        read = [(each, None) for each in scenarios] if scenarios else [loaded(each, self._allow_code) for each in sources]
         runs, before = list[Run](), next((run.simulation for run in self.published.runs), None)
-        for source, scenario in zip(sources, scenarios, strict=True):
+        for source, (scenario, recording) in zip(sources, read, strict=True):
             self._publish(progress=f"preparing {scenario.name}")
             simulation = before = prepare(scenario, self._device, before)
             self._publish(progress=f"first step of {scenario.name}")
-            runs.append(Run(simulation, source.label, source.all))
+            recorded = Recorded(source.recording, recording) if source.recording and recording else None
+            runs.append(Run(simulation, source.label, source.all, recorded))
         self._record(None)
         if opened:
             path = None if sources[0].recording or sources[0].name in shipped() else find(sources[0].name)
-            self._history, self._file = History(), WatchedFile(path, scenarios[0])
+            self._history, self._file = History(), WatchedFile(path, read[0][0])
         first = runs[0].simulation.scenario
         head = {
             "type": "scenario",
@@ -353,26 +342,12 @@ class Session:
             "runs": [run.facts() for run in runs],
             "model": first.model_dump(mode="json"),
             "acts": ACTS,
-            "choices": _choices(),
         }
         self._sources, number = sources, self.published.number + 1
+        repeats, self._next_s = any(run.recorded for run in runs), time.perf_counter()
         self._publish(number=number, scenario=head, runs=tuple(runs), progress=None, failed=None, step_ms=None, real_time=None)
-
-    def _loaded(self, source: Source) -> "Scenario":
-        from loop.replay import replay
-        from loop.scenario.model import load, validate
-        from loop.scenario.overrides import overridden
-        from world.plugin import refuse_code
-
-        if source.recording is None:
-            return load(source.name, source.all, allow_code=self._allow_code)
-        recording = replay.load(source.recording)
-        as_far = {"steps": max(recording.table.num_rows, 1)}
-        data = overridden(recording.scenario.model_dump(mode="json"), [as_far, *source.all])
-        scenario = validate(data, str(source.recording))
-        if not self._allow_code:
-            refuse_code(scenario, scenario.source)
-        return scenario
+        if repeats:
+            self._publish(playing=True)
 
 
 @cache
@@ -380,11 +355,3 @@ def _schema() -> dict[str, Any]:
     from loop.scenario.model import Scenario
 
     return Scenario.model_json_schema()
-
-
-def _choices() -> dict[str, Any]:
-    from loop.terminal.listing import listing
-    from world.regulation.tables import sets
-
-    of = {kind: [{key: each[key] for key in ("name", "description")} for each in listing(kind)] for kind in ("scenarios", "controllers")}
-    return {**of, "rules": list(sets())}

@@ -125,9 +125,9 @@ def _pictures(simulation: Simulation, result: StepResult) -> Pictures:
     camera, pictures = simulation.scenario.camera, Pictures()
     most = 2**camera.bits - 1
     if result.frames is not None:
-        pictures = {name: _coded(frame, most) for name, frame in zip(("camera.on", "camera.off"), result.frames, strict=True)}
+        pictures = {name: coded_frame(frame, most) for name, frame in zip(("camera.on", "camera.off"), result.frames, strict=True)}
     elif result.frame is not None:
-        pictures = {"camera.on": _coded(result.frame, most)}
+        pictures = {"camera.on": coded_frame(result.frame, most)}
     symbol = np.zeros((camera.height_px, camera.width_px), np.uint8)
     for held in result.held.values():
         seen = held.measurement
@@ -136,7 +136,7 @@ def _pictures(simulation: Simulation, result: StepResult) -> Pictures:
     return pictures | ({"camera.symbol": symbol} if symbol.any() else {})
 
 
-def _coded(frame: Tensor, most: int) -> np.ndarray:
+def coded_frame(frame: Tensor, most: int) -> np.ndarray:
     """Digital numbers as 255 times the root of their share of the most: noise is as coarse in the dark as in the light."""
     share = frame.float().cpu().numpy() / most
     coded: np.ndarray = (255 * np.sqrt(np.clip(share, 0, 1))).round().astype(np.uint8)

@@ -80,7 +80,15 @@ export interface ScenarioMessage {
   model: Model;
   /** When keys act, by the beginning of a key; the longest counts. */
   acts: Record<string, Acts>;
-  choices: { scenarios: Named[]; controllers: Named[]; rules: string[] };
+}
+
+export interface ChoicesMessage {
+  type: "choices";
+  scenarios: Named[];
+  controllers: Named[];
+  rules: string[];
+  /** Names are folders. */
+  recordings: Named[];
 }
 
 export interface MeshHead {
@@ -158,6 +166,7 @@ export type ServerMessage =
   | { type: "error"; text: string; about: string | null }
   | { type: "progress"; text: string | null }
   | StatusMessage
+  | ChoicesMessage
   | ScenarioMessage
   | MeshesMessage
   | StepMessage

@@ -123,6 +123,9 @@ export class Session {
       case "status":
         store.set({ status: message });
         return;
+      case "choices":
+        store.set({ choices: message });
+        return;
       case "scenario":
         this.#forget();
         this.#edits.answered();

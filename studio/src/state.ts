@@ -1,7 +1,7 @@
 // What the page knows, and how it is shown.
 
 import type { Link } from "./connection.ts";
-import type { Arrays, BeamPoint, Mark, Model, Picture, ScenarioMessage, StatusMessage, StepMessage } from "./protocol.ts";
+import type { Arrays, BeamPoint, ChoicesMessage, Mark, Model, Picture, ScenarioMessage, StatusMessage, StepMessage } from "./protocol.ts";
 import { Rows } from "./rows.ts";
 import { Store } from "./store.ts";
 
@@ -65,6 +65,7 @@ export interface State {
   version: string;
   status: StatusMessage | null;
   progress: string | null;
+  choices: ChoicesMessage | null;
   scenario: ScenarioMessage | null;
   /** How many edits the server has answered. */
   answered: number;
@@ -107,6 +108,7 @@ export function newStore(): Studio {
     version: "",
     status: null,
     progress: null,
+    choices: null,
     scenario: null,
     answered: 0,
     refused: null,

@@ -2,7 +2,7 @@
 
 import { type Chooser, chooser } from "./chooser.ts";
 import { h, ICONS, icon, select } from "./dom.ts";
-import type { Named, Run, ScenarioMessage } from "./protocol.ts";
+import type { ChoicesMessage, Named, Run, ScenarioMessage } from "./protocol.ts";
 import type { Session } from "./session.ts";
 import { hasPen, newestStep, type State, type Studio } from "./state.ts";
 import { words } from "./words.ts";
@@ -73,15 +73,23 @@ function needsPen(store: Studio, ...elements: (HTMLButtonElement | HTMLInputElem
 }
 
 function scenarioControls(store: Studio, session: Session): HTMLElement[] {
-  const scenarios = chooser("Scenario", (name) => session.send({ type: "open", name, overrides: [], recording: null }));
+  const isRecording = (choice: string) => store.state.choices?.recordings.some(({ name }) => name === choice) ?? false;
+  const scenarios = chooser("Scenario", (name) =>
+    session.send(
+      isRecording(name)
+        ? { type: "open", name: "", overrides: [], recording: name }
+        : { type: "open", name, overrides: [], recording: null },
+    ),
+  );
   const compared = chooser("Compare with", (name) => {
     const scenario = store.state.scenario;
-    if (scenario) session.send({ type: "compare", overrides: name === NOTHING ? null : comparison(scenario.runs[0], name) });
+    if (isRecording(name)) session.send({ type: "compare", overrides: null, recording: name });
+    else if (scenario) session.send({ type: "compare", overrides: name === NOTHING ? null : comparison(scenario.runs[0], name) });
   });
-  store.on(["scenario"], ({ scenario }) => {
-    scenarios.show(scenario?.choices.scenarios ?? [], scenario?.name ?? "no scenario yet");
+  store.on(["scenario", "choices"], ({ scenario, choices }) => {
+    scenarios.show([...(choices?.scenarios ?? []), ...(choices?.recordings ?? [])], scenario?.name ?? "choose a scenario");
     compared.show(
-      comparisons(scenario),
+      comparisons(scenario, choices),
       scenario?.runs[1] ? `with ${scenario.runs[1].label.replaceAll(/functions\.\S+\.controller=/g, "")}` : "compare with ...",
     );
   });
@@ -90,17 +98,22 @@ function scenarioControls(store: Studio, session: Session): HTMLElement[] {
   return [scenarios.element, compared.element];
 }
 
-/** What a second run can differ in: the controller of one function each, or of all together. */
-function comparisons(scenario: ScenarioMessage | null): Named[] {
-  if (!scenario) return [];
+/** What a second run can be: with another controller of one function each, or of all together, or a recording. */
+function comparisons(scenario: ScenarioMessage | null, choices: ChoicesMessage | null): Named[] {
+  if (!scenario || !choices) return [];
   const none = { name: NOTHING, description: "One run alone." };
   const functions = Object.keys(scenario.runs[0].controllers);
   if (functions.length === 0)
-    return [none, { name: "", description: "No function of this scenario has a controller; compare keys instead (Shift+Enter)." }];
+    return [
+      none,
+      { name: "", description: "No function of this scenario has a controller; compare keys instead (Shift+Enter)." },
+      ...choices.recordings,
+    ];
   const of = functions.length > 1 ? functions.map((name) => `${name}: `) : [""];
   return [
     none,
-    ...of.flatMap((name) => scenario.choices.controllers.map((each) => ({ name: `${name}${each.name}`, description: each.description }))),
+    ...of.flatMap((name) => choices.controllers.map((each) => ({ name: `${name}${each.name}`, description: each.description }))),
+    ...choices.recordings,
   ];
 }
 
@@ -197,17 +210,18 @@ function playControls(
 function timeControls(store: Studio, session: Session): HTMLElement[] {
   const slider = h("input", { type: "range", min: 0, max: 0, step: 1, value: 0, class: "scrub", "aria-label": "Step to look at again" });
   slider.addEventListener("input", () => session.scrub(slider.valueAsNumber));
-  const live = button("live", "Follow the newest step again", () => session.scrub(null), "toggle");
+  const follow = button("live", "Follow the newest step again", () => session.scrub(null), "toggle");
   const counter = h("output", { class: "counter" });
   const pace = h("output", { class: "counter muted" });
   store.on(["step_version", "rows_version", "scenario", "scrub", "status"], (state) => {
     const { scenario, scrub, status } = state;
     const newest = newestStep(state);
-    const shown = scrub ?? newest;
+    const live = Math.max(-1, ...state.runs.map((run) => run.newest));
+    const shown = scrub ?? live;
     slider.max = String(Math.max(0, newest));
     slider.disabled = newest < 1;
-    if (scrub === null) slider.value = String(Math.max(0, newest));
-    live.setAttribute("aria-pressed", String(scrub === null));
+    if (scrub === null) slider.value = String(Math.max(0, live));
+    follow.setAttribute("aria-pressed", String(scrub === null));
     counter.textContent = scenario && shown >= 0 ? `step ${shown} of ${scenario.steps}, ${(shown / scenario.rate_hz).toFixed(2)} s` : "";
     slider.setAttribute("aria-valuetext", counter.textContent);
     pace.textContent = [
@@ -217,7 +231,7 @@ function timeControls(store: Studio, session: Session): HTMLElement[] {
       .filter(Boolean)
       .join(", ");
   });
-  return [slider, live, counter, pace];
+  return [slider, follow, counter, pace];
 }
 
 function significant(value: number): string {

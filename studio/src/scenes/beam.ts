@@ -49,9 +49,7 @@ export function beamControls(store: Studio, session: Session, bar: HTMLElement, 
     waiting = false;
   });
 
-  store.on(["scenario"], ({ scenario }) =>
-    fill(rule, [["", "no rule"], ...(scenario?.choices.rules ?? []).map((id) => [id, id] as const)]),
-  );
+  store.on(["choices"], ({ choices }) => fill(rule, [["", "no rule"], ...(choices?.rules ?? []).map((id) => [id, id] as const)]));
   store.on(["viewpoint", "rule", "side", "beams", "scenario"], (state) => {
     controls.hidden = state.viewpoint !== "wall";
     rule.value = state.rule;

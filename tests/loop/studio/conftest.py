@@ -10,7 +10,7 @@ import pytest
 from websockets.asyncio.server import Server
 
 from loop.studio.server import Studio, Tokens
-from loop.studio.session import Source
+from loop.studio.sources import Source
 
 # a process has one OpenGL context, in one thread, which other tests of the process use
 SMALL = ("renderer=raycast", "camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "steps=6")

@@ -19,7 +19,7 @@ from selenium.webdriver.support.ui import WebDriverWait
 from loop.studio.messages import Set
 from loop.studio.page import PAGE
 from loop.studio.runs import Run
-from loop.studio.session import Source
+from loop.studio.sources import Source
 from tests.loop.studio.conftest import SMALL, Served, serving
 from world.light.illumination import DirectTransport, illuminance
 

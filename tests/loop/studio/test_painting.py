@@ -9,7 +9,7 @@ import torch
 
 from loop.run import prepare
 from loop.scenario.model import load
-from loop.studio.session import Source
+from loop.studio.sources import Source
 from tests.loop.studio.clients import Arrays, Watcher, watching
 from tests.loop.studio.conftest import Served, serving
 from world.frames import transform

@@ -10,7 +10,7 @@ from loop.replay.replay import replay
 from loop.scenario.model import load
 from loop.scenario.written import written
 from loop.studio.history import TOGETHER_S
-from loop.studio.session import Source
+from loop.studio.sources import Source
 from tests.loop.studio.clients import Watcher, watching
 from tests.loop.studio.conftest import SMALL, Served, serving
 

@@ -1,0 +1,75 @@
+"""What runs are made from, and which of it a client may open."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from loop.studio.messages import Compare, Open
+from world.errors import LuxloopError
+
+if TYPE_CHECKING:
+    from loop.replay.replay import Recording
+    from loop.scenario.model import Scenario
+
+
+RUNS: Final = Path("runs")  # the folder in which recordings are made and found
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a run is made from: a scenario by name or path, with other values of keys, or the folder of a recording."""
+
+    name: str
+    overrides: tuple[str, ...] = ()
+    recording: Path | None = None
+    apart: tuple[str, ...] = ()  # values by which it differs from the run beside it
+
+    @property
+    def all(self) -> tuple[str, ...]:
+        """All other values of keys."""
+        return (*self.overrides, *self.apart)
+
+    @property
+    def label(self) -> str:
+        """For the page."""
+        return " ".join(self.apart) or self.name or str(self.recording)
+
+
+def named(asked: Open | Compare, given: Sequence[Source], recordings: Collection[str], allow_code: bool) -> Source:
+    """What a client names: shipped scenarios, recordings that it was told of, and what the server was started with.
+
+    Raises LuxloopError for all else.
+    """
+    from loop.scenario.shipped import shipped
+
+    name = asked.name if isinstance(asked, Open) else ""
+    recording = None if asked.recording is None else Path(asked.recording)
+    known = any((each.name, each.recording) == (name, recording) for each in given)
+    if not (allow_code or known or (asked.recording in recordings if recording else name in shipped())):
+        raise LuxloopError(
+            f"{recording or name!r}: is neither a shipped scenario, nor a recording in runs, nor what luxloop studio was started with; "
+            "start it with that or with --allow-code"
+        )
+    return Source(name, tuple(asked.overrides or ()), recording)
+
+
+def loaded(source: Source, allow_code: bool) -> tuple["Scenario", "Recording | None"]:
+    """The scenario of a source, and the recording that it comes from. Raises LuxloopError."""
+    from loop.replay import replay
+    from loop.scenario.edits import changed
+    from loop.scenario.model import load, validate
+    from loop.scenario.overrides import overridden
+    from world.plugin import refuse_code
+
+    if source.recording is None:
+        return load(source.name, source.all, allow_code=allow_code), None
+    recording = replay.load(source.recording)
+    as_far = {"steps": max(recording.table.num_rows, 1)}
+    data = overridden(recording.scenario.model_dump(mode="json"), [as_far, *source.all])
+    scenario = edited = validate(data, str(source.recording))
+    for overrides in ((), *(each.overrides for each in recording.edits)):
+        edited = changed(edited, overrides)
+        if not allow_code:
+            refuse_code(edited, edited.source)
+    return scenario, recording
