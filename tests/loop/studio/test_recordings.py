@@ -96,7 +96,6 @@ def test_edits_of_a_recording_are_repeated(studio: tuple[Served, luxloop.RunResu
         watcher.say(type="open", recording="runs/edited")
         edit, _ = watcher.of("edit")
         assert edit["step"] == 3 and edit["overrides"] == [KP]
-        watcher.of("status", playing=False)
         assert served.studio.session.published.runs[0].simulation.symbol.params.position.kp == 0.31
 
 
