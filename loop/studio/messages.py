@@ -22,7 +22,8 @@ LENGTH: Final = struct.Struct("<I")
 View = Literal["scene", "light", "camera", "matrix", "marks"]
 VIEWS: Final[tuple[View, ...]] = ("scene", "light", "camera", "matrix", "marks")
 Text = Annotated[str, Field(max_length=4000)]
-Overrides = Annotated[tuple[Text, ...], Field(max_length=100)]
+Override = Annotated[str, Field(max_length=100_000)]  # of which a whole list may be one
+Overrides = Annotated[tuple[Override, ...], Field(max_length=100)]
 Number = Annotated[int, Field(ge=0, lt=2**31)]
 
 

@@ -14,6 +14,9 @@ const KEYS: [string, string][] = [
   ["Space", "play or pause"],
   [".", "one step"],
   ["r", "start anew"],
+  ["k", "controls of all keys of the scenario, and its search"],
+  ["Ctrl+Z, Ctrl+Shift+Z", "take back the last edit, make it again"],
+  ["Ctrl+S", "save the scenario as it is now, as a file"],
   ["[ and ]", "darker or lighter view of the scene, by 1/2 EV"],
   ["1 to 5", "viewpoint: orbit, above, driver, oncoming, wall"],
   ["m", "let the panel below the cursor fill the page, or show all"],
@@ -38,7 +41,7 @@ function dialog(title: string, body: HTMLElement): HTMLDialogElement {
 
 export function helpDialog(): Dialog {
   const rows = KEYS.map(([key, text]) => h("tr", {}, h("th", { scope: "row" }, h("kbd", {}, key)), h("td", {}, text)));
-  const element = dialog("Keys", h("div", { class: "dialog-body" }, h("table", {}, h("tbody", {}, ...rows))));
+  const element = dialog("What keys of the keyboard do", h("div", { class: "dialog-body" }, h("table", {}, h("tbody", {}, ...rows))));
   return { element, open: () => element.open || element.showModal() };
 }
 

@@ -26,6 +26,12 @@ export class Edits {
     return sent;
   }
 
+  /** Whether an edit of a key, or of what it is in or has in it, is not answered yet. */
+  has(key: string): boolean {
+    const all = [...(this.#sent ?? []), ...this.#waiting.values()].map(keyOf);
+    return all.some((each) => isWithin(each, key) || isWithin(key, each));
+  }
+
   /** Forget all: the connection is cut. */
   clear(): void {
     this.#sent = null;

@@ -12,7 +12,9 @@ export const VIEWPOINTS: readonly (readonly [Viewpoint, string])[] = [
 ];
 export const EXPOSURE_EV = { least: -8, most: 12, step: 0.5 };
 
-export function bindKeys(store: Studio, does: { playOrPause: () => void; step: () => void; reset: () => void; help: () => void }): void {
+type Does = Record<"playOrPause" | "step" | "reset" | "help" | "keys" | "undo" | "redo" | "save", () => void>;
+
+export function bindKeys(store: Studio, does: Does): void {
   const expose = (by: number) => {
     const exposure_ev = Math.min(EXPOSURE_EV.most, Math.max(EXPOSURE_EV.least, store.state.exposure_ev + by));
     store.set({ exposure_ev });
@@ -24,14 +26,23 @@ export function bindKeys(store: Studio, does: { playOrPause: () => void; step: (
     "[": () => expose(-EXPOSURE_EV.step),
     "]": () => expose(EXPOSURE_EV.step),
     m: () => store.set({ maximised: store.state.maximised ? null : panelInUse() }),
+    k: does.keys,
     "?": does.help,
     ...Object.fromEntries(VIEWPOINTS.map(([viewpoint], k) => [String(k + 1), () => store.set({ viewpoint })])),
   };
+  const chords: Record<string, () => void> = { z: does.undo, Z: does.redo, y: does.redo, s: does.save };
   document.addEventListener("keydown", (event) => {
-    const act = keys[event.key];
-    if (!act || event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented) return;
+    const chord = event.ctrlKey || event.metaKey;
+    const act = (chord ? chords : keys)[event.key];
+    if (!act || event.altKey || event.defaultPrevented) return;
     const target = event.target instanceof Element ? event.target : document.body;
-    if (target.closest("dialog, .popover, input:not([type=range], [type=checkbox]), textarea")) return;
+    const writes = target.closest("input:not([type=range], [type=checkbox]), textarea"); // where Ctrl+Z is of the text
+    if (target.closest("dialog, .popover") || (writes && !(chord && event.key === "s"))) return;
+    if (chord) {
+      event.preventDefault();
+      act();
+      return;
+    }
     if (event.key === " " && target.closest("button, input, summary")) return;
     if (/^[\w ]$/.test(event.key) && target.closest("select")) return; // which looks for options that begin so
     event.preventDefault();

@@ -7,6 +7,7 @@ import { h } from "./dom.ts";
 import { bindKeys } from "./keys.ts";
 import type { Painting } from "./matrix/painting.ts";
 import { type MatrixPanel, matrixPanel } from "./matrix/panel.ts";
+import { keysPanel } from "./model/panel.ts";
 import { notices } from "./notices.ts";
 import type { SceneView } from "./scene/index.ts";
 import { beamControls } from "./scenes/beam.ts";
@@ -31,17 +32,19 @@ const address = { url: `${scheme}://${location.host}/socket`, token: decodeURICo
 const session = new Session(address, store, scenes, toasts.show);
 const help = helpDialog();
 const summary = summaryDialog(store, session);
-const tools = toolbar(store, session, { help: help.open, summary: summary.open });
+const keys = keysPanel(store, session, toasts.show);
+const tools = toolbar(store, session, { help: help.open, summary: summary.open, keys: keys.toggle });
 beamControls(store, session, scenes.bar, scenes.body);
 
 const matrix = matrixPanel(store, session, toasts.show);
 const main = h("main", {}, scenes.element, cameraPanel(store), matrix.element, curvesPanel(store, session));
-document.body.append(h("header", { class: "top" }, tools.element, notices(store)), main, toasts.element, help.element, summary.element);
+const top = h("header", { class: "top" }, tools.element, notices(store));
+document.body.append(top, main, keys.element, toasts.element, help.element, summary.element);
 store.on(["maximised"], ({ maximised }) => main.classList.toggle("maximised", maximised !== null));
 store.on(["scenario"], ({ scenario }) => {
   document.title = scenario ? `${scenario.name} - luxloop studio` : "luxloop studio";
 });
-bindKeys(store, { playOrPause: tools.playOrPause, step: tools.step, reset: tools.reset, help: help.open });
+bindKeys(store, { ...tools, help: help.open, keys: keys.toggle });
 addEventListener("hashchange", () => location.reload());
 
 window.luxloop = {

@@ -1,5 +1,7 @@
 // Messages of the studio's WebSocket, as docs/studio_protocol.md describes them.
 
+import type { Schema } from "./model/schema.ts";
+
 /** 16 numbers of a 4 x 4 matrix, row by row; `T_a_b` takes points of frame b to frame a. Frames are x forward, y left, z up. */
 export type Matrix4x4 = number[];
 export type Vector = [number, number, number];
@@ -173,6 +175,7 @@ export type ServerMessage =
   | RowsMessage
   | { type: "edit"; run: number; step: number; overrides: string[]; model: Model | null; facts: Run | null }
   | { type: "saved"; name: string; text: string }
+  | { type: "schema"; schema: Schema }
   | { type: "summary"; run: number; summary: unknown }
   | { type: "beam"; run: number; rule: string; side: string; points: BeamPoint[] };
 
@@ -192,6 +195,7 @@ export type ClientMessage =
   | { type: "scrub"; run: number; step: number | null }
   | { type: "summary"; run: number }
   | { type: "beam"; run: number; rule: string; side: "left" | "right"; step: number | null }
+  | { type: "schema" }
   | { type: "shown"; id: number }
   | { type: "pen" | "play" | "pause" | "step" | "reset" | "undo" | "redo" | "save" }
   | { type: "record"; folder: string | null }

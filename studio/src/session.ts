@@ -2,6 +2,7 @@
 
 import { Connection } from "./connection.ts";
 import { Edits } from "./edits.ts";
+import { download } from "./model/history.ts";
 import type { Arrays, ClientMessage, MeshesMessage, ScenarioMessage, ServerMessage, StepMessage, View } from "./protocol.ts";
 import { type PanelName, RunData, type Studio } from "./state.ts";
 
@@ -58,6 +59,11 @@ export class Session {
     else this.toast("There is no connection to the server.");
   }
 
+  /** Whether an edit of a key, or of what it is in or has in it, is not answered yet. */
+  isEditing(key: string): boolean {
+    return this.#edits.has(key);
+  }
+
   /** Look at a step again, or follow the newest. */
   scrub(step: number | null): void {
     this.store.set({ scrub: step });
@@ -111,12 +117,14 @@ export class Session {
         this.#forget();
         store.set({ role: message.role, id: message.id, version: message.version, progress: null, status: null });
         return;
-      case "error":
+      case "error": {
         if (message.about === "scrub") this.#forget();
         if (message.about === "paint") store.set({ answered: store.state.answered + 1 });
-        if (message.about === "set") store.set({ refused: { overrides: this.#edits.answered() ?? [], text: message.text } });
-        this.toast(message.text);
+        const overrides = message.about === "set" || message.about === null ? this.#edits.answered() : null;
+        if (overrides) store.set({ refused: { overrides, text: message.text } });
+        else this.toast(message.text);
         return;
+      }
       case "progress":
         store.set({ progress: message.text });
         return;
@@ -162,6 +170,12 @@ export class Session {
         if (message.run !== 0) return;
         store.set({ answered: store.state.answered + 1 });
         if (!this.#edits.answered()) this.#tell(message.step, message.overrides);
+        return;
+      case "schema":
+        store.set({ schema: message.schema });
+        return;
+      case "saved":
+        download(message.name, message.text);
         return;
       case "summary": {
         const run = store.state.runs[message.run];

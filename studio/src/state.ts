@@ -1,6 +1,7 @@
 // What the page knows, and how it is shown.
 
 import type { Link } from "./connection.ts";
+import type { Schema } from "./model/schema.ts";
 import type { Arrays, BeamPoint, ChoicesMessage, Mark, Model, Picture, ScenarioMessage, StatusMessage, StepMessage } from "./protocol.ts";
 import { Rows } from "./rows.ts";
 import { Store } from "./store.ts";
@@ -69,10 +70,12 @@ export interface State {
   scenario: ScenarioMessage | null;
   /** How many edits the server has answered. */
   answered: number;
-  /** The last edit that the server refused, and why; of overrides that were not sent by `Session.edit` the text alone. */
+  /** The last edit by `Session.edit` that the server refused, and why. */
   refused: { overrides: string[]; text: string } | null;
   /** The scenario of the first run as it is now. */
   model: Model | null;
+  /** Of the scenario model; null until it was asked for. */
+  schema: Schema | null;
   runs: RunData[];
   /** The step that is looked at again; null follows the newest. */
   scrub: number | null;
@@ -113,6 +116,7 @@ export function newStore(): Studio {
     answered: 0,
     refused: null,
     model: null,
+    schema: null,
     runs: [],
     scrub: null,
     step_version: 0,

@@ -2,6 +2,7 @@
 
 import { type Chooser, chooser } from "./chooser.ts";
 import { h, ICONS, icon, select } from "./dom.ts";
+import { history } from "./model/history.ts";
 import type { ChoicesMessage, Named, Run, ScenarioMessage } from "./protocol.ts";
 import type { Session } from "./session.ts";
 import { hasPen, newestStep, type State, type Studio } from "./state.ts";
@@ -16,15 +17,10 @@ const SPEEDS = [
 ] as const;
 const NOTHING = "no comparison";
 
-export interface Toolbar {
-  element: HTMLElement;
-  /** What the keyboard does as well. */
-  playOrPause(): void;
-  step(): void;
-  reset(): void;
-}
+/** What the keyboard does as well, and its element. */
+export type Toolbar = Record<"playOrPause" | "step" | "reset" | "undo" | "redo" | "save", () => void> & { element: HTMLElement };
 
-export function toolbar(store: Studio, session: Session, dialogs: { help: () => void; summary: () => void }): Toolbar {
+export function toolbar(store: Studio, session: Session, opens: Record<"help" | "summary" | "keys", () => void>): Toolbar {
   const steer = (send: () => void) => () => {
     if (hasPen(store.state)) send();
   };
@@ -37,6 +33,7 @@ export function toolbar(store: Studio, session: Session, dialogs: { help: () => 
     session.send({ type: "step" });
   });
   const reset = steer(() => session.send({ type: "reset" }));
+  const edits = history(store, session);
 
   const element = h(
     "div",
@@ -49,12 +46,19 @@ export function toolbar(store: Studio, session: Session, dialogs: { help: () => 
       ...keyControls(store, session),
       h("span", { class: "spacer" }),
       ...people(store, session),
-      button("Summary", "The summary of the run so far", dialogs.summary),
-      button("?", "Keys (?)", dialogs.help, "square"),
+      button("Keys", "Controls of all keys of the scenario (k)", opens.keys),
+      button("Summary", "The summary of the run so far", opens.summary),
+      button("?", "What keys of the keyboard do (?)", opens.help, "square"),
     ),
-    h("div", { class: "row" }, ...playControls(store, session, { playOrPause, step, reset }), ...timeControls(store, session)),
+    h(
+      "div",
+      { class: "row" },
+      ...playControls(store, session, { playOrPause, step, reset }),
+      ...edits.elements,
+      ...timeControls(store, session),
+    ),
   );
-  return { element, playOrPause, step, reset };
+  return { element, playOrPause, step, reset, ...edits };
 }
 
 function button(text: string, title: string, onclick: () => void, style = ""): HTMLButtonElement {

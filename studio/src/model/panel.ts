@@ -1,0 +1,112 @@
+// The drawer of keys: disturbances, functions, and every key of the scenario, with a search.
+
+import { h, ICONS, icon } from "../dom.ts";
+import type { Session } from "../session.ts";
+import { hasPen, type Studio } from "../state.ts";
+import { node, tableOf } from "./branch.ts";
+import { disturbances } from "./disturb.ts";
+import { actsOf, type Editor, type Node } from "./editor.ts";
+import { FunctionList } from "./functions.ts";
+import { valueAt } from "./overrides.ts";
+import type { Table } from "./pieces.ts";
+import { clearRefused, showRefused } from "./refused.ts";
+import { Schemas } from "./schema.ts";
+import { search } from "./search.ts";
+
+export interface KeysPanel {
+  element: HTMLElement;
+  toggle(): void;
+}
+
+export function keysPanel(store: Studio, session: Session, toast: (sentence: string) => void): KeysPanel {
+  const close = h("button", { type: "button", class: "quiet", title: "Close (k)", "aria-label": "Close the keys" }, icon(ICONS.close));
+  const words = h("input", {
+    type: "search",
+    placeholder: "Search names and descriptions",
+    "aria-label": "Search keys",
+    autocomplete: "off",
+  });
+  const note = h("p", { class: "muted" });
+  const content = h("fieldset", {}, h("p", { class: "muted" }, "Waiting for the keys ..."));
+  const head = h("header", {}, h("h2", { id: "keys-title" }, "Keys"), words, close);
+  const element = h("aside", { class: "keys-panel", "aria-labelledby": "keys-title" }, head, note, content);
+  element.hidden = true;
+  let made = false;
+
+  const fill = () => {
+    const { schema, model, link } = store.state;
+    if (element.hidden || made) return;
+    if (schema && model) {
+      made = true;
+      content.replaceChildren(...parts(store, session, new Schemas(schema), words));
+    } else if (!schema && link === "open") session.send({ type: "schema" });
+  };
+  store.on(["schema", "scenario", "link"], fill);
+  store.on(["link", "status", "id", "role"], (state) => {
+    content.disabled = !hasPen(state);
+    note.hidden = !content.disabled || state.link !== "open";
+    note.textContent = state.role === "watch" ? "You watch: values can be read, and not be changed." : "Take the pen to change values.";
+  });
+  store.on(["refused"], ({ refused }) => {
+    if (refused && !showRefused(content, refused)) toast(refused.text);
+  });
+  const toggle = () => {
+    element.hidden = !element.hidden;
+    fill();
+    if (!element.hidden) words.focus();
+  };
+  close.addEventListener("click", toggle);
+  return { element, toggle };
+}
+
+function parts(store: Studio, session: Session, schemas: Schemas, words: HTMLInputElement): HTMLElement[] {
+  const editor: Editor = {
+    schemas,
+    edit: (...overrides) => {
+      clearRefused();
+      session.edit(overrides);
+    },
+    busy: (key) => session.isEditing(key),
+    acts: (key) => actsOf(key, store.state.scenario?.acts ?? {}),
+  };
+  const functions = new FunctionList(editor);
+  const all = tableOf(editor, "", schemas.root.properties ?? {}, null);
+  const everything = h(
+    "div",
+    {},
+    section(
+      "Disturb",
+      disturbances(store, (overrides) => editor.edit(...overrides)),
+    ),
+    section("Functions", functions.element),
+    section("All keys", ...all.elements),
+  );
+  const results = h("div", { "aria-live": "polite" });
+  let found: { key: string; node: Node }[] = [];
+  const look = () => {
+    const model = store.state.model as Table;
+    const list = words.value.trim() ? search(schemas, model, words.value) : [];
+    everything.hidden = words.value.trim() !== "";
+    if (list.map(({ key }) => key).join() !== found.map(({ key }) => key).join()) {
+      found = list.map(({ key, schema, fallback }) => ({ key, node: node(editor, key, key, schema, fallback) }));
+      results.replaceChildren(...found.map((each) => each.node.element));
+    }
+    for (const each of found) each.node.show(valueAt(model, each.key) ?? null);
+    if (words.value.trim() && found.length === 0) results.replaceChildren(h("p", { class: "muted" }, "No key matches the search."));
+  };
+  words.addEventListener("input", look);
+  let name = "";
+  store.on(["model", "refused"], ({ model, scenario }) => {
+    if (!model) return;
+    if (scenario && scenario.name !== name) functions.forget();
+    name = scenario?.name ?? "";
+    functions.show((model.functions ?? {}) as Table);
+    all.show(model);
+    look();
+  });
+  return [results, everything];
+}
+
+function section(title: string, ...content: HTMLElement[]): HTMLElement {
+  return h("details", { class: "keys-section", open: true }, h("summary", {}, h("h3", {}, title)), ...content);
+}
