@@ -1,0 +1,106 @@
+"""The controls of the scenario's keys in a real browser: what is set reaches the simulation, and what is refused is told beside it."""
+
+from collections.abc import Iterator
+
+import pytest
+from selenium import webdriver
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.remote.webelement import WebElement
+from selenium.webdriver.support.ui import Select, WebDriverWait
+
+from loop.scenario.model import Scenario
+from loop.studio.page import PAGE
+from loop.studio.session import Source
+from tests.loop.studio.conftest import SMALL, Served, serving
+from tests.loop.studio.test_browser import WAIT_S, browser, opened, pytestmark, until
+
+__all__ = ["browser", "pytestmark"]  # of all tests in a browser
+
+
+@pytest.fixture(scope="module")
+def symbol() -> Iterator[Served]:
+    """A symbol that a controller holds."""
+    yield from serving(Source("snowflake", (*SMALL, "steps=60", "checks={}")), PAGE)
+
+
+def scenario(served: Served) -> Scenario:
+    """As the simulation has it now."""
+    return served.studio.session.published.runs[0].simulation.scenario
+
+
+def keys_of(browser: webdriver.Chrome, served: Served, token: str | None = None) -> None:
+    """Open the page with the drawer of keys."""
+    opened(browser, served, token)
+    browser.find_element(By.TAG_NAME, "body").send_keys("k")
+    until(browser, "return document.querySelector('.function') !== null")
+
+
+def labelled(browser: webdriver.Chrome, label: str) -> WebElement:
+    return browser.find_element(By.CSS_SELECTOR, f"[aria-label='{label}']")
+
+
+def searched(browser: webdriver.Chrome, words: str, key: str) -> WebElement:
+    """The control of a key that a search finds."""
+    labelled(browser, "Search keys").clear()
+    labelled(browser, "Search keys").send_keys(words)
+    until(browser, f"return document.querySelector('[aria-live] [data-key=\"{key}\"]') !== null")
+    return browser.find_element(By.CSS_SELECTOR, f"[aria-live] [data-key='{key}']")
+
+
+def test_a_slider_s_gain_reaches_the_controller_at_the_next_step(browser: webdriver.Chrome, symbol: Served) -> None:
+    keys_of(browser, symbol)
+    (run,) = symbol.studio.session.published.runs
+    before = run.simulation.symbol.params.position.kp
+    slider = labelled(browser, "functions.symbol.controller.position.kp, slider")
+    slider.send_keys(Keys.ARROW_RIGHT * 5)
+    asked = float(slider.get_attribute("value") or "nan")
+    assert asked > before
+    WebDriverWait(browser, WAIT_S).until(lambda _: run.simulation.symbol.params.position.kp == asked)
+    assert symbol.studio.session.published.runs == (run,) and {each.step for each in run.edits} == {len(run.rows)}
+    back = browser.find_element(By.CSS_SELECTOR, "[data-key='functions.symbol.controller.position.kp'] button")
+    back.click()
+    WebDriverWait(browser, WAIT_S).until(lambda _: run.simulation.symbol.params.position.kp == before)
+
+
+def test_what_is_refused_is_told_beside_its_control_and_changes_nothing(browser: webdriver.Chrome, symbol: Served) -> None:
+    keys_of(browser, symbol)
+    before = scenario(symbol)
+    row = searched(browser, "pixel_controller", "pixel_controller")
+    field = row.find_element(By.TAG_NAME, "input")
+    field.clear()
+    until(browser, "return document.querySelector('[aria-live] .key-error') !== null")
+    field.send_keys(Keys.CONTROL, "a", Keys.NULL, "jpoo", Keys.ENTER)
+    until(browser, "return document.querySelector('[aria-live] .key-error')?.textContent.includes(\"did you mean 'jpo'?\")")
+    assert field.get_attribute("value") == "ssc" and scenario(symbol) == before
+
+
+def test_a_function_is_switched_off_and_on_and_its_controller_is_another(browser: webdriver.Chrome, symbol: Served) -> None:
+    keys_of(browser, symbol)
+    before = scenario(symbol).functions
+    labelled(browser, "functions.symbol: on or off").click()
+    WebDriverWait(browser, WAIT_S).until(lambda _: not scenario(symbol).functions)
+    labelled(browser, "functions.symbol: on or off").click()
+    WebDriverWait(browser, WAIT_S).until(lambda _: scenario(symbol).functions == before)
+    Select(labelled(browser, "functions.symbol.controller: name")).select_by_value("open")
+    WebDriverWait(browser, WAIT_S).until(lambda _: scenario(symbol).symbol.controller.name == "open")
+    browser.find_element(By.TAG_NAME, "body").send_keys(Keys.CONTROL, "z")
+    WebDriverWait(browser, WAIT_S).until(lambda _: scenario(symbol).functions == before)
+
+
+def test_a_disturbance_holds_from_the_next_step_for_a_second(browser: webdriver.Chrome, symbol: Served) -> None:
+    keys_of(browser, symbol)
+    (run,) = symbol.studio.session.published.runs
+    browser.find_element(By.XPATH, "//*[@aria-label='Disturb']/button[text()='lost frames']").click()
+    WebDriverWait(browser, WAIT_S).until(lambda _: scenario(symbol).disturbances.drops)
+    (spell,) = scenario(symbol).disturbances.drops
+    assert (spell.from_step, spell.until_step) == (len(run.rows), len(run.rows) + 30)  # at 30 steps a second
+    until(browser, "return document.querySelector('.disturb [aria-pressed=true]')?.textContent === 'lost frames'")
+
+
+def test_a_watcher_reads_and_cannot_change(browser: webdriver.Chrome, symbol: Served) -> None:
+    keys_of(browser, symbol, symbol.tokens.watch)
+    controls = browser.find_elements(By.CSS_SELECTOR, ".keys-panel fieldset :is(input, select, button)")
+    assert len(controls) > 20 and not any(each.is_enabled() for each in controls)
+    row = searched(browser, "position kp", "functions.symbol.controller.position.kp")
+    assert row.find_element(By.CSS_SELECTOR, "input[type=number]").get_attribute("value") == "0.75"
