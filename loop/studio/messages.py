@@ -11,7 +11,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from loop.studio.arrays import ArrayHead, Arrays, Coded, given_arrays
 from world.errors import LuxloopError
-from world.params import Params
+from world.params import Metres, Params
 from world.plugin import in_a_line
 
 PROTOCOL: Final = 1
@@ -137,8 +137,33 @@ class Paint(Params):
     over: bool = True
 
 
-Message = Hello | Want | Scrub | AskSummary | AskBeam | AskSchema | Shown | Button | Speed | Open | Set | Record | Compare | Paint
-ARRAYS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {"paint": {"value": ("u1",), "painted": ("u1",)}}  # dtypes, by type and name
+class Place(Params):
+    """The pixels that light a point of the world. value: what they are painted with, 255 for full utilisation; None: nothing."""
+
+    type: Literal["place"]
+    point_m: tuple[Metres, Metres, Metres]
+    value: int | None = Field(None, ge=0, le=255)
+    over: bool = True
+
+
+class Wish(Params):
+    """Illuminances of the ground before the car that pixels shall be painted for, by all modules together.
+
+    box_m: least and largest x, least and largest y. Its arrays `[rows, columns]`, along x and y: lx; painted, 0 where nothing is wanted.
+    """
+
+    type: Literal["wish"]
+    box_m: tuple[Metres, Metres, Metres, Metres]
+    over: bool = True
+
+
+Message = (
+    Hello | Want | Scrub | AskSummary | AskBeam | AskSchema | Shown | Button | Speed | Open | Set | Record | Compare | Paint | Place | Wish
+)
+ARRAYS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {  # dtypes of messages with a body, by type and name
+    "paint": {"value": ("u1",), "painted": ("u1",)},
+    "wish": {"lx": ("f2", "f4"), "painted": ("u1",)},
+}
 MESSAGE: Final[TypeAdapter[Message]] = TypeAdapter(Annotated[Message, Field(discriminator="type")])
 
 

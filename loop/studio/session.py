@@ -11,7 +11,23 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from loop.studio.arrays import Arrays
 from loop.studio.history import History
-from loop.studio.messages import VIEWS, AskBeam, AskSchema, AskSummary, Button, Compare, Message, Open, Paint, Record, Set, Speed, View
+from loop.studio.messages import (
+    VIEWS,
+    AskBeam,
+    AskSchema,
+    AskSummary,
+    Button,
+    Compare,
+    Message,
+    Open,
+    Paint,
+    Place,
+    Record,
+    Set,
+    Speed,
+    View,
+    Wish,
+)
 from loop.studio.sources import RUNS, Source, loaded, named
 from loop.studio.watched import WatchedFile
 from world.errors import LuxloopError
@@ -178,6 +194,8 @@ class Session:
                 from loop.studio.painting import painted
 
                 self._edit((painted(self._run(0).simulation, paint, asked.arrays),))
+            case Place() | Wish() as asks:
+                self._paint_light(asks, asked)
             case Compare(overrides=None, recording=None):
                 self._prepare(self._sources[:1])
             case Compare() as compared:
@@ -192,6 +210,16 @@ class Session:
                 asked.reply({"type": "schema", "schema": _schema()})
             case AskBeam() as beam:
                 asked.reply({**beam.model_dump(), "points": self._run(beam.run).beam(beam.rule, beam.side, beam.step)})
+
+    def _paint_light(self, asks: Place | Wish, asked: Asked) -> None:
+        from loop.studio.wishes import placed, wished
+
+        if isinstance(asks, Wish):
+            self._publish(progress="finding the pixels for the light wanted")
+        head, override = placed(self._run(0), asks) if isinstance(asks, Place) else wished(self._run(0), asks, asked.arrays)
+        if override is not None:
+            self._edit((override,))
+        asked.reply(head)
 
     def _look_again(self) -> None:
         if self.published.playing:

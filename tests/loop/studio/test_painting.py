@@ -12,7 +12,7 @@ from loop.scenario.model import load
 from loop.studio.sources import Source
 from tests.loop.studio.clients import Arrays, Watcher, watching
 from tests.loop.studio.conftest import Served, serving
-from world.frames import transform
+from world.frames import inverse, transform
 
 BARE = ("renderer=raycast", "camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "steps=40", "functions={}", "checks={}")
 LAMPS = {"hd84": (3, 28), "idealised-332x1024": (332, 1024)}
@@ -136,3 +136,61 @@ def test_a_watcher_cannot_paint(lamp: Painted) -> None:
         watcher.of("scenario")
         watcher.say(spot(1, 5), type="paint", module=0, box=[0, 1, 0, 5])
         assert "watch" in watcher.of("error")[0]["text"]
+
+
+def lit(served: Served, point: list[float]) -> float:
+    """Illuminance in lx, of what faces the left lamp, at a point of the world by the light that is shown last."""
+    run = served.studio.session.published.runs[0]
+    shown, light = run.snapshots[-1], run.simulation.modules[0].headlight
+    T = torch.tensor(shown.head["modules"][0]["T_world_module"], dtype=torch.float64).view(4, 4)
+    there = torch.tensor(point, dtype=torch.float64)[:, None]
+    intensity = light.intensity(light.light_texture(shown.lights[0]), transform(inverse(T), there).float())
+    return float(intensity) / float((there - T[:3, 3:]).square().sum())
+
+
+def test_a_place_of_the_world_is_lit_by_the_pixels_that_are_named(lamp: Painted) -> None:
+    served, _ = lamp
+    with watching(served.port, served.tokens.edit) as watcher:
+        watcher.of("scenario")
+        watcher.say(type="set", overrides=["lighting.painted=[]"])
+        watcher.of("edit")
+        point = [25.0, 1.0, 0.0]
+        watcher.say(type="place", point_m=point)
+        head, _ = watcher.of("place")
+        assert [each["module"] for each in head["modules"]] == [0, 1] and head["point_m"] == point
+        assert not served.studio.session.published.runs[0].simulation.scenario.lighting.painted
+        for value, share in ((0, 0.5), (255, 1.0)):  # the pixels that are not named give less than half of the light
+            watcher.say(type="place", point_m=point, value=value)
+            head, _ = watcher.of("place")
+            most = head["modules"][0]["cd"] / (25**2 + 0.4**2 + 0.75**2)
+            assert value / 255 * 0.99 * most <= lit(served, point) <= share * 2 * most
+        watcher.say(type="place", point_m=[-40.0, 0.0, 0.0], value=255)
+        assert watcher.of("place")[0]["modules"] == []
+
+
+def test_light_wanted_on_the_road_is_painted_on_all_modules_together(lamp: Painted) -> None:
+    served, model = lamp
+    raster = {"lx": np.zeros((60, 20), np.float32), "painted": np.zeros((60, 20), np.uint8)}
+    raster["lx"][24:36, 7:13] = raster["painted"][24:36, 7:13] = 1
+    with watching(served.port, served.tokens.edit) as watcher:
+        watcher.of("scenario")
+        watcher.say(type="set", overrides=["lighting.painted=[]"])
+        watcher.of("edit")
+        watcher.say(raster, type="wish", box_m=[0, 60, -10, 10])
+        head, _ = watcher.of("wish")
+        assert head["wanted_lx"] == 1 and 0 <= head["rmse_lx"] <= head["worst_lx"]
+        if model != "hd84":  # whose pixels are wider than what is wanted
+            assert head["worst_lx"] < 0.2
+        painted = served.studio.session.published.runs[0].simulation.scenario.lighting.painted
+        assert [each.module for each in painted] == ["left matrix", "right matrix"]
+        assert sum(int((each.pictures[1] > 0).sum()) for each in painted) == head["pixels"]
+        for arrays, box, told in (
+            ({"lx": np.zeros((2, 3), np.float32), "painted": np.ones((3, 2), np.uint8)}, [0, 60, -10, 10], "shapes"),
+            ({"lx": np.zeros((300, 300), np.float32), "painted": np.ones((300, 300), np.uint8)}, [0, 60, -10, 10], "20000 cells"),
+            (raster | {"painted": np.zeros((60, 20), np.uint8)}, [0, 60, -10, 10], "nothing is painted"),
+            (raster | {"lx": np.full((60, 20), np.nan, np.float32)}, [0, 60, -10, 10], "between 0 and"),
+            (raster, [60, 0, -10, 10], "empty"),
+            (raster, [-60, -10, -10, 10], "no pixel lights"),
+        ):
+            watcher.say(arrays, type="wish", box_m=box)
+            assert told in watcher.of("error", about="wish")[0]["text"]

@@ -271,6 +271,7 @@ def test_damaged_messages_change_nothing_and_end_nothing(served: Served, count: 
     rng = random.Random(0)
     picture = {name: np.full((20, 30), 7, np.uint8) for name in ("value", "painted")}
     good = [message(type="want", views=["scene"]), message(type="scrub", run=0, step=2), message(type="beam", rule="r149-passing-c")]
+    good += [message(type="place", point_m=[20, 0, 0], value=9)]
     good += [message(picture, coding, type="paint", module=0, box=[0, 20, 0, 30]) for coding in ("raw", "deflate", "png")]
     with watching(served.port, served.tokens.watch) as watcher:
         watcher.of("scenario")

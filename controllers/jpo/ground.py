@@ -1,0 +1,142 @@
+"""Light wanted on the ground, and the utilisations of all pixels of all modules together that come closest to it (T 4.2.2).
+
+A cell of the ground has the mean illuminance of the texels whose rays hit it, by area; one that few rays hit has that of 3 x 3 points.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+from torch import Tensor
+
+from controllers.jpo.part import Wanted
+from controllers.jpo.squares import least_squares
+from world.errors import LuxloopError
+from world.frames import inverse, transform
+from world.headlight import Headlight
+from world.spmv import Csr, multiply
+from world.texels import TexelGrid, bilinear
+
+ITERATIONS = 150
+KEPT = 0.1  # weight of cells where nothing is wanted, which shall stay as they are; 1 where something is
+MUCH = 0.5  # share of the brightest pixel's intensity towards a point that others need to be named beside it
+FEW = 64  # texels of a cell, whose mean is not that of its area yet
+POINTS = 3  # of a cell that has few, along x and y
+NEAREST_M = 0.01  # to a lamp, where cells lie below it
+OWN = 0.1  # share of a pixel's largest intensity that it must have where light is wanted, to be chosen for that
+
+
+@dataclass(frozen=True)
+class Raster:
+    """rows x cols cells of the plane z = 0: rows along x, columns along y, from the box's x_min and y_min on."""
+
+    x_min: float
+    x_max: float
+    y_min: float
+    y_max: float
+    rows: int
+    cols: int
+
+    def points(self, n: int = 1) -> Tensor:
+        """n x n points of each cell, `[3, n^2, rows * cols]`: its centre for 1."""
+        shares = (torch.arange(n, dtype=torch.float64) + 0.5) / n
+        x = self.x_min + (torch.arange(self.rows) + shares[:, None]) * (self.x_max - self.x_min) / self.rows  # [n, rows]
+        y = self.y_min + (torch.arange(self.cols) + shares[:, None]) * (self.y_max - self.y_min) / self.cols
+        x, y = torch.broadcast_tensors(x[:, None, :, None], y[None, :, None, :])
+        return torch.stack([x, y, torch.zeros_like(x)]).reshape(3, n * n, self.rows * self.cols)
+
+    def cells(self, x: Tensor, y: Tensor) -> Tensor:
+        """Numbers of the cells of points, -1 outside."""
+        row = ((x - self.x_min) / (self.x_max - self.x_min) * self.rows).floor()
+        col = ((y - self.y_min) / (self.y_max - self.y_min) * self.cols).floor()
+        inside = (row >= 0) & (row < self.rows) & (col >= 0) & (col < self.cols)
+        return torch.where(inside, row * self.cols + col, -1.0).long()
+
+
+@dataclass(frozen=True, eq=False)
+class Granted:
+    """The answer to a wish. u: `[n_p]` of each module. chosen: `[n_p]` bool of each, the pixels that were chosen for it. lx: `[cells]`."""
+
+    u: tuple[Tensor, ...]
+    chosen: tuple[Tensor, ...]
+    lx: Tensor
+
+
+def granted(
+    lamps: Sequence[tuple[Headlight, Tensor, Tensor]], raster: Raster, wanted_lx: Tensor, where: Tensor, iterations: int = ITERATIONS
+) -> Granted:
+    """Utilisations with the least squared error of the illuminance of the ground's cells, in 255 steps.
+
+    lamps: each module with its pose `[4, 4]` over the ground and its utilisation now `[n_p]`, which pixels keep that light nothing of the
+    cells where something is wanted. wanted_lx, where: `[cells]`, lx and bool. Raises LuxloopError where no pixel lights these.
+    """
+    matrices, chosen = [], []
+    for light, T_ground_headlight, _ in lamps:
+        on_ground = _on_ground(light, T_ground_headlight, raster)
+        A = light.matrix.to_scipy()
+        matrices.append(on_ground @ A)
+        there = (on_ground[where.numpy()] > 0).astype(np.float32).sum(0) > 0
+        reach = A[np.flatnonzero(there)].max(0).toarray()[0] if there.any() else np.zeros(light.n_pixels)
+        most = A.max(0).toarray()[0]
+        chosen.append(torch.from_numpy((reach >= OWN * most) & (most > 0)))
+    free = torch.cat(chosen)
+    if not free.any():
+        raise LuxloopError("wish: no pixel lights the ground where light is wanted; paint it within the field of a lamp")
+    joint = Csr.from_scipy(sp.hstack(matrices, "csr"))
+    now = torch.cat([u.float().cpu() for _, _, u in lamps])
+    target = torch.where(where, wanted_lx, multiply(joint, now)).float()
+    weight = torch.where(where, 1.0, KEPT)
+    u = least_squares(joint, Wanted(target, weight, now, free), iterations)
+    u = torch.where(free, (255 * u).round() / 255, now)
+    sizes = [light.n_pixels for light, _, _ in lamps]
+    return Granted(u.split(sizes), tuple(chosen), multiply(joint, u))
+
+
+def lighting(headlight: Headlight, T_world_headlight: Tensor, point: Tensor) -> tuple[Tensor, Tensor]:
+    """The pixels that light a point `[3]`, and their luminous intensities in cd towards it.
+
+    These give at least half as much there as the one that gives most, and a tenth of their own largest intensity.
+    """
+    x, y, z = transform(inverse(T_world_headlight.double().cpu()), point.double()[:, None])
+    texel, weight = bilinear(headlight, *headlight.texel_of(y / x, z / x))
+    towards = sp.csr_matrix(((weight * (x > 0))[:, 0].numpy(), (np.zeros(4, int), texel[:, 0].numpy())), (1, headlight.n_texels))
+    found = (towards @ headlight.matrix.to_scipy()).tocsr()
+    pixels, cd = torch.from_numpy(found.indices.astype(np.int64)), torch.from_numpy(found.data).float()
+    if not bool((cd > 0).any()):
+        return pixels[:0], cd[:0]
+    much = cd >= MUCH * cd.max()
+    pixels, cd = pixels[much], cd[much]
+    columns = headlight.matrix.transposed
+    most = torch.stack([columns.values[columns.indptr[k] : columns.indptr[k + 1]].max() for k in pixels.tolist()]).cpu()
+    own = cd >= OWN * most
+    return pixels[own], cd[own]
+
+
+def _on_ground(grid: TexelGrid, T_ground_headlight: Tensor, raster: Raster) -> sp.csr_matrix:
+    """`[cells, texels]` in lx per cd: the mean illuminance of a cell of the ground."""
+    T = T_ground_headlight.double().cpu()
+    y, z = grid.tangents(torch.float64, torch.device("cpu"))
+    z, y = (each.flatten() for each in torch.meshgrid(z, y, indexing="ij"))
+    ray = T[:3, :3] @ torch.stack([torch.ones_like(y), y, z])  # [3, texels]
+    height, long = T[2, 3], ray.norm(dim=0)
+    way = height / -ray[2]  # in rays to the ground
+    cell = torch.where((ray[2] < 0) & (height > 0), raster.cells(T[0, 3] + way * ray[0], T[1, 3] + way * ray[1]), -1)
+    n_cells = raster.rows * raster.cols
+    few = torch.bincount(cell[cell >= 0], minlength=n_cells) < FEW
+    hit = torch.nonzero((cell >= 0) & ~few[cell])[:, 0]
+    distance = (way * long)[hit]
+    factor = height / distance**3  # cos / d^2
+    area = 1 / long[hit] ** 3 / factor  # of a texel on the ground: its solid angle, to a factor, over cos / d^2
+    total = torch.zeros(n_cells, dtype=torch.float64).index_add_(0, cell[hit], area)
+    share = area / total[cell[hit]]
+    points = raster.points(POINTS)[:, :, few]  # [3, POINTS^2, few cells]
+    local = transform(inverse(T), points.flatten(1))
+    texel, weight = bilinear(grid, *grid.texel_of(local[1] / local[0], local[2] / local[0]))
+    away = (points.flatten(1) - T[:3, 3:]).norm(dim=0)
+    weight = weight * (local[0] > 0) * max(float(height), 0.0) / away.clamp(min=NEAREST_M) ** 3 / POINTS**2
+    rows = torch.cat([cell[hit], torch.nonzero(few)[:, 0].repeat(4 * POINTS**2)])
+    values = torch.cat([share * factor, weight.flatten()])
+    columns = torch.cat([hit, texel.flatten()])
+    return sp.csr_matrix((values.numpy(), (rows.numpy(), columns.numpy())), (n_cells, grid.n_texels))

@@ -1,0 +1,81 @@
+"""Light wanted in the world, painted on the pixels that give it (T 4.2.2)."""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from controllers.functions.painted import Picture
+from controllers.jpo.ground import Raster, granted, lighting
+from loop.studio.arrays import Arrays
+from loop.studio.messages import Place, Wish
+from loop.studio.painting import layer, override
+from loop.studio.runs import Run
+from world.errors import LuxloopError
+from world.frames import inverse
+
+MOST_CELLS: Final = 20_000
+MOST_LX: Final = 100_000.0
+
+Answer = tuple[dict[str, Any], str | None]  # head of the message, and the override that paints
+
+
+def placed(run: Run, place: Place) -> Answer:
+    """The pixels that light a point of the world in the step that was shown last."""
+    point, modules, layers = torch.tensor(place.point_m, dtype=torch.float64), list[dict[str, Any]](), {}
+    for k, module in enumerate(run.simulation.modules):
+        pixels, cd = lighting(module.headlight, _pose(run, k), point)
+        if len(pixels):
+            modules.append({"module": k, "pixels": pixels.tolist(), "cd": float(cd.sum())})
+            if place.value is not None:
+                layers[k] = _painted(layer(run.simulation, k), pixels, torch.full((len(pixels),), place.value, dtype=torch.uint8))
+    head = {"type": "place", "point_m": place.point_m, "modules": modules}
+    return head, override(run.simulation, layers, place.over) if layers else None
+
+
+def wished(run: Run, wish: Wish, arrays: Arrays) -> Answer:
+    """What comes closest to the light wanted. Raises LuxloopError where the raster is none, or no pixel lights it."""
+    lx, where = arrays["lx"], arrays["painted"] > 0
+    x_min, x_max, y_min, y_max = wish.box_m
+    if lx.ndim != 2 or lx.shape != where.shape or not 0 < lx.size <= MOST_CELLS:
+        shapes = f"{list(lx.shape)} and {list(where.shape)}"
+        raise LuxloopError(f"wish: lx and painted have the shapes {shapes}; give both as one raster of at most {MOST_CELLS} cells")
+    if not (x_min < x_max and y_min < y_max):
+        raise LuxloopError(f"wish: the box {list(wish.box_m)} is empty; give least x, largest x, least y, largest y")
+    if not where.any():
+        raise LuxloopError("wish: nothing is painted; paint where light is wanted")
+    if not ((lx[where] >= 0) & (lx[where] <= MOST_LX)).all():
+        raise LuxloopError(f"wish: light wanted lies between 0 and {MOST_LX:g} lx")
+    raster = Raster(x_min, x_max, y_min, y_max, *lx.shape)
+    T_ground_world = inverse(torch.tensor(run.snapshots[-1].head["T_world_ground"], dtype=torch.float64).view(4, 4))
+    modules, lights = run.simulation.modules, run.snapshots[-1].lights
+    lamps = [(each.headlight, T_ground_world @ _pose(run, k), lights[k]) for k, each in enumerate(modules)]
+    there = torch.from_numpy(where).flatten()
+    goal = torch.from_numpy(np.where(where, lx, 0).astype(np.float32)).flatten()
+    found = granted(lamps, raster, goal, there)
+    off = (found.lx - goal)[there]
+    head = {
+        "type": "wish",
+        "wanted_lx": float(goal[there].mean()),
+        "rmse_lx": float(off.square().mean().sqrt()),
+        "worst_lx": float(off.abs().max()),
+        "pixels": int(sum(each.sum() for each in found.chosen)),
+    }
+    layers = {
+        k: _painted(layer(run.simulation, k), chosen.nonzero()[:, 0], (255 * u[chosen]).round().byte())
+        for k, (u, chosen) in enumerate(zip(found.u, found.chosen, strict=True))
+        if chosen.any()
+    }
+    return head, override(run.simulation, layers, wish.over)
+
+
+def _painted(old: Sequence[Picture], pixels: Tensor, values: Tensor) -> tuple[Picture, Picture]:
+    value, cover = (each.copy() for each in old)
+    value.ravel()[pixels.numpy()], cover.ravel()[pixels.numpy()] = values.numpy(), 255
+    return value, cover
+
+
+def _pose(run: Run, module: int) -> Tensor:
+    return torch.tensor(run.snapshots[-1].head["modules"][module]["T_world_module"], dtype=torch.float64).view(4, 4)

@@ -1,0 +1,74 @@
+"""Light wanted on the ground: cells have the illuminance of their points, and a light that can be had is found."""
+
+import pytest
+import torch
+from torch import Tensor
+
+from controllers.jpo.ground import Raster, granted, lighting
+from world.errors import LuxloopError
+from world.frames import inverse, pose_from_degrees, transform
+from world.headlight import Headlight
+from world.presets import lamp
+
+RASTER = Raster(8.0, 40.0, -8.0, 8.0, 64, 32)
+POSES = (pose_from_degrees((0.0, 0.6, 0.75)), pose_from_degrees((0.0, -0.6, 0.75)))
+
+
+@pytest.fixture(scope="module")
+def lights() -> tuple[Headlight, Headlight]:
+    return tuple(lamp("hd84", side).modules[0].headlight for side in ("left", "right"))  # type: ignore[return-value]
+
+
+def illuminance(light: Headlight, pose: Tensor, u: Tensor, points: Tensor) -> Tensor:
+    """Of the ground at points `[3, N]`: `I cos / d^2`."""
+    local = transform(inverse(pose), points)
+    distance = (points - pose[:3, 3:]).norm(dim=0)
+    return light.intensity(light.light_texture(u), local.float()) * pose[2, 3] / distance**3
+
+
+def test_cells_have_the_light_of_their_points_and_it_is_found_again(lights: tuple[Headlight, Headlight]) -> None:
+    generator = torch.Generator().manual_seed(0)
+    u = [torch.rand(light.n_pixels, generator=generator) for light in lights]
+    points = RASTER.points(8)
+    of_points = torch.stack([illuminance(light, pose, each, points.flatten(1)) for light, pose, each in zip(lights, POSES, u, strict=True)])
+    wanted = of_points.sum(0).view(points.shape[1:]).mean(0)
+    everywhere = torch.ones(64 * 32, dtype=torch.bool)
+    now = list(zip(lights, POSES, u, strict=True))
+    same = granted(now, RASTER, wanted.float(), everywhere, iterations=0)
+    assert (same.lx - wanted).abs().mean() < 0.05 * wanted.mean()  # borders of pixels are sharper than texels
+    dark = [(light, pose, torch.where(chosen, 0.0, each)) for (light, pose, each), chosen in zip(now, same.chosen, strict=True)]
+    found = granted(dark, RASTER, same.lx, everywhere, iterations=3000)
+    assert all(chosen.any() for chosen in found.chosen)
+    assert (found.lx - same.lx).square().mean().sqrt() < 0.01 * same.lx.mean()  # in 255 steps
+
+
+def test_pixels_that_light_nothing_of_it_keep_their_light(lights: tuple[Headlight, Headlight]) -> None:
+    where = torch.zeros(64, 32, dtype=torch.bool)
+    where[20:30, 14:18] = True
+    now = [(light, pose, torch.full((light.n_pixels,), 0.3)) for light, pose in zip(lights, POSES, strict=True)]
+    dark = granted(now, RASTER, torch.zeros(64 * 32), where.flatten())
+    for u, chosen in zip(dark.u, dark.chosen, strict=True):
+        assert 0 < chosen.sum() < 84 and (u[~chosen] == 0.3).all()
+    same = granted(now, RASTER, torch.zeros(64 * 32), where.flatten(), iterations=0)
+    assert dark.lx[where.flatten()].mean() < 0.5 * same.lx[where.flatten()].mean()  # the light beside it shall stay as well
+
+
+def test_where_no_lamp_shines_nothing_can_be_had(lights: tuple[Headlight, Headlight]) -> None:
+    behind = Raster(-20.0, -10.0, -5.0, 5.0, 4, 4)
+    with pytest.raises(LuxloopError, match="no pixel lights the ground"):
+        granted([(lights[0], POSES[0], torch.zeros(84))], behind, torch.ones(16), torch.ones(16, dtype=torch.bool))
+
+
+@pytest.mark.parametrize("name", ["hd84", "idealised-332x1024"])
+def test_the_pixels_of_a_place_are_those_that_light_it(name: str) -> None:
+    light, pose = lamp(name).modules[0].headlight, POSES[0]
+    point = torch.tensor([22.0, 0.4, 0.0], dtype=torch.float64)
+    pixels, cd = lighting(light, pose, point)
+    local = transform(inverse(pose), point[:, None]).float()
+    for pixel, each in zip(pixels.tolist()[:5], cd, strict=False):
+        one = torch.zeros(light.n_pixels)
+        one[pixel] = 1
+        torch.testing.assert_close(light.intensity(light.light_texture(one), local)[0], each, rtol=1e-4, atol=0)  # single precision
+    every = light.intensity(light.light_texture(torch.ones(light.n_pixels)), local)[0]
+    assert 0 < len(pixels) < 30 and 0.3 * every < cd.sum() <= 1.0001 * every
+    assert not len(lighting(light, pose, torch.tensor([-5.0, 0.0, 0.0]))[0])
