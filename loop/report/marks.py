@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -28,13 +29,11 @@ EDGES = [(a, b) for a, b in combinations(range(8), 2) if bin(a ^ b).count("1") =
 class Mark:
     """Lines in px of the image, and a text at its place.
 
-    masked: what must be dark. faint: what a detector found in this frame alone. target: where a symbol shall lie on a flat road.
+    kind: `masked` is what must be dark, `found` what a detector found in this frame alone, `target` where a symbol shall lie on flat road.
     """
 
     lines: tuple[tuple[Point, Point], ...]
-    masked: bool = False
-    faint: bool = False
-    target: bool = False
+    kind: Literal["tracked", "masked", "found", "target", "zone"] = "tracked"
     text: str = ""
     at: Point = (0, 0)
 
@@ -44,10 +43,10 @@ def marks(result: StepResult, simulation: Simulation) -> tuple[Mark, ...]:
     view = result.view
     functions = simulation.scenario.functions.items()
     zones = tuple(_zone(name, each, view) for name, each in functions if isinstance(each, ZoneParams))
-    zones += tuple(Mark(_target(simulation.controlled[name].function.held, view), target=True) for name in result.held)
+    zones += tuple(Mark(_target(simulation.controlled[name].function.held, view), "target") for name in result.held)
     if result.look is None:
         there = (each for each in result.now.objects if each.since_s <= result.time_s < each.until_s)
-        return (*zones, *(Mark(_around(each, view), each.name in result.masked) for each in there))
+        return (*zones, *(Mark(_around(each, view), _kind(each.name, result.masked)) for each in there))
     assert simulation.pipeline is not None
     return (*zones, *_found(result.look), *_tracked(result.look, simulation.pipeline.classes, result.masked))
 
@@ -75,7 +74,7 @@ def _zone(name: str, zone: ZoneParams, view: View) -> Mark:
     lines = _edges(*zone.box, view)
     points = [point for line in lines for point in line]
     at = (min(u for u, _ in points), min(v for _, v in points)) if points else (0, 0)
-    return Mark(lines, text=spoken(name) if points else "", at=at)
+    return Mark(lines, "zone", text=spoken(name) if points else "", at=at)
 
 
 def _target(symbol: SymbolParams, view: View) -> tuple[tuple[Point, Point], ...]:
@@ -87,7 +86,7 @@ def _target(symbol: SymbolParams, view: View) -> tuple[tuple[Point, Point], ...]
 
 
 def _found(look: FrameDetections) -> tuple[Mark, ...]:
-    return tuple(Mark(_outline(box), faint=True) for box in look.found.boxes.tolist())
+    return tuple(Mark(_outline(box), "found") for box in look.found.boxes.tolist())
 
 
 def _tracked(look: FrameDetections, classes: tuple[Category, ...], masked: frozenset[str]) -> tuple[Mark, ...]:
@@ -96,8 +95,12 @@ def _tracked(look: FrameDetections, classes: tuple[Category, ...], masked: froze
         tracks.number.tolist(), tracks.boxes.tolist(), tracks.category.tolist(), tracks.confidence.tolist(), strict=True
     ):
         text = f"{classes[category]} {number}: {sure[category]:.2f}"
-        drawn.append(Mark(_outline(box), name_of(number) in masked, text=text, at=(round(box[0]), round(box[1]))))
+        drawn.append(Mark(_outline(box), _kind(name_of(number), masked), text=text, at=(round(box[0]), round(box[1]))))
     return tuple(drawn)
+
+
+def _kind(name: str, masked: frozenset[str]) -> Literal["masked", "tracked"]:
+    return "masked" if name in masked else "tracked"
 
 
 def _outline(box: list[float]) -> tuple[tuple[Point, Point], ...]:

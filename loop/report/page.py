@@ -42,6 +42,7 @@ LIGHT_IN, ABOVE_IN = 8.6, 3.4  # of the part about all light, and in it of the r
 TALLER_IN = 2.2  # with a detector, for two large pictures of the camera, and with materials, for their chart
 MOMENTS = 4  # that the page shows
 TRACKED, MASKED, FOUND, TARGET = "#4fd17a", "#ffaa28", "#6e82a0", "#50aaff"
+MARKS = {"tracked": TRACKED, "zone": TRACKED, "masked": MASKED, "found": FOUND, "target": TARGET}
 WALL_COLUMNS = 480
 CHARACTERS = 125  # of marks, side by side, that fill a large picture of the camera
 TOLD = 110  # characters of a line about the camera's pictures
@@ -168,7 +169,7 @@ def _camera(axes: Axes, simulation: Simulation, result: StepResult, white: float
     image = (measured(result, simulation).cpu().numpy() / white).clip(0, 1) ** 0.5
     axes.imshow(image, **SHARES)
     for mark in readable(marks(result, simulation), image.shape[1] / CHARACTERS, image.shape[1]):
-        colour = TARGET if mark.target else FOUND if mark.faint else MASKED if mark.masked else TRACKED
+        colour = MARKS[mark.kind]
         for (u0, v0), (u1, v1) in mark.lines:
             axes.plot([u0, u1], [v0, v1], color=colour, linewidth=0.7)
         axes.annotate(mark.text, mark.at, (0, 2), textcoords="offset points", color=colour, fontsize=6.5, clip_on=True)

@@ -25,6 +25,7 @@ from world.light.emitters import Source, wall_illuminance
 
 TRACKED_RGB, MASKED_RGB, FOUND_RGB, TEXT_RGB = (90, 220, 120), (255, 170, 40), (110, 130, 160), (235, 235, 235)
 TARGET_RGB, SEEN_RGB, LOST_RGB = (80, 170, 255), (255, 170, 40), (255, 90, 80)
+MARKS_RGB = {"tracked": TRACKED_RGB, "zone": TRACKED_RGB, "masked": MASKED_RGB, "found": FOUND_RGB, "target": TARGET_RGB}
 WHITE = 2.0  # luminance that is shown as white at least, as a multiple of the median of symbols that are held
 CLOSE = 1.4  # half the extent of the road seen from above, in symbol lengths and widths
 ABOVE = 0.44  # height of that inset, of the picture's
@@ -60,7 +61,7 @@ def frame_picture(result: StepResult, simulation: Simulation, white: Tensor) -> 
     height, width = picture.shape[:2]
     line, margin = max(height / 28, 9.0), max(height // 60, 1)
     for mark in readable(marks(result, simulation), CHARACTER * line, width):
-        colour = TARGET_RGB if mark.target else FOUND_RGB if mark.faint else MASKED_RGB if mark.masked else TRACKED_RGB
+        colour = MARKS_RGB[mark.kind]
         for a, b in mark.lines:
             cv2.line(picture, a, b, colour, 1, cv2.LINE_AA)
         at = (mark.at[0], mark.at[1] - 3)

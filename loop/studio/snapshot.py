@@ -114,11 +114,7 @@ def _symbol(simulation: Simulation, result: StepResult, name: str, T_world_groun
 
 
 def _marks(simulation: Simulation, result: StepResult) -> list[dict[str, Any]]:
-    kinds = (
-        (each, "target" if each.target else "found" if each.faint else "masked" if each.masked else "tracked")
-        for each in marks(result, simulation)
-    )
-    return [{"lines": each.lines, "kind": kind, "text": each.text, "at": each.at} for each, kind in kinds]
+    return [{"lines": each.lines, "kind": each.kind, "text": each.text, "at": each.at} for each in marks(result, simulation)]
 
 
 def _pictures(simulation: Simulation, result: StepResult) -> Pictures:

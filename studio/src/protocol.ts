@@ -110,7 +110,7 @@ export interface MeshesMessage {
 
 export interface Mark {
   lines: [[number, number], [number, number]][];
-  kind: "tracked" | "masked" | "found" | "target";
+  kind: "tracked" | "masked" | "found" | "target" | "zone";
   text: string;
   at: [number, number];
 }

@@ -1,4 +1,4 @@
-// Marks over the camera's picture: what is tracked, masked, found and aimed at.
+// Marks over the camera's picture: what is tracked, masked, found, lit and aimed at.
 
 import type { Mark } from "../protocol.ts";
 
@@ -7,6 +7,7 @@ export const MARKS: Record<Mark["kind"], { colour: string; dash: number[]; text:
   tracked: { colour: "#56b4e9", dash: [], text: "tracked" },
   masked: { colour: "#e69f00", dash: [], text: "masked" },
   found: { colour: "#f0e442", dash: [2, 3], text: "found" },
+  zone: { colour: "#cc79a7", dash: [], text: "zone" },
   target: { colour: "#ffffff", dash: [6, 4], text: "target" },
 };
 

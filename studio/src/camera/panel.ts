@@ -29,6 +29,7 @@ export function cameraPanel(store: Studio): HTMLElement {
   const tables = { signed: differenceTable(true), clipped: differenceTable(false) };
   const readout = h("output", { class: "readout" });
   const legend = h("div", { class: "legend" });
+  const notes = h("ul", { class: "step-notes", "aria-label": "Notes on the step" });
   const empty = h("p", { class: "empty" }, "No picture of the camera yet.");
 
   const look = (): Look | null => store.state.runs[store.state.camera_run]?.look ?? null;
@@ -82,7 +83,7 @@ export function cameraPanel(store: Studio): HTMLElement {
       frame === "on" || on === undefined ? "No picture of the camera yet." : "The camera takes no picture with the light off.";
     view.redraw();
   };
-  const marksToggle = toggle("marks", "Draw what is tracked, masked, found and aimed at", (now) => {
+  const marksToggle = toggle("marks", "Draw what is tracked, masked, found, lit and aimed at", (now) => {
     withMarks = now;
     marksToggle.show(now);
     changed();
@@ -98,13 +99,19 @@ export function cameraPanel(store: Studio): HTMLElement {
     changed();
   });
   bar.append(runSwitch(store, "camera_run"), frames, marksToggle.button, symbolToggle.button);
-  body.append(view.canvas, empty, legend, readout);
+  body.append(view.canvas, empty, notes, legend, readout);
   store.on(["scenario", "camera_run"], ({ scenario, camera_run }) => {
     const camera = scenario?.runs[camera_run]?.camera;
     if (camera) view.setContent(camera.width, camera.height);
   });
   store.on(["camera_version", "camera_run", "runs"], changed);
   store.on(["maximised"], view.redraw);
+  store.on(["step_version", "camera_run", "runs"], ({ runs, camera_run }) => {
+    const told = runs[camera_run]?.shown?.notes ?? [];
+    if (notes.dataset.told === told.join("\n")) return;
+    notes.dataset.told = told.join("\n");
+    notes.replaceChildren(...told.map((note) => h("li", {}, note)));
+  });
   return element;
 }
 
