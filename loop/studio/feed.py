@@ -116,7 +116,7 @@ class SentRun:
             self._meshes.update(lacking)
             heads, arrays = merged([self.run.shapes.meshes[each] for each in lacking])
             yield packed({"type": "meshes", "run": self.number, "meshes": heads}, {name: coded(each) for name, each in arrays.items()})
-        arrays_, windows, scales = dict[str, Coded](), dict[str, Any](), []
+        arrays_, windows, scales, notes = dict[str, Coded](), dict[str, Any](), [], snapshot.head["notes"]
         for k, peak_cd in enumerate(self.run.peaks_cd):
             scales.append(max(peak_cd, 1e-6) / HALF_PEAK)
             if not snapshot.lights:
@@ -130,19 +130,15 @@ class SentRun:
                 share = (255 * u.clamp(0, 1)).round().byte().view(light.pixel_rows, light.pixel_cols)
                 arrays_[f"u.{k}"] = coded(share.numpy())
         if "camera" in wanted:
-            seen = snapshot if snapshot.pictures or not (scrubbed or before is None) else self._seen_before(number)
+            seen = self.run.pictured(snapshot) if scrubbed or before is None else snapshot
             arrays_ |= {name: grey(picture) for name, picture in seen.pictures.items()}
-        head = {"type": "step", "id": id_, "run": self.number, "scrub": scrubbed, **snapshot.head, "light_windows": windows}
+            if seen.step != snapshot.step:
+                notes = [*notes, f"the camera's picture is that of step {seen.step}"]
         if not snapshot.lights and snapshot.step < len(self.run.snapshots):
-            head["notes"] = [*head["notes"], FORGOTTEN]
+            notes = [*notes, FORGOTTEN]
+        head = {"type": "step", "id": id_, "run": self.number, "scrub": scrubbed, **snapshot.head, "notes": notes, "light_windows": windows}
         head["modules"] = [{**each, "scale_cd": scale} for each, scale in zip(snapshot.head["modules"], scales, strict=True)]
         yield packed(head, arrays_)
-
-    def _seen_before(self, number: int) -> Snapshot:
-        """The last snapshot up to a step that has pictures, or that of the step."""
-        snapshots = self.run.snapshots
-        last = min(number, len(snapshots) - 1)
-        return next((snapshots[k] for k in range(last, -1, -1) if snapshots[k].pictures), snapshots[last])
 
     def _lit(self, k: int, u: torch.Tensor, scale_cd: float) -> tuple[list[int], Coded] | None:
         """The window of a module's light texture that the pixels light which differ from those that it has got, in units of scale_cd, and

@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 from loop.replay.frames import KeptFrames
 from loop.replay.replay import Recording
 from loop.scenario.edits import Edit
-from loop.studio.snapshot import Snapshot, coded_frame
+from loop.studio.snapshot import Pictures, Snapshot, coded_frame
 
 KEPT: Final = 16  # steps whose frames were read last
 AHEAD: Final = "recorded: the curves and, where they were kept, the frames; light and poses follow when this step has been run again"
@@ -42,14 +42,17 @@ class Recorded:
         """The next edit, where it holds from this step on or earlier."""
         return self.edits.popleft() if self.edits and self.edits[0].step <= step else None
 
+    def pictures(self, step: int) -> Pictures:
+        """Frames that were kept of a step."""
+        most = 2**self._scenario.camera.bits - 1
+        return {f"camera.{name}": coded_frame(frame, most) for name, frame in self._frames.at(step).items()}
+
     def snapshot(self, step: int, last: Snapshot) -> Snapshot:
         """What was kept of a step. last: the last one that was run again, whose poses it has."""
         if step not in self._seen:
-            most = 2**self._scenario.camera.bits - 1
-            pictures = {f"camera.{name}": coded_frame(frame, most) for name, frame in self._frames.at(step).items()}
             head = {**last.head, "step": step, "time_s": step / self._scenario.rate_hz, "marks": [], "notes": [AHEAD]}
             kept = [*self._seen.items()][1 - KEPT :]
-            self._seen = dict([*kept, (step, replace(last, step=step, head=head, lights=(), pictures=pictures))])
+            self._seen = dict([*kept, (step, replace(last, step=step, head=head, lights=(), pictures=self.pictures(step)))])
         return self._seen[step]
 
 

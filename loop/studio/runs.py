@@ -105,6 +105,15 @@ class Run:
             return snapshots[min(step, len(snapshots) - 1)]
         return recorded.snapshot(min(step, len(self.rows) - 1), snapshots[-1])
 
+    def pictured(self, seen: Snapshot) -> Snapshot:
+        """A step with its pictures, or with frames of it that a recording kept; else the last one before that has any, or itself."""
+        if seen.pictures:
+            return seen
+        if self.recorded is not None and (kept := self.recorded.pictures(seen.step)):
+            return replace(seen, pictures=kept)
+        before = (self.snapshots[k] for k in range(min(seen.step, len(self.snapshots) - 1), -1, -1))
+        return next((each for each in before if each.pictures), seen)
+
     def record(self, directory: Path) -> None:
         """Record all steps so far, and those to come until `end_recording`. Raises LuxloopError as `Recorder`."""
         self.end_recording()

@@ -372,10 +372,9 @@ class Session:
             "acts": ACTS,
         }
         self._sources, number = sources, self.published.number + 1
-        repeats, self._next_s = any(run.recorded for run in runs), time.perf_counter()
-        self._publish(number=number, scenario=head, runs=tuple(runs), progress=None, failed=None, step_ms=None, real_time=None)
-        if repeats:
-            self._publish(playing=True)
+        playing, self._next_s = self.published.playing or any(run.recorded for run in runs), time.perf_counter()
+        told = {"playing": playing, "progress": None, "failed": None, "step_ms": None, "real_time": None}
+        self._publish(number=number, scenario=head, runs=tuple(runs), **told)
 
 
 @cache
