@@ -3,6 +3,7 @@
 import os
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from loop.studio.page import PAGE
 from loop.studio.runs import Run
 from loop.studio.sources import Source
 from tests.loop.studio.conftest import SMALL, Served, serving
+from tests.loop.studio.proxy import network
 from world.light.illumination import DirectTransport, illuminance
 
 CHROMIUM, DRIVER = (shutil.which(name) for name in ("chromium", "chromedriver"))
@@ -138,6 +140,21 @@ def test_the_page_asks_nobody_else_and_complains_of_nothing(browser: webdriver.C
     names = browser.execute_script("return performance.getEntriesByType('resource').map((each) => each.name)")
     assert names and all(name.startswith(f"http://127.0.0.1:{objects.port}/") for name in names)
     assert not [each["message"] for each in browser.get_log("browser") if each["level"] == "SEVERE"]
+
+
+def test_a_page_whose_network_is_cut_goes_on_with_the_same_run(browser: webdriver.Chrome, objects: Served) -> None:
+    with network(objects.port) as between:
+        opened(browser, replace(objects, port=between.port))
+        (run,) = objects.studio.session.published.runs
+        done = len(run.snapshots)
+        between.cut()
+        until(browser, "return document.querySelector('.notice').textContent.includes('is cut')")
+        between.restore()
+        until(browser, "return window.luxloop.store.state.link === 'open' && window.luxloop.store.state.status !== null")
+        until(browser, f"return window.luxloop.store.state.runs[0]?.shown?.step === {done - 1}")
+        browser.find_element(By.TAG_NAME, "body").send_keys(".")
+        until(browser, f"return window.luxloop.store.state.runs[0].shown?.step === {done}")
+        assert objects.studio.session.published.runs == (run,) and len(run.snapshots) == done + 1
 
 
 @pytest.mark.slow
