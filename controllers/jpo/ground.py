@@ -25,6 +25,7 @@ MUCH = 0.5  # share of the brightest pixel's intensity towards a point that othe
 FEW = 64  # texels of a cell, whose mean is not that of its area yet
 POINTS = 3  # of a cell that has few, along x and y
 NEAREST_M = 0.01  # to a lamp, where cells lie below it
+THERE = 0.3  # share of a pixel's largest intensity that it must have towards a point, to be named: else it lights another place
 OWN = 0.1  # share of a pixel's largest intensity that it must have where light is wanted, to be chosen for that
 
 
@@ -97,7 +98,7 @@ def granted(
 def lighting(headlight: Headlight, T_world_headlight: Tensor, point: Tensor) -> tuple[Tensor, Tensor]:
     """The pixels that light a point `[3]`, and their luminous intensities in cd towards it.
 
-    These give at least half as much there as the one that gives most, and a tenth of their own largest intensity.
+    These give at least half as much there as the one that gives most, and much of their own largest intensity.
     """
     x, y, z = transform(inverse(T_world_headlight.double().cpu()), point.double()[:, None])
     texel, weight = bilinear(headlight, *headlight.texel_of(y / x, z / x))
@@ -110,7 +111,7 @@ def lighting(headlight: Headlight, T_world_headlight: Tensor, point: Tensor) -> 
     pixels, cd = pixels[much], cd[much]
     columns = headlight.matrix.transposed
     most = torch.stack([columns.values[columns.indptr[k] : columns.indptr[k + 1]].max() for k in pixels.tolist()]).cpu()
-    own = cd >= OWN * most
+    own = cd >= THERE * most
     return pixels[own], cd[own]
 
 

@@ -16,11 +16,13 @@ import { Session } from "./session.ts";
 import { newStore, type Studio } from "./state.ts";
 import { Toasts } from "./toast.ts";
 import { toolbar } from "./toolbar.ts";
+import { worldLight } from "./world/light.ts";
+import type { Raster } from "./world/raster.ts";
 
 declare global {
   interface Window {
-    /** For tests: the page's state, the scene of each run, what is painted, and where its pixels are. */
-    luxloop: { store: Studio; readonly scenes: SceneView[]; painting: Painting; pixelAt: MatrixPanel["pixelAt"] };
+    /** For tests: the page's state, the scene of each run, what is painted, where its pixels are, and what light is wanted. */
+    luxloop: { store: Studio; readonly scenes: SceneView[]; painting: Painting; pixelAt: MatrixPanel["pixelAt"]; wanted: Raster };
   }
 }
 
@@ -37,6 +39,7 @@ const tools = toolbar(store, session, { help: help.open, summary: summary.open, 
 beamControls(store, session, scenes.bar, scenes.body);
 
 const matrix = matrixPanel(store, session, toasts.show);
+const light = worldLight(store, session, scenes, matrix.painting);
 const main = h("main", {}, scenes.element, cameraPanel(store), matrix.element, curvesPanel(store, session));
 const top = h("header", { class: "top" }, tools.element, notices(store));
 document.body.append(top, main, keys.element, toasts.element, help.element, summary.element);
@@ -51,6 +54,7 @@ window.luxloop = {
   store,
   painting: matrix.painting,
   pixelAt: matrix.pixelAt,
+  wanted: light.raster,
   get scenes() {
     return scenes.views;
   },

@@ -176,8 +176,24 @@ export type ServerMessage =
   | { type: "edit"; run: number; step: number; overrides: string[]; model: Model | null; facts: Run | null }
   | { type: "saved"; name: string; text: string }
   | { type: "schema"; schema: Schema }
+  | PlaceAnswer
+  | WishAnswer
   | { type: "summary"; run: number; summary: unknown }
   | { type: "beam"; run: number; rule: string; side: string; points: BeamPoint[] };
+
+export interface PlaceAnswer {
+  type: "place";
+  point_m: Vector;
+  modules: { module: number; pixels: number[]; cd: number }[];
+}
+
+export interface WishAnswer {
+  type: "wish";
+  wanted_lx: number;
+  rmse_lx: number;
+  worst_lx: number;
+  pixels: number;
+}
 
 /** With arrays `value` and `painted`, u1. box: first row, end row, first column, end column. */
 export interface PaintMessage {
@@ -203,4 +219,6 @@ export type ClientMessage =
   | { type: "open"; name: string; overrides: string[]; recording: string | null }
   | { type: "set"; overrides: string[] }
   | { type: "compare"; overrides: string[] | null; recording?: string | null }
-  | PaintMessage;
+  | PaintMessage
+  | { type: "place"; point_m: Vector; value: number | null; over: boolean }
+  | { type: "wish"; box_m: [number, number, number, number]; over: boolean };

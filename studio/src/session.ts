@@ -119,6 +119,7 @@ export class Session {
         return;
       case "error": {
         if (message.about === "scrub") this.#forget();
+        if (message.about === "place" || message.about === "wish") store.set({ refused_light: store.state.refused_light + 1 });
         if (message.about === "paint") store.set({ answered: store.state.answered + 1 });
         const overrides = message.about === "set" || message.about === null ? this.#edits.answered() : null;
         if (overrides) store.set({ refused: { overrides, text: message.text } });
@@ -176,6 +177,12 @@ export class Session {
         return;
       case "saved":
         download(message.name, message.text);
+        return;
+      case "place":
+        store.set({ placed: message });
+        return;
+      case "wish":
+        store.set({ granted: message });
         return;
       case "summary": {
         const run = store.state.runs[message.run];

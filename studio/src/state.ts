@@ -2,7 +2,19 @@
 
 import type { Link } from "./connection.ts";
 import type { Schema } from "./model/schema.ts";
-import type { Arrays, BeamPoint, ChoicesMessage, Mark, Model, Picture, ScenarioMessage, StatusMessage, StepMessage } from "./protocol.ts";
+import type {
+  Arrays,
+  BeamPoint,
+  ChoicesMessage,
+  Mark,
+  Model,
+  Picture,
+  PlaceAnswer,
+  ScenarioMessage,
+  StatusMessage,
+  StepMessage,
+  WishAnswer,
+} from "./protocol.ts";
 import { Rows } from "./rows.ts";
 import { Store } from "./store.ts";
 
@@ -70,6 +82,10 @@ export interface State {
   scenario: ScenarioMessage | null;
   /** How many edits the server has answered. */
   answered: number;
+  /** The last answers on light in the world, and how many questions were refused. */
+  placed: PlaceAnswer | null;
+  granted: WishAnswer | null;
+  refused_light: number;
   /** The last edit by `Session.edit` that the server refused, and why. */
   refused: { overrides: string[]; text: string } | null;
   /** The scenario of the first run as it is now. */
@@ -114,6 +130,9 @@ export function newStore(): Studio {
     choices: null,
     scenario: null,
     answered: 0,
+    placed: null,
+    granted: null,
+    refused_light: 0,
     refused: null,
     model: null,
     schema: null,

@@ -114,6 +114,12 @@ export class Painting {
     this.changed(null);
   }
 
+  /** Frame pixels, by module. */
+  mark(pixels: Map<number, Set<number>>): void {
+    this.marked = pixels;
+    this.changed(null);
+  }
+
   #touch(module: number, box: Box | null): void {
     if (!box) return;
     const dirty = both(this.#dirty.get(module) ?? null, box);

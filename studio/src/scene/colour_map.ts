@@ -13,6 +13,18 @@ export function share(lx: number): number {
   return (Math.log10(lx) - DECADES[0]) / (DECADES[1] - DECADES[0]);
 }
 
+/** Colour 0..255 of an illuminance in lx. */
+export function colourOf(lx: number): [number, number, number] {
+  const at = Math.min(Math.max(share(Math.max(lx, 1e-9)), 0), 1) * (STOPS.length - 1);
+  const below = Math.min(Math.floor(at), STOPS.length - 2);
+  const [low, high] = [STOPS[below], STOPS[below + 1]].map((stop) => parseInt(stop, 16));
+  const channel = (shift: number) => {
+    const [a, b] = [(low >> shift) & 255, (high >> shift) & 255];
+    return Math.round(a + (at - below) * (b - a));
+  };
+  return [channel(16), channel(8), channel(0)];
+}
+
 function channels(stop: string): string {
   const value = parseInt(stop, 16);
   return [value >> 16, (value >> 8) & 255, value & 255].map((channel) => (channel / 255).toFixed(4)).join(", ");

@@ -1,7 +1,7 @@
 // The scene in three dimensions: what stands there, lit by the lamps as the loop lights it.
 
-import { Matrix4, Raycaster, Scene, Vector2, Vector3, WebGLRenderer } from "three";
-import type { Arrays, BeamPoint, MeshesMessage, Run, StepMessage, Vector } from "../protocol.ts";
+import { Group, Matrix4, Raycaster, Scene, Vector2, Vector3, WebGLRenderer } from "three";
+import type { Arrays, BeamPoint, Matrix4x4, MeshesMessage, Run, StepMessage, Vector } from "../protocol.ts";
 import { Bodies } from "./bodies.ts";
 import { Fog } from "./fog.ts";
 import { LocalFrame } from "./frames.ts";
@@ -31,6 +31,8 @@ const BACKGROUND = 0x05070a;
 
 export class SceneView {
   readonly canvas: HTMLCanvasElement;
+  /** For what others draw over the scene, in the local frame. */
+  readonly overlay = new Group();
   private readonly renderer: WebGLRenderer;
   private readonly scene = new Scene();
   private readonly frame = new LocalFrame();
@@ -67,7 +69,7 @@ export class SceneView {
     container.append(this.canvas);
     this.shadows = new ShadowMaps(this.renderer, this.uniforms);
     this.fog = new Fog(this.renderer, this.uniforms);
-    this.scene.add(this.bodies.group, this.wall.group, this.markers.group, this.fog.sky);
+    this.scene.add(this.bodies.group, this.wall.group, this.markers.group, this.fog.sky, this.overlay);
     this.labels = new Labels(container);
     this.legend = new Legend(container);
     this.viewpoints = new Viewpoints(this.canvas, () => this.changed());
@@ -184,6 +186,11 @@ export class SceneView {
         : this.bodies.group.children.filter((each) => each.visible);
     const hit = caster.intersectObjects(target, false)[0];
     return hit ? this.frame.world(hit.point) : null;
+  }
+
+  /** A pose of the world in the local frame. */
+  local(T_world_any: Matrix4x4): Matrix4 {
+    return this.frame.pose(T_world_any);
   }
 
   /** Draws what is due at once and in full resolution, for tests and pictures. */

@@ -1,0 +1,173 @@
+// Painting light in the world: a click on the road lights it by the pixels that reach it, a brush says how bright it shall be.
+
+import { brief } from "../brief.ts";
+import { h, toggle } from "../dom.ts";
+import type { Painting } from "../matrix/painting.ts";
+import type { Vector } from "../protocol.ts";
+import type { SceneView } from "../scene/index.ts";
+import type { ScenesPanel } from "../scenes/panel.ts";
+import type { Session } from "../session.ts";
+import { hasPen, type Studio } from "../state.ts";
+import { BOX_M, Raster } from "./raster.ts";
+import { WishPlane } from "./wish_plane.ts";
+
+const MODES = {
+  find: "A click on the road, an object or the wall frames the pixels that light it",
+  light: "Paint the pixels that light what you click on, with the utilisation of the matrix panel",
+  lux: "Paint illuminances on the road, to be found by all modules together",
+} as const;
+type Mode = keyof typeof MODES;
+const ANSWER_MS = 5000;
+
+export function worldLight(store: Studio, session: Session, scenes: ScenesPanel, painting: Painting): { raster: Raster } {
+  const raster = new Raster();
+  const planes = new Map<SceneView, WishPlane>();
+  let mode: Mode | null = null;
+  let asked: ReturnType<typeof setTimeout> | null = null;
+  let waiting: Vector | null = null;
+
+  const number = (label: string, value: number, min: number, max: number) =>
+    h("input", { type: "number", "aria-label": label, title: label, value, min, max, step: "any" });
+  const lx = number("Illuminance that is wanted, in lx; nothing: none is wanted", 1, 0, 1000);
+  const radius = number("Radius of the brush, in m", 1, 0.3, 10);
+  const told = h("output", { class: "readout" });
+  const buttons = (Object.keys(MODES) as Mode[]).map((each) => ({ each, ...toggle(each, MODES[each], (on) => choose(on ? each : null)) }));
+  const brush = h(
+    "span",
+    {},
+    h("label", {}, "lx", lx),
+    h("label", {}, "m", radius),
+    h("button", { type: "button", title: "Find the pixels that come closest to it", onclick: () => wish() }, "paint it"),
+    h("button", { type: "button", title: "Forget the light wanted", onclick: () => clear() }, "clear"),
+  );
+  const strip = h(
+    "div",
+    { class: "world-light", role: "group", "aria-label": "Light in the world" },
+    "light",
+    h("span", { class: "segments" }, ...buttons.map(({ button }) => button)),
+    brush,
+  );
+  scenes.bar.append(strip);
+  scenes.body.append(told);
+
+  const choose = (chosen: Mode | null) => {
+    mode = chosen;
+    for (const { each, show } of buttons) show(each === mode);
+    brush.hidden = mode !== "lux";
+    scenes.body.classList.toggle("paints", mode !== null);
+    if (mode !== "find" && mode !== "light") mark(new Map());
+    told.textContent = "";
+    draw();
+  };
+  const draw = () => {
+    for (const [view, plane] of planes) if (!scenes.views.includes(view)) planes.delete(view) && plane.dispose();
+    scenes.views.forEach((view, run) => {
+      let plane = planes.get(view);
+      if (!plane) {
+        plane = new WishPlane(raster);
+        planes.set(view, plane);
+        view.overlay.add(plane.mesh);
+      }
+      const shown = store.state.runs[run]?.shown;
+      plane.mesh.visible = mode === "lux" && shown !== null && store.state.viewpoint !== "wall";
+      if (shown) plane.place(view.local(shown.T_world_ground));
+      plane.update();
+      view.setOptions({});
+    });
+  };
+  const wish = () => {
+    const shape = [raster.rows, raster.cols];
+    const arrays = new Map([
+      ["lx", { shape, values: raster.lx.slice() }],
+      ["painted", { shape, values: raster.painted.slice() }],
+    ] as const);
+    session.send({ type: "wish", box_m: [...BOX_M], over: painting.over }, arrays);
+    told.textContent = "looking for the pixels ...";
+  };
+  const clear = () => {
+    raster.clear();
+    told.textContent = "";
+    draw();
+  };
+  const mark = (pixels: Map<number, Set<number>>) => painting.mark(pixels);
+
+  /** A point of the world is under the brush. */
+  const paintAt = (point: Vector) => {
+    if (mode === "lux") {
+      const at = onGround(point);
+      const size_m = Math.max(0.3, radius.valueAsNumber || 1);
+      const wanted = Number.isNaN(lx.valueAsNumber) ? null : Math.max(0, lx.valueAsNumber);
+      const from = before ?? at;
+      const steps = Math.ceil(Math.hypot(at[0] - from[0], at[1] - from[1]) / (0.5 * size_m)) || 1;
+      for (let k = 1; k <= steps; k++) {
+        const share = k / steps;
+        raster.paint(from[0] + share * (at[0] - from[0]), from[1] + share * (at[1] - from[1]), size_m, wanted);
+      }
+      before = at;
+      draw();
+    } else {
+      waiting = point;
+      ask();
+    }
+  };
+  const ask = () => {
+    if (asked !== null || !waiting || (mode !== "find" && mode !== "light")) return;
+    session.send({ type: "place", point_m: waiting, value: mode === "light" ? painting.value : null, over: painting.over });
+    waiting = null;
+    asked = setTimeout(answered, ANSWER_MS);
+  };
+  const answered = () => {
+    if (asked !== null) clearTimeout(asked);
+    asked = null;
+    ask();
+  };
+  const onGround = (point: Vector): [number, number] => {
+    const T = store.state.runs[0].shown?.T_world_ground ?? [];
+    const away = [point[0] - T[3], point[1] - T[7], point[2] - T[11]];
+    const along = (axis: number) => away[0] * T[axis] + away[1] * T[4 + axis] + away[2] * T[8 + axis];
+    return [along(0), along(1)];
+  };
+
+  let stroke: SceneView | null = null;
+  let before: [number, number] | null = null; // on the ground, of the same stroke
+  const under = (event: PointerEvent) => {
+    const point = stroke?.pick(event.offsetX, event.offsetY);
+    if (point) paintAt(point);
+  };
+  // Before the canvas, whose orbit camera listens for the same events.
+  scenes.body.addEventListener(
+    "pointerdown",
+    (event) => {
+      const view = scenes.views.find(({ canvas }) => canvas === event.target);
+      if (!mode || !view || event.button !== 0 || !hasPen(store.state)) return;
+      event.stopImmediatePropagation();
+      view.canvas.setPointerCapture(event.pointerId);
+      stroke = view;
+      before = null;
+      under(event);
+    },
+    { capture: true },
+  );
+  scenes.body.addEventListener("pointermove", (event) => stroke && under(event), { capture: true });
+  for (const end of ["pointerup", "pointercancel"] as const) scenes.body.addEventListener(end, () => (stroke = null), { capture: true });
+
+  store.on(["placed"], ({ placed }) => {
+    answered();
+    if (!placed || (mode !== "find" && mode !== "light")) return;
+    mark(new Map(placed.modules.map(({ module, pixels }) => [module, new Set(pixels)])));
+    const names = placed.modules.map(({ module, pixels }) => `${store.state.scenario?.runs[0].modules[module].name} ${pixels.length}`);
+    told.textContent = names.length > 0 ? `pixels: ${names.join(", ")}` : "no module lights this place";
+  });
+  store.on(["granted"], ({ granted }) => {
+    if (!granted) return;
+    const { wanted_lx, rmse_lx, worst_lx, pixels } = granted;
+    told.textContent = `${brief(wanted_lx)} lx wanted; off by ${brief(rmse_lx)} lx (RMSE), at most ${brief(worst_lx)} lx; ${pixels} pixels`;
+  });
+  store.on(["refused_light"], () => {
+    told.textContent = "";
+    answered();
+  });
+  store.on(["scenario", "step_version", "viewpoint"], () => mode === "lux" && draw());
+  choose(null);
+  return { raster };
+}
