@@ -312,11 +312,11 @@ def test_two_watchers_see_what_the_pen_does(served: Served) -> None:
         editor.say(type="play")
         seen = []
         for each in (editor, one, two):
-            steps = each.of("scenario")[0]["steps"]
-            each.until(lambda head: head["type"] == "rows" and head["first"] + head["arrays"]["rows"]["shape"][0] == steps)
+            assert each.of("scenario")[0]["steps"] == 6
+            each.until(lambda head: head["type"] == "rows" and head["first"] + head["arrays"]["rows"]["shape"][0] == 6)
             last = max(k for k, (head, _) in enumerate(each.got) if head["type"] == "scenario")
             seen.append(np.concatenate([arrays["rows"] for head, arrays in each.got[last:] if head["type"] == "rows"]))
-        assert len(seen[0]) == steps and all(np.array_equal(seen[0], each, equal_nan=True) for each in seen)
+        assert len(seen[0]) == 6 and all(np.array_equal(seen[0], each, equal_nan=True) for each in seen)
 
 
 def test_the_protocol_page_names_every_message(served: Served) -> None:
