@@ -24,7 +24,7 @@ const KEYS: [string, string][] = [
   ["Wheel, dragging", "zoom and move the camera's picture and the matrix; with the keyboard + - and arrow keys"],
   ["Double click", "on a picture: show all of it; on a panel's title: maximise it"],
   ["Click on a curve", "look at that step again"],
-  ["Enter in keys", "start anew with other values of keys; Shift+Enter compares with them"],
+  ["Enter in keys", "take other values of keys; Shift+Enter compares with them"],
   ["?", "this list"],
   ["Esc", "close a list or dialog"],
 ];

@@ -34,20 +34,20 @@ const address = { url: `${scheme}://${location.host}/socket`, token: decodeURICo
 const session = new Session(address, store, scenes, toasts.show);
 const help = helpDialog();
 const summary = summaryDialog(store, session);
-const keys = keysPanel(store, session, toasts.show);
-const tools = toolbar(store, session, { help: help.open, summary: summary.open, keys: keys.toggle });
+const flipKeys = () => store.set({ keys_open: !store.state.keys_open });
+const tools = toolbar(store, session, { help: help.open, summary: summary.open, keys: flipKeys });
 beamControls(store, session, scenes.bar, scenes.body);
 
 const matrix = matrixPanel(store, session, toasts.show);
 const light = worldLight(store, session, scenes, matrix.painting);
 const main = h("main", {}, scenes.element, cameraPanel(store), matrix.element, curvesPanel(store, session));
 const top = h("header", { class: "top" }, tools.element, notices(store));
-document.body.append(top, main, keys.element, toasts.element, help.element, summary.element);
+document.body.append(top, main, keysPanel(store, session, toasts.show), toasts.element, help.element, summary.element);
 store.on(["maximised"], ({ maximised }) => main.classList.toggle("maximised", maximised !== null));
 store.on(["scenario"], ({ scenario }) => {
   document.title = scenario ? `${scenario.name} - luxloop studio` : "luxloop studio";
 });
-bindKeys(store, { ...tools, help: help.open, keys: keys.toggle });
+bindKeys(store, { ...tools, help: help.open, keys: flipKeys });
 addEventListener("hashchange", () => location.reload());
 
 window.luxloop = {

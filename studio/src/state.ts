@@ -115,6 +115,7 @@ export interface State {
   camera_run: number;
   matrix_run: number;
   maximised: PanelName | null;
+  keys_open: boolean;
 }
 
 export type Studio = Store<State>;
@@ -155,6 +156,7 @@ export function newStore(): Studio {
     camera_run: 0,
     matrix_run: 0,
     maximised: null,
+    keys_open: false,
   });
 }
 

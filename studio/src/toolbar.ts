@@ -1,7 +1,7 @@
 // What is run, and how: scenario, comparison, keys, play, speed, the slider over steps, and who steers.
 
 import { type Chooser, chooser } from "./chooser.ts";
-import { h, ICONS, icon, select } from "./dom.ts";
+import { h, ICONS, icon, select, toggle } from "./dom.ts";
 import { history } from "./model/history.ts";
 import type { ChoicesMessage, Named, Run, ScenarioMessage } from "./protocol.ts";
 import type { Session } from "./session.ts";
@@ -34,6 +34,8 @@ export function toolbar(store: Studio, session: Session, opens: Record<"help" | 
   });
   const reset = steer(() => session.send({ type: "reset" }));
   const edits = history(store, session);
+  const keys = toggle("Keys", "Controls of all keys of the scenario (k)", opens.keys);
+  store.on(["keys_open"], ({ keys_open }) => keys.show(keys_open));
 
   const element = h(
     "div",
@@ -46,7 +48,7 @@ export function toolbar(store: Studio, session: Session, opens: Record<"help" | 
       ...keyControls(store, session),
       h("span", { class: "spacer" }),
       ...people(store, session),
-      button("Keys", "Controls of all keys of the scenario (k)", opens.keys),
+      keys.button,
       button("Summary", "The summary of the run so far", opens.summary),
       button("?", "What keys of the keyboard do (?)", opens.help, "square"),
     ),

@@ -42,7 +42,15 @@ export interface Content {
 function branch(editor: Editor, key: string, name: string, field: Field, inside: () => Content, ...beside: HTMLElement[]): Node {
   const back = defaultButton(editor, key, field);
   const count = h("span", { class: "muted" });
-  const head = h("summary", { title: key }, h("span", { class: "key-name" }, name), count, badge(editor, key), ...beside, back.button);
+  const head = h(
+    "summary",
+    { title: key, "aria-label": key },
+    h("span", { class: "key-name" }, name),
+    count,
+    badge(editor, key),
+    ...beside,
+    back.button,
+  );
   const body = h("div", { class: "key-body" }, field.description ? h("p", { class: "key-help" }, field.description) : null);
   const element = h("details", { class: "key-branch", "data-key": key, open: isSmall(field.form) }, head, body);
   let content: Content | null = null;

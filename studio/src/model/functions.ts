@@ -1,6 +1,7 @@
 // The lighting functions in short: on or off, their controllers with the gains, and all keys of each.
 
 import { h } from "../dom.ts";
+import type { Model } from "../protocol.ts";
 import { type Content, node, tableOf } from "./branch.ts";
 import type { Editor, Node } from "./editor.ts";
 import { addByName } from "./named.ts";
@@ -13,10 +14,11 @@ const KEY = "functions";
 export class FunctionList {
   readonly element = h("div", { class: "functions" });
   readonly #cards = new Map<string, { kind: string; card: Node }>();
-  /** Functions that were switched off, as they were, so that they can be switched on again. */
-  readonly #off = new Map<string, Table>();
+  /** Functions that were switched off, as they were, with the checks on them, so that they can be switched on again. */
+  readonly #off = new Map<string, { value: Table; checks: Table }>();
   readonly #item: Schema;
   #shown: Table = {};
+  #checks: Table = {};
 
   constructor(private readonly editor: Editor) {
     const { form } = editor.schemas.field(editor.schemas.root.properties?.[KEY] ?? {});
@@ -30,10 +32,12 @@ export class FunctionList {
     this.#off.clear();
   }
 
-  show(functions: Table): void {
-    this.#shown = functions;
+  show(model: Model): void {
+    const functions = (this.#shown = (model.functions ?? {}) as Table);
+    this.#checks = (model.checks ?? {}) as Table;
     for (const name of Object.keys(functions)) this.#off.delete(name);
-    const all = new Map([...Object.entries(functions), ...this.#off]) as Map<string, Table>;
+    const off = [...this.#off].map(([name, { value }]) => [name, value] as const);
+    const all = new Map([...Object.entries(functions), ...off] as [string, Table][]);
     for (const [name, { card, kind }] of [...this.#cards]) {
       if (all.get(name)?.kind === kind) continue;
       card.element.remove();
@@ -49,14 +53,9 @@ export class FunctionList {
   }
 
   #card(name: string, kind: string): Node {
-    const { editor } = this;
     const key = part(KEY, name);
     const on = h("input", { type: "checkbox", "aria-label": `${key}: on or off` });
-    on.addEventListener("change", () => {
-      const value = (on.checked ? this.#off : new Map(Object.entries(this.#shown))).get(name);
-      if (!on.checked) this.#off.set(name, value as Table);
-      editor.edit(override(key, on.checked ? value : null));
-    });
+    on.addEventListener("change", () => this.#switch(name, on.checked));
     const parts = this.#parts(key, kind);
     const body = h("div", {}, ...parts.elements);
     const head = h(
@@ -74,6 +73,14 @@ export class FunctionList {
         if (value !== null) parts.show(value);
       },
     };
+  }
+
+  /** Take a function out with the checks on it, which would have nothing to look at, or put all of them in again. */
+  #switch(name: string, on: boolean): void {
+    if (!on) this.#off.set(name, { value: this.#shown[name] as Table, checks: checksOn(name, this.#checks) });
+    const { value, checks } = this.#off.get(name)!;
+    const edits = Object.entries(checks).map(([check, each]) => override(part("checks", check), on ? each : null));
+    this.editor.edit(override(part(KEY, name), on ? value : null), ...edits);
   }
 
   /** The controller, open, and all other keys, closed. */
@@ -100,4 +107,8 @@ export class FunctionList {
       },
     };
   }
+}
+
+function checksOn(name: string, checks: Table): Table {
+  return Object.fromEntries(Object.entries(checks).filter(([, each]) => String((each as Table).metric).startsWith(`${KEY}.${name}.`)));
 }

@@ -11,15 +11,12 @@ import { valueAt } from "./overrides.ts";
 import type { Table } from "./pieces.ts";
 import { clearRefused, showRefused } from "./refused.ts";
 import { Schemas } from "./schema.ts";
-import { search } from "./search.ts";
+import { MOST, search } from "./search.ts";
 
-export interface KeysPanel {
-  element: HTMLElement;
-  toggle(): void;
-}
-
-export function keysPanel(store: Studio, session: Session, toast: (sentence: string) => void): KeysPanel {
-  const close = h("button", { type: "button", class: "quiet", title: "Close (k)", "aria-label": "Close the keys" }, icon(ICONS.close));
+export function keysPanel(store: Studio, session: Session, toast: (sentence: string) => void): HTMLElement {
+  const shut = () => store.set({ keys_open: false });
+  const label = { title: "Close (k)", "aria-label": "Close the keys" };
+  const close = h("button", { type: "button", class: "quiet", ...label, onclick: shut }, icon(ICONS.close));
   const words = h("input", {
     type: "search",
     placeholder: "Search names and descriptions",
@@ -30,18 +27,18 @@ export function keysPanel(store: Studio, session: Session, toast: (sentence: str
   const content = h("fieldset", {}, h("p", { class: "muted" }, "Waiting for the keys ..."));
   const head = h("header", {}, h("h2", { id: "keys-title" }, "Keys"), words, close);
   const element = h("aside", { class: "keys-panel", "aria-labelledby": "keys-title" }, head, note, content);
-  element.hidden = true;
   let made = false;
-
-  const fill = () => {
-    const { schema, model, link } = store.state;
-    if (element.hidden || made) return;
+  store.on(["keys_open"], ({ keys_open }) => {
+    element.hidden = !keys_open;
+    if (keys_open) words.focus();
+  });
+  store.on(["keys_open", "schema", "scenario", "link"], ({ keys_open, schema, model, link }) => {
+    if (!keys_open || made) return;
     if (schema && model) {
       made = true;
       content.replaceChildren(...parts(store, session, new Schemas(schema), words));
     } else if (!schema && link === "open") session.send({ type: "schema" });
-  };
-  store.on(["schema", "scenario", "link"], fill);
+  });
   store.on(["link", "status", "id", "role"], (state) => {
     content.disabled = !hasPen(state);
     note.hidden = !content.disabled || state.link !== "open";
@@ -50,13 +47,7 @@ export function keysPanel(store: Studio, session: Session, toast: (sentence: str
   store.on(["refused"], ({ refused }) => {
     if (refused && !showRefused(content, refused)) toast(refused.text);
   });
-  const toggle = () => {
-    element.hidden = !element.hidden;
-    fill();
-    if (!element.hidden) words.focus();
-  };
-  close.addEventListener("click", toggle);
-  return { element, toggle };
+  return element;
 }
 
 function parts(store: Studio, session: Session, schemas: Schemas, words: HTMLInputElement): HTMLElement[] {
@@ -81,7 +72,8 @@ function parts(store: Studio, session: Session, schemas: Schemas, words: HTMLInp
     section("Functions", functions.element),
     section("All keys", ...all.elements),
   );
-  const results = h("div", { "aria-live": "polite" });
+  const results = h("div", { class: "keys-found" });
+  const count = h("p", { class: "muted", role: "status" });
   let found: { key: string; node: Node }[] = [];
   const look = () => {
     const model = store.state.model as Table;
@@ -92,7 +84,8 @@ function parts(store: Studio, session: Session, schemas: Schemas, words: HTMLInp
       results.replaceChildren(...found.map((each) => each.node.element));
     }
     for (const each of found) each.node.show(valueAt(model, each.key) ?? null);
-    if (words.value.trim() && found.length === 0) results.replaceChildren(h("p", { class: "muted" }, "No key matches the search."));
+    count.hidden = !everything.hidden;
+    count.textContent = counted(found.length);
   };
   words.addEventListener("input", look);
   let name = "";
@@ -100,11 +93,16 @@ function parts(store: Studio, session: Session, schemas: Schemas, words: HTMLInp
     if (!model) return;
     if (scenario && scenario.name !== name) functions.forget();
     name = scenario?.name ?? "";
-    functions.show((model.functions ?? {}) as Table);
+    functions.show(model);
     all.show(model);
     look();
   });
-  return [results, everything];
+  return [count, results, everything];
+}
+
+function counted(number: number): string {
+  if (number === 0) return "No key matches the search.";
+  return number === 1 ? "One key matches." : `${number < MOST ? number : `The first ${MOST}`} keys match.`;
 }
 
 function section(title: string, ...content: HTMLElement[]): HTMLElement {

@@ -10,7 +10,7 @@ export interface Found {
   fallback: unknown;
 }
 
-const MOST = 60;
+export const MOST = 60; // keys that are listed
 
 /** The topmost keys that fit, in the order of the model; a key within one that fits is not listed again. */
 export function search(schemas: Schemas, model: Table, text: string): Found[] {

@@ -44,8 +44,8 @@ def searched(browser: webdriver.Chrome, words: str, key: str) -> WebElement:
     """The control of a key that a search finds."""
     labelled(browser, "Search keys").clear()
     labelled(browser, "Search keys").send_keys(words)
-    until(browser, f"return document.querySelector('[aria-live] [data-key=\"{key}\"]') !== null")
-    return browser.find_element(By.CSS_SELECTOR, f"[aria-live] [data-key='{key}']")
+    until(browser, f"return document.querySelector('.keys-found [data-key=\"{key}\"]') !== null")
+    return browser.find_element(By.CSS_SELECTOR, f".keys-found [data-key='{key}']")
 
 
 def test_a_slider_s_gain_reaches_the_controller_at_the_next_step(browser: webdriver.Chrome, symbol: Served) -> None:
@@ -69,9 +69,9 @@ def test_what_is_refused_is_told_beside_its_control_and_changes_nothing(browser:
     row = searched(browser, "pixel_controller", "pixel_controller")
     field = row.find_element(By.TAG_NAME, "input")
     field.clear()
-    until(browser, "return document.querySelector('[aria-live] .key-error') !== null")
+    until(browser, "return document.querySelector('.keys-found .key-error') !== null")
     field.send_keys(Keys.CONTROL, "a", Keys.NULL, "jpoo", Keys.ENTER)
-    until(browser, "return document.querySelector('[aria-live] .key-error')?.textContent.includes(\"did you mean 'jpo'?\")")
+    until(browser, "return document.querySelector('.keys-found .key-error')?.textContent.includes(\"did you mean 'jpo'?\")")
     assert field.get_attribute("value") == "ssc" and scenario(symbol) == before
 
 
