@@ -20,6 +20,13 @@ const root: Schema = {
     },
     Own: { type: "object", properties: { kind: { type: "string" } } },
     Gains: gains,
+    Walker: {
+      type: "object",
+      properties: {
+        name: { type: "string", examples: ["walker"] },
+        track: { type: "array", items: { $ref: "#/$defs/Lamp" }, default: [] },
+      },
+    },
     Lamp: {
       type: "object",
       properties: { position_m: { type: "array", prefixItems: [{ type: "number" }, { type: "number" }], examples: [[20, 5]] } },
@@ -52,6 +59,7 @@ test("what is added has all that has to be given, and can be told from an empty 
   assert.deepEqual(schemas.fresh(of("detector")), { kind: "step" });
   assert.deepEqual(schemas.fresh({ $ref: "#/$defs/Lamp" }), { position_m: [20, 5] });
   assert.deepEqual(schemas.fresh({ $ref: "#/$defs/Gains" }, "mine"), { kp: 0.3 });
+  assert.deepEqual(schemas.fresh({ $ref: "#/$defs/Walker" }, "walker_2"), { name: "walker_2", track: [{ position_m: [20, 5] }] });
 });
 
 test("overrides are TOML, and null leaves a key out", () => {

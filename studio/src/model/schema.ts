@@ -53,6 +53,8 @@ export interface Field {
   optional: boolean;
 }
 
+const ONE_OF_SEVERAL = ["track", "at_least"]; // keys of which the model wants this or another, whatever their defaults
+
 export class Schemas {
   constructor(readonly root: Schema) {}
 
@@ -87,8 +89,15 @@ export class Schemas {
   }
 
   #required(schema: Schema, name: string): Record<string, unknown> {
-    const needed = Object.entries(schema.properties ?? {}).filter(([, each]) => !("default" in each) && each.const === undefined);
-    return Object.fromEntries(needed.map(([key, each]) => [key, key === "name" && name ? name : this.fresh(each, name)]));
+    const all = Object.entries(schema.properties ?? {});
+    const needed = all.filter(([key, each]) => ONE_OF_SEVERAL.includes(key) || (!("default" in each) && each.const === undefined));
+    return Object.fromEntries(needed.map(([key, each]) => [key, key === "name" && name ? name : this.#first(each, name)]));
+  }
+
+  /** A value that is more than an empty list. */
+  #first(schema: Schema, name: string): unknown {
+    const { form } = this.field(schema);
+    return form.is === "list" && !schema.examples ? [this.fresh(form.item)] : this.fresh(schema, name);
   }
 
   #of(schema: Schema): Schema {
