@@ -1,9 +1,9 @@
 """What the studio costs the loop: `python benchmarks/studio.py [--json FILE] [--quick]`.
 
-Steps of scenarios by the clock: in the studio that nobody watches, and watched by another process, which reads and acknowledges all that it
-gets; run by run in turn, on two cores, each scenario in a process of its own. The time of the processor for the loop's thread counts beside
-that by the clock, which other programs lengthen. Then bytes and time of a message, and the time from the
-command to the first picture.
+Steps of scenarios by the clock: in the studio that nobody watches, watched by another process, which reads and acknowledges all that it
+gets, and watched by a deaf one, which reads nothing after its first step; run by run in turn, on two cores, each scenario in a process of
+its own. The time of the processor for the loop's thread counts beside that by the clock, which other programs lengthen. Then bytes and time
+of a message, and the time from the command to the first picture.
 """
 
 import argparse
@@ -34,20 +34,22 @@ SMALL = ("camera.width_px=640", "camera.height_px=360", "judge_every=0")
 STEPS = {"snowflake": 240, "gfhb": 60, "driving": 40}  # some four seconds each
 SETTLED_S = 1.0  # in which a client has got the meshes of a run that starts
 WATCHER = """
-import json, struct, sys
+import json, struct, sys, time
 from websockets.sync.client import connect
 def message(**head):
     text = json.dumps(head).encode()
     return struct.pack("<I", len(text)) + text
-with connect(f"ws://127.0.0.1:{sys.argv[1]}/socket", max_size=None, compression=None) as socket:
+with connect(f"ws://127.0.0.1:{sys.argv[1]}/socket", max_size=None, max_queue=1, compression=None) as socket:
     socket.send(message(type="hello", token=sys.argv[2]))
-    for data in socket:
+    while data := socket.recv():
         (length,) = struct.unpack_from("<I", data)
         head = json.loads(data[4 : 4 + length])
         if head["type"] == "step":
             socket.send(message(type="shown", id=head["id"]))
             print("step", flush=True)
+            time.sleep(float(sys.argv[3]))
 """
+DEAF_S = 1e6  # after a step, in which a watcher reads nothing
 
 
 @contextmanager
@@ -105,19 +107,38 @@ def messages_of(session: Session) -> dict[str, dict[str, float]]:
 
 
 def measured(name: str, steps: int, rounds: int) -> dict[str, Any]:
-    """One scenario: ms a step unwatched and watched, run by run in turn, the median ratio of two that follow, and its messages."""
-    unwatched, watched = list[tuple[float, float]](), list[tuple[float, float]]()
+    """One scenario: ms a step unwatched, watched, and watched by one that reads nothing, run by run in turn, medians; the medians of the
+    ratios of runs that follow each other; and its messages.
+    """
+    taken: dict[str, list[tuple[float, float]]] = {"unwatched": [], "watched": [], "deaf": []}
     with studio(name, steps) as (session, port, tokens):
         for _ in range(rounds):
-            unwatched.append(played_ms(session))
-            watcher = subprocess.Popen([sys.executable, "-c", WATCHER, str(port), tokens.watch], stdout=subprocess.PIPE)
-            assert watcher.stdout is not None
-            watcher.stdout.readline()
-            watched.append(played_ms(session))
-            watcher.kill()
-        wall, busy = (median(after[k] / before[k] for before, after in zip(unwatched, watched, strict=True)) for k in (0, 1))
-        ms = {key: median(each[0] for each in taken) for key, taken in (("unwatched", unwatched), ("watched", watched))}
-        return {**ms, "ratio": wall, "busy_ratio": busy, "messages": messages_of(session)}
+            taken["unwatched"].append(played_ms(session))
+            for kind, sleeps_s in (("watched", 0.0), ("deaf", DEAF_S)):
+                with watched_from_outside(port, tokens.watch, sleeps_s):
+                    taken[kind].append(played_ms(session))
+        found: dict[str, Any] = {kind: median(each[0] for each in runs) for kind, runs in taken.items()}
+        for kind in ("watched", "deaf"):
+            ratios = zip(
+                *(
+                    [after / before for after, before in zip(*pair, strict=True)]
+                    for pair in zip(taken[kind], taken["unwatched"], strict=True)
+                ),
+                strict=True,
+            )
+            found[f"{kind}_ratio"], found[f"{kind}_busy_ratio"] = map(median, ratios)
+        return {**found, "messages": messages_of(session)}
+
+
+@contextmanager
+def watched_from_outside(port: int | str, token: str, sleeps_s: float) -> Iterator[None]:
+    """By a process that has got a step, and sleeps after each."""
+    command = [sys.executable, "-c", WATCHER, str(port), token, str(sleeps_s)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as watcher:
+        assert watcher.stdout is not None
+        watcher.stdout.readline()
+        yield
+        watcher.kill()
 
 
 def first_picture_s(name: str) -> float:
@@ -128,11 +149,8 @@ def first_picture_s(name: str) -> float:
         assert server.stdout is not None
         address = next(line.split()[-1] for line in server.stdout if line.startswith("To watch"))
         port, token = address.rpartition(":")[2].split("/#")
-        with subprocess.Popen([sys.executable, "-c", WATCHER, port, token], stdout=subprocess.PIPE) as watcher:
-            assert watcher.stdout is not None
-            watcher.stdout.readline()
+        with watched_from_outside(port, token, 0.0):
             seconds = time.perf_counter() - began_s
-            watcher.kill()
         server.terminate()
     return seconds
 
@@ -154,13 +172,21 @@ def main() -> None:
         found[name] = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)
     result = {"machine": machine("websockets", "torch"), "scenarios": found, "first_picture_s": first_picture_s("snowflake")}
     table = Table(
-        "scenario", "unwatched", "watched", "watched / unwatched", "by the processor", "bytes of a step", "ms of a step's message"
+        "scenario",
+        "unwatched",
+        "watched",
+        "ratio",
+        "by the processor",
+        "deaf",
+        "by the processor",
+        "bytes of a step",
+        "ms of a step's message",
     )
     for name, each in found.items():
-        ms = [f"{each[key]:.1f}" for key in ("unwatched", "watched")]
+        ratios = [f"{each[key]:.2f}" for key in ("watched_ratio", "watched_busy_ratio", "deaf_ratio", "deaf_busy_ratio")]
         message = each["messages"]["step"]
         table.add_row(
-            name, *ms, *(f"{each[key]:.2f}" for key in ("ratio", "busy_ratio")), f"{message['bytes']:.0f}", f"{message['ms']:.1f}"
+            name, f"{each['unwatched']:.1f}", f"{each['watched']:.1f}", *ratios, f"{message['bytes']:.0f}", f"{message['ms']:.1f}"
         )
     tables.show(table)
     print(f"first picture of snowflake: {result['first_picture_s']:.1f} s")

@@ -1,8 +1,10 @@
 """The command that serves the studio."""
 
 import asyncio
+import signal
 import socket
 import webbrowser
+from contextlib import suppress
 from pathlib import Path
 
 from loop.terminal.options import AllowCode, Device, Keys
@@ -56,6 +58,8 @@ def studio(
         print(f"To edit:  {address}#{tokens.edit}\nTo watch: {address}#{tokens.watch}\nEnd it with Ctrl-C.", flush=True)
         if open:
             await asyncio.to_thread(webbrowser.open, f"{address}#{tokens.edit}")
+        with suppress(NotImplementedError):  # SIGTERM ends it as Ctrl-C does
+            asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, signal.raise_signal, signal.SIGINT)
         try:
             await server.serve_forever()
         finally:
