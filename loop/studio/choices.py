@@ -9,6 +9,7 @@ import pyarrow.parquet as pq
 
 from loop.recording.files import TRAJECTORY
 from loop.recording.manifest import FILE, Manifest
+from loop.scenario.shipped import shipped_files
 from loop.studio.sources import RUNS
 from loop.terminal.listing import listing
 from world.errors import LuxloopError
@@ -20,7 +21,7 @@ MOST: Final = 200  # recordings, the newest
 def choices() -> dict[str, Any]:
     """As the protocol has them."""
     of = {kind: [{key: each[key] for key in ("name", "description")} for each in listing(kind)] for kind in ("scenarios", "controllers")}
-    return {**of, "rules": list(sets()), "recordings": recordings()}
+    return {**of, "rules": list(sets()), "symbols": list(shipped_files("symbols")), "recordings": recordings()}
 
 
 def recordings() -> list[dict[str, str]]:

@@ -57,6 +57,8 @@ class Run:
         self._state, self._kept, self._forgotten = simulation.start(), 0, 0
         self._bodies = NOTHING
         self._below: Sequence[Utilisation] | None = None  # light of the last step below what is painted, where another one is shown
+        self._ahead = False  # whether keys were edited since the last step
+        self._next: tuple[Simulation, StepResult] | None = None  # what they make of the next step, once it is looked at
         self._look_s = 0.0  # when a picture may be taken again
         self._made = simulation, self.step(("camera", "marks"))  # the last result, and the simulation that gave it
         self.white_cd_m2 = float(white_of(self._made[1], simulation))
@@ -74,8 +76,8 @@ class Run:
 
     def step(self, wanted: Collection[View], still: bool = True) -> StepResult:
         """Do a step. wanted: what somebody looks at. still: nothing follows at once, so that there is time for pictures."""
-        if self._below is not None:
-            self.snapshots[-1], self._below = self._taken(*self._made, self.snapshots[-1], wanted), None
+        if self._below is not None or self._next is not None:
+            self.snapshots[-1] = self._taken(*self._made, self.snapshots[-1], wanted)
         while self.recorded is not None and (due := self.recorded.due(len(self.snapshots))) is not None:
             self._go_on(self.edited(changed(self.simulation.scenario, due.overrides)), due.overrides)
         began_s = time.perf_counter()
@@ -90,6 +92,7 @@ class Run:
             self._look_s = time.perf_counter() + REST * (time.perf_counter() - began_s)
         values = (self.recorder or self.tally).add(result)
         self._state, self._made = state, (self.simulation, result)
+        self._below, self._next, self._ahead = None, None, False
         if len(self.rows) == len(self.snapshots):  # not a step that was recorded
             self.rows.append(np.array([_number(values.get(each.name)) for each in self.columns], np.float32))
         self.snapshots.append(taken)
@@ -127,8 +130,13 @@ class Run:
             recorder.__exit__(None, None, None)
 
     def look_again(self, wanted: Collection[View]) -> None:
-        """Take the last snapshot anew, with all that somebody looks at now, and in the light of what is painted on pixels now."""
-        self.snapshots[-1] = self._taken(self._made[0], self._repainted(), self.snapshots[-1], wanted)
+        """Take the last snapshot anew, with all that somebody looks at now, and as edits make the next step."""
+        if self._ahead and self._next is None:
+            with located(self.simulation.scenario.source):
+                _, following = self.simulation.step(self._state)
+            self._next = self.simulation, replace(following, step=self._made[1].step)
+        seen = self._next or (self._made[0], self._repainted())
+        self.snapshots[-1] = self._taken(*seen, self.snapshots[-1], wanted)
 
     def _repainted(self) -> StepResult:
         """The last result, with what is painted since; the next step shows it if that stays."""
@@ -155,6 +163,10 @@ class Run:
         self._go_on(after, overrides)
 
     def _go_on(self, after: tuple[Simulation, SimulationState], overrides: tuple[str, ...]) -> None:
+        before, scenario = self.simulation.scenario, after[0].scenario
+        painted = before.lighting.model_copy(update={"painted": scenario.lighting.painted})
+        self._ahead |= before.model_copy(update={"lighting": painted}) != scenario
+        self._next = None
         self.simulation, self._state = after
         known = {each.name for each in self.columns}
         self.columns = [*self.columns, *(each for each in _numbers(self.simulation) if each.name not in known)]

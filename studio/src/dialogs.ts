@@ -2,6 +2,7 @@
 
 import { h, ICONS, icon } from "./dom.ts";
 import { flat } from "./flat.ts";
+import { PLACE_KEYS } from "./place/keys.ts";
 import type { Session } from "./session.ts";
 import type { Studio } from "./state.ts";
 
@@ -25,6 +26,7 @@ const KEYS: [string, string][] = [
   ["Double click", "on a picture: show all of it; on a panel's title: maximise it"],
   ["Click on a curve", "look at that step again"],
   ["Enter in keys", "take other values of keys; Shift+Enter compares with them"],
+  ...PLACE_KEYS,
   ["?", "this list"],
   ["Esc", "close a list or dialog"],
 ];

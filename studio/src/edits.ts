@@ -32,6 +32,11 @@ export class Edits {
     return all.some((each) => isWithin(each, key) || isWithin(key, each));
   }
 
+  /** Whether edits are on their way or wait for that. */
+  get pending(): boolean {
+    return this.#sent !== null || this.#waiting.size > 0;
+  }
+
   /** Forget all: the connection is cut. */
   clear(): void {
     this.#sent = null;

@@ -9,6 +9,8 @@ import type { Painting } from "./matrix/painting.ts";
 import { type MatrixPanel, matrixPanel } from "./matrix/panel.ts";
 import { keysPanel } from "./model/panel.ts";
 import { notices } from "./notices.ts";
+import { placeThings } from "./place/index.ts";
+import type { Placing } from "./place/placing.ts";
 import type { SceneView } from "./scene/index.ts";
 import { beamControls } from "./scenes/beam.ts";
 import { ScenesPanel } from "./scenes/panel.ts";
@@ -21,8 +23,15 @@ import type { Raster } from "./world/raster.ts";
 
 declare global {
   interface Window {
-    /** For tests: the page's state, the scene of each run, what is painted, where its pixels are, and what light is wanted. */
-    luxloop: { store: Studio; readonly scenes: SceneView[]; painting: Painting; pixelAt: MatrixPanel["pixelAt"]; wanted: Raster };
+    /** For tests: the page's state, the scene of each run, what is chosen there, what is painted, where its pixels are, and the light that is wanted. */
+    luxloop: {
+      store: Studio;
+      readonly scenes: SceneView[];
+      placing: Placing | null;
+      painting: Painting;
+      pixelAt: MatrixPanel["pixelAt"];
+      wanted: Raster;
+    };
   }
 }
 
@@ -37,6 +46,7 @@ const summary = summaryDialog(store, session);
 const flipKeys = () => store.set({ keys_open: !store.state.keys_open });
 const tools = toolbar(store, session, { help: help.open, summary: summary.open, keys: flipKeys });
 beamControls(store, session, scenes.bar, scenes.body);
+const placing = placeThings(store, session, scenes, toasts.show);
 
 const matrix = matrixPanel(store, session, toasts.show);
 const light = worldLight(store, session, scenes, matrix.painting);
@@ -55,6 +65,7 @@ window.luxloop = {
   painting: matrix.painting,
   pixelAt: matrix.pixelAt,
   wanted: light.raster,
+  placing,
   get scenes() {
     return scenes.views;
   },

@@ -89,6 +89,7 @@ export interface ChoicesMessage {
   scenarios: Named[];
   controllers: Named[];
   rules: string[];
+  symbols: string[];
   /** Names are folders. */
   recordings: Named[];
 }

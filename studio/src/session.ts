@@ -37,7 +37,7 @@ export class Session {
     this.#connection = new Connection(address.url, address.token, {
       link: (link) => {
         this.#edits.clear();
-        this.store.set({ link });
+        this.store.set({ link, edits_pending: false });
       },
       message: (message, arrays) => this.#take(message, arrays),
       broken: toast,
@@ -57,6 +57,14 @@ export class Session {
   edit(overrides: readonly string[]): void {
     if (this.store.state.link === "open") this.#edits.add(overrides);
     else this.toast("There is no connection to the server.");
+    this.store.set({ edits_pending: this.#edits.pending });
+  }
+
+  /** The overrides of an edit that the server has answered, null where none was on its way. */
+  #answer(): string[] | null {
+    const overrides = this.#edits.answered();
+    this.store.set({ edits_pending: this.#edits.pending });
+    return overrides;
   }
 
   /** Whether an edit of a key, or of what it is in or has in it, is not answered yet. */
@@ -121,7 +129,7 @@ export class Session {
         if (message.about === "scrub") this.#forget();
         if (message.about === "place" || message.about === "wish") store.set({ refused_light: store.state.refused_light + 1 });
         if (message.about === "paint") store.set({ answered: store.state.answered + 1 });
-        const overrides = message.about === "set" || message.about === null ? this.#edits.answered() : null;
+        const overrides = message.about === "set" || message.about === null ? this.#answer() : null;
         if (overrides) store.set({ refused: { overrides, text: message.text } });
         else this.toast(message.text);
         return;
@@ -137,7 +145,7 @@ export class Session {
         return;
       case "scenario":
         this.#forget();
-        this.#edits.answered();
+        this.#answer();
         this.#connection.send({ type: "scrub", run: 0, step: null });
         this.scenes.begin(message);
         store.set({
@@ -170,7 +178,7 @@ export class Session {
         this.#edited(message);
         if (message.run !== 0) return;
         store.set({ answered: store.state.answered + 1 });
-        if (!this.#edits.answered()) this.#tell(message.step, message.overrides);
+        if (!this.#answer()) this.#tell(message.step, message.overrides);
         return;
       case "schema":
         store.set({ schema: message.schema });

@@ -20,6 +20,7 @@ import { Store } from "./store.ts";
 
 export type Viewpoint = "orbit" | "above" | "driver" | "oncoming" | "wall";
 export type PanelName = "scene" | "camera" | "matrix" | "curves";
+export type Tool = "move" | "turn" | "scale";
 export type Side = "left" | "right";
 
 /** The camera's newest pictures and the marks of the same step. */
@@ -88,6 +89,8 @@ export interface State {
   refused_light: number;
   /** The last edit by `Session.edit` that the server refused, and why. */
   refused: { overrides: string[]; text: string } | null;
+  /** Whether edits of this page are not answered yet. */
+  edits_pending: boolean;
   /** The scenario of the first run as it is now. */
   model: Model | null;
   /** Of the scenario model; null until it was asked for. */
@@ -116,6 +119,12 @@ export interface State {
   matrix_run: number;
   maximised: PanelName | null;
   keys_open: boolean;
+
+  /** Keys of the things that are chosen in the scene, and what dragging their handles does. */
+  chosen: readonly string[];
+  tool: Tool;
+  /** Whether the things are listed beside the scene. */
+  things: boolean;
 }
 
 export type Studio = Store<State>;
@@ -135,6 +144,7 @@ export function newStore(): Studio {
     granted: null,
     refused_light: 0,
     refused: null,
+    edits_pending: false,
     model: null,
     schema: null,
     runs: [],
@@ -157,6 +167,9 @@ export function newStore(): Studio {
     matrix_run: 0,
     maximised: null,
     keys_open: false,
+    chosen: [],
+    tool: "move",
+    things: false,
   });
 }
 

@@ -9,6 +9,7 @@ import {
   LinearFilter,
   LinearMipmapLinearFilter,
   Mesh,
+  type Object3D,
   type RawShaderMaterial,
   RedFormat,
   Texture,
@@ -22,6 +23,8 @@ export const SOLID = 1;
 const FORGOTTEN_AFTER = 200; // steps without it, a mesh leaves the graphics memory until it is shown again
 
 interface Shape {
+  object: string;
+  road: boolean;
   geometry: BufferGeometry;
   material: RawShaderMaterial;
   texture: Texture | null;
@@ -70,6 +73,12 @@ export class Bodies {
     }
   }
 
+  /** The mesh of an object that is there now. */
+  find(object: string): Mesh | null {
+    const fits = (each: Object3D): each is Mesh => each instanceof Mesh && each.visible && each.name === object && !each.userData.road;
+    return this.group.children.find(fits) ?? null;
+  }
+
   clear(): void {
     for (const id of [...this.shapes.keys()]) this.forget(id);
   }
@@ -87,11 +96,13 @@ export class Bodies {
     const material =
       texture && head.box ? this.materials.ofTexture(head.two_sided, texture, head.box) : this.materials.ofVertices(head.two_sided);
     if (!texture) geometry.setAttribute("albedo", new BufferAttribute(of("albedo")?.values ?? grey(vertices.length / 3), 1, true));
-    return { geometry, material, texture, meshes: [], used: 0, shown: 0, loaded: false };
+    return { object: head.object, road: head.kind === "road", geometry, material, texture, meshes: [], used: 0, shown: 0, loaded: false };
   }
 
   private another(shape: Shape): Mesh {
     const mesh = new Mesh(shape.geometry, shape.material);
+    mesh.name = shape.object;
+    mesh.userData.road = shape.road;
     mesh.matrixAutoUpdate = false;
     mesh.layers.enable(SOLID);
     shape.meshes.push(mesh);

@@ -1,6 +1,6 @@
 // The scene in three dimensions: what stands there, lit by the lamps as the loop lights it.
 
-import { Group, Matrix4, Raycaster, Scene, Vector2, Vector3, WebGLRenderer } from "three";
+import { type Box3, type Camera, Group, Matrix4, type Mesh, Raycaster, Scene, Vector2, Vector3, WebGLRenderer } from "three";
 import type { Arrays, BeamPoint, Matrix4x4, MeshesMessage, Run, StepMessage, Vector } from "../protocol.ts";
 import { Bodies } from "./bodies.ts";
 import { Fog } from "./fog.ts";
@@ -27,12 +27,23 @@ export interface SceneOptions {
   frusta: boolean;
 }
 
+/** What is under a pixel: a point of a body and the normal of its surface there, in the world. */
+export interface Hit {
+  point: Vector;
+  normal: Vector;
+  /** Name of the object, null on the road. */
+  object: string | null;
+  distance: number;
+}
+
 const BACKGROUND = 0x05070a;
 
 export class SceneView {
   readonly canvas: HTMLCanvasElement;
   /** For what others draw over the scene, in the local frame. */
   readonly overlay = new Group();
+  /** Called before each picture, with the camera that it is seen by. */
+  onDraw: ((camera: Camera) => void) | null = null;
   private readonly renderer: WebGLRenderer;
   private readonly scene = new Scene();
   private readonly frame = new LocalFrame();
@@ -174,23 +185,65 @@ export class SceneView {
 
   /** World point under a pixel of the canvas in CSS pixels, null where there is nothing. */
   pick(x: number, y: number): Vector | null {
-    const { clientWidth, clientHeight } = this.canvas;
-    const caster = new Raycaster();
-    this.scene.updateMatrixWorld();
-    const { camera } = this.viewpoints;
-    // The type of setFromCamera names the two cameras that `viewpoints` can have.
-    caster.setFromCamera(new Vector2((2 * x) / clientWidth - 1, 1 - (2 * y) / clientHeight), camera);
+    return this.hit(x, y)?.point ?? null;
+  }
+
+  /** What is under a pixel of the canvas in CSS pixels, null where there is nothing. */
+  hit(x: number, y: number): Hit | null {
     const target =
       this.viewpoints.viewpoint === "wall"
         ? this.wall.group.children.slice(0, 1)
         : this.bodies.group.children.filter((each) => each.visible);
-    const hit = caster.intersectObjects(target, false)[0];
-    return hit ? this.frame.world(hit.point) : null;
+    this.scene.updateMatrixWorld();
+    const hit = this.ray(x, y).intersectObjects<Mesh>(target, false)[0];
+    if (!hit) return null;
+    const normal = (hit.face?.normal ?? new Vector3(0, 0, 1)).clone().transformDirection(hit.object.matrixWorld);
+    const object = hit.object.userData.road === false ? hit.object.name : null;
+    return { point: this.frame.world(hit.point), normal: [normal.x, normal.y, normal.z], object, distance: hit.distance };
+  }
+
+  /** The ray of sight through a pixel of the canvas in CSS pixels, in the local frame. */
+  ray(x: number, y: number): Raycaster {
+    const { clientWidth, clientHeight } = this.canvas;
+    const caster = new Raycaster();
+    // The type of setFromCamera names the two cameras that `viewpoints` can have.
+    caster.setFromCamera(new Vector2((2 * x) / clientWidth - 1, 1 - (2 * y) / clientHeight), this.viewpoints.camera);
+    return caster;
+  }
+
+  /** Pixel of the canvas in CSS pixels at which a point of the local frame is seen, null where it is not. */
+  pixel(local: Vector3): Vector2 | null {
+    const { x, y, z } = local.clone().project(this.viewpoints.camera);
+    if (Math.abs(z) > 1) return null;
+    return new Vector2(((x + 1) / 2) * this.canvas.clientWidth, ((1 - y) / 2) * this.canvas.clientHeight);
+  }
+
+  get camera(): Camera {
+    return this.viewpoints.camera;
+  }
+
+  /** Whether dragging moves the orbit camera. */
+  set orbits(enabled: boolean) {
+    this.viewpoints.orbits = enabled;
   }
 
   /** A pose of the world in the local frame. */
   local(T_world_any: Matrix4x4): Matrix4 {
     return this.frame.pose(T_world_any);
+  }
+
+  /** Pose in the world and bounding box of an object, null where it is not there. */
+  body(name: string): { T: Matrix4; bounds: Box3 } | null {
+    const mesh = this.bodies.find(name);
+    if (!mesh) return null;
+    if (!mesh.geometry.boundingBox) mesh.geometry.computeBoundingBox();
+    const T = new Matrix4().makeTranslation(this.frame.origin).multiply(mesh.matrix);
+    return { T, bounds: mesh.geometry.boundingBox!.clone() };
+  }
+
+  /** Draw anew: what is on the overlay has changed. */
+  redraw(): void {
+    this.changed();
   }
 
   /** Draws what is due at once and in full resolution, for tests and pictures. */
@@ -353,6 +406,8 @@ export class SceneView {
       if (fog) this.fog.render(this.scene, camera, uniforms.canvas_px.value.x, uniforms.canvas_px.value.y);
       this.fog.sky.visible = fog;
     }
+    this.overlay.visible = !wall;
+    this.onDraw?.(camera);
     this.renderer.render(this.scene, camera);
     this.labels.update(camera, this.container.clientWidth, this.container.clientHeight);
   }

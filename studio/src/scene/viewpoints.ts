@@ -71,9 +71,14 @@ export class Viewpoints {
     return this.camera === this.flat;
   }
 
+  /** Whether dragging moves the orbit camera. */
+  set orbits(enabled: boolean) {
+    this.controls.enabled = enabled && this.viewpoint === "orbit";
+  }
+
   set(viewpoint: Viewpoint): void {
     this.viewpoint = viewpoint;
-    this.controls.enabled = viewpoint === "orbit";
+    this.orbits = true;
     this.place();
   }
 

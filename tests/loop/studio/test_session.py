@@ -57,6 +57,25 @@ def test_an_edit_tells_the_model_and_what_the_page_must_know(own: Served, editor
     assert run.simulation.world.scene.ambient_lx == 2.5 and len(run.rows) == 2
 
 
+def test_a_run_at_rest_shows_what_edits_make_of_the_next_step(own: Served, editor: Watcher) -> None:
+    (run,) = own.studio.session.published.runs
+    before, made = run.snapshots[0], len(run.rows)
+    wall = 'objects=[{kind = "box", name = "wall", size_m = [0.5, 2, 1], track = [{position_m = [14, 3, 0]}]}]'
+    editor.say(type="set", overrides=[wall, 'functions.wide={kind = "primitive", x_m = 15, width_m = 6}'])
+    editor.of("edit")
+    seen, _ = editor.of("step", step=0)
+    meshes = [
+        head["id"] for message, _ in editor.got if message["type"] == "meshes" for head in message["meshes"] if head["object"] == "wall"
+    ]
+    assert [each["T_world_body"][3] for each in seen["bodies"] if each["mesh"] in meshes] == [14.0]
+    shown = run.snapshots[0].lights
+    assert any(not u.equal(old) for u, old in zip(shown, before.lights, strict=True)) and len(run.rows) == made
+    editor.say(type="step")
+    editor.of("step", step=1)
+    assert all(u.equal(now) for u, now in zip(shown, run.snapshots[1].lights, strict=True))
+    assert all(u.equal(old) for u, old in zip(run.snapshots[0].lights, before.lights, strict=True))  # the step as it was
+
+
 def test_edits_are_taken_back_and_made_again(own: Served, editor: Watcher, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("loop.studio.history.TOGETHER_S", 0.0)
     first = kp(own)

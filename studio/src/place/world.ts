@@ -1,0 +1,118 @@
+// What else has a place: street lamps, spots and shapes of the road, the camera and the car's lamps.
+
+import { Box3, Matrix4, Vector3 } from "three";
+import { valueAt } from "../model/overrides.ts";
+import type { Model } from "../protocol.ts";
+import type { Table } from "./functions.ts";
+import { type Keys, keyed, listed } from "./keyed.ts";
+import { rounded } from "./poses.ts";
+import type { Thing } from "./things.ts";
+
+const WIDE_M = 8; // outline of what lies across the whole road
+const FLAT: Keys = { x: "x_m", y: "y_m", yaw: "yaw_deg", length: "length_m", width: "width_m" };
+const CAMERA: Keys = { x: "x_m", y: "y_m", z: "z_m", roll: "roll_deg", pitch: "pitch_deg", yaw: "yaw_deg" };
+const SHAPES: Record<string, Keys> = {
+  speed_bump: { x: "x_m", length: "length_m" },
+  step: { x: "x_m", length: "ramp_m" },
+  curb: { y: "y_m" },
+  pothole: { x: "x_m", y: "y_m", length: "diameter_m" },
+};
+
+export function worldThings(model: Model): Thing[] {
+  const light = model.light as Table;
+  const still = { live: false, partOf: null, frame: "world" } as const;
+  const lamps = (light.street_lamps as Table[]).map((_, k) =>
+    keyed(model, {
+      ...still,
+      key: `light.street_lamps[${k}]`,
+      title: `street lamp ${k}`,
+      kind: "street lamp",
+      sort: "light",
+      keys: listed("position_m"),
+      others: ["intensity_cd"],
+    }),
+  );
+  const spots = (model.spots as Table[]).map((spot, k) =>
+    keyed(model, {
+      ...still,
+      key: `spots[${k}]`,
+      title: `${spot.material ?? "spot"} ${k}`,
+      kind: "spot",
+      sort: "road",
+      keys: FLAT,
+      others: ["albedo_factor"],
+    }),
+  );
+  return [...lamps, ...spots, ...shapeOfRoad(model), camera(model), carLamps(model)];
+}
+
+function shapeOfRoad(model: Model): Thing[] {
+  const kind = String((model.road as Table).kind);
+  const keys = SHAPES[kind];
+  if (!keys) return [];
+  const size = (name: string | undefined, other: number) => (name ? Number(valueAt(model, `road.${name}`)) : other);
+  const half = kind === "curb" ? new Vector3(40, 0.1, 0) : new Vector3(size(keys.length, 1) / 2, WIDE_M / 2, 0);
+  if (kind === "pothole") half.y = half.x;
+  const bounds = new Box3(half.clone().negate(), half);
+  const others = kind === "pothole" ? ["depth_m", "edge_m"] : ["height_m"];
+  return [
+    keyed(model, {
+      key: "road",
+      title: kind.replace("_", " "),
+      kind,
+      sort: "road",
+      frame: "world",
+      live: false,
+      partOf: null,
+      keys,
+      bounds,
+      others,
+    }),
+  ];
+}
+
+function camera(model: Model): Thing {
+  const others = ["hfov_deg"];
+  return keyed(model, {
+    key: "camera",
+    title: "camera",
+    kind: "camera",
+    sort: "car",
+    frame: "body",
+    live: false,
+    partOf: null,
+    keys: CAMERA,
+    others,
+  });
+}
+
+/** Both lamps at once, by the place of the left one. */
+function carLamps(model: Model): Thing {
+  const { height_m, distance_m } = model.headlight as { height_m: number; distance_m: number };
+  return {
+    key: "headlight",
+    title: "lamps",
+    kind: "lamps",
+    sort: "car",
+    frame: "body",
+    live: false,
+    partOf: null,
+    T: new Matrix4().setPosition(0, distance_m / 2, height_m),
+    bounds: new Box3(),
+    axes: { move: "YZ", turn: "", scale: "" },
+    changes: (T) => {
+      const { y, z } = new Vector3().setFromMatrixPosition(T);
+      const [distance, height] = [rounded("x", 2 * y), rounded("x", z)];
+      return [
+        ...(distance === distance_m ? [] : [["headlight.distance_m", distance] as const]),
+        ...(height === height_m ? [] : [["headlight.height_m", height] as const]),
+      ];
+    },
+    figures: [
+      { key: "headlight.distance_m", label: "distance", unit: "m" },
+      { key: "headlight.height_m", label: "height", unit: "m" },
+      { key: "headlight.level_deg", label: "level", unit: "°" },
+      { key: "headlight.swivel_deg", label: "swivel", unit: "°" },
+    ],
+  };
+}
