@@ -25,7 +25,6 @@ from loop.recording.checks import Checks, lights, refuse_unknown
 from loop.recording.files import REPORT, TRAJECTORY, VIDEO
 from loop.recording.remedies import of_target
 from loop.recording.video import VideoWriter
-from loop.report.page import Watched, write_report
 from loop.report.picture import frame_picture, white_of
 from loop.scenario.model import Scenario, load
 from loop.scenario.plant import shadow_of
@@ -83,6 +82,8 @@ def run(
     Ctrl-C ends the recording, reports on the steps so far and goes on as KeyboardInterrupt. Raises LuxloopError where the scenario cannot
     be read or run, or another process writes into the folder; nothing is written before the first step is done.
     """
+    from loop.report.page import Watched, write_report  # Matplotlib, for which a preparation alone does not wait
+
     if folder is not None and not isinstance(folder, str | Path):
         raise LuxloopError(f"run: folder is a {type(folder).__name__}, not a path; give other values of keys as overrides=[...]")
     if isinstance(scenario, str | Path):

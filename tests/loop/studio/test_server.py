@@ -15,7 +15,8 @@ from websockets.sync.client import connect
 import luxloop
 from loop.lighting.record import row
 from loop.studio.feed import Feed
-from loop.studio.messages import Request
+from loop.studio.messages import Button, Request
+from loop.studio.session import Published
 from loop.studio.trust import refuse_foreign
 from tests.loop.studio.clients import Watcher, message, unpacked, watching
 from tests.loop.studio.conftest import SMALL, Served
@@ -111,6 +112,26 @@ def test_light_that_is_the_same_is_not_sent_again(served: Served) -> None:
     run.snapshots[0] = replace(first, lights=tuple(u.clone() for u in first.lights))
     again = [unpacked(each)[0] for each in feed.messages(published, Request(at=(0, 0), shown=sent[-1]["id"]))]
     assert again[-1]["type"] == "step" and again[-1]["light_windows"] == {}
+
+
+def test_messages_rest_while_the_session_plays_and_come_at_once_when_it_stops(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    with watching(served.port, served.tokens.edit) as watcher:
+        watcher.of("scenario")
+        watcher.say(type="reset")
+        watcher.of("scenario")
+    monkeypatch.setattr("loop.studio.feed.PERIOD_S", 3600.0)
+    feed, playing = Feed(), replace(served.studio.session.published, playing=True)
+    assert "step" in kinds(feed, playing, Request())
+    served.studio.session.ask(Button(type="step"), print)
+    while len(playing.runs[0].snapshots) < 2:
+        time.sleep(0.01)
+    assert kinds(feed, playing, Request(shown=9)) == []
+    assert "step" in kinds(feed, playing, Request(at=(0, 0), shown=9))  # who looks back does not wait
+    assert kinds(feed, replace(playing, playing=False), Request(shown=9)) == ["step"]
+
+
+def kinds(feed: Feed, published: Published, request: Request) -> list[str]:
+    return [unpacked(each)[0]["type"] for each in feed.messages(published, request)]
 
 
 def test_a_step_can_be_seen_again_and_is_not_overtaken(served: Served) -> None:
