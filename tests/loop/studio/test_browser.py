@@ -142,6 +142,15 @@ def test_the_page_asks_nobody_else_and_complains_of_nothing(browser: webdriver.C
     assert not [each["message"] for each in browser.get_log("browser") if each["level"] == "SEVERE"]
 
 
+def test_a_page_without_a_scenario_offers_those_there_are(browser: webdriver.Chrome) -> None:
+    for served in serving(Source("nowhere"), PAGE):
+        browser.get("about:blank")
+        browser.get(f"http://127.0.0.1:{served.port}/#{served.tokens.edit}")
+        until(browser, "return document.querySelector('.notice')?.textContent.includes('nowhere')")
+        browser.find_element(By.CSS_SELECTOR, "[aria-label^='Scenario: ']").click()
+        until(browser, "return [...document.querySelectorAll('[role=option]')].some((each) => each.dataset.name === 'gfhb')")
+
+
 def test_a_page_whose_network_is_cut_goes_on_with_the_same_run(browser: webdriver.Chrome, objects: Served) -> None:
     with network(objects.port) as between:
         opened(browser, replace(objects, port=between.port))
