@@ -1,6 +1,7 @@
 """The controls of the scenario's keys in a real browser: what is set reaches the simulation, and what is refused is told beside it."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from selenium import webdriver
@@ -9,7 +10,7 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.ui import Select, WebDriverWait
 
-from loop.scenario.model import Scenario
+from loop.scenario.model import Scenario, load
 from loop.studio.page import PAGE
 from loop.studio.session import Source
 from tests.loop.studio.conftest import SMALL, Served, serving
@@ -96,6 +97,23 @@ def test_a_disturbance_holds_from_the_next_step_for_a_second(browser: webdriver.
     (spell,) = scenario(symbol).disturbances.drops
     assert (spell.from_step, spell.until_step) == (len(run.rows), len(run.rows) + 30)  # at 30 steps a second
     until(browser, "return document.querySelector('.disturb [aria-pressed=true]')?.textContent === 'lost frames'")
+
+
+def test_the_scenario_is_saved_and_the_run_recorded(
+    browser: webdriver.Chrome, symbol: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # where the server makes its folder of recordings
+    opened(browser, symbol)
+    browser.execute_script("URL.createObjectURL = (blob) => { blob.text().then((text) => { window.saved = text; }); return '#'; }")
+    browser.find_element(By.TAG_NAME, "body").send_keys(Keys.CONTROL, "s")
+    until(browser, "return window.saved")
+    (tmp_path / "saved.toml").write_text(browser.execute_script("return window.saved"))
+    assert load(str(tmp_path / "saved.toml")) == scenario(symbol)
+    for on in ("true", "false"):
+        browser.find_element(By.CSS_SELECTOR, ".record").click()
+        until(browser, f"return document.querySelector('.record').ariaPressed === '{on}'")
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert folder.name.startswith("snowflake_") and (folder / "manifest.json").is_file()
 
 
 def test_a_watcher_reads_and_cannot_change(browser: webdriver.Chrome, symbol: Served) -> None:
