@@ -128,19 +128,24 @@ class Paint(Params):
     """Pixels of a module of the first run are painted.
 
     box: first row, end row, first column, end column. Its arrays `[rows, columns]` take the place of what was painted there: value, 255 for
-    full utilisation; painted, 255 where the value holds, 0 where nothing is painted, and shares between.
+    full utilisation; painted, 255 where the value holds, 0 where nothing is painted, and shares between. stroke: messages of the same one
+    are taken back together.
     """
 
     type: Literal["paint"]
+    stroke: Number = 0
     module: Number
     box: tuple[Number, Number, Number, Number]
     over: bool = True
 
 
 class Place(Params):
-    """The pixels that light a point of the world. value: what they are painted with, 255 for full utilisation; None: nothing."""
+    """The pixels that light a point of the world. value: what they are painted with, 255 for full utilisation; None: nothing.
+    stroke: as of `Paint`.
+    """
 
     type: Literal["place"]
+    stroke: Number = 0
     point_m: tuple[Metres, Metres, Metres]
     value: int | None = Field(None, ge=0, le=255)
     over: bool = True

@@ -193,7 +193,7 @@ class Session:
             case Paint() as paint:
                 from loop.studio.painting import painted
 
-                self._edit((painted(self._run(0).simulation, paint, asked.arrays),))
+                self._edit((painted(self._run(0).simulation, paint, asked.arrays),), f"stroke {paint.stroke}")
             case Place() | Wish() as asks:
                 self._paint_light(asks, asked)
             case Compare(overrides=None, recording=None):
@@ -218,7 +218,7 @@ class Session:
             self._publish(progress="finding the pixels for the light wanted")
         head, override = placed(self._run(0), asks) if isinstance(asks, Place) else wished(self._run(0), asks, asked.arrays)
         if override is not None:
-            self._edit((override,))
+            self._edit((override,), f"stroke {asks.stroke}" if isinstance(asks, Place) else None)
         asked.reply(head)
 
     def _look_again(self) -> None:
@@ -272,14 +272,14 @@ class Session:
             raise LuxloopError("nothing is prepared; open a scenario first")
         return tuple(run.simulation.scenario for run in self.published.runs)
 
-    def _edit(self, overrides: tuple[str, ...]) -> None:
-        """Other values of keys in all runs. Raises LuxloopError where one cannot have them."""
+    def _edit(self, overrides: tuple[str, ...], stroke: str | None = None) -> None:
+        """Other values of keys in all runs. stroke: that they are part of. Raises LuxloopError where one cannot have them."""
         from loop.scenario.edits import changed
 
         before = self._scenarios()
         after = (changed(each, (*overrides, *source.apart)) for each, source in zip(before, self._sources, strict=True))
         self._become(tuple(after), overrides)
-        self._history.add(before, overrides)
+        self._history.add(before, overrides if stroke is None else (stroke,))
 
     def _become(self, scenarios: tuple["Scenario", ...], overrides: tuple[str, ...] | None = None) -> None:
         """Other values of keys: while the runs go on, as far as that can be, else in runs that start anew. overrides: that make them of

@@ -199,6 +199,7 @@ export interface WishAnswer {
 /** With arrays `value` and `painted`, u1. box: first row, end row, first column, end column. */
 export interface PaintMessage {
   type: "paint";
+  stroke: number;
   module: number;
   box: [number, number, number, number];
   over: boolean;
@@ -221,5 +222,5 @@ export type ClientMessage =
   | { type: "set"; overrides: string[] }
   | { type: "compare"; overrides: string[] | null; recording?: string | null }
   | PaintMessage
-  | { type: "place"; point_m: Vector; value: number | null; over: boolean }
+  | { type: "place"; stroke: number; point_m: Vector; value: number | null; over: boolean }
   | { type: "wish"; box_m: [number, number, number, number]; over: boolean };

@@ -25,6 +25,8 @@ export class Painting {
   value = 255;
   words = "";
   over = true;
+  /** How many strokes were begun: each is taken back as one. */
+  strokes = 0;
   /** The module that was painted or pointed at last. */
   module = 0;
   layers: Layer[] = [];
@@ -62,6 +64,7 @@ export class Painting {
   }
 
   begin(module: number, at: Place): void {
+    this.strokes++;
     const layer = this.layers[module];
     this.module = module;
     const seed = Math.floor(at.row) * layer.cols + Math.floor(at.col);
@@ -103,12 +106,14 @@ export class Painting {
     if (rows !== layer.rows || cols !== layer.cols) {
       throw new Error(`${file}: has ${rows} x ${cols} pixels, but ${name} has ${layer.rows} x ${layer.cols}; bring it to this size`);
     }
+    this.strokes++;
     layer.replace(value, painted);
     this.#touch(module, layer.all);
   }
 
   /** Paint over what the functions give, or in its place, in all modules. */
   setOver(over: boolean): void {
+    this.strokes++;
     this.over = over;
     for (const [module, layer] of this.layers.entries()) this.#touch(module, { ...layer.all, bottom: 1, right: 1 });
     this.changed(null);
@@ -137,7 +142,7 @@ export class Painting {
     const shape = [box.bottom - box.top, box.right - box.left];
     const arrays = new Map((["value", "painted"] as const).map((name) => [name, { shape, values: layer.cut(layer[name], box) }] as const));
     this.#sent = setTimeout(() => this.#answered(), ANSWER_MS);
-    this.send({ type: "paint", module, box: [box.top, box.bottom, box.left, box.right], over: this.over }, arrays);
+    this.send({ type: "paint", stroke: this.strokes, module, box: [box.top, box.bottom, box.left, box.right], over: this.over }, arrays);
   }
 
   #answered(): void {

@@ -112,7 +112,13 @@ export function worldLight(store: Studio, session: Session, scenes: ScenesPanel,
   };
   const ask = () => {
     if (asked !== null || !waiting || (mode !== "find" && mode !== "light")) return;
-    session.send({ type: "place", point_m: waiting, value: mode === "light" ? painting.value : null, over: painting.over });
+    session.send({
+      type: "place",
+      stroke: painting.strokes,
+      point_m: waiting,
+      value: mode === "light" ? painting.value : null,
+      over: painting.over,
+    });
     waiting = null;
     asked = setTimeout(answered, ANSWER_MS);
   };
@@ -144,6 +150,7 @@ export function worldLight(store: Studio, session: Session, scenes: ScenesPanel,
       view.canvas.setPointerCapture(event.pointerId);
       stroke = view;
       before = null;
+      painting.strokes++;
       under(event);
     },
     { capture: true },

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -34,10 +35,13 @@ def spot(rows: int, cols: int, value: int = 255) -> Arrays:
     return {"value": np.full((rows, cols), value, np.uint8), "painted": np.full((rows, cols), 255, np.uint8)}
 
 
-def painted(watcher: Watcher, box: list[int], over: bool, arrays: Arrays | None = None) -> np.ndarray:
-    """Utilisations of the module as they come at rest."""
+def paint(watcher: Watcher, box: list[int], over: bool, arrays: Arrays | None = None) -> None:
     watcher.say(arrays or spot(box[1] - box[0], box[3] - box[2]), type="paint", module=0, box=box, over=over)
-    return watcher.until(lambda head: head["type"] == "step" and "u.0" in head["arrays"])[1]["u.0"]
+
+
+def until_lit(watcher: Watcher, expected: np.ndarray) -> None:
+    """Wait for a step with these utilisations of the first module."""
+    watcher.until(lambda head: "u.0" in head.get("arrays", {}) and np.array_equal(watcher.got[-1][1]["u.0"], expected))
 
 
 def test_the_place_that_lights_up_is_that_of_the_pixels(lamp: Painted) -> None:
@@ -92,15 +96,15 @@ def test_boxes_add_up_and_what_is_rubbed_out_is_as_before(lamp: Painted) -> None
         watcher.say(type="reset")
         watcher.of("scenario")
         before = watcher.of("step", step=0)[1]["u.0"]
-        painted(watcher, [0, 1, 0, 5], True, spot(1, 5, 100))
-        u = painted(watcher, [1, 3, 2, 4], True, spot(2, 2, 7))
+        paint(watcher, [0, 1, 0, 5], True, spot(1, 5, 100))
+        paint(watcher, [1, 3, 2, 4], True, spot(2, 2, 7))
         expected = before.copy()
         expected[0, :5], expected[1:3, 2:4] = 100, 7
-        assert np.array_equal(u, expected)
+        until_lit(watcher, expected)
         nothing = {"value": np.full((2, cols), 9, np.uint8), "painted": np.zeros((2, cols), np.uint8)}
-        u = painted(watcher, [0, 2, 0, cols], True, nothing)
+        paint(watcher, [0, 2, 0, cols], True, nothing)
         expected[:2] = before[:2]
-        assert np.array_equal(u, expected)
+        until_lit(watcher, expected)
         published = served.studio.session.published
         params = published.runs[0].simulation.scenario.lighting.painted[0]
         assert params.module == "left matrix" and np.array_equal(params.pictures[1][2], np.where(np.arange(cols) // 2 == 1, 255, 0))
@@ -109,6 +113,30 @@ def test_boxes_add_up_and_what_is_rubbed_out_is_as_before(lamp: Painted) -> None
         watcher.say(type="step")
         watcher.of("step", step=1)
         assert again.at(1).lights[0].equal(published.runs[0].snapshots[1].lights[0])
+
+
+def test_strokes_are_taken_back_and_saved(lamp: Painted, tmp_path: Path) -> None:
+    served, model = lamp
+    expected = np.zeros(LAMPS[model], np.uint8)
+    expected[2, 0:4] = 255
+    first = expected.copy()
+    expected[0:2, 3:6] = 255
+    with watching(served.port, served.tokens.edit) as watcher:
+        watcher.of("scenario")
+        watcher.say(type="set", overrides=["lighting.painted=[]"])
+        watcher.of("edit")
+        for stroke, box in ((1, [2, 3, 0, 4]), (2, [0, 1, 3, 6]), (2, [0, 2, 3, 6])):
+            watcher.say(spot(box[1] - box[0], box[3] - box[2]), type="paint", stroke=stroke, module=0, box=box, over=False)
+        until_lit(watcher, expected)
+        run = served.studio.session.published.runs[0]
+        watcher.say(type="save")
+        (tmp_path / "mine.toml").write_text(watcher.of("saved")[0]["text"])
+        saved = load(str(tmp_path / "mine.toml"))
+        assert saved.lighting.painted == run.simulation.scenario.lighting.painted
+        assert np.array_equal(255 * prepare(saved, "cpu").at(0).lights[0], expected.ravel())
+        for way, light in (("undo", first), ("redo", expected)):
+            watcher.say(type=way)
+            until_lit(watcher, light)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 from selenium import webdriver
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
 from loop.studio.page import PAGE
@@ -37,7 +38,9 @@ def page(browser: webdriver.Chrome, plain: Served) -> webdriver.Chrome:
     browser.execute_script("document.querySelector('.matrix [title=\"Paint pixels\"]').click()")
     clicked(browser, "clear")
     until(browser, "return luxloop.store.state.model.lighting.painted.length === 0")
-    until(browser, "return luxloop.store.state.runs[0].utilisations.get(0)[1 * 28 + 1] < 255")
+    (run,) = plain.studio.session.published.runs
+    light = (255 * run.snapshots[-1].lights[0]).round().view(ROWS, COLUMNS).numpy()
+    WebDriverWait(browser, 20, 0.1).until(lambda page: np.array_equal(utilisations(page), light))
     return browser
 
 
@@ -95,6 +98,27 @@ def test_it_is_shown_in_place_of_the_functions_and_filled(page: webdriver.Chrome
     expected[:, 14], expected[:, 15:] = 255, 51
     is_lit(page, plain, expected)
     page.execute_script("luxloop.painting.value = 255; luxloop.painting.setOver(true)")
+
+
+def test_undo_takes_a_stroke_off_the_page(page: webdriver.Chrome, plain: Served) -> None:
+    before = utilisations(page)
+    clicked(page, "brush")
+    drawn(page, (0, 3), (0, 8))
+    until(page, "return luxloop.painting.layers[0].painted[5] === 255 && luxloop.store.state.model.lighting.painted.length === 1")
+    ActionChains(page).key_down(Keys.CONTROL).send_keys("z").key_up(Keys.CONTROL).perform()
+    until(page, "return luxloop.painting.layers[0].painted.every((each) => each === 0)")
+    WebDriverWait(page, 20, 0.1).until(lambda page: np.array_equal(utilisations(page), before))
+
+
+def test_a_text_is_written_where_one_clicks(page: webdriver.Chrome, plain: Served) -> None:
+    clicked(page, "text")
+    page.execute_script("luxloop.painting.words = 'H'; luxloop.painting.thickness = 3")
+    drawn(page, (2, 9))
+    until(page, "return luxloop.painting.layers[0].painted.some((each) => each)")
+    painted = np.array(page.execute_script(MARKED)[0]).reshape(ROWS, COLUMNS)
+    assert painted[:, :9].sum() == painted[:, 14:].sum() == 0
+    page.execute_script("luxloop.painting.thickness = 1")
+    clicked(page, "brush")
 
 
 def test_files_are_taken_where_they_fit_and_saved_as_shown(page: webdriver.Chrome, plain: Served, tmp_path: Path) -> None:
