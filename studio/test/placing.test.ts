@@ -74,7 +74,7 @@ test("what has no key cannot be changed", () => {
   const held = thing("functions.held");
   assert.deepEqual(held.axes, { move: "XY", turn: "", scale: "XY" });
   assert.deepEqual(moved(held, [1, 0, 5]), { "functions.held.x_m": 18 });
-  assert.equal(thing("functions.lane"), undefined);
+  assert.equal(thing("functions.lane").placed, false);
   assert.deepEqual(moved(thing("road"), [2, 2, 0]), { "road.x_m": 19 });
   assert.deepEqual(moved(thing("headlight"), [0, 0.1, 0]), { "headlight.distance_m": 1.4 });
 });

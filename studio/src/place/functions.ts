@@ -1,7 +1,8 @@
 // Lighting functions that have a place: primitives, symbols, paths and zones.
 
+import { Box3, Matrix4 } from "three";
 import type { Model } from "../protocol.ts";
-import { flat as flatPoint, type Keys, keyed, listed } from "./keyed.ts";
+import { figure, flat as flatPoint, type Keys, keyed, listed } from "./keyed.ts";
 import type { Thing } from "./things.ts";
 import { shifted } from "./whole.ts";
 
@@ -32,8 +33,22 @@ function ofFunction(model: Model, name: string, table: Table): Thing[] {
     case "path":
       return pathThings(model, thing, (table.control_m as unknown[]).length);
     default:
-      return [];
+      return [placeless(thing, table)];
   }
+}
+
+/** What is drawn where objects or the car are. */
+function placeless(thing: Plain, table: Table): Thing {
+  const numbers = Object.entries(table).filter(([, value]) => typeof value === "number");
+  return {
+    ...thing,
+    placed: false,
+    T: new Matrix4(),
+    bounds: new Box3(),
+    axes: { move: "", turn: "", scale: "" },
+    changes: () => [],
+    figures: numbers.map(([name]) => figure(thing.key, name)),
+  };
 }
 
 type Plain = Pick<Thing, "key" | "title" | "kind" | "sort" | "frame" | "live" | "partOf">;

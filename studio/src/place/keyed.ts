@@ -13,7 +13,7 @@ const SIZES = ["length", "width", "height"] as const; // along x, y and z
 const POSE = ["x", "y", "z", "roll", "pitch", "yaw"] as const;
 const LEAST = 0.05; // m, of a size
 
-export interface Keyed extends Omit<Thing, "T" | "bounds" | "axes" | "changes" | "figures"> {
+export interface Keyed extends Omit<Thing, "T" | "bounds" | "axes" | "changes" | "figures" | "placed"> {
   keys: Keys;
   /** What has no key. */
   fixed?: Partial<Pose>;
@@ -42,6 +42,7 @@ export function keyed(model: unknown, { keys, fixed, lift = 0, bounds, stands = 
   const given = new Set<string>(Object.keys(keys));
   return {
     ...thing,
+    placed: true,
     T,
     bounds: bounds ?? (size.lengthSq() > 0 ? own : new Box3()),
     axes: {
@@ -50,7 +51,7 @@ export function keyed(model: unknown, { keys, fixed, lift = 0, bounds, stands = 
       scale: SIZES.map((each, k) => (given.has(each) ? "XYZ"[k] : "")).join(""),
     },
     changes: (moved, scale) => changed(keys, whole, at, moved, scale, lift),
-    figures: [...named(keys, whole), ...others.map((name): Figure => ({ key: whole(name), label: label(name), unit: unitOf(name) }))],
+    figures: [...named(keys, whole), ...others.map((name) => figure(thing.key, name))],
   };
 }
 
@@ -99,6 +100,11 @@ const UNITS: readonly (readonly [string, string])[] = [
   ["_s", "s"],
   ["_m", "m"],
 ];
+
+/** A number of a table that is shown. */
+export function figure(table: string, name: string): Figure {
+  return { key: `${table}.${name}`, label: label(name), unit: unitOf(name) };
+}
 
 function unitOf(name: string): string {
   return UNITS.find(([end]) => name.endsWith(end))?.[1] ?? "";

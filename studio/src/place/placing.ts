@@ -149,9 +149,13 @@ export class Placing {
     this.session.edit(overrides);
   }
 
+  private get gripped(): Thing[] {
+    return this.chosen.filter(({ placed }) => placed);
+  }
+
   /** Frame in which what is chosen is moved. */
   get base(): Frame {
-    return this.drag?.base ?? frameOf(this.chosen);
+    return this.drag?.base ?? frameOf(this.gripped);
   }
 
   get isDragging(): boolean {
@@ -159,7 +163,7 @@ export class Placing {
   }
 
   begin(): void {
-    const { chosen } = this;
+    const chosen = this.gripped;
     if (!chosen.length) return;
     const base = frameOf(chosen);
     const T_base_local = this.frame(base).invert();
@@ -215,7 +219,8 @@ export class Placing {
   private get shown(): Thing[] {
     const { chosen, things } = this.store.state;
     const open = new Set(this.chosen.flatMap(({ key, partOf }) => [key, partOf]));
-    return this.things.filter(({ key, partOf }) => (partOf === null ? things || chosen.includes(key) : open.has(partOf)));
+    const isShown = ({ key, partOf }: Thing) => (partOf === null ? things || chosen.includes(key) : open.has(partOf));
+    return this.things.filter((thing) => thing.placed && isShown(thing));
   }
 
   private labelled({ bounds, ...thing }: Thing): Vector3 {
@@ -224,7 +229,7 @@ export class Placing {
   }
 
   private grip(tool: Tool): void {
-    const { chosen } = this;
+    const chosen = this.gripped;
     const [first] = chosen;
     if (!first || !this.steers || this.clicking || this.store.state.viewpoint === "wall") {
       this.gizmo.hide();

@@ -34,6 +34,8 @@ export interface Thing {
   axes: { move: string; turn: string; scale: string };
   /** Whether a change acts at the next step, so that it is told while it is made. */
   live: boolean;
+  /** Whether it is drawn; what has no place of its own is listed alone. */
+  placed: boolean;
   /** Things that are a part of another are shown only while that or another part of it is chosen. */
   partOf: string | null;
   /** What is changed by another pose in its frame, and by a scale along its axes. */

@@ -2,10 +2,11 @@
 
 import { Box3, Matrix4, Vector3 } from "three";
 import { valueAt } from "../model/overrides.ts";
+import { figure } from "./keyed.ts";
 import { rounded } from "./poses.ts";
-import type { Change, Figure, Thing } from "./things.ts";
+import type { Change, Thing } from "./things.ts";
 
-export interface Shifted extends Omit<Thing, "T" | "bounds" | "axes" | "changes" | "figures"> {
+export interface Shifted extends Omit<Thing, "T" | "bounds" | "axes" | "changes" | "figures" | "placed"> {
   /** Keys of its points, each a list of two or three numbers. */
   points: string[];
   /** Where it is now, if that is not at its first point. */
@@ -20,6 +21,7 @@ export function shifted(model: unknown, { points, T, bounds, others = [], ...thi
   const from = new Vector3().setFromMatrixPosition(now);
   return {
     ...thing,
+    placed: true,
     T: now,
     bounds: bounds ?? new Box3(),
     axes: { move: "XY", turn: "", scale: "" },
@@ -27,7 +29,7 @@ export function shifted(model: unknown, { points, T, bounds, others = [], ...thi
       const by = new Vector3().setFromMatrixPosition(moved).sub(from);
       return points.flatMap((key) => movedPoint(model, key, by));
     },
-    figures: others.map((name): Figure => ({ key: `${thing.key}.${name}`, label: name.replace(/^.*\./, ""), unit: "" })),
+    figures: others.map((name) => figure(thing.key, name)),
   };
 }
 

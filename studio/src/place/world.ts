@@ -96,6 +96,7 @@ function carLamps(model: Model): Thing {
     sort: "car",
     frame: "body",
     live: false,
+    placed: true,
     partOf: null,
     T: new Matrix4().setPosition(0, distance_m / 2, height_m),
     bounds: new Box3(),

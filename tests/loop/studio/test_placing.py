@@ -31,6 +31,13 @@ const mesh = gizmo.picker[mode].children.find((each) => each.name === axis);
 mesh.geometry.computeBoundingBox();
 const middle = mesh.geometry.boundingBox.getCenter(mesh.position.clone()).applyMatrix4(mesh.matrixWorld);
 return luxloop.scenes[0].pixel(middle).toArray()"""
+RING = """
+const mesh = luxloop.placing.gizmo.control.getHelper().children[0].gizmo.rotate.children.find((each) => each.name === arguments[0]);
+luxloop.scenes[0].renderNow();
+const { position } = mesh.geometry.attributes, place = mesh.position.clone();
+const pixels = Array.from({ length: position.count }, (_, k) => place.fromBufferAttribute(position, k).applyMatrix4(mesh.matrixWorld))
+  .map((each) => luxloop.scenes[0].pixel(each).toArray());
+return pixels.reduce((low, each) => (each[1] > low[1] ? each : low))"""  # where it is nearest
 PLACE = """
 const [key, ...point] = arguments, { placing, scenes } = luxloop;
 const thing = placing.things.find((each) => each.key === key);
@@ -118,6 +125,40 @@ def test_what_is_chosen_is_dragged_over_the_road(page: webdriver.Chrome, plain: 
     assert [after.x_m - before.x_m, after.y_m - before.y_m] == pytest.approx(by[:2], abs=FINE_M)
 
 
+@pytest.mark.slow
+def test_handles_turn_and_scale_about_the_middle(page: webdriver.Chrome, plain: Served) -> None:
+    chosen(page, "functions.carpet")
+    before = scenario(plain).functions["carpet"]
+    page.find_element(By.TAG_NAME, "body").send_keys("b")
+    width = page.execute_script(HANDLE, "scale", "Y")
+    middle = page.execute_script(PLACE, "functions.carpet", 0, 0, 0)
+    dragged(page, width, (round(0.5 * (width[0] - middle[0])), 0))
+    scaled = scenario(plain).functions["carpet"]
+    assert scaled.width_m / before.width_m == pytest.approx(1.5, abs=0.05)  # pixels are whole, and the handle is 25 px away
+    assert scaled.model_copy(update={"width_m": before.width_m}) == before
+    page.find_element(By.TAG_NAME, "body").send_keys("t")
+    ring = page.execute_script(RING, "Z")
+    dragged(page, ring, (20, 10))
+    turned = scenario(plain).functions["carpet"]
+    assert abs(turned.yaw_deg - before.yaw_deg) > 2
+    assert turned.model_copy(update={"yaw_deg": scaled.yaw_deg}) == scaled
+    page.find_element(By.TAG_NAME, "body").send_keys("g")
+
+
+@pytest.mark.slow
+def test_what_is_chosen_together_moves_together(page: webdriver.Chrome, plain: Served) -> None:
+    chosen(page, "functions.carpet")
+    page.execute_script("luxloop.placing.choose('objects[0]', true)")
+    until(page, "return luxloop.placing.chosen.length === 2")
+    before = scenario(plain)
+    dragged(page, page.execute_script(HANDLE, "translate", "Y"), (-30, 0))
+    after = waited(plain, lambda now: now.objects != before.objects)
+    by_m = after.functions["carpet"].y_m - before.functions["carpet"].y_m
+    wall, old = (each.objects[0].track[0].position_m for each in (after, before))
+    assert by_m > 0.3 and wall == pytest.approx((old[0], old[1] + by_m, old[2]), abs=FINE_M)
+    assert after.functions["carpet"].x_m == before.functions["carpet"].x_m
+
+
 def test_an_object_is_dragged_and_prepared_anew_where_it_was_let_go(page: webdriver.Chrome, plain: Served) -> None:
     number = plain.studio.session.published.number
     chosen(page, "objects[0]")
@@ -146,6 +187,7 @@ def test_a_click_on_the_road_places_a_primitive_and_delete_removes_it(page: webd
     assert waited(plain, lambda now: "primitive_on_the_road" not in now.functions).functions.keys() == {"carpet"}
 
 
+@pytest.mark.slow
 def test_an_object_is_duplicated_switched_off_and_on_and_removed(page: webdriver.Chrome, plain: Served) -> None:
     chosen(page, "objects[0]")
     page.find_element(By.TAG_NAME, "body").send_keys("D")
@@ -160,6 +202,25 @@ def test_an_object_is_duplicated_switched_off_and_on_and_removed(page: webdriver
     until(page, "return luxloop.placing.chosen[0]?.key === 'objects[1]'")
     page.find_element(By.TAG_NAME, "body").send_keys(Keys.DELETE)
     assert waited(plain, lambda now: len(now.objects) == 1).objects == both[:1]
+
+
+@pytest.mark.slow
+def test_an_object_goes_a_course_of_clicked_points_and_halts(page: webdriver.Chrome, plain: Served) -> None:
+    chosen(page, "objects[0]")
+    start = scenario(plain).objects[0].track[0].position_m
+    page.find_element(By.XPATH, "//button[text()='Course']").click()
+    until(page, "return luxloop.placing.clicking !== null")
+    pixels = [(150, 200), (180, 190)]
+    points = [picked(page, pixel) for pixel in pixels]
+    for pixel in pixels:
+        clicked(page, *pixel)
+    page.find_element(By.TAG_NAME, "body").send_keys(Keys.ENTER)
+    path = waited(plain, lambda now: now.objects[0].path is not None).objects[0].path
+    assert path is not None and np.array(path.points_m) == pytest.approx(np.array([start, *points]), abs=FINE_M)
+    until(page, "return !luxloop.store.state.edits_pending")
+    page.find_element(By.XPATH, "//button[text()='Halt']").click()
+    (pose,) = waited(plain, lambda now: now.objects[0].path is None).objects[0].track
+    assert np.hypot(pose.position_m[0] - start[0], pose.position_m[1] - start[1]) < 0.5  # of the way of a step or two at 2 m/s
 
 
 def test_a_watcher_can_choose_and_not_drag(browser: webdriver.Chrome, plain: Served) -> None:
