@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from controllers.symbol.sensing.projection import ProjectionCommand
     from controllers.symbol.sensing.protocol import Observation, SymbolController
     from controllers.symbol.sensing.symbol_sensor import SymbolSensor
+    from loop.client.client import Client, connect
     from loop.contracts.controller import check_controller
     from loop.contracts.detector import check_detector
     from loop.contracts.function import check_function
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Arrivals",
+    "Client",
     "Detections",
     "Ego",
     "Exposure",
@@ -86,6 +88,7 @@ __all__ = [
     "check_plant",
     "check_tracker",
     "concatenate",
+    "connect",
     "idealised",
     "load",
     "load_lamp",
@@ -109,6 +112,7 @@ _MODULES = {
     "controllers.symbol.sensing.projection": ("ProjectionCommand",),
     "controllers.symbol.sensing.symbol_sensor": ("SymbolSensor",),
     "controllers.symbol.sensing.protocol": ("Observation", "SymbolController"),
+    "loop.client.client": ("Client", "connect"),
     "loop.contracts.controller": ("check_controller",),
     "loop.contracts.detector": ("check_detector",),
     "loop.contracts.function": ("check_function",),

@@ -159,6 +159,34 @@ class DimmingParams(CommandParams):
         return over_time(self.entries, now.time_s, "share")
 
 
+class DirectParams(Timed):
+    """Commands modules as it says: from another program, say, anew in each step (T 4.1)."""
+
+    kind: Literal["command"] = "command"
+    modules: tuple[str, ...] = Field((), description="lamps or modules that it commands; left out: all")
+    swivel_deg: float = Field(0.0, ge=-180, le=180, description="turned to the left; limited by each module's own range")
+    level_deg: float = Field(0.0, ge=-90, le=90, description="turned down; limited by each module's own range")
+    intensity: float = Field(1.0, ge=0, le=1, description="share of the maximum intensity")
+
+    def primitives(self, now: Situation) -> tuple[Primitives, ...]:
+        """No primitives: the function draws nothing."""
+        return ()
+
+    def commanded(self, before: Given | None, now: Situation, modules: Sequence[Movable]) -> Given:
+        """The command for each module; at rest while the function is not active."""
+        command = self.command if self.active(now.time_s) else REST
+        return Given(now.time_s, tuple((module.name, command) for module in modules if self.moves(module)))
+
+    @property
+    def command(self) -> ModuleCommand:
+        """While it is active."""
+        return ModuleCommand(self.swivel_deg, self.level_deg, self.intensity)
+
+    def moves(self, module: Movable) -> bool:
+        """Whether it commands this module."""
+        return meant(self.modules, module.name)
+
+
 def composed(given: Iterable[Given], modules: Iterable[Movable]) -> Commands:
     """One command for each module from those of all functions: turns add up within the module's range, intensities multiply."""
     of_all, commands = [command for each in given for command in each.commands], []

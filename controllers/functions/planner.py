@@ -10,7 +10,7 @@ import torch
 from pydantic import AfterValidator, Field, Tag, TypeAdapter
 
 from controllers.functions.base_beams import BaseBeam, BaseBeamParams, RawParams
-from controllers.functions.commands import BendingParams, CommandingFunction, DimmingParams, Given, LevellingParams, Movable
+from controllers.functions.commands import BendingParams, CommandingFunction, DimmingParams, DirectParams, Given, LevellingParams, Movable
 from controllers.functions.glare_free import GlareFreeParams
 from controllers.functions.lane import LaneParams, WidthParams
 from controllers.functions.marker import MarkerParams
@@ -46,6 +46,7 @@ FunctionParams = Annotated[
     | Annotated[BendingParams, Tag("bending")]
     | Annotated[LevellingParams, Tag("levelling")]
     | Annotated[DimmingParams, Tag("dimming")]
+    | Annotated[DirectParams, Tag("command")]
     | Annotated[OwnFunction, Tag(OWN)],
     known_or_own("kind"),
 ]
@@ -59,7 +60,7 @@ ORDER: Final = (  # from top to bottom, for functions of equal priority that ove
     ("sign",),
     ("object_based",),
     ("zone", "material"),
-    ("bending", "levelling", "dimming"),  # these draw nothing
+    ("bending", "levelling", "dimming", "command"),  # these draw nothing
 )
 
 

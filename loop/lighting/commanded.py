@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from controllers.functions.commands import MOVED, BendingParams, CommandParams, Given, LevellingParams, Movement, composed
+from controllers.functions.commands import MOVED, BendingParams, CommandParams, DirectParams, Given, LevellingParams, Movement, composed
 from controllers.functions.planner import Planner
 from controllers.situation import Situation
 from loop.lighting.controlled import ControlledSymbol
@@ -38,6 +38,10 @@ def commanded(
 def refuse_commands(planner: Planner, modules: Sequence[ShiningModule], controlled: Mapping[str, ControlledSymbol]) -> None:
     """Raises LuxloopError where a function means no module that can be turned so, or one with which a controller holds a symbol."""
     for name, function in planner.commanding.items():
+        if isinstance(function, DirectParams) and function.command != REST:
+            for symbol, each in controlled.items():
+                for module in (modules[k] for k in each.drawn_by if function.moves(modules[k])):
+                    raise _held(symbol, module, f"turned or dimmed by functions.{name}")
         if isinstance(function, CommandParams):
             how = MOVED[function.movement]
             if not any(function.moves(module) for module in modules):
@@ -64,6 +68,8 @@ def moved(planner: Planner, modules: Sequence[ShiningModule]) -> list[tuple[str,
     """What functions command: names of modules, and how they move, which a function of the user's own says of none."""
 
     def of(function: object, module: ShiningModule, movement: Movement) -> bool:
+        if isinstance(function, DirectParams):
+            return function.moves(module)
         return not isinstance(function, CommandParams) or (function.movement == movement and function.moves(module))
 
     functions = planner.commanding.values()

@@ -3,7 +3,7 @@
 import struct
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from math import prod
 from typing import Annotated, Any, Final, Literal
@@ -34,10 +34,14 @@ class Coded:
 
 def coded(array: np.ndarray) -> Coded:
     """An array, compressed where that pays. Raises KeyError for a dtype that has no code."""
-    raw = np.ascontiguousarray(array).tobytes()
-    small = zlib.compress(raw, 1)
-    coding: Literal["raw", "deflate"] = "deflate" if len(small) < 0.9 * len(raw) else "raw"
-    return Coded(CODES[str(array.dtype)], array.shape, coding, small if coding == "deflate" else raw)
+    whole = raw(array)
+    small = zlib.compress(whole.data, 1)
+    return replace(whole, coding="deflate", data=small) if len(small) < 0.9 * len(whole.data) else whole
+
+
+def raw(array: np.ndarray) -> Coded:
+    """An array as it is. Raises KeyError for a dtype that has no code."""
+    return Coded(CODES[str(array.dtype)], array.shape, "raw", np.ascontiguousarray(array).tobytes())
 
 
 def grey(array: np.ndarray) -> Coded:

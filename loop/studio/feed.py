@@ -7,11 +7,12 @@ from typing import Any, Final
 import numpy as np
 import torch
 
-from loop.studio.arrays import Coded, coded, grey
+from loop.studio.arrays import Coded, coded, grey, raw
 from loop.studio.messages import Request, View, packed
 from loop.studio.runs import Run
 from loop.studio.session import Published
 from loop.studio.shapes import merged
+from loop.studio.shared import Blocks
 from loop.studio.snapshot import Snapshot
 from world.headlight import Headlight
 
@@ -27,7 +28,11 @@ class Feed:
 
     def __init__(self) -> None:
         self._number, self._id, self._rests_s = -1, 0, 0.0
-        self._sent = list[SentRun]()
+        self._sent, self._blocks = list[SentRun](), Blocks()
+
+    def close(self) -> None:
+        """The client is gone."""
+        self._blocks.close()
 
     def messages(self, published: Published, request: Request) -> Iterator[bytes]:
         """Those that bring the client up to date. While the session plays, rows and steps come at intervals, so that making them takes a
@@ -48,7 +53,7 @@ class Feed:
     def _made(self, published: Published, request: Request, resting: bool) -> Iterator[bytes]:
         if published.number != self._number and published.scenario is not None:
             self._number = published.number
-            self._sent = [SentRun(number, run) for number, run in enumerate(published.runs)]
+            self._sent = [SentRun(number, run, self._blocks) for number, run in enumerate(published.runs)]
             yield packed(published.scenario)
         for sent in self._sent:
             rows = [] if resting else sent.rows()
@@ -64,10 +69,10 @@ class Feed:
 
 
 class SentRun:
-    """What a client has got of one run. ids: of the steps that were sent and, as far as is known, not shown."""
+    """What a client has got of one run. ids: of the steps that were sent and, as far as is known, not shown. blocks: the client's."""
 
-    def __init__(self, number: int, run: Run) -> None:
-        self.number, self.run = number, run
+    def __init__(self, number: int, run: Run, blocks: Blocks) -> None:
+        self.number, self.run, self._blocks = number, run, blocks
         self.ids = list[int]()
         self._rows, self._rows_of, self._edits, self._meshes = 0, run.rows, 0, set[int]()
         self._step: tuple[Snapshot | None, bool, frozenset[View]] = None, False, frozenset()
@@ -116,31 +121,36 @@ class SentRun:
             self._meshes.update(lacking)
             heads, arrays = merged([self.run.shapes.meshes[each] for each in lacking])
             yield packed({"type": "meshes", "run": self.number, "meshes": heads}, {name: coded(each) for name, each in arrays.items()})
-        arrays_, windows, scales, notes = dict[str, Coded](), dict[str, Any](), [], snapshot.head["notes"]
+        pictures, plain, windows, scales, notes = dict[str, Coded](), dict[str, np.ndarray](), dict[str, Any](), [], snapshot.head["notes"]
         for k, peak_cd in enumerate(self.run.peaks_cd):
             scales.append(max(peak_cd, 1e-6) / HALF_PEAK)
             if not snapshot.lights:
                 continue
             u = snapshot.lights[k]
             if "light" in wanted and (lit := self._lit(k, u, scales[k])) is not None:
-                windows[str(k)], arrays_[f"light.{k}"] = lit
+                windows[str(k)], plain[f"light.{k}"] = lit
             if "matrix" in wanted and u is not self._utilisations[k]:
                 self._utilisations[k] = u
                 light = self.run.simulation.modules[k].headlight
                 share = (255 * u.clamp(0, 1)).round().byte().view(light.pixel_rows, light.pixel_cols)
-                arrays_[f"u.{k}"] = coded(share.numpy())
+                plain[f"u.{k}"] = share.numpy()
         if "camera" in wanted:
             seen = self.run.pictured(snapshot) if scrubbed or before is None else snapshot
-            arrays_ |= {name: grey(picture) for name, picture in seen.pictures.items()}
+            pictures = {name: grey(picture) for name, picture in seen.pictures.items()}
             if seen.step != snapshot.step:
                 notes = [*notes, f"the camera's picture is that of step {seen.step}"]
         if not snapshot.lights and snapshot.step < len(self.run.snapshots):
             notes = [*notes, FORGOTTEN]
+        exact = {name: array for name, array in snapshot.exact.items() if name.partition(".")[0] in wanted}
         head = {"type": "step", "id": id_, "run": self.number, "scrub": scrubbed, **snapshot.head, "notes": notes, "light_windows": windows}
         head["modules"] = [{**each, "scale_cd": scale} for each, scale in zip(snapshot.head["modules"], scales, strict=True)]
-        yield packed(head, arrays_)
+        if request.shared and (shared := self._blocks.put(self.number, id_, {**plain, **exact})) is not None:
+            yield packed({**head, "shared": shared}, pictures)
+        else:
+            sent = {name: coded(array) for name, array in plain.items()} | {name: raw(array) for name, array in exact.items()}
+            yield packed(head, pictures | sent)
 
-    def _lit(self, k: int, u: torch.Tensor, scale_cd: float) -> tuple[list[int], Coded] | None:
+    def _lit(self, k: int, u: torch.Tensor, scale_cd: float) -> tuple[list[int], np.ndarray] | None:
         """The window of a module's light texture that the pixels light which differ from those that it has got, in units of scale_cd, and
         its first row, last + 1, first column, last + 1; None where it has got all.
         """
@@ -154,7 +164,7 @@ class SentRun:
             (top, bottom), (left, right) = (_ends(differ.any(axis)) for axis in (1, 0))
             rows, cols = light.rows_of(slice(top * light.pixel_cols, bottom * light.pixel_cols)), light.cols_of(slice(left, right))
         texture = light.light_rows(u.to(light.matrix.values), rows)[:, cols]
-        return [rows.start, rows.stop, cols.start, cols.stop], coded((texture / scale_cd).half().cpu().numpy())
+        return [rows.start, rows.stop, cols.start, cols.stop], (texture / scale_cd).half().cpu().numpy()
 
 
 def _ends(true: torch.Tensor) -> tuple[int, int]:

@@ -19,15 +19,21 @@ LARGEST: Final = 2**22  # bytes of a client's message
 LARGEST_HEAD: Final = 2**20
 LENGTH: Final = struct.Struct("<I")
 
-View = Literal["scene", "light", "camera", "matrix", "marks"]
-VIEWS: Final[tuple[View, ...]] = ("scene", "light", "camera", "matrix", "marks")
+View = Literal["scene", "light", "camera", "matrix", "marks", "frames", "depth", "instances", "materials", "truth"]
+VIEWS: Final[tuple[View, ...]] = ("scene", "light", "camera", "matrix", "marks")  # of a client that has not said what it shows
 Text = Annotated[str, Field(max_length=4000)]
 Override = Annotated[str, Field(max_length=100_000)]  # of which a whole list may be one
 Overrides = Annotated[tuple[Override, ...], Field(max_length=100)]
 Number = Annotated[int, Field(ge=0, lt=2**31)]
 
 
-class Hello(Params):
+class Told(Params):
+    """What a client says. ask: where it is given, `done` with the same number comes once this is done, or `error` with it."""
+
+    ask: Number | None = None
+
+
+class Hello(Told):
     """The first message."""
 
     type: Literal["hello"]
@@ -35,14 +41,15 @@ class Hello(Params):
     name: Text = ""
 
 
-class Want(Params):
-    """What the client shows."""
+class Want(Told):
+    """What the client shows. shared: it reads arrays of steps from memory of the same machine."""
 
     type: Literal["want"]
+    shared: bool = False
     views: tuple[View, ...] = Field(max_length=20)
 
 
-class Scrub(Params):
+class Scrub(Told):
     """A step to see again, None to follow the newest."""
 
     type: Literal["scrub"]
@@ -50,14 +57,14 @@ class Scrub(Params):
     step: Number | None
 
 
-class AskSummary(Params):
+class AskSummary(Told):
     """Ask for the summary of a run so far."""
 
     type: Literal["summary"]
     run: Number = 0
 
 
-class AskBeam(Params):
+class AskBeam(Told):
     """Ask for a regulation's verdict on a lamp's light in a step, None for the newest."""
 
     type: Literal["beam"]
@@ -67,33 +74,33 @@ class AskBeam(Params):
     step: Number | None = None
 
 
-class AskSchema(Params):
+class AskSchema(Told):
     """Ask for the schema of the scenario model."""
 
     type: Literal["schema"]
 
 
-class Shown(Params):
+class Shown(Told):
     """A step is shown. id: that of its message."""
 
     type: Literal["shown"]
     id: Number
 
 
-class Button(Params):
+class Button(Told):
     """What has no value."""
 
     type: Literal["pen", "play", "pause", "step", "reset", "undo", "redo", "save"]
 
 
-class Speed(Params):
+class Speed(Told):
     """Times real time at most, None without limit."""
 
     type: Literal["speed"]
     factor: float | None = Field(ge=0.001, le=1000)
 
 
-class Open(Params):
+class Open(Told):
     """Another scenario or recording."""
 
     type: Literal["open"]
@@ -102,21 +109,21 @@ class Open(Params):
     recording: Text | None = None
 
 
-class Set(Params):
+class Set(Told):
     """Other values of keys."""
 
     type: Literal["set"]
     overrides: Overrides
 
 
-class Record(Params):
+class Record(Told):
     """Record the first run into a folder of this name below `runs`, None to end that."""
 
     type: Literal["record"]
     folder: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_. -]{0,79}$")] | None
 
 
-class Compare(Params):
+class Compare(Told):
     """A second run beside the first, None for none."""
 
     type: Literal["compare"]
@@ -124,7 +131,7 @@ class Compare(Params):
     recording: Text | None = None
 
 
-class Paint(Params):
+class Paint(Told):
     """Pixels of a module of the first run are painted.
 
     box: first row, end row, first column, end column. Its arrays `[rows, columns]` take the place of what was painted there: value, 255 for
@@ -139,7 +146,7 @@ class Paint(Params):
     over: bool = True
 
 
-class Place(Params):
+class Place(Told):
     """The pixels that light a point of the world. value: what they are painted with, 255 for full utilisation; None: nothing.
     stroke: as of `Paint`.
     """
@@ -151,7 +158,7 @@ class Place(Params):
     over: bool = True
 
 
-class Wish(Params):
+class Wish(Told):
     """Illuminances of the ground before the car that pixels shall be painted for, by all modules together.
 
     box_m: least and largest x, least and largest y. Its arrays `[rows, columns]`, along x and y: lx; painted, 0 where nothing is wanted.
@@ -174,11 +181,14 @@ MESSAGE: Final[TypeAdapter[Message]] = TypeAdapter(Annotated[Message, Field(disc
 
 @dataclass(frozen=True)
 class Request:
-    """What a client wants to see. at: run and step in place of the newest. shown: the last `id` of a step that it has shown."""
+    """What a client wants to see. at: run and step in place of the newest. shown: the last `id` of a step that it has shown.
+    shared: whether arrays of steps go through memory.
+    """
 
     wanted: frozenset[View] = frozenset(VIEWS)
     at: tuple[int, int] | None = None
     shown: int = 0
+    shared: bool = False
 
 
 def packed(head: Mapping[str, Any], arrays: Mapping[str, Coded] | None = None) -> bytes:

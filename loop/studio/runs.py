@@ -20,7 +20,7 @@ from loop.replay.edited import edited
 from loop.report.picture import white_of
 from loop.scenario.edits import Edit, changed
 from loop.scenario.model import Scenario
-from loop.studio.messages import View
+from loop.studio.messages import VIEWS, View
 from loop.studio.recorded import Recorded
 from loop.studio.shapes import Shapes
 from loop.studio.snapshot import Snapshot, bodies_at, snapshot
@@ -44,8 +44,15 @@ class Run:
     that. columns: of the rows, the later ones of which may have more. recorder: None while nothing is recorded. label: for the page.
     """
 
-    def __init__(self, simulation: Simulation, label: str, overrides: Collection[str], recorded: Recorded | None = None) -> None:
-        """Does the first step, so that there is something to see. recorded: what is repeated."""
+    def __init__(
+        self,
+        simulation: Simulation,
+        label: str,
+        overrides: Collection[str],
+        wanted: Collection[View] = VIEWS,
+        recorded: Recorded | None = None,
+    ) -> None:
+        """Does the first step, so that there is something to see. wanted: what somebody looks at. recorded: what is repeated."""
         self.simulation, self.label, self.overrides = simulation, label, list(overrides)
         self.tally = Tally(simulation)
         self.recorder: Recorder | None = None
@@ -60,7 +67,7 @@ class Run:
         self._ahead = False  # whether keys were edited since the last step
         self._next: tuple[Simulation, StepResult] | None = None  # what they make of the next step, once it is looked at
         self._look_s = 0.0  # when a picture may be taken again
-        self._made = simulation, self.step(("camera", "marks"))  # the last result, and the simulation that gave it
+        self._made = simulation, self.step(wanted)  # the last result, and the simulation that gave it
         self.white_cd_m2 = float(white_of(self._made[1], simulation))
         self.peaks_cd = [each.headlight.peak_cd for each in simulation.modules]
 
@@ -96,6 +103,8 @@ class Run:
         if len(self.rows) == len(self.snapshots):  # not a step that was recorded
             self.rows.append(np.array([_number(values.get(each.name)) for each in self.columns], np.float32))
         self.snapshots.append(taken)
+        if before is not None and before.exact:
+            self.snapshots[-2] = replace(before, exact={})
         self._kept += taken.bytes_beside(before)
         while self._kept > KEPT_BYTES and self._forgotten < len(self.snapshots) - 1:
             self._forget(self._forgotten)

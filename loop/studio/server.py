@@ -67,12 +67,13 @@ class Tokens:
 
 
 class Client:
-    """One connection. number: never used twice."""
+    """One connection. number: never used twice. is_here: whether it comes from this machine."""
 
     def __init__(self, connection: ServerConnection, number: int, role: str) -> None:
         self.connection, self.number, self.role = connection, number, role
         self.feed: Feed | None = None  # made where PyTorch is imported
         self.request = Request()
+        self.is_here = ip_address(connection.remote_address[0]).is_loopback
         self.changed, self.answers, self.asks = asyncio.Event(), list[dict[str, Any]](), set[tuple[str, int]]()
 
 
@@ -159,6 +160,8 @@ class Studio:
             pass
         finally:
             sender.cancel()
+            if client.feed is not None:
+                client.feed.close()
             self._clients.remove(client)
             if self._pen == client.number:
                 self._pen = next((each.number for each in self._clients if each.role == "edit"), None)
@@ -167,30 +170,32 @@ class Studio:
 
     def _receive(self, client: Client, data: bytes | str) -> None:
         reply = self._reply_to(client)
+        message: Message | None = None
         try:
             message, arrays = read(data)
             self._refuse(client, message)
         except LuxloopError as error:
-            reply({"type": "error", "text": str(error), "about": None})
+            reply({"type": "error", "text": str(error), "about": None, "ask": message and message.ask})
             return
         match message:
-            case Want(views=views):
-                client.request = replace(client.request, wanted=frozenset(views))
+            case Want(shared=True) if not client.is_here:
+                text = "want: memory is shared with programs on the same machine alone; connect to 127.0.0.1 there, or ask without shared"
+                reply({"type": "error", "text": text, "about": "want", "ask": message.ask})
+            case Want(views=views, shared=shared):
+                client.request = replace(client.request, wanted=frozenset(views), shared=shared)
                 self._look()
+                if message.ask is not None:  # done once the session has looked
+                    self._inquire(client, message)
             case Scrub(step=step):
                 client.request = replace(client.request, at=None if step is None else (message.run, step))
             case Shown(id=id_):
                 client.request = replace(client.request, shown=max(client.request.shown, id_))
             case AskSummary() | AskBeam() | AskSchema():
-                ask = message.type, getattr(message, "run", 0)
-                if ask in client.asks:
-                    reply({"type": "error", "text": f"{message.type}: the last one is not answered yet", "about": message.type})
-                else:
-                    client.asks.add(ask)
-                    self.session.ask(message, partial(self._later, partial(self._answered, client, ask)))
+                self._inquire(client, message)
             case Button(type="pen"):
                 self._pen = client.number
                 self._tell()
+                self.session.ask(message, partial(self._later, reply))
             case Hello():
                 pass
             case _:
@@ -211,6 +216,16 @@ class Studio:
             client.changed.set()
 
         return reply
+
+    def _inquire(self, client: Client, message: Message) -> None:
+        """Have the session answer what watchers may ask as well, one of a kind at a time."""
+        ask, reply = (message.type, getattr(message, "run", 0)), self._reply_to(client)
+        if ask in client.asks:
+            text = f"{message.type}: the last one is not answered yet"
+            reply({"type": "error", "text": text, "about": message.type, "ask": message.ask})
+        else:
+            client.asks.add(ask)
+            self.session.ask(message, partial(self._later, partial(self._answered, client, ask)))
 
     def _answered(self, client: Client, ask: tuple[str, int], head: dict[str, Any]) -> None:
         client.asks.discard(ask)
@@ -258,7 +273,7 @@ class Studio:
             if published.choices is not chosen:
                 chosen = published.choices
                 await client.connection.send(packed({"type": "choices", **(chosen or {})}))
-            keys = ("playing", "speed", "step_ms", "real_time", "failed", "recording")
+            keys = ("playing", "speed", "step_ms", "real_time", "failed", "recording", "steps")
             status = {"type": "status", **{key: getattr(published, key) for key in keys}, "pen": self._pen, "clients": len(self._clients)}
             text, waits_s = json.dumps(status), said_s + STATUS_S - time.monotonic()
             if text == last:

@@ -63,6 +63,16 @@ class Published:
     progress: str | None = "starting"
     recording: str | None = None  # folder below runs
 
+    @property
+    def steps(self) -> list[int]:
+        """How many steps are done of each run."""
+        return [len(run.snapshots) for run in self.runs]
+
+    @property
+    def edits(self) -> list[int]:
+        """How many edits there are of each run."""
+        return [len(run.edits) for run in self.runs]
+
 
 @dataclass(frozen=True, eq=False)
 class Asked:
@@ -135,6 +145,9 @@ class Session:
         """Errors become a sentence: the answer to who asked, and of what nobody asked the state of the session."""
         try:
             what()
+            if asked is not None and asked.message.ask is not None:
+                now = {key: getattr(self.published, key) for key in ("number", "playing", "steps", "edits")}
+                asked.reply({"type": "done", "ask": asked.message.ask, "about": asked.message.type, **now})
             return
         except LuxloopError as error:
             text = str(error)
@@ -142,7 +155,7 @@ class Session:
             traceback.print_exc()
             text = f"{type(error).__name__}: {error}; the terminal of luxloop studio shows where"
         if asked is not None:
-            asked.reply({"type": "error", "text": text, "about": asked.message.type})
+            asked.reply({"type": "error", "text": text, "about": asked.message.type, "ask": asked.message.ask})
             if self.published.progress is not None:
                 self._publish(progress=None)
         else:
@@ -168,7 +181,7 @@ class Session:
                 self._look_again()
             case Button(type="step"):
                 self._publish(playing=False)
-                if self._asked.qsize() <= MOST_WAITING:  # a key that is held down
+                if asked.message.ask is not None or self._asked.qsize() <= MOST_WAITING:  # a key that is held down
                     self._step()
             case Button(type="reset"):
                 self._publish(playing=False)
@@ -209,7 +222,7 @@ class Session:
             case AskSchema():
                 asked.reply({"type": "schema", "schema": _schema()})
             case AskBeam() as beam:
-                asked.reply({**beam.model_dump(), "points": self._run(beam.run).beam(beam.rule, beam.side, beam.step)})
+                asked.reply({**beam.model_dump(exclude={"ask"}), "points": self._run(beam.run).beam(beam.rule, beam.side, beam.step)})
 
     def _paint_light(self, asks: Place | Wish, asked: Asked) -> None:
         from loop.studio.wishes import placed, wished
@@ -358,7 +371,7 @@ class Session:
             simulation = before = prepare(scenario, self._device, before)
             self._publish(progress=f"first step of {scenario.name}")
             recorded = Recorded(source.recording, recording) if source.recording and recording else None
-            runs.append(Run(simulation, source.label, source.all, recorded))
+            runs.append(Run(simulation, source.label, source.all, self.wanted, recorded))
         self._record(None)
         if opened:
             path = None if sources[0].recording or sources[0].name in shipped() else find(sources[0].name)
@@ -366,6 +379,7 @@ class Session:
         first = runs[0].simulation.scenario
         head = {
             "type": "scenario",
+            "number": self.published.number + 1,
             **{key: getattr(first, key) for key in ("name", "source", "steps", "rate_hz", "seed")},
             "runs": [run.facts() for run in runs],
             "model": first.model_dump(mode="json"),

@@ -1,7 +1,7 @@
 """A step as the studio's clients see it: poses, bodies, light and pictures, made where the simulation runs."""
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from loop.lighting.simulation import Simulation
 from loop.recording.columns import loss_name
 from loop.report.marks import marks
 from loop.report.picture import captions
+from loop.studio.exact import exact
 from loop.studio.messages import View
 from world.frames import transform
 from world.headlight.lamp import REST
@@ -32,6 +33,7 @@ class Snapshot:
     head: dict[str, Any]
     lights: tuple[Tensor, ...]
     pictures: Pictures
+    exact: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def bytes_beside(self, before: "Snapshot | None") -> int:
         """What it holds that the snapshot of the step before does not."""
@@ -92,7 +94,8 @@ def snapshot(
         "notes": [text for text, _ in captions(result, simulation)],
     }
     pictures = _pictures(simulation, result) if "camera" in wanted else {}
-    return Snapshot(result.step, head, lights, pictures)
+    told, arrays = exact(simulation, result, wanted)
+    return Snapshot(result.step, {**head, **told, "views": sorted(wanted)}, lights, pictures, arrays)
 
 
 def _kept(u: Tensor, before: Tensor | None) -> Tensor:

@@ -238,16 +238,31 @@ def test_functions_of_ones_own_command_modules(lamp: str) -> None:
 
 SYMBOL = {"kind": "symbol", "image": "snowflake", "controller": "open"}
 AT = {"kind": "dimming", "entries": [{"share": 0.5}]}
+COMMAND = {"kind": "command", "swivel_deg": 3.0, "level_deg": 0.5, "intensity": 0.5}
 WRONG: dict[str, tuple[dict[str, Any], dict[str, Any], list[str]]] = {
     "no swivel": ({"bend": {"kind": "bending"}}, {"model": "hd84"}, ["functions.bend.modules: none of these modules can be swivelled"]),
     "no level": ({"a": {"kind": "levelling"}}, {"model": "hd84"}, ["functions.a.modules: none of these modules can be levelled"]),
     "no module": ({"a": {"kind": "bending", "modules": ["coarse"]}}, {}, ["functions.a.modules", "'coarse'", "left fine"]),
     "held": ({"flake": SYMBOL, "bend": {"kind": "bending"}}, {}, ["functions.flake.modules: 'left fine' is swivelled by functions.bend"]),
     "held and dimmed": ({"flake": SYMBOL, "dim": AT}, {}, ["functions.flake.modules: 'left fine' is dimmed by functions.dim"]),
+    "held and commanded": (
+        {"flake": SYMBOL, "a": COMMAND},
+        {},
+        ["functions.flake.modules: 'left fine' is turned or dimmed by functions.a"],
+    ),
     "own, held": ({"flake": SYMBOL, "own": {"kind": "own:Waving"}}, {}, ["functions.flake.modules: 'left fine' is turned or dimmed"]),
     "own, no module": ({"own": {"kind": "own:Waving", "options": {"module": "right"}}}, {}, ["functions.own", "'right'", "left fine"]),
     "own, no share": ({"own": {"kind": "own:Waving", "options": {"intensity": 2.0}}}, {}, ["own:Waving: commands gives", "of 0 to 1"]),
 }
+
+
+def test_a_module_goes_where_it_is_commanded_within_its_range_and_back(lamp: str) -> None:
+    simulation = Simulation.prepare(scenario(lamp, {"a": COMMAND | {"swivel_deg": 90.0, "stop_s": 0.15}, "patch": PATCH}))
+    first, _, last = (each.now.commands for each in simulation.run())
+    (module,) = simulation.modules
+    assert first == (ModuleCommand(module.swivel_deg[1], 0.5, 0.5),) and last == (REST,)
+    columns = {"modules.left fine.swivel_deg", "modules.left fine.level_deg", "modules.left fine.intensity"}
+    assert columns <= set(schema(simulation).names)
 
 
 @pytest.mark.usefixtures("own")

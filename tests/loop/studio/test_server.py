@@ -104,7 +104,8 @@ def test_light_arrives_window_by_window_as_the_library_has_it(served: Served) ->
 
 def test_light_that_is_the_same_is_not_sent_again(served: Served) -> None:
     with watching(served.port, served.tokens.edit) as watcher:
-        watcher.of("scenario")
+        watcher.say(type="pause", ask=1)
+        watcher.of("done", ask=1)  # and so is all that was asked before
     published, feed = served.studio.session.published, Feed()
     sent = [unpacked(each)[0] for each in feed.messages(published, Request(at=(0, 0)))]
     assert "0" in sent[-1]["light_windows"]

@@ -1,0 +1,1 @@
+"""Programs that watch and steer a loop that `luxloop studio` runs."""

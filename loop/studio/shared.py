@@ -1,0 +1,72 @@
+"""Arrays of steps in memory that a client on the same machine reads, in place of the socket (docs/studio_protocol.md)."""
+
+import os
+import secrets
+import shutil
+import struct
+import threading
+from collections.abc import Mapping
+from contextlib import suppress
+from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from loop.studio.arrays import CODES
+
+HEAD: Final = struct.Struct("<8sIIQQ")  # magic, version, bytes of the head, number, bytes of the arrays
+NUMBER: Final = struct.Struct("<Q")
+NUMBER_AT: Final = 16
+MAGIC: Final = b"LUXLOOP\0"
+VERSION: Final = 1
+ALIGNED: Final = 64  # bytes: of the head, and to which arrays are aligned
+LINUX: Final = Path("/dev/shm")
+
+
+class Blocks:
+    """Blocks of one client, two for each run, which take turns: while it reads one, the next step is written to the other."""
+
+    def __init__(self) -> None:
+        self._blocks, self._lock, self._closed = dict[tuple[int, int], SharedMemory](), threading.Lock(), False
+
+    def put(self, run: int, number: int, arrays: Mapping[str, np.ndarray]) -> dict[str, Any] | None:
+        """Write arrays of a step, and say where they lie; None where there is no room. number: that of its message, above 0."""
+        listed, end = dict[str, Any](), ALIGNED
+        for name, array in arrays.items():
+            listed[name] = {"dtype": CODES[str(array.dtype)], "shape": array.shape, "start": end, "bytes": array.nbytes}
+            end += -(-array.nbytes // ALIGNED) * ALIGNED
+        with self._lock:
+            block = None if self._closed else self._block((run, number % 2), end)
+            if block is None:
+                return None
+            assert block.buf is not None
+            HEAD.pack_into(block.buf, 0, MAGIC, VERSION, ALIGNED, 0, end - ALIGNED)
+            for name, array in arrays.items():
+                np.ndarray(array.shape, array.dtype, block.buf, listed[name]["start"])[...] = array
+            NUMBER.pack_into(block.buf, NUMBER_AT, number)
+            return {"block": block.name, "process": os.getpid(), "arrays": listed}
+
+    def close(self) -> None:
+        """Give them back; nothing is written any more."""
+        with self._lock:
+            self._closed = True
+            for block in self._blocks.values():
+                _free(block)
+            self._blocks.clear()
+
+    def _block(self, key: tuple[int, int], size: int) -> SharedMemory | None:
+        block = self._blocks.get(key)
+        if block is None or block.size < size:
+            if LINUX.is_dir() and shutil.disk_usage(LINUX).free < 2 * size:
+                return None
+            if block is not None:
+                _free(block)
+            block = self._blocks[key] = SharedMemory(f"luxloop_{secrets.token_hex(8)}", create=True, size=size)
+        return block
+
+
+def _free(block: SharedMemory) -> None:
+    block.close()
+    with suppress(FileNotFoundError):
+        block.unlink()

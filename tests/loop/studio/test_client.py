@@ -1,0 +1,222 @@
+"""Other programs at the studio: a real server, and luxloop's own client."""
+
+import struct
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loop.client.client import Client, connect
+from loop.client.shared import Mapped
+from loop.lighting.record import row
+from loop.run import prepare
+from loop.scenario.model import load
+from loop.studio.shared import Blocks
+from tests.loop.studio.conftest import SMALL, Served
+from world.errors import LuxloopError
+
+EXACT = ("frames", "depth", "instances", "materials", "truth")
+
+
+def address(served: Served, token: str | None = None) -> str:
+    return f"http://127.0.0.1:{served.port}/#{token or served.tokens.edit}"
+
+
+@pytest.fixture
+def client(served: Served) -> Iterator[Client]:
+    """A program that steers, at step 0 of the scenario as it is shipped."""
+    with connect(address(served)) as client:
+        client.take_pen()
+        client._ask("open", name="snowflake", overrides=list(SMALL))
+        yield client
+
+
+def test_steps_in_lockstep_are_those_of_the_command_line_bit_for_bit(client: Client) -> None:
+    frames = [client.want("frames").frames]
+    frames += [client.step().frames for _ in range(5)]
+    assert client.over and client.state.step == 5
+    expected = list(prepare(load("snowflake", SMALL), "cpu").run())
+    for got, result in zip(frames, expected, strict=True):
+        assert result.frames is not None
+        assert all(np.array_equal(ours, theirs.numpy()) for ours, theirs in zip(got, result.frames, strict=True))
+    table = client.rows()
+    for name in ("functions.symbol.iou", "functions.symbol.x_m", "lamp.left.flux_lm"):
+        assert np.array_equal(table[name], np.array([row(each)[name] for each in expected], np.float32))
+        assert client.state.metrics[name] == table[name][-1]
+    with pytest.raises(LuxloopError, match="all 6 steps are done"):
+        client.step()
+
+
+def test_what_a_pixel_sees_is_as_the_library_has_it(client: Client) -> None:
+    state = client.want(*EXACT)
+    world = prepare(load("snowflake", SMALL), "cpu").world
+    lit = world.lit(state.time_s)
+    assert state.instances is not None and state.depth is not None and state.materials is not None
+    assert np.array_equal(state.instances, lit.surfaces.object_id.numpy() + 1)
+    assert state.instance_names[:2] == ["", "road"] and state.instances.max() < len(state.instance_names)
+    assert state.material_names[state.materials[-1, 160]] and state.materials.shape == (180, 320)
+    point = lit.surfaces.position[:, -1, 160].double() - lit.view.T_world_view[:3, 3]
+    assert state.depth[-1, 160] == pytest.approx(float(point @ lit.view.T_world_view[:3, 2]), rel=1e-5)  # single precision
+    assert np.array_equal(state.depth > 0, state.instances > 0)
+
+
+def test_objects_are_told_with_their_boxes(client: Client) -> None:
+    client.set(
+        {"objects": [{"kind": "pedestrian", "name": "walker", "category": "pedestrian", "track": [{"position_m": [15.0, 0.0, 0.0]}]}]}
+    )
+    client.want(*EXACT)
+    state = client.step()
+    (told,) = state.objects
+    assert told["category"] == "pedestrian" and state.instance_names[told["instance"]] == told["name"]
+    left, top, right, bottom = told["box"]
+    assert state.instances is not None
+    rows, columns = np.nonzero(state.instances == told["instance"])
+    assert (left, top, right, bottom) == (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
+    assert told["T_world_object"][3] == pytest.approx(15.0, abs=0.5) and told["size_m"][2] > 1.0
+
+
+def test_light_and_utilisations_are_those_that_are_shown(client: Client, served: Served) -> None:
+    client.want("light", "matrix")
+    state = client.step()
+    (run,) = served.studio.session.published.runs
+    for module, u in zip(run.simulation.modules, run.snapshots[-1].lights, strict=True):
+        expected = module.headlight.light_texture(u).numpy()
+        assert np.abs(state.light[module.name] - expected).max() <= expected.max() * 2**-10  # a half float has 11 bits
+        assert np.array_equal(state.utilisations[module.name].flatten(), (255 * u).round().byte().numpy())
+
+
+def test_raw_utilisations_are_shown_in_the_next_step_and_recorded_as_an_edit(client: Client, served: Served) -> None:
+    module = client.facts["modules"][0]
+    size = module["pixel_rows"], module["pixel_cols"]
+    for share in (0.2, 0.6):
+        client.show(module["name"], np.full(size, share))
+        state = client.step()
+        assert (state.utilisations[module["name"]] == round(255 * share)).all()
+    (run,) = served.studio.session.published.runs
+    assert [each.step for each in run.edits] == [1, 2]
+    client.show(module["name"], None)
+    assert client.step().utilisations[module["name"]].min() == 0
+    with pytest.raises(LuxloopError, match="there is no module 'middle'"):
+        client.show("middle", np.zeros(size))
+    with pytest.raises(LuxloopError, match="pixels"):
+        client.show(module["name"], np.zeros((2, 2)))
+
+
+def test_modules_are_commanded(client: Client, served: Served) -> None:
+    client._ask("open", name="flat", overrides=[*SMALL, "functions.symbol={}", "headlight.model=ssl-hd"])
+    client.command("left hires", swivel_deg=5.0, intensity=0.5)
+    metrics = client.step().metrics
+    assert (metrics["modules.left hires.swivel_deg"], metrics["modules.left hires.intensity"]) == (5.0, 0.5)
+    client.command("left hires", level_deg=1.0)
+    metrics = client.step().metrics
+    assert (metrics["modules.left hires.swivel_deg"], metrics["modules.left hires.level_deg"]) == (0.0, 1.0)
+
+
+def test_who_runs_freely_gets_the_newest_and_the_last(client: Client) -> None:
+    client.set({"steps": 60})
+    client.want("matrix")
+    client.play()
+    seen = []
+    for state in client:
+        seen.append(state.step)
+        time.sleep(0.3)
+    assert seen == sorted(set(seen)) and seen[-1] == 59 and len(seen) < 59
+    assert len(client.rows()["functions.symbol.iou"]) == 60 and not client.playing
+    client.reset()
+    assert client.state.step == 0 and not client.over
+
+
+def test_errors_are_raised_and_watchers_change_nothing(client: Client, served: Served) -> None:
+    with pytest.raises(LuxloopError, match="did you mean 'bits'"):
+        client.set({"camera.bitz": 8})
+    with pytest.raises(LuxloopError, match="names a file"):
+        client.set({"headlight.model": "/etc/passwd"})
+    with connect(address(served, served.tokens.watch), views=("truth",)) as watcher:
+        assert watcher.role == "watch"
+        for change in (watcher.step, watcher.play, watcher.reset, watcher.take_pen, lambda: watcher.set({"steps": 8})):
+            with pytest.raises(LuxloopError, match="lets you watch"):
+                change()
+        step = client.step().step
+        watcher._wait(lambda: watcher._got.state is not None and watcher._got.state.step == step)
+        assert watcher.scenario["name"] == "snowflake"
+    with pytest.raises(LuxloopError, match="not of this studio"):
+        connect(address(served, "guess"))
+    with pytest.raises(LuxloopError, match="no address of a studio"):
+        connect("http://127.0.0.1:8765/")
+    with pytest.raises(LuxloopError, match="no studio answers"):
+        connect("http://127.0.0.1:1/#token")
+
+
+def test_values_of_numpy_and_whole_tables_are_set(client: Client) -> None:
+    client.set({"functions.symbol.x_m": np.float64(18.0), "functions.bar": {"kind": "primitive", "x_m": 20.0, "value": np.float32(0.5)}})
+    model = client.scenario["model"]
+    assert model["functions"]["symbol"]["x_m"] == 18.0 and model["functions"]["bar"]["x_m"] == 20.0
+    client.set({"functions.bar": None})
+    assert "bar" not in client.scenario["model"]["functions"]
+
+
+def test_nothing_is_made_that_nobody_wants(client: Client, served: Served) -> None:
+    client.want("truth")
+    client.step()
+    (run,) = served.studio.session.published.runs
+    assert not run.snapshots[-1].exact and not run.snapshots[-1].pictures
+    client.want("depth")
+    client.step()
+    assert run.snapshots[-1].exact and not run.snapshots[-2].exact
+
+
+def blocks() -> set[str]:
+    """Shared memory of studios that is there."""
+    return {each.name for each in Path("/dev/shm").glob("luxloop_*")}
+
+
+@pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="lists shared memory as Linux does")
+def test_memory_has_what_the_socket_brings_and_goes_with_the_client(client: Client, served: Served) -> None:
+    views = ("light", "matrix", *EXACT)
+    client.want(*views)
+    others = blocks()
+    with connect(address(served, served.tokens.watch), views=views, shared=True) as watcher:
+        for _ in range(4):
+            state = client.step()
+            there = watcher._wait_for(lambda there, step=state.step: there.step == step)
+            assert "shared" in there.head and "shared" not in state.head
+            for one, other in ((state.light, there.light), (state.utilisations, there.utilisations), (state.arrays, there.arrays)):
+                assert one.keys() == other.keys() and one
+                assert all(np.array_equal(one[name], other[name]) and one[name].dtype == other[name].dtype for name in one)
+        assert len(blocks() - others) == 2
+        data = Path("/dev/shm", there.head["shared"]["block"]).read_bytes()
+        assert struct.unpack_from("<8sIIQ", data) == (b"LUXLOOP\0", 1, 64, there.head["id"])
+        told = there.head["shared"]["arrays"]["depth"]
+        depth = np.frombuffer(data, "<f4", told["bytes"] // 4, told["start"]).reshape(told["shape"])
+        assert np.array_equal(depth, state.depth)
+    end_s = time.monotonic() + 20  # in which a server has seen that a client is gone
+    while blocks() != others and time.monotonic() < end_s:
+        time.sleep(0.02)
+    assert blocks() == others
+
+
+def test_who_reads_too_late_is_told_so() -> None:
+    written, mapped = Blocks(), Mapped()
+    try:
+        first = written.put(0, 1, {"a": np.arange(6, dtype=np.float32)})
+        second = written.put(0, 2, {"a": np.arange(6, dtype=np.float32) + 1})
+        assert first is not None and second is not None and first["block"] != second["block"]
+        found = mapped.arrays(first, 1)
+        assert found is not None and np.array_equal(found["a"], np.arange(6))
+        written.put(0, 3, {"a": np.zeros(6, np.float32)})
+        assert mapped.arrays(first, 1) is None
+        larger = written.put(0, 4, {"a": np.zeros(10_000, np.float32)})
+        assert larger is not None and larger["block"] != second["block"] and mapped.arrays(second, 2) is None
+    finally:
+        mapped.close()
+        written.close()
+    assert written.put(0, 5, {}) is None
+
+
+def test_memory_is_shared_with_this_machine_alone(client: Client, served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    for each in served.studio._clients:
+        monkeypatch.setattr(each, "is_here", False)
+    with pytest.raises(LuxloopError, match="same machine"):
+        client._ask("want", views=[], shared=True)
