@@ -36,9 +36,9 @@ test("a region is what hangs together and is alike", () => {
   const layer = new Layer(20, 30);
   layer.paint(line(layer, { row: 0.5, col: 14.5 }, { row: 19.5, col: 14.5 }, 1), 200);
   const alike = (one: number, other: number) => layer.painted[one] === layer.painted[other];
-  assert.equal(region(layer, at(3, 3), alike).size, 20 * 14);
-  assert.equal(region(layer, at(3, 20), alike).size, 20 * 15);
-  assert.equal(region(layer, at(0, 14), alike).size, 20);
+  assert.equal(region(layer, at(3, 3), alike).length, 20 * 14);
+  assert.equal(region(layer, at(3, 20), alike).length, 20 * 15);
+  assert.equal(region(layer, at(0, 14), alike).length, 20);
 });
 
 test("a layer tells what has changed, and mixes with what lies below", () => {

@@ -39,16 +39,20 @@ export class Layer {
 
   /** Paint pixels by their numbers, or rub them out where the value is null. Returns the box that has changed. */
   paint(pixels: Iterable<number>, value: number | null): Box | null {
-    let box: Box | null = null;
+    const box = { top: this.rows, bottom: 0, left: this.cols, right: 0 };
+    const painted = value === null ? 0 : 255;
     for (const pixel of pixels) {
-      const painted = value === null ? 0 : 255;
       if (this.painted[pixel] === painted && (value === null || this.value[pixel] === value)) continue;
       this.painted[pixel] = painted;
       this.value[pixel] = value ?? 0;
-      const [row, col] = [Math.floor(pixel / this.cols), pixel % this.cols];
-      box = both(box, { top: row, bottom: row + 1, left: col, right: col + 1 });
+      const row = Math.floor(pixel / this.cols);
+      const col = pixel - row * this.cols;
+      box.top = Math.min(box.top, row);
+      box.bottom = Math.max(box.bottom, row + 1);
+      box.left = Math.min(box.left, col);
+      box.right = Math.max(box.right, col + 1);
     }
-    return box;
+    return box.bottom > 0 ? box : null;
   }
 
   /** Another content. */

@@ -9,6 +9,7 @@ import { line, type Place, region, text } from "./raster.ts";
 export const TOOLS = ["brush", "eraser", "line", "fill", "text"] as const;
 export type Tool = (typeof TOOLS)[number];
 
+const QUIET_MS = 100; // between the last edit and taking what the server has: a stroke is many of them
 const ANSWER_MS = 3000; // after which the next stroke is sent without the last one's answer
 
 interface PaintedParams {
@@ -36,12 +37,15 @@ export class Painting {
   #sent: ReturnType<typeof setTimeout> | null = null;
   #stroke: { module: number; from: Place; to: Place } | null = null;
   #shown: unknown = null;
+  #due: ReturnType<typeof setTimeout> | undefined;
+  /** Pictures that came last, by their texts: most edits leave most of them. */
+  #pictures = new Map<string, Promise<Pixels>>();
 
-  /** changed: a module's layer has changed within a box, or the tools where it is null. */
+  /** changed: a module's layer has changed within a box, the choice of tools alone, or all where it is null. */
   constructor(
     store: Studio,
     private readonly send: (message: PaintMessage, arrays: Arrays) => void,
-    private readonly changed: (module: number | null, box?: Box) => void,
+    private readonly changed: (what: number | "tools" | null, box?: Box) => void,
   ) {
     store.on(["scenario"], ({ scenario }) => {
       this.layers = (scenario?.runs[0].modules ?? []).map(({ pixel_rows, pixel_cols }) => new Layer(pixel_rows, pixel_cols));
@@ -52,7 +56,8 @@ export class Painting {
       this.#answered();
     });
     store.on(["scenario", "model"], ({ scenario, model }) => {
-      if (scenario) void this.#show(scenario.runs[0].modules, model);
+      clearTimeout(this.#due);
+      if (scenario) this.#due = setTimeout(() => void this.#show(scenario.runs[0].modules, model), QUIET_MS);
     });
     store.on(["answered"], () => this.#answered());
   }
@@ -77,7 +82,7 @@ export class Painting {
       this.#stroke = { module, from: at, to: at };
       this.move(at);
     }
-    this.changed(null);
+    this.changed("tools");
   }
 
   /** A stroke goes on, beyond the borders of its module as well. */
@@ -122,7 +127,7 @@ export class Painting {
   /** Frame pixels, by module. */
   mark(pixels: Map<number, Set<number>>): void {
     this.marked = pixels;
-    this.changed(null);
+    this.changed("tools");
   }
 
   #touch(module: number, box: Box | null): void {
@@ -155,14 +160,12 @@ export class Painting {
   async #show(modules: readonly Module[], model: unknown): Promise<void> {
     this.#shown = model;
     const params = (model as { lighting?: { painted?: PaintedParams[] } } | null)?.lighting?.painted ?? [];
-    const pictures = await Promise.all(
-      params.map(async ({ png }) => {
-        const bytes = Uint8Array.from(atob(png), (letter) => letter.charCodeAt(0));
-        return readPng(new Blob([bytes], { type: "image/png" }), "lighting.painted");
-      }),
-    );
+    this.#pictures = new Map(params.map(({ png }) => [png, this.#pictures.get(png) ?? decoded(png)]));
+    const pictures = await Promise.all(params.map(({ png }) => this.#pictures.get(png)));
     if (this.#shown !== model || this.#stroke || this.#dirty.size > 0 || this.#sent !== null) return;
-    this.over = params.every(({ over }) => over);
+    const over = params.every((each) => each.over);
+    const switched = over !== this.over;
+    this.over = over;
     for (const [module, layer] of this.layers.entries()) {
       const picture = pictures[params.findIndex((each) => each.module === modules[module].name)];
       if (picture && (picture.rows !== layer.rows || picture.cols !== layer.cols)) continue;
@@ -174,8 +177,13 @@ export class Painting {
       layer.replace(value, painted);
       this.changed(module, layer.all);
     }
-    this.changed(null);
+    if (switched) this.changed(null);
   }
+}
+
+function decoded(png: string): Promise<Pixels> {
+  const bytes = Uint8Array.from(atob(png), (letter) => letter.charCodeAt(0));
+  return readPng(new Blob([bytes], { type: "image/png" }), "lighting.painted");
 }
 
 function same(one: Uint8Array, other: Uint8Array): boolean {

@@ -94,10 +94,10 @@ export function matrixPanel(store: Studio, session: Session, toast: (sentence: s
   const painting = new Painting(
     store,
     (message, arrays) => session.send(message, arrays),
-    (module, box) => {
-      if (module === null) tools?.refresh();
-      if (module === null) colourAll();
-      else if (box && pictures[module]) colour(module, box);
+    (what, box) => {
+      if (typeof what !== "number") tools?.refresh();
+      if (what === null) colourAll();
+      else if (typeof what === "number" && box && pictures[what]) colour(what, box);
       view?.redraw();
     },
   );

@@ -41,25 +41,25 @@ export function line({ rows, cols }: Grid, from: Place, to: Place, thickness: nu
 }
 
 /** Numbers of the pixels that hang together with one and are like it. */
-export function region({ rows, cols }: Grid, from: number, alike: (one: number, other: number) => boolean): Set<number> {
-  const found = new Set([from]);
-  const open = [from];
-  while (open.length > 0) {
-    const pixel = open.pop() as number;
-    const [row, col] = [Math.floor(pixel / cols), pixel % cols];
-    for (const [r, c] of [
-      [row - 1, col],
-      [row + 1, col],
-      [row, col - 1],
-      [row, col + 1],
-    ]) {
-      const next = r * cols + c;
-      if (r < 0 || r >= rows || c < 0 || c >= cols || found.has(next) || !alike(from, next)) continue;
-      found.add(next);
-      open.push(next);
-    }
+export function region({ rows, cols }: Grid, from: number, alike: (one: number, other: number) => boolean): Int32Array {
+  const found = new Int32Array(rows * cols);
+  const seen = new Uint8Array(rows * cols);
+  let count = 0;
+  const add = (pixel: number) => {
+    if (seen[pixel] || !alike(from, pixel)) return;
+    seen[pixel] = 1;
+    found[count++] = pixel;
+  };
+  add(from);
+  for (let k = 0; k < count; k++) {
+    const pixel = found[k];
+    const col = pixel % cols;
+    if (pixel >= cols) add(pixel - cols);
+    if (pixel < (rows - 1) * cols) add(pixel + cols);
+    if (col > 0) add(pixel - 1);
+    if (col < cols - 1) add(pixel + 1);
   }
-  return found;
+  return found.subarray(0, count);
 }
 
 /** Numbers of the pixels of a text whose lower left corner is at a place; its letters are so many rows high. */
