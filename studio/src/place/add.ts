@@ -30,7 +30,7 @@ export function addMenu(placing: Placing, toast: (sentence: string) => void): Ad
     choice.value = "";
     choice.blur();
     if (!what) return;
-    if (what.way) clickWay(placing, what.name, null, (spots) => add(placing, what.into, what.way!(spots), what.name));
+    if (what.way) clickWay(placing, what.name, null, (spots) => add(placing, what.into, what.way!(spots), nameOf(what, what.way!(spots))));
     else placing.await({ say: `${what.say} Esc: do not add.`, click: (x, y) => place(placing, what, x, y, toast) });
   });
   return {
@@ -52,7 +52,7 @@ function place(placing: Placing, what: Addable, x: number, y: number, toast: (se
     return;
   }
   placing.await(null);
-  add(placing, what.into, table, what.name);
+  add(placing, what.into, table, nameOf(what, table));
 }
 
 /** Adds a table to the model, and chooses it. */
@@ -82,6 +82,11 @@ function addNow(placing: Placing, into: Addable["into"], table: Table, name: str
       : table;
   placing.change([override(into, [...list, named])]);
   placing.choose(`${into}[${list.length}]`);
+}
+
+/** What it is called: functions by their picture or kind. */
+function nameOf({ into, name }: Addable, table: Table): string {
+  return into === "functions" ? String(table.image ?? table.kind) : name;
 }
 
 /** A name of small letters and underscores. */

@@ -45,6 +45,7 @@ function placeless(thing: Plain, table: Table): Thing {
     placed: false,
     T: new Matrix4(),
     bounds: new Box3(),
+    way: [],
     axes: { move: "", turn: "", scale: "" },
     changes: () => [],
     figures: numbers.map(([name]) => figure(thing.key, name)),

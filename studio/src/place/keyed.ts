@@ -13,7 +13,7 @@ const SIZES = ["length", "width", "height"] as const; // along x, y and z
 const POSE = ["x", "y", "z", "roll", "pitch", "yaw"] as const;
 const LEAST = 0.05; // m, of a size
 
-export interface Keyed extends Omit<Thing, "T" | "bounds" | "axes" | "changes" | "figures" | "placed"> {
+export interface Keyed extends Omit<Thing, "T" | "bounds" | "axes" | "way" | "changes" | "figures" | "placed"> {
   keys: Keys;
   /** What has no key. */
   fixed?: Partial<Pose>;
@@ -44,6 +44,7 @@ export function keyed(model: unknown, { keys, fixed, lift = 0, bounds, stands = 
     ...thing,
     placed: true,
     T,
+    way: [],
     bounds: bounds ?? (size.lengthSq() > 0 ? own : new Box3()),
     axes: {
       move: freeAxes(T, given),

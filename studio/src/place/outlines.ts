@@ -6,6 +6,7 @@ import {
   DoubleSide,
   Float32BufferAttribute,
   Group,
+  Line,
   LineBasicMaterial,
   LineSegments,
   type Matrix4,
@@ -33,6 +34,7 @@ interface Drawn {
   edges: LineSegments<BufferGeometry, LineBasicMaterial>;
   filling: Mesh<BufferGeometry, MeshBasicMaterial>;
   dot: Points<BufferGeometry, PointsMaterial>;
+  way: Line<BufferGeometry, LineBasicMaterial>;
 }
 
 export class Outlines {
@@ -71,9 +73,11 @@ export class Outlines {
     group.matrixAutoUpdate = false;
     filling.name = key;
     for (const each of [edges, filling, dot]) each.frustumCulled = false;
-    group.add(edges, filling, dot);
+    const way = new Line(new BufferGeometry(), line);
+    way.frustumCulled = false;
+    group.add(edges, filling, dot, way);
     this.group.add(group);
-    const drawn = { group, edges, filling, dot };
+    const drawn = { group, edges, filling, dot, way };
     this.drawn.set(key, drawn);
     return drawn;
   }
@@ -83,11 +87,12 @@ export class Outlines {
     if (!drawn) return;
     this.group.remove(drawn.group);
     for (const { material } of [drawn.edges, drawn.filling, drawn.dot]) material.dispose();
+    drawn.way.geometry.dispose();
     this.drawn.delete(key);
   }
 }
 
-function place({ group, edges, filling, dot }: Drawn, { bounds, sort }: Thing, T: Matrix4, chosen: boolean): void {
+function place({ group, edges, filling, dot, way }: Drawn, { bounds, sort, way: points }: Thing, T: Matrix4, chosen: boolean): void {
   group.matrix.copy(T);
   group.matrixWorldNeedsUpdate = true;
   const isPoint = bounds.isEmpty();
@@ -98,6 +103,12 @@ function place({ group, edges, filling, dot }: Drawn, { bounds, sort }: Thing, T
   edges.material.opacity = chosen ? 1 : 0.65;
   filling.material.opacity = sort === "object" ? (chosen ? 0.1 : 0) : chosen ? 0.16 : 0.06;
   for (const each of [edges, filling, dot]) each.renderOrder = chosen ? 3 : 2;
+  way.visible = points.length > 0;
+  way.renderOrder = 2;
+  if (way.visible) {
+    way.geometry.dispose();
+    way.geometry = new BufferGeometry().setFromPoints(points);
+  }
   if (isPoint) return;
   for (const each of [edges, filling]) {
     bounds.getCenter(each.position);

@@ -30,6 +30,8 @@ export interface Thing {
   T: Matrix4;
   /** Outline in its own frame; a point where it is empty. */
   bounds: Box3;
+  /** Points that it goes through, in its own frame. */
+  way: Vector3[];
   /** Axes along which it can be moved and scaled, and about which it can be turned. */
   axes: { move: string; turn: string; scale: string };
   /** Whether a change acts at the next step, so that it is told while it is made. */

@@ -6,7 +6,7 @@ import { figure } from "./keyed.ts";
 import { rounded } from "./poses.ts";
 import type { Change, Thing } from "./things.ts";
 
-export interface Shifted extends Omit<Thing, "T" | "bounds" | "axes" | "changes" | "figures" | "placed"> {
+export interface Shifted extends Omit<Thing, "T" | "bounds" | "axes" | "way" | "changes" | "figures" | "placed"> {
   /** Keys of its points, each a list of two or three numbers. */
   points: string[];
   /** Where it is now, if that is not at its first point. */
@@ -23,6 +23,7 @@ export function shifted(model: unknown, { points, T, bounds, others = [], ...thi
     ...thing,
     placed: true,
     T: now,
+    way: points.map((key) => pointAt(model, key).applyMatrix4(now.clone().invert())),
     bounds: bounds ?? new Box3(),
     axes: { move: "XY", turn: "", scale: "" },
     changes: (moved) => {

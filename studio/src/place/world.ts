@@ -100,6 +100,7 @@ function carLamps(model: Model): Thing {
     partOf: null,
     T: new Matrix4().setPosition(0, distance_m / 2, height_m),
     bounds: new Box3(),
+    way: [],
     axes: { move: "YZ", turn: "", scale: "" },
     changes: (T) => {
       const { y, z } = new Vector3().setFromMatrixPosition(T);

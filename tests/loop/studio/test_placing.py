@@ -180,11 +180,11 @@ def test_a_click_on_the_road_places_a_primitive_and_delete_removes_it(page: webd
     pixel = (150, 200)
     expected = picked(page, pixel)
     clicked(page, *pixel)
-    until(page, "return luxloop.placing.chosen.some(({ key }) => key === 'functions.primitive_on_the_road')")
-    made = scenario(plain).functions["primitive_on_the_road"]
+    until(page, "return luxloop.placing.chosen.some(({ key }) => key === 'functions.primitive')")
+    made = scenario(plain).functions["primitive"]
     assert [made.x_m, made.y_m, made.z_m] == pytest.approx(expected, abs=FINE_M)
     page.find_element(By.TAG_NAME, "body").send_keys(Keys.DELETE)
-    assert waited(plain, lambda now: "primitive_on_the_road" not in now.functions).functions.keys() == {"carpet"}
+    assert waited(plain, lambda now: "primitive" not in now.functions).functions.keys() == {"carpet"}
 
 
 @pytest.mark.slow
