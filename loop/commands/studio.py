@@ -58,8 +58,9 @@ def studio(
         print(f"To edit:  {address}#{tokens.edit}\nTo watch: {address}#{tokens.watch}\nEnd it with Ctrl-C.", flush=True)
         if open:
             await asyncio.to_thread(webbrowser.open, f"{address}#{tokens.edit}")
-        with suppress(NotImplementedError):  # SIGTERM ends it as Ctrl-C does
-            asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, signal.raise_signal, signal.SIGINT)
+        ends = asyncio.current_task()
+        with suppress(NotImplementedError):
+            asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, ends.cancel if ends else served.stop)
         try:
             await server.serve_forever()
         finally:
@@ -67,4 +68,7 @@ def studio(
             await server.wait_closed()
             served.stop()
 
-    asyncio.run(serve())
+    try:
+        asyncio.run(serve())
+    except asyncio.CancelledError:  # SIGTERM ends it as Ctrl-C does, also where a shell lets it ignore Ctrl-C
+        raise KeyboardInterrupt from None
