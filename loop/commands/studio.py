@@ -1,13 +1,15 @@
 """The command that serves the studio."""
 
 import asyncio
+import os
 import signal
 import socket
+import sys
 import webbrowser
 from contextlib import suppress
 from pathlib import Path
 
-from loop.terminal.options import AllowCode, Device, Keys
+from loop.terminal.options import INTERRUPTED, AllowCode, Device, Keys
 
 
 def studio(
@@ -66,7 +68,9 @@ def studio(
         finally:
             server.close()
             await server.wait_closed()
-            served.stop()
+            if not served.stop():  # Python aborts where a thread is within PyTorch at its end
+                print("interrupted", file=sys.stderr, flush=True)
+                os._exit(INTERRUPTED)
 
     try:
         asyncio.run(serve())

@@ -104,10 +104,10 @@ class Studio:
         self.session.start()
         return server
 
-    def stop(self) -> None:
-        """End the session after the step that it is at."""
-        self.session.stop()
+    def stop(self) -> bool:
+        """End the session after the step that it is at. Returns whether it has ended."""
         self._threads.shutdown(cancel_futures=True)
+        return self.session.stop()
 
     def _answer(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
         host, origin = request.headers.get("Host", "").lower(), request.headers.get("Origin")

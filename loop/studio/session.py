@@ -115,10 +115,11 @@ class Session:
         if more:
             self._asked.put(LOOK)
 
-    def stop(self) -> None:
-        """End the thread after the step that it is at; one that prepares something for long ends with the process."""
+    def stop(self) -> bool:
+        """End the thread after the step that it is at. Returns whether it has ended: one that prepares something for long has not."""
         self._asked.put(None)
         self._thread.join(PATIENCE_S)
+        return not self._thread.is_alive()
 
     def _work(self) -> None:
         self._attempt(lambda: self._prepare(self._sources), None)

@@ -11,7 +11,8 @@ import pytest
 
 from loop.studio.page import PAGE
 
-STUDIO = [sys.executable, "-c", "import sys; from loop.commands.cli import main; sys.exit(main())", "studio", "snowflake", "--no-open", "--port", "0"]
+MAIN = "import sys; from loop.commands.cli import main; sys.exit(main())"
+STUDIO = [sys.executable, "-c", MAIN, "studio", "snowflake", "--no-open", "--port", "0"]
 
 
 @pytest.mark.skipif(not (PAGE / "index.html").is_file(), reason="the page is not built; make studio does that")
