@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import ExitStack
 from typing import Any, Final, Self
 from urllib.parse import urlsplit
 
@@ -35,11 +36,12 @@ def connect(url: str, *, views: Collection[View] = VIEWS, shared: bool = False, 
     parts = urlsplit(url)
     if parts.scheme != "http" or not parts.hostname or not parts.fragment:
         raise LuxloopError(f"connect: {url!r} is no address of a studio; give the one that luxloop studio prints, with what follows the #")
+    opened = ExitStack()
     try:
-        socket = open_socket(f"ws://{parts.netloc}/socket", max_size=None, compression=None)
+        socket = opened.enter_context(open_socket(f"ws://{parts.netloc}/socket", max_size=None, compression=None))
     except (OSError, InvalidHandshake, TimeoutError) as error:
         raise LuxloopError(f"connect: no studio answers at {parts.netloc} ({error}); start luxloop studio first") from error
-    client = Client(socket, shared, run)
+    client = Client(socket, opened, shared, run)
     try:
         client.begin(parts.fragment, views)
     except BaseException:
@@ -54,8 +56,9 @@ class Client:
     Every method raises LuxloopError with what the server says where it refuses, and where the connection is lost.
     """
 
-    def __init__(self, socket: ClientConnection, shared: bool, run: int) -> None:
-        self._socket, self._shared, self._run = socket, shared, run
+    def __init__(self, socket: ClientConnection, opened: ExitStack, shared: bool, run: int) -> None:
+        """opened: closes the socket."""
+        self._socket, self._opened, self._shared, self._run = socket, opened, shared, run
         self._mapped = Mapped()
         self._news = threading.Condition()
         self._got = Received(run)
@@ -80,7 +83,7 @@ class Client:
 
     def close(self) -> None:
         """End the connection; the loop goes on."""
-        self._socket.close()
+        self._opened.close()
         if self._thread.is_alive():
             self._thread.join()
         self._mapped.close()

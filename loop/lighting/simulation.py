@@ -4,6 +4,7 @@ import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from importlib import import_module
 from typing import Any
 
 import torch
@@ -362,6 +363,10 @@ class Simulation:
         raw = [module.raw is not None for module in self.modules]
         told = "base beam off" if beam == "off" else f"{beam} beam"
         return "raw utilisations" if all(raw) else f"{told} and raw utilisations" if any(raw) else told
+
+    def show(self) -> Any:
+        """Watch and steer the scenario in the page of `luxloop studio`, in a frame of a notebook; as `luxloop.show`, which says more."""
+        return import_module("loop.studio.notebook").show(self)  # named, for the studio is made of simulations
 
     def run(self) -> Iterator[StepResult]:
         """All steps of the scenario."""

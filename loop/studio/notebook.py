@@ -1,0 +1,97 @@
+"""A studio beside a notebook or a program: in a process of its own, to which OpenGL belongs, and shown in a frame."""
+
+import subprocess
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final, Self
+
+from loop.lighting.simulation import Simulation
+from loop.scenario.edits import changed
+from loop.scenario.model import Scenario, load
+from loop.scenario.written import written
+from world.errors import LuxloopError
+from world.plugin import refuse_code
+
+HEIGHT_PX: Final = 720
+PATIENCE_S: Final = 10.0  # with a process that shall end
+SERVE: Final = """
+import os, signal, sys, threading
+threading.Thread(target=lambda: (sys.stdin.read(), os.kill(os.getpid(), signal.SIGTERM)), daemon=True).start()
+from loop.commands.cli import main
+sys.exit(main(sys.argv[1:]))
+"""  # it ends with the program that has started it, whose end of the pipe closes
+
+
+def show(scenario: Simulation | Scenario | str, /, *overrides: str) -> "Shown":
+    """Watch and steer a scenario in the page of `luxloop studio`, from step 0 on; a notebook shows the page in a frame.
+
+    scenario: a prepared or loaded one, or the name or path of one. overrides: other values of its keys, as KEY=VALUE.
+    The studio runs in a process of its own until `close()` or until the program ends. Raises LuxloopError where it cannot begin.
+    """
+    device = scenario.device if isinstance(scenario, Simulation) else "auto"
+    given = load(scenario) if isinstance(scenario, str) else scenario.scenario if isinstance(scenario, Simulation) else scenario
+    return Shown(changed(given, overrides), str(device))
+
+
+class Shown:
+    """A studio that `show` has begun; a context manager that ends it.
+
+    address: of the page, to edit; `luxloop.connect` takes it, too. watch: of the page that changes nothing.
+    """
+
+    def __init__(self, scenario: Scenario, device: str) -> None:
+        self._folder = TemporaryDirectory(prefix="luxloop_")
+        file, told = Path(self._folder.name, "shown.toml"), Path(self._folder.name, "told")
+        file.write_text(written(scenario), "utf-8")
+        command = [sys.executable, "-c", SERVE, "studio", str(file), "--no-open", "--port", "0", "--device", device]
+        command += ["--allow-code"] if _has_code(scenario) else []
+        with told.open("w") as errors:
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True, start_new_session=True
+            )
+        found = dict[str, str]()
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            if line.startswith("To "):
+                found[line.split()[1].rstrip(":")] = line.split()[-1]
+            if "watch" in found:
+                break
+        if "watch" not in found:
+            text = told.read_text("utf-8")
+            self.close()
+            raise LuxloopError(f"show: the studio did not begin ({' '.join(text.split())[-300:]})")
+        self.address, self.watch = found["edit"], found["watch"]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the studio."""
+        for pipe in (self._process.stdin, self._process.stdout):
+            assert pipe is not None
+            pipe.close()
+        try:
+            self._process.wait(PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._folder.cleanup()
+
+    def __repr__(self) -> str:
+        return f"<studio at {self.address}>"
+
+    def _repr_html_(self) -> str:
+        """The page in a frame."""
+        return f'<iframe src="{self.address}" width="100%" height="{HEIGHT_PX}" style="border: 0"></iframe>'
+
+
+def _has_code(scenario: Scenario) -> bool:
+    try:
+        refuse_code(scenario, scenario.source)
+    except LuxloopError:
+        return True
+    return False
