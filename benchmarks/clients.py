@@ -1,55 +1,84 @@
-"""What a program in lockstep waits for: `python benchmarks/clients.py [--json FILE] [--quick]`.
+"""What the arrays of a step take to another program: `python benchmarks/clients.py [--json FILE] [--quick]`.
 
-Steps of a studio in a process of its own, by the clock of a program that asks for them: without arrays, and with frames, depth, instances
-and materials by the socket and by shared memory, in turn. What the arrays take beyond a step without them is their making, which both ways
-have, and their way.
+Frames, depth, instances and materials of a camera's picture go from one process to another as the studio sends them, by the socket and by
+shared memory, in turn: from the program's word that it is ready until it has arrays of its own, by the clock.
 """
 
 import argparse
 import json
+import subprocess
+import sys
 import time
 from pathlib import Path
 from statistics import median
 from typing import Any
 
+import numpy as np
 from bench import machine, on_one_thread
 from rich.table import Table
+from websockets.sync.client import connect
+from websockets.sync.server import ServerConnection, serve
 
-from loop.client.client import connect
-from loop.studio.messages import View
-from loop.studio.notebook import show
+from loop.client.decoding import unpacked
+from loop.client.shared import Mapped
+from loop.studio.arrays import raw
+from loop.studio.messages import packed
+from loop.studio.shared import Blocks
 from loop.terminal import tables
 
-SCENARIO = "snowflake"
-VIEWS: tuple[View, ...] = ("frames", "depth", "instances", "materials")
-WAYS: dict[str, tuple[tuple[View, ...], bool]] = {"none": ((), False), "socket": (VIEWS, False), "memory": (VIEWS, True)}
 SIZES = ((640, 360), (1920, 1080))
-ROUNDS, STEPS = 8, 6
+ROUNDS = 40
 
 
-def taken_ms(address: str, way: str, steps: int) -> tuple[float, int]:
-    """Median ms of a step, and bytes of its arrays."""
-    views, shared = WAYS[way]
-    with connect(address, views=views, shared=shared) as client:
-        state, found = client.step(), []
-        for _ in range(steps):
-            began_s = time.perf_counter()
-            state = client.step()
-            found.append(1e3 * (time.perf_counter() - began_s))
-        return median(found), sum(each.nbytes for each in state.arrays.values())
+def arrays(width: int, height: int) -> dict[str, np.ndarray]:
+    """As large as those of a step with a camera of more than 8 bits."""
+    values = np.random.default_rng(0).integers(0, 256, (height, width))
+    dtypes = {"frames.on": "u2", "frames.off": "u2", "depth": "f4", "instances": "u2", "materials": "u1"}
+    return {name: values.astype(dtype) for name, dtype in dtypes.items()}
 
 
-def measured(size: tuple[int, int], rounds: int, steps: int) -> dict[str, Any]:
-    """A size of the camera's picture: medians over the rounds, and of what the two ways of a round have beyond a step without arrays."""
-    total = rounds * len(WAYS) * (steps + 1) + 1
-    with show(SCENARIO, f"camera.width_px={size[0]}", f"camera.height_px={size[1]}", "judge_every=0", f"steps={total}") as shown:
-        found = [{way: taken_ms(shown.address, way, steps) for way in WAYS} for _ in range(rounds)]
-    ms = {way: median(each[way][0] for each in found) for way in WAYS}
-    size_bytes = found[0]["memory"][1]
-    beyond = {way: median(each[way][0] - each["none"][0] for each in found) for way in ("socket", "memory")}
-    rate = {f"{way}_bytes_s": size_bytes / max(1e-3 * each, 1e-6) for way, each in beyond.items()}
-    ratio = median(each["memory"][0] / each["socket"][0] for each in found)
-    return {"bytes": size_bytes, "ms": ms, "beyond_ms": beyond, **rate, "memory_to_socket": ratio}
+def send(width: int, height: int) -> None:
+    """Send steps by the way that each message names, until there are no more."""
+    given = arrays(width, height)
+
+    def answer(connection: ServerConnection) -> None:
+        blocks = Blocks()
+        for number, way in enumerate(connection, 1):
+            if way == "memory":
+                connection.send(packed({"id": number, "shared": blocks.put(0, number, given)}))
+            else:
+                connection.send(packed({"id": number}, {name: raw(each) for name, each in given.items()}))
+        blocks.close()
+
+    with serve(answer, "127.0.0.1", 0, compression=None) as server:
+        print(server.socket.getsockname()[1], flush=True)
+        server.serve_forever()
+
+
+def measured(width: int, height: int, rounds: int) -> dict[str, Any]:
+    """Median ms by each way, and median ratio of two that follow each other."""
+    found = dict[str, list[float]](socket=[], memory=[])
+    command = [sys.executable, __file__, "--send", str(width), str(height)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as sender:
+        assert sender.stdout is not None
+        mapped, port = Mapped(), sender.stdout.readline().strip()
+        with connect(f"ws://127.0.0.1:{port}", max_size=None, compression=None) as connection:
+            for number in range(rounds + 2):
+                for way, taken in found.items():
+                    began_s = time.perf_counter()
+                    connection.send(way)
+                    data = connection.recv()
+                    assert isinstance(data, bytes)
+                    head, there = unpacked(data)
+                    there = mapped.arrays(head["shared"], head["id"]) or {} if way == "memory" else there
+                    if number >= 2:  # both blocks are there
+                        taken.append(1e3 * (time.perf_counter() - began_s))
+        size = sum(each.nbytes for each in there.values())
+        mapped.close()
+        sender.terminate()
+    ms = {way: median(taken) for way, taken in found.items()}
+    ratio = median(memory / by_socket for memory, by_socket in zip(found["memory"], found["socket"], strict=True))
+    return {"bytes": size, "ms": ms, "bytes_s": {way: 1e3 * size / each for way, each in ms.items()}, "memory_to_socket": ratio}
 
 
 def main() -> None:
@@ -57,13 +86,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--send", type=int, nargs=2, help="the other process")
     given = parser.parse_args()
-    sizes, rounds, steps = (SIZES[:1], 1, 2) if given.quick else (SIZES, ROUNDS, STEPS)
-    found = {f"{width} x {height}": measured((width, height), rounds, steps) for width, height in sizes}
-    table = Table("picture", "MB a step", "ms without", "by socket", "by memory", "memory / socket", "socket MB/s", "memory MB/s")
+    if given.send:
+        send(*given.send)
+        return
+    sizes, rounds = (SIZES[:1], 4) if given.quick else (SIZES, ROUNDS)
+    found = {f"{width} x {height}": measured(width, height, rounds) for width, height in sizes}
+    table = Table("picture", "MB a step", "ms by socket", "ms by memory", "memory / socket", "MB/s by socket", "MB/s by memory")
     for name, each in found.items():
-        ms = [f"{value:.1f}" for value in each["ms"].values()]
-        rates = [f"{1e-6 * each[f'{way}_bytes_s']:.0f}" for way in ("socket", "memory")]
+        ms, rates = (
+            [f"{scale * value:.{digits}f}" for value in each[key].values()] for key, scale, digits in (("ms", 1, 1), ("bytes_s", 1e-6, 0))
+        )
         table.add_row(name, f"{1e-6 * each['bytes']:.1f}", *ms, f"{each['memory_to_socket']:.2f}", *rates)
     tables.show(table)
     if given.json:

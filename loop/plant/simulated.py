@@ -121,7 +121,9 @@ class SimulatedPlant:
 
 
 def simulated_plant(scenario: Scenario, modules: Sequence[LampModule], made: Made | None = None) -> SimulatedPlant:
-    """The world of a scenario, lit by these modules. Raises LuxloopError where a file is missing or broken."""
+    """The world of a scenario, lit by these modules. made: parts that serve again, None for none. Raises LuxloopError where a file is
+    missing or broken.
+    """
     made, wrong, given = made or Made(), scenario.disturbances, scenario.all_objects
     source = made("face source", scenario.renderer, lambda: face_source(scenario.renderer))
     lasts_s = scenario.vehicle and (scenario.steps, scenario.rate_hz)
