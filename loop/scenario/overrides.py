@@ -91,14 +91,16 @@ def _merge(into: dict[str, Any], changes: Mapping[str, Any], within: str = "") -
     """Lay changes over nested tables; a table that becomes another variant starts anew.
 
     An empty table clears a key that is there; elsewhere, as in a table that starts anew, it is one with defaults, as in a file. Changes of
-    list items stand under the keys "[0]", "[1]" and so on. within: key of the table, for messages. Raises LuxloopError where there is no
-    such item.
+    list items stand under the keys "[0]", "[1]" and so on; a table one beyond the last is added. within: key of the table, for messages.
+    Raises LuxloopError where there is no such item.
     """
     for key, value in changes.items():
         old, whole = into.get(key), within + key if INDEX.fullmatch(key) else f"{within}.{key}".strip(".")
         if isinstance(old, list) and isinstance(value, dict) and value and all(INDEX.fullmatch(place) for place in value):
             items = {f"[{k}]": item for k, item in enumerate(old)}
-            if strange := [place for place in value if place not in items]:
+            added = f"[{len(items)}]"
+            tables_ = all(isinstance(each, dict) for each in (*old, value.get(added)))
+            if strange := [place for place in value if place not in items and not (place == added and value[added] and tables_)]:
                 found = f"there are {len(items)} {key}, numbered from 0" if items else f"there are no {key}"
                 raise LuxloopError(f"{whole}{strange[0]}: {found}; change another, or set all of {whole}")
             _merge(items, value, whole)
