@@ -3,7 +3,7 @@
 import gc
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -129,6 +129,8 @@ def prepare(scenario: Scenario, device: str = "auto", before: Simulation | None 
     cannot draw at its target, or that the camera cannot see there, or where a check names a column or light that is not there, or that the
     plant does not know.
     """
+    if before is not None:
+        before = replace(before, made=before.made.without("motion"))  # which may have gone on from another one
     simulation = Simulation.prepare(scenario, torch_device(device), before)
     with located(scenario.source):
         others = [simulation.lit_by(light) for light in lights(scenario.checks)]

@@ -20,12 +20,15 @@ from world.roads.mesh import road_mesh
 from world.roads.scan import OpenCrgRoad
 from world.scene.body import Body
 from world.scene.figure import Figure
+from world.scene.road_patches import RoadPatches
 from world.scene.road_tiles import AROUND_M, SIGHT_M, RoadTiles
 from world.scene.scene import Scene
 from world.scene.vehicle import STANDING, Motion, drive
 from world.traffic.objects import ObjectParams
 
-Along = tuple[tuple[float, float], tuple[float, ...], float]  # range of y of a course, y of what else is there, how far one sees, in m
+# in m, how far one sees; range of y of the course and y of what else is there, where the road is along the course
+Along = tuple[float, tuple[float, float], tuple[float, ...]] | tuple[float]
+Ground = Body | RoadTiles | RoadPatches
 
 
 def build_road(scenario: Scenario) -> Road:
@@ -33,11 +36,14 @@ def build_road(scenario: Scenario) -> Road:
     return _located(scenario.road)
 
 
-def build_motion(scenario: Scenario) -> Motion:
-    """The drive, over half a period more than all steps. Raises LuxloopError where a file is missing or broken."""
+def build_motion(scenario: Scenario, before: Motion = STANDING) -> Motion:
+    """The drive, over half a period more than all steps. before: another one, of which moments are kept as `drive` says.
+
+    Raises LuxloopError where a file is missing or broken.
+    """
     if scenario.vehicle is None:
         return STANDING
-    return drive(scenario.vehicle, build_road(scenario), (scenario.steps + 1) / scenario.rate_hz)
+    return drive(scenario.vehicle, build_road(scenario), (scenario.steps + 1) / scenario.rate_hz, before)
 
 
 def build_scene(scenario: Scenario, motion: Motion = STANDING, made: Made | None = None) -> Scene:
@@ -45,21 +51,23 @@ def build_scene(scenario: Scenario, motion: Motion = STANDING, made: Made | None
     made = made or Made()
     road, light = build_road(scenario), scenario.light
     objects = tuple(made(f"object {item.name}", (item, road), partial(_built, item, road)) for item in scenario.all_objects)
-    along = None
-    if motion is not STANDING:
-        others_y_m = tuple(y for each in objects for y in each.track.T_world_body[:, 1, 3].tolist())
+    along: Along | None = None
+    if scenario.vehicle is not None and motion is not STANDING:
         sight_m = SIGHT_M if scenario.traffic is None else max(SIGHT_M, scenario.traffic.sight_m + AROUND_M)
-        along = motion.range_y_m, others_y_m, sight_m
+        others_y_m = tuple(y for each in objects for y in each.track.T_world_body[:, 1, 3].tolist())
+        along = (sight_m,) if scenario.vehicle.roams else (sight_m, motion.range_y_m, others_y_m)
     of_ground = road, scenario.surface, scenario.spots, along
     bodies = (made("ground", of_ground, partial(_ground, *of_ground)), *objects)
     return made("scene", (bodies, light), lambda: Scene(bodies, light.ambient_lx, light.street_lamps))
 
 
-def _ground(road: Road, surface: RoadSurfaceParams, spots: tuple[SpotParams, ...], along: Along | None) -> Body | RoadTiles:
+def _ground(road: Road, surface: RoadSurfaceParams, spots: tuple[SpotParams, ...], along: Along | None) -> Ground:
     texture = SpottedTexture(surface, spots) if spots else surface.texture()
     if along is None:
         return Body("road", road_mesh(road), surface.albedo, texture, smooth=True)
-    range_y_m, others_y_m, sight_m = along
+    if len(along) == 1:
+        return RoadPatches(road, surface.albedo, texture, sight_m=along[0])
+    sight_m, range_y_m, others_y_m = along
     return RoadTiles(road, range_y_m, surface.albedo, texture, others_y_m=others_y_m, sight_m=sight_m)
 
 

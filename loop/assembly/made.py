@@ -27,6 +27,18 @@ class Made:
         known = self._before.get(name)
         return default if known is None else known[1]
 
+    def without(self, name: str) -> "Made":
+        """The same parts but one."""
+        left = Made()
+        left._parts = {each: part for each, part in self._parts.items() if each != name}
+        return left
+
+    def going_on(self) -> "Made":
+        """The same parts, of which some are then replaced."""
+        after = Made(self)
+        after._parts = dict(self._parts)
+        return after
+
     def end(self) -> None:
         """All is made: let go what no longer serves."""
         self._before = {}

@@ -21,7 +21,7 @@ from perception.sensors import EXACT, SensorParams, Sensors
 from world.errors import LuxloopError
 from world.partial import Part, PartialImage
 from world.rendering.face_source import face_source
-from world.scene.vehicle import STANDING
+from world.scene.vehicle import STANDING, Motion
 
 LOSS_KEY, LATENCY_KEY = 2, 4  # of what is drawn for a step, beside its frames' noise and the sensors'
 
@@ -126,13 +126,24 @@ def simulated_plant(scenario: Scenario, modules: Sequence[LampModule], made: Mad
     """
     made, wrong, given = made or Made(), scenario.disturbances, scenario.all_objects
     source = made("face source", scenario.renderer, lambda: face_source(scenario.renderer))
-    lasts_s = scenario.vehicle and (scenario.steps, scenario.rate_hz)
-    motion = made("motion", (scenario.vehicle, scenario.road, lasts_s), lambda: build_motion(scenario))
+    motion = _motion(scenario, made)
     scene, camera = build_scene(scenario, motion, made), true_camera(scenario)
     true = made("true modules", (tuple(modules), wrong.aim, wrong.wear), lambda: true_modules(wrong, modules))
     of_world = scene, true, camera, source, motion, scenario.metered, given
     world = made("world", of_world, lambda: World(*of_world).after(made.before("world", None)))
     return SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, scenario.disturbances, scenario.shares)
+
+
+def driven_plant(plant: SimulatedPlant, scenario: Scenario, made: Made) -> SimulatedPlant:
+    """The same plant whose vehicle goes on along the scenario's course. made: its parts, of which motion and world are replaced."""
+    old = plant.world
+    of_world = old.scene, old.modules, old.camera, old.source, _motion(scenario, made), old.metered, old.given
+    return replace(plant, world=made("world", of_world, lambda: World(*of_world).after(old)))
+
+
+def _motion(scenario: Scenario, made: Made) -> Motion:
+    lasts = scenario.vehicle and (scenario.steps, scenario.rate_hz)
+    return made("motion", (scenario.vehicle, scenario.road, lasts), lambda: build_motion(scenario, made.before("motion", STANDING)))
 
 
 def as_simulated(plant: Plant, asked: str) -> SimulatedPlant:

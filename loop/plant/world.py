@@ -192,6 +192,8 @@ class World:
         """This world; its bodies that were in another one as well keep what was derived from them there."""
         if before is not None:
             self._triangles = before._triangles
+            if (before.source, before.moving) == (self.source, self.moving):
+                self.surfaces = before.surfaces
         return self
 
     def view_at(self, t_s: float) -> View:

@@ -6,6 +6,7 @@ from typing import Any
 
 from torch import Tensor
 
+from loop.lighting.driven import driven_on
 from loop.lighting.result import SimulationState
 from loop.lighting.simulation import Simulation
 from loop.scenario.acts import acts
@@ -21,6 +22,8 @@ def edited(simulation: Simulation, state: SimulationState, scenario: Scenario) -
     """
     if acts(simulation.scenario, scenario) == "restart":
         raise LuxloopError(f"{scenario.source}: a run cannot go on with these values; start it anew")
+    if (driven := driven_on(simulation, scenario)) is not None:
+        return driven, state
     after = Simulation.prepare(scenario, simulation.device, simulation)
     held = {name: each.start() for name, each in after.controlled.items()}
     functions, kept = _kept(after.planner.start(), state.functions), _kept(held, state.held)

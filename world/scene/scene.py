@@ -10,6 +10,7 @@ from world.frames import transform
 from world.params import Metres, Params
 from world.scene.body import Body, PoseTrack, Spotlight
 from world.scene.figure import Figure
+from world.scene.road_patches import RoadPatches
 from world.scene.road_tiles import RoadTiles
 from world.scene.triangles import NOTHING, Placed, Triangles
 
@@ -34,14 +35,14 @@ class Scene:
     sky.
     """
 
-    bodies: tuple[Body | RoadTiles | Figure, ...]
+    bodies: tuple[Body | RoadTiles | RoadPatches | Figure, ...]
     ambient_lx: float = 0.0
     street_lamps: tuple[StreetLamp, ...] = ()
 
     @property
     def objects(self) -> tuple[Body | Figure, ...]:
         """All but the road."""
-        return tuple(body for body in self.bodies[1:] if not isinstance(body, RoadTiles))
+        return tuple(body for body in self.bodies[1:] if not isinstance(body, RoadTiles | RoadPatches))
 
     @property
     def moves(self) -> bool:
@@ -68,7 +69,7 @@ class Scene:
 
     def _place(self, i: int, t_s: float, T_world_ground: Tensor, before: Placed | None) -> tuple[Placed, ...]:
         body = self.bodies[i]
-        if isinstance(body, RoadTiles):
+        if isinstance(body, RoadTiles | RoadPatches):
             return body.near(i, T_world_ground)
         T, shape = body.track.pose_at(t_s), body.at(t_s) if isinstance(body, Figure) else body
         rests = before is not None and before.body is shape and before.T_world_body.equal(T)

@@ -6,10 +6,11 @@ on its springs, which lamps and camera are fixed to.
 """
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from typing import Final, Self
 
 import numpy as np
@@ -29,7 +30,7 @@ COLUMNS: Final = (
     *("travel_fl_m", "travel_fr_m", "travel_rl_m", "travel_rr_m"),
 )
 
-BYTES_A_MOMENT: Final = 800  # of the integrated motion: all columns, and as many while they are made
+BYTES_A_MOMENT: Final = 900  # of the integrated motion: all columns, and as many while they are made
 LOW_PASS_M: Final = (10.0, 50.0)  # of the road's height and slope: a raised cosine leaves half of a wave of that length
 LEARNT_M: Final = 10.0  # of way, after which the ground follows the road: a car that stands at its start is on the world's plane z = 0
 PROFILE_M: Final = 0.05  # spacing of the road's heights along the way
@@ -74,6 +75,9 @@ class VehicleParams(Params):
     overhang_m: float = Field(0.8, ge=0, le=3, description="distance from the lamps back to the front axle")
     suspension: SuspensionParams = Field(SuspensionParams(), description="suspension of the body")
     oscillation: OscillationParams = Field(OscillationParams(), description="additional sinusoidal pitch")
+    roams: bool = Field(
+        False, description="whether the road is there all around, for somebody who drives the vehicle, in place of along its course"
+    )
     simulation_hz: float = Field(500.0, ge=50, le=10_000, description="rate of the numerical integration of motion")
 
     @property
@@ -135,13 +139,16 @@ class Motion:
     """A drive, integrated.
 
     times_s: `[N]`, ascending. states: `[N, 21]`, the COLUMNS. pivot_x_m: where on the ground heave, pitch and roll act, between the wheels.
-    rear_x_m: the rear axle, which goes where the vehicle heads.
+    rear_x_m: the rear axle, which goes where the vehicle heads. modes: `[N, 4]`, way in m, and the body's heave in m, pitch and roll in rad
+    over a level plane. of: whose it is, and on which road.
     """
 
     times_s: Floats
     states: Floats
     pivot_x_m: float = 0.0
     rear_x_m: float = 0.0
+    modes: Floats = field(default_factory=lambda: np.zeros((1, 4)))
+    of: tuple[VehicleParams, Road] | None = None
 
     @property
     def range_y_m(self) -> tuple[float, float]:
@@ -158,7 +165,9 @@ class Motion:
         return lru_cache(maxsize=8)(self._interpolated)
 
     def _interpolated(self, t_s: float) -> VehicleState:
-        now = {name: float(np.interp(t_s, self.times_s, column)) for name, column in zip(COLUMNS, self.states.T, strict=True)}
+        k = max(int(np.searchsorted(self.times_s, t_s)) - 1, 0)
+        times_s, states = self.times_s[k : k + 2], self.states[k : k + 2]
+        now = {name: float(np.interp(t_s, times_s, column)) for name, column in zip(COLUMNS, states.T, strict=True)}
         x, y, yaw = (now.pop(name) for name in ("x_m", "y_m", "yaw_rad"))
         T_world_level = pose(_vector(x, y, 0.0), rotation(*_vector(0.0, 0.0, yaw)))
         T_level_ground = ground_pose(_vector(now["ground_m"], now["slope_rad"]))
@@ -185,37 +194,73 @@ def ground_pose(ground: Tensor) -> Tensor:
     return pose(torch.stack([zero, zero, height]), rotation(zero, slope, zero))
 
 
-def drive(params: VehicleParams, road: Road, duration_s: float) -> Motion:
+def drive(params: VehicleParams, road: Road, duration_s: float, before: Motion = STANDING) -> Motion:
     """Integrate the vehicle's motion over a road from the world's origin on, for `duration_s`.
 
     The modes of the body answer to wheels and acceleration as linear systems do whose inputs change linearly in each interval.
+    before: another drive. Its moments are kept to the bit for as long as both courses are the same, and the integration goes on from there.
     """
     dt = 1 / params.simulation_hz
     afford(f"vehicle: a drive of {duration_s:.3g} s", BYTES_A_MOMENT * duration_s / dt, "take fewer steps, or raise rate_hz")
-    t: Floats = np.arange(math.ceil(duration_s / dt) + 2, dtype=np.float64) * dt
-    x, y, yaw, speed, yaw_rate = course(params, t)
-    acceleration = np.gradient(speed, dt)
+    times: Floats = np.arange(math.ceil(duration_s / dt) + 2, dtype=np.float64) * dt
+    kept = _kept(before, params, road, times)
+    first = max(kept - 2, 0)  # two moments that are known are what filters and slopes go on from
+    t, start, past = times[first:], before.states[first], before.modes[first:kept].T if kept else None
+    x, y, yaw, speed, yaw_rate = course(params, t, start[:3])
+    acceleration, lateral = np.gradient(speed, dt), speed * yaw_rate
 
     spring = params.suspension
     fl, fr, rl, rr = wheels = _wheel_heights(params, road, x, y, yaw)
-    lateral = speed * yaw_rate
-    heave = _followed((fl + fr + rl + rr) / 4, spring.heave_hz, spring.damping, dt)
-    road_pitch = (rl + rr - fl - fr) / (2 * params.wheelbase_m)
-    pitch = _followed(road_pitch, spring.pitch_hz, spring.damping, dt) + _settled(
-        -math.radians(spring.dive_deg_per_m_s2) * acceleration, spring.pitch_hz, spring.damping, dt
-    )
-    road_roll = (fl + rl - fr - rr) / (2 * params.track_m)
-    roll = _followed(road_roll, spring.roll_hz, spring.damping, dt) + _settled(
-        math.radians(spring.lean_deg_per_m_s2) * lateral, spring.roll_hz, spring.damping, dt
-    )
+    heaves, pitches, rolls = (_Mode(hz, spring.damping, dt) for hz in (spring.heave_hz, spring.pitch_hz, spring.roll_hz))
+    heave = heaves.follows((fl + fr + rl + rr) / 4, None if past is None else past[1])
+    road_pitch, dive = (rl + rr - fl - fr) / (2 * params.wheelbase_m), -math.radians(spring.dive_deg_per_m_s2) * acceleration
+    pitch = pitches.answers(road_pitch, dive, None if past is None else past[2])
+    road_roll, lean = (fl + rl - fr - rr) / (2 * params.track_m), math.radians(spring.lean_deg_per_m_s2) * lateral
+    roll = rolls.answers(road_roll, lean, None if past is None else past[3])
+    modes = (before.modes[first, 0] + _integral(speed, dt), heave, pitch, roll)
     pitch = pitch + math.radians(params.oscillation.pitch_deg) * np.sin(2 * np.pi * params.oscillation.rate_hz * t)
-    level, slope = followed(params, road, _integral(speed, dt), x, y, yaw)
-    climb, bend, *rates = (np.gradient(mode, dt) for mode in (level, slope, heave, roll, pitch))
+    level, slope, climb, bend = (each[len(each) - len(t) :] for each in _ground(params, road, dt, modes[0], (x, y, yaw), before, first))
+    rates = (np.gradient(mode, dt) for mode in (heave, roll, pitch))
     levers = [(end * params.wheelbase_m / 2, side * params.track_m / 2) for end in (1, -1) for side in (1, -1)]
     travel = (heave + left * roll - front * pitch - wheel for (front, left), wheel in zip(levers, wheels, strict=True))
     over = np.cos(slope) * (heave - level) + np.sin(slope) * params.pivot_x_m
     columns = (x, y, yaw, speed, yaw_rate, acceleration, lateral, level, slope, climb, bend, over, roll, pitch - slope, *rates, *travel)
-    return Motion(t, np.stack(columns, axis=1), params.pivot_x_m, params.rear_x_m)
+    states, inner = (
+        np.concatenate([old[:kept], np.stack(new, axis=1)[kept - first :]]) for old, new in ((before.states, columns), (before.modes, modes))
+    )
+    return Motion(times, states, params.pivot_x_m, params.rear_x_m, inner, (params, road))
+
+
+def _kept(before: Motion, params: VehicleParams, road: Road, times: Floats) -> int:
+    """How many moments of another drive are those of this one as well: none, or two at least."""
+    if before.of is None or before.of != (params.model_copy(update={"course": before.of[0].course}), road):
+        return 0
+    until_s = _same_until(before.of[0].course, params.course)
+    kept = int(np.searchsorted(times[: len(before.times_s)], until_s, side="right"))
+    return kept if kept > 1 else 0
+
+
+def _same_until(a: tuple[CourseParams, ...], b: tuple[CourseParams, ...]) -> float:
+    """Time in s until which two courses are the same, infinite if they always are."""
+    alike = sum(1 for _ in takewhile(lambda pair: pair[0] is pair[1], zip(a, b, strict=False)))
+    first, second = (_knots(each[max(alike - 1, 0) :]) for each in (a, b))
+    times = np.union1d(first[0], second[0])
+    differ = [np.interp(times, first[0], mine) != np.interp(times, second[0], other) for mine, other in zip(first[1:], second[1:], strict=True)]
+    there = np.flatnonzero(differ[0] | differ[1])
+    return math.inf if not len(there) else float(times[there[0] - 1]) if there[0] else -math.inf
+
+
+def _ground(
+    params: VehicleParams, road: Road, dt: float, way_m: Floats, pose: tuple[Floats, Floats, Floats], before: Motion, first: int
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Level, slope and their rates, of moments that end with those of a way and poses. before, first: an earlier drive, and how many of its
+    moments come before them; as many are taken as the low-passes reach back.
+    """
+    back = int(np.searchsorted(before.modes[:first, 0], way_m[0] - max(LOW_PASS_M) / 2 - 1))
+    along = np.concatenate([before.modes[back:first, 0], way_m])
+    x, y, yaw = (np.concatenate([before.states[back:first, k], each]) for k, each in enumerate(pose))
+    level, slope = followed(params, road, along, x, y, yaw)
+    return level, slope, np.gradient(level, dt), np.gradient(slope, dt)
 
 
 def followed(
@@ -229,13 +274,13 @@ def followed(
 ) -> tuple[Floats, Floats]:
     """Height `[N]` in m of the ground frame's origin and slope `[N]` in rad, nose down, of the plane through the low-passed road.
 
-    way_m: `[N]`, that the rear axle has driven, which goes on straight at both ends. x, y, yaw: of the vehicle there, `[N]`, m and rad.
+    way_m: `[N]`, that the rear axle has driven from the world's origin on, which goes on straight at both ends. x, y, yaw: of the vehicle there, `[N]`, m and rad.
     low_pass_m: lengths over which the road's height and slope are low-passed.
     """
     reach = math.ceil(max(low_pass_m) / 2 / PROFILE_M) + 1
-    along = (np.arange(math.ceil(way_m[-1] / PROFILE_M) + 2 * reach + 2) - reach) * PROFILE_M
+    along = np.arange(math.floor(way_m[0] / PROFILE_M) - reach, math.ceil(way_m[-1] / PROFILE_M) + reach + 2) * PROFILE_M
     at_x, at_y, heading = (np.interp(along, way_m, column) for column in (x, y, yaw))
-    beyond = params.rear_x_m + along - np.clip(along, 0, way_m[-1])
+    beyond = params.rear_x_m + along - np.clip(along, way_m[0], way_m[-1])
     at_x, at_y = at_x + beyond * np.cos(heading), at_y + beyond * np.sin(heading)
     aside = params.track_m / 2 * np.array([[1], [-1]])
     heights = road.z(at_x - aside * np.sin(heading), at_y + aside * np.cos(heading)).mean(0)
@@ -252,22 +297,29 @@ def _window(length_m: float) -> Floats:
     return window / window.sum()
 
 
-def course(params: VehicleParams, t: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Where the vehicle is on the plane at evenly spaced times `[N]` in s from 0 on, whatever the road.
+def course(params: VehicleParams, t: Floats, start: Floats | None = None) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Where the vehicle is on the plane at evenly spaced times `[N]` in s, whatever the road.
 
-    The rear axle of a kinematic bicycle follows its arc in each interval. Returns x and y in m, yaw in rad, speed in m/s and yaw rate in
-    rad/s, each `[N]`.
+    The rear axle of a kinematic bicycle follows its arc in each interval. start: x, y and yaw at the first time, else 0. Returns x and y in
+    m, yaw in rad, speed in m/s and yaw rate in rad/s, each `[N]`.
     """
-    knots = np.array([[each.time_s, each.speed_m_s, each.curvature_1_m] for each in params.course])
-    speed, curvature = (np.interp(t, knots[:, 0], column) for column in knots.T[1:])
+    begun = bisect_right(params.course, t[0], key=lambda each: each.time_s)
+    knots = _knots(params.course[max(begun - 1, 0) :])
+    speed, curvature = (np.interp(t, knots[0], column) for column in knots[1:])
     dt, yaw_rate, rear_m = float(t[1] - t[0]), speed * curvature, -params.rear_x_m
-    yaw = _integral(yaw_rate, dt)
+    x_0, y_0, yaw_0 = (0.0, 0.0, 0.0) if start is None else start.tolist()
+    yaw = yaw_0 + _integral(yaw_rate, dt)
     turned = np.diff(yaw)
     way = 0.5 * (speed[1:] + speed[:-1]) * dt * np.sinc(turned / (2 * np.pi))
     middle = yaw[:-1] + turned / 2
-    x = np.concatenate([[0.0], np.cumsum(way * np.cos(middle))]) + rear_m * (np.cos(yaw) - 1)
-    y = np.concatenate([[0.0], np.cumsum(way * np.sin(middle))]) + rear_m * np.sin(yaw)
+    x = x_0 + np.concatenate([[0.0], np.cumsum(way * np.cos(middle))]) + rear_m * (np.cos(yaw) - math.cos(yaw_0))
+    y = y_0 + np.concatenate([[0.0], np.cumsum(way * np.sin(middle))]) + rear_m * (np.sin(yaw) - math.sin(yaw_0))
     return x, y, yaw, speed, yaw_rate
+
+
+def _knots(entries: tuple[CourseParams, ...]) -> Floats:
+    """Times, speeds and curvatures `[3, K]`."""
+    return np.array([[each.time_s, each.speed_m_s, each.curvature_1_m] for each in entries]).T
 
 
 def _wheel_heights(params: VehicleParams, road: Road, x: Floats, y: Floats, yaw: Floats) -> tuple[Floats, ...]:
@@ -278,24 +330,42 @@ def _wheel_heights(params: VehicleParams, road: Road, x: Floats, y: Floats, yaw:
     return tuple(road.z(x + cos * along - sin * across, y + sin * along + cos * across) for along, across in corners)
 
 
-def _followed(base: Floats, rate_hz: float, damping: float, dt: float) -> Floats:
-    """A mass on spring and damper whose other ends move as `base` `[N]`, in equilibrium at first."""
-    omega = 2 * math.pi * rate_hz
-    return _filtered([2 * damping * omega, omega**2], base, omega, damping, dt)
+@dataclass(frozen=True)
+class _Mode:
+    """A mass on spring and damper, in equilibrium at first, unless its first two values are known."""
+
+    rate_hz: float
+    damping: float
+    dt: float
+
+    def follows(self, base: Floats, known: Floats | None) -> Floats:
+        """Its place where its other ends move as `base` `[N]`."""
+        omega = 2 * math.pi * self.rate_hz
+        return self._filtered([2 * self.damping * omega, omega**2], base, known)
+
+    def answers(self, base: Floats, load: Floats, known: Floats | None) -> Floats:
+        """The same, and a load `[N]` that deflects it by its own value in the end; both add up."""
+        omega = 2 * math.pi * self.rate_hz
+        return self.follows(base, known) + self._filtered([omega**2], load, None if known is None else 0 * known)
+
+    def _filtered(self, numerator: list[float], values: Floats, known: Floats | None) -> Floats:
+        from scipy.signal import lfilter, lfilter_zi, lfiltic  # takes a fifth of a command's start, and only vehicles that move need it
+
+        omega = 2 * math.pi * self.rate_hz
+        b, a = _filter(tuple(numerator), (1.0, 2 * self.damping * omega, omega**2), self.dt)
+        if known is None:
+            return np.asarray(lfilter(b, a, values, zi=lfilter_zi(b, a) * values[0])[0], np.float64)
+        went_on = lfilter(b, a, values[2:], zi=lfiltic(b, a, known[::-1], values[1::-1]))[0]
+        return np.concatenate([known, np.asarray(went_on, np.float64)])
 
 
-def _settled(load: Floats, rate_hz: float, damping: float, dt: float) -> Floats:
-    """A mass on spring and damper under a load `[N]` that deflects it by its own value in the end, in equilibrium at first."""
-    omega = 2 * math.pi * rate_hz
-    return _filtered([omega**2], load, omega, damping, dt)
+@lru_cache(maxsize=16)
+def _filter(numerator: tuple[float, ...], denominator: tuple[float, ...], dt: float) -> tuple[Floats, Floats]:
+    """Coefficients of a linear system whose input changes linearly from value to value."""
+    from scipy.signal import cont2discrete
 
-
-def _filtered(numerator: list[float], values: Floats, omega: float, damping: float, dt: float) -> Floats:
-    from scipy.signal import cont2discrete, lfilter, lfilter_zi  # takes a fifth of a command's start, and only vehicles that move need it
-
-    b, a, _ = cont2discrete((numerator, [1.0, 2 * damping * omega, omega**2]), dt, method="foh")
-    b = np.ravel(b)
-    return np.asarray(lfilter(b, a, values, zi=lfilter_zi(b, a) * values[0])[0], np.float64)
+    b, a, _ = cont2discrete((numerator, denominator), dt, method="foh")
+    return np.ravel(b), a
 
 
 def _integral(values: Floats, dt: float) -> Floats:
