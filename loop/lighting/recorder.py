@@ -53,8 +53,9 @@ class Tally:
     def edit(self, simulation: Simulation, edit: Edit) -> None:
         """The run goes on with an edited simulation, whose columns join those there are."""
         self._idle |= simulation.scenario.functions.keys() - self.simulation.scenario.functions.keys()
-        columns = pa.unify_schemas([self.table().schema, schema(simulation)])
-        self._written = table_of(self._written.to_pylist(), columns) if columns != self._written.schema else self._written
+        if not edit.driven:
+            columns = pa.unify_schemas([self.table().schema, schema(simulation)])
+            self._written = table_of(self._written.to_pylist(), columns) if columns != self._written.schema else self._written
         self.simulation = simulation
         self.edits.append(edit)
 
@@ -107,7 +108,7 @@ class Recorder:
         self.manifest = Manifest.of(first.scenario, first.renderer, first.device)
         self._frames = FrameRecorder(directory, first.scenario.camera.bits) if frames else None
         self._next_write_s = 0.0
-        self._begun = False
+        self._begun, self._edits_written = False, 0
         self.summary = dict[str, Any]()
         refuse_foreign(directory)
 
@@ -127,7 +128,7 @@ class Recorder:
     def edit(self, simulation: Simulation, edit: Edit) -> None:
         """The run goes on with an edited simulation. Raises LuxloopError if the directory can no longer be written."""
         self.tally.edit(simulation, edit)
-        if self._begun:
+        if self._begun and not edit.driven:  # those come with the rows
             self._write_edits()
 
     def table(self) -> pa.Table:
@@ -167,11 +168,13 @@ class Recorder:
         self._write_edits()
 
     def _write_edits(self) -> None:
-        if self.tally.edits:
+        if len(self.tally.edits) > self._edits_written:
+            self._edits_written = len(self.tally.edits)
             write_json(self.directory / EDITS, [each.model_dump(mode="json") for each in self.tally.edits])
 
     def _write_trajectory(self) -> None:
         start = time.thread_time()  # a busy machine makes writes last, but not rarer
+        self._write_edits()
         if self._frames is not None:
             self._frames.write()
         write_table(self.directory / TRAJECTORY, self.table())

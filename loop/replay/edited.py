@@ -6,9 +6,9 @@ from typing import Any
 
 from torch import Tensor
 
-from loop.lighting.driven import driven_on
 from loop.lighting.result import SimulationState
 from loop.lighting.simulation import Simulation
+from loop.replay.driven import driven_on
 from loop.scenario.acts import acts
 from loop.scenario.model import Scenario
 from world.errors import LuxloopError

@@ -19,7 +19,8 @@ from loop.recording.comparison import Comparison, compare
 from loop.recording.files import EDITS, TRAJECTORY, table_of
 from loop.recording.manifest import FILE, Manifest
 from loop.replay.edited import edited
-from loop.scenario.edits import Edit, changed
+from loop.scenario.driving import repeated
+from loop.scenario.edits import Edit
 from loop.scenario.model import Scenario, validate
 from world.errors import LuxloopError, located
 from world.files import content, reading, whole
@@ -63,8 +64,9 @@ def rerun(recording: Recording, simulation: Simulation, allow_code: bool = False
     state, edits = simulation.start(), deque(recording.edits)
     for _ in range(recording.table.num_rows):
         while edits and edits[0].step <= state.step:
-            scenario = changed(simulation.scenario, edits.popleft().overrides)
-            if not allow_code:
+            edit = edits.popleft()
+            scenario = repeated(simulation.scenario, edit)
+            if not (allow_code or edit.driven):
                 refuse_code(scenario, scenario.source)
             simulation, state = edited(simulation, state, scenario)
         with located(simulation.scenario.source):

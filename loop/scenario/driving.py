@@ -1,34 +1,97 @@
 """A scenario whose vehicle somebody drives: its course goes on step by step."""
 
+from collections.abc import Iterator
+from typing import Any
+
+from loop.scenario.edits import Edit, changed
 from loop.scenario.model import Scenario
+from loop.scenario.overrides import tables
 from world.errors import LuxloopError
-from world.scene.driver import Controls, driven, taken_over
+from world.scene.driver import Controls, driven, let_go, taken_over
+from world.scene.vehicle import CourseParams, VehicleParams
+from world.traffic.generator import DriveParams
+from world.validation import toml, validated
+
+MOST_STEPS = 100_000
 
 
 def begun(scenario: Scenario, step: int) -> Scenario:
-    """The scenario for somebody who drives from a step on: the road is there all around, the course stays as it is from then on, and what
-    traffic was made along it so far are objects, whose ways do not depend on it.
+    """The scenario for somebody who drives from a step on: the road is there all around, the course stays as it is from then on, and the
+    traffic remains that which was met along the course so far.
 
     Raises LuxloopError where the vehicle cannot be driven.
     """
-    vehicle = scenario.vehicle
-    if vehicle is None:
-        raise LuxloopError("drive: the vehicle stands in this scenario; set vehicle.course=[{speed_m_s=0.0}], which starts the run anew")
+    vehicle = _vehicle(scenario)
     if scenario.plant.kind != "simulated":
         raise LuxloopError(f'drive: the plant {scenario.plant.kind} cannot be driven; set plant.kind = "simulated"')
-    course = taken_over(vehicle.course, step / scenario.rate_hz)
-    vehicle = vehicle.model_copy(update={"course": course, "roams": True})
-    return scenario.model_copy(update={"vehicle": vehicle, "traffic": None, "objects": scenario.all_objects})
+    traffic = scenario.traffic
+    if traffic is not None and traffic.drive is None:
+        met = DriveParams(course=vehicle.course, lasts_s=scenario.steps / scenario.rate_hz)
+        traffic = traffic.model_copy(update={"drive": met})
+    vehicle = vehicle.model_copy(update={"course": taken_over(vehicle.course, step / scenario.rate_hz), "roams": True})
+    return scenario.model_copy(update={"vehicle": vehicle, "traffic": traffic, "steps": _steps(step)})
 
 
-def driven_a_step(scenario: Scenario, step: int, controls: Controls) -> tuple[Scenario, tuple[str, ...]]:
-    """The scenario that goes on for a step and for the one after it, with what has begun, and the overrides that make it of the one before."""
-    assert scenario.vehicle is not None
-    course = scenario.vehicle.course
-    added = driven(scenario.vehicle, step / scenario.rate_hz, (step + 1) / scenario.rate_hz, controls)
-    texts = [
-        f"vehicle.course[{k}]={{time_s={each.time_s!r}, speed_m_s={each.speed_m_s!r}, curvature_1_m={each.curvature_1_m!r}}}"
-        for k, each in enumerate(added, len(course))
-    ]
-    vehicle = scenario.vehicle.model_copy(update={"course": (*course, *added)}) if added else scenario.vehicle
-    return scenario.model_copy(update={"vehicle": vehicle, "steps": step + 2}), (f"steps={step + 2}", *texts)
+def driven_on(scenario: Scenario, step: int, controls: Controls) -> tuple[Scenario, tuple[str, ...]]:
+    """The scenario with a course for one step more, and the overrides that make it.
+
+    Raises LuxloopError where it has as many steps as can be.
+    """
+    added = driven(_vehicle(scenario), step / scenario.rate_hz, (step + 1) / scenario.rate_hz, controls)
+    return _longer(scenario, added, _steps(step))
+
+
+def ended(scenario: Scenario, step: int, steps: int) -> tuple[Scenario, tuple[str, ...]]:
+    """The same where nobody drives any more, with at least as many steps as given: the vehicle goes straight on as fast as it is."""
+    return _longer(scenario, let_go(_vehicle(scenario), step / scenario.rate_hz), max(scenario.steps, steps))
+
+
+def as_driven(scenario: Scenario, now: Scenario) -> Scenario:
+    """A scenario with the course that was driven in another one, if that was."""
+    if now.vehicle is None or scenario.vehicle is None or not now.vehicle.roams:
+        return scenario
+    vehicle, traffic = scenario.vehicle.model_copy(update={"course": now.vehicle.course, "roams": True}), scenario.traffic
+    if traffic is not None and now.traffic is not None:
+        traffic = traffic.model_copy(update={"drive": now.traffic.drive})
+    return scenario.model_copy(update={"vehicle": vehicle, "traffic": traffic, "steps": now.steps})
+
+
+def repeated(scenario: Scenario, edit: Edit) -> Scenario:
+    """A scenario after an edit. Modules that it names may run, unless somebody drove. Raises LuxloopError as `changed`."""
+    if not edit.driven:
+        return changed(scenario, edit.overrides)
+    course, steps = _vehicle(scenario).course, scenario.steps
+    for key, value in (item for each in edit.overrides for item in _items(tables(each))):
+        if key == "steps" and isinstance(value, int) and 1 <= value <= MOST_STEPS:
+            steps = value
+        elif key == f"vehicle.course[{len(course)}]" and isinstance(value, dict):
+            course = (*course, validated(CourseParams, value, "record the run again"))
+        else:
+            raise LuxloopError(f"edits: {key} is nothing that somebody drives; record the run again")
+    return _longer(scenario, course[len(_vehicle(scenario).course) :], steps)[0]
+
+
+def _items(given: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    for key, value in given.items():
+        places = value.get("course") if key == "vehicle" and isinstance(value, dict) and value.keys() == {"course"} else None
+        yield from ((f"vehicle.course{place}", each) for place, each in places.items()) if isinstance(places, dict) else [(key, value)]
+
+
+def _vehicle(scenario: Scenario) -> VehicleParams:
+    if scenario.vehicle is None:
+        raise LuxloopError("drive: the vehicle stands in this scenario; set vehicle.course=[{speed_m_s=0.0}], which starts the run anew")
+    return scenario.vehicle
+
+
+def _steps(step: int) -> int:
+    """So many that the run is not over after a step."""
+    if step + 2 > MOST_STEPS:
+        raise LuxloopError(f"drive: a run has {MOST_STEPS} steps at most; start anew")
+    return step + 2
+
+
+def _longer(scenario: Scenario, added: tuple[CourseParams, ...], steps: int) -> tuple[Scenario, tuple[str, ...]]:
+    vehicle = _vehicle(scenario)
+    texts = [f"steps={steps}", *(f"vehicle.course[{k}]={toml(each)}" for k, each in enumerate(added, len(vehicle.course)))]
+    longer = vehicle.model_copy(update={"course": (*vehicle.course, *added)}) if added else vehicle
+    return scenario.model_copy(update={"vehicle": longer, "steps": steps}), tuple(texts)

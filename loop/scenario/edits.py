@@ -13,10 +13,11 @@ from world.validation import toml
 
 
 class Edit(Params):
-    """Other values of keys, as `--set` has them, from the beginning of a step on."""
+    """Other values of keys, as `--set` has them, from the beginning of a step on. driven: by somebody who drives."""
 
     step: int = Field(ge=0)
     overrides: tuple[str, ...]
+    driven: bool = False
 
 
 def changed(scenario: Scenario, overrides: Sequence[str]) -> Scenario:

@@ -87,7 +87,7 @@ class SentRun:
 
     def edits(self) -> Iterator[bytes]:
         """Those that it was not told of; the newest with what is there now."""
-        fresh = self.run.edits[self._edits :]
+        fresh = self.run.told[self._edits :]
         self._edits += len(fresh)
         for left, edit in zip(range(len(fresh) - 1, -1, -1), fresh, strict=True):
             model = None if left else self.run.simulation.scenario.model_dump(mode="json")

@@ -123,6 +123,14 @@ class Record(Told):
     folder: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_. -]{0,79}$")] | None
 
 
+class Drive(Told):
+    """Somebody drives the vehicles of all runs, until another message comes; both None: nobody any more."""
+
+    type: Literal["drive"]
+    throttle: float | None = Field(ge=-1, le=1)
+    steering: float | None = Field(ge=-1, le=1)
+
+
 class Compare(Told):
     """A second run beside the first, None for none."""
 
@@ -170,7 +178,9 @@ class Wish(Told):
 
 
 Message = (
-    Hello | Want | Scrub | AskSummary | AskBeam | AskSchema | Shown | Button | Speed | Open | Set | Record | Compare | Paint | Place | Wish
+    Hello
+    | (Want | Scrub | AskSummary | AskBeam | AskSchema | Shown)
+    | (Button | Speed | Open | Set | Record | Compare | Drive | Paint | Place | Wish)
 )
 ARRAYS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {  # dtypes of messages with a body, by type and name
     "paint": {"value": ("u1",), "painted": ("u1",)},

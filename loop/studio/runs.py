@@ -18,7 +18,8 @@ from loop.lighting.result import SimulationState, StepResult
 from loop.lighting.simulation import Simulation
 from loop.replay.edited import edited
 from loop.report.picture import white_of
-from loop.scenario.edits import Edit, changed
+from loop.scenario.driving import repeated
+from loop.scenario.edits import Edit
 from loop.scenario.model import Scenario
 from loop.studio.messages import VIEWS, View
 from loop.studio.recorded import Recorded
@@ -39,9 +40,10 @@ REST: Final = 10  # times what a picture takes pass between two, so that looking
 class Run:
     """Steps of one simulation, with what clients show of them.
 
-    The thread that steps it adds to `snapshots`, `rows`, `edits` and `shapes`, which others read; what was added stays, except the
+    The thread that steps it adds to `snapshots`, `rows`, `edits`, `told` and `shapes`, which others read; what was added stays, except the
     light and pictures of old snapshots. rows: of a recording that is repeated those of all its steps; another list where an edit has ended
-    that. columns: of the rows, the later ones of which may have more. recorder: None while nothing is recorded. label: for the page.
+    that. told: edits of which clients are told, all but those of somebody who drives. columns: of the rows, the later ones of which may
+    have more. recorder: None while nothing is recorded. label: for the page.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class Run:
         self.recorded = recorded
         self.columns = _numbers(simulation) if recorded is None else recorded.columns(_numbers(simulation))
         self.shapes, self.snapshots = Shapes(), list[Snapshot]()
+        self.told = list[Edit]()
         self.rows = list[np.ndarray]() if recorded is None else recorded.rows(self.columns)
         self.step_ms = float("nan")
         self._state, self._kept, self._forgotten = simulation.start(), 0, 0
@@ -86,7 +89,7 @@ class Run:
         if self._below is not None or self._next is not None:
             self.snapshots[-1] = self._taken(*self._made, self.snapshots[-1], wanted)
         while self.recorded is not None and (due := self.recorded.due(len(self.snapshots))) is not None:
-            self._go_on(self.edited(changed(self.simulation.scenario, due.overrides)), due.overrides)
+            self._go_on(self.edited(repeated(self.simulation.scenario, due)), due.overrides, due.driven)
         began_s = time.perf_counter()
         with located(self.simulation.scenario.source):
             state, result = self.simulation.step(self._state)
@@ -165,21 +168,26 @@ class Run:
         """What it would go on with under another scenario. Raises LuxloopError."""
         return edited(self.simulation, self._state, scenario)
 
-    def edit(self, after: tuple[Simulation, SimulationState], overrides: tuple[str, ...]) -> None:
-        """Go on with what `edited` gave, from the next step on; a recording is repeated no longer. overrides: that make its scenario."""
+    def edit(self, after: tuple[Simulation, SimulationState], overrides: tuple[str, ...], driven: bool = False) -> None:
+        """Go on with what `edited` gave, from the next step on; a recording is repeated no longer. overrides: that make its scenario.
+        driven: by somebody who drives.
+        """
         if self.recorded is not None:
             self.recorded, self.rows = None, self.rows[: len(self.snapshots)]
-        self._go_on(after, overrides)
+        self._go_on(after, overrides, driven)
 
-    def _go_on(self, after: tuple[Simulation, SimulationState], overrides: tuple[str, ...]) -> None:
+    def _go_on(self, after: tuple[Simulation, SimulationState], overrides: tuple[str, ...], driven: bool) -> None:
         before, scenario = self.simulation.scenario, after[0].scenario
         painted = before.lighting.model_copy(update={"painted": scenario.lighting.painted})
         self._ahead |= before.model_copy(update={"lighting": painted}) != scenario
         self._next = None
         self.simulation, self._state = after
-        known = {each.name for each in self.columns}
-        self.columns = [*self.columns, *(each for each in _numbers(self.simulation) if each.name not in known)]
-        (self.recorder or self.tally).edit(self.simulation, Edit(step=len(self.snapshots), overrides=overrides))
+        edit = Edit(step=len(self.snapshots), overrides=overrides, driven=driven)
+        if not driven:
+            known = {each.name for each in self.columns}
+            self.columns = [*self.columns, *(each for each in _numbers(self.simulation) if each.name not in known)]
+            self.told.append(edit)
+        (self.recorder or self.tally).edit(self.simulation, edit)
 
     def _forget(self, number: int) -> None:
         old, after = self.snapshots[number : number + 2]

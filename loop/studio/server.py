@@ -30,6 +30,7 @@ from loop.studio.messages import (
     AskSchema,
     AskSummary,
     Button,
+    Drive,
     Hello,
     Message,
     Request,
@@ -164,6 +165,7 @@ class Studio:
                 client.feed.close()
             self._clients.remove(client)
             if self._pen == client.number:
+                self._let_go()
                 self._pen = next((each.number for each in self._clients if each.role == "edit"), None)
             self._look()
             self._tell()
@@ -193,6 +195,7 @@ class Studio:
             case AskSummary() | AskBeam() | AskSchema():
                 self._inquire(client, message)
             case Button(type="pen"):
+                self._let_go()
                 self._pen = client.number
                 self._tell()
                 self.session.ask(message, partial(self._later, reply))
@@ -240,6 +243,10 @@ class Studio:
         """Reply from another thread."""
         with suppress(RuntimeError):
             self._loop.call_soon_threadsafe(reply, head)
+
+    def _let_go(self) -> None:
+        """Who drove does not any more."""
+        self.session.ask(Drive(type="drive", throttle=None, steering=None), lambda head: None)
 
     def _look(self) -> None:
         self.session.look(frozenset(view for client in self._clients for view in client.request.wanted))

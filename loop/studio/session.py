@@ -18,6 +18,7 @@ from loop.studio.messages import (
     AskSummary,
     Button,
     Compare,
+    Drive,
     Message,
     Open,
     Paint,
@@ -70,8 +71,17 @@ class Published:
 
     @property
     def edits(self) -> list[int]:
-        """How many edits there are of each run."""
-        return [len(run.edits) for run in self.runs]
+        """How many edits clients are told of each run."""
+        return [len(run.told) for run in self.runs]
+
+
+@dataclass(frozen=True)
+class Driven:
+    """Somebody drives. steps: those of the runs before that."""
+
+    steps: tuple[int, ...]
+    throttle: float = 0.0
+    steering: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +109,7 @@ class Session:
         self._next_s = 0.0
         self._history = History()
         self._file = WatchedFile()
+        self._driven: Driven | None = None
         self._thread = threading.Thread(target=self._work, name="simulation", daemon=True)
 
     def start(self) -> None:
@@ -186,10 +197,13 @@ class Session:
                     self._step()
             case Button(type="reset"):
                 self._publish(playing=False)
+                self._let_go()
                 self._start_anew()
             case Button(type="undo" | "redo" as way):
+                from loop.scenario.driving import as_driven
+
                 before = self._scenarios()
-                self._become(self._history.newest(way))
+                self._become(tuple(as_driven(*pair) for pair in zip(self._history.newest(way), before, strict=True)))
                 self._history.go(way, before)
             case Button(type="save"):
                 scenario = self._run(0).simulation.scenario
@@ -208,6 +222,10 @@ class Session:
                 from loop.studio.painting import painted
 
                 self._edit((painted(self._run(0).simulation, paint, asked.arrays),), f"stroke {paint.stroke}")
+            case Drive(throttle=float(throttle), steering=float(steering)):
+                self._driven = replace(self._driven or self._taken_over(), throttle=throttle, steering=steering)
+            case Drive():
+                self._let_go()
             case Place() | Wish() as asks:
                 self._paint_light(asks, asked)
             case Compare(overrides=None, recording=None):
@@ -260,8 +278,37 @@ class Session:
         recordings = {each["name"] for each in (self.published.choices or {}).get("recordings", ())}
         return named(asked, self._given, recordings, self._allow_code)
 
+    def _taken_over(self) -> Driven:
+        """Somebody drives from the next step on."""
+        from loop.scenario.driving import begun
+
+        before = self._scenarios()
+        self._become(tuple(begun(each, len(run.snapshots)) for each, run in zip(before, self.published.runs, strict=True)))
+        return Driven(tuple(each.steps for each in before))
+
+    def _let_go(self) -> None:
+        """Nobody drives any more."""
+        from loop.scenario.driving import ended
+
+        driven, self._driven = self._driven, None
+        if driven is not None:
+            runs = zip(self._scenarios(), self.published.runs, driven.steps, strict=True)
+            scenarios, told = zip(*(ended(each, len(run.snapshots), steps) for each, run, steps in runs), strict=True)
+            self._become(scenarios, told)
+
+    def _drive(self, driven: Driven) -> None:
+        """The course goes on for the next step of all runs."""
+        from loop.scenario.driving import driven_on
+        from world.scene.driver import Controls
+
+        for run in self.published.runs:
+            scenario, told = driven_on(run.simulation.scenario, len(run.snapshots), Controls(driven.throttle, driven.steering))
+            run.edit(run.edited(scenario), told, driven=True)
+
     def _step(self) -> None:
         published, wanted = self.published, self.wanted
+        if self._driven is not None:
+            self._drive(self._driven)
         runs = [run for run in published.runs if not run.over]
         began_s = time.perf_counter()
         for run in runs:
@@ -292,12 +339,12 @@ class Session:
 
         before = self._scenarios()
         after = (changed(each, (*overrides, *source.apart)) for each, source in zip(before, self._sources, strict=True))
-        self._become(tuple(after), overrides)
+        self._become(tuple(after), [overrides] * len(before))
         self._history.add(before, overrides if stroke is None else (stroke,))
 
-    def _become(self, scenarios: tuple["Scenario", ...], overrides: tuple[str, ...] | None = None) -> None:
-        """Other values of keys: while the runs go on, as far as that can be, else in runs that start anew. overrides: that make them of
-        those there are; None for what tells them apart.
+    def _become(self, scenarios: tuple["Scenario", ...], overrides: Sequence[tuple[str, ...]] | None = None) -> None:
+        """Other values of keys: while the runs go on, as far as that can be, else in runs that start anew. overrides: that make each of
+        the one there is; None for what tells them apart.
         """
         from loop.scenario.acts import acts
         from loop.scenario.edits import differences
@@ -308,7 +355,7 @@ class Session:
         if "restart" in found:
             self._prepare(self._sources, scenarios)
             return
-        told = [differences(*pair) if overrides is None else overrides for pair in zip(before, scenarios, strict=True)]
+        told = overrides or [differences(*pair) for pair in zip(before, scenarios, strict=True)]
         if "prepared" in found:
             self._publish(progress=f"preparing {' '.join(told[0])}"[:200])
         made = [run.edited(scenario) for run, scenario in zip(runs, scenarios, strict=True)]  # all of them, or none where one cannot be
@@ -324,7 +371,7 @@ class Session:
         before, after = self._file.scenario, loaded(self._sources[0], self._allow_code)[0]
         if before is not None and self.published.runs and (told := differences(before, after)):
             scenarios = self._scenarios()
-            self._become(tuple(changed(each, told) for each in scenarios), told)
+            self._become(tuple(changed(each, told) for each in scenarios), [told] * len(scenarios))
             self._history.add(scenarios, told)
         self._file.scenario = after
 
@@ -386,6 +433,7 @@ class Session:
             "model": first.model_dump(mode="json"),
             "acts": ACTS,
         }
+        self._driven = None
         self._sources, number = sources, self.published.number + 1
         playing, self._next_s = self.published.playing or any(run.recorded for run in runs), time.perf_counter()
         told = {"playing": playing, "progress": None, "failed": None, "step_ms": None, "real_time": None}

@@ -57,7 +57,8 @@ def named(asked: Open | Compare, given: Sequence[Source], recordings: Collection
 def loaded(source: Source, allow_code: bool) -> tuple["Scenario", "Recording | None"]:
     """The scenario of a source, and the recording that it comes from. Raises LuxloopError."""
     from loop.replay import replay
-    from loop.scenario.edits import changed
+    from loop.scenario.driving import repeated
+    from loop.scenario.edits import Edit
     from loop.scenario.model import load, validate
     from loop.scenario.overrides import overridden
     from world.plugin import refuse_code
@@ -68,8 +69,8 @@ def loaded(source: Source, allow_code: bool) -> tuple["Scenario", "Recording | N
     as_far = {"steps": max(recording.table.num_rows, 1)}
     data = overridden(recording.scenario.model_dump(mode="json"), [as_far, *source.all])
     scenario = edited = validate(data, str(source.recording))
-    for overrides in ((), *(each.overrides for each in recording.edits)):
-        edited = changed(edited, overrides)
-        if not allow_code:
+    for edit in (Edit(step=0, overrides=()), *recording.edits):
+        edited = repeated(edited, edit)
+        if not (allow_code or edit.driven):
             refuse_code(edited, edited.source)
     return scenario, recording

@@ -45,7 +45,19 @@ def driven(params: VehicleParams, now_s: float, until_s: float, controls: Contro
     return (*((now,) if last.time_s < now_s else ()), CourseParams(time_s=until_s, speed_m_s=speed, curvature_1_m=curvature))
 
 
+def let_go(params: VehicleParams, now_s: float) -> tuple[CourseParams, ...]:
+    """What is to be added to a course so that it goes straight on from now, as fast as it is, as soon as the wheels are turned back."""
+    last = params.course[-1]
+    turns_s = abs(math.degrees(math.atan(params.wheelbase_m * last.curvature_1_m))) / STEERS_DEG_S
+    if turns_s == 0:
+        return ()
+    now = last.model_copy(update={"time_s": now_s})
+    return (*((now,) if last.time_s < now_s else ()), last.model_copy(update={"time_s": now_s + turns_s, "curvature_1_m": 0.0}))
+
+
 def _speed(before_m_s: float, throttle: float, dt: float) -> float:
+    if throttle == 0:
+        return before_m_s
     after = before_m_s + (PULLS_M_S2 if throttle > 0 else BRAKES_M_S2) * throttle * dt
     return round(max(0.0, min(after, max(FASTEST_M_S, before_m_s))), 6)
 

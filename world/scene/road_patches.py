@@ -1,4 +1,4 @@
-"""A road all around a vehicle that somebody drives: square patches, fine near it and coarse farther away, made when they come into sight."""
+"""A road all around a vehicle that somebody drives: square patches, fine near it and coarse far away, made when they come into sight."""
 
 import math
 from collections.abc import Callable
@@ -60,11 +60,10 @@ class RoadPatches:
         x, y = _lines(i * SIDE_M, spacing, grid.x_lines_m), _lines(j * SIDE_M, spacing, grid.y_lines_m)
         around_x, around_y = (np.concatenate([[each[0] - spacing], each, [each[-1] + spacing]]) for each in (x, y))
         z = self.road.z(around_x[:, None], around_y)
-        dx, dy = (slope[1:-1, 1:-1] for slope in np.gradient(z, around_x, around_y))
-        X, Y = np.meshgrid(x, y, indexing="ij")
-        X, Y, Z, dx, dy = (np.pad(each, 1, mode="edge") for each in (X, Y, z[1:-1, 1:-1], dx, dy))
-        Z[[0, -1]] -= SKIRT_M
-        Z[1:-1, [0, -1]] -= SKIRT_M
+        height_and_slopes = np.stack([z, *np.gradient(z, around_x, around_y)])[:, 1:-1, 1:-1]
+        grids = (*np.meshgrid(x, y, indexing="ij"), *height_and_slopes)
+        X, Y, Z, dx, dy = (np.pad(each, 1, mode="edge") for each in grids)
+        Z = Z - np.pad(np.zeros((len(x), len(y))), 1, constant_values=SKIRT_M)
         normals = np.stack([-dx, -dy, np.ones_like(dx)], axis=-1).reshape(-1, 3)
         mesh = trimesh.Trimesh(
             np.stack([X, Y, Z], axis=-1).reshape(-1, 3),

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import pairwise, takewhile
-from typing import Final, Self
+from typing import Final, Protocol, Self, TypeVar
 
 import numpy as np
 import torch
@@ -46,6 +46,13 @@ class CourseParams(Params):
     )
 
 
+class HasCourse(Protocol):
+    """What drives along a course."""
+
+    @property
+    def course(self) -> tuple[CourseParams, ...]: ...
+
+
 class SuspensionParams(Params):
     """The sprung mass: heave, pitch and roll are damped oscillators that follow the plane through the four wheels."""
 
@@ -62,6 +69,9 @@ class OscillationParams(Params):
 
     pitch_deg: float = Field(0.0, ge=-5, le=5, description="amplitude, nose down first")
     rate_hz: float = Field(1.2, gt=0, le=20, description="frequency")
+
+
+Driven = TypeVar("Driven", bound=HasCourse)
 
 
 class VehicleParams(Params):
@@ -92,10 +102,15 @@ class VehicleParams(Params):
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
-        times = [each.time_s for each in self.course]
-        if any(later <= earlier for earlier, later in pairwise(times)):
-            raise ValueError(f"course: time_s must ascend from entry to entry, here {times}")
-        return self
+        return in_order(self)
+
+
+def in_order(drives: Driven) -> Driven:
+    """What has a course. Raises ValueError where that does not ascend in time."""
+    times = [each.time_s for each in drives.course]
+    if any(later <= earlier for earlier, later in pairwise(times)):
+        raise ValueError(f"course: time_s must ascend from entry to entry, here {times}")
+    return drives
 
 
 @dataclass(frozen=True)
@@ -226,7 +241,8 @@ def drive(params: VehicleParams, road: Road, duration_s: float, before: Motion =
     over = np.cos(slope) * (heave - level) + np.sin(slope) * params.pivot_x_m
     columns = (x, y, yaw, speed, yaw_rate, acceleration, lateral, level, slope, climb, bend, over, roll, pitch - slope, *rates, *travel)
     states, inner = (
-        np.concatenate([old[:kept], np.stack(new, axis=1)[kept - first :]]) for old, new in ((before.states, columns), (before.modes, modes))
+        np.concatenate([old[:kept], np.stack(new, axis=1)[kept - first :]])
+        for old, new in ((before.states, columns), (before.modes, modes))
     )
     return Motion(times, states, params.pivot_x_m, params.rear_x_m, inner, (params, road))
 
@@ -245,7 +261,9 @@ def _same_until(a: tuple[CourseParams, ...], b: tuple[CourseParams, ...]) -> flo
     alike = sum(1 for _ in takewhile(lambda pair: pair[0] is pair[1], zip(a, b, strict=False)))
     first, second = (_knots(each[max(alike - 1, 0) :]) for each in (a, b))
     times = np.union1d(first[0], second[0])
-    differ = [np.interp(times, first[0], mine) != np.interp(times, second[0], other) for mine, other in zip(first[1:], second[1:], strict=True)]
+    differ = [
+        np.interp(times, first[0], mine) != np.interp(times, second[0], other) for mine, other in zip(first[1:], second[1:], strict=True)
+    ]
     there = np.flatnonzero(differ[0] | differ[1])
     return math.inf if not len(there) else float(times[there[0] - 1]) if there[0] else -math.inf
 
@@ -274,7 +292,8 @@ def followed(
 ) -> tuple[Floats, Floats]:
     """Height `[N]` in m of the ground frame's origin and slope `[N]` in rad, nose down, of the plane through the low-passed road.
 
-    way_m: `[N]`, that the rear axle has driven from the world's origin on, which goes on straight at both ends. x, y, yaw: of the vehicle there, `[N]`, m and rad.
+    way_m: `[N]`, that the rear axle has driven from the world's origin on, which goes on straight at both ends. x, y, yaw: of the vehicle
+    there, `[N]`, m and rad.
     low_pass_m: lengths over which the road's height and slope are low-passed.
     """
     reach = math.ceil(max(low_pass_m) / 2 / PROFILE_M) + 1

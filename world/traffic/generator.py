@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from world.budget import afford
 from world.params import Params
-from world.scene.vehicle import VehicleParams
+from world.scene.vehicle import CourseParams, VehicleParams, in_order
 from world.traffic.animal import AnimalParams
 from world.traffic.car import CarParams
 from world.traffic.objects import ObjectParams
@@ -27,6 +27,19 @@ AWAY_S = 30.0  # for which objects move around a vehicle that stands
 SHOULDER_M = 1.6  # beside both lanes of a drive, for cyclists; all else beside the road stands so much farther out
 BYTES_AN_OBJECT = 1_000_000  # thousands of faces, with normals and planes
 Place = tuple[float, float, float]  # x and y in m, yaw in deg
+
+
+class DriveParams(Params):
+    """A drive that meets the traffic."""
+
+    course: tuple[CourseParams, ...] = Field(
+        min_length=1, examples=[[{"speed_m_s": 20.0}]], description="speed and curvature over ascending time"
+    )
+    lasts_s: float = Field(gt=0, le=1e6, examples=[60.0], description="how long it lasts")
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        return in_order(self)
 
 
 class TrafficParams(Params):
@@ -46,6 +59,9 @@ class TrafficParams(Params):
     )
     moving: bool = Field(True, description="whether road users move")
     on_road: bool = Field(False, description="whether they stand on the road's surface instead of z = 0; on a drive they always do")
+    drive: DriveParams | None = Field(
+        None, description="the drive that meets it, where the vehicle takes another one; left out: the vehicle's, over all steps"
+    )
 
     @property
     def sight_m(self) -> float:
@@ -80,6 +96,8 @@ class TrafficParams(Params):
         stretches away, and seen from twice `far_m` on. Nothing is ever in the vehicle's way or inside of another. Raises LuxloopError
         where memory does not hold it.
         """
+        if self.drive is not None:
+            vehicle, duration_s = vehicle.model_copy(update={"course": self.drive.course}), self.drive.lasts_s
         return self.objects() if not any(each.speed_m_s for each in vehicle.course) else _along(self, vehicle, duration_s)
 
     def _counted(self) -> Iterator[tuple[str, int, "Role"]]:

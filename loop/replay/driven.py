@@ -1,7 +1,9 @@
 """A simulation whose vehicle somebody drives: it goes on along a longer course, and all else stays as it was made."""
 
 from dataclasses import replace
+from functools import partial
 
+from loop.lighting.judging import Judge
 from loop.lighting.simulation import Simulation
 from loop.plant.simulated import SimulatedPlant, driven_plant
 from loop.scenario.model import Scenario
@@ -19,6 +21,10 @@ def driven_on(simulation: Simulation, scenario: Scenario) -> Simulation | None:
     plant, controlled = driven_plant(plant, scenario, made), {}
     for name, each in simulation.controlled.items():
         judge = each.judge and replace(each.judge, world=plant.world)
-        controlled[name] = replace(each, judge=made(f"{name}: judge", (each.sensor, plant.world), lambda judge=judge: judge))
+        controlled[name] = replace(each, judge=made(f"{name}: judge", (each.sensor, plant.world), partial(_itself, judge)))
     made.end()
     return replace(simulation, scenario=scenario, plant=plant, controlled=controlled, made=made)
+
+
+def _itself(judge: Judge | None) -> Judge | None:
+    return judge

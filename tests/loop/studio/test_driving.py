@@ -1,0 +1,144 @@
+"""Somebody drives in the studio: the car goes where it is steered, and the drive is recorded and repeated."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loop.lighting.simulation import Simulation
+from loop.replay.replay import load as recording
+from loop.replay.replay import replay, rerun
+from loop.scenario.model import load
+from loop.scenario.written import written
+from loop.studio.sources import Source
+from tests.loop.studio.clients import Watcher, watching
+from tests.loop.studio.conftest import SMALL, Served, serving
+
+PLAIN = (
+    *SMALL,
+    "rate_hz=30.0",
+    "functions={}",
+    "checks={}",
+    "objects=[]",
+    "lighting.base.beam=low",
+    "road={kind='iso8608', roughness_class='C'}",
+)
+PERIOD_S = 1 / 30
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    page = tmp_path_factory.mktemp("page")
+    (page / "index.html").write_text("<!doctype html><title>studio</title>")
+    yield from serving(Source("gfhb", (*PLAIN, "vehicle.course=[{speed_m_s=10.0}]", "steps=5")), page)
+
+
+@pytest.fixture
+def driver(served: Served) -> Iterator[Watcher]:
+    with watching(served.port, served.tokens.edit) as watcher:
+        watcher.of("scenario")
+        watcher.say(type="set", overrides=["vehicle.course=[{speed_m_s=10.0}]", "vehicle.roams=false", "steps=5", "seed=1"])
+        watcher.say(type="reset")
+        watcher.of("scenario", steps=5)
+        yield watcher
+
+
+def scenario_of(served: Served):
+    return served.studio.session.published.runs[0].simulation.scenario
+
+
+def steps(watcher: Watcher, first: int, count: int) -> None:
+    for step in range(first, first + count):
+        watcher.say(type="step")
+        watcher.of("step", step=step)
+
+
+def test_a_drive_goes_on_beyond_the_steps_is_recorded_and_repeated_bit_for_bit(
+    served: Served, driver: Watcher, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    driver.say(type="record", folder="drive")
+    driver.of("status", recording="drive")
+    driver.say(type="drive", throttle=1.0, steering=0.5)
+    assert driver.of("edit")[0]["model"]["vehicle"]["roams"]
+    steps(driver, 1, 12)
+    driver.say(type="drive", throttle=-1.0, steering=-1.0)
+    steps(driver, 13, 8)
+    (run,) = served.studio.session.published.runs
+    assert run.simulation.world.motion.at(13 * PERIOD_S).speed_m_s == pytest.approx(11.2, abs=1e-2)
+    assert run.simulation.world.motion.at(21 * PERIOD_S).speed_m_s == pytest.approx(
+        11.2 - 8 * 8 * PERIOD_S, abs=1e-2
+    )  # linear between its moments
+    assert not [head for head, _ in driver.got if head["type"] == "edit" and any("course[" in each for each in head["overrides"])]
+    driver.say(type="drive", throttle=None, steering=None)
+    told = driver.of("edit")[0]
+    assert told["model"]["vehicle"]["course"][-1]["curvature_1_m"] == 0 and told["model"]["steps"] == 22
+    steps(driver, 21, 1)
+    driver.say(type="record", folder=None)
+    driver.of("status", recording=None)
+    read = recording(tmp_path / "runs" / "drive")
+    assert len(read.edits) == 22 and sum(each.driven for each in read.edits) == 20
+    assert replay(tmp_path / "runs" / "drive").agrees
+    *_, (again, _) = rerun(read, Simulation.prepare(read.scenario))
+    assert again.scenario == run.simulation.scenario
+    assert np.array_equal(again.world.motion.states, run.simulation.world.motion.states)
+
+
+def test_a_drive_is_the_same_as_its_scenario_run_anew(served: Served, driver: Watcher, tmp_path: Path) -> None:
+    driver.say(type="drive", throttle=1.0, steering=1.0)
+    steps(driver, 1, 3)
+    driver.say(type="drive", throttle=None, steering=None)
+    driver.of("edit", step=4)
+    driven = served.studio.session.published.runs[0].simulation
+    (tmp_path / "driven.toml").write_text(written(driven.scenario))
+    assert load(str(tmp_path / "driven.toml")) == driven.scenario
+    assert load(str(tmp_path / "driven.toml")).vehicle.course == driven.scenario.vehicle.course
+
+
+def test_edits_while_somebody_drives_are_taken_back_and_the_drive_stays(served: Served, driver: Watcher) -> None:
+    driver.say(type="drive", throttle=1.0, steering=0.0)
+    steps(driver, 1, 3)
+    driver.say(type="set", overrides=["lighting.base.beam=high"])
+    driver.of("edit", overrides=["lighting.base.beam=high"])
+    steps(driver, 4, 3)
+    course = scenario_of(served).vehicle.course
+    driver.say(type="undo")
+    driver.of("edit", overrides=['lighting.base.beam="low"'])
+    assert scenario_of(served).vehicle.course == course
+
+
+def test_who_goes_away_lets_go(served: Served, driver: Watcher) -> None:
+    with watching(served.port, served.tokens.edit) as other:
+        other.of("scenario")
+        other.say(type="pen")
+        other.say(type="drive", throttle=1.0, steering=1.0)
+        other.of("edit")
+        steps(other, 1, 3)
+    driver.of("edit", step=4)
+    assert scenario_of(served).vehicle.course[-1].curvature_1_m == 0
+    assert served.studio.session._driven is None
+
+
+def test_traffic_stays_as_it_was_made(served: Served, driver: Watcher) -> None:
+    driver.say(type="set", overrides=["traffic={seed=3}", "steps=60"])
+    driver.of("edit")
+    before = scenario_of(served).all_objects
+    assert before
+    driver.say(type="drive", throttle=1.0, steering=1.0)
+    driver.of("edit", step=1)
+    steps(driver, 1, 2)
+    assert scenario_of(served).all_objects == before and scenario_of(served).traffic.drive.lasts_s == 2
+    driver.say(type="drive", throttle=None, steering=None)
+    assert driver.of("edit")[0]["model"]["steps"] == 60
+
+
+def test_who_stands_cannot_drive_and_watchers_neither(served: Served, driver: Watcher) -> None:
+    driver.say(type="set", overrides=["vehicle={}"])
+    driver.of("scenario")
+    driver.say(type="drive", throttle=1.0, steering=0.0)
+    assert "the vehicle stands" in driver.of("error", about="drive")[0]["text"]
+    with watching(served.port, served.tokens.watch) as watcher:
+        watcher.of("scenario")
+        watcher.say(type="drive", throttle=1.0, steering=0.0)
+        assert "watch" in watcher.of("error")[0]["text"]
