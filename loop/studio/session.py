@@ -361,8 +361,8 @@ class Session:
         made = [run.edited(scenario) for run, scenario in zip(runs, scenarios, strict=True)]  # all of them, or none where one cannot be
         for run, after, each in zip(runs, made, told, strict=True):
             run.edit(after, each)
+        self._publish(failed=None, progress=None)  # before the picture, which takes a step's time
         self._look_again()
-        self._publish(failed=None, progress=None)
 
     def _reload(self) -> None:
         """What has changed in the file is an edit."""

@@ -208,12 +208,13 @@ def test_every_view_is_drawn(browser: webdriver.Chrome, objects: Served, tmp_pat
 
 def test_shadows_in_the_shader_are_those_of_the_library(browser: webdriver.Chrome, objects: Served) -> None:
     opened(browser, objects)
-    number = objects.studio.session.published.number
+    (run,) = objects.studio.session.published.runs
+    before = run.snapshots[0]
     # lower than the lamps, so that the camera sees its shadow beyond
     box = 'objects=[{name="box", kind="box", category="other", size_m=[0.5, 1.5, 0.4], track=[{position_m=[9.0, 0.0, 0.0]}]}]'
     objects.studio.session.ask(Set(type="set", overrides=("functions={}", "checks={}", "lighting.base.beam=full", box)), print)
-    WebDriverWait(browser, WAIT_S).until(lambda _: objects.studio.session.published.number > number)
+    WebDriverWait(browser, WAIT_S).until(lambda _: run.snapshots[0] is not before)  # in the other world
     opened(browser, objects)
-    shader, lx, open_ = compared(browser, objects.studio.session.published.runs[0])
+    shader, lx, open_ = compared(browser, run)
     assert (lx < 0.9 * open_).sum() > 20  # in the shadow of one lamp or of both
     assert (np.abs(shader - lx) < 0.02 * open_).all()

@@ -60,6 +60,7 @@ def test_a_slider_s_gain_reaches_the_controller_at_the_next_step(browser: webdri
     WebDriverWait(browser, WAIT_S).until(lambda _: run.simulation.symbol.params.position.kp == asked)
     assert symbol.studio.session.published.runs == (run,) and {each.step for each in run.edits} == {len(run.rows)}
     back = browser.find_element(By.CSS_SELECTOR, "[data-key='functions.symbol.controller.position.kp'] button")
+    WebDriverWait(browser, WAIT_S).until(lambda _: back.is_displayed())
     back.click()
     WebDriverWait(browser, WAIT_S).until(lambda _: run.simulation.symbol.params.position.kp == before)
 
