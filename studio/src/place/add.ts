@@ -80,7 +80,7 @@ function addNow(placing: Placing, into: Addable["into"], table: Table, name: str
           ),
         }
       : table;
-  placing.change([override(into, [...list, named])]);
+  placing.change([override(`${into}[${list.length}]`, named)]);
   placing.choose(`${into}[${list.length}]`);
 }
 
