@@ -1,7 +1,7 @@
 """A run that is watched: its simulation, its steps so far, and their values."""
 
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -18,6 +18,8 @@ from loop.lighting.result import SimulationState, StepResult
 from loop.lighting.simulation import Simulation
 from loop.replay.edited import edited
 from loop.report.picture import white_of
+from loop.run import prepare
+from loop.scenario.acts import ACTS
 from loop.scenario.driving import repeated
 from loop.scenario.edits import Edit
 from loop.scenario.model import Scenario
@@ -25,6 +27,7 @@ from loop.studio.messages import VIEWS, View
 from loop.studio.recorded import Recorded
 from loop.studio.shapes import Shapes
 from loop.studio.snapshot import Snapshot, bodies_at, snapshot
+from loop.studio.sources import Source, loaded
 from perception.camera import camera_view, saturation_luminance
 from world.errors import LuxloopError, located
 from world.frames import inverse
@@ -253,6 +256,45 @@ class Run:
         keys = ("rows", "cols", "left", "right", "bottom", "top", "pixel_rows", "pixel_cols")
         grid = {key: getattr(module.headlight, key) for key in keys}
         return {"name": module.name, "side": module.side, **grid, "peak_cd": self.peaks_cd[number], "flux_lm": module.flux_lm}
+
+
+class Starting:
+    """Starts runs on a device. told: gets what is being done, or None."""
+
+    def __init__(self, device: str, allow_code: bool, told: Callable[[str | None], None]) -> None:
+        self._device, self._allow_code, self._told = device, allow_code, told
+        torch.set_num_threads(1)  # a step's operations are too small for two
+
+    def runs(
+        self, sources: Sequence[Source], scenarios: Sequence[Scenario | None], before: Simulation | None, wanted: Collection[View]
+    ) -> list[Run]:
+        """Of sources, each with a scenario in place of its own, or None to read that. before: whose parts serve again. wanted: what is
+        looked at. Raises LuxloopError.
+        """
+        given = [
+            loaded(source, self._allow_code) if each is None else (each, None) for source, each in zip(sources, scenarios, strict=True)
+        ]
+        runs = list[Run]()
+        for source, (scenario, recording) in zip(sources, given, strict=True):
+            self._told(f"preparing {scenario.name}")
+            before = prepare(scenario, self._device, before)
+            self._told(f"first step of {scenario.name}")
+            recorded = Recorded(source.recording, recording) if source.recording and recording else None
+            runs.append(Run(before, source.label, source.all, wanted, recorded))
+        return runs
+
+
+def head(runs: Sequence[Run], number: int) -> dict[str, Any]:
+    """Head of the message that tells clients of new runs."""
+    first = runs[0].simulation.scenario
+    return {
+        "type": "scenario",
+        "number": number,
+        **{key: getattr(first, key) for key in ("name", "source", "steps", "rate_hz", "seed")},
+        "runs": [run.facts() for run in runs],
+        "model": first.model_dump(mode="json"),
+        "acts": ACTS,
+    }
 
 
 def _numbers(simulation: Simulation) -> list[pa.Field]:

@@ -29,7 +29,7 @@ from loop.studio.messages import (
     View,
     Wish,
 )
-from loop.studio.sources import RUNS, Source, loaded, named
+from loop.studio.sources import RUNS, Source, file_of, loaded, named
 from loop.studio.watched import WatchedFile
 from world.errors import LuxloopError
 
@@ -133,7 +133,7 @@ class Session:
         return not self._thread.is_alive()
 
     def _work(self) -> None:
-        self._attempt(lambda: self._prepare(self._sources), None)
+        self._attempt(lambda: self._prepare(self._sources, (None,) * len(self._sources)), None)
         while True:
             if self._file.changed():
                 self._attempt(self._reload, None)
@@ -214,7 +214,7 @@ class Session:
                 self._next_s = time.perf_counter()
                 self._publish(speed=factor)
             case Open() as opened:
-                self._prepare((self._source(opened),))
+                self._prepare((self._source(opened),), (None,))
             case Set(overrides=overrides):
                 self._refuse(overrides)
                 self._edit(overrides)
@@ -229,13 +229,9 @@ class Session:
             case Place() | Wish() as asks:
                 self._paint_light(asks, asked)
             case Compare(overrides=None, recording=None):
-                self._prepare(self._sources[:1])
+                self._prepare(self._sources[:1], (*self._kept(), None)[:1])
             case Compare() as compared:
-                overrides = compared.overrides or ()
-                self._refuse(overrides)
-                first = self._sources[0]
-                other = replace(first, apart=overrides) if compared.recording is None else self._source(compared)
-                self._prepare((first, other))
+                self._compare(compared)
             case AskSummary(run=number):
                 asked.reply({"type": "summary", "run": number, "summary": self._run(number).summary()})
             case AskSchema():
@@ -375,9 +371,24 @@ class Session:
             self._history.add(scenarios, told)
         self._file.scenario = after
 
+    def _kept(self) -> tuple["Scenario | None", ...]:
+        """Scenarios as they are now, for runs that start anew; None of recordings, which are as they were recorded."""
+        runs = self.published.runs
+        return tuple(run.simulation.scenario if each.recording is None else None for run, each in zip(runs, self._sources, strict=True))
+
     def _start_anew(self) -> None:
-        """With all edits; a recording as it was recorded."""
-        self._prepare(self._sources, None if any(each.recording for each in self._sources) else self._scenarios())
+        self._prepare(self._sources, self._kept() or (None,) * len(self._sources))
+
+    def _compare(self, compared: Compare) -> None:
+        """Two runs from their first step on, the first one with all edits."""
+        from loop.scenario.edits import changed
+
+        overrides, (first, *_), kept = compared.overrides or (), self._sources, (*self._kept(), None)[0]
+        self._refuse(overrides)
+        if compared.recording is not None:
+            self._prepare((first, self._source(compared)), (kept, None))
+        else:
+            self._prepare((first, replace(first, apart=overrides)), (kept, kept and changed(kept, overrides)))
 
     def _record(self, folder: str | None) -> None:
         for run in self.published.runs:
@@ -395,49 +406,27 @@ class Session:
         if (found := choices()) != self.published.choices:
             self._publish(choices=found)
 
-    def _prepare(self, sources: tuple[Source, ...], scenarios: tuple["Scenario", ...] | None = None) -> None:
-        """Make runs of sources in place of those there are; where one cannot be made, they stay. scenarios: as they are read, if None.
+    def _prepare(self, sources: tuple[Source, ...], scenarios: tuple["Scenario | None", ...]) -> None:
+        """Make runs of sources in place of those there are; where one cannot be made, they stay.
 
-        Raises LuxloopError.
+        scenarios: in place of the sources' own, None of one that is read, from its files as they are now. Raises LuxloopError.
         """
         self._publish(progress="importing PyTorch and the renderer")
-        import torch
+        from loop.studio.runs import Starting, head
 
-        from loop.run import prepare
-        from loop.scenario.acts import ACTS
-        from loop.scenario.shipped import find, shipped
-        from loop.studio.recorded import Recorded
-        from loop.studio.runs import Run
-
-        torch.set_num_threads(1)  # a step's operations are too small for two
-        opened = scenarios is None
         self._choose()
-        read = [(each, None) for each in scenarios] if scenarios else [loaded(each, self._allow_code) for each in sources]
-        runs, before = list[Run](), next((run.simulation for run in self.published.runs), None)
-        for source, (scenario, recording) in zip(sources, read, strict=True):
-            self._publish(progress=f"preparing {scenario.name}")
-            simulation = before = prepare(scenario, self._device, before)
-            self._publish(progress=f"first step of {scenario.name}")
-            recorded = Recorded(source.recording, recording) if source.recording and recording else None
-            runs.append(Run(simulation, source.label, source.all, self.wanted, recorded))
+        read, runs = scenarios[0] is None, self.published.runs
+        starting = Starting(self._device, self._allow_code, lambda text: self._publish(progress=text))
+        made = starting.runs(sources, scenarios, runs[0].simulation if runs and not read else None, self.wanted)
         self._record(None)
-        if opened:
-            path = None if sources[0].recording or sources[0].name in shipped() else find(sources[0].name)
-            self._history, self._file = History(), WatchedFile(path, read[0][0])
-        first = runs[0].simulation.scenario
-        head = {
-            "type": "scenario",
-            "number": self.published.number + 1,
-            **{key: getattr(first, key) for key in ("name", "source", "steps", "rate_hz", "seed")},
-            "runs": [run.facts() for run in runs],
-            "model": first.model_dump(mode="json"),
-            "acts": ACTS,
-        }
-        self._driven = None
-        self._sources, number = sources, self.published.number + 1
-        playing, self._next_s = self.published.playing or any(run.recorded for run in runs), time.perf_counter()
+        if read or len(sources) != len(self._sources):
+            self._history = History()
+        if read:
+            self._file = WatchedFile(file_of(sources[0]), made[0].simulation.scenario)
+        self._driven, self._sources, number = None, sources, self.published.number + 1
+        playing, self._next_s = self.published.playing or any(run.recorded for run in made), time.perf_counter()
         told = {"playing": playing, "progress": None, "failed": None, "step_ms": None, "real_time": None}
-        self._publish(number=number, scenario=head, runs=tuple(runs), **told)
+        self._publish(number=number, scenario=head(made, number), runs=tuple(made), **told)
 
 
 @cache

@@ -54,6 +54,13 @@ def named(asked: Open | Compare, given: Sequence[Source], recordings: Collection
     return Source(name, tuple(asked.overrides or ()), recording)
 
 
+def file_of(source: Source) -> Path | None:
+    """The file of a scenario of somebody's own."""
+    from loop.scenario.shipped import find, shipped
+
+    return None if source.recording or source.name in shipped() else find(source.name)
+
+
 def loaded(source: Source, allow_code: bool) -> tuple["Scenario", "Recording | None"]:
     """The scenario of a source, and the recording that it comes from. Raises LuxloopError."""
     from loop.replay import replay

@@ -166,3 +166,23 @@ def test_the_file_is_an_editor_as_well(own: Served, editor: Watcher, file: Path)
     file.write_text(text)
     editor.of("edit")
     assert not own.studio.session.published.runs[0].simulation.scenario.light.street_lamps
+
+
+def test_a_comparison_begins_with_all_edits(own: Served, editor: Watcher) -> None:
+    editor.say(type="set", overrides=["light.ambient_lx=0.9"])
+    editor.of("edit")
+    editor.say(type="compare", overrides=[f"{KP}=0.8"])
+    assert len(editor.of("scenario")[0]["runs"]) == 2
+    one, two = (run.simulation.scenario for run in own.studio.session.published.runs)
+    assert one.light.ambient_lx == two.light.ambient_lx == 0.9 and kp(own) != 0.8
+    assert two.symbol.controller.position.kp == 0.8  # type: ignore[union-attr]
+    editor.say(type="set", overrides=["light.ambient_lx=0.8", f"{KP}=0.7"])
+    editor.of("edit", run=1)
+    one, two = (run.simulation.scenario for run in own.studio.session.published.runs)
+    assert one.light.ambient_lx == two.light.ambient_lx == 0.8 and kp(own) == 0.7
+    assert two.symbol.controller.position.kp == 0.8  # type: ignore[union-attr]
+    editor.say(type="undo")
+    editor.of("edit", run=1)
+    editor.say(type="compare")
+    assert len(editor.of("scenario")[0]["runs"]) == 1
+    assert own.studio.session.published.runs[0].simulation.scenario.light.ambient_lx == 0.9
