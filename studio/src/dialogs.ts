@@ -1,6 +1,7 @@
 // Dialogs: the keys, and the summary of the runs.
 
 import { h, ICONS, icon } from "./dom.ts";
+import { DRIVE_KEYS } from "./drive/index.ts";
 import { flat } from "./flat.ts";
 import { PLACE_KEYS } from "./place/keys.ts";
 import type { Session } from "./session.ts";
@@ -27,6 +28,7 @@ const KEYS: [string, string][] = [
   ["Click on a curve", "look at that step again"],
   ["Enter in keys", "take other values of keys; Shift+Enter compares with them"],
   ...PLACE_KEYS,
+  ...DRIVE_KEYS,
   ["?", "this list"],
   ["Esc", "close a list or dialog"],
 ];

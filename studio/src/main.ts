@@ -4,6 +4,7 @@ import { cameraPanel } from "./camera/panel.ts";
 import { curvesPanel } from "./curves/panel.ts";
 import { helpDialog, summaryDialog } from "./dialogs.ts";
 import { h } from "./dom.ts";
+import { driveControls } from "./drive/index.ts";
 import { bindKeys } from "./keys.ts";
 import type { Painting } from "./matrix/painting.ts";
 import { type MatrixPanel, matrixPanel } from "./matrix/panel.ts";
@@ -46,6 +47,7 @@ const summary = summaryDialog(store, session);
 const flipKeys = () => store.set({ keys_open: !store.state.keys_open });
 const tools = toolbar(store, session, { help: help.open, summary: summary.open, keys: flipKeys });
 beamControls(store, session, scenes.bar, scenes.body);
+driveControls(store, session, scenes);
 const placing = placeThings(store, session, scenes, toasts.show);
 
 const matrix = matrixPanel(store, session, toasts.show);

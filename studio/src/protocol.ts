@@ -218,6 +218,7 @@ export type ClientMessage =
   | { type: "pen" | "play" | "pause" | "step" | "reset" | "undo" | "redo" | "save" }
   | { type: "record"; folder: string | null }
   | { type: "speed"; factor: number | null }
+  | { type: "drive"; throttle: number | null; steering: number | null }
   | { type: "open"; name: string; overrides: string[]; recording: string | null }
   | { type: "set"; overrides: string[] }
   | { type: "compare"; overrides: string[] | null; recording?: string | null }

@@ -17,6 +17,7 @@ export interface SceneSink {
 
 const VIEWS: Record<PanelName, View[]> = { scene: ["scene", "light"], camera: ["camera", "marks"], matrix: ["matrix"], curves: [] };
 const ANSWER_MS = 3000; // a step that is shown already is not sent again
+const SEEN = /^(lighting\.painted=|vehicle\.(course\[|roams=)|traffic\.drive=|steps=)/; // of what is painted and driven
 const ALL: PanelName[] = ["scene", "camera", "matrix", "curves"];
 
 export class Session {
@@ -128,6 +129,7 @@ export class Session {
       case "error": {
         if (message.about === "scrub") this.#forget();
         if (message.about === "place" || message.about === "wish") store.set({ refused_light: store.state.refused_light + 1 });
+        if (message.about === "drive") store.set({ driving: false });
         if (message.about === "paint") store.set({ answered: store.state.answered + 1 });
         const overrides = message.about === "set" || message.about === null ? this.#answer() : null;
         if (overrides) store.set({ refused: { overrides, text: message.text } });
@@ -220,7 +222,7 @@ export class Session {
 
   /** Of values that another one has changed; what is painted is seen. */
   #tell(step: number, overrides: readonly string[]): void {
-    const told = overrides.filter((each) => !each.startsWith("lighting.painted=")).join(" ");
+    const told = overrides.filter((each) => !SEEN.test(each)).join(" ");
     if (told) this.toast(`From step ${step} on: ${told}`, true);
   }
 

@@ -119,6 +119,8 @@ export interface State {
   matrix_run: number;
   maximised: PanelName | null;
   keys_open: boolean;
+  /** Whether this page drives the car. */
+  driving: boolean;
 
   /** Keys of the things that are chosen in the scene, and what dragging their handles does. */
   chosen: readonly string[];
@@ -166,6 +168,7 @@ export function newStore(): Studio {
     camera_run: 0,
     matrix_run: 0,
     maximised: null,
+    driving: false,
     keys_open: false,
     chosen: [],
     tool: "move",

@@ -228,7 +228,8 @@ function timeControls(store: Studio, session: Session): HTMLElement[] {
     slider.disabled = newest < 1;
     if (scrub === null) slider.value = String(Math.max(0, live));
     follow.setAttribute("aria-pressed", String(scrub === null));
-    counter.textContent = scenario && shown >= 0 ? `step ${shown} of ${scenario.steps}, ${(shown / scenario.rate_hz).toFixed(2)} s` : "";
+    counter.textContent =
+      scenario && shown >= 0 ? `step ${shown} of ${Math.max(scenario.steps, live + 1)}, ${(shown / scenario.rate_hz).toFixed(2)} s` : "";
     slider.setAttribute("aria-valuetext", counter.textContent);
     pace.textContent = [
       status?.real_time != null ? `${significant(status.real_time)} x real time` : "",

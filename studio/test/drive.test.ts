@@ -1,0 +1,33 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { isControl, ofKeys, ofPads, type Pad, turned } from "../src/drive/controls.ts";
+
+function pad(stick: number, brake: number, accelerate: number, mapping = "standard"): Pad {
+  const buttons = Array.from({ length: 17 }, (_, k) => ({ value: k === 6 ? brake : k === 7 ? accelerate : 0 }));
+  return { mapping, connected: true, axes: [stick, 0, 0, 0], buttons };
+}
+
+test("keys accelerate, brake and steer; opposite ones cancel each other, and the brake wins", () => {
+  assert.deepEqual(ofKeys(new Set(["ArrowUp", "KeyA"])), { throttle: 1, steering: 1 });
+  assert.deepEqual(ofKeys(new Set(["KeyW", "ArrowDown", "ArrowLeft", "KeyD"])), { throttle: -1, steering: 0 });
+  assert.deepEqual(ofKeys(new Set(["KeyQ"])), { throttle: 0, steering: 0 });
+  assert.ok(isControl("KeyS") && !isControl("Space"));
+});
+
+test("of a gamepad the triggers and the left stick count, beyond its dead part", () => {
+  assert.deepEqual(ofPads([null, pad(-1, 0, 0.5)]), { throttle: 0.5, steering: 1 });
+  assert.deepEqual(ofPads([pad(1, 0.75, 0.25)]), { throttle: -0.5, steering: -1 });
+  assert.equal(ofPads([pad(0.05, 0, 0)]), null);
+  assert.equal(ofPads([pad(1, 0, 1, "")]), null);
+  const half = ofPads([pad(-0.54, 0, 0)]);
+  assert.ok(half && Math.abs(half.steering - 0.5) < 1e-12);
+  assert.deepEqual(ofPads([pad(0, 0, 0), pad(0, 0, 1)]), { throttle: 1, steering: 0 });
+});
+
+test("a key turns the wheel within half a second, and back", () => {
+  let steering = 0;
+  for (let k = 0; k < 5; k++) steering = turned(steering, 1, 0.05);
+  assert.ok(Math.abs(steering - 0.5) < 1e-9);
+  assert.equal(turned(0.9, 1, 1), 1);
+  assert.ok(Math.abs(turned(0.5, 0, 0.1) - 0.3) < 1e-9);
+});

@@ -1,0 +1,52 @@
+"""Driving in a real browser: keys move the car, and its light switch the beam."""
+
+from collections.abc import Iterator
+
+import pytest
+from selenium import webdriver
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.keys import Keys
+
+from loop.studio.page import PAGE
+from loop.studio.sources import Source
+from tests.loop.studio.conftest import SMALL, Served, serving
+from tests.loop.studio.test_browser import browser, opened, pytestmark, until
+
+__all__ = ["browser", "pytestmark"]  # of all tests in a browser
+BUTTON = "[...document.querySelectorAll('.panel.scene button')].find((each) => each.textContent === 'Drive')"
+PLAIN = (*SMALL, "rate_hz=10.0", "headlight.model=hd84", "functions={}", "checks={}", "objects=[]", "lighting.base.beam=low")
+
+
+@pytest.fixture(scope="module")
+def car() -> Iterator[Served]:
+    yield from serving(Source("gfhb", (*PLAIN, "vehicle.course=[{speed_m_s=5.0}]")), PAGE)
+
+
+def test_keys_drive_the_car_and_switch_its_light(browser: webdriver.Chrome, car: Served) -> None:
+    opened(browser, car)
+    until(browser, f"return !{BUTTON}.disabled")
+    browser.execute_script(f"{BUTTON}.click()")
+    until(browser, "return luxloop.store.state.model.vehicle.roams && luxloop.store.state.viewpoint === 'driver'")
+    ActionChains(browser).key_down(Keys.ARROW_UP).key_down("a").perform()
+    until(browser, "return luxloop.store.state.runs[0].newest > 12 && document.querySelector('.drive-speed').textContent !== ''")
+    ActionChains(browser).send_keys("h").perform()
+    until(browser, "return luxloop.store.state.model.lighting.base.beam === 'high'")
+    ActionChains(browser).key_up(Keys.ARROW_UP).key_up("a").send_keys(Keys.ESCAPE).perform()
+    until(browser, "return !luxloop.store.state.driving && luxloop.store.state.model.vehicle.course.at(-1).curvature_1_m === 0")
+    scenario = car.studio.session.published.runs[0].simulation.scenario
+    assert scenario.lighting.base.beam == "high" and scenario.vehicle is not None
+    course = scenario.vehicle.course
+    assert max(each.speed_m_s for each in course) > 6 and max(each.curvature_1_m for each in course) > 0.01
+    assert scenario.steps >= 40  # as many as before
+
+
+def test_a_car_that_stands_is_put_on_wheels(browser: webdriver.Chrome, car: Served) -> None:
+    opened(browser, car)
+    browser.execute_script("luxloop.store.state.status.playing && document.dispatchEvent(new KeyboardEvent('keydown', { key: ' ' }))")
+    browser.execute_script(
+        "window.confirm = () => true; const keys = document.querySelector('input.keys'); keys.value = 'vehicle={}'; "
+        "keys.dispatchEvent(new KeyboardEvent('keydown', { key: 'Enter' }))"
+    )
+    until(browser, "return luxloop.store.state.model.vehicle === null")
+    browser.execute_script(f"{BUTTON}.click()")
+    until(browser, "return luxloop.store.state.model.vehicle?.course[0].speed_m_s === 0")
