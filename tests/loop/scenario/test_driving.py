@@ -1,0 +1,39 @@
+"""What somebody drives is told in overrides that any edit may have, and nothing else passes for it."""
+
+import pytest
+
+from loop.scenario.driving import as_driven, begun, driven_on, ended, repeated
+from loop.scenario.edits import Edit, changed, differences
+from loop.scenario.model import load
+from world.errors import LuxloopError
+from world.scene.driver import Controls
+
+START = load("night_drive")
+
+
+def test_overrides_make_the_scenario_that_is_driven_and_edits_repeat_it() -> None:
+    scenario = begun(START, 3)
+    assert changed(START, differences(START, scenario)) == scenario
+    assert scenario.all_objects == START.all_objects and scenario.steps == 5
+    for step in (3, 4, 5):
+        longer, told = driven_on(scenario, step, Controls(0.7, -1.0))
+        assert changed(scenario, told) == longer == repeated(scenario, Edit(step=step, overrides=told, driven=True))
+        scenario = longer
+    straight, told = ended(scenario, 6, 100)
+    assert changed(scenario, told) == straight and straight.steps == 100 and straight.all_objects == START.all_objects
+
+
+def test_what_is_taken_back_keeps_the_drive() -> None:
+    driven, _ = driven_on(begun(START, 3), 3, Controls(1.0, 1.0))
+    assert as_driven(START, driven) == driven and as_driven(driven, START) is driven
+
+
+@pytest.mark.parametrize("override", ["functions={}", "vehicle.course[0]={speed_m_s=1.0}", "vehicle.wheelbase_m=3.0", "steps=0"])
+def test_nothing_else_passes_for_driving(override: str) -> None:
+    with pytest.raises(LuxloopError, match="record the run again"):
+        repeated(begun(START, 3), Edit(step=3, overrides=(override,), driven=True))
+
+
+def test_who_stands_is_not_driven() -> None:
+    with pytest.raises(LuxloopError, match="the vehicle stands"):
+        begun(load("snowflake"), 1)
