@@ -89,7 +89,7 @@ class TurningParams(CommandParams):
         for name, command in super().commanded(before, now, modules).commands:
             low, high = ranges[name]
             wanted = min(max(getattr(command, self.movement), low), high)  # before the rate, or a motor at its end would wind up
-            begins = getattr(was[name], self.movement) if was else wanted
+            begins = getattr(was[name], self.movement) if name in was else wanted
             given.append((name, ModuleCommand(**{self.movement: min(max(wanted, begins - far), begins + far)})))
         return Given(now.time_s, tuple(given))
 

@@ -73,6 +73,13 @@ def test_a_motor_at_the_end_of_its_range_turns_back_at_once() -> None:
     assert turned == [pytest.approx(each) for each in ([-7.0, -3.0], [-7.0, -3.0], [-6.0, -2.0], [-5.0, -1.0])]
 
 
+def test_a_module_that_a_function_moves_from_now_on_is_there_at_once() -> None:
+    one, both = (planner(bend={"kind": "bending", "modules": modules}) for modules in (["right"], ["left", "right"]))
+    given = one.commanded({}, now(**CURVE), (FREE, Part("right free", FREE.swivel_deg)))
+    free, _ = commands(both.commanded(given, now(0.1, **CURVE), BOTH))
+    assert free.swivel_deg == pytest.approx(IN_CURVE_DEG)
+
+
 def test_levelling_turns_against_the_pitch_and_by_entries_over_time() -> None:
     level = {"kind": "levelling", "entries": [{"time_s": 1.0, "level_deg": 0.5}, {"time_s": 3.0, "level_deg": 1.5}]}
     for dynamic, pitch_deg, time_s, expected in (
