@@ -1,9 +1,10 @@
 """A simulation that goes on with other values of keys."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
+from pydantic import BaseModel
 from torch import Tensor
 
 from loop.lighting.result import SimulationState
@@ -11,14 +12,15 @@ from loop.lighting.simulation import Simulation
 from loop.replay.driven import driven_on
 from loop.scenario.acts import acts
 from loop.scenario.model import Scenario
+from loop.scenario.overrides import TAGS
 from world.errors import LuxloopError
 
 
 def edited(simulation: Simulation, state: SimulationState, scenario: Scenario) -> tuple[Simulation, SimulationState]:
     """The simulation with another scenario, and its state before the next step.
 
-    Functions and controllers whose state still fits go on from it; others start. Frames under way show what was there when they were
-    taken. Raises LuxloopError as `Simulation.prepare`, and where the scenario needs a simulation that starts anew.
+    Functions and controllers of the same kind whose state still fits go on from it; others start. Frames under way show what was there
+    when they were taken. Raises LuxloopError as `Simulation.prepare`, and where the scenario needs a simulation that starts anew.
     """
     if acts(simulation.scenario, scenario) == "restart":
         raise LuxloopError(f"{scenario.source}: a run cannot go on with these values; start it anew")
@@ -26,13 +28,21 @@ def edited(simulation: Simulation, state: SimulationState, scenario: Scenario) -
         return driven, state
     after = Simulation.prepare(scenario, simulation.device, simulation)
     held = {name: each.start() for name, each in after.controlled.items()}
-    functions, kept = _kept(after.planner.start(), state.functions), _kept(held, state.held)
+    same = {name for name, each in scenario.functions.items() if _alike(simulation.scenario.functions.get(name), each)}
+    functions, kept = _kept(after.planner.start(), state.functions, same), _kept(held, state.held, same)
     commanded = {name: each for name, each in state.commanded.items() if name in after.planner.commanding}
     return after, replace(state, functions=functions, held=kept, commanded=commanded)
 
 
-def _kept(fresh: Mapping[str, Any], old: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: old[name] if name in old and _fits(old[name], each) else each for name, each in fresh.items()}
+def _kept(fresh: Mapping[str, Any], old: Mapping[str, Any], same: Collection[str]) -> dict[str, Any]:
+    return {name: old[name] if name in same and name in old and _fits(old[name], each) else each for name, each in fresh.items()}
+
+
+def _alike(a: Any, b: Any) -> bool:
+    """Whether parameters are of the same variants, all tables in them as well."""
+    if not (isinstance(a, BaseModel) or isinstance(b, BaseModel)):
+        return True
+    return type(a) is type(b) and all(each == getattr(b, key) if key in TAGS else _alike(each, getattr(b, key)) for key, each in a)
 
 
 def _fits(old: Any, fresh: Any) -> bool:

@@ -1,5 +1,7 @@
 """A simulation goes on with other values of keys."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -59,6 +61,30 @@ def test_another_controller_starts_where_the_symbol_starts(simulation: Simulatio
     after, there = edited(simulation, state, scenario("functions.symbol.controller=open"))
     _, (result,) = stepped(after, there, 1)
     assert result.symbol.pose.equal(after.symbol.projector.target)
+
+
+def test_a_function_of_another_kind_starts() -> None:
+    marker = "functions.other.kind=marker"
+    zone = "functions.other={kind='zone', centre_m=[20.0, 0.0, 0.0], size_m=[4.0, 2.0, 0.0], luminance_cd_m2=1.0}"
+    simulation = Simulation.prepare(scenario(marker))
+    state, _ = stepped(simulation, simulation.start(), 2)
+    after, there = edited(simulation, state, scenario(zone))
+    assert there.functions["other"] is not None
+    stepped(after, there, 2)
+
+
+def test_a_controller_with_another_stage_starts() -> None:
+    simulation = Simulation.prepare(scenario("functions.symbol.controller.supervisor.grace_steps=8"))
+    state, _ = stepped(simulation, simulation.start(), 2)
+    symbol, lifting = simulation.symbol, state.held["symbol"].controller
+    charged = replace(lifting.inner, inner=symbol.controller.inner.inner.start(symbol.projector.target))  # type: ignore[attr-defined]
+    state = replace(state, held={"symbol": replace(state.held["symbol"], controller=replace(lifting, inner=charged))})
+    _, same = edited(simulation, state, scenario("functions.symbol.controller.supervisor.grace_steps=9"))
+    assert same.held["symbol"].controller.inner is charged
+    warped = ("functions.symbol.controller.supervisor.grace_steps=8", "functions.symbol.controller.warp.takes_over=0.3")
+    after, there = edited(simulation, state, scenario(*warped))
+    assert there.held["symbol"].controller.inner.inner is None
+    stepped(after, there, 2)
 
 
 def test_functions_come_and_go() -> None:
