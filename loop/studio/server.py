@@ -52,6 +52,7 @@ UNKNOWN: Final = 4401  # code by which a connection with another token is closed
 STATUS_S: Final = 0.1  # between two words on the session's state
 READ_ONLY: Final = ("hello", "want", "scrub", "shown", "summary", "beam", "schema")  # types of messages that watchers may send as well
 MOST_ANSWERS: Final = 100  # that a client has not read yet
+MOST_ASKED: Final = 50  # messages of all clients, each of some megabytes, before the session
 KINDS: Final = {".html": "text/html; charset=utf-8", ".js": "text/javascript", ".css": "text/css", ".txt": "text/plain; charset=utf-8"}
 
 
@@ -155,7 +156,7 @@ class Studio:
         try:
             async for data in connection:
                 self._receive(client, data)
-                while len(client.answers) > MOST_ANSWERS:  # who does not read is not read
+                while len(client.answers) > MOST_ANSWERS or self.session.waiting > MOST_ASKED:  # who does not read is not read
                     await asyncio.sleep(STATUS_S)
         except ConnectionClosed:
             pass

@@ -120,6 +120,11 @@ class Session:
         """Do as a client asks, in turn; reply: gets heads of answers, from the session's thread. arrays: of the message's body."""
         self._asked.put(Asked(message, reply, arrays or {}))
 
+    @property
+    def waiting(self) -> int:
+        """How many messages wait."""
+        return self._asked.qsize()
+
     def look(self, wanted: frozenset[View]) -> None:
         """What somebody looks at; where that is more than before, a step that rests is looked at anew."""
         more, self.wanted = wanted - self.wanted, wanted

@@ -2,6 +2,7 @@
 
 import json
 import random
+import threading
 import time
 import urllib.error
 import urllib.request
@@ -16,6 +17,7 @@ import luxloop
 from loop.lighting.record import row
 from loop.studio.feed import Feed
 from loop.studio.messages import Button, Request
+from loop.studio.server import MOST_ASKED
 from loop.studio.session import Published
 from loop.studio.trust import refuse_foreign
 from tests.loop.studio.clients import Watcher, message, unpacked, watching
@@ -322,6 +324,22 @@ def test_a_client_that_does_not_read_does_not_slow_the_loop(served: Served) -> N
                 watcher.of("status", playing=False)
                 assert len(served.studio.session.published.runs[0].rows) == 6
                 assert time.monotonic() - began_s < 60  # six steps take seconds; a loop that waits for who is deaf takes for ever
+
+
+def test_what_a_client_asks_waits_on_its_side_while_the_session_is_busy(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    session, goes_on = served.studio.session, threading.Event()
+    with watching(served.port, served.tokens.watch) as watcher:
+        watcher.of("scenario")
+        monkeypatch.setattr(session, "_do", lambda asked: goes_on.wait(20))
+        for run in range(300):
+            watcher.say(type="summary", run=run, ask=run)
+        deadline_s = time.monotonic() + 10
+        while session.waiting <= MOST_ASKED and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        time.sleep(0.3)  # in which all would come
+        assert session.waiting == MOST_ASKED + 1
+        goes_on.set()
+        assert [watcher.of("done")[0]["ask"] for _ in range(300)] == list(range(300))
 
 
 def test_two_watchers_see_what_the_pen_does(served: Served) -> None:
