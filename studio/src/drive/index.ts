@@ -56,7 +56,7 @@ class Driving {
     store.on(["step_version"], () => this.#tell());
     document.addEventListener("keydown", (event) => this.#key(event, true), { capture: true });
     document.addEventListener("keyup", (event) => this.#key(event, false), { capture: true });
-    addEventListener("blur", () => this.#down.clear());
+    addEventListener("blur", () => this.#release());
   }
 
   #flip(): void {
@@ -91,7 +91,7 @@ class Driving {
   #show(driving: boolean): void {
     this.#hud.hidden = !driving;
     this.#button.setAttribute("aria-pressed", String(driving));
-    this.#down.clear();
+    this.#release();
     if (this.#timer !== null) clearInterval(this.#timer);
     this.#timer = driving ? setInterval(() => this.#tick(), TICK_MS) : null;
   }
@@ -132,6 +132,12 @@ class Driving {
     else if (down && !event.repeat) acts[event.code]();
     event.preventDefault();
     event.stopPropagation();
+  }
+
+  /** All keys, whose going up is not seen from now on. */
+  #release(): void {
+    this.#down.clear();
+    this.#flash(false);
   }
 
   /** High beam as long as the key is down. */
