@@ -145,8 +145,8 @@ class Run:
             recorder.__exit__(None, None, None)
 
     def look_again(self, wanted: Collection[View]) -> None:
-        """Take the last snapshot anew, with all that somebody looks at now, and as edits make the next step."""
-        if self._ahead and self._next is None:
+        """Take the last snapshot anew, with all that somebody looks at now, and in the simulated world as edits make the next step."""
+        if self._ahead and self._next is None and self.simulation.scenario.plant.kind == "simulated":  # others show what they are asked
             with located(self.simulation.scenario.source):
                 _, following = self.simulation.step(self._state)
             self._next = self.simulation, replace(following, step=self._made[1].step)
