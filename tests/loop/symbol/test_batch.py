@@ -8,6 +8,7 @@ from torch import Tensor
 
 from controllers.pixels.ssc import Ssc
 from controllers.symbol.laws.thesis_pid import ThesisPid
+from loop.assembly.made import Made
 from loop.lighting.batch import GAINS, check, rollouts, with_values
 from loop.lighting.lamps import ShiningModule, shining_modules
 from loop.lighting.simulation import Simulation
@@ -62,18 +63,18 @@ def test_every_gain_arrives_where_parameters_would_put_it(simulation: Simulation
             torch.testing.assert_close(getattr(made, name).expand(2, 4)[1], getattr(expected, name))
 
 
-def in_float64(scenario: Scenario, device: torch.device) -> tuple[ShiningModule, ...]:
+def in_float64(scenario: Scenario, device: torch.device, made: Made) -> tuple[ShiningModule, ...]:
     def precise(module: ShiningModule) -> ShiningModule:
         lamp = replace(module.headlight, matrix=module.headlight.matrix.to(torch.float64))
         beams = {name: replace(beam, beam=beam.beam.double()) for name, beam in module.beams.items()}
         controller = Ssc.prepare(lamp, module.controller.params)
         return replace(module, headlight=lamp, controller=controller, flux=module.flux.double(), beams=beams)
 
-    return tuple(map(precise, shining_modules(scenario, device)))
+    return tuple(map(precise, shining_modules(scenario, device, made)))
 
 
 def test_errors_are_differentiable_in_gains(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("loop.lighting.simulation.shining_modules", in_float64)
+    monkeypatch.setattr("loop.lighting.parts.shining_modules", in_float64)
     monkeypatch.setattr("loop.lighting.controlled.load_still", lambda file: load_still(file).double())
     loop = Simulation.prepare(scenario("functions.symbol.extraction.edges=soft", steps=4))
     keys = ("functions.symbol.controller.position.kp", "functions.symbol.controller.position.kd", "functions.symbol.controller.rotation.kp")
