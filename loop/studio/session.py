@@ -396,6 +396,8 @@ class Session:
             self._prepare((first, replace(first, apart=overrides)), (kept, kept and changed(kept, overrides)))
 
     def _record(self, folder: str | None) -> None:
+        if folder is not None and any(each.recording and each.recording.resolve() == (RUNS / folder).resolve() for each in self._sources):
+            raise LuxloopError(f"record: {RUNS / folder} is what is shown; give another name")
         for run in self.published.runs:
             run.end_recording()
         self._publish(recording=None)

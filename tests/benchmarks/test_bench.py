@@ -11,6 +11,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.slow
 def test_the_step_benchmark_compares_the_same_work(tmp_path: Path) -> None:
     file = tmp_path / "step.json"
     command = [sys.executable, "benchmarks/step.py", "--quick", "--json", str(file)]
@@ -30,6 +31,7 @@ def test_the_step_benchmark_compares_the_same_work(tmp_path: Path) -> None:
     assert without == pytest.approx(result["numpy"]["step without render"] / result["luxloop"]["step without render"])
 
 
+@pytest.mark.slow
 def test_a_baseline_that_does_other_work_is_refused(tmp_path: Path) -> None:
     """With another tolerance the check must fail, or it would not be one."""
     code = "import sys; sys.argv = ['step.py', '--quick']; import step; step.TOLERANCE_PX = -1.0; step.main()"
@@ -39,6 +41,7 @@ def test_a_baseline_that_does_other_work_is_refused(tmp_path: Path) -> None:
     assert "not the same work" in done.stderr
 
 
+@pytest.mark.slow
 def test_the_driving_benchmark_renders_both_ways_and_times_whole_steps(tmp_path: Path) -> None:
     file = tmp_path / "driving.json"
     command = [sys.executable, "benchmarks/driving.py", "--quick", "--json", str(file)]
@@ -60,6 +63,7 @@ def test_the_driving_benchmark_renders_both_ways_and_times_whole_steps(tmp_path:
     assert [(goal["value"], goal["limit"]) for goal in content["goals"]] == [(driving["ms"], 80), (night_drive["ms"], 150)]
 
 
+@pytest.mark.slow
 def test_the_benchmark_on_the_move_draws_best_for_what_is_true(tmp_path: Path) -> None:
     file = tmp_path / "move.json"
     command = [sys.executable, "benchmarks/on_the_move.py", "--quick", "--json", str(file)]

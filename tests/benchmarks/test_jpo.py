@@ -7,9 +7,12 @@ import sys
 from itertools import pairwise
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.slow
 def test_the_page_is_written_and_errors_fall_with_the_budget(tmp_path: Path) -> None:
     command = [sys.executable, "benchmarks/jpo.py", "--quick", "--page", str(tmp_path)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}

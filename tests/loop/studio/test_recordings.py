@@ -77,6 +77,8 @@ def test_an_edit_ends_the_repetition(studio: tuple[Served, luxloop.RunResult]) -
         watcher.of("scenario")
         watcher.say(type="pause")
         watcher.of("status", playing=False)
+        watcher.say(type="record", folder="one")
+        assert "is what is shown" in watcher.of("error", about="record")[0]["text"]
         done = len(served.studio.session.published.runs[0].snapshots)
         watcher.say(type="set", overrides=[KP])
         watcher.of("edit", step=done)
