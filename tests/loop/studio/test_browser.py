@@ -17,7 +17,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
-from loop.studio.messages import Set
+from loop.studio.messages import Button, Set
 from loop.studio.page import PAGE
 from loop.studio.runs import Run
 from loop.studio.sources import Source
@@ -207,12 +207,16 @@ def test_every_view_is_drawn(browser: webdriver.Chrome, objects: Served, tmp_pat
 
 
 def test_shadows_in_the_shader_are_those_of_the_library(browser: webdriver.Chrome, objects: Served) -> None:
+    session = objects.studio.session
+    number = session.published.number
+    session.ask(Button(type="reset"), print)  # other tests have stepped it
+    WebDriverWait(browser, WAIT_S).until(lambda _: session.published.number > number)
     opened(browser, objects)
-    (run,) = objects.studio.session.published.runs
+    (run,) = session.published.runs
     before = run.snapshots[0]
     # lower than the lamps, so that the camera sees its shadow beyond
     box = 'objects=[{name="box", kind="box", category="other", size_m=[0.5, 1.5, 0.4], track=[{position_m=[9.0, 0.0, 0.0]}]}]'
-    objects.studio.session.ask(Set(type="set", overrides=("functions={}", "checks={}", "lighting.base.beam=full", box)), print)
+    session.ask(Set(type="set", overrides=("functions={}", "checks={}", "lighting.base.beam=full", box)), print)
     WebDriverWait(browser, WAIT_S).until(lambda _: run.snapshots[0] is not before)  # in the other world
     opened(browser, objects)
     shader, lx, open_ = compared(browser, run)
