@@ -112,6 +112,7 @@ export class Viewport {
       { passive: false },
     );
     canvas.addEventListener("pointerdown", (event) => {
+      if (document.activeElement instanceof HTMLInputElement) document.activeElement.blur(); // which takes what was typed
       canvas.setPointerCapture(event.pointerId);
       this.#stroke = event.button === 0 && (this.on.press?.(this.at(event.offsetX, event.offsetY)) ?? false);
       if (!this.#stroke) this.#drag = { x: event.offsetX, y: event.offsetY };

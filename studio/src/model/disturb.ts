@@ -44,7 +44,7 @@ const KINDS: Kind[] = [
 /** Disturbances that are entries of a list. */
 function spells(name: string, title: string, key: string, entry: (state: Readonly<State>) => Table): Kind {
   const all = (model: Model) => (valueAt(model, key) ?? []) as Spell[];
-  const holds = (spell: Spell, step: number) => spell.until_step === null || step < spell.until_step;
+  const holds = ({ from_step, until_step }: Spell, step: number) => from_step <= step && (until_step === null || step < until_step);
   return {
     name,
     title,
