@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from loop.scenario.model import Scenario
     from loop.scenario.model import load as load
     from loop.scenario.model import validate as validate
-    from loop.studio.notebook import Shown, show
+    from loop.scenario.shown import Shown, show
     from perception.detection.protocol import Detections
     from perception.egomotion import Ego, Sample
     from perception.extraction import Loss
@@ -127,7 +127,7 @@ _MODULES = {
     "loop.run": ("RunResult", "prepare", "run"),
     "loop.scenario.model": ("Scenario", "load as load", "validate as validate"),
     "loop.lighting.simulation": ("Simulation",),
-    "loop.studio.notebook": ("Shown", "show"),
+    "loop.scenario.shown": ("Shown", "show"),
     "perception.detection.protocol": ("Detections",),
     "perception.egomotion": ("Ego", "Sample"),
     "perception.extraction": ("Loss",),

@@ -4,7 +4,6 @@ import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from importlib import import_module
 from typing import Any
 
 import torch
@@ -38,6 +37,7 @@ from loop.plant.simulated import as_simulated
 from loop.plant.world import LitScene, Metered, World, categories
 from loop.scenario.checks import Light as OtherLight
 from loop.scenario.model import Scenario, only
+from loop.scenario.shown import Shown
 from perception.camera import luminance_of, saturation_luminance
 from perception.detection.protocol import Detections
 from perception.egomotion import Ego, Samples, ego_of, newest
@@ -364,9 +364,9 @@ class Simulation:
         told = "base beam off" if beam == "off" else f"{beam} beam"
         return "raw utilisations" if all(raw) else f"{told} and raw utilisations" if any(raw) else told
 
-    def show(self) -> Any:
+    def show(self) -> Shown:
         """Watch and steer the scenario in the page of `luxloop studio`, in a frame of a notebook; as `luxloop.show`, which says more."""
-        return import_module("loop.studio.notebook").show(self)  # named, for the studio is made of simulations
+        return Shown(self.scenario, str(self.device))
 
     def run(self) -> Iterator[StepResult]:
         """All steps of the scenario."""

@@ -1,4 +1,4 @@
-"""A studio beside a notebook or a program: in a process of its own, to which OpenGL belongs, and shown in a frame."""
+"""A scenario shown in the studio beside a notebook or a program: in a process of its own, to which OpenGL belongs."""
 
 import subprocess
 import sys
@@ -6,7 +6,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final, Self
 
-from loop.lighting.simulation import Simulation
 from loop.scenario.edits import changed
 from loop.scenario.model import Scenario, load
 from loop.scenario.written import written
@@ -23,15 +22,13 @@ sys.exit(main(sys.argv[1:]))
 """  # it ends with the program that has started it, whose end of the pipe closes
 
 
-def show(scenario: Simulation | Scenario | str, /, *overrides: str) -> "Shown":
+def show(scenario: Scenario | str, /, *overrides: str, device: str = "auto") -> "Shown":
     """Watch and steer a scenario in the page of `luxloop studio`, from step 0 on; a notebook shows the page in a frame.
 
-    scenario: a prepared or loaded one, or the name or path of one. overrides: other values of its keys, as KEY=VALUE.
+    scenario: a loaded one, or the name or path of one. overrides: other values of its keys, as KEY=VALUE. device: "auto", "cpu" or "cuda".
     The studio runs in a process of its own until `close()` or until the program ends. Raises LuxloopError where it cannot begin.
     """
-    device = scenario.device if isinstance(scenario, Simulation) else "auto"
-    given = load(scenario) if isinstance(scenario, str) else scenario.scenario if isinstance(scenario, Simulation) else scenario
-    return Shown(changed(given, overrides), str(device))
+    return Shown(changed(load(scenario) if isinstance(scenario, str) else scenario, overrides), device)
 
 
 class Shown:

@@ -11,8 +11,8 @@ import pytest
 from loop.client.client import connect
 from loop.run import prepare
 from loop.scenario.model import load
+from loop.scenario.shown import show
 from loop.studio import page
-from loop.studio.notebook import show
 from tests.loop.studio.conftest import SMALL
 from world.errors import LuxloopError
 
