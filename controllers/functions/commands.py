@@ -160,7 +160,7 @@ class DimmingParams(CommandParams):
 
 
 class DirectParams(Timed):
-    """Commands modules as it says: from another program, say, anew in each step (T 4.1)."""
+    """Commands modules directly, without a motor's rate: another program can set it anew in each step."""
 
     kind: Literal["command"] = "command"
     modules: tuple[str, ...] = Field((), description="lamps or modules that it commands; left out: all")

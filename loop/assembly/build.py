@@ -13,8 +13,7 @@ from loop.scenario import data
 from loop.scenario.model import Scenario
 from loop.scenario.shipped import named
 from world.errors import located
-from world.materials.library import RoadSurfaceParams
-from world.materials.spots import SpotParams, SpottedTexture
+from world.materials.spots import SpottedTexture
 from world.roads.base import Road
 from world.roads.mesh import road_mesh
 from world.roads.scan import OpenCrgRoad
@@ -25,10 +24,6 @@ from world.scene.road_tiles import AROUND_M, SIGHT_M, RoadTiles
 from world.scene.scene import Scene
 from world.scene.vehicle import STANDING, Motion, drive
 from world.traffic.objects import ObjectParams
-
-# in m, how far one sees; range of y of the course and y of what else is there, where the road is along the course
-Along = tuple[float, tuple[float, float], tuple[float, ...]] | tuple[float]
-Ground = Body | RoadTiles | RoadPatches
 
 
 def build_road(scenario: Scenario) -> Road:
@@ -48,27 +43,23 @@ def build_motion(scenario: Scenario, before: Motion = STANDING) -> Motion:
 
 def build_scene(scenario: Scenario, motion: Motion = STANDING, made: Made | None = None) -> Scene:
     """Road, along the vehicle's course, and objects. Raises LuxloopError where a file is missing or broken."""
-    made = made or Made()
-    road, light = build_road(scenario), scenario.light
+    made, vehicle = made or Made(), scenario.vehicle
+    road, surface, spots, light = build_road(scenario), scenario.surface, scenario.spots, scenario.light
+    texture = made("texture", (surface, spots), lambda: SpottedTexture(surface, spots) if spots else surface.texture())
     objects = tuple(made(f"object {item.name}", (item, road), partial(_built, item, road)) for item in scenario.all_objects)
-    along: Along | None = None
-    if scenario.vehicle is not None and motion is not STANDING:
-        sight_m = SIGHT_M if scenario.traffic is None else max(SIGHT_M, scenario.traffic.sight_m + AROUND_M)
+    sight_m = SIGHT_M if scenario.traffic is None else max(SIGHT_M, scenario.traffic.sight_m + AROUND_M)
+    ground: Body | RoadTiles | RoadPatches
+    if motion is STANDING:
+        ground = made("ground", (road, texture), lambda: Body("road", road_mesh(road), surface.albedo, texture, smooth=True))
+    elif vehicle is not None and vehicle.roams:
+        ground = made("ground", (road, texture, sight_m), lambda: RoadPatches(road, surface.albedo, texture, sight_m=sight_m))
+    else:
         others_y_m = tuple(y for each in objects for y in each.track.T_world_body[:, 1, 3].tolist())
-        along = (sight_m,) if scenario.vehicle.roams else (sight_m, motion.range_y_m, others_y_m)
-    of_ground = road, scenario.surface, scenario.spots, along
-    bodies = (made("ground", of_ground, partial(_ground, *of_ground)), *objects)
+        range_y_m = motion.range_y_m
+        tiles = partial(RoadTiles, road, range_y_m, surface.albedo, texture, others_y_m=others_y_m, sight_m=sight_m)
+        ground = made("ground", (road, texture, range_y_m, others_y_m, sight_m), tiles)
+    bodies = (ground, *objects)
     return made("scene", (bodies, light), lambda: Scene(bodies, light.ambient_lx, light.street_lamps))
-
-
-def _ground(road: Road, surface: RoadSurfaceParams, spots: tuple[SpotParams, ...], along: Along | None) -> Ground:
-    texture = SpottedTexture(surface, spots) if spots else surface.texture()
-    if along is None:
-        return Body("road", road_mesh(road), surface.albedo, texture, smooth=True)
-    if len(along) == 1:
-        return RoadPatches(road, surface.albedo, texture, sight_m=along[0])
-    sight_m, range_y_m, others_y_m = along
-    return RoadTiles(road, range_y_m, surface.albedo, texture, others_y_m=others_y_m, sight_m=sight_m)
 
 
 def _built(item: ObjectParams, road: Road) -> Body | Figure:

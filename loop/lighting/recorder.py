@@ -17,7 +17,7 @@ from loop.plant.frames import remove
 from loop.recording.files import EDITS, FILES, SUMMARY, TRAJECTORY, table_of, write_table
 from loop.recording.frames import FrameRecorder
 from loop.recording.manifest import Manifest, write_json
-from loop.scenario.edits import Edit
+from loop.scenario.edits import Edit, add
 from perception.extraction import Loss
 from world.errors import LuxloopError
 
@@ -57,7 +57,7 @@ class Tally:
             columns = pa.unify_schemas([self.table().schema, schema(simulation)])
             self._written = table_of(self._written.to_pylist(), columns) if columns != self._written.schema else self._written
         self.simulation = simulation
-        self.edits.append(edit)
+        add(self.edits, edit)
 
     def table(self) -> pa.Table:
         """All steps so far."""
@@ -108,7 +108,7 @@ class Recorder:
         self.manifest = Manifest.of(first.scenario, first.renderer, first.device)
         self._frames = FrameRecorder(directory, first.scenario.camera.bits) if frames else None
         self._next_write_s = 0.0
-        self._begun, self._edits_written = False, 0
+        self._begun, self._edits_written = False, list[Edit]()
         self.summary = dict[str, Any]()
         refuse_foreign(directory)
 
@@ -168,8 +168,8 @@ class Recorder:
         self._write_edits()
 
     def _write_edits(self) -> None:
-        if len(self.tally.edits) > self._edits_written:
-            self._edits_written = len(self.tally.edits)
+        if self.tally.edits != self._edits_written:
+            self._edits_written = list(self.tally.edits)
             write_json(self.directory / EDITS, [each.model_dump(mode="json") for each in self.tally.edits])
 
     def _write_trajectory(self) -> None:

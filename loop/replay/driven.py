@@ -3,7 +3,6 @@
 from dataclasses import replace
 from functools import partial
 
-from loop.lighting.judging import Judge
 from loop.lighting.simulation import Simulation
 from loop.plant.simulated import SimulatedPlant, driven_plant
 from loop.scenario.model import Scenario
@@ -20,11 +19,8 @@ def driven_on(simulation: Simulation, scenario: Scenario) -> Simulation | None:
     made = simulation.made.going_on()
     plant, controlled = driven_plant(plant, scenario, made), {}
     for name, each in simulation.controlled.items():
-        judge = each.judge and replace(each.judge, world=plant.world)
-        controlled[name] = replace(each, judge=made(f"{name}: judge", (each.sensor, plant.world), partial(_itself, judge)))
+        if (judge := each.judge) is not None:
+            judge = made(f"{name}: judge", (each.sensor, plant.world), partial(replace, judge, world=plant.world))
+        controlled[name] = replace(each, judge=judge)
     made.end()
     return replace(simulation, scenario=scenario, plant=plant, controlled=controlled, made=made)
-
-
-def _itself(judge: Judge | None) -> Judge | None:
-    return judge

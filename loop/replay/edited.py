@@ -16,19 +16,25 @@ from loop.scenario.overrides import TAGS
 from world.errors import LuxloopError
 
 
-def edited(simulation: Simulation, state: SimulationState, scenario: Scenario) -> tuple[Simulation, SimulationState]:
+def edited(
+    simulation: Simulation, state: SimulationState, scenario: Scenario, reached_by: Scenario | None = None
+) -> tuple[Simulation, SimulationState]:
     """The simulation with another scenario, and its state before the next step.
 
+    state: after the last step, which a simulation of `reached_by` has done; None where that is this one's. So edits between two steps act
+    as one, whatever came between them.
     Functions and controllers of the same kind whose state still fits go on from it; others start. Frames under way show what was there
     when they were taken. Raises LuxloopError as `Simulation.prepare`, and where the scenario needs a simulation that starts anew.
     """
+    reached_by = reached_by or simulation.scenario
     if acts(simulation.scenario, scenario) == "restart":
         raise LuxloopError(f"{scenario.source}: a run cannot go on with these values; start it anew")
-    if (driven := driven_on(simulation, scenario)) is not None:
+    driven = driven_on(simulation, scenario)
+    if driven is not None and reached_by is simulation.scenario:
         return driven, state
-    after = Simulation.prepare(scenario, simulation.device, simulation)
+    after = driven or Simulation.prepare(scenario, simulation.device, simulation)
     held = {name: each.start() for name, each in after.controlled.items()}
-    same = {name for name, each in scenario.functions.items() if _alike(simulation.scenario.functions.get(name), each)}
+    same = {name for name, each in scenario.functions.items() if _alike(reached_by.functions.get(name), each)}
     functions, kept = _kept(after.planner.start(), state.functions, same), _kept(held, state.held, same)
     commanded = {name: each for name, each in state.commanded.items() if name in after.planner.commanding}
     return after, replace(state, functions=functions, held=kept, commanded=commanded)

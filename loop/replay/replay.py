@@ -1,7 +1,7 @@
 """Recordings read back: run the recorded scenario again and hold it against the recording, or write it as CSV."""
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -56,19 +56,25 @@ def _edits(file: Path) -> tuple[Edit, ...]:
         return EDIT_LIST.validate_python(parsed_json(content(file)))
 
 
-def rerun(recording: Recording, simulation: Simulation, allow_code: bool = False) -> Iterator[tuple[Simulation, StepResult]]:
+def refuse_foreign(directory: Path, scenario: Scenario, edits: Iterable[Edit]) -> None:
+    """Raises LuxloopError where the scenario of a recording, or an edit of it, names a module of Python."""
+    refuse_code(scenario, str(directory / FILE))
+    for edit in edits:
+        scenario = repeated(scenario, edit)
+        if not edit.driven:
+            refuse_code(scenario, str(directory / EDITS))
+
+
+def rerun(recording: Recording, simulation: Simulation) -> Iterator[tuple[Simulation, StepResult]]:
     """The steps of a recording once more, each with the simulation that made it. simulation: of its scenario.
 
-    allow_code: whether modules that edits name may run. Raises LuxloopError where an edit cannot be repeated.
+    Modules that edits name run. Raises LuxloopError where an edit cannot be repeated.
     """
     state, edits = simulation.start(), deque(recording.edits)
-    for _ in range(recording.table.num_rows):
-        while edits and edits[0].step <= state.step:
-            edit = edits.popleft()
-            scenario = repeated(simulation.scenario, edit)
-            if not (allow_code or edit.driven):
-                refuse_code(scenario, scenario.source)
-            simulation, state = edited(simulation, state, scenario)
+    for step in range(recording.table.num_rows):
+        reached, by = state, simulation.scenario
+        while edits and edits[0].step <= step:
+            simulation, state = edited(simulation, reached, repeated(simulation.scenario, edits.popleft()), by)
         with located(simulation.scenario.source):
             state, result = simulation.step(state)
         yield simulation, result
@@ -92,14 +98,14 @@ def replay(
     if recording.table.num_rows == 0:
         raise LuxloopError(f"{directory / TRAJECTORY}: holds no step; record the run again")
     if not allow_code:
-        refuse_code(scenario, str(directory / FILE))
+        refuse_foreign(directory, scenario, recording.edits)
     simulation = Simulation.prepare(scenario, device or manifest.device_here)
     columns = schema(simulation)
     columns_of(recording.table, columns, directory / TRAJECTORY)
     notes = manifest.changes(Manifest.of(scenario, simulation.renderer, simulation.device))
     held = dict[str, FeatureParams]()
     rows = []
-    for made_by, result in rerun(recording, simulation, allow_code):
+    for made_by, result in rerun(recording, simulation):
         rows.append(row(result))
         held |= {name: symbol.function.features for name, symbol in made_by.controlled.items()}
         columns = pa.unify_schemas([columns, schema(made_by)])

@@ -84,7 +84,7 @@ def _vehicle(scenario: Scenario) -> VehicleParams:
 
 
 def _steps(step: int) -> int:
-    """So many that the run is not over after a step."""
+    """The number of steps of a run that goes on after a step."""
     if step + 2 > MOST_STEPS:
         raise LuxloopError(f"drive: a run has {MOST_STEPS} steps at most; start anew")
     return step + 2

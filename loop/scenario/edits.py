@@ -20,6 +20,20 @@ class Edit(Params):
     driven: bool = False
 
 
+def add(edits: list[Edit], edit: Edit) -> None:
+    """Add an edit to others, in place of the last one where it sets the same keys of the same step anew."""
+    if edits and replaces(edit, edits[-1]):
+        edits.pop()
+    edits.append(edit)
+
+
+def replaces(edit: Edit, last: Edit) -> bool:
+    """Whether nothing of the last one is left; tables add up."""
+    keys, before = ([each.partition("=")[0].strip() for each in one.overrides] for one in (edit, last))
+    table = any(each.partition("=")[2].lstrip().startswith("{") for each in edit.overrides)
+    return (edit.step, edit.driven, keys) == (last.step, last.driven, before) and not table
+
+
 def changed(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
     """A scenario with other values of keys. Modules that they name may run. Raises LuxloopError as `validate`."""
     return validate(overridden(scenario.model_dump(mode="json"), overrides), scenario.source)

@@ -135,7 +135,7 @@ class SentRun:
                 share = (255 * u.clamp(0, 1)).round().byte().view(light.pixel_rows, light.pixel_cols)
                 plain[f"u.{k}"] = share.numpy()
         if "camera" in wanted:
-            seen = self.run.pictured(snapshot) if scrubbed or before is None else snapshot
+            seen = self.run.pictured(snapshot) if scrubbed or was_scrubbed or before is None else snapshot
             pictures = {name: grey(picture) for name, picture in seen.pictures.items()}
             if seen.step != snapshot.step:
                 notes = [*notes, f"the camera's picture is that of step {seen.step}"]

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Collection, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -21,7 +22,7 @@ from loop.report.picture import white_of
 from loop.run import prepare
 from loop.scenario.acts import ACTS
 from loop.scenario.driving import repeated
-from loop.scenario.edits import Edit
+from loop.scenario.edits import Edit, replaces
 from loop.scenario.model import Scenario
 from loop.studio.messages import VIEWS, View
 from loop.studio.recorded import Recorded
@@ -30,6 +31,7 @@ from loop.studio.snapshot import Snapshot, bodies_at, snapshot
 from loop.studio.sources import Source, loaded
 from perception.camera import camera_view, saturation_luminance
 from world.errors import LuxloopError, located
+from world.folders import output_folder
 from world.frames import inverse
 from world.headlight.lamp import Lamp, Module
 from world.regulation import check
@@ -45,7 +47,7 @@ class Run:
 
     The thread that steps it adds to `snapshots`, `rows`, `edits`, `told` and `shapes`, which others read; what was added stays, except the
     light and pictures of old snapshots. rows: of a recording that is repeated those of all its steps; another list where an edit has ended
-    that. told: edits of which clients are told, all but those of somebody who drives. columns: of the rows, the later ones of which may
+    that. told: the edits that clients are sent: all but those of driving. columns: of the rows, the later ones of which may
     have more. recorder: None while nothing is recorded. label: for the page.
     """
 
@@ -61,13 +63,16 @@ class Run:
         self.simulation, self.label, self.overrides = simulation, label, list(overrides)
         self.tally = Tally(simulation)
         self.recorder: Recorder | None = None
+        self._recording = ExitStack()
         self.recorded = recorded
         self.columns = _numbers(simulation) if recorded is None else recorded.columns(_numbers(simulation))
         self.shapes, self.snapshots = Shapes(), list[Snapshot]()
         self.told = list[Edit]()
         self.rows = list[np.ndarray]() if recorded is None else recorded.rows(self.columns)
         self.step_ms = float("nan")
-        self._state, self._kept, self._forgotten = simulation.start(), 0, 0
+        self._state = simulation.start()
+        self._reached = self._state, simulation.scenario  # by the last step, before edits
+        self._kept, self._forgotten = 0, 0
         self._bodies = NOTHING
         self._below: Sequence[Utilisation] | None = None  # light of the last step below what is painted, where another one is shown
         self._ahead = False  # whether keys were edited since the last step
@@ -82,11 +87,6 @@ class Run:
         """Whether all steps of the scenario are done."""
         return len(self.snapshots) >= self.simulation.scenario.steps
 
-    @property
-    def edits(self) -> list[Edit]:
-        """Those so far, in their order."""
-        return self.tally.edits
-
     def step(self, wanted: Collection[View], still: bool = True) -> StepResult:
         """Do a step. wanted: what somebody looks at. still: nothing follows at once, so that there is time for pictures."""
         if self._below is not None or self._next is not None:
@@ -97,7 +97,8 @@ class Run:
         with located(self.simulation.scenario.source):
             state, result = self.simulation.step(self._state)
         self.step_ms = 1e3 * (time.perf_counter() - began_s)
-        looks = set(wanted) if still or time.perf_counter() >= self._look_s else set(wanted) - {"camera"}
+        rests = still or len(self.snapshots) + 1 >= self.simulation.scenario.steps
+        looks = set(wanted) if rests or time.perf_counter() >= self._look_s else set(wanted) - {"camera"}
         began_s = time.perf_counter()
         before = self.snapshots[-1] if self.snapshots else None
         taken = self._taken(self.simulation, result, before, looks)
@@ -105,6 +106,7 @@ class Run:
             self._look_s = time.perf_counter() + REST * (time.perf_counter() - began_s)
         values = (self.recorder or self.tally).add(result)
         self._state, self._made = state, (self.simulation, result)
+        self._reached = state, self.simulation.scenario
         self._below, self._next, self._ahead = None, None, False
         if len(self.rows) == len(self.snapshots):  # not a step that was recorded
             self.rows.append(np.array([_number(values.get(each.name)) for each in self.columns], np.float32))
@@ -133,16 +135,20 @@ class Run:
         return next((each for each in before if each.pictures), seen)
 
     def record(self, directory: Path) -> None:
-        """Record all steps so far, and those to come until `end_recording`. Raises LuxloopError as `Recorder`."""
+        """Record all steps so far, and those to come until `end_recording`. Raises LuxloopError as `Recorder`, and where another process
+        writes there.
+        """
         self.end_recording()
-        self.recorder = Recorder(directory, self.tally)
-        self.recorder.begin()
+        with ExitStack() as stack:
+            stack.enter_context(output_folder(directory))
+            recorder = stack.enter_context(Recorder(directory, self.tally))
+            recorder.begin()
+            self.recorder, self._recording = recorder, stack.pop_all()
 
     def end_recording(self) -> None:
         """Finish the recording, if there is one."""
-        recorder, self.recorder = self.recorder, None
-        if recorder is not None:
-            recorder.__exit__(None, None, None)
+        self.recorder = None
+        self._recording.close()
 
     def look_again(self, wanted: Collection[View]) -> None:
         """Take the last snapshot anew, with all that somebody looks at now, and in the simulated world as edits make the next step."""
@@ -169,7 +175,8 @@ class Run:
 
     def edited(self, scenario: Scenario) -> tuple[Simulation, SimulationState]:
         """What it would go on with under another scenario. Raises LuxloopError."""
-        return edited(self.simulation, self._state, scenario)
+        state, by = self._reached
+        return edited(self.simulation, state, scenario, by)
 
     def edit(self, after: tuple[Simulation, SimulationState], overrides: tuple[str, ...], driven: bool = False) -> None:
         """Go on with what `edited` gave, from the next step on; a recording is repeated no longer. overrides: that make its scenario.
@@ -189,6 +196,8 @@ class Run:
         if not driven:
             known = {each.name for each in self.columns}
             self.columns = [*self.columns, *(each for each in _numbers(self.simulation) if each.name not in known)]
+            if self.told and replaces(edit, self.told[-1]):  # so that strokes of a picture are kept once
+                self.told[-1] = edit.model_copy(update={"overrides": ()})
             self.told.append(edit)
         (self.recorder or self.tally).edit(self.simulation, edit)
 
@@ -237,7 +246,10 @@ class Run:
             "label": self.label,
             "overrides": self.overrides,
             "controllers": {name: each.params.name for name, each in self.simulation.controlled.items()},
-            "columns": self.column_facts(),
+            "columns": [
+                {"name": each.name, **{key.decode(): value.decode() for key, value in (each.metadata or {}).items()}}
+                for each in self.columns
+            ],
             "modules": [self._module(k) for k in range(len(self.simulation.modules))],
             "camera": {**lens, "bits": scenario.camera.bits, "saturation_cd_m2": saturation_luminance(scenario.camera)},
             "ambient_lx": scenario.light.ambient_lx,
@@ -245,11 +257,6 @@ class Run:
             "road": scenario.road.kind,
             "street_lamps": [each.model_dump(mode="json") for each in scenario.light.street_lamps],
         }
-
-    def column_facts(self) -> list[dict[str, str]]:
-        """Name, unit and description of each column."""
-        told = [(each.name, each.metadata or {}) for each in self.columns]
-        return [{"name": name, **{key.decode(): value.decode() for key, value in of.items()}} for name, of in told]
 
     def _module(self, number: int) -> dict[str, Any]:
         module = self.simulation.modules[number]

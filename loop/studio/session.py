@@ -71,7 +71,7 @@ class Published:
 
     @property
     def edits(self) -> list[int]:
-        """How many edits clients are told of each run."""
+        """The number of edits of each run that clients are sent."""
         return [len(run.told) for run in self.runs]
 
 
@@ -339,8 +339,8 @@ class Session:
         from loop.scenario.edits import changed
 
         before = self._scenarios()
-        after = (changed(each, (*overrides, *source.apart)) for each, source in zip(before, self._sources, strict=True))
-        self._become(tuple(after), [overrides] * len(before))
+        told = [(*overrides, *source.apart) for source in self._sources]
+        self._become(tuple(changed(*pair) for pair in zip(before, told, strict=True)), told)
         self._history.add(before, overrides if stroke is None else (stroke,))
 
     def _become(self, scenarios: tuple["Scenario", ...], overrides: Sequence[tuple[str, ...]] | None = None) -> None:
@@ -377,9 +377,8 @@ class Session:
         self._file.scenario = after
 
     def _kept(self) -> tuple["Scenario | None", ...]:
-        """Scenarios as they are now, for runs that start anew; None of recordings, which are as they were recorded."""
-        runs = self.published.runs
-        return tuple(run.simulation.scenario if each.recording is None else None for run, each in zip(runs, self._sources, strict=True))
+        """Scenarios as they are now, for runs that start anew; None of recordings that are repeated."""
+        return tuple(run.simulation.scenario if run.recorded is None else None for run in self.published.runs)
 
     def _start_anew(self) -> None:
         self._prepare(self._sources, self._kept() or (None,) * len(self._sources))

@@ -37,7 +37,7 @@ class Source:
 
 
 def named(asked: Open | Compare, given: Sequence[Source], recordings: Collection[str], allow_code: bool) -> Source:
-    """What a client names: shipped scenarios, recordings that it was told of, and what the server was started with.
+    """What a client names: a shipped scenario, a recording in the list that clients get, or what the server was started with.
 
     Raises LuxloopError for all else.
     """
@@ -64,20 +64,15 @@ def file_of(source: Source) -> Path | None:
 def loaded(source: Source, allow_code: bool) -> tuple["Scenario", "Recording | None"]:
     """The scenario of a source, and the recording that it comes from. Raises LuxloopError."""
     from loop.replay import replay
-    from loop.scenario.driving import repeated
-    from loop.scenario.edits import Edit
     from loop.scenario.model import load, validate
     from loop.scenario.overrides import overridden
-    from world.plugin import refuse_code
 
     if source.recording is None:
         return load(source.name, source.all, allow_code=allow_code), None
     recording = replay.load(source.recording)
     as_far = {"steps": max(recording.table.num_rows, 1)}
     data = overridden(recording.scenario.model_dump(mode="json"), [as_far, *source.all])
-    scenario = edited = validate(data, str(source.recording))
-    for edit in (Edit(step=0, overrides=()), *recording.edits):
-        edited = repeated(edited, edit)
-        if not (allow_code or edit.driven):
-            refuse_code(edited, edited.source)
+    scenario = validate(data, str(source.recording))
+    if not allow_code:
+        replay.refuse_foreign(source.recording, scenario, recording.edits)
     return scenario, recording

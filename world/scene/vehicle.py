@@ -11,11 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import pairwise, takewhile
-from typing import Final, Protocol, Self, TypeVar
+from typing import Annotated, Final
 
 import numpy as np
 import torch
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field
 from torch import Tensor
 
 from world.budget import afford
@@ -46,11 +46,14 @@ class CourseParams(Params):
     )
 
 
-class HasCourse(Protocol):
-    """What drives along a course."""
+def _in_order(course: tuple[CourseParams, ...]) -> tuple[CourseParams, ...]:
+    times = [each.time_s for each in course]
+    if any(later <= earlier for earlier, later in pairwise(times)):
+        raise ValueError(f"time_s must ascend from entry to entry, here {times}")
+    return course
 
-    @property
-    def course(self) -> tuple[CourseParams, ...]: ...
+
+Course = Annotated[tuple[CourseParams, ...], AfterValidator(_in_order)]
 
 
 class SuspensionParams(Params):
@@ -71,15 +74,10 @@ class OscillationParams(Params):
     rate_hz: float = Field(1.2, gt=0, le=20, description="frequency")
 
 
-Driven = TypeVar("Driven", bound=HasCourse)
-
-
 class VehicleParams(Params):
     """Course of the vehicle, and dynamics of its body on the suspension."""
 
-    course: tuple[CourseParams, ...] = Field(
-        min_length=1, examples=[[{"speed_m_s": 20.0}]], description="speed and curvature over ascending time"
-    )
+    course: Course = Field(min_length=1, examples=[[{"speed_m_s": 20.0}]], description="speed and curvature over ascending time")
     wheelbase_m: float = Field(2.8, gt=0.5, le=10, description="distance between the axles")
     track_m: float = Field(1.6, gt=0.5, le=3, description="distance between the wheels of an axle")
     overhang_m: float = Field(0.8, ge=0, le=3, description="distance from the lamps back to the front axle")
@@ -99,18 +97,6 @@ class VehicleParams(Params):
     def rear_x_m(self) -> float:
         """The rear axle, which goes where the vehicle heads."""
         return -(self.overhang_m + self.wheelbase_m)
-
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
-        return in_order(self)
-
-
-def in_order(drives: Driven) -> Driven:
-    """What has a course. Raises ValueError where that does not ascend in time."""
-    times = [each.time_s for each in drives.course]
-    if any(later <= earlier for earlier, later in pairwise(times)):
-        raise ValueError(f"course: time_s must ascend from entry to entry, here {times}")
-    return drives
 
 
 @dataclass(frozen=True)

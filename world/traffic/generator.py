@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from world.budget import afford
 from world.params import Params
-from world.scene.vehicle import CourseParams, VehicleParams, in_order
+from world.scene.vehicle import Course, VehicleParams
 from world.traffic.animal import AnimalParams
 from world.traffic.car import CarParams
 from world.traffic.objects import ObjectParams
@@ -32,14 +32,8 @@ Place = tuple[float, float, float]  # x and y in m, yaw in deg
 class DriveParams(Params):
     """A drive that meets the traffic."""
 
-    course: tuple[CourseParams, ...] = Field(
-        min_length=1, examples=[[{"speed_m_s": 20.0}]], description="speed and curvature over ascending time"
-    )
+    course: Course = Field(min_length=1, examples=[[{"speed_m_s": 20.0}]], description="speed and curvature over ascending time")
     lasts_s: float = Field(gt=0, le=1e6, examples=[60.0], description="how long it lasts")
-
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
-        return in_order(self)
 
 
 class TrafficParams(Params):

@@ -162,3 +162,11 @@ def test_a_run_goes_on_without_one_of_its_symbols_and_with_it_again() -> None:
     run.edit(run.edited(both), ())
     run.step(VIEWS)
     assert set(run.snapshots[-1].head["symbols"]) == set(both.controlled) == set(run.summary()["functions"])
+
+
+def test_what_came_between_two_steps_and_is_gone_again_leaves_no_trace(simulation: Simulation) -> None:
+    state, _ = stepped(simulation, simulation.start(), 3)
+    there, back = scenario("functions.symbol.controller=open"), scenario()
+    other, _ = edited(simulation, state, there)
+    again, then = edited(other, state, back, simulation.scenario)
+    assert poses(stepped(again, then, 3)[1]).equal(poses(stepped(simulation, state, 3)[1]))

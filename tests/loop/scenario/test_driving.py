@@ -1,4 +1,4 @@
-"""What somebody drives is told in overrides that any edit may have, and nothing else passes for it."""
+"""A drive is recorded as overrides of the course and the steps, and no other override is accepted as a drive."""
 
 import pytest
 

@@ -95,7 +95,7 @@ def test_raw_utilisations_are_shown_in_the_next_step_and_recorded_as_an_edit(cli
         state = client.step()
         assert (state.utilisations[module["name"]] == round(255 * share)).all()
     (run,) = served.studio.session.published.runs
-    assert [each.step for each in run.edits] == [1, 2]
+    assert [each.step for each in run.tally.edits] == [1, 2]
     client.show(module["name"], None)
     assert client.step().utilisations[module["name"]].min() == 0
     with pytest.raises(LuxloopError, match="there is no module 'middle'"):

@@ -1,4 +1,4 @@
-"""The controls of the scenario's keys in a real browser: what is set reaches the simulation, and what is refused is told beside it."""
+"""The controls of the scenario's keys in a real browser: a value reaches the simulation, and a refusal appears beside its control."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -58,7 +58,7 @@ def test_a_slider_s_gain_reaches_the_controller_at_the_next_step(browser: webdri
     asked = float(slider.get_attribute("value") or "nan")
     assert asked > before
     WebDriverWait(browser, WAIT_S).until(lambda _: run.simulation.symbol.params.position.kp == asked)
-    assert symbol.studio.session.published.runs == (run,) and {each.step for each in run.edits} == {len(run.rows)}
+    assert symbol.studio.session.published.runs == (run,) and {each.step for each in run.tally.edits} == {len(run.rows)}
     back = browser.find_element(By.CSS_SELECTOR, "[data-key='functions.symbol.controller.position.kp'] button")
     WebDriverWait(browser, WAIT_S).until(lambda _: back.is_displayed())
     back.click()

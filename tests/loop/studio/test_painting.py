@@ -108,7 +108,7 @@ def test_boxes_add_up_and_what_is_rubbed_out_is_as_before(lamp: Painted) -> None
         published = served.studio.session.published
         params = published.runs[0].simulation.scenario.lighting.painted[0]
         assert params.module == "left matrix" and np.array_equal(params.pictures[1][2], np.where(np.arange(cols) // 2 == 1, 255, 0))
-        (override,) = published.runs[0].edits[-1].overrides
+        (override,) = published.runs[0].tally.edits[-1].overrides
         again = prepare(load("gfhb", [*BARE, f"headlight.model={model}", override]), "cpu")
         watcher.say(type="step")
         watcher.of("step", step=1)

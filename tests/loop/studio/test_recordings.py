@@ -84,6 +84,10 @@ def test_an_edit_ends_the_repetition(studio: tuple[Served, luxloop.RunResult]) -
         watcher.of("edit", step=done)
         _, arrays = watcher.of("rows", first=0)
         assert len(arrays["rows"]) == done
+        watcher.say(type="reset")  # the edited run, not the recording
+        watcher.of("scenario")
+        (run,) = served.studio.session.published.runs
+        assert run.recorded is None and run.simulation.symbol.params.position.kp == float(KP.partition("=")[2])  # type: ignore[union-attr]
 
 
 def test_edits_of_a_recording_are_repeated(studio: tuple[Served, luxloop.RunResult]) -> None:

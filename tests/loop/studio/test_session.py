@@ -177,7 +177,7 @@ def test_a_comparison_begins_with_all_edits(own: Served, editor: Watcher) -> Non
     assert one.light.ambient_lx == two.light.ambient_lx == 0.9 and kp(own) != 0.8
     assert two.symbol.controller.position.kp == 0.8  # type: ignore[union-attr]
     editor.say(type="set", overrides=["light.ambient_lx=0.8", f"{KP}=0.7"])
-    editor.of("edit", run=1)
+    assert editor.of("edit", run=1)[0]["overrides"] == ["light.ambient_lx=0.8", f"{KP}=0.7", f"{KP}=0.8"]  # what makes its scenario
     one, two = (run.simulation.scenario for run in own.studio.session.published.runs)
     assert one.light.ambient_lx == two.light.ambient_lx == 0.8 and kp(own) == 0.7
     assert two.symbol.controller.position.kp == 0.8  # type: ignore[union-attr]
@@ -186,3 +186,23 @@ def test_a_comparison_begins_with_all_edits(own: Served, editor: Watcher) -> Non
     editor.say(type="compare")
     assert len(editor.of("scenario")[0]["runs"]) == 1
     assert own.studio.session.published.runs[0].simulation.scenario.light.ambient_lx == 0.9
+
+
+def test_the_camera_shows_the_last_step_of_a_run(own: Served, editor: Watcher) -> None:
+    editor.say(type="play")
+    editor.of("status", playing=False)
+    (run,) = own.studio.session.published.runs
+    assert run.over and run.snapshots[-1].pictures  # those of steps before may be left out for speed
+    editor.say(type="scrub", run=0, step=3)
+    editor.of("step", step=3, scrub=True)
+    editor.say(type="scrub", step=None)
+    last, arrays = editor.of("step", scrub=False, step=len(run.snapshots) - 1)
+    assert "camera.on" in arrays and not any("picture is that of" in note for note in last["notes"])
+
+
+def test_edits_that_set_the_same_values_anew_before_a_step_are_kept_once(own: Served, editor: Watcher) -> None:
+    for overrides in ([f"{KP}=0.3"], [f"{KP}=0.35"], ["light.ambient_lx=0.6"], [f"{KP}=0.4"]):
+        editor.say(type="set", overrides=overrides)
+        editor.of("edit", overrides=overrides)
+    (run,) = own.studio.session.published.runs
+    assert [each.overrides for each in run.tally.edits] == [(f"{KP}=0.35",), ("light.ambient_lx=0.6",), (f"{KP}=0.4",)]

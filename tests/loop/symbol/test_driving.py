@@ -108,5 +108,5 @@ def test_light_is_drawn_with_what_is_known_when_it_is_exposed(nodding):
 
 def test_a_course_out_of_order_is_told():
     course = [{"time_s": 1.0, "speed_m_s": 5.0}, {"time_s": 0.5, "speed_m_s": 5.0}]
-    with pytest.raises(LuxloopError, match=r"vehicle: course: time_s must ascend"):
+    with pytest.raises(LuxloopError, match=r"vehicle\.course: time_s must ascend"):
         driving(vehicle={"course": course})
