@@ -44,6 +44,7 @@ def test_rows_and_frames_of_a_recording_are_there_before_it_is_run_again(studio:
     served, recorded = studio
     with watching(served.port, served.tokens.edit) as watcher:
         watcher.of("choices")
+        watcher.say(type="pen")  # which the client of the test before may still hold
         watcher.say(type="open", recording="runs/one")
         scenario, _ = watcher.of("scenario")
         rows, arrays = watcher.of("rows")
@@ -73,6 +74,7 @@ def test_an_edit_ends_the_repetition(studio: tuple[Served, luxloop.RunResult]) -
     served, _ = studio
     with watching(served.port, served.tokens.edit) as watcher:
         watcher.of("choices")
+        watcher.say(type="pen")  # which the client of the test before may still hold
         watcher.say(type="open", recording="runs/one")
         watcher.of("scenario")
         watcher.say(type="pause")
@@ -97,6 +99,7 @@ def test_edits_of_a_recording_are_repeated(studio: tuple[Served, luxloop.RunResu
     (again / EDITS).write_text(json.dumps([{"step": 3, "overrides": [KP]}]))
     with watching(served.port, served.tokens.edit) as watcher:
         watcher.of("choices")
+        watcher.say(type="pen")  # which the client of the test before may still hold
         watcher.say(type="open", recording="runs/one")  # after which the new one is known
         watcher.until(lambda head: head["type"] == "choices" and len(head["recordings"]) == 2)
         watcher.say(type="open", recording="runs/edited")
@@ -110,6 +113,7 @@ def test_other_folders_are_not_opened(studio: tuple[Served, luxloop.RunResult], 
     served, _ = studio
     with watching(served.port, served.tokens.edit) as watcher:
         watcher.of("choices")
+        watcher.say(type="pen")  # which the client of the test before may still hold
         number = served.studio.session.published.number
         watcher.say(type="open", recording=folder)
         watcher.of("error", about="open")
