@@ -50,12 +50,12 @@ export function chooser(label: string, onchoose: (name: string) => void): Choose
   };
   const choose = (name: string | undefined) => {
     if (name === undefined) return;
-    close(true);
+    filter.blur(); // so that keys are the page's again
+    close(false);
     onchoose(name);
   };
   const draw = () => {
-    const words = filter.value.toLowerCase().split(/\s+/).filter(Boolean);
-    const found = items.filter(({ name, description }) => words.every((word) => `${name} ${description}`.toLowerCase().includes(word)));
+    const found = matching(items, filter.value);
     list.replaceChildren(
       ...found.map(({ name, description }, k) =>
         h(
@@ -111,4 +111,12 @@ export function chooser(label: string, onchoose: (name: string) => void): Choose
       if (disabled) close(false);
     },
   };
+}
+
+/** Items with all words of a filter in name or description, first those that have them in the name. */
+export function matching(items: readonly Named[], filter: string): Named[] {
+  const words = filter.toLowerCase().split(/\s+/).filter(Boolean);
+  const has = (text: string) => words.every((word) => text.toLowerCase().includes(word));
+  const found = items.filter(({ name, description }) => has(`${name} ${description}`));
+  return found.sort((one, other) => Number(has(other.name)) - Number(has(one.name)));
 }

@@ -49,6 +49,13 @@ export const ICONS = {
     "M3.400 2.200 8 6.800l4.600-4.600 1.200 1.200L9.200 8l4.600 4.600-1.200 1.200L8 9.200l-4.600 4.600-1.200-1.200L6.800 8 2.200 3.400z",
 } as const;
 
+/** Let the browser save a file. */
+export function download(name: string, content: Blob): void {
+  const href = URL.createObjectURL(content);
+  h("a", { href, download: name }).click();
+  setTimeout(() => URL.revokeObjectURL(href), 1000);
+}
+
 /** A function that calls another once a frame, however often it is called. */
 export function onceAFrame(draw: () => void): () => void {
   let asked = false;
@@ -73,13 +80,20 @@ export function toggle(
   return { button, show: (on) => button.setAttribute("aria-pressed", String(on)) };
 }
 
-/** A native select with options `[value, text]`. */
+/** A native select with options `[value, text]`. After a choice keys are the page's again, unless arrow keys go through the options. */
 export function select(
   label: string,
   options: readonly (readonly [string, string])[],
   onchange: (value: string) => void,
 ): HTMLSelectElement {
-  const element = h("select", { "aria-label": label, title: label, onchange: () => onchange(element.value) });
+  const element = h("select", { "aria-label": label, title: label });
+  let goes = false;
+  element.addEventListener("keydown", ({ key }) => (goes = key.startsWith("Arrow")));
+  element.addEventListener("pointerdown", () => (goes = false));
+  element.addEventListener("change", () => {
+    if (!goes) element.blur();
+    onchange(element.value);
+  });
   fill(element, options);
   return element;
 }

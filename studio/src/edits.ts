@@ -1,6 +1,7 @@
 // Edits of the scenario on their way: one at a time, and what came meanwhile after it, each key with its newest value.
 
 const MOST = 100; // overrides of a message
+const LETTERS = 70; // of edits in short
 
 export class Edits {
   #sent: string[] | null = null;
@@ -60,4 +61,12 @@ export function keyOf(override: string): string {
 /** Whether a key is another one, or lies in that one's table or list. */
 export function isWithin(key: string, other: string): boolean {
   return key === other || key.startsWith(`${other}.`) || key.startsWith(`${other}[`);
+}
+
+/** Edits in short: as they are, or their keys where that is too long. */
+export function inShort(overrides: readonly string[]): string {
+  const whole = overrides.join(", ");
+  if (whole.length <= LETTERS) return whole;
+  const keys = [...new Set(overrides.map(keyOf))].join(", ");
+  return keys.length <= LETTERS ? keys : `${keys.slice(0, LETTERS)} ...`;
 }

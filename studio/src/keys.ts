@@ -30,10 +30,10 @@ export function bindKeys(store: Studio, does: Does): void {
     "?": does.help,
     ...Object.fromEntries(VIEWPOINTS.map(([viewpoint], k) => [String(k + 1), () => store.set({ viewpoint })])),
   };
-  const chords: Record<string, () => void> = { z: does.undo, Z: does.redo, y: does.redo, s: does.save };
+  const chords: Record<string, () => void> = { z: does.undo, "shift z": does.redo, y: does.redo, s: does.save };
   document.addEventListener("keydown", (event) => {
     const chord = event.ctrlKey || event.metaKey;
-    const act = (chord ? chords : keys)[event.key];
+    const act = chord ? chords[`${event.shiftKey ? "shift " : ""}${event.key.toLowerCase()}`] : keys[event.key];
     if (!act || event.altKey || event.defaultPrevented) return;
     const target = event.target instanceof Element ? event.target : document.body;
     const writes = target.closest("input:not([type=range], [type=checkbox]), textarea"); // where Ctrl+Z is of the text

@@ -8,6 +8,7 @@ import { driveControls } from "./drive/index.ts";
 import { bindKeys } from "./keys.ts";
 import type { Painting } from "./matrix/painting.ts";
 import { type MatrixPanel, matrixPanel } from "./matrix/panel.ts";
+import { keepOff } from "./model/entries.ts";
 import { keysPanel } from "./model/panel.ts";
 import { notices } from "./notices.ts";
 import { placeThings } from "./place/index.ts";
@@ -37,6 +38,7 @@ declare global {
 }
 
 const store = newStore();
+keepOff(store);
 const toasts = new Toasts();
 const scenes = new ScenesPanel(store);
 const scheme = location.protocol === "https:" ? "wss" : "ws";

@@ -166,7 +166,7 @@ export interface BeamPoint {
 
 export type ServerMessage =
   | { type: "welcome"; protocol: number; version: string; role: "edit" | "watch"; id: number }
-  | { type: "error"; text: string; about: string | null }
+  | ErrorMessage
   | { type: "progress"; text: string | null }
   | StatusMessage
   | ChoicesMessage
@@ -195,6 +195,15 @@ export interface WishAnswer {
   worst_lx: number;
   pixels: number;
 }
+
+export interface ErrorMessage {
+  type: "error";
+  text: string;
+  about: string | null;
+}
+
+/** To `place` and `wish`. */
+export type LightAnswer = PlaceAnswer | WishAnswer | ErrorMessage;
 
 /** With arrays `value` and `painted`, u1. box: first row, end row, first column, end column. */
 export interface PaintMessage {

@@ -1,9 +1,9 @@
 // What the page does with the server's messages, and what it asks of the server.
 
 import { Connection } from "./connection.ts";
-import { Edits } from "./edits.ts";
-import { download } from "./model/history.ts";
-import type { Arrays, ClientMessage, MeshesMessage, ScenarioMessage, ServerMessage, StepMessage, View } from "./protocol.ts";
+import { download } from "./dom.ts";
+import { Edits, inShort } from "./edits.ts";
+import type { Arrays, ClientMessage, MeshesMessage, ScenarioMessage, ServerMessage, StatusMessage, StepMessage, View } from "./protocol.ts";
 import { type PanelName, RunData, type Studio } from "./state.ts";
 
 /** What the scenes are given, in the order in which it came. */
@@ -128,7 +128,7 @@ export class Session {
         return;
       case "error": {
         if (message.about === "scrub") this.#forget();
-        if (message.about === "place" || message.about === "wish") store.set({ refused_light: store.state.refused_light + 1 });
+        if (message.about === "place" || message.about === "wish") store.set({ light: message });
         if (message.about === "drive") store.set({ driving: false });
         if (message.about === "paint") store.set({ answered: store.state.answered + 1 });
         const overrides = message.about === "set" || message.about === null ? this.#answer() : null;
@@ -140,6 +140,7 @@ export class Session {
         store.set({ progress: message.text });
         return;
       case "status":
+        this.#tellRecording(store.state.status, message);
         store.set({ status: message });
         return;
       case "choices":
@@ -180,19 +181,17 @@ export class Session {
         this.#edited(message);
         if (message.run !== 0) return;
         store.set({ answered: store.state.answered + 1 });
-        if (!this.#answer()) this.#tell(message.step, message.overrides);
+        if (!this.#answer()) this.#tellEdit(message.step, message.overrides);
         return;
       case "schema":
         store.set({ schema: message.schema });
         return;
       case "saved":
-        download(message.name, message.text);
+        download(message.name, new Blob([message.text], { type: "application/toml" }));
         return;
       case "place":
-        store.set({ placed: message });
-        return;
       case "wish":
-        store.set({ granted: message });
+        store.set({ light: message });
         return;
       case "summary": {
         const run = store.state.runs[message.run];
@@ -220,10 +219,16 @@ export class Session {
     this.store.set({ ...(run === 0 && model && { model }), ...(grown && { scenario: { ...scenario } }) });
   }
 
-  /** Of values that another one has changed; what is painted is seen. */
-  #tell(step: number, overrides: readonly string[]): void {
-    const told = overrides.filter((each) => !SEEN.test(each)).join(" ");
-    if (told) this.toast(`From step ${step} on: ${told}`, true);
+  /** Of values that this page has not set: neither what is seen, nor what was before this page, nor what a recording repeats. */
+  #tellEdit(step: number, overrides: readonly string[]): void {
+    const count = this.store.state.runs[0]?.rows.count ?? 0;
+    const told = overrides.filter((each) => !SEEN.test(each));
+    if (told.length > 0 && count > 0 && count <= step) this.toast(`From step ${step} on: ${inShort(told)}`, true);
+  }
+
+  #tellRecording(before: StatusMessage | null, { recording }: StatusMessage): void {
+    if (!before || before.recording === recording) return;
+    this.toast(recording ? `Recording into runs/${recording}` : `Recorded in runs/${before.recording}`, true);
   }
 
   #step(message: StepMessage, arrays: Arrays): void {

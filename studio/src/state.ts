@@ -1,19 +1,19 @@
 // What the page knows, and how it is shown.
 
 import type { Link } from "./connection.ts";
+import type { Off } from "./model/entries.ts";
 import type { Schema } from "./model/schema.ts";
 import type {
   Arrays,
   BeamPoint,
   ChoicesMessage,
+  LightAnswer,
   Mark,
   Model,
   Picture,
-  PlaceAnswer,
   ScenarioMessage,
   StatusMessage,
   StepMessage,
-  WishAnswer,
 } from "./protocol.ts";
 import { Rows } from "./rows.ts";
 import { Store } from "./store.ts";
@@ -83,16 +83,16 @@ export interface State {
   scenario: ScenarioMessage | null;
   /** How many edits the server has answered. */
   answered: number;
-  /** The last answers on light in the world, and how many questions were refused. */
-  placed: PlaceAnswer | null;
-  granted: WishAnswer | null;
-  refused_light: number;
+  /** The last answer on light in the world. */
+  light: LightAnswer | null;
   /** The last edit by `Session.edit` that the server refused, and why. */
   refused: { overrides: string[]; text: string } | null;
   /** Whether edits of this page are not answered yet. */
   edits_pending: boolean;
   /** The scenario of the first run as it is now. */
   model: Model | null;
+  /** What is switched off. */
+  off: readonly Off[];
   /** Of the scenario model; null until it was asked for. */
   schema: Schema | null;
   runs: RunData[];
@@ -142,12 +142,11 @@ export function newStore(): Studio {
     choices: null,
     scenario: null,
     answered: 0,
-    placed: null,
-    granted: null,
-    refused_light: 0,
+    light: null,
     refused: null,
     edits_pending: false,
     model: null,
+    off: [],
     schema: null,
     runs: [],
     scrub: null,

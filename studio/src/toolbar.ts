@@ -93,7 +93,7 @@ function scenarioControls(store: Studio, session: Session): HTMLElement[] {
     else if (scenario) session.send({ type: "compare", overrides: name === NOTHING ? null : comparison(scenario.runs[0], name) });
   });
   store.on(["scenario", "choices"], ({ scenario, choices }) => {
-    scenarios.show([...(choices?.scenarios ?? []), ...(choices?.recordings ?? [])], scenario?.name ?? "choose a scenario");
+    scenarios.show([...(choices?.scenarios ?? []), ...(choices?.recordings ?? [])], scenario?.runs[0].label ?? "choose a scenario");
     compared.show(
       comparisons(scenario, choices),
       scenario?.runs[1] ? `with ${scenario.runs[1].label.replaceAll(/functions\.\S+\.controller=/g, "")}` : "compare with ...",

@@ -1,9 +1,9 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { actsOf } from "../src/model/editor.ts";
-import { span, stepFor, stepOf, unit } from "../src/model/numbers.ts";
+import { span, stepFor, stepOf, unitOf } from "../src/model/numbers.ts";
 import { override, part, toml, valueAt } from "../src/model/overrides.ts";
 import { told } from "../src/model/refused.ts";
+import { actsOf } from "../src/model/row.ts";
 import { type Schema, Schemas, same } from "../src/model/schema.ts";
 import { search } from "../src/model/search.ts";
 
@@ -73,7 +73,10 @@ test("overrides are TOML, and null leaves a key out", () => {
 
 test("units come from the ends of names", () => {
   const names = ["x_m", "speed_m_s", "yaw_deg", "rate_deg_s", "ambient_lx", "luminance_cd_m2", "a_m", "kp", "sensitivity_e_per_cd_s_m2"];
-  assert.deepEqual(names.map(unit), ["m", "m/s", "°", "°/s", "lx", "cd/m²", "", "", ""]);
+  assert.deepEqual(
+    names.map((name) => unitOf(name).unit),
+    ["m", "m/s", "°", "°/s", "lx", "cd/m²", "", "", ""],
+  );
 });
 
 test("a slider spans the range, or what is common where that is far wider", () => {

@@ -1,8 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { Matrix4, Vector3 } from "three";
-import { unused } from "../src/place/add.ts";
-import { patched } from "../src/place/drafts.ts";
+import { patched, unused } from "../src/model/overrides.ts";
 import { matrixOf, poseOf } from "../src/place/poses.ts";
 import { lying } from "../src/place/spot.ts";
 import { type Thing, thingsOf } from "../src/place/things.ts";

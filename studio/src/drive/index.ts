@@ -37,6 +37,8 @@ class Driving {
   /** The beam before the flash. */
   #before: Beam | null = null;
   #last: StepMessage | null = null;
+  /** Whether driving begins once the car is on wheels. */
+  #due = false;
 
   constructor(
     private readonly store: Studio,
@@ -52,7 +54,11 @@ class Driving {
     scenes.body.append(this.#hud);
     store.on(["driving"], ({ driving }) => this.#show(driving));
     store.on(["link", "status", "id", "role", "model"], (state) => this.#refresh(hasPen(state)));
-    store.on(["runs"], () => this.#end()); // which start anew
+    store.on(["runs"], () => {
+      this.#end(); // of runs that start anew
+      if (this.#due && store.state.model?.vehicle) this.#begin();
+    });
+    store.on(["refused"], () => (this.#due = false));
     store.on(["step_version"], () => this.#tell());
     document.addEventListener("keydown", (event) => this.#key(event, true), { capture: true });
     document.addEventListener("keyup", (event) => this.#key(event, false), { capture: true });
@@ -63,11 +69,15 @@ class Driving {
     const { driving, model } = this.store.state;
     if (driving) this.#end();
     else if (model?.vehicle) this.#begin();
-    else if (confirm("The car stands in this scenario. Put it on wheels? The run starts anew.")) this.session.edit([WHEELS]);
+    else if (confirm("The car stands in this scenario. Put it on wheels? The run starts anew.")) {
+      this.#due = true;
+      this.session.edit([WHEELS]);
+    }
   }
 
   #begin(): void {
     const { status } = this.store.state;
+    this.#due = false;
     this.#factor = status?.speed ?? null;
     if (this.#factor === null || this.#factor > 1) this.session.send({ type: "speed", factor: 1 });
     this.#sent = { throttle: 0, steering: 0 };

@@ -75,12 +75,3 @@ export function png(u: Uint8Array, cols: number): Promise<Blob> {
   (canvas.getContext("2d") as OffscreenCanvasRenderingContext2D).putImageData(image, 0, 0);
   return canvas.convertToBlob({ type: "image/png" });
 }
-
-/** Let the browser save a file. */
-export function save(name: string, content: Blob): void {
-  const link = document.createElement("a");
-  link.href = URL.createObjectURL(content);
-  link.download = name;
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
-}

@@ -123,7 +123,8 @@ export function matrixPanel(store: Studio, session: Session, toast: (sentence: s
       },
       press(point) {
         const found = paints() && hasPen(store.state) ? placeOf(point) : null;
-        if (found) painting.begin(...found);
+        if (found && painting.tool === "text" && painting.words.trim() === "") tools.askText();
+        else if (found) painting.begin(...found);
         return found !== null;
       },
       stroke(point) {
@@ -141,7 +142,6 @@ export function matrixPanel(store: Studio, session: Session, toast: (sentence: s
     painter.show(on);
     tools.element.hidden = !on;
     view.doubleClickFits = !on;
-    view.canvas.classList.toggle("paints", on);
     colourAll();
   });
   const tools = paintTools(store, painting, shownOf, {

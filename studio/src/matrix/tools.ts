@@ -1,8 +1,8 @@
 // The strip of tools with which pixels are painted.
 
-import { fill, h, select, toggle } from "../dom.ts";
+import { download, fill, h, select, toggle } from "../dom.ts";
 import { hasPen, type Studio } from "../state.ts";
-import { csv, png, readPixels, save } from "./files.ts";
+import { csv, png, readPixels } from "./files.ts";
 import { type Painting, TOOLS, type Tool } from "./painting.ts";
 
 const TITLES: Record<Tool, string> = {
@@ -16,6 +16,8 @@ const TITLES: Record<Tool, string> = {
 export interface Tools {
   element: HTMLElement;
   refresh(): void;
+  /** Let the user say which text is written. */
+  askText(): void;
 }
 
 /** shown: utilisation 0..255 of all pixels of a module as it is shown. does: what else the buttons do. */
@@ -88,7 +90,7 @@ export function paintTools(
     const cols = painting.layers[painting.module]?.cols;
     if (!u || !cols) return;
     const content = kind === "png" ? await png(u, cols) : new Blob([csv(u, cols)], { type: "text/csv" });
-    save(`${names()[painting.module].replaceAll(" ", "_")}.${kind}`, content);
+    download(`${names()[painting.module].replaceAll(" ", "_")}.${kind}`, content);
   };
   const element = h(
     "div",
@@ -123,5 +125,5 @@ export function paintTools(
   store.on(["status", "id", "link"], (state) => {
     for (const each of element.querySelectorAll<HTMLButtonElement>("button, select, input")) each.disabled = !hasPen(state);
   });
-  return { element, refresh };
+  return { element, refresh, askText: () => setTimeout(() => words.focus()) }; // after the click, which takes the focus
 }

@@ -1,12 +1,10 @@
 // Keys that hold others: tables and their variants, lists, and tables by name. What is inside is made when it is first opened.
 
 import { h } from "../dom.ts";
-import type { Editor, Node } from "./editor.ts";
-import { addByName, named } from "./named.ts";
-import { override, part } from "./overrides.ts";
-import { removeButton, type Table, unused, variantChoice } from "./pieces.ts";
-import { badge, defaultButton, row } from "./row.ts";
-import type { Field, Form, Schema } from "./schema.ts";
+import { addByName, named, removeButton, variantChoice } from "./items.ts";
+import { override, part, type Table, unused } from "./overrides.ts";
+import { badge, defaultButton, type Editor, type Node, row } from "./row.ts";
+import { type Field, type Form, keysOf, type Schema, sameVariant } from "./schema.ts";
 
 const FEW = 4;
 
@@ -89,13 +87,9 @@ function titleOf(value: unknown, form: Form): string {
 
 /** The keys of a table, one after the other. except: one that has its control elsewhere. */
 export function tableOf(editor: Editor, key: string, keys: Record<string, Schema>, fallback: unknown, except = ""): Content {
-  const defaults = (typeof fallback === "object" && fallback) as Table | null | false;
-  const nodes = Object.entries(keys)
-    .filter(([name, each]) => name !== except && each.const === undefined)
-    .map(
-      ([name, each]) =>
-        [name, node(editor, part(key, name), name, each, defaults && name in defaults ? defaults[name] : each.default)] as const,
-    );
+  const nodes = keysOf(keys, fallback)
+    .filter(([name]) => name !== except)
+    .map(([name, each, usual]) => [name, node(editor, part(key, name), name, each, usual)] as const);
   return {
     elements: nodes.map(([, each]) => each.element),
     show: (value) => nodes.forEach(([name, each]) => each.show((value as Table | null)?.[name] ?? null)),
@@ -150,7 +144,7 @@ function variants(editor: Editor, key: string, name: string, field: Field, form:
   const inside = () =>
     changing(tagOf, (value) => {
       const variant = form.of.get(tagOf(value));
-      return variant ? tableOf(editor, key, variant.properties ?? {}, sameTag(field.default, value, form.tag), form.tag) : NOTHING;
+      return variant ? tableOf(editor, key, variant.properties ?? {}, sameVariant(field.default, value, form.tag), form.tag) : NOTHING;
     });
   const made = branch(editor, key, name, field, inside, choice);
   return {
@@ -163,11 +157,6 @@ function variants(editor: Editor, key: string, name: string, field: Field, form:
       made.show(value);
     },
   };
-}
-
-/** A default, if it is of the same variant as a value. */
-function sameTag(fallback: unknown, value: unknown, tag: string): unknown {
-  return (fallback as Table | null)?.[tag] === (value as Table | null)?.[tag] ? fallback : null;
 }
 
 function list(editor: Editor, key: string, name: string, field: Field, { item }: Of<"list">): Node {

@@ -1,7 +1,7 @@
 // The control of one value, by its form. A change is told once it is one; a slider tells of each.
 
 import { h } from "../dom.ts";
-import { span, stepFor, stepOf, unit } from "./numbers.ts";
+import { span, stepFor, stepOf, unitOf } from "./numbers.ts";
 import { toml } from "./overrides.ts";
 import type { Field, Range } from "./schema.ts";
 
@@ -40,13 +40,12 @@ export function control(field: Field, key: string, ids: Ids, changed: Changed): 
 }
 
 function number(field: Field, range: Range, key: string, { id, help }: Ids, changed: Changed): Control {
-  const name = key.slice(key.lastIndexOf(".") + 1);
   const input = h("input", { id, type: "number", "aria-describedby": help, placeholder: field.optional ? "left out" : null });
   const slider = h("input", { type: "range", "aria-label": `${key}, slider`, "aria-describedby": help });
   let shown: unknown = null;
   const fit = (value: number) => {
     const [low, high] = [Number(slider.min), Number(slider.max)];
-    const ends = !slider.hidden && slider.max && low <= value && value <= high ? null : span(range, name, value, field.default);
+    const ends = !slider.hidden && slider.max && low <= value && value <= high ? null : span(range, key, value, field.default);
     if (ends) Object.assign(slider, { min: String(ends[0]), max: String(ends[1]), step: String(stepOf(ends, range.whole)) });
     slider.hidden = !slider.max && !ends;
     input.step = slider.hidden ? String(stepFor(value, range.whole)) : slider.step;
@@ -80,12 +79,10 @@ function number(field: Field, range: Range, key: string, { id, help }: Ids, chan
       told(input.valueAsNumber);
     }
   });
-  const sign = unit(name);
-  return { elements: [slider, input, ...(sign ? [h("span", { class: "unit" }, sign)] : [])], show };
+  return { elements: [slider, input, sign(key)], show };
 }
 
 function numbers(ranges: Range[], key: string, { id, help }: Ids, changed: Changed): Control {
-  const name = key.slice(key.lastIndexOf(".") + 1);
   const inputs = ranges.map((_, k) =>
     h("input", {
       id: k === 0 ? id : null,
@@ -109,8 +106,12 @@ function numbers(ranges: Range[], key: string, { id, help }: Ids, changed: Chang
     else if (shown.length > 0) show(shown);
   };
   for (const input of inputs) input.addEventListener("change", told);
-  const sign = unit(name);
-  return { elements: [...inputs, ...(sign ? [h("span", { class: "unit" }, sign)] : [])], show };
+  return { elements: [...inputs, sign(key)], show };
+}
+
+function sign(key: string): HTMLElement | string {
+  const { unit } = unitOf(key);
+  return unit && h("span", { class: "unit" }, unit);
 }
 
 function check({ id, help }: Ids, changed: Changed): Control {

@@ -4,8 +4,7 @@ import { h, toggle } from "../dom.ts";
 import type { Model } from "../protocol.ts";
 import type { State, Studio } from "../state.ts";
 import { newestStep } from "../state.ts";
-import { override, part, valueAt } from "./overrides.ts";
-import type { Table } from "./pieces.ts";
+import { override, part, type Table, valueAt } from "./overrides.ts";
 
 interface Spell {
   from_step: number;

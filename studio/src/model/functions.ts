@@ -1,12 +1,12 @@
 // The lighting functions in short: on or off, their controllers with the gains, and all keys of each.
 
 import { h } from "../dom.ts";
-import type { Model } from "../protocol.ts";
+import type { Studio } from "../state.ts";
 import { type Content, node, tableOf } from "./branch.ts";
-import type { Editor, Node } from "./editor.ts";
-import { addByName } from "./named.ts";
-import { override, part } from "./overrides.ts";
-import type { Table } from "./pieces.ts";
+import { type Off, switchOff, switchOn } from "./entries.ts";
+import { addByName } from "./items.ts";
+import { part, type Table } from "./overrides.ts";
+import type { Editor, Node } from "./row.ts";
 import type { Schema } from "./schema.ts";
 
 const KEY = "functions";
@@ -14,30 +14,30 @@ const KEY = "functions";
 export class FunctionList {
   readonly element = h("div", { class: "functions" });
   readonly #cards = new Map<string, { kind: string; card: Node }>();
-  /** Functions that were switched off, as they were, with the checks on them, so that they can be switched on again. */
-  readonly #off = new Map<string, { value: Table; checks: Table }>();
   readonly #item: Schema;
-  #shown: Table = {};
-  #checks: Table = {};
 
-  constructor(private readonly editor: Editor) {
+  constructor(
+    private readonly editor: Editor,
+    private readonly store: Studio,
+  ) {
     const { form } = editor.schemas.field(editor.schemas.root.properties?.[KEY] ?? {});
     this.#item = form.is === "mapping" ? form.item : {};
-    const adding = addByName(editor, KEY, this.#item, () => [...Object.keys(this.#shown), ...this.#off.keys()], null);
-    this.element.append(adding);
+    this.element.append(addByName(editor, KEY, this.#item, () => Object.keys({ ...this.#functions, ...this.#off }), null));
   }
 
-  /** Forget what was switched off: the scenario is another. */
-  forget(): void {
-    this.#off.clear();
+  get #functions(): Record<string, Table> {
+    return (this.store.state.model?.functions ?? {}) as Record<string, Table>;
   }
 
-  show(model: Model): void {
-    const functions = (this.#shown = (model.functions ?? {}) as Table);
-    this.#checks = (model.checks ?? {}) as Table;
-    for (const name of Object.keys(functions)) this.#off.delete(name);
-    const off = [...this.#off].map(([name, { value }]) => [name, value] as const);
-    const all = new Map([...Object.entries(functions), ...off] as [string, Table][]);
+  /** Functions that are switched off. */
+  get #off(): Record<string, Off> {
+    return Object.fromEntries(this.store.state.off.filter(({ list }) => list === KEY).map((each) => [each.name, each]));
+  }
+
+  show(): void {
+    const functions = this.#functions;
+    const off = Object.entries(this.#off).map(([name, { table }]) => [name, table] as const);
+    const all = new Map([...off, ...Object.entries(functions)]);
     for (const [name, { card, kind }] of [...this.#cards]) {
       if (all.get(name)?.kind === kind) continue;
       card.element.remove();
@@ -75,12 +75,10 @@ export class FunctionList {
     };
   }
 
-  /** Take a function out with the checks on it, which would have nothing to look at, or put all of them in again. */
   #switch(name: string, on: boolean): void {
-    if (!on) this.#off.set(name, { value: this.#shown[name] as Table, checks: checksOn(name, this.#checks) });
-    const { value, checks } = this.#off.get(name)!;
-    const edits = Object.entries(checks).map(([check, each]) => override(part("checks", check), on ? each : null));
-    this.editor.edit(override(part(KEY, name), on ? value : null), ...edits);
+    const edit = (overrides: string[]) => this.editor.edit(...overrides);
+    if (on) switchOn(this.store, this.#off[name], edit);
+    else switchOff(this.store, [{ key: part(KEY, name), title: name }], edit);
   }
 
   /** The controller, open, and all other keys, closed. */
@@ -107,8 +105,4 @@ export class FunctionList {
       },
     };
   }
-}
-
-function checksOn(name: string, checks: Table): Table {
-  return Object.fromEntries(Object.entries(checks).filter(([, each]) => String((each as Table).metric).startsWith(`${KEY}.${name}.`)));
 }

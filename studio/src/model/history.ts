@@ -31,7 +31,9 @@ export function history(store: Studio, session: Session): History {
     for (const each of elements) each.disabled = !hasPen(state);
     const recording = state.status?.recording ?? null;
     record.setAttribute("aria-pressed", String(recording !== null));
-    record.title = recording ? `Recording into runs/${recording}; press to end` : "Record all steps of the run into a folder of runs";
+    record.title = recording
+      ? `Recording into runs/${recording}; press to end`
+      : "Record all steps of the run into a new folder in runs, where luxloop studio was started";
   });
   return { elements, undo, redo, save };
 }
@@ -40,11 +42,4 @@ export function history(store: Studio, session: Session): History {
 function folder({ state }: Studio): string {
   const time = new Date().toISOString().slice(0, 19).replaceAll(":", "-").replace("T", "_");
   return `${state.scenario?.name ?? "run"}_${time}`.replaceAll(/[^A-Za-z0-9_.-]/g, "_").slice(0, 80);
-}
-
-/** Give a text to the browser as a file. */
-export function download(name: string, text: string): void {
-  const url = URL.createObjectURL(new Blob([text], { type: "application/toml" }));
-  h("a", { href: url, download: name }).click();
-  URL.revokeObjectURL(url);
 }

@@ -24,23 +24,23 @@ const UNITS: [string, string][] = [
   ["_s", "s"],
   ["_m", "m"],
 ];
-const WEIGHTS = /^a_|_per_/; // names whose end is no unit
+const WEIGHTS = /(^|\.)a_[^.]*$|_per_[^.]*$/; // names whose end is no unit
 const WIDEST = 400; // a span that a slider resolves
 
-/** Unit of a key by the end of its name, empty without one. */
-export function unit(name: string): string {
-  if (WEIGHTS.test(name)) return "";
-  return UNITS.find(([end]) => name.endsWith(end))?.[1] ?? "";
+/** Unit of a key by the end of its name, and that end, both empty without one. */
+export function unitOf(key: string): { unit: string; end: string } {
+  const [end, unit] = (!WEIGHTS.test(key) && UNITS.find(([each]) => key.endsWith(each))) || ["", ""];
+  return { unit, end };
 }
 
 /** Ends of a slider; null where none is of use. Where the range is far wider than what is common, they lie around value and default. */
-export function span(range: Range, name: string, value: number, usual: unknown): [number, number] | null {
+export function span(range: Range, key: string, value: number, usual: unknown): [number, number] | null {
   const { least, most, whole } = range;
   if (most - least <= WIDEST) return [least, most];
   if (whole) return null;
   const size = Math.max(Math.abs(value), typeof usual === "number" ? Math.abs(usual) : 0);
   const end = size > 0 ? round(4 * size, Math.ceil) : 10;
-  const bothWays = value < 0 || (typeof usual === "number" && usual < 0) || ["m", "°"].includes(unit(name));
+  const bothWays = value < 0 || (typeof usual === "number" && usual < 0) || ["m", "°"].includes(unitOf(key).unit);
   return [within(bothWays ? -end : 0, range), Math.min(most, end)];
 }
 

@@ -1,4 +1,6 @@
-// Values as overrides write them.
+// The scenario's plain data: values by their keys, and as overrides write them.
+
+export type Table = Record<string, unknown>;
 
 /** Plain data as a TOML value. Keys without a value, null, are left out, as TOML has none. */
 export function toml(value: unknown): string {
@@ -23,6 +25,32 @@ export function part(key: string, of: string | number): string {
 
 /** Value of a key in plain data, undefined where there is none. */
 export function valueAt(data: unknown, key: string): unknown {
-  const parts = key.split(/\.|\[|\]\.?/).filter(Boolean);
-  return parts.reduce<unknown>((value, each) => (value as Record<string, unknown> | null | undefined)?.[each], data);
+  return pathOf(key).reduce<unknown>((value, each) => (value as Table | null | undefined)?.[each], data);
+}
+
+/** Plain data with other values of keys; what has not changed is shared. */
+export function patched<Data>(data: Data, changes: Iterable<readonly [key: string, value: unknown]>): Data {
+  let made: unknown = data;
+  for (const [key, value] of changes) made = withValue(made, pathOf(key), value);
+  return made as Data;
+}
+
+function withValue(data: unknown, [first, ...rest]: readonly string[], value: unknown): unknown {
+  if (first === undefined) return value;
+  if (Array.isArray(data)) return data.map((each, k) => (String(k) === first ? withValue(each, rest, value) : each));
+  if (typeof data !== "object" || data === null) return data;
+  return { ...data, [first]: withValue((data as Table)[first], rest, value) };
+}
+
+function pathOf(key: string): string[] {
+  return key.split(/\.|\[|\]\.?/).filter(Boolean);
+}
+
+/** A name that is not there yet: the given one, or that with a number behind it. */
+export function unused(name: string, taken: readonly unknown[]): string {
+  if (!taken.includes(name)) return name;
+  const stem = name.replace(/_\d+$/, "");
+  let number = 2;
+  while (taken.includes(`${stem}_${number}`)) number++;
+  return `${stem}_${number}`;
 }

@@ -5,11 +5,10 @@ import type { Session } from "../session.ts";
 import { hasPen, type Studio } from "../state.ts";
 import { node, tableOf } from "./branch.ts";
 import { disturbances } from "./disturb.ts";
-import { actsOf, type Editor, type Node } from "./editor.ts";
 import { FunctionList } from "./functions.ts";
-import { valueAt } from "./overrides.ts";
-import type { Table } from "./pieces.ts";
+import { type Table, valueAt } from "./overrides.ts";
 import { clearRefused, showRefused } from "./refused.ts";
+import { actsOf, type Editor, type Node } from "./row.ts";
 import { Schemas } from "./schema.ts";
 import { MOST, search } from "./search.ts";
 
@@ -60,7 +59,7 @@ function parts(store: Studio, session: Session, schemas: Schemas, words: HTMLInp
     busy: (key) => session.isEditing(key),
     acts: (key) => actsOf(key, store.state.scenario?.acts ?? {}),
   };
-  const functions = new FunctionList(editor);
+  const functions = new FunctionList(editor, store);
   const all = tableOf(editor, "", schemas.root.properties ?? {}, null);
   const everything = h(
     "div",
@@ -88,12 +87,9 @@ function parts(store: Studio, session: Session, schemas: Schemas, words: HTMLInp
     count.textContent = counted(found.length);
   };
   words.addEventListener("input", look);
-  let name = "";
-  store.on(["model", "refused"], ({ model, scenario }) => {
+  store.on(["model", "refused", "off"], ({ model }) => {
     if (!model) return;
-    if (scenario && scenario.name !== name) functions.forget();
-    name = scenario?.name ?? "";
-    functions.show(model);
+    functions.show();
     all.show(model);
     look();
   });

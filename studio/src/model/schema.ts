@@ -166,6 +166,20 @@ export function within(value: number, { least, most, open, whole }: Range): numb
   return Math.min(most, Math.max(lower, value));
 }
 
+/** The keys of a table, each with its default: that in the table's default, if this has one. Constants, which tell variants, are left out. */
+export function keysOf(keys: Record<string, Schema>, fallback: unknown): [name: string, schema: Schema, fallback: unknown][] {
+  const defaults = (typeof fallback === "object" ? fallback : null) as Record<string, unknown> | null;
+  return Object.entries(keys)
+    .filter(([, each]) => each.const === undefined)
+    .map(([name, each]) => [name, each, defaults && name in defaults ? defaults[name] : each.default]);
+}
+
+/** A default, if it is of the same variant as a value. */
+export function sameVariant(fallback: unknown, value: unknown, tag: string): unknown {
+  const [one, other] = [fallback, value] as ({ [tag: string]: unknown } | null)[];
+  return one?.[tag] === other?.[tag] ? fallback : null;
+}
+
 /** Whether two values of plain data are the same. */
 export function same(one: unknown, other: unknown): boolean {
   if (typeof one !== "object" || typeof other !== "object" || one === null || other === null) return Object.is(one, other);

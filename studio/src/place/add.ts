@@ -1,8 +1,8 @@
 // The menu "Add": choose what, then click where.
 
 import { h } from "../dom.ts";
-import { override, valueAt } from "../model/overrides.ts";
-import type { Table } from "./functions.ts";
+import { type List, putIn } from "../model/entries.ts";
+import type { Table } from "../model/overrides.ts";
 import { type Addable, addables } from "./new.ts";
 import type { Placing } from "./placing.ts";
 import { spotAt } from "./spot.ts";
@@ -56,32 +56,8 @@ function place(placing: Placing, what: Addable, x: number, y: number, toast: (se
 }
 
 /** Adds a table to the model, and chooses it. */
-export function add(placing: Placing, into: Addable["into"], table: Table, name: string): void {
-  placing.afterEdits(() => addNow(placing, into, table, name));
-}
-
-function addNow(placing: Placing, into: Addable["into"], table: Table, name: string): void {
-  const { model } = placing.store.state;
-  const before = valueAt(model, into);
-  if (into === "functions") {
-    const key = `functions.${unused(plain(name), Object.keys(before as Table))}`;
-    placing.change([override(key, table)]);
-    placing.choose(key);
-    return;
-  }
-  const list = before as Table[];
-  const named =
-    into === "objects"
-      ? {
-          ...table,
-          name: unused(
-            plain(name),
-            list.map((each) => String(each.name)),
-          ),
-        }
-      : table;
-  placing.change([override(`${into}[${list.length}]`, named)]);
-  placing.choose(`${into}[${list.length}]`);
+export function add(placing: Placing, list: List, table: Table, name: string): void {
+  placing.afterEdits(() => placing.choose(putIn(placing.store.state, { list, name: plain(name), table, checks: {} }, placing.change)));
 }
 
 /** What it is called: functions by their picture or kind. */
@@ -95,13 +71,4 @@ function plain(name: string): string {
     .replace(/^symbol: |,.*$/g, "")
     .replaceAll(/\W+/g, "_")
     .toLowerCase();
-}
-
-/** A name that is not there yet: the given one, or that with a number behind it. */
-export function unused(name: string, known: readonly string[]): string {
-  if (!known.includes(name)) return name;
-  const stem = name.replace(/_\d+$/, "");
-  let number = 2;
-  while (known.includes(`${stem}_${number}`)) number += 1;
-  return `${stem}_${number}`;
 }

@@ -1,8 +1,7 @@
 // Courses of objects: along clicked points at a speed, from now on; or none, where it stands.
 
 import { Vector3 } from "three";
-import { override, valueAt } from "../model/overrides.ts";
-import type { Table } from "./functions.ts";
+import { override, type Table, valueAt } from "../model/overrides.ts";
 import type { Placing } from "./placing.ts";
 import { poseOf, rounded } from "./poses.ts";
 import type { Thing } from "./things.ts";

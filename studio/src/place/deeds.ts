@@ -2,25 +2,15 @@
 
 import { Matrix4, Vector3 } from "three";
 import { h } from "../dom.ts";
-import { override, valueAt } from "../model/overrides.ts";
+import { LISTS, type List, type Off, switchOff, switchOn, takeOut } from "../model/entries.ts";
+import { patched, type Table, valueAt } from "../model/overrides.ts";
 import { add } from "./add.ts";
 import { giveCourse, halt } from "./course.ts";
-import { patched } from "./drafts.ts";
-import type { Table } from "./functions.ts";
-import type { Addable } from "./new.ts";
 import type { Placing } from "./placing.ts";
 import type { Thing } from "./things.ts";
 
-/** Something that was taken out of the model and can be put back. */
-export interface Off {
-  title: string;
-  into: Addable["into"];
-  table: Table;
-}
-
 export interface Deeds {
   element: HTMLElement;
-  off: Off[];
   show(): void;
   offRow(off: Off): HTMLElement;
   remove(): void;
@@ -30,23 +20,15 @@ export interface Deeds {
 const BESIDE_M = 1; // of a copy
 
 export function deeds(placing: Placing): Deeds {
-  const off: Off[] = [];
-  const wholes = () => placing.chosen.filter(canGo);
-  const take = (taken: (all: Off[]) => void) =>
+  const wholes = () => placing.chosen.filter(isWhole);
+  const take = (how: (things: Thing[]) => void) =>
     placing.afterEdits(() => {
-      const { model } = placing.store.state;
       const gone = wholes();
       placing.choose(null);
-      if (!gone.length) return;
-      placing.change(gone.map(({ key }) => override(key, null)));
-      taken(gone.map((thing) => ({ title: thing.title, into: listOf(thing)!, table: valueAt(model, thing.key) as Table })));
+      if (gone.length) how(gone);
     });
-  const remove = () => take(() => {});
-  const switchOff = () =>
-    take((all) => {
-      off.push(...all);
-      placing.refresh();
-    });
+  const remove = () => take((gone) => takeOut(placing.store.state, gone, placing.change));
+  const off = () => take((gone) => switchOff(placing.store, gone, placing.change));
   const duplicate = () => {
     for (const thing of wholes()) copy(placing, thing);
   };
@@ -61,17 +43,11 @@ export function deeds(placing: Placing): Deeds {
   ];
   const whole = [
     button("Duplicate", "A copy beside it (Shift+D)", duplicate),
-    button("Switch off", "Take it out, and keep it in this list to put it back", switchOff),
+    button("Switch off", "Take it out, and keep it in this list to put it back", off),
     button("Remove", "Take it out (Delete)", remove),
   ];
-  let scenarioName = "";
-  placing.store.on(["scenario"], ({ scenario }) => {
-    if (scenario?.name !== scenarioName) off.length = 0;
-    scenarioName = scenario?.name ?? "";
-  });
   return {
     element: h("div", { class: "things-row" }, ...courses, ...whole),
-    off,
     remove,
     duplicate,
     show() {
@@ -91,25 +67,22 @@ export function deeds(placing: Placing): Deeds {
           class: "thing off",
           title: "Switch on",
           disabled: !placing.steers,
-          onclick: () => {
-            off.splice(off.indexOf(each), 1);
-            add(placing, each.into, each.table, each.title);
-          },
+          onclick: () => placing.afterEdits(() => placing.choose(switchOn(placing.store, each, placing.change))),
         },
-        h("span", { class: "name" }, each.title),
+        h("span", { class: "name" }, each.name),
         h("span", { class: "muted" }, "switch on"),
       ),
   };
 }
 
-function canGo(thing: Thing): boolean {
+/** Whether it can be taken out. */
+function isWhole(thing: Thing): boolean {
   return listOf(thing) !== null;
 }
 
-/** List or table that has it as a whole. */
-function listOf({ key, partOf }: Thing): Addable["into"] | null {
-  const found = (["functions", "objects", "light.street_lamps", "spots"] as const).find((each) => key.startsWith(each));
-  return partOf ? null : (found ?? null);
+/** The list that has it as a whole. */
+function listOf({ key, partOf }: Thing): List | null {
+  return partOf ? null : (LISTS.find((each) => key.startsWith(each)) ?? null);
 }
 
 function copy(placing: Placing, thing: Thing): void {

@@ -1,12 +1,11 @@
 // Lighting functions that have a place: primitives, symbols, paths and zones.
 
 import { Box3, Matrix4 } from "three";
+import type { Table } from "../model/overrides.ts";
 import type { Model } from "../protocol.ts";
 import { figure, flat as flatPoint, type Keys, keyed, listed } from "./keyed.ts";
 import type { Thing } from "./things.ts";
 import { shifted } from "./whole.ts";
-
-export type Table = Record<string, unknown>;
 
 const SHARED = ["value", "weight", "priority"];
 const ON_ROAD: Keys = { x: "x_m", y: "y_m", width: "width_m", length: "length_m" };

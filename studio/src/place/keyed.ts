@@ -1,6 +1,7 @@
 // Things whose pose and size are numbers of the model, each with a key of its own.
 
 import { Box3, type Matrix4, Vector3 } from "three";
+import { unitOf } from "../model/numbers.ts";
 import { valueAt } from "../model/overrides.ts";
 import { type Component, matrixOf, type Pose, poseOf, rounded } from "./poses.ts";
 import type { Change, Figure, Thing } from "./things.ts";
@@ -93,27 +94,10 @@ function named(keys: Keys, whole: (name: string) => string): Figure[] {
   });
 }
 
-const UNITS: readonly (readonly [string, string])[] = [
-  ["_m_s", "m/s"],
-  ["_deg", "°"],
-  ["_cd", "cd"],
-  ["_lx", "lx"],
-  ["_s", "s"],
-  ["_m", "m"],
-];
-
 /** A number of a table that is shown. */
 export function figure(table: string, name: string): Figure {
-  return { key: `${table}.${name}`, label: label(name), unit: unitOf(name) };
-}
-
-function unitOf(name: string): string {
-  return UNITS.find(([end]) => name.endsWith(end))?.[1] ?? "";
-}
-
-function label(name: string): string {
-  const end = UNITS.find(([each]) => name.endsWith(each))?.[0] ?? "";
-  return name.slice(name.lastIndexOf(".") + 1, name.length - end.length).replaceAll("_", " ");
+  const { unit, end } = unitOf(name);
+  return { key: `${table}.${name}`, label: name.slice(name.lastIndexOf(".") + 1, name.length - end.length).replaceAll("_", " "), unit };
 }
 
 /** Keys of a list of three numbers. */

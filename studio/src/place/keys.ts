@@ -28,7 +28,7 @@ export function bindPlaceKeys(placing: Placing, deeds: Deeds): void {
     ...Object.fromEntries(TOOLS.map(([tool, key]) => [key, chosen(() => store.set({ tool }))])),
     Delete: steering(deeds.remove),
     Backspace: steering(deeds.remove),
-    D: steering(deeds.duplicate),
+    "shift d": steering(deeds.duplicate),
     Enter: () => {
       const done = placing.clicking?.done;
       done?.();
@@ -45,6 +45,7 @@ export function bindPlaceKeys(placing: Placing, deeds: Deeds): void {
     const target = event.target instanceof Element ? event.target : document.body;
     if (target.closest("dialog, .popover, input:not([type=range], [type=checkbox]), textarea, select")) return;
     if (event.key === "Enter" && target.closest("button, summary")) return;
-    if (keys[event.key]?.()) event.preventDefault();
+    const key = event.shiftKey && event.key.length === 1 ? `shift ${event.key.toLowerCase()}` : event.key;
+    if (keys[key]?.()) event.preventDefault();
   });
 }

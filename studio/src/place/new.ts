@@ -1,6 +1,7 @@
 // What can be added, and the tables that it begins with.
 
-import type { Table } from "./functions.ts";
+import type { List } from "../model/entries.ts";
+import type { Table } from "../model/overrides.ts";
 import type { Spot } from "./spot.ts";
 
 export interface Addable {
@@ -8,7 +9,7 @@ export interface Addable {
   /** What to do, for the user. */
   say: string;
   /** List or table that gets it. */
-  into: "functions" | "objects" | "light.street_lamps" | "spots";
+  into: List;
   /** Null where it cannot be there. */
   make(spot: Spot): Table | null;
   /** Of what is placed by several clicks, in place of `make`. */

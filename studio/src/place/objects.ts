@@ -1,8 +1,8 @@
 // Objects of the scenario. One that stands is moved by its only pose; of one that moves, the whole course is, or its points one by one.
 
 import { Matrix4, Vector3 } from "three";
+import type { Table } from "../model/overrides.ts";
 import type { Model } from "../protocol.ts";
-import type { Table } from "./functions.ts";
 import { type Keys, keyed, listed } from "./keyed.ts";
 import type { Standing, Thing } from "./things.ts";
 import { pointAt, shifted } from "./whole.ts";

@@ -12,7 +12,7 @@ const SORTS: readonly (readonly [Sort, string])[] = [
   ["object", "Objects"],
   ["light", "Street lamps"],
   ["road", "Road"],
-  ["car", "Car"],
+  ["car", "Own car"],
 ];
 export const TOOLS: readonly (readonly [Tool, string, string])[] = [
   ["move", "g", "move"],
@@ -43,8 +43,8 @@ export function placePanel(placing: Placing, adding: Adding, deeds: Deeds, bar: 
   let inputs: [Figure, HTMLInputElement][] = [];
 
   const showList = () => {
-    const off = deeds.off.map(({ title }) => title);
-    const key = JSON.stringify([placing.things.map(({ key, title, kind }) => [key, title, kind]), off]);
+    const { chosen, off } = store.state;
+    const key = JSON.stringify([placing.things.map(({ key, title, kind }) => [key, title, kind]), off, placing.steers]);
     if (key !== listed) {
       listed = key;
       list.replaceChildren(
@@ -55,9 +55,8 @@ export function placePanel(placing: Placing, adding: Adding, deeds: Deeds, bar: 
           ),
         ),
       );
-      if (off.length) list.append(h("h3", {}, "Switched off"), ...deeds.off.map((each) => deeds.offRow(each)));
+      if (off.length) list.append(h("h3", {}, "Switched off"), ...off.map((each) => deeds.offRow(each)));
     }
-    const { chosen } = store.state;
     for (const row of list.querySelectorAll<HTMLElement>("[data-key]")) {
       row.setAttribute("aria-selected", String(chosen.includes(row.dataset.key!)));
     }
@@ -92,7 +91,7 @@ export function placePanel(placing: Placing, adding: Adding, deeds: Deeds, bar: 
       numbers.hidden = !thing;
     }
     for (const [figure, input] of inputs) {
-      if (document.activeElement !== input) input.value = String(placing.valueOf(figure.key) ?? "");
+      if (document.activeElement !== input) input.value = short(placing.valueOf(figure.key));
       input.disabled = !placing.steers;
     }
   };
@@ -118,4 +117,10 @@ export function placePanel(placing: Placing, adding: Adding, deeds: Deeds, bar: 
     showList();
     showNumbers();
   });
+}
+
+/** A number with two decimals, or two digits where it is small. */
+function short(value: unknown): string {
+  if (typeof value !== "number") return "";
+  return String(Math.abs(value) < 0.1 ? +value.toPrecision(2) : +value.toFixed(2));
 }

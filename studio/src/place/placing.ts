@@ -1,14 +1,12 @@
 // Choosing, moving, adding and removing things in the scene. What is dragged is shown at once, and told to the server as an edit.
 
 import { type Camera, Matrix4, Vector2, Vector3 } from "three";
-import { override, valueAt } from "../model/overrides.ts";
+import { override, patched, type Table, valueAt } from "../model/overrides.ts";
 import type { StepMessage } from "../protocol.ts";
 import type { SceneView } from "../scene/index.ts";
 import { Labels } from "../scene/labels.ts";
 import type { Session } from "../session.ts";
 import { hasPen, type Studio, type Tool } from "../state.ts";
-import { patched } from "./drafts.ts";
-import type { Table } from "./functions.ts";
 import { Gizmo } from "./gizmo.ts";
 import { COLOURS, type Met, Outlines } from "./outlines.ts";
 import { type Frame, type Thing, thingsOf } from "./things.ts";
@@ -62,7 +60,7 @@ export class Placing {
     store.on(["refused"], ({ refused }) => {
       if (refused?.overrides.some((each) => this.sent.has(each))) toast(refused.text);
     });
-    store.on(["model", "step_version", "chosen", "tool", "things", "viewpoint", "status", "link"], () => this.refresh());
+    store.on(["model", "step_version", "chosen", "tool", "things", "viewpoint", "status", "link", "off"], () => this.refresh());
   }
 
   get chosen(): Thing[] {
@@ -143,11 +141,11 @@ export class Placing {
   }
 
   /** Tell the server an edit, and the user why if it is refused. */
-  change(overrides: readonly string[]): void {
+  readonly change = (overrides: readonly string[]): void => {
     if (!this.store.state.edits_pending) this.sent.clear();
     for (const each of overrides) this.sent.add(each);
     this.session.edit(overrides);
-  }
+  };
 
   private get gripped(): Thing[] {
     return this.chosen.filter(({ placed }) => placed);
@@ -212,7 +210,7 @@ export class Placing {
     );
     this.grip(tool);
     this.view.redraw();
-    this.tell();
+    for (const call of this.onChange) call();
   }
 
   /** The things that are drawn: all while they are listed, else those that are chosen; parts of others where one of these is chosen. */
@@ -265,10 +263,6 @@ export class Placing {
     this.source = source;
     this.await(null);
     this.store.set({ chosen: [] });
-  }
-
-  private tell(): void {
-    for (const call of this.onChange) call();
   }
 }
 

@@ -1,7 +1,7 @@
 // A place that was clicked in the scene.
 
 import { Matrix4, Vector3 } from "three";
-import type { Table } from "./functions.ts";
+import type { Table } from "../model/overrides.ts";
 import type { Placing } from "./placing.ts";
 import { poseOf, rounded } from "./poses.ts";
 

@@ -1,9 +1,8 @@
 // What else has a place: street lamps, spots and shapes of the road, the camera and the car's lamps.
 
 import { Box3, Matrix4, Vector3 } from "three";
-import { valueAt } from "../model/overrides.ts";
+import { type Table, valueAt } from "../model/overrides.ts";
 import type { Model } from "../protocol.ts";
-import type { Table } from "./functions.ts";
 import { type Keys, keyed, listed } from "./keyed.ts";
 import { rounded } from "./poses.ts";
 import type { Thing } from "./things.ts";

@@ -3,7 +3,7 @@
 import { brief } from "../brief.ts";
 import { h, toggle } from "../dom.ts";
 import type { Painting } from "../matrix/painting.ts";
-import type { Vector } from "../protocol.ts";
+import type { PlaceAnswer, Vector } from "../protocol.ts";
 import type { SceneView } from "../scene/index.ts";
 import type { ScenesPanel } from "../scenes/panel.ts";
 import type { Session } from "../session.ts";
@@ -13,7 +13,7 @@ import { WishPlane } from "./wish_plane.ts";
 
 const MODES = {
   find: "A click on the road, an object or the wall frames the pixels that light it",
-  light: "Paint the pixels that light what you click on, with the utilisation of the matrix panel",
+  light: "Paint the pixels that light what you click on",
   lux: "Paint illuminances on the road, to be found by all modules together",
 } as const;
 type Mode = keyof typeof MODES;
@@ -28,34 +28,39 @@ export function worldLight(store: Studio, session: Session, scenes: ScenesPanel,
 
   const number = (label: string, value: number, min: number, max: number) =>
     h("input", { type: "number", "aria-label": label, title: label, value, min, max, step: "any" });
+  const utilisation = number("Utilisation that is painted, in per cent", 100, 0, 100);
   const lx = number("Illuminance that is wanted, in lx; nothing: none is wanted", 1, 0, 1000);
   const radius = number("Radius of the brush, in m", 1, 0.3, 10);
   const told = h("output", { class: "readout" });
   const buttons = (Object.keys(MODES) as Mode[]).map((each) => ({ each, ...toggle(each, MODES[each], (on) => choose(on ? each : null)) }));
+  const share = h("label", {}, "%", utilisation);
   const brush = h(
     "span",
     {},
     h("label", {}, "lx", lx),
-    h("label", {}, "m", radius),
+    h("label", {}, "brush m", radius),
     h("button", { type: "button", title: "Find the pixels that come closest to it", onclick: () => wish() }, "paint it"),
     h("button", { type: "button", title: "Forget the light wanted", onclick: () => clear() }, "clear"),
   );
   const strip = h(
     "div",
     { class: "world-light", role: "group", "aria-label": "Light in the world" },
-    "light",
     h("span", { class: "segments" }, ...buttons.map(({ button }) => button)),
+    share,
     brush,
   );
   scenes.bar.append(strip);
   scenes.body.append(told);
 
+  /** Whether points are asked for. */
+  const asks = () => mode === "find" || mode === "light";
   const choose = (chosen: Mode | null) => {
     mode = chosen;
     for (const { each, show } of buttons) show(each === mode);
+    share.hidden = mode !== "light";
     brush.hidden = mode !== "lux";
     scenes.body.classList.toggle("paints", mode !== null);
-    if (mode !== "find" && mode !== "light") mark(new Map());
+    if (!asks()) painting.mark(new Map());
     told.textContent = "";
     draw();
   };
@@ -72,7 +77,7 @@ export function worldLight(store: Studio, session: Session, scenes: ScenesPanel,
       plane.mesh.visible = mode === "lux" && shown !== null && store.state.viewpoint !== "wall";
       if (shown) plane.place(view.local(shown.T_world_ground));
       plane.update();
-      view.setOptions({});
+      view.redraw();
     });
   };
   const wish = () => {
@@ -89,7 +94,6 @@ export function worldLight(store: Studio, session: Session, scenes: ScenesPanel,
     told.textContent = "";
     draw();
   };
-  const mark = (pixels: Map<number, Set<number>>) => painting.mark(pixels);
 
   /** A point of the world is under the brush. */
   const paintAt = (point: Vector) => {
@@ -111,12 +115,12 @@ export function worldLight(store: Studio, session: Session, scenes: ScenesPanel,
     }
   };
   const ask = () => {
-    if (asked !== null || !waiting || (mode !== "find" && mode !== "light")) return;
+    if (asked !== null || !waiting || !asks()) return;
     session.send({
       type: "place",
       stroke: painting.strokes,
       point_m: waiting,
-      value: mode === "light" ? painting.value : null,
+      value: mode === "light" ? Math.round(2.55 * Math.min(100, Math.max(0, utilisation.valueAsNumber || 0))) : null,
       over: painting.over,
     });
     waiting = null;
@@ -126,6 +130,11 @@ export function worldLight(store: Studio, session: Session, scenes: ScenesPanel,
     if (asked !== null) clearTimeout(asked);
     asked = null;
     ask();
+  };
+  const found = ({ modules }: PlaceAnswer) => {
+    painting.mark(new Map(modules.map(({ module, pixels }) => [module, new Set(pixels)])));
+    const names = modules.map(({ module, pixels }) => `${store.state.scenario?.runs[0].modules[module].name} ${pixels.length}`);
+    told.textContent = names.length > 0 ? `pixels: ${names.join(", ")}` : "no module lights this place";
   };
   const onGround = (point: Vector): [number, number] => {
     const T = store.state.runs[0].shown?.T_world_ground ?? [];
@@ -158,21 +167,16 @@ export function worldLight(store: Studio, session: Session, scenes: ScenesPanel,
   scenes.body.addEventListener("pointermove", (event) => stroke && under(event), { capture: true });
   for (const end of ["pointerup", "pointercancel"] as const) scenes.body.addEventListener(end, () => (stroke = null), { capture: true });
 
-  store.on(["placed"], ({ placed }) => {
+  store.on(["light"], ({ light }) => {
+    if (!light) return;
+    if (light.type === "wish") {
+      const { wanted_lx, rmse_lx, worst_lx, pixels } = light;
+      told.textContent = `${brief(wanted_lx)} lx wanted; off by ${brief(rmse_lx)} lx (RMSE), at most ${brief(worst_lx)} lx; ${pixels} pixels`;
+      return;
+    }
     answered();
-    if (!placed || (mode !== "find" && mode !== "light")) return;
-    mark(new Map(placed.modules.map(({ module, pixels }) => [module, new Set(pixels)])));
-    const names = placed.modules.map(({ module, pixels }) => `${store.state.scenario?.runs[0].modules[module].name} ${pixels.length}`);
-    told.textContent = names.length > 0 ? `pixels: ${names.join(", ")}` : "no module lights this place";
-  });
-  store.on(["granted"], ({ granted }) => {
-    if (!granted) return;
-    const { wanted_lx, rmse_lx, worst_lx, pixels } = granted;
-    told.textContent = `${brief(wanted_lx)} lx wanted; off by ${brief(rmse_lx)} lx (RMSE), at most ${brief(worst_lx)} lx; ${pixels} pixels`;
-  });
-  store.on(["refused_light"], () => {
-    told.textContent = "";
-    answered();
+    if (light.type === "error") told.textContent = "";
+    else if (asks()) found(light);
   });
   store.on(["scenario", "step_version", "viewpoint"], () => mode === "lux" && draw());
   choose(null);

@@ -9,10 +9,6 @@ export class Raster {
   readonly lx = new Float32Array(this.rows * this.cols);
   readonly painted = new Uint8Array(this.rows * this.cols);
 
-  get isEmpty(): boolean {
-    return this.painted.every((each) => each === 0);
-  }
-
   /** Want an illuminance in a circle, or nothing any more where it is null. */
   paint(x: number, y: number, radius_m: number, lx: number | null): void {
     for (let row = 0; row < this.rows; row++) {

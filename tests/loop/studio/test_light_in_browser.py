@@ -48,8 +48,8 @@ def test_a_click_lights_the_place_by_the_pixels_that_the_library_names(page: web
     canvas = page.find_element(By.CSS_SELECTOR, ".scene canvas")
     pressed(page, "light")
     ActionChains(page).move_to_element_with_offset(canvas, 12, -30).click().perform()
-    until(page, "return luxloop.store.state.placed")
-    point = np.array(page.execute_script("return luxloop.store.state.placed.point_m"))
+    until(page, "return luxloop.store.state.light?.type === 'place'")
+    point = np.array(page.execute_script("return luxloop.store.state.light.point_m"))
     assert 15 < point[0] < 60
     run = dark.studio.session.published.runs[0]
     params = run.simulation.scenario.lighting.painted
@@ -67,8 +67,8 @@ def test_the_road_becomes_as_bright_as_is_wanted(page: webdriver.Chrome, dark: S
     pressed(page, "lux")
     page.execute_script("luxloop.wanted.paint(28, 0, 3, 0.5)")
     pressed(page, "paint it")
-    until(page, "return luxloop.store.state.granted")
-    granted = page.execute_script("return luxloop.store.state.granted")
+    until(page, "return luxloop.store.state.light?.type === 'wish'")
+    granted = page.execute_script("return luxloop.store.state.light")
     told = page.find_element(By.CSS_SELECTOR, ".panel.scene .readout").text
     assert granted["wanted_lx"] == pytest.approx(0.5) and "0.5 lx wanted" in told and "RMSE" in told
     until(page, "return luxloop.store.state.runs[0].utilisations.get(0)?.some((each) => each > 0)")

@@ -1,10 +1,9 @@
-// Tables that have a name of one's own, functions and checks: add, rename, remove.
+// Items of lists and of tables by name: they are chosen, added, renamed and removed.
 
-import { h } from "../dom.ts";
-import type { Editor } from "./editor.ts";
-import { override, part } from "./overrides.ts";
-import { removeButton, unused, variantChoice } from "./pieces.ts";
-import type { Schema } from "./schema.ts";
+import { h, ICONS, icon } from "../dom.ts";
+import { override, part, unused } from "./overrides.ts";
+import type { Editor } from "./row.ts";
+import type { Form, Schema } from "./schema.ts";
 
 /** An item with what renames and removes it. value: as it is now. */
 export function named(editor: Editor, key: string, name: string, element: HTMLElement, value: () => unknown, free: boolean): HTMLElement {
@@ -43,4 +42,14 @@ export function addByName(editor: Editor, key: string, item: Schema, taken: () =
   };
   const button = h("button", { type: "button", class: "small", onclick: add }, "Add");
   return h("div", { class: "key-add" }, name, kind, button);
+}
+
+/** A select of the variants of a table. */
+export function variantChoice(key: string, { tag, of }: Extract<Form, { is: "variants" }>, optional: boolean): HTMLSelectElement {
+  const options = [...of.keys()].map((each) => h("option", { value: each }, each));
+  return h("select", { "aria-label": `${key}: ${tag}` }, optional && h("option", { value: "" }, "none"), ...options);
+}
+
+export function removeButton(key: string, onclick: () => void): HTMLButtonElement {
+  return h("button", { type: "button", class: "quiet", title: `Remove ${key}`, "aria-label": `Remove ${key}`, onclick }, icon(ICONS.close));
 }
