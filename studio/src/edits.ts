@@ -68,5 +68,5 @@ export function inShort(overrides: readonly string[]): string {
   const whole = overrides.join(", ");
   if (whole.length <= LETTERS) return whole;
   const keys = [...new Set(overrides.map(keyOf))].join(", ");
-  return keys.length <= LETTERS ? keys : `${keys.slice(0, LETTERS)} ...`;
+  return keys.length <= LETTERS ? keys : `${keys.slice(0, LETTERS).replace(/,[^,]*$/, "")} ...`;
 }

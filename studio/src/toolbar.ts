@@ -218,7 +218,7 @@ function timeControls(store: Studio, session: Session): HTMLElement[] {
   slider.addEventListener("input", () => session.scrub(slider.valueAsNumber));
   const follow = button("live", "Follow the newest step again", () => session.scrub(null), "toggle");
   const counter = h("output", { class: "counter" });
-  const pace = h("output", { class: "counter muted" });
+  const pace = h("output", { class: "counter pace muted" });
   store.on(["step_version", "rows_version", "scenario", "scrub", "status"], (state) => {
     const { scenario, scrub, status } = state;
     const newest = newestStep(state);

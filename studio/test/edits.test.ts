@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { Edits } from "../src/edits.ts";
+import { Edits, inShort } from "../src/edits.ts";
 
 function edits(): { edits: Edits; sent: string[][] } {
   const sent: string[][] = [];
@@ -37,4 +37,12 @@ test("a message has 100 overrides at most, and a cut connection forgets all", ()
   each.clear();
   assert.equal(each.answered(), null);
   assert.equal(sent.length, 2);
+});
+
+test("edits in short are themselves, or their keys where they are long", () => {
+  assert.equal(inShort(["seed=3", "a.x=1"]), "seed=3, a.x=1");
+  assert.equal(inShort([`objects=[${"1, ".repeat(40)}]`, "functions.a.x_m=18.0"]), "objects, functions.a.x_m");
+  const short = inShort(Array.from({ length: 20 }, (_, k) => `functions.a.key_${k}=${k}`));
+  assert.match(short, /^(functions\.a\.key_\d+, )+functions\.a\.key_\d+ \.\.\.$/);
+  assert.ok(short.length <= 74);
 });

@@ -36,7 +36,7 @@ export function worldLight(store: Studio, session: Session, scenes: ScenesPanel,
   const share = h("label", {}, "%", utilisation);
   const brush = h(
     "span",
-    {},
+    { class: "brush" },
     h("label", {}, "lx", lx),
     h("label", {}, "brush m", radius),
     h("button", { type: "button", title: "Find the pixels that come closest to it", onclick: () => wish() }, "paint it"),

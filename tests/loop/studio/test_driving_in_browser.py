@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import pytest
 from selenium import webdriver
 from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 
 from loop.studio.page import PAGE
@@ -56,3 +57,6 @@ def test_a_car_that_stands_is_put_on_wheels(browser: webdriver.Chrome, car: Serv
     until(browser, f"return !{BUTTON}.disabled && luxloop.store.state.model.vehicle === null")
     browser.execute_script(f"window.confirm = () => true; {BUTTON}.click()")
     until(browser, "return luxloop.store.state.model.vehicle?.course[0].speed_m_s === 0")
+    until(browser, "return luxloop.store.state.driving && luxloop.store.state.runs[0].newest > 1")
+    browser.find_element(By.TAG_NAME, "body").send_keys(Keys.ESCAPE)
+    until(browser, "return !luxloop.store.state.driving")

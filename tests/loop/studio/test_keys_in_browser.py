@@ -82,6 +82,9 @@ def test_a_function_is_switched_off_and_on_and_its_controller_is_another(browser
     before = scenario(symbol).functions
     labelled(browser, "functions.symbol: on or off").click()
     WebDriverWait(browser, WAIT_S).until(lambda _: not scenario(symbol).functions)
+    browser.execute_script("luxloop.store.set({ things: true })")
+    until(browser, "return document.querySelector('.thing.off .name')?.textContent === 'symbol'")
+    browser.execute_script("luxloop.store.set({ things: false })")
     labelled(browser, "functions.symbol: on or off").click()
     WebDriverWait(browser, WAIT_S).until(lambda _: scenario(symbol).functions == before)
     Select(labelled(browser, "functions.symbol.controller: name")).select_by_value("open")
@@ -114,6 +117,7 @@ def test_the_scenario_is_saved_and_the_run_recorded(
         browser.find_element(By.CSS_SELECTOR, ".record").click()
         until(browser, f"return document.querySelector('.record').ariaPressed === '{on}'")
     (folder,) = (tmp_path / "runs").iterdir()
+    assert browser.find_element(By.CSS_SELECTOR, ".toast").text == f"Recorded in runs/{folder.name}"
     assert folder.name.startswith("snowflake_") and (folder / "manifest.json").is_file()
 
 

@@ -112,7 +112,10 @@ def test_undo_takes_a_stroke_off_the_page(page: webdriver.Chrome, plain: Served)
 
 def test_a_text_is_written_where_one_clicks(page: webdriver.Chrome, plain: Served) -> None:
     clicked(page, "text")
-    page.execute_script("luxloop.painting.words = 'H'; luxloop.painting.thickness = 3")
+    page.execute_script("luxloop.painting.thickness = 3")
+    drawn(page, (2, 9))
+    until(page, "return document.activeElement === document.querySelector('.paint-tools .words')")
+    page.switch_to.active_element.send_keys("H")
     drawn(page, (2, 9))
     until(page, "return luxloop.painting.layers[0].painted.some((each) => each)")
     painted = np.array(page.execute_script(MARKED)[0]).reshape(ROWS, COLUMNS)
