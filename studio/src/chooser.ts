@@ -1,13 +1,13 @@
 // A button that opens a list with a filter: arrow keys move, Enter chooses, Escape closes.
 
-import { h } from "./dom.ts";
+import { h, relabel } from "./dom.ts";
 import type { Named } from "./protocol.ts";
 
 export interface Chooser {
   element: HTMLElement;
   /** Items to choose from, and the text on the button. */
   show(items: readonly Named[], text: string): void;
-  setDisabled(disabled: boolean): void;
+  disabled: boolean;
 }
 
 let chooserCount = 0;
@@ -15,7 +15,7 @@ let chooserCount = 0;
 export function chooser(label: string, onchoose: (name: string) => void): Chooser {
   const id = `chooser-${++chooserCount}`;
   const text = h("span", { class: "chooser-text" });
-  const button = h("button", { type: "button", class: "chooser-button", "aria-haspopup": "listbox", "aria-expanded": "false" }, text);
+  const button = h("button", { class: "chooser-button", "aria-haspopup": "listbox", "aria-expanded": "false" }, text);
   const filter = h("input", {
     type: "search",
     placeholder: "Filter",
@@ -102,11 +102,13 @@ export function chooser(label: string, onchoose: (name: string) => void): Choose
     show(newItems, newText) {
       items = newItems;
       text.textContent = newText;
-      button.title = `${label}: ${newText}`;
-      button.setAttribute("aria-label", `${label}: ${newText}`);
+      relabel(button, `${label}: ${newText}`);
       if (!popover.hidden) draw();
     },
-    setDisabled(disabled) {
+    get disabled() {
+      return button.disabled;
+    },
+    set disabled(disabled) {
       button.disabled = disabled;
       if (disabled) close(false);
     },

@@ -1,6 +1,6 @@
 // Dialogs: the keys, and the summary of the runs.
 
-import { h, ICONS, icon } from "./dom.ts";
+import { h, signButton } from "./dom.ts";
 import { DRIVE_KEYS } from "./drive/index.ts";
 import { flat } from "./flat.ts";
 import { PLACE_KEYS } from "./place/keys.ts";
@@ -34,9 +34,8 @@ const KEYS: [string, string][] = [
 ];
 
 function dialog(title: string, body: HTMLElement): HTMLDialogElement {
-  const close = h("button", { type: "button", class: "quiet", "aria-label": "Close" }, icon(ICONS.close));
+  const close = signButton("close", "Close", () => element.close());
   const element = h("dialog", { "aria-label": title }, h("header", {}, h("h2", {}, title), close), body);
-  close.addEventListener("click", () => element.close());
   element.addEventListener("click", (event) => {
     if (event.target === element) element.close();
   });

@@ -49,6 +49,19 @@ export const ICONS = {
     "M3.400 2.200 8 6.800l4.600-4.600 1.200 1.200L9.200 8l4.600 4.600-1.200 1.200L8 9.200l-4.600 4.600-1.200-1.200L6.800 8 2.200 3.400z",
 } as const;
 
+/** A button with a sign. label: what it does. */
+export function signButton(sign: keyof typeof ICONS, label: string, onclick?: () => void, style = "quiet"): HTMLButtonElement {
+  const button = h("button", { class: style, onclick }, icon(ICONS[sign]));
+  relabel(button, label);
+  return button;
+}
+
+/** Tell by a tooltip, and to screen readers, what an element does. */
+export function relabel(element: HTMLElement, label: string): void {
+  element.title = label;
+  element.setAttribute("aria-label", label);
+}
+
 /** Let the browser save a file. */
 export function download(name: string, content: Blob): void {
   const href = URL.createObjectURL(content);
@@ -75,9 +88,19 @@ export function toggle(
   title: string,
   onchange: (on: boolean) => void,
 ): { button: HTMLButtonElement; show: (on: boolean) => void } {
-  const button = h("button", { type: "button", class: "toggle", title, "aria-pressed": "false" }, text);
+  const button = h("button", { class: "toggle", title, "aria-pressed": "false" }, text);
   button.addEventListener("click", () => onchange(button.getAttribute("aria-pressed") !== "true"));
   return { button, show: (on) => button.setAttribute("aria-pressed", String(on)) };
+}
+
+/** A field for a number. */
+export function numberField(label: string, attributes: Attributes): HTMLInputElement {
+  return h("input", { type: "number", "aria-label": label, title: label, ...attributes });
+}
+
+/** Its number, as near as its limits allow. */
+export function numberOf({ min, max, valueAsNumber }: HTMLInputElement, otherwise = 0): number {
+  return Math.min(Number(max), Math.max(Number(min), Number.isNaN(valueAsNumber) ? otherwise : valueAsNumber));
 }
 
 /** A native select with options `[value, text]`. After a choice keys are the page's again, unless arrow keys go through the options. */

@@ -1,17 +1,16 @@
 // The line below the toolbar: the connection, what is being prepared, and what has failed.
 
-import { h, ICONS, icon } from "./dom.ts";
+import { h, signButton } from "./dom.ts";
 import type { State, Studio } from "./state.ts";
 
 export function notices(store: Studio): HTMLElement {
   const text = h("span", {});
-  const close = h("button", { type: "button", class: "quiet", "aria-label": "Close this message" }, icon(ICONS.close));
-  const element = h("div", { class: "notice", role: "status" }, text, close);
   let closed: string | null = null;
-  close.addEventListener("click", () => {
+  const close = signButton("close", "Close this message", () => {
     closed = text.textContent;
     element.hidden = true;
   });
+  const element = h("div", { class: "notice", role: "status" }, text, close);
   store.on(["link", "progress", "status", "scenario"], (state) => {
     const found = notice(state);
     if (found?.text !== closed) closed = null;

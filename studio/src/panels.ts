@@ -1,6 +1,6 @@
 // Panels with a title, a bar of controls, and a button that lets one fill the page.
 
-import { h, ICONS, icon } from "./dom.ts";
+import { h, relabel, signButton } from "./dom.ts";
 import type { PanelName, Studio } from "./state.ts";
 
 export interface Panel {
@@ -11,7 +11,7 @@ export interface Panel {
 
 export function panel(store: Studio, name: PanelName, title: string): Panel {
   const flip = () => store.set({ maximised: store.state.maximised === name ? null : name });
-  const grow = h("button", { type: "button", class: "quiet", onclick: flip }, icon(ICONS.grow));
+  const grow = signButton("grow", "", flip);
   const bar = h("div", { class: "bar" });
   const id = `panel-${name}`;
   const head = h("header", { class: "panel-head" }, h("h2", { id }, title), bar, grow);
@@ -23,9 +23,7 @@ export function panel(store: Studio, name: PanelName, title: string): Panel {
   const element = h("section", { class: `panel ${name}`, "data-panel": name, "aria-labelledby": id }, head, body);
   store.on(["maximised"], ({ maximised }) => {
     element.hidden = maximised !== null && maximised !== name;
-    const text = maximised === name ? "Show all panels (m)" : `Maximise: ${title.toLowerCase()} (m)`;
-    grow.title = text;
-    grow.setAttribute("aria-label", text);
+    relabel(grow, maximised === name ? "Show all panels (m)" : `Maximise: ${title.toLowerCase()} (m)`);
     grow.setAttribute("aria-pressed", String(maximised === name));
   });
   return { element, bar, body };

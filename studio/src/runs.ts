@@ -13,7 +13,6 @@ export function runSwitch(store: Studio, key: "camera_run" | "matrix_run"): HTML
         h(
           "button",
           {
-            type: "button",
             class: "toggle",
             title: `Run ${run + 1}: ${label}`,
             "aria-label": `Run ${run + 1}: ${label}`,

@@ -4,7 +4,7 @@ import { Connection } from "./connection.ts";
 import { download } from "./dom.ts";
 import { Edits, inShort } from "./edits.ts";
 import type { Arrays, ClientMessage, MeshesMessage, ScenarioMessage, ServerMessage, StatusMessage, StepMessage, View } from "./protocol.ts";
-import { type PanelName, RunData, type Studio } from "./state.ts";
+import { hasPen, type PanelName, RunData, type Studio } from "./state.ts";
 
 /** What the scenes are given, in the order in which it came. */
 export interface SceneSink {
@@ -52,6 +52,11 @@ export class Session {
       return;
     }
     this.#connection.send(message, arrays);
+  }
+
+  /** Ask for what takes the pen; without it nothing happens. */
+  steer(message: ClientMessage): void {
+    if (hasPen(this.store.state)) this.send(message);
   }
 
   /** Change values of keys, each `key=value`. For sliders and drags as well: an edit at a time is on its way, and then the newest values. */
@@ -124,7 +129,7 @@ export class Session {
       case "welcome":
         if (message.protocol !== 1) this.toast(`The server speaks protocol ${message.protocol}, this page 1: reload the page.`);
         this.#forget();
-        store.set({ role: message.role, id: message.id, version: message.version, progress: null, status: null });
+        store.set({ role: message.role, id: message.id, progress: null, status: null });
         return;
       case "error": {
         if (message.about === "scrub") this.#forget();

@@ -16,9 +16,10 @@ import type {
   StepMessage,
 } from "./protocol.ts";
 import { Rows } from "./rows.ts";
+import type { SceneOptions, Viewpoint } from "./scene/index.ts";
 import { Store } from "./store.ts";
 
-export type Viewpoint = "orbit" | "above" | "driver" | "oncoming" | "wall";
+export type { Viewpoint };
 export type PanelName = "scene" | "camera" | "matrix" | "curves";
 export type Tool = "move" | "turn" | "scale";
 export type Side = "left" | "right";
@@ -72,11 +73,10 @@ export interface Beam {
   points: BeamPoint[];
 }
 
-export interface State {
+export interface State extends SceneOptions {
   link: Link;
   role: "edit" | "watch" | null;
   id: number | null;
-  version: string;
   status: StatusMessage | null;
   progress: string | null;
   choices: ChoicesMessage | null;
@@ -106,11 +106,6 @@ export interface State {
   summary_version: number;
 
   viewpoint: Viewpoint;
-  exposure_ev: number;
-  style: "luminance" | "lux";
-  isolux: boolean;
-  fog: boolean;
-  frusta: boolean;
   rule: string;
   side: Side;
   beams: (Beam | null)[];
@@ -136,7 +131,6 @@ export function newStore(): Studio {
     link: "connecting",
     role: null,
     id: null,
-    version: "",
     status: null,
     progress: null,
     choices: null,
@@ -178,6 +172,14 @@ export function newStore(): Studio {
 /** Whether this client may steer. */
 export function hasPen({ link, status, id }: Readonly<State>): boolean {
   return link === "open" && status !== null && id !== null && status.pen === id;
+}
+
+/** Disables elements while this page may not steer. */
+export function needsPen(store: Studio, ...elements: { disabled: boolean }[]): void {
+  store.on(["link", "status", "id"], (state) => {
+    const disabled = !hasPen(state);
+    for (const each of elements) if (each.disabled !== disabled) each.disabled = disabled;
+  });
 }
 
 /** Number of the newest step of all runs, -1 before the first. */

@@ -1,11 +1,11 @@
 // What is run, and how: scenario, comparison, keys, play, speed, the slider over steps, and who steers.
 
-import { type Chooser, chooser } from "./chooser.ts";
-import { h, ICONS, icon, select, toggle } from "./dom.ts";
+import { chooser } from "./chooser.ts";
+import { h, ICONS, icon, relabel, select, signButton, toggle } from "./dom.ts";
 import { history } from "./model/history.ts";
 import type { ChoicesMessage, Named, Run, ScenarioMessage } from "./protocol.ts";
 import type { Session } from "./session.ts";
-import { hasPen, newestStep, type State, type Studio } from "./state.ts";
+import { hasPen, needsPen, newestStep, type State, type Studio } from "./state.ts";
 import { words } from "./words.ts";
 
 const SPEEDS = [
@@ -21,18 +21,14 @@ const NOTHING = "no comparison";
 export type Toolbar = Record<"playOrPause" | "step" | "reset" | "undo" | "redo" | "save", () => void> & { element: HTMLElement };
 
 export function toolbar(store: Studio, session: Session, opens: Record<"help" | "summary" | "keys", () => void>): Toolbar {
-  const steer = (send: () => void) => () => {
-    if (hasPen(store.state)) send();
+  const goOn = (type: "play" | "pause" | "step") => {
+    if (!hasPen(store.state)) return;
+    if (store.state.scrub !== null) session.scrub(null);
+    session.send({ type });
   };
-  const playOrPause = steer(() => {
-    if (store.state.scrub !== null) session.scrub(null);
-    session.send({ type: store.state.status?.playing ? "pause" : "play" });
-  });
-  const step = steer(() => {
-    if (store.state.scrub !== null) session.scrub(null);
-    session.send({ type: "step" });
-  });
-  const reset = steer(() => session.send({ type: "reset" }));
+  const playOrPause = () => goOn(store.state.status?.playing ? "pause" : "play");
+  const step = () => goOn("step");
+  const reset = () => session.steer({ type: "reset" });
   const edits = history(store, session);
   const keys = toggle("Keys", "Controls of all keys of the scenario (k)", opens.keys);
   store.on(["keys_open"], ({ keys_open }) => keys.show(keys_open));
@@ -64,29 +60,15 @@ export function toolbar(store: Studio, session: Session, opens: Record<"help" | 
 }
 
 function button(text: string, title: string, onclick: () => void, style = ""): HTMLButtonElement {
-  return h("button", { type: "button", class: style, title, "aria-label": text.length > 1 ? null : title, onclick }, text);
-}
-
-/** Disable what needs the pen while another has it, and say why. */
-function needsPen(store: Studio, ...elements: (HTMLButtonElement | HTMLInputElement | HTMLSelectElement | Chooser)[]): void {
-  store.on(["link", "status", "id", "role"], (state) => {
-    const disabled = !hasPen(state);
-    for (const each of elements) {
-      if ("setDisabled" in each) each.setDisabled(disabled);
-      else if (each.disabled !== disabled) each.disabled = disabled;
-    }
-  });
+  return h("button", { class: style, title, "aria-label": text.length > 1 ? null : title, onclick }, text);
 }
 
 function scenarioControls(store: Studio, session: Session): HTMLElement[] {
   const isRecording = (choice: string) => store.state.choices?.recordings.some(({ name }) => name === choice) ?? false;
-  const scenarios = chooser("Scenario", (name) =>
-    session.send(
-      isRecording(name)
-        ? { type: "open", name: "", overrides: [], recording: name }
-        : { type: "open", name, overrides: [], recording: null },
-    ),
-  );
+  const scenarios = chooser("Scenario", (choice) => {
+    const [name, recording] = isRecording(choice) ? ["", choice] : [choice, null];
+    session.send({ type: "open", name, overrides: [], recording });
+  });
   const compared = chooser("Compare with", (name) => {
     const scenario = store.state.scenario;
     if (isRecording(name)) session.send({ type: "compare", overrides: null, recording: name });
@@ -182,17 +164,9 @@ function playControls(
   does: { playOrPause: () => void; step: () => void; reset: () => void },
 ): (HTMLButtonElement | HTMLSelectElement)[] {
   const signs = { play: icon(ICONS.play), pause: icon(ICONS.pause) };
-  const play = h("button", { type: "button", class: "accent square", onclick: does.playOrPause }, signs.play);
-  const step = h(
-    "button",
-    { type: "button", class: "square", title: "One step (.)", "aria-label": "One step", onclick: does.step },
-    icon(ICONS.step),
-  );
-  const reset = h(
-    "button",
-    { type: "button", class: "square", title: "Start anew (r)", "aria-label": "Start anew", onclick: does.reset },
-    icon(ICONS.reset),
-  );
+  const play = h("button", { class: "accent square", onclick: does.playOrPause }, signs.play);
+  const step = signButton("step", "One step (.)", does.step, "square");
+  const reset = signButton("reset", "Start anew (r)", does.reset, "square");
   const speed = select("Speed", SPEEDS, (value) => session.send({ type: "speed", factor: value === "" ? null : Number(value) }));
   let playing: boolean | null = null;
   store.on(["status"], ({ status }) => {
@@ -200,8 +174,7 @@ function playControls(
     if (now !== playing) {
       playing = now;
       play.replaceChildren(now ? signs.pause : signs.play);
-      play.title = now ? "Pause (space)" : "Play (space)";
-      play.setAttribute("aria-label", now ? "Pause" : "Play");
+      relabel(play, now ? "Pause (space)" : "Play (space)");
     }
     if (status && document.activeElement !== speed) {
       const value = status.speed === null ? "" : String(status.speed);

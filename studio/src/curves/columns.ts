@@ -11,7 +11,7 @@ export interface ColumnList {
 
 /** onchange: names of the chosen columns, null for the usual ones. */
 export function columnList(onchange: (chosen: Set<string> | null) => void): ColumnList {
-  const button = h("button", { type: "button", "aria-expanded": "false", "aria-haspopup": "dialog" }, "Columns");
+  const button = h("button", { "aria-expanded": "false", "aria-haspopup": "dialog" }, "Columns");
   const filter = h("input", {
     type: "search",
     placeholder: "Filter by name, unit, description",
@@ -19,8 +19,8 @@ export function columnList(onchange: (chosen: Set<string> | null) => void): Colu
     spellcheck: "false",
   });
   const list = h("div", { class: "columns-list", role: "group", "aria-label": "Columns" });
-  const usual = h("button", { type: "button", onclick: () => onchange(null) }, "Usual ones");
-  const none = h("button", { type: "button", onclick: () => onchange(new Set()) }, "None");
+  const usual = h("button", { onclick: () => onchange(null) }, "Usual ones");
+  const none = h("button", { onclick: () => onchange(new Set()) }, "None");
   const popover = h(
     "div",
     { class: "popover up columns", role: "dialog", "aria-label": "Columns to draw" },

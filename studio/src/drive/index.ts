@@ -4,7 +4,7 @@ import { h } from "../dom.ts";
 import type { StepMessage } from "../protocol.ts";
 import type { ScenesPanel } from "../scenes/panel.ts";
 import type { Session } from "../session.ts";
-import { hasPen, type Studio } from "../state.ts";
+import { hasPen, needsPen, type Studio } from "../state.ts";
 import { type Controls, isControl, ofKeys, ofPads, turned } from "./controls.ts";
 
 const TICK_MS = 50;
@@ -12,6 +12,7 @@ const WHEELS = "vehicle.course=[{speed_m_s=0.0}]";
 const BEAMS = ["off", "low", "auto", "high"] as const;
 type Beam = (typeof BEAMS)[number];
 const FLASH = "KeyF";
+const HOW = "Drive the car with arrow keys, W, A, S and D, or a gamepad; Escape ends it";
 
 export const DRIVE_KEYS: [string, string][] = [
   ["Arrow keys, WASD", "while you drive: accelerate, brake, steer"],
@@ -24,7 +25,7 @@ export function driveControls(store: Studio, session: Session, scenes: ScenesPan
 
 class Driving {
   readonly #down = new Set<string>();
-  readonly #button = h("button", { type: "button", class: "toggle", onclick: () => this.#flip() }, "Drive");
+  readonly #button = h("button", { class: "toggle", title: HOW, onclick: () => this.#flip() }, "Drive");
   readonly #speed = h("output", { class: "drive-speed" });
   readonly #wheel = h("span", { class: "drive-wheel" }, h("i"));
   readonly #light = h("span", { class: "segments", role: "group", "aria-label": "Light switch" });
@@ -46,14 +47,13 @@ class Driving {
     scenes: ScenesPanel,
   ) {
     this.#light.append(
-      ...BEAMS.map((beam) =>
-        h("button", { type: "button", class: "toggle", title: TITLES[beam], onclick: () => this.#switch(beam) }, beam),
-      ),
+      ...BEAMS.map((beam) => h("button", { class: "toggle", title: TITLES[beam], onclick: () => this.#switch(beam) }, beam)),
     );
     scenes.bar.append(this.#button);
     scenes.body.append(this.#hud);
     store.on(["driving"], ({ driving }) => this.#show(driving));
-    store.on(["link", "status", "id", "role", "model"], (state) => this.#refresh(hasPen(state)));
+    needsPen(store, this.#button);
+    store.on(["link", "status", "id", "model"], (state) => this.#refresh(hasPen(state)));
     store.on(["runs"], () => {
       this.#end(); // of runs that start anew
       if (this.#due && store.state.model?.vehicle) this.#begin();
@@ -107,8 +107,6 @@ class Driving {
   }
 
   #refresh(steers: boolean): void {
-    this.#button.disabled = !steers;
-    this.#button.title = "Drive the car with arrow keys, W, A, S and D, or a gamepad; Escape ends it";
     if (!steers && this.store.state.driving) this.store.set({ driving: false });
     const beam = this.#beam();
     BEAMS.forEach((each, k) => this.#light.children[k].setAttribute("aria-pressed", String(each === beam)));

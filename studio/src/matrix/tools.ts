@@ -1,7 +1,7 @@
 // The strip of tools with which pixels are painted.
 
-import { download, fill, h, select, toggle } from "../dom.ts";
-import { hasPen, type Studio } from "../state.ts";
+import { download, fill, h, numberField, numberOf, select, toggle } from "../dom.ts";
+import { needsPen, type Studio } from "../state.ts";
 import { csv, png, readPixels } from "./files.ts";
 import { type Painting, TOOLS, type Tool } from "./painting.ts";
 
@@ -33,33 +33,30 @@ export function paintTools(
     refresh();
   };
   const buttons = TOOLS.map((tool) => ({ tool, ...toggle(tool, TITLES[tool], () => choose(tool)) }));
-  const number = (label: string, attributes: Record<string, unknown>, take: (value: number) => void) =>
-    h("input", {
-      type: "number",
-      "aria-label": label,
-      title: label,
-      ...attributes,
-      onchange: ({ target }) => {
-        const input = target as HTMLInputElement;
-        const value = Math.min(Number(input.max), Math.max(Number(input.min), Number(input.value) || 0));
-        take(value);
-        refresh();
-      },
-    });
-  const thickness = number("Thickness in pixels; of text, its height", { min: 1, max: 200, step: 1 }, (value) => {
-    painting.thickness = Math.round(value);
+  const thickness = numberField("Thickness in pixels; of text, its height", {
+    min: 1,
+    max: 200,
+    step: 1,
+    onchange: () => {
+      painting.thickness = Math.round(numberOf(thickness, 1));
+      refresh();
+    },
   });
-  const value = number("Utilisation that is painted, in per cent", { min: 0, max: 100, step: 5 }, (share) => {
-    painting.value = Math.round(2.55 * share);
+  const value = numberField("Utilisation that is painted, in per cent", {
+    min: 0,
+    max: 100,
+    step: 5,
+    onchange: () => {
+      painting.value = Math.round(2.55 * numberOf(value));
+      refresh();
+    },
   });
   const words = h("input", {
     type: "text",
     class: "words",
     placeholder: "text",
     "aria-label": "Text that is written",
-    oninput: ({ target }) => {
-      painting.words = (target as HTMLInputElement).value;
-    },
+    oninput: () => (painting.words = words.value),
   });
   const over = select(
     "Whether what is painted lies over the light of the functions, or is shown in its place",
@@ -72,7 +69,7 @@ export function paintTools(
   const module = select("The module of files", [], (choice) => {
     painting.module = Number(choice);
   });
-  const button = (text: string, title: string, onclick: () => void) => h("button", { type: "button", title, onclick }, text);
+  const button = (text: string, title: string, onclick: () => void) => h("button", { title, onclick }, text);
   const file = h("input", { type: "file", accept: ".png,.csv", hidden: true, "aria-label": "A picture of a module's pixels" });
   file.addEventListener("change", async () => {
     const [picture] = file.files ?? [];
@@ -122,8 +119,6 @@ export function paintTools(
     );
     refresh();
   });
-  store.on(["status", "id", "link"], (state) => {
-    for (const each of element.querySelectorAll<HTMLButtonElement>("button, select, input")) each.disabled = !hasPen(state);
-  });
+  needsPen(store, ...element.querySelectorAll<HTMLButtonElement>("button, select, input"));
   return { element, refresh, askText: () => setTimeout(() => words.focus()) }; // after the click, which takes the focus
 }

@@ -164,7 +164,7 @@ function list(editor: Editor, key: string, name: string, field: Field, { item }:
   const inner = editor.schemas.field(item).form;
   const choice = inner.is === "variants" ? variantChoice(`${key}: new item`, inner, false) : null;
   const names = () => shown.map((each) => (each as Table | null)?.name);
-  const add = h("button", { type: "button", class: "small" }, "Add");
+  const add = h("button", {}, "Add");
   add.addEventListener("click", () => {
     const fresh = editor.schemas.fresh(item, unused(choice?.value ?? "new", names()), choice?.value);
     editor.edit(override(key, [...shown, fresh]));

@@ -1,9 +1,8 @@
 // Buttons that take edits back and make them again, save the scenario, and record the run.
 
-import { h, ICONS, icon } from "../dom.ts";
-import type { ClientMessage } from "../protocol.ts";
+import { h, ICONS, icon, signButton } from "../dom.ts";
 import type { Session } from "../session.ts";
-import { hasPen, type Studio } from "../state.ts";
+import { needsPen, type Studio } from "../state.ts";
 
 export interface History {
   elements: HTMLElement[];
@@ -13,24 +12,19 @@ export interface History {
 }
 
 export function history(store: Studio, session: Session): History {
-  const send = (message: ClientMessage) => () => {
-    if (hasPen(store.state)) session.send(message);
-  };
-  const [undo, redo, save] = (["undo", "redo", "save"] as const).map((type) => send({ type }));
-  const button = (sign: keyof typeof ICONS, title: string, onclick: () => void) =>
-    h("button", { type: "button", class: "square", title, "aria-label": title, onclick }, icon(ICONS[sign]));
-  const record = h("button", { type: "button", class: "toggle record", "aria-pressed": "false" }, icon(ICONS.record), "Record");
+  const [undo, redo, save] = (["undo", "redo", "save"] as const).map((type) => () => session.steer({ type }));
+  const record = h("button", { class: "toggle record", "aria-pressed": "false" }, icon(ICONS.record), "Record");
   record.addEventListener("click", () => session.send({ type: "record", folder: store.state.status?.recording ? null : folder(store) }));
   const elements = [
-    button("undo", "Undo (Ctrl+Z)", undo),
-    button("redo", "Redo (Ctrl+Shift+Z)", redo),
-    button("save", "Save the scenario as a file (Ctrl+S)", save),
+    signButton("undo", "Undo (Ctrl+Z)", undo, "square"),
+    signButton("redo", "Redo (Ctrl+Shift+Z)", redo, "square"),
+    signButton("save", "Save the scenario as a file (Ctrl+S)", save, "square"),
     record,
   ];
-  store.on(["link", "status", "id", "role"], (state) => {
-    for (const each of elements) each.disabled = !hasPen(state);
-    const recording = state.status?.recording ?? null;
-    record.setAttribute("aria-pressed", String(recording !== null));
+  needsPen(store, ...elements);
+  store.on(["status"], ({ status }) => {
+    const recording = status?.recording;
+    record.setAttribute("aria-pressed", String(Boolean(recording)));
     record.title = recording
       ? `Recording into runs/${recording}; press to end`
       : "Record all steps of the run into a new folder in runs, where luxloop studio was started";

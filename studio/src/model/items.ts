@@ -1,6 +1,6 @@
 // Items of lists and of tables by name: they are chosen, added, renamed and removed.
 
-import { h, ICONS, icon } from "../dom.ts";
+import { h, signButton } from "../dom.ts";
 import { override, part, unused } from "./overrides.ts";
 import type { Editor } from "./row.ts";
 import type { Form, Schema } from "./schema.ts";
@@ -40,7 +40,7 @@ export function addByName(editor: Editor, key: string, item: Schema, taken: () =
     editor.edit(override(part(key, chosen), editor.schemas.fresh(item, chosen, kind?.value)));
     if (!names) name.value = "";
   };
-  const button = h("button", { type: "button", class: "small", onclick: add }, "Add");
+  const button = h("button", { onclick: add }, "Add");
   return h("div", { class: "key-add" }, name, kind, button);
 }
 
@@ -51,5 +51,5 @@ export function variantChoice(key: string, { tag, of }: Extract<Form, { is: "var
 }
 
 export function removeButton(key: string, onclick: () => void): HTMLButtonElement {
-  return h("button", { type: "button", class: "quiet", title: `Remove ${key}`, "aria-label": `Remove ${key}`, onclick }, icon(ICONS.close));
+  return signButton("close", `Remove ${key}`, onclick);
 }

@@ -1,8 +1,8 @@
 // The drawer of keys: disturbances, functions, and every key of the scenario, with a search.
 
-import { h, ICONS, icon } from "../dom.ts";
+import { h, signButton } from "../dom.ts";
 import type { Session } from "../session.ts";
-import { hasPen, type Studio } from "../state.ts";
+import { hasPen, needsPen, type Studio } from "../state.ts";
 import { node, tableOf } from "./branch.ts";
 import { disturbances } from "./disturb.ts";
 import { FunctionList } from "./functions.ts";
@@ -13,9 +13,7 @@ import { Schemas } from "./schema.ts";
 import { MOST, search } from "./search.ts";
 
 export function keysPanel(store: Studio, session: Session, toast: (sentence: string) => void): HTMLElement {
-  const shut = () => store.set({ keys_open: false });
-  const label = { title: "Close (k)", "aria-label": "Close the keys" };
-  const close = h("button", { type: "button", class: "quiet", ...label, onclick: shut }, icon(ICONS.close));
+  const close = signButton("close", "Close the keys (k)", () => store.set({ keys_open: false }));
   const words = h("input", {
     type: "search",
     placeholder: "Search names and descriptions",
@@ -38,9 +36,9 @@ export function keysPanel(store: Studio, session: Session, toast: (sentence: str
       content.replaceChildren(...parts(store, session, new Schemas(schema), words));
     } else if (!schema && link === "open") session.send({ type: "schema" });
   });
+  needsPen(store, content);
   store.on(["link", "status", "id", "role"], (state) => {
-    content.disabled = !hasPen(state);
-    note.hidden = !content.disabled || state.link !== "open";
+    note.hidden = hasPen(state) || state.link !== "open";
     note.textContent = state.role === "watch" ? "You watch: values can be read, and not be changed." : "Take the pen to change values.";
   });
   store.on(["refused"], ({ refused }) => {

@@ -1,6 +1,6 @@
 // What the controls of all keys have in common: how they edit, when a key acts, and the way back to its default; and a key with one control.
 
-import { h, ICONS, icon } from "../dom.ts";
+import { h, signButton } from "../dom.ts";
 import type { Acts } from "../protocol.ts";
 import { control } from "./control.ts";
 import { override } from "./overrides.ts";
@@ -88,6 +88,6 @@ export function defaultButton(editor: Editor, key: string, field: Field): { butt
   const title = `Set ${key} to its default again: ${text.length > 60 ? `${text.slice(0, 60)} ...` : text}`;
   const whole = field.form.is === "table" || field.form.is === "variants"; // which an empty table sets to their defaults
   const again = () => editor.edit(override(key, whole ? null : field.default));
-  const button = h("button", { type: "button", class: "quiet", title, "aria-label": title, onclick: again }, icon(ICONS.reset));
+  const button = signButton("reset", title, again);
   return { button, show: (value) => (button.hidden = field.default === undefined || same(value ?? null, field.default)) };
 }

@@ -32,7 +32,7 @@ export function deeds(placing: Placing): Deeds {
   const duplicate = () => {
     for (const thing of wholes()) copy(placing, thing);
   };
-  const button = (text: string, title: string, onclick: () => void) => h("button", { type: "button", title, onclick }, text);
+  const button = (text: string, title: string, onclick: () => void) => h("button", { title, onclick }, text);
   const ofOne = (does: (placing: Placing, thing: Thing) => void) => () => {
     const [thing] = placing.chosen;
     if (thing) does(placing, thing);
@@ -63,7 +63,6 @@ export function deeds(placing: Placing): Deeds {
       h(
         "button",
         {
-          type: "button",
           class: "thing off",
           title: "Switch on",
           disabled: !placing.steers,

@@ -3,7 +3,7 @@
 import { Box3, Matrix4 } from "three";
 import type { Table } from "../model/overrides.ts";
 import type { Model } from "../protocol.ts";
-import { figure, flat as flatPoint, type Keys, keyed, listed } from "./keyed.ts";
+import { figure, flat as flatPoint, type Keys, keyed, listed, type Said } from "./keyed.ts";
 import type { Thing } from "./things.ts";
 import { shifted } from "./whole.ts";
 
@@ -18,7 +18,7 @@ export function functionThings(model: Model): Thing[] {
 
 function ofFunction(model: Model, name: string, table: Table): Thing[] {
   const kind = String(table.kind);
-  const thing = { key: `functions.${name}`, title: name, kind, sort: "function", frame: "ground", live: true, partOf: null } as const;
+  const thing = { key: `functions.${name}`, title: name, kind, sort: "function" } as const;
   switch (kind) {
     case "primitive":
       return [keyed(model, { ...thing, keys: { ...ON_ROAD, ...ANGLES, z: "z_m" }, others: SHARED })];
@@ -37,10 +37,11 @@ function ofFunction(model: Model, name: string, table: Table): Thing[] {
 }
 
 /** What is drawn where objects or the car are. */
-function placeless(thing: Plain, table: Table): Thing {
+function placeless(thing: Said, table: Table): Thing {
   const numbers = Object.entries(table).filter(([, value]) => typeof value === "number");
   return {
     ...thing,
+    partOf: null,
     placed: false,
     T: new Matrix4(),
     bounds: new Box3(),
@@ -51,10 +52,8 @@ function placeless(thing: Plain, table: Table): Thing {
   };
 }
 
-type Plain = Pick<Thing, "key" | "title" | "kind" | "sort" | "frame" | "live" | "partOf">;
-
 /** A picture that stands and faces an eye; the driver's is behind and above the lamps. */
-function seenByObserver(model: Model, thing: Plain, observer: Table): Thing {
+function seenByObserver(model: Model, thing: Said, observer: Table): Thing {
   const [x, y] = observer.centre_m as number[];
   const [eyeX, eyeY] = (observer.name ? [0, 0] : observer.eye_m) as number[];
   const yaw = (Math.atan2(y! - eyeY!, x! - eyeX!) * 180) / Math.PI;
@@ -62,7 +61,7 @@ function seenByObserver(model: Model, thing: Plain, observer: Table): Thing {
   return keyed(model, { ...thing, keys, fixed: { pitch: -90, yaw }, others: SHARED });
 }
 
-function pathThings(model: Model, thing: Plain, count: number): Thing[] {
+function pathThings(model: Model, thing: Said, count: number): Thing[] {
   const points = Array.from({ length: count }, (_, k) => `${thing.key}.control_m[${k}]`);
   const whole = shifted(model, { ...thing, points, others: ["width_m", ...SHARED] });
   const each = points.map((key, k) =>

@@ -14,7 +14,10 @@ const SIZES = ["length", "width", "height"] as const; // along x, y and z
 const POSE = ["x", "y", "z", "roll", "pitch", "yaw"] as const;
 const LEAST = 0.05; // m, of a size
 
-export interface Keyed extends Omit<Thing, "T" | "bounds" | "axes" | "way" | "changes" | "figures" | "placed"> {
+/** What is said of a thing, where all else comes from its keys. */
+export type Said = Pick<Thing, "key" | "title" | "kind" | "sort"> & Partial<Pick<Thing, "partOf">>;
+
+export interface Keyed extends Said {
   keys: Keys;
   /** What has no key. */
   fixed?: Partial<Pose>;
@@ -28,7 +31,10 @@ export interface Keyed extends Omit<Thing, "T" | "bounds" | "axes" | "way" | "ch
   others?: string[];
 }
 
-export function keyed(model: unknown, { keys, fixed, lift = 0, bounds, stands = false, others = [], ...thing }: Keyed): Thing {
+export function keyed(
+  model: unknown,
+  { keys, fixed, lift = 0, bounds, stands = false, others = [], partOf = null, ...thing }: Keyed,
+): Thing {
   const whole = (name: string) => (name.startsWith("[") ? `${thing.key}${name}` : `${thing.key}.${name}`);
   const at = (component: Component | Size) => {
     const key = keys[component];
@@ -43,6 +49,7 @@ export function keyed(model: unknown, { keys, fixed, lift = 0, bounds, stands = 
   const given = new Set<string>(Object.keys(keys));
   return {
     ...thing,
+    partOf,
     placed: true,
     T,
     way: [],

@@ -17,7 +17,7 @@ export function objectThings(model: Model, told: Model, standing: Standing): Thi
 function ofObject(model: Model, told: Model, there: Standing, table: Table, key: string): Thing[] {
   const name = String(table.name);
   const body = there.body(name);
-  const thing = { key, title: name, kind: String(table.kind), sort: "object", frame: "world", live: false, partOf: null } as const;
+  const thing = { key, title: name, kind: String(table.kind), sort: "object" } as const;
   const track = table.track as Table[];
   if (track.length === 1) {
     const keys = { ...listed("track[0].position_m"), ...ANGLES, ...(table.kind === "box" ? BOX : {}) };

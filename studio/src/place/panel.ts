@@ -66,7 +66,6 @@ export function placePanel(placing: Placing, adding: Adding, deeds: Deeds, bar: 
     h(
       "button",
       {
-        type: "button",
         role: "option",
         class: "thing",
         "data-key": key,

@@ -9,7 +9,7 @@ import type { Session } from "../session.ts";
 import { hasPen, type Studio, type Tool } from "../state.ts";
 import { Gizmo } from "./gizmo.ts";
 import { COLOURS, type Met, Outlines } from "./outlines.ts";
-import { type Frame, type Thing, thingsOf } from "./things.ts";
+import { FRAMES, type Frame, type Thing, thingsOf } from "./things.ts";
 
 /** Something that the next clicks in the scene do instead of choosing. */
 export interface Clicking {
@@ -112,7 +112,7 @@ export class Placing {
 
   /** Pose of a thing in the local frame of the scene. */
   local(thing: Thing): Matrix4 {
-    return this.frame(thing.frame).multiply(thing.T);
+    return this.frame(FRAMES[thing.sort]).multiply(thing.T);
   }
 
   /** Pose of a frame of keys in the local frame of the scene. */
@@ -177,13 +177,13 @@ export class Placing {
     const live: [string, number][] = [];
     for (const { thing, T_base, before } of drag.parts) {
       const now = new Map(before);
-      const T = this.frame(thing.frame).invert().multiply(T_local_base).multiply(T_base);
+      const T = this.frame(FRAMES[thing.sort]).invert().multiply(T_local_base).multiply(T_base);
       for (const [key, value] of thing.changes(T, scale)) {
         if (!before.has(key)) before.set(key, Number(valueAt(this.store.state.model, key)));
         now.set(key, value);
       }
       for (const [key, value] of now) {
-        if (thing.live && this.drafts.get(key) !== value) live.push([key, value]);
+        if (isLive(thing) && this.drafts.get(key) !== value) live.push([key, value]);
         this.drafts.set(key, value);
       }
     }
@@ -194,7 +194,7 @@ export class Placing {
     const { drag } = this;
     this.drag = null;
     if (!drag) return;
-    const late = drag.parts.filter(({ thing }) => !thing.live).flatMap(({ before }) => [...before.keys()]);
+    const late = drag.parts.filter(({ thing }) => !isLive(thing)).flatMap(({ before }) => [...before.keys()]);
     this.edit(late.map((key) => [key, this.drafts.get(key) ?? 0] as const));
     this.settle();
   }
@@ -271,6 +271,11 @@ const EYE = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
 
 /** That of all of them, or the ground's. */
 function frameOf(things: readonly Thing[]): Frame {
-  const [first, ...others] = things;
-  return first && others.every(({ frame }) => frame === first.frame) ? first.frame : "ground";
+  const [first, ...others] = new Set(things.map(({ sort }) => FRAMES[sort]));
+  return first && !others.length ? first : "ground";
+}
+
+/** Whether a change acts at the next step, so that it is told while it is made. */
+function isLive({ sort }: Thing): boolean {
+  return sort === "function";
 }

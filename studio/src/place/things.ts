@@ -6,9 +6,12 @@ import { functionThings } from "./functions.ts";
 import { objectThings } from "./objects.ts";
 import { worldThings } from "./world.ts";
 
-/** Of the keys: the ground below the car, which moves with it; the world; or the car's body. */
-export type Frame = "ground" | "world" | "body";
 export type Sort = "function" | "object" | "light" | "road" | "car";
+/** The ground below the car, which moves with it; the world; or the car's body. */
+export type Frame = "ground" | "world" | "body";
+
+/** Frames in which the keys are. */
+export const FRAMES: Record<Sort, Frame> = { function: "ground", object: "world", light: "world", road: "world", car: "body" };
 
 /** A key and its new value. */
 export type Change = readonly [key: string, value: number];
@@ -25,7 +28,6 @@ export interface Thing {
   title: string;
   kind: string;
   sort: Sort;
-  frame: Frame;
   /** Pose in its frame. */
   T: Matrix4;
   /** Outline in its own frame; a point where it is empty. */
@@ -34,8 +36,6 @@ export interface Thing {
   way: Vector3[];
   /** Axes along which it can be moved and scaled, and about which it can be turned. */
   axes: { move: string; turn: string; scale: string };
-  /** Whether a change acts at the next step, so that it is told while it is made. */
-  live: boolean;
   /** Whether it is drawn; what has no place of its own is listed alone. */
   placed: boolean;
   /** Things that are a part of another are shown only while that or another part of it is chosen. */

@@ -2,11 +2,11 @@
 
 import { Box3, Matrix4, Vector3 } from "three";
 import { valueAt } from "../model/overrides.ts";
-import { figure } from "./keyed.ts";
+import { figure, type Said } from "./keyed.ts";
 import { rounded } from "./poses.ts";
 import type { Change, Thing } from "./things.ts";
 
-export interface Shifted extends Omit<Thing, "T" | "bounds" | "axes" | "way" | "changes" | "figures" | "placed"> {
+export interface Shifted extends Said {
   /** Keys of its points, each a list of two or three numbers. */
   points: string[];
   /** Where it is now, if that is not at its first point. */
@@ -15,12 +15,13 @@ export interface Shifted extends Omit<Thing, "T" | "bounds" | "axes" | "way" | "
   others?: string[];
 }
 
-export function shifted(model: unknown, { points, T, bounds, others = [], ...thing }: Shifted): Thing {
+export function shifted(model: unknown, { points, T, bounds, others = [], partOf = null, ...thing }: Shifted): Thing {
   const first = pointAt(model, points[0]!);
   const now = T ?? new Matrix4().setPosition(first);
   const from = new Vector3().setFromMatrixPosition(now);
   return {
     ...thing,
+    partOf,
     placed: true,
     T: now,
     way: points.map((key) => pointAt(model, key).applyMatrix4(now.clone().invert())),

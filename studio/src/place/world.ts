@@ -3,7 +3,7 @@
 import { Box3, Matrix4, Vector3 } from "three";
 import { type Table, valueAt } from "../model/overrides.ts";
 import type { Model } from "../protocol.ts";
-import { type Keys, keyed, listed } from "./keyed.ts";
+import { figure, type Keys, keyed, listed } from "./keyed.ts";
 import { rounded } from "./poses.ts";
 import type { Thing } from "./things.ts";
 
@@ -18,30 +18,14 @@ const SHAPES: Record<string, Keys> = {
 };
 
 export function worldThings(model: Model): Thing[] {
-  const light = model.light as Table;
-  const still = { live: false, partOf: null, frame: "world" } as const;
-  const lamps = (light.street_lamps as Table[]).map((_, k) =>
-    keyed(model, {
-      ...still,
-      key: `light.street_lamps[${k}]`,
-      title: `street lamp ${k}`,
-      kind: "street lamp",
-      sort: "light",
-      keys: listed("position_m"),
-      others: ["intensity_cd"],
-    }),
-  );
-  const spots = (model.spots as Table[]).map((spot, k) =>
-    keyed(model, {
-      ...still,
-      key: `spots[${k}]`,
-      title: `${spot.material ?? "spot"} ${k}`,
-      kind: "spot",
-      sort: "road",
-      keys: FLAT,
-      others: ["albedo_factor"],
-    }),
-  );
+  const lamps = ((model.light as Table).street_lamps as Table[]).map((_, k) => {
+    const said = { key: `light.street_lamps[${k}]`, title: `street lamp ${k}`, kind: "street lamp", sort: "light" } as const;
+    return keyed(model, { ...said, keys: listed("position_m"), others: ["intensity_cd"] });
+  });
+  const spots = (model.spots as Table[]).map((spot, k) => {
+    const said = { key: `spots[${k}]`, title: `${spot.material ?? "spot"} ${k}`, kind: "spot", sort: "road" } as const;
+    return keyed(model, { ...said, keys: FLAT, others: ["albedo_factor"] });
+  });
   return [...lamps, ...spots, ...shapeOfRoad(model), camera(model), carLamps(model)];
 }
 
@@ -54,35 +38,11 @@ function shapeOfRoad(model: Model): Thing[] {
   if (kind === "pothole") half.y = half.x;
   const bounds = new Box3(half.clone().negate(), half);
   const others = kind === "pothole" ? ["depth_m", "edge_m"] : ["height_m"];
-  return [
-    keyed(model, {
-      key: "road",
-      title: kind.replace("_", " "),
-      kind,
-      sort: "road",
-      frame: "world",
-      live: false,
-      partOf: null,
-      keys,
-      bounds,
-      others,
-    }),
-  ];
+  return [keyed(model, { key: "road", title: kind.replace("_", " "), kind, sort: "road", keys, bounds, others })];
 }
 
 function camera(model: Model): Thing {
-  const others = ["hfov_deg"];
-  return keyed(model, {
-    key: "camera",
-    title: "camera",
-    kind: "camera",
-    sort: "car",
-    frame: "body",
-    live: false,
-    partOf: null,
-    keys: CAMERA,
-    others,
-  });
+  return keyed(model, { key: "camera", title: "camera", kind: "camera", sort: "car", keys: CAMERA, others: ["hfov_deg"] });
 }
 
 /** Both lamps at once, by the place of the left one. */
@@ -93,8 +53,6 @@ function carLamps(model: Model): Thing {
     title: "lamps",
     kind: "lamps",
     sort: "car",
-    frame: "body",
-    live: false,
     placed: true,
     partOf: null,
     T: new Matrix4().setPosition(0, distance_m / 2, height_m),
@@ -109,11 +67,6 @@ function carLamps(model: Model): Thing {
         ...(height === height_m ? [] : [["headlight.height_m", height] as const]),
       ];
     },
-    figures: [
-      { key: "headlight.distance_m", label: "distance", unit: "m" },
-      { key: "headlight.height_m", label: "height", unit: "m" },
-      { key: "headlight.level_deg", label: "level", unit: "°" },
-      { key: "headlight.swivel_deg", label: "swivel", unit: "°" },
-    ],
+    figures: ["distance_m", "height_m", "level_deg", "swivel_deg"].map((name) => figure("headlight", name)),
   };
 }

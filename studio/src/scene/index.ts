@@ -93,11 +93,7 @@ export class SceneView {
     this.resize();
   }
 
-  get options(): Readonly<SceneOptions> {
-    return this.current;
-  }
-
-  setOptions(options: Partial<SceneOptions>): void {
+  setOptions(options: SceneOptions): void {
     Object.assign(this.current, options);
     this.changed();
   }
@@ -105,10 +101,6 @@ export class SceneView {
   /** Called when the user moves the orbit camera, so that another view can follow with `setOrbit`. */
   set onMove(call: ((orbit: Orbit) => void) | null) {
     this.viewpoints.onMove = call;
-  }
-
-  get onMove(): ((orbit: Orbit) => void) | null {
-    return this.viewpoints.onMove;
   }
 
   setOrbit(orbit: Orbit): void {

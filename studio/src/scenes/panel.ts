@@ -4,11 +4,9 @@ import { h, select, toggle } from "../dom.ts";
 import { EXPOSURE_EV, VIEWPOINTS } from "../keys.ts";
 import { panel } from "../panels.ts";
 import type { Arrays, MeshesMessage, ScenarioMessage, StepMessage } from "../protocol.ts";
-import { SceneView } from "../scene/index.ts";
+import { type Orbit, type SceneOptions, SceneView } from "../scene/index.ts";
 import type { SceneSink } from "../session.ts";
-import type { State, Studio, Viewpoint } from "../state.ts";
-
-type Orbit = Parameters<SceneView["setOrbit"]>[0];
+import type { Studio, Viewpoint } from "../state.ts";
 
 interface Cell {
   element: HTMLElement;
@@ -32,11 +30,6 @@ export class ScenesPanel implements SceneSink {
     body.append(this.#room);
     bar.append(...lightControls(store));
     this.#fit(1);
-    const options = this.views[0]?.options;
-    if (options) {
-      const { exposure_ev, style, isolux, fog, frusta } = options;
-      store.set({ exposure_ev, style, isolux, fog, frusta });
-    }
     store.on(["exposure_ev", "style", "isolux", "fog", "frusta"], (state) => this.#each((view) => applyOptions(view, state)));
     store.on(["viewpoint"], ({ viewpoint }) => this.#each((view) => view.setViewpoint(viewpoint)));
     store.on(["beams", "viewpoint", "rule", "side"], (state) => {
@@ -113,7 +106,7 @@ export class ScenesPanel implements SceneSink {
   }
 }
 
-function applyOptions(view: SceneView, { exposure_ev, style, isolux, fog, frusta }: Readonly<State>): void {
+function applyOptions(view: SceneView, { exposure_ev, style, isolux, fog, frusta }: SceneOptions): void {
   view.setOptions({ exposure_ev, style, isolux, fog, frusta });
 }
 

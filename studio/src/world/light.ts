@@ -1,7 +1,7 @@
 // Painting light in the world: a click on the road lights it by the pixels that reach it, a brush says how bright it shall be.
 
 import { brief } from "../brief.ts";
-import { h, toggle } from "../dom.ts";
+import { h, numberField, numberOf, toggle } from "../dom.ts";
 import type { Painting } from "../matrix/painting.ts";
 import type { PlaceAnswer, Vector } from "../protocol.ts";
 import type { SceneView } from "../scene/index.ts";
@@ -26,11 +26,9 @@ export function worldLight(store: Studio, session: Session, scenes: ScenesPanel,
   let asked: ReturnType<typeof setTimeout> | null = null;
   let waiting: Vector | null = null;
 
-  const number = (label: string, value: number, min: number, max: number) =>
-    h("input", { type: "number", "aria-label": label, title: label, value, min, max, step: "any" });
-  const utilisation = number("Utilisation that is painted, in per cent", 100, 0, 100);
-  const lx = number("Illuminance that is wanted, in lx; nothing: none is wanted", 1, 0, 1000);
-  const radius = number("Radius of the brush, in m", 1, 0.3, 10);
+  const utilisation = numberField("Utilisation that is painted, in per cent", { value: 100, min: 0, max: 100, step: 5 });
+  const lx = numberField("Illuminance that is wanted, in lx; nothing: none is wanted", { value: 1, min: 0, max: 1000, step: "any" });
+  const radius = numberField("Radius of the brush, in m", { value: 1, min: 0.3, max: 10, step: "any" });
   const told = h("output", { class: "readout" });
   const buttons = (Object.keys(MODES) as Mode[]).map((each) => ({ each, ...toggle(each, MODES[each], (on) => choose(on ? each : null)) }));
   const share = h("label", {}, "%", utilisation);
@@ -39,8 +37,8 @@ export function worldLight(store: Studio, session: Session, scenes: ScenesPanel,
     { class: "brush" },
     h("label", {}, "lx", lx),
     h("label", {}, "brush m", radius),
-    h("button", { type: "button", title: "Find the pixels that come closest to it", onclick: () => wish() }, "paint it"),
-    h("button", { type: "button", title: "Forget the light wanted", onclick: () => clear() }, "clear"),
+    h("button", { title: "Find the pixels that come closest to it", onclick: () => wish() }, "paint it"),
+    h("button", { title: "Forget the light wanted", onclick: () => clear() }, "clear"),
   );
   const strip = h(
     "div",
@@ -99,8 +97,8 @@ export function worldLight(store: Studio, session: Session, scenes: ScenesPanel,
   const paintAt = (point: Vector) => {
     if (mode === "lux") {
       const at = onGround(point);
-      const size_m = Math.max(0.3, radius.valueAsNumber || 1);
-      const wanted = Number.isNaN(lx.valueAsNumber) ? null : Math.max(0, lx.valueAsNumber);
+      const size_m = numberOf(radius, 1);
+      const wanted = lx.value === "" ? null : numberOf(lx);
       const from = before ?? at;
       const steps = Math.ceil(Math.hypot(at[0] - from[0], at[1] - from[1]) / (0.5 * size_m)) || 1;
       for (let k = 1; k <= steps; k++) {
@@ -120,7 +118,7 @@ export function worldLight(store: Studio, session: Session, scenes: ScenesPanel,
       type: "place",
       stroke: painting.strokes,
       point_m: waiting,
-      value: mode === "light" ? Math.round(2.55 * Math.min(100, Math.max(0, utilisation.valueAsNumber || 0))) : null,
+      value: mode === "light" ? Math.round(2.55 * numberOf(utilisation)) : null,
       over: painting.over,
     });
     waiting = null;

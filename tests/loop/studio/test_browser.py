@@ -172,7 +172,7 @@ def test_a_run_is_steered_scrubbed_and_compared(browser: webdriver.Chrome) -> No
         opened(browser, served)
         shown = "window.luxloop.store.state.runs[0].shown?"
         for step in (1, 2, 3):
-            browser.find_element(By.CSS_SELECTOR, "[aria-label='One step']").click()
+            browser.find_element(By.CSS_SELECTOR, "[aria-label='One step (.)']").click()
             until(browser, f"return {shown}.step === {step}")
         slider = browser.find_element(By.CSS_SELECTOR, ".scrub")
         slider.send_keys(Keys.ARROW_LEFT)

@@ -104,7 +104,7 @@ def test_undo_takes_a_stroke_off_the_page(page: webdriver.Chrome, plain: Served)
     before = utilisations(page)
     clicked(page, "brush")
     drawn(page, (0, 3), (0, 8))
-    until(page, "return luxloop.painting.layers[0].painted[5] === 255 && luxloop.store.state.model.lighting.painted.length === 1")
+    until(page, "return luxloop.store.state.runs[0].utilisations.get(0).slice(3, 9).every((each) => each === 255)")  # all of it has arrived
     ActionChains(page).key_down(Keys.CONTROL).send_keys("z").key_up(Keys.CONTROL).perform()
     until(page, "return luxloop.painting.layers[0].painted.every((each) => each === 0)")
     WebDriverWait(page, 20, 0.1).until(lambda page: np.array_equal(utilisations(page), before))
