@@ -2,6 +2,7 @@
 
 import type { Arrays, Module, PaintMessage } from "../protocol.ts";
 import type { Studio } from "../state.ts";
+import { Turns } from "../turns.ts";
 import { type Pixels, readPng } from "./files.ts";
 import { type Box, both, Layer } from "./layer.ts";
 import { line, type Place, region, text } from "./raster.ts";
@@ -34,7 +35,7 @@ export class Painting {
   /** Pixels that are shown by a frame, by module. */
   marked = new Map<number, Set<number>>();
   readonly #dirty = new Map<number, Box>();
-  #sent: ReturnType<typeof setTimeout> | null = null;
+  readonly #turns = new Turns(() => this.#send(), ANSWER_MS);
   #stroke: { module: number; from: Place; to: Place } | null = null;
   #shown: unknown = null;
   #due: ReturnType<typeof setTimeout> | undefined;
@@ -53,13 +54,13 @@ export class Painting {
       this.#dirty.clear();
       this.#stroke = null;
       this.marked.clear();
-      this.#answered();
+      this.#turns.answered();
     });
     store.on(["scenario", "model"], ({ scenario, model }) => {
       clearTimeout(this.#due);
       if (scenario) this.#due = setTimeout(() => void this.#show(scenario.runs[0].modules, model), QUIET_MS);
     });
-    store.on(["answered"], () => this.#answered());
+    store.on(["answered"], () => this.#turns.answered());
   }
 
   /** The line from which on a stroke is drawn, which is not painted yet. */
@@ -135,25 +136,19 @@ export class Painting {
     const dirty = both(this.#dirty.get(module) ?? null, box);
     if (dirty) this.#dirty.set(module, dirty);
     this.changed(module, box);
-    this.#next();
+    this.#turns.ask();
   }
 
-  #next(): void {
+  #send(): boolean {
     const [next] = this.#dirty;
-    if (this.#sent !== null || !next) return;
+    if (!next) return false;
     const [module, box] = next;
     this.#dirty.delete(module);
     const layer = this.layers[module];
     const shape = [box.bottom - box.top, box.right - box.left];
     const arrays = new Map((["value", "painted"] as const).map((name) => [name, { shape, values: layer.cut(layer[name], box) }] as const));
-    this.#sent = setTimeout(() => this.#answered(), ANSWER_MS);
     this.send({ type: "paint", stroke: this.strokes, module, box: [box.top, box.bottom, box.left, box.right], over: this.over }, arrays);
-  }
-
-  #answered(): void {
-    if (this.#sent !== null) clearTimeout(this.#sent);
-    this.#sent = null;
-    this.#next();
+    return true;
   }
 
   /** Take what the server has, unless something is painted that it has not yet. */
@@ -162,7 +157,7 @@ export class Painting {
     const params = (model as { lighting?: { painted?: PaintedParams[] } } | null)?.lighting?.painted ?? [];
     this.#pictures = new Map(params.map(({ png }) => [png, this.#pictures.get(png) ?? decoded(png)]));
     const pictures = await Promise.all(params.map(({ png }) => this.#pictures.get(png)));
-    if (this.#shown !== model || this.#stroke || this.#dirty.size > 0 || this.#sent !== null) return;
+    if (this.#shown !== model || this.#stroke || this.#dirty.size > 0 || this.#turns.waits) return;
     const over = params.every((each) => each.over);
     const switched = over !== this.over;
     this.over = over;

@@ -8,6 +8,7 @@ import type { SceneView } from "../scene/index.ts";
 import type { ScenesPanel } from "../scenes/panel.ts";
 import type { Session } from "../session.ts";
 import { hasPen, type Studio } from "../state.ts";
+import { Turns } from "../turns.ts";
 import { BOX_M, Raster } from "./raster.ts";
 import { WishPlane } from "./wish_plane.ts";
 
@@ -23,7 +24,6 @@ export function worldLight(store: Studio, session: Session, scenes: ScenesPanel,
   const raster = new Raster();
   const planes = new Map<SceneView, WishPlane>();
   let mode: Mode | null = null;
-  let asked: ReturnType<typeof setTimeout> | null = null;
   let waiting: Vector | null = null;
 
   const utilisation = numberField("Utilisation that is painted, in per cent", { value: 100, min: 0, max: 100, step: 5 });
@@ -109,11 +109,11 @@ export function worldLight(store: Studio, session: Session, scenes: ScenesPanel,
       draw();
     } else {
       waiting = point;
-      ask();
+      turns.ask();
     }
   };
-  const ask = () => {
-    if (asked !== null || !waiting || !asks()) return;
+  const turns = new Turns(() => {
+    if (!waiting || !asks()) return false;
     session.send({
       type: "place",
       stroke: painting.strokes,
@@ -122,13 +122,8 @@ export function worldLight(store: Studio, session: Session, scenes: ScenesPanel,
       over: painting.over,
     });
     waiting = null;
-    asked = setTimeout(answered, ANSWER_MS);
-  };
-  const answered = () => {
-    if (asked !== null) clearTimeout(asked);
-    asked = null;
-    ask();
-  };
+    return true;
+  }, ANSWER_MS);
   const found = ({ modules }: PlaceAnswer) => {
     painting.mark(new Map(modules.map(({ module, pixels }) => [module, new Set(pixels)])));
     const names = modules.map(({ module, pixels }) => `${store.state.scenario?.runs[0].modules[module].name} ${pixels.length}`);
@@ -172,7 +167,7 @@ export function worldLight(store: Studio, session: Session, scenes: ScenesPanel,
       told.textContent = `${brief(wanted_lx)} lx wanted; off by ${brief(rmse_lx)} lx (RMSE), at most ${brief(worst_lx)} lx; ${pixels} pixels`;
       return;
     }
-    answered();
+    turns.answered();
     if (light.type === "error") told.textContent = "";
     else if (asks()) found(light);
   });
