@@ -51,24 +51,31 @@ function branch(editor: Editor, key: string, name: string, field: Field, inside:
   );
   const body = h("div", { class: "key-body" }, field.description ? h("p", { class: "key-help" }, field.description) : null);
   const element = h("details", { class: "key-branch", "data-key": key, open: isSmall(field.form) }, head, body);
+  const show = onceOpen(element, body, inside);
+  return {
+    element,
+    show(value) {
+      back.show(value);
+      element.classList.toggle("changed", !back.button.hidden);
+      count.textContent = titleOf(value, field.form);
+      show(value);
+    },
+  };
+}
+
+/** Makes what is inside of a part once it is opened. Returns what shows a value in it. */
+export function onceOpen(element: HTMLDetailsElement, body: HTMLElement, inside: () => Content): Content["show"] {
   let content: Content | null = null;
   let shown: unknown;
-  const open = () => {
+  element.addEventListener("toggle", () => {
     if (!element.open || content) return;
     content = inside();
     body.append(...content.elements);
     content.show(shown);
-  };
-  element.addEventListener("toggle", open);
-  return {
-    element,
-    show(value) {
-      shown = value;
-      back.show(value);
-      element.classList.toggle("changed", !back.button.hidden);
-      count.textContent = titleOf(value, field.form);
-      content?.show(value);
-    },
+  });
+  return (value) => {
+    shown = value;
+    content?.show(value);
   };
 }
 

@@ -2,7 +2,7 @@
 
 import { h } from "../dom.ts";
 import type { Studio } from "../state.ts";
-import { type Content, node, tableOf } from "./branch.ts";
+import { type Content, node, onceOpen, tableOf } from "./branch.ts";
 import { type Off, switchOff, switchOn } from "./entries.ts";
 import { addByName } from "./items.ts";
 import { part, type Table } from "./overrides.ts";
@@ -37,7 +37,7 @@ export class FunctionList {
   show(): void {
     const functions = this.#functions;
     const off = Object.entries(this.#off).map(([name, { table }]) => [name, table] as const);
-    const all = new Map([...off, ...Object.entries(functions)]);
+    const all = new Map([...Object.entries(functions), ...off]);
     for (const [name, { card, kind }] of [...this.#cards]) {
       if (all.get(name)?.kind === kind) continue;
       card.element.remove();
@@ -87,21 +87,14 @@ export class FunctionList {
     const { controller, ...others } = (form.is === "variants" && form.of.get(kind)?.properties) || {};
     const of = controller ? node(this.editor, part(key, "controller"), "controller", controller) : null;
     if (of?.element instanceof HTMLDetailsElement) of.element.open = true;
-    const element = h("details", { class: "key-branch" }, h("summary", {}, h("span", { class: "key-name" }, "all its keys")));
-    let rest: Content | null = null;
-    let shown: unknown = null;
-    element.addEventListener("toggle", () => {
-      if (!element.open || rest) return;
-      rest = tableOf(this.editor, key, others, null);
-      element.append(h("div", { class: "key-body" }, ...rest.elements));
-      rest.show(shown);
-    });
+    const body = h("div", { class: "key-body" });
+    const element = h("details", { class: "key-branch" }, h("summary", {}, h("span", { class: "key-name" }, "all its keys")), body);
+    const show = onceOpen(element, body, () => tableOf(this.editor, key, others, null));
     return {
       elements: [...(of ? [of.element] : []), element],
       show(value) {
-        shown = value;
         of?.show((value as Table).controller ?? null);
-        rest?.show(value);
+        show(value);
       },
     };
   }
