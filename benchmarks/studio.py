@@ -31,7 +31,7 @@ from loop.studio.sources import Source
 from loop.terminal import tables
 
 SMALL = ("camera.width_px=640", "camera.height_px=360", "judge_every=0")
-STEPS = {"snowflake": 240, "gfhb": 60, "driving": 40}  # some four seconds each
+STEPS = {"snowflake": 240, "gfhb": 60, "driving": 80}  # some four to eight seconds each
 SETTLED_S = 1.0  # in which a client has got the meshes of a run that starts
 WATCHER = """
 import json, struct, sys, time

@@ -18,7 +18,7 @@ from world.headlight import Headlight
 
 MOST_UNSHOWN: Final = 2  # steps of a run that a client may not have shown yet: one on its way, and one that it is at
 PERIOD_S: Final = 0.05  # between two steps of a run that plays, at least
-REST: Final = 10  # times what making messages takes pass until the next ones
+REST: Final = 20  # times what making messages takes pass until the next ones
 FORGOTTEN: Final = "light and pictures of this step are no longer kept: those of the step shown last are drawn; start anew to see them"
 HALF_PEAK: Final = 1024.0  # of a module in units of its half floats, far from where these overflow
 

@@ -39,7 +39,7 @@ from world.scene.triangles import NOTHING
 
 KEPT_BYTES: Final = 2**30  # of light and pictures of steps that are over; the oldest are forgotten beyond
 UNITS: Final = {"flux": "lm", "sharpness": "decades in 0.1 deg", "straightness": "deg"}  # of requirements by kind, else cd
-REST: Final = 10  # times what a picture takes pass between two, so that looking costs a tenth at most
+REST: Final = 20  # times what a picture takes pass between two, so that looking costs a twentieth at most
 
 
 class Run:
