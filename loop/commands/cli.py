@@ -12,13 +12,14 @@ from typing import Any
 
 from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensError
 
+from loop.commands.given import scenario_of
 from loop.commands.headlight import headlight_app
 from loop.commands.listing import data_app, doctor, list_, schema
 from loop.commands.studies import campaign, evaluate, optimise_beam, train_detector, tune
 from loop.commands.studio import studio
-from loop.scenario.shipped import copied, examples, original
+from loop.scenario.shipped import TEMPLATE, copied, examples, original
 from loop.terminal import tables
-from loop.terminal.options import DIFFERS, FAILED, INTERRUPTED, OK, UNREAD, WRONG, AllowCode, Device, Flag, Json, Keys, with_controller
+from loop.terminal.options import DIFFERS, FAILED, INTERRUPTED, OK, UNREAD, WRONG, AllowCode, Device, Flag, Json, Keys
 from world.errors import LuxloopError, did_you_mean
 
 DEBUG = "--debug"
@@ -123,10 +124,12 @@ def new(file: Path | None = None, /, *, like: str | None = None, traffic: int | 
         if file.suffix != source.suffix:
             raise LuxloopError(f"{file}: --like {like} copies a {source.suffix} file; give its copy the same ending")
         text = copied(source, file.stem)
-    elif file is not None:
-        from loop.scenario.template import night, template
+    elif file is not None and traffic is not None:
+        from loop.scenario.night import night
 
-        text = template(file.stem) if traffic is None else night(file.stem, traffic)
+        text = night(file.stem, traffic)
+    elif file is not None:
+        text = copied(TEMPLATE, file.stem)
     else:
         raise LuxloopError("luxloop new: name a file to write, such as my.toml, or give --like NAME to copy under the same name")
     try:
@@ -154,12 +157,12 @@ def check(name: str, /, *, controller: str | None = None, set: Keys = None, json
     json
         Print a JSON object: scenario, ok, and either the facts found or the error.
     """
-    from loop.run import check as check_scenario
-    from loop.run import in_words
-    from loop.scenario.model import load
-
     try:
-        found = check_scenario(load(name, set or [], allow_code=allow_code, **with_controller(controller)))
+        scenario = scenario_of(name, set, controller, allow_code=allow_code)
+        from loop.run import check as check_scenario
+        from loop.run import in_words
+
+        found = check_scenario(scenario)
     except LuxloopError as error:
         if json:
             tables.show_json({"scenario": name, "ok": False, "error": str(error)})
@@ -217,12 +220,11 @@ def run(
     checks
         Evaluate all checks of the scenario, including those that compare with a second light; exit code 1 if one fails.
     """
-    from loop.commands.runs import run_scenario
-    from loop.scenario.model import load
-
     given: dict[str, Any] = {key: value for key, value in {"seed": seed, "steps": steps}.items() if value is not None}
     given |= {} if plant is None else {"plant": {"kind": "recording", "folder": str(plant)}}
-    scenario = load(name, set or [], allow_code=allow_code, **given, **with_controller(controller))
+    scenario = scenario_of(name, set, controller, allow_code=allow_code, **given)
+    from loop.commands.runs import run_scenario
+
     if plant is not None and steps is None:
         from loop.plant.recorded import to_the_end
 

@@ -4,7 +4,8 @@ import shlex
 from pathlib import Path
 from typing import Literal
 
-from loop.terminal.options import DIFFERS, OK, AllowCode, Device, Keys, with_controller
+from loop.commands.given import scenario_of
+from loop.terminal.options import DIFFERS, OK, AllowCode, Device, Keys
 
 
 def evaluate(
@@ -109,14 +110,13 @@ def tune(
     gradient
         Use gradient descent through differentiable runs, one trial per iteration; for gains and rate limits of thesis_pid in still scenes.
     """
+    scenarios = tuple(scenario_of(name, set, controller, allow_code=allow_code) for name in names)
     from loop import objective as objectives
     from loop.run import torch_device
-    from loop.scenario.model import load
     from loop.studies import ranges
     from loop.studies.tune import Task
     from loop.studies.tune_report import do_tune
 
-    scenarios = tuple(load(name, set or [], allow_code=allow_code, **with_controller(controller)) for name in names)
     tuned = tuple(ranges.parse(each, scenarios) for each in key or [])
     task = Task(scenarios, tuned, objectives.parse(objective), seeds, seed, str(torch_device(device)))
     taken = "" if controller is None else f" --controller {controller}"
@@ -164,11 +164,11 @@ def optimise_beam(
     device
         Device to compute on; auto takes CUDA if available.
     """
+    scenario = scenario_of(name, set, allow_code=allow_code)
     from loop.beams.optimise import optimise_beam
-    from loop.scenario.model import load
 
     goal = {"metric": metric, "energy": energy, "unevenness": unevenness, "glare": glare}
-    scenario, played_by = load(name, set or [], allow_code=allow_code), shlex.join([name, "--set", *(set or [])])
+    played_by = shlex.join([name, "--set", *(set or [])])
     optimise_beam(scenario, goal, method, steps, out or Path("runs") / f"beam-{Path(name).stem}", device, played_by)
 
 

@@ -5,8 +5,11 @@ import os
 import re
 from importlib.resources import files
 from pathlib import Path
+from typing import Final
 
 from world.errors import LuxloopError, did_you_mean
+
+TEMPLATE: Final = Path(str(files("scenarios") / "template" / "template.toml"))
 
 
 def shipped() -> dict[str, Path]:
@@ -45,11 +48,11 @@ def original(like: str) -> Path:
 
 
 def copied(source: Path, name: str) -> str:
-    """The text of a shipped file; a scenario gets another name."""
+    """The text of a shipped file; a scenario, or the template of one, gets another name."""
     text = source.read_text("utf-8")
-    if source != shipped().get(source.stem):
+    if source not in (TEMPLATE, shipped().get(source.stem)):
         return text
-    return re.sub(r"^name = .*$", lambda _: f"name = {json.dumps(name, ensure_ascii=False)}", text, count=1, flags=re.MULTILINE)
+    return re.sub(r'^name = "[^"]*"', lambda _: f"name = {json.dumps(name, ensure_ascii=False)}", text, count=1, flags=re.MULTILINE)
 
 
 def find(name: str) -> Path:

@@ -1,6 +1,6 @@
 """What several commands share: exit codes and options."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -11,8 +11,3 @@ AllowCode = Annotated[bool, Parameter(negative=(), help="Run Python modules that
 Flag = Annotated[bool, Parameter(negative=())]
 Json = Flag
 Device = Literal["auto", "cpu", "cuda"]
-
-
-def with_controller(name: str | None) -> dict[str, Any]:
-    """The key of a scenario that `--controller` changes: another controller with its defaults."""
-    return {} if name is None else {"controller": {"name": name}}

@@ -1,4 +1,7 @@
-"""The text of `luxloop new`: a scenario file that runs, with every common key and what it means, made from the model itself."""
+"""The file that `luxloop new` copies: a scenario that runs, with every common key and what it means, made from the model itself.
+
+`python -m tests.loop.scenario.template` writes it anew.
+"""
 
 from typing import Any, Literal, cast, get_args, get_origin
 
@@ -11,11 +14,10 @@ from controllers.symbol.sensing.flat_model import FeatureParams
 from controllers.symbol.sensing.projector import StartParams
 from loop.scenario.model import Scenario
 from loop.scenario.plant import SimulatedPlantParams
-from loop.scenario.shipped import shipped_files
+from loop.scenario.shipped import TEMPLATE, shipped_files
 from perception.extraction import ExtractionParams
 from perception.tracking import TrackerParams
 from world.roads.shapes import Mixed, RoadParams
-from world.traffic.generator import varied
 from world.validation import toml
 
 LEFT_OUT = ("schema_version", "objects")  # said in HEAD and TAIL
@@ -44,12 +46,6 @@ HEAD = """\
 
 schema_version = 1
 """
-NIGHT_HEAD = """\
-# A night on the road, drawn from a seed. Check it with `luxloop check FILE`, run it with `luxloop run FILE`.
-# Another traffic.seed: others elsewhere. Add your own objects as [[objects]].
-
-schema_version = 1
-"""
 TAIL = """
 # Objects, as many as wanted: kind "box", "mesh" (from a file), "pedestrian", "cyclist", "car", "animal", "traffic_sign", "clutter".
 # They may move, appear and vanish; a table [traffic] puts some there at random.
@@ -64,9 +60,9 @@ TAIL = """
 """
 
 
-def template(name: str) -> str:
-    """The text of a scenario file of that name."""
-    chosen = {"name": name, "description": "A snowflake is pulled straight on an uneven road.", "steps": 40, "seed": 0}
+def template() -> str:
+    """The text of the file."""
+    chosen = {"name": "template", "description": "A snowflake is pulled straight on an uneven road.", "steps": 40, "seed": 0}
     keys, tables = [], []
     for key, field in Scenario.model_fields.items():
         if key in LEFT_OUT:
@@ -78,23 +74,6 @@ def template(name: str) -> str:
         else:
             keys.append(_line(key, field, chosen.get(key)))
     return HEAD + "\n".join(keys) + "\n\n" + "\n\n".join(tables) + "\n" + TAIL
-
-
-def night(name: str, seed: int) -> str:
-    """The text of a scenario of lighting functions with traffic, road and light drawn from a seed."""
-    world = varied(seed)
-    tables = {
-        **world,
-        "traffic": world["traffic"] | {"on_road": True},
-        "camera": {"width_px": 960, "height_px": 400, "hfov_deg": 30.0, "pitch_deg": 1.5},
-        "headlight": {"model": "ssl-hd-lores"},
-        "lighting": {"base": {"beam": "low"}},
-        "functions.guard_traffic": {"kind": "glare_free"},
-    }
-    lines = [f"name = {toml(name)}", "steps = 40", "rate_hz = 20"]
-    for key, table in tables.items():
-        lines += ["", f"[{key}]", *(f"{inner} = {toml(value)}" for inner, value in table.items())]
-    return NIGHT_HEAD + "\n".join(lines) + "\n"
 
 
 def _symbol() -> str:
@@ -128,3 +107,7 @@ def _line(key: str, field: FieldInfo, chosen: Any) -> str:
     meaning = [field.description] if field.description else []
     meaning += [f"one of {toml(choices)}"] if len(choices) > 1 else []
     return f"{hidden}{key} = {written}" + (f"  # {'; '.join(meaning)}" if meaning else "")
+
+
+if __name__ == "__main__":
+    TEMPLATE.write_text(template(), "utf-8")
