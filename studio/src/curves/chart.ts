@@ -34,7 +34,7 @@ export interface Shown {
 export class Chart {
   readonly element: HTMLElement;
   readonly #plot: uPlot;
-  readonly #room = h("div", { class: "plot" });
+  readonly #room = h("div", { class: "plot", "aria-hidden": "true" }); // the names beside it have its numbers
   readonly #numbers: HTMLElement[][];
   readonly #resize: ResizeObserver;
   #shown: Shown = { runs: [], rate_hz: 1, first: 0, end: 0, step: -1, marked: false };

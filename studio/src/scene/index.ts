@@ -75,6 +75,8 @@ export class SceneView {
     this.pace = new Pace(this.renderer, software, () => this.render());
     this.renderer.setClearColor(BACKGROUND);
     this.canvas = this.renderer.domElement;
+    this.canvas.setAttribute("role", "img");
+    this.canvas.setAttribute("aria-label", "Road, objects and lamps, and the light on them");
     Object.assign(this.canvas.style, { position: "absolute", inset: "0", display: "block", touchAction: "none" });
     if (getComputedStyle(container).position === "static") container.style.position = "relative";
     container.append(this.canvas);

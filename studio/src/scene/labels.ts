@@ -51,35 +51,27 @@ export class Labels {
   }
 }
 
+const GROUND = { background: "#000b", borderRadius: "3px", padding: "1px 2px" };
+
 function drawn({ text, detail, colour, symbol }: Label): HTMLElement {
   const element = document.createElement("div");
-  Object.assign(element.style, {
-    position: "absolute",
-    transform: "translate(-50%, -50%)",
-    whiteSpace: "nowrap",
-    color: colour,
-    textShadow: "0 0 3px #000, 0 0 2px #000",
-  });
+  Object.assign(element.style, { position: "absolute", transform: "translate(-50%, -50%)", whiteSpace: "nowrap", color: colour });
   if (detail) {
     element.title = detail;
     element.style.pointerEvents = "auto";
   }
   if (!symbol) {
     element.textContent = text;
+    Object.assign(element.style, GROUND);
     return element;
   }
-  element.textContent = SYMBOLS[symbol];
-  element.style.fontSize = "13px";
+  const mark = document.createElement("span");
+  mark.textContent = SYMBOLS[symbol];
+  mark.ariaHidden = "true";
+  Object.assign(mark.style, { fontSize: "13px", textShadow: "0 0 3px #000, 0 0 2px #000" });
   const beside = document.createElement("span");
   beside.textContent = text;
-  Object.assign(beside.style, {
-    position: "absolute",
-    left: "100%",
-    top: "50%",
-    transform: "translateY(-50%)",
-    fontSize: "10px",
-    paddingLeft: "1px",
-  });
-  element.append(beside);
+  Object.assign(beside.style, GROUND, { position: "absolute", left: "100%", top: "50%", transform: "translateY(-50%)", fontSize: "10px" });
+  element.append(mark, beside);
   return element;
 }

@@ -166,6 +166,17 @@ def test_a_page_whose_network_is_cut_goes_on_with_the_same_run(browser: webdrive
         assert objects.studio.session.published.runs == (run,) and len(run.snapshots) == done + 1
 
 
+def test_texts_are_legible_and_controls_have_names(browser: webdriver.Chrome, objects: Served) -> None:
+    opened(browser, objects)
+    script, body = (Path(__file__).parent / "legible.js").read_text("utf-8"), browser.find_element(By.TAG_NAME, "body")
+    assert browser.execute_script(script) == [[], []]
+    for key, there in (("k", ".function"), ("e", ".things"), ("5", ".beam-controls"), ("?", "dialog[open]")):
+        body.send_keys(key)
+        until(browser, f"return document.querySelector('{there}')?.checkVisibility()")
+        assert browser.execute_script(script) == [[], []], key
+    browser.find_element(By.CSS_SELECTOR, "dialog[open]").send_keys(Keys.ESCAPE)
+
+
 @pytest.mark.slow
 def test_a_run_is_steered_scrubbed_and_compared(browser: webdriver.Chrome) -> None:
     for served in serving(Source("snowflake", SMALL), PAGE):
