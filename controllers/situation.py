@@ -21,6 +21,8 @@ from world.traffic.tracked import Category
 from world.view import View
 
 LAYERS = 16  # most layers of primitives that a function may stack
+Side = Literal["left", "right"]
+Indicator = Literal["off", "left", "right", "hazard"]
 MASK = 1000  # priority of masks: above every function's own, which are at most 100
 
 
@@ -86,6 +88,7 @@ class Situation:
     the road. symbols: images of the functions, by the names that they use. seen: the last frame, None without a camera or before the first
     frame. lights: the light that each module of the car can give as it is turned and dimmed, by name. pitch_rad: measured pitch of the body
     relative to the road, nose down positive, 0 without a sensor. commands: turn and dimming of each module, empty where all are at rest.
+    indicator: as the driver has switched it; `hazard` indicates both sides.
     """
 
     time_s: float
@@ -101,11 +104,16 @@ class Situation:
     lights: tuple[tuple[str, Light], ...] = ()
     pitch_rad: float = 0.0
     commands: Commands = ()
+    indicator: Indicator = "off"
 
     def commanded(self, commands: Commands) -> "Situation":
         """The same situation with the modules turned and dimmed as commanded."""
         lights = ((name, light.under(command)) for (name, light), command in zip(self.lights, commands, strict=True))
         return replace(self, commands=commands, lights=tuple(lights))
+
+    def indicates(self, side: Side) -> bool:
+        """Whether the indicator is on for a side."""
+        return self.indicator in (side, "hazard")
 
     def distance_m(self, each: TrackedObject) -> float:
         """Distance in m along the road from the car's origin to the object's nearest corner; negative behind the car."""
@@ -186,10 +194,11 @@ class AdaptiveFunction(Protocol):
 
 
 class Timed(Params):
-    """The time during which a function is active."""
+    """When a function is active."""
 
     start_s: float | None = Field(None, ge=-1e6, le=1e6, description="time from which it is active; left out: from the start")
     stop_s: float | None = Field(None, ge=-1e6, le=1e6, description="time until which it is active; left out: to the end")
+    indicated: Side | None = Field(None, description="active only while the indicator shows this side; left out: whatever it shows")
 
     @model_validator(mode="after")
     def _stops_after_its_start(self) -> Self:
@@ -197,8 +206,14 @@ class Timed(Params):
             raise ValueError(f"stop_s: {self.stop_s:g} s is not after start_s = {self.start_s:g} s, so it is never active; raise it")
         return self
 
-    def active(self, time_s: float) -> bool:
-        return (self.start_s is None or time_s >= self.start_s) and (self.stop_s is None or time_s < self.stop_s)
+    def active(self, now: Situation) -> bool:
+        """Whether it is now."""
+        begun = self.start_s is None or now.time_s >= self.start_s
+        return begun and (self.stop_s is None or now.time_s < self.stop_s) and not self.waits(now)
+
+    def waits(self, now: Situation) -> bool:
+        """Whether the indicator does not show its side."""
+        return self.indicated is not None and not now.indicates(self.indicated)
 
 
 class Drawn(Timed):

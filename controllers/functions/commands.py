@@ -66,7 +66,7 @@ class CommandParams(Timed):
 
     def commanded(self, before: Given | None, now: Situation, modules: Sequence[Movable]) -> Given:
         """The wanted command for each module; at rest while the function is not active."""
-        wanted = self.wanted(now) if self.active(now.time_s) else getattr(REST, self.movement)
+        wanted = self.wanted(now) if self.active(now) else getattr(REST, self.movement)
         command = ModuleCommand(**{self.movement: wanted})
         return Given(now.time_s, tuple((module.name, command) for module in modules if self.moves(module)))
 
@@ -174,7 +174,7 @@ class DirectParams(Timed):
 
     def commanded(self, before: Given | None, now: Situation, modules: Sequence[Movable]) -> Given:
         """The command for each module; at rest while the function is not active."""
-        command = self.command if self.active(now.time_s) else REST
+        command = self.command if self.active(now) else REST
         return Given(now.time_s, tuple((module.name, command) for module in modules if self.moves(module)))
 
     @property

@@ -42,7 +42,7 @@ class LaneParams(Stretch):
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """Rectangles on a straight course; a drawing along a cubic curve in a bend."""
-        if not self.active(now.time_s):
+        if not self.active(now):
             return ()
         carpet = self.style == "carpet"
         offsets, width = ((0.0,), self.lane_width_m) if carpet else ((self.lane_width_m / 2, -self.lane_width_m / 2), self.line_width_m)
@@ -66,7 +66,7 @@ class WidthParams(Stretch):
     far_m: float = Field(25.0, gt=0, le=10_000, description="where they end")
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
-        if not self.active(now.time_s):
+        if not self.active(now):
             return ()
         y = (self.vehicle_width_m - self.line_width_m) / 2
         return tuple(straight(self, now, self.near_m, self.far_m, side * y, self.line_width_m) for side in (1, -1))

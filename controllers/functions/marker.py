@@ -31,7 +31,7 @@ class MarkerParams(Drawn, SelectionParams):
     animation: AnimationParams | None = Field(None, description="animation; left out: none")
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
-        if not self.active(now.time_s) or (self.animation and not Animated(WHITE, self.animation).shows(now.time_s)):
+        if not self.active(now) or (self.animation and not Animated(WHITE, self.animation).shows(now.time_s)):
             return ()
         present = (each for each in self.selected(now) if each.since_s <= now.time_s < each.until_s)
         return tuple(part for each in present for part in (self._line(each, now) if self.target == "road" else self._body(each, now)))

@@ -48,7 +48,7 @@ class PathParams(Drawn):
         return self
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
-        if not self.active(now.time_s):
+        if not self.active(now):
             return ()
         drawing = drawn(self.control_m, self.width_m / 2, self.texel_m)
         place = drawing.place(now.T_world_vehicle)

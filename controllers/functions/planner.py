@@ -23,7 +23,7 @@ from controllers.functions.symbol import SymbolFunctionParams
 from controllers.obl.function import ObjectBasedParams
 from controllers.pixels.primitives import Primitives, concatenate
 from controllers.pixels.ssc import Utilisation
-from controllers.situation import AdaptiveFunction, LightingFunction, Situation
+from controllers.situation import AdaptiveFunction, Indicator, LightingFunction, Situation
 from controllers.zones.material import MaterialParams
 from controllers.zones.zone import ZoneParams
 from world.errors import located
@@ -83,6 +83,7 @@ class LightingParams(Params):
     """The base beam, and settings that hold for all lighting functions of the car."""
 
     base: BaseBeamParams = Field(BaseBeamParams(), description="the light on which all functions are drawn")
+    indicator: Indicator = Field("off", description="direction indicator, for functions with `indicated`; `hazard` indicates both sides")
     raw: tuple[RawParams, ...] = Field((), description="given pixel utilisations that replace the base beam")
     painted: tuple[PaintedParams, ...] = Field((), description="painted pixel utilisations, over what the functions give or in its place")
     power_limit: float | None = Field(None, gt=0, le=1, description="power limit of a lamp, as a share of all pixels on; left out: none")

@@ -37,7 +37,7 @@ class PrimitiveParams(Drawn):
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """One primitive; none while it is not active or its animation is off."""
-        if not self.active(now.time_s):
+        if not self.active(now):
             return ()
         source = WHITE if self.image is None else now.symbols[self.image]
         time_s = now.time_s - (self.start_s or 0.0)

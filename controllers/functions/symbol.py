@@ -135,7 +135,7 @@ class SymbolFunctionParams(Drawn):
 
     def shows(self, now: Situation) -> bool:
         """Whether the symbol is drawn now."""
-        return self.active(now.time_s) and not (self.when and not self.when.holds(now)) and not (self.unless and self.unless.holds(now))
+        return self.active(now) and not (self.when and not self.when.holds(now)) and not (self.unless and self.unless.holds(now))
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """One primitive; none if the symbol is not shown or a controller commands it."""

@@ -67,7 +67,7 @@ def check(simulation: Simulation, keys: Any) -> None:
         raise LuxloopError(
             f"{scenario.name}: lighting.painted: batched rollouts show no painted pixels; leave it out, or tune without --gradient"
         )
-    if timed := [key for key in ("start_s", "stop_s") if getattr(scenario.symbol, key) is not None]:
+    if timed := [key for key in ("start_s", "stop_s", "indicated") if getattr(scenario.symbol, key) is not None]:
         key = f"functions.{only(scenario.controlled)}.{timed[0]}"
         raise LuxloopError(
             f"{scenario.name}: {key}: batched rollouts show the symbol in all steps; leave it out, or tune without --gradient"

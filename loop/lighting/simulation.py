@@ -15,7 +15,7 @@ from controllers.functions.planner import Plan, Planner
 from controllers.pixels.primitives import Primitives
 from controllers.pixels.secondary import Light, SecondaryRays, scene_caster
 from controllers.pixels.ssc import Utilisation
-from controllers.situation import Seen, Situation, TrackedObject
+from controllers.situation import Seen, Situation, Timed, TrackedObject
 from controllers.symbol.sensing.projection import ProjectionCommand
 from controllers.symbol.sensing.protocol import SymbolController
 from controllers.symbol.sensing.symbol_sensor import Measurement
@@ -168,6 +168,7 @@ class Simulation:
             conditions.street_lit,
             lights=lights,
             pitch_rad=-math.asin(float(T_ground_body[2, 0])),
+            indicator=self.scenario.lighting.indicator,
         )
 
     def _commanded(self, time_s: float, state: SimulationState, ego: Ego | None) -> tuple[Situation, Mapping[str, Given]]:
@@ -377,12 +378,15 @@ class Simulation:
             yield result
 
     def idle(self, result: StepResult) -> set[str]:
-        """Names of the functions that move no module at that moment, and of which no ray of any lamp that draws them hits anything."""
+        """Names of the functions that move no module at that moment, and of which no ray of any lamp that draws them hits anything; none of
+        those that wait for the indicator.
+        """
         drawn = self.planner.drawn(result.now, result.functions)
         reach = {name for name, parts in drawn.items() if any(in_reach(self.modules, part, result.now) for part in parts)}
         given = self.planner.commanded({}, result.now, self.modules)
         moving = {name for name, each in given.items() if any(command != REST for _, command in each.commands)}
-        return drawn.keys() - reach - result.held.keys() - moving
+        waiting = {name for name, each in self.scenario.functions.items() if isinstance(each, Timed) and each.waits(result.now)}
+        return drawn.keys() - reach - result.held.keys() - moving - waiting
 
     def _all_objects(self, time_s: float) -> tuple[TrackedObject, ...]:
         if self.truth is None or not self.scenario.all_objects:

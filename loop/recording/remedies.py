@@ -86,7 +86,7 @@ def _why_unsettled(values: dict[str, Any]) -> str:
         case "too_short":
             return "too few steps were judged to show whether the symbol settles; lower judge_every if it is above 1, or raise steps"
         case "not_shown":
-            return "the symbol was never shown; see NAME.when, NAME.unless, NAME.start_s and NAME.stop_s"
+            return "the symbol was never shown; see NAME.when, NAME.unless, NAME.start_s, NAME.stop_s and NAME.indicated"
         case "not_judged" if values["judge_every"] is None:
             return f'{unjudged(values)}; run it with plant.kind = "simulated"'
         case "not_judged":

@@ -1,6 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { isControl, ofKeys, ofPads, type Pad, turned } from "../src/drive/controls.ts";
+import { isControl, ofKeys, ofPads, type Pad, shoulders, turned } from "../src/drive/controls.ts";
+import { blinks, pressed } from "../src/drive/indicator.ts";
 
 function pad(stick: number, brake: number, accelerate: number, mapping = "standard"): Pad {
   const buttons = Array.from({ length: 17 }, (_, k) => ({ value: k === 6 ? brake : k === 7 ? accelerate : 0 }));
@@ -30,4 +31,19 @@ test("a key turns the wheel within half a second, and back", () => {
   assert.ok(Math.abs(steering - 0.5) < 1e-9);
   assert.equal(turned(0.9, 1, 1), 1);
   assert.ok(Math.abs(turned(0.5, 0, 0.1) - 0.3) < 1e-9);
+});
+
+test("the same switch again ends an indication, another one replaces it; hazard lights blink on both sides", () => {
+  assert.deepEqual(
+    [pressed("off", "left"), pressed("left", "left"), pressed("left", "right"), pressed("hazard", "hazard")],
+    ["left", "off", "right", "off"],
+  );
+  assert.ok(blinks("left", "left") && !blinks("left", "right") && blinks("hazard", "left") && blinks("hazard", "right"));
+  assert.ok(blinks("hazard", "hazard") && !blinks("off", "left"));
+});
+
+test("shoulder buttons of a standard gamepad indicate", () => {
+  const held = { mapping: "standard", connected: true, axes: [0, 0], buttons: [0, 0, 0, 0, 1, 0].map((value) => ({ value })) };
+  assert.deepEqual(shoulders([null, held]), { left: true, right: false });
+  assert.deepEqual(shoulders([{ ...held, mapping: "" }]), { left: false, right: false });
 });

@@ -27,6 +27,7 @@ const KEYS: Readonly<Record<string, Partial<Controls>>> = {
 const DEAD = 0.08; // of a stick that is let go
 const BRAKE = 6; // buttons: the triggers
 const ACCELERATE = 7;
+const SHOULDERS = { left: 4, right: 5 } as const; // buttons
 const TURN_S = 0.5; // in which a key turns the wheel from straight ahead to its end
 
 export function isControl(code: string): boolean {
@@ -52,6 +53,13 @@ export function ofPads(pads: readonly (Pad | null)[]): Controls | null {
     if (throttle || steering) return { throttle, steering };
   }
   return null;
+}
+
+/** Whether a shoulder button of any gamepad is down. */
+export function shoulders(pads: readonly (Pad | null)[]): { left: boolean; right: boolean } {
+  const down = (button: number) =>
+    pads.some((pad) => pad?.connected && pad.mapping === "standard" && (pad.buttons[button]?.value ?? 0) > 0.5);
+  return { left: down(SHOULDERS.left), right: down(SHOULDERS.right) };
 }
 
 /** Where the steering wheel is some seconds later, which a key turns. */

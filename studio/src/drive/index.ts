@@ -5,7 +5,8 @@ import type { StepMessage } from "../protocol.ts";
 import type { ScenesPanel } from "../scenes/panel.ts";
 import type { Session } from "../session.ts";
 import { hasPen, needsPen, type Studio } from "../state.ts";
-import { type Controls, isControl, ofKeys, ofPads, turned } from "./controls.ts";
+import { type Controls, isControl, ofKeys, ofPads, shoulders, turned } from "./controls.ts";
+import { IndicatorSwitch } from "./indicator.ts";
 
 const TICK_MS = 50;
 const WHEELS = "vehicle.course=[{speed_m_s=0.0}]";
@@ -17,6 +18,7 @@ const HOW = "Drive the car with arrow keys, W, A, S and D, or a gamepad; Escape 
 export const DRIVE_KEYS: [string, string][] = [
   ["Arrow keys, WASD", "while you drive: accelerate, brake, steer"],
   ["l, h, f", "while you drive: light switch (off, low, auto), high beam, flash"],
+  ["q, e, x", "while you drive: indicator left, right, hazard lights; again: off"],
 ];
 
 export function driveControls(store: Studio, session: Session, scenes: ScenesPanel): void {
@@ -30,6 +32,9 @@ class Driving {
   readonly #wheel = h("span", { class: "drive-wheel" }, h("i"));
   readonly #light = h("span", { class: "segments", role: "group", "aria-label": "Light switch" });
   readonly #hud = h("div", { class: "drive-hud", hidden: true }, this.#speed, this.#wheel, this.#light);
+  readonly #indicator: IndicatorSwitch;
+  /** Shoulder buttons of gamepads at the last tick. */
+  #shoulders = { left: false, right: false };
   #timer: ReturnType<typeof setInterval> | null = null;
   #sent: Controls = { throttle: 0, steering: 0 };
   #steering = 0;
@@ -49,6 +54,8 @@ class Driving {
     this.#light.append(
       ...BEAMS.map((beam) => h("button", { class: "toggle", title: TITLES[beam], onclick: () => this.#switch(beam) }, beam)),
     );
+    this.#indicator = new IndicatorSwitch(store, session);
+    this.#hud.append(this.#indicator.element);
     scenes.bar.append(this.#button);
     scenes.body.append(this.#hud);
     store.on(["driving"], ({ driving }) => this.#show(driving));
@@ -114,7 +121,11 @@ class Driving {
 
   #tick(): void {
     const keys = ofKeys(this.#down);
-    const pad = this.#down.size ? null : ofPads(navigator.getGamepads?.() ?? []);
+    const pads = navigator.getGamepads?.() ?? [];
+    const pad = this.#down.size ? null : ofPads(pads);
+    const buttons = shoulders(pads);
+    for (const side of ["left", "right"] as const) if (buttons[side] && !this.#shoulders[side]) this.#indicator.press(side);
+    this.#shoulders = buttons;
     this.#steering = pad ? pad.steering : turned(this.#steering, keys.steering, TICK_MS / 1000);
     const now = { throttle: round(pad ? pad.throttle : keys.throttle), steering: round(this.#steering) };
     (this.#wheel.firstElementChild as HTMLElement).style.left = `${50 - 45 * now.steering}%`;
@@ -136,8 +147,11 @@ class Driving {
       if (down) this.#down.add(event.code);
       else this.#down.delete(event.code);
     } else if (event.code === FLASH) this.#flash(down);
-    else if (!acts[event.code]) return;
-    else if (down && !event.repeat) acts[event.code]();
+    else {
+      const act = acts[event.code] ?? this.#indicator.ofKey(event.code);
+      if (!act) return;
+      if (down && !event.repeat) act();
+    }
     event.preventDefault();
     event.stopPropagation();
   }

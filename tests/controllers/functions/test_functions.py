@@ -287,3 +287,12 @@ def test_a_perfect_tracker_reports_the_box_of_a_body() -> None:
 def test_what_could_draw_nothing_is_refused(kind: type[Params], given: dict[str, object], words: str) -> None:
     with pytest.raises(ValidationError, match=words):
         kind(**given)
+
+
+def test_what_is_indicated_acts_with_that_side_and_with_the_hazard_lights() -> None:
+    symbol = SymbolFunctionParams(image="a", indicated="left")
+    shown = {each: bool(symbol.primitives(now(indicator=each))) for each in ("off", "left", "right", "hazard")}
+    assert shown == {"off": False, "left": True, "right": False, "hazard": True}
+    late = LaneParams(indicated="right", start_s=3.0)
+    assert not late.primitives(now(indicator="right")) and late.primitives(now(indicator="right", time_s=3.0))
+    assert LaneParams().primitives(now())

@@ -233,3 +233,16 @@ def test_every_beam_that_may_come_is_asked_for_beforehand(tmp_path: Path, beam: 
 def test_columns_are_described() -> None:
     for field in schema(Simulation.prepare(scenario())):
         assert field.metadata[b"description"], field.name
+
+
+def test_what_waits_for_the_indicator_is_dark_and_not_called_idle(tmp_path: Path) -> None:
+    carpet = {"kind": "lane", "indicated": "left"}
+    waits = run(scenario(functions={"carpet": carpet}), tmp_path / "waits", report=False, video=False)
+    assert waits.summary["idle_functions"] == []
+    lights = {
+        each: Simulation.prepare(scenario(functions={"carpet": carpet}, lighting={"indicator": each})).at(0).u
+        for each in ("off", "left", "right", "hazard")
+    }
+    assert not any(bool(u.any()) for side in ("off", "right") for u in lights[side])
+    assert any(bool(u.any()) for u in lights["left"])
+    assert all(torch.equal(a, b) for a, b in zip(lights["left"], lights["hazard"], strict=True))

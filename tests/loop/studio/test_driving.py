@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from loop.lighting.simulation import Simulation
@@ -142,3 +143,28 @@ def test_who_stands_cannot_drive_and_watchers_neither(served: Served, driver: Wa
         watcher.of("scenario")
         watcher.say(type="drive", throttle=1.0, steering=0.0)
         assert "watch" in watcher.of("error")[0]["text"]
+
+
+def test_the_indicator_acts_at_the_next_step_and_is_repeated(
+    served: Served, driver: Watcher, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    driver.say(type="set", overrides=['lighting.base.beam="off"', 'functions.turning={kind="primitive", indicated="left"}'])
+    driver.of("edit")
+    driver.say(type="reset")
+    driver.of("scenario")
+    driver.say(type="record", folder="indicated")
+    driver.of("status", recording="indicated")
+    steps(driver, 1, 1)
+    driver.say(type="set", overrides=['lighting.indicator="left"'])
+    driver.of("edit")
+    steps(driver, 2, 2)
+    driver.say(type="record", folder=None)
+    driver.of("status", recording=None)
+    folder = tmp_path / "runs" / "indicated"
+    flux = pq.read_table(folder / "trajectory.parquet")
+    lit = [any(flux[name][k].as_py() > 0 for name in flux.column_names if name.endswith("flux_lm")) for k in range(4)]
+    assert lit == [False, False, True, True]
+    assert replay(folder).agrees
+    driver.say(type="set", overrides=["functions.turning={}", 'lighting.base.beam="low"', 'lighting.indicator="off"'])
+    driver.of("edit")

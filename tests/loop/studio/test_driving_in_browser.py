@@ -37,6 +37,9 @@ def test_keys_drive_the_car_and_switch_its_light(browser: webdriver.Chrome, car:
     until(browser, "return luxloop.store.state.model.lighting.base.beam === 'low'")
     ActionChains(browser).key_up("f").send_keys("h").perform()
     until(browser, "return luxloop.store.state.model.lighting.base.beam === 'high'")
+    for key, shown in (("q", "left"), ("e", "right"), ("x", "hazard"), ("x", "off")):
+        ActionChains(browser).send_keys(key).perform()
+        until(browser, f"return luxloop.store.state.model.lighting.indicator === '{shown}'")
     ActionChains(browser).key_up(Keys.ARROW_UP).key_up("a").send_keys(Keys.ESCAPE).perform()
     until(browser, "return !luxloop.store.state.driving && luxloop.store.state.model.vehicle.course.at(-1).curvature_1_m === 0")
     scenario = car.studio.session.published.runs[0].simulation.scenario
