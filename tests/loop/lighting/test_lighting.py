@@ -240,7 +240,7 @@ def test_what_waits_for_the_indicator_is_dark_and_not_called_idle(tmp_path: Path
     waits = run(scenario(functions={"carpet": carpet}), tmp_path / "waits", report=False, video=False)
     assert waits.summary["idle_functions"] == []
     lights = {
-        each: Simulation.prepare(scenario(functions={"carpet": carpet}, lighting={"indicator": each})).at(0).u
+        each: Simulation.prepare(scenario(functions={"carpet": carpet}, lighting={"indicator": each})).lights_at(0.0)[0]
         for each in ("off", "left", "right", "hazard")
     }
     assert not any(bool(u.any()) for side in ("off", "right") for u in lights[side])
