@@ -26,6 +26,7 @@ from loop.recording.files import REPORT, TRAJECTORY, VIDEO
 from loop.recording.remedies import of_target
 from loop.recording.video import VideoWriter
 from loop.report.picture import frame_picture, white_of
+from loop.report.watched import Watched
 from loop.scenario.model import Scenario, load
 from loop.scenario.plant import shadow_of
 from world.errors import LuxloopError, located
@@ -82,7 +83,7 @@ def run(
     Ctrl-C ends the recording, reports on the steps so far and goes on as KeyboardInterrupt. Raises LuxloopError where the scenario cannot
     be read or run, or another process writes into the folder; nothing is written before the first step is done.
     """
-    from loop.report.page import Watched, write_report  # Matplotlib, for which a preparation alone does not wait
+    from loop.report.page import write_report  # Matplotlib, for which a preparation alone does not wait
 
     if folder is not None and not isinstance(folder, str | Path):
         raise LuxloopError(f"run: folder is a {type(folder).__name__}, not a path; give other values of keys as overrides=[...]")

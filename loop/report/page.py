@@ -30,9 +30,9 @@ from loop.recording.style import SHARES, STYLE
 from loop.report.courses import write_courses
 from loop.report.marks import marks, readable
 from loop.report.picture import WALL_DEG, measured, wall_light, white_of
-from loop.report.symbol import HIGH_IN, Gathered, draw_symbol
+from loop.report.symbol import HIGH_IN, draw_symbol
+from loop.report.watched import Watched
 from loop.scenario.plant import shadow_of
-from perception.tracking import TrackerParams
 from world.files import whole
 from world.frames import transform
 from world.view import View
@@ -40,7 +40,6 @@ from world.view import View
 WIDE_IN, DPI = 13.0, 130
 LIGHT_IN, ABOVE_IN = 8.6, 3.4  # of the part about all light, and in it of the row of pictures from above
 TALLER_IN = 2.2  # with a detector, for two large pictures of the camera, and with materials, for their chart
-MOMENTS = 4  # that the page shows
 TRACKED, MASKED, FOUND, TARGET = "#4fd17a", "#ffaa28", "#6e82a0", "#50aaff"
 MARKS = {"tracked": TRACKED, "zone": TRACKED, "masked": MASKED, "found": FOUND, "target": TARGET}
 WALL_COLUMNS = 480
@@ -52,37 +51,12 @@ AROUND_M = 2.0  # that it shows around the light
 RAYS_ABOVE = 1e6  # of that picture, four for each pixel of the page
 
 
-class Watched:
-    """What a page needs of a run beside its table: a few moments, and of each symbol that is held what `Gathered` keeps."""
-
-    def __init__(self, simulation: Simulation) -> None:
-        scenario = simulation.scenario
-        tracker, steps = scenario.tracker, scenario.steps
-        # the last step that tracks do not light
-        frames = scenario.camera.latency_steps + tracker.confirm_frames if scenario.detector and isinstance(tracker, TrackerParams) else 1
-        first = min(frames, steps) - 1
-        self._kept = {first + k * (steps - 1 - first) // (MOMENTS - 1) for k in range(MOMENTS)}
-        self._moments: dict[int, StepResult] = {}  # first, between, and the last so far
-        self.gathered = [Gathered(name, steps) for name in simulation.controlled]
-
-    @property
-    def moments(self) -> list[StepResult]:
-        """Those to show, the last one is the end."""
-        return list(self._moments.values())[-MOMENTS:]
-
-    def add(self, result: StepResult) -> None:
-        """Take what is needed of a step."""
-        self._moments = {step: each for step, each in self._moments.items() if step in self._kept} | {result.step: result}
-        for each in self.gathered:
-            each.add(result)
-
-
 def write_report(file: Path, simulation: Simulation, watched: Watched, table: pa.Table, summary: dict[str, Any]) -> None:
     """Draw a run of at least one step on one page: all light, unless symbols are all there is, and each symbol that is held.
 
-    table and summary are the recording's. Raises LuxloopError if the file cannot be written.
+    table and summary are the recording's, simulation the one that its last step is of. Raises LuxloopError if the file cannot be written.
     """
-    shown = [each for each in watched.gathered if each.last is not None]
+    shown = [each for each in watched.gathered if each.last is not None and each.name in simulation.controlled]
     parts: list[tuple[float, Callable[[SubFigure], None]]] = []
     if not shown or not symbols_alone(simulation):
         high = LIGHT_IN + (simulation.pipeline is not None or bool(watched.moments[-1].materials)) * TALLER_IN

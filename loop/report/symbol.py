@@ -12,7 +12,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
-from torch import Tensor
 
 from controllers.functions.symbol import SymbolFunctionParams
 from controllers.pixels.ssc import Utilisation
@@ -29,10 +28,8 @@ from loop.recording.style import FOUR, SHARES, STYLE, headed
 from loop.recording.summary import column
 from loop.scenario.plant import shadow_of
 from loop.terminal.tables import number
-from perception.appearance import appearance, image_axes
 from perception.birdseye import rectify
 from perception.camera import luminance_of
-from perception.extraction import Crop, Loss
 from perception.judge import THRESHOLD
 
 Lights = tuple[Utilisation, ...]
@@ -40,46 +37,11 @@ Pairs = dict[str, tuple[Lights, Lights]]  # with a symbol and without it, by whe
 Image = NDArray[np.floating]
 
 TARGET, PATH, LOST = "#00c8ff", "#ff2020", "#d55e00"
-PAST_SYMBOLS = 12
 HIGH_IN = 9.4  # of a symbol's part of a page
 TITLE, NOTE = 125, 175  # characters of a line as wide as the page
 WHY = 40  # of a line in a chart
 FEW_STEPS = 60  # which are marked one by one
 LEAST_M, LEAST_DEG = 0.01, 0.1  # that the axes of poses show to both sides: less is nothing that anybody sees
-
-
-class Gathered:
-    """What a page needs of a symbol beside the table: the path of the centroid, a few past symbols, the last light, and what was shown in
-    place of what was asked for."""
-
-    def __init__(self, name: str, steps: int) -> None:
-        """steps: how many there will be; past symbols are kept at ever larger intervals, since most of the way is made at first."""
-        self.name = name
-        self._keep = set(np.geomspace(1, max(steps, 1), PAST_SYMBOLS).round().astype(int) - 1)
-        self.path: list[tuple[float, float]] = []
-        self.symbols: list[tuple[Crop, NDArray[np.bool_]]] = []
-        self.frame: Tensor | None = None  # the newest on frame
-        self.last: StepResult | None = None  # that shows it
-        self.shown: dict[float, Tensor] = {}  # poses by their times in s
-
-    def add(self, result: StepResult) -> None:
-        """Take what is needed of a step."""
-        if (held := result.held.get(self.name)) is None:
-            return
-        seen = held.measurement
-        centre = (math.nan, math.nan)
-        if int(seen.code) == Loss.SEEN:
-            height, width = seen.symbol.shape
-            axes = image_axes(height, width, seen.crop.u_start, seen.crop.v_start, seen.symbol)
-            u, v = appearance(seen.symbol, axes).centroids[0].tolist()
-            centre = (u, v)
-            if result.step in self._keep:
-                self.symbols.append((seen.crop, (seen.symbol > 0.5).cpu().numpy()))
-        self.path.append(centre)
-        self.frame = self.frame if result.frames is None else result.frames[0]
-        self.last = result
-        shown = [frame.shown for showing in result.showings for frame in showing.after.frames if frame.shown is not None]
-        self.shown |= {each.start_s: each.projections[self.name].pose for each in shown if self.name in each.projections}
 
 
 def draw_symbol(figure: SubFigure, simulation: Simulation, gathered: Gathered, table: pa.Table, summary: dict[str, Any]) -> None:

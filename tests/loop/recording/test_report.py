@@ -16,8 +16,9 @@ from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.recording.columns import of_one
 from loop.recording.files import REPORT, table_of
-from loop.report.page import DPI, LIGHT_IN, WIDE_IN, Watched, _from_near, write_report
-from loop.report.symbol import HIGH_IN, PAST_SYMBOLS, Gathered, _courses, _title
+from loop.report.page import DPI, LIGHT_IN, WIDE_IN, _from_near, write_report
+from loop.report.symbol import HIGH_IN, _courses, _title
+from loop.report.watched import PAST_SYMBOLS, Gathered, Watched
 from loop.run import run
 from loop.scenario.model import Scenario, validate
 from perception.extraction import Loss

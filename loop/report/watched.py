@@ -1,0 +1,81 @@
+"""What the page of a run needs beside its table, taken while it runs."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
+from perception.appearance import appearance, image_axes
+from perception.extraction import Crop, Loss
+from perception.tracking import TrackerParams
+
+MOMENTS = 4  # that the page shows
+PAST_SYMBOLS = 12
+
+
+class Watched:
+    """What a page needs of a run beside its table: a few moments, and of each symbol that is held what `Gathered` keeps."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        scenario = simulation.scenario
+        tracker, steps = scenario.tracker, scenario.steps
+        # the last step that tracks do not light
+        frames = scenario.camera.latency_steps + tracker.confirm_frames if scenario.detector and isinstance(tracker, TrackerParams) else 1
+        first = min(frames, steps) - 1
+        self._kept = {first + k * (steps - 1 - first) // (MOMENTS - 1) for k in range(MOMENTS)}
+        self._moments: dict[int, StepResult] = {}  # first, between, and the last so far
+        self.gathered = list[Gathered]()
+        self.edit(simulation)
+
+    def edit(self, simulation: Simulation) -> None:
+        """The run goes on with an edited simulation, which may hold other symbols."""
+        known = {each.name for each in self.gathered}
+        self.gathered += [Gathered(name, simulation.scenario.steps) for name in simulation.controlled if name not in known]
+
+    @property
+    def moments(self) -> list[StepResult]:
+        """Those to show, the last one is the end."""
+        return list(self._moments.values())[-MOMENTS:]
+
+    def add(self, result: StepResult) -> None:
+        """Take what is needed of a step."""
+        self._moments = {step: each for step, each in self._moments.items() if step in self._kept} | {result.step: result}
+        for each in self.gathered:
+            each.add(result)
+
+
+class Gathered:
+    """What a page needs of a symbol beside the table: the path of the centroid, a few past symbols, the last light, and what was shown in
+    place of what was asked for."""
+
+    def __init__(self, name: str, steps: int) -> None:
+        """steps: how many there will be; past symbols are kept at ever larger intervals, since most of the way is made at first."""
+        self.name = name
+        self._keep = set(np.geomspace(1, max(steps, 1), PAST_SYMBOLS).round().astype(int) - 1)
+        self.path: list[tuple[float, float]] = []
+        self.symbols: list[tuple[Crop, NDArray[np.bool_]]] = []
+        self.frame: Tensor | None = None  # the newest on frame
+        self.last: StepResult | None = None  # that shows it
+        self.shown: dict[float, Tensor] = {}  # poses by their times in s
+
+    def add(self, result: StepResult) -> None:
+        """Take what is needed of a step."""
+        if (held := result.held.get(self.name)) is None:
+            return
+        seen = held.measurement
+        centre = (math.nan, math.nan)
+        if int(seen.code) == Loss.SEEN:
+            height, width = seen.symbol.shape
+            axes = image_axes(height, width, seen.crop.u_start, seen.crop.v_start, seen.symbol)
+            u, v = appearance(seen.symbol, axes).centroids[0].tolist()
+            centre = (u, v)
+            if result.step in self._keep:
+                self.symbols.append((seen.crop, (seen.symbol > 0.5).cpu().numpy()))
+        self.path.append(centre)
+        self.frame = self.frame if result.frames is None else result.frames[0]
+        self.last = result
+        shown = [frame.shown for showing in result.showings for frame in showing.after.frames if frame.shown is not None]
+        self.shown |= {each.start_s: each.projections[self.name].pose for each in shown if self.name in each.projections}
