@@ -26,6 +26,7 @@ from loop.recording.columns import ERRORS
 from loop.recording.remedies import SHADOW, remedies, unjudged
 from loop.recording.style import FOUR, SHARES, STYLE, headed
 from loop.recording.summary import column
+from loop.report.watched import Gathered
 from loop.scenario.plant import shadow_of
 from loop.terminal.tables import number
 from perception.birdseye import rectify

@@ -20,6 +20,7 @@ MOST_UNSHOWN: Final = 2  # steps of a run that a client may not have shown yet: 
 PERIOD_S: Final = 0.05  # between two steps of a run that plays, at least
 REST: Final = 20  # times what making messages takes pass until the next ones
 FORGOTTEN: Final = "light and pictures of this step are no longer kept: those of the step shown last are drawn; start anew to see them"
+PASSED: Final = "the road of this step is no longer kept"
 HALF_PEAK: Final = 1024.0  # of a module in units of its half floats, far from where these overflow
 
 
@@ -117,9 +118,10 @@ class SentRun:
             return
         self.ids.append(id_)
         self._step = snapshot, scrubbed, wanted
-        if lacking := sorted({each["mesh"] for each in snapshot.head["bodies"]} - self._meshes):
-            self._meshes.update(lacking)
-            heads, arrays = merged([self.run.shapes.meshes[each] for each in lacking])
+        there, meshes = {each["mesh"] for each in snapshot.head["bodies"]}, self.run.shapes.meshes
+        if made := {number: mesh for number in sorted(there - self._meshes) if (mesh := meshes.get(number)) is not None}:
+            self._meshes.update(made)
+            heads, arrays = merged(list(made.values()))
             yield packed({"type": "meshes", "run": self.number, "meshes": heads}, {name: coded(each) for name, each in arrays.items()})
         pictures, plain, windows, scales, notes = dict[str, Coded](), dict[str, np.ndarray](), dict[str, Any](), [], snapshot.head["notes"]
         for k, peak_cd in enumerate(self.run.peaks_cd):
@@ -141,8 +143,12 @@ class SentRun:
                 notes = [*notes, f"the camera's picture is that of step {seen.step}"]
         if not snapshot.lights and snapshot.step < len(self.run.snapshots):
             notes = [*notes, FORGOTTEN]
+        bodies = [each for each in snapshot.head["bodies"] if each["mesh"] in self._meshes]
+        if there - self._meshes:
+            notes = [*notes, PASSED]
         exact = {name: array for name, array in snapshot.exact.items() if name.partition(".")[0] in wanted}
-        head = {"type": "step", "id": id_, "run": self.number, "scrub": scrubbed, **snapshot.head, "notes": notes, "light_windows": windows}
+        head = {"type": "step", "id": id_, "run": self.number, "scrub": scrubbed, **snapshot.head, "bodies": bodies, "notes": notes}
+        head["light_windows"] = windows
         head["modules"] = [{**each, "scale_cd": scale} for each, scale in zip(snapshot.head["modules"], scales, strict=True)]
         if request.shared and (shared := self._blocks.put(self.number, id_, {**plain, **exact})) is not None:
             yield packed({**head, "shared": shared}, pictures)

@@ -1,5 +1,6 @@
 """A run that is watched: its simulation, its steps so far, and their values."""
 
+import gc
 import time
 from collections.abc import Callable, Collection, Sequence
 from contextlib import ExitStack
@@ -17,8 +18,11 @@ from loop.lighting.recorder import Recorder, Tally
 from loop.lighting.redrawn import unpainted
 from loop.lighting.result import SimulationState, StepResult
 from loop.lighting.simulation import Simulation
+from loop.recording.checks import Checks
+from loop.recording.files import REPORT
 from loop.replay.edited import edited
 from loop.report.picture import white_of
+from loop.report.watched import Watched
 from loop.run import prepare
 from loop.scenario.acts import ACTS
 from loop.scenario.driving import repeated
@@ -61,7 +65,7 @@ class Run:
     ) -> None:
         """Does the first step, so that there is something to see. wanted: what somebody looks at. recorded: what is repeated."""
         self.simulation, self.label, self.overrides = simulation, label, list(overrides)
-        self.tally = Tally(simulation)
+        self.tally, self.watched = Tally(simulation), Watched(simulation)
         self.recorder: Recorder | None = None
         self._recording = ExitStack()
         self.recorded = recorded
@@ -105,6 +109,7 @@ class Run:
         if "camera" in looks:
             self._look_s = time.perf_counter() + REST * (time.perf_counter() - began_s)
         values = (self.recorder or self.tally).add(result)
+        self.watched.add(result)
         self._state, self._made = state, (self.simulation, result)
         self._reached = state, self.simulation.scenario
         self._below, self._next, self._ahead = None, None, False
@@ -139,14 +144,21 @@ class Run:
         writes there.
         """
         self.end_recording()
+
+        def report(table: pa.Table, summary: dict[str, Any]) -> None:
+            from loop.report.page import write_report  # Matplotlib, for which a start does not wait
+
+            write_report(directory / REPORT, self.simulation, self.watched, table, summary)
+            gc.collect()  # see `loop.run`
+
         with ExitStack() as stack:
             stack.enter_context(output_folder(directory))
-            recorder = stack.enter_context(Recorder(directory, self.tally))
+            recorder = stack.enter_context(Recorder(directory, self.tally, report, self._checked))
             recorder.begin()
             self.recorder, self._recording = recorder, stack.pop_all()
 
     def end_recording(self) -> None:
-        """Finish the recording, if there is one."""
+        """Finish the recording, if there is one, which takes seconds, in which its report is drawn."""
         self.recorder = None
         self._recording.close()
 
@@ -194,6 +206,7 @@ class Run:
         self.simulation, self._state = after
         edit = Edit(step=len(self.snapshots), overrides=overrides, driven=driven)
         if not driven:
+            self.watched.edit(self.simulation)
             known = {each.name for each in self.columns}
             self.columns = [*self.columns, *(each for each in _numbers(self.simulation) if each.name not in known)]
             if self.told and replaces(edit, self.told[-1]):  # so that strokes of a picture are kept once
@@ -209,7 +222,11 @@ class Run:
 
     def summary(self) -> dict[str, Any]:
         """Results of all steps so far. It renders, and so runs where the steps do."""
-        return self.tally.summary()
+        return self.tally.summary(self._checked)
+
+    def _checked(self, table: pa.Table) -> dict[str, Any]:
+        """What has come of the checks that compare with no other light, by name."""
+        return Checks(self.simulation.scenario.checks, None).outcomes(table)
 
     def beam(self, rule: str, side: str, step: int | None) -> list[dict[str, Any]]:
         """A regulation's verdict on what the lamp of a side shows in a step, the newest for None, as the protocol has it.

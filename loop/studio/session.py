@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from loop.studio.runs import Run
 
 PATIENCE_S: Final = 5.0  # with a step, when all shall end
+REPORT_S: Final = 60.0  # with the report of a recording
 LOOK: Final = "look"
 LOOK_AT_FILE_S: Final = 0.5  # between two looks at the scenario's file
 MOST_WAITING: Final = 2  # messages behind a step that is still done
@@ -134,7 +135,7 @@ class Session:
     def stop(self) -> bool:
         """End the thread after the step that it is at. Returns whether it has ended: one that prepares something for long has not."""
         self._asked.put(None)
-        self._thread.join(PATIENCE_S)
+        self._thread.join(PATIENCE_S if self.published.recording is None else REPORT_S)
         return not self._thread.is_alive()
 
     def _work(self) -> None:
@@ -327,6 +328,8 @@ class Session:
         over = all(run.over for run in published.runs)
         step_ms = sum(run.step_ms for run in runs)
         self._publish(playing=published.playing and not over, step_ms=step_ms, real_time=real_time)
+        if over:
+            self._record(None)
 
     def _scenarios(self) -> tuple["Scenario", ...]:
         """As they are now, of all runs. Raises LuxloopError where there are none."""
@@ -397,9 +400,11 @@ class Session:
     def _record(self, folder: str | None) -> None:
         if folder is not None and any(each.recording and each.recording.resolve() == (RUNS / folder).resolve() for each in self._sources):
             raise LuxloopError(f"record: {RUNS / folder} is what is shown; give another name")
-        for run in self.published.runs:
-            run.end_recording()
-        self._publish(recording=None)
+        if self.published.recording is not None:
+            self._publish(progress="drawing the report of the recording")
+            for run in self.published.runs:
+                run.end_recording()
+            self._publish(recording=None, progress=None)
         self._choose()
         if folder is not None:
             self._run(0).record(RUNS / folder)

@@ -1,6 +1,7 @@
 """Bodies of a scene as numbered meshes, each sent once."""
 
 from collections.abc import Mapping
+from itertools import count
 from typing import Any, Final
 from weakref import WeakKeyDictionary
 
@@ -12,22 +13,35 @@ from world.scene.triangles import Placed
 
 TEXEL_M: Final = 0.05  # of an albedo picture
 MOST_TEXELS: Final = 2_000_000
+KEPT_BYTES: Final = 2**28  # of meshes: those of some 1.5 km of road
 
 Mesh = tuple[dict[str, Any], dict[str, np.ndarray]]  # head and arrays of it
 
 
 class Shapes:
-    """Numbers bodies, and makes a mesh of each when it is first seen; `meshes` has them in the order of their numbers."""
+    """Numbers bodies, and makes a mesh of each when it is first seen.
+
+    meshes: by number, up to KEPT_BYTES; of a longer drive those that were not seen for longest are forgotten. Other threads may read it.
+    """
 
     def __init__(self) -> None:
-        self.meshes: list[Mesh] = []
+        self.meshes: dict[int, Mesh] = {}
         self._known: WeakKeyDictionary[Body, int] = WeakKeyDictionary()
+        self._seen: dict[int, int] = {}  # bytes of the meshes, that which was seen last at the end
+        self._numbers = count()
 
     def number(self, placed: Placed) -> int:
         """That of a placed body's mesh."""
-        number = self._known.setdefault(placed.body, len(self.meshes))
-        if number == len(self.meshes):
-            self.meshes.append(_mesh(number, placed.body, "road" if placed.object_id == 0 else "object"))
+        number = self._known.get(placed.body)
+        if number is None:
+            number = self._known[placed.body] = next(self._numbers)
+        if number not in self.meshes:
+            self.meshes[number] = mesh = _mesh(number, placed.body, "road" if placed.object_id == 0 else "object")
+            self._seen[number] = sum(each.nbytes for each in mesh[1].values())
+            while sum(self._seen.values()) > KEPT_BYTES and len(self._seen) > 1:
+                oldest = next(iter(self._seen))
+                del self._seen[oldest], self.meshes[oldest]
+        self._seen[number] = self._seen.pop(number)
         return number
 
 

@@ -1,10 +1,13 @@
 """Edits of a run in the studio: taken back, saved, recorded, and made in the scenario's file."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import pytest
 
+from loop.recording.files import REPORT, SUMMARY
 from loop.replay.replay import load as recording
 from loop.replay.replay import replay
 from loop.scenario.model import load
@@ -141,12 +144,21 @@ def test_a_recording_has_all_steps_and_edits_and_is_repeated(
     editor.of("edit")
     editor.say(type="step")
     editor.of("step", step=4)
-    editor.say(type="record", folder=None)
-    editor.of("status", recording=None)
+    another = ("functions.second={kind='symbol',image='snowflake',x_m=20.0,controller={name='thesis_pid'}}", "steps=6")
+    editor.say(type="set", overrides=list(another))
+    editor.of("edit")
+    editor.say(type="step")
+    editor.of("step", step=5)
+    editor.of("status", recording=None)  # at the end of the run
     read = recording(tmp_path / "runs/mine")
-    assert read.manifest.status == "complete" and read.table.num_rows == 5
-    assert [(each.step, each.overrides) for each in read.edits] == [(2, (f"{KP}=0.33",)), (4, ("light.ambient_lx=0.5",))]
+    assert read.manifest.status == "complete" and read.table.num_rows == 6
+    report, summary = cv2.imread(str(tmp_path / "runs/mine" / REPORT)), json.loads((tmp_path / "runs/mine" / SUMMARY).read_text())
+    assert report is not None and report.std() > 10  # something is drawn
+    assert summary["checks"].keys() == {"lies_on_target"}  # the other one compares with a light that did not run beside
+    assert [(each.step, each.overrides) for each in read.edits] == [(2, (f"{KP}=0.33",)), (4, ("light.ambient_lx=0.5",)), (5, another)]
     assert replay(tmp_path / "runs/mine").agrees
+    editor.say(type="undo")
+    editor.of("edit")
     editor.say(type="record", folder="../mine")
     assert "folder" in editor.of("error")[0]["text"]
 
