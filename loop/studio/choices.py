@@ -13,6 +13,7 @@ from loop.scenario.shipped import shipped_files
 from loop.studio.sources import RUNS
 from loop.terminal.listing import listing
 from world.errors import LuxloopError
+from world.presets import SUMMARIES
 from world.regulation.tables import sets
 
 MOST: Final = 200  # recordings, the newest
@@ -21,7 +22,8 @@ MOST: Final = 200  # recordings, the newest
 def choices() -> dict[str, Any]:
     """As the protocol has them."""
     of = {kind: [{key: each[key] for key in ("name", "description")} for each in listing(kind)] for kind in ("scenarios", "controllers")}
-    return {**of, "rules": list(sets()), "symbols": list(shipped_files("symbols")), "recordings": recordings()}
+    names = {"rules": list(sets()), "symbols": list(shipped_files("symbols")), "lamps": list(SUMMARIES)}
+    return {**of, **names, "recordings": recordings()}
 
 
 def recordings() -> list[dict[str, str]]:

@@ -90,6 +90,7 @@ export interface ChoicesMessage {
   controllers: Named[];
   rules: string[];
   symbols: string[];
+  lamps: string[];
   /** Names are folders. */
   recordings: Named[];
 }

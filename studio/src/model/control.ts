@@ -1,6 +1,7 @@
 // The control of one value, by its form. A change is told once it is one; a slider tells of each.
 
 import { h } from "../dom.ts";
+import { listOf } from "./known.ts";
 import { span, stepFor, stepOf, unitOf } from "./numbers.ts";
 import { toml } from "./overrides.ts";
 import type { Field, Range } from "./schema.ts";
@@ -35,7 +36,7 @@ export function control(field: Field, key: string, ids: Ids, changed: Changed): 
     case "words":
       return words(field, form.whole, ids, changed);
     default:
-      return text(field, ids, changed);
+      return text(field, key, ids, changed);
   }
 }
 
@@ -160,9 +161,9 @@ function words(field: Field, whole: boolean, { id, help }: Ids, changed: Changed
 }
 
 /** A text; or a value whose form is open, to read alone. */
-function text(field: Field, { id, help }: Ids, changed: Changed): Control {
+function text(field: Field, key: string, { id, help }: Ids, changed: Changed): Control {
   const plain = field.form.is === "text";
-  const input = h("input", { id, type: "text", "aria-describedby": help, spellcheck: "false", autocomplete: "off" });
+  const input = h("input", { id, type: "text", list: listOf(key), "aria-describedby": help, spellcheck: "false", autocomplete: "off" });
   if (field.optional) input.placeholder = "left out";
   input.addEventListener("change", () => changed(input.value === "" && field.optional ? null : input.value));
   return {

@@ -6,6 +6,7 @@ import { hasPen, needsPen, type Studio } from "../state.ts";
 import { node, tableOf } from "./branch.ts";
 import { disturbances } from "./disturb.ts";
 import { FunctionList } from "./functions.ts";
+import { knownLists } from "./known.ts";
 import { type Table, valueAt } from "./overrides.ts";
 import { clearRefused, showRefused } from "./refused.ts";
 import { actsOf, type Editor, type Node } from "./row.ts";
@@ -23,7 +24,7 @@ export function keysPanel(store: Studio, session: Session, toast: (sentence: str
   const note = h("p", { class: "muted" });
   const content = h("fieldset", {}, h("p", { class: "muted" }, "Waiting for the keys ..."));
   const head = h("header", {}, h("h2", { id: "keys-title" }, "Keys"), words, close);
-  const element = h("aside", { class: "keys-panel", "aria-labelledby": "keys-title" }, head, note, content);
+  const element = h("aside", { class: "keys-panel", "aria-labelledby": "keys-title" }, head, note, content, ...knownLists(store));
   let made = false;
   store.on(["keys_open"], ({ keys_open }) => {
     element.hidden = !keys_open;

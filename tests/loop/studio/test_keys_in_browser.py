@@ -77,6 +77,19 @@ def test_what_is_refused_is_told_beside_its_control_and_changes_nothing(browser:
     assert field.get_attribute("value") == "ssc" and scenario(symbol) == before
 
 
+def test_a_text_proposes_what_there_is(browser: webdriver.Chrome, symbol: Served) -> None:
+    keys_of(browser, symbol)
+    for key, name in (
+        ("headlight.model", "hd84"),
+        ("functions.symbol.image", "chevrons"),
+    ):
+        proposed = (
+            "return [...document.querySelector(`.keys-found [data-key='${arguments[0]}'] input`).list.options].map(({ value }) => value)"
+        )
+        searched(browser, key, key)
+        assert name in browser.execute_script(proposed, key)
+
+
 def test_a_function_is_switched_off_and_on_and_its_controller_is_another(browser: webdriver.Chrome, symbol: Served) -> None:
     keys_of(browser, symbol)
     before = scenario(symbol).functions
