@@ -16,4 +16,6 @@ def scenario_of(name: str, set: Sequence[str] | None, controller: str | None = N
     find(name)
     from loop.scenario.model import load
 
-    return load(name, set or [], **given, **({} if controller is None else {"controller": {"name": controller}}))
+    if controller is not None:
+        given["controller"] = {"name": controller}
+    return load(name, set or [], **given)

@@ -279,7 +279,8 @@ class Run:
         module = self.simulation.modules[number]
         keys = ("rows", "cols", "left", "right", "bottom", "top", "pixel_rows", "pixel_cols")
         grid = {key: getattr(module.headlight, key) for key in keys}
-        return {"name": module.name, "side": module.side, **grid, "peak_cd": self.peaks_cd[number], "flux_lm": module.flux_lm}
+        turns = {"swivel_deg": module.swivel_deg, "level_deg": module.level_deg}
+        return {"name": module.name, "side": module.side, **grid, "peak_cd": self.peaks_cd[number], "flux_lm": module.flux_lm, **turns}
 
 
 class Starting:

@@ -91,7 +91,7 @@ def snapshot(
         ],
         "symbols": {name: _symbol(simulation, result, name, T_world_ground) for name in result.held},
         "marks": _marks(simulation, result) if "marks" in wanted else [],
-        "notes": [text for text, _ in captions(result, simulation)],
+        "notes": [text for text, _ in captions(result, simulation)[2:]],  # without the name and the step, which stand elsewhere
     }
     pictures = _pictures(simulation, result) if "camera" in wanted else {}
     told, arrays = exact(simulation, result, wanted)

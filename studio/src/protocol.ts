@@ -30,6 +30,9 @@ export interface Module {
   pixel_cols: number;
   peak_cd: number;
   flux_lm: number;
+  /** Least and greatest turn from rest. */
+  swivel_deg: [number, number];
+  level_deg: [number, number];
 }
 
 export interface Camera {

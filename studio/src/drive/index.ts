@@ -7,6 +7,7 @@ import type { Session } from "../session.ts";
 import { hasPen, needsPen, type Studio } from "../state.ts";
 import { type Controls, isControl, ofKeys, ofPads, shoulders, turned } from "./controls.ts";
 import { IndicatorSwitch } from "./indicator.ts";
+import { ModuleSliders } from "./modules.ts";
 
 const TICK_MS = 50;
 const WHEELS = "vehicle.course=[{speed_m_s=0.0}]";
@@ -55,7 +56,7 @@ class Driving {
       ...BEAMS.map((beam) => h("button", { class: "toggle", title: TITLES[beam], onclick: () => this.#switch(beam) }, beam)),
     );
     this.#indicator = new IndicatorSwitch(store, session);
-    this.#hud.append(this.#indicator.element);
+    this.#hud.append(this.#indicator.element, new ModuleSliders(store, session).element);
     scenes.bar.append(this.#button);
     scenes.body.append(this.#hud);
     store.on(["driving"], ({ driving }) => this.#show(driving));

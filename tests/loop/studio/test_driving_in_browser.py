@@ -8,6 +8,7 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 
+from controllers.functions.commands import DirectParams
 from loop.studio.page import PAGE
 from loop.studio.sources import Source
 from tests.loop.studio.clients import watching
@@ -40,6 +41,16 @@ def test_keys_drive_the_car_and_switch_its_light(browser: webdriver.Chrome, car:
     for key, shown in (("q", "left"), ("e", "right"), ("x", "hazard"), ("x", "off")):
         ActionChains(browser).send_keys(key).perform()
         until(browser, f"return luxloop.store.state.model.lighting.indicator === '{shown}'")
+    module = car.studio.session.published.runs[0].simulation.modules[0].name
+    slider = browser.find_element(By.CSS_SELECTOR, f"[aria-label='{module}, intensity']")
+    browser.execute_script(
+        "arguments[0].closest('details').open = true; arguments[0].value = 0.25; arguments[0].dispatchEvent(new Event('input'))", slider
+    )
+    until(browser, "return luxloop.store.state.runs[0].rows.count && Object.keys(luxloop.store.state.model.functions).length === 1")
+    (commanding,) = car.studio.session.published.runs[0].simulation.scenario.functions.values()
+    assert isinstance(commanding, DirectParams) and (commanding.modules, commanding.intensity) == ((module,), 0.25)
+    browser.find_element(By.CSS_SELECTOR, f"[title='Let {module} rest']").click()
+    until(browser, "return Object.keys(luxloop.store.state.model.functions).length === 0")
     ActionChains(browser).key_up(Keys.ARROW_UP).key_up("a").send_keys(Keys.ESCAPE).perform()
     until(browser, "return !luxloop.store.state.driving && luxloop.store.state.model.vehicle.course.at(-1).curvature_1_m === 0")
     scenario = car.studio.session.published.runs[0].simulation.scenario
