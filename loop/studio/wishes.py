@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from controllers.functions.painted import Picture
-from controllers.jpo.ground import Raster, granted, lighting
+from controllers.jpo.plane import Raster, granted, lighting
 from loop.studio.arrays import Arrays
 from loop.studio.messages import Place, Wish
 from loop.studio.painting import layer, override

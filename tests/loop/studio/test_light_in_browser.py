@@ -9,7 +9,7 @@ from selenium import webdriver
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 
-from controllers.jpo.ground import lighting
+from controllers.jpo.plane import lighting
 from loop.studio.page import PAGE
 from loop.studio.sources import Source
 from tests.loop.studio.conftest import SMALL, Served, serving

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from controllers.jpo.ground import Raster, granted, lighting
+from controllers.jpo.plane import Raster, granted, lighting
 from world.errors import LuxloopError
 from world.frames import inverse, pose_from_degrees, transform
 from world.headlight import Headlight
