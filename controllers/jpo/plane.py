@@ -1,6 +1,7 @@
-"""Light wanted on the ground, and the utilisations of all pixels of all modules together that come closest to it (T 4.2.2).
+"""Light wanted on a plane, and the utilisations of all pixels of all modules together that come closest to it (T 4.2.2).
 
-A cell of the ground has the mean illuminance of the texels whose rays hit it, by area; one that few rays hit has that of 3 x 3 points.
+The plane is z = 0 of its own frame, whose z axis points to the side of the lamps: the road, or a wall. A cell of it has the mean
+illuminance of the texels whose rays hit it, by area; one that few rays hit has that of 3 x 3 points.
 """
 
 from collections.abc import Sequence
@@ -68,23 +69,24 @@ class Granted:
 def granted(
     lamps: Sequence[tuple[Headlight, Tensor, Tensor]], raster: Raster, wanted_lx: Tensor, where: Tensor, iterations: int = ITERATIONS
 ) -> Granted:
-    """Utilisations with the least squared error of the illuminance of the ground's cells, in 255 steps.
+    """Utilisations with the least squared error of the illuminance of the cells, in 255 steps.
 
-    lamps: each module with its pose `[4, 4]` over the ground and its utilisation now `[n_p]`, which pixels keep that light nothing of the
-    cells where something is wanted. wanted_lx, where: `[cells]`, lx and bool. Raises LuxloopError where no pixel lights these.
+    lamps: each module with its pose `[4, 4]` in the frame of the plane and its utilisation now `[n_p]`, which pixels keep that light
+    nothing of the cells where something is wanted. wanted_lx, where: `[cells]`, lx and bool.
+    Raises LuxloopError where no pixel lights these.
     """
     matrices, chosen = [], []
-    for light, T_ground_headlight, _ in lamps:
-        on_ground = _on_ground(light, T_ground_headlight, raster)
+    for light, T_plane_headlight, _ in lamps:
+        on_plane = _on_plane(light, T_plane_headlight, raster)
         A = light.matrix.to_scipy()
-        matrices.append(on_ground @ A)
-        there = (on_ground[where.numpy()] > 0).astype(np.float32).sum(0) > 0
+        matrices.append(on_plane @ A)
+        there = (on_plane[where.numpy()] > 0).astype(np.float32).sum(0) > 0
         reach = A[np.flatnonzero(there)].max(0).toarray()[0] if there.any() else np.zeros(light.n_pixels)
         most = A.max(0).toarray()[0]
         chosen.append(torch.from_numpy((reach >= OWN * most) & (most > 0)))
     free = torch.cat(chosen)
     if not free.any():
-        raise LuxloopError("wish: no pixel lights the ground where light is wanted; paint it within the field of a lamp")
+        raise LuxloopError("wish: no pixel lights the place where light is wanted; paint it within the field of a lamp")
     joint = Csr.from_scipy(sp.hstack(matrices, "csr"))
     now = torch.cat([u.float().cpu() for _, _, u in lamps])
     target = torch.where(where, wanted_lx, multiply(joint, now)).float()
@@ -115,21 +117,21 @@ def lighting(headlight: Headlight, T_world_headlight: Tensor, point: Tensor) -> 
     return pixels[own], cd[own]
 
 
-def _on_ground(grid: TexelGrid, T_ground_headlight: Tensor, raster: Raster) -> sp.csr_matrix:
-    """`[cells, texels]` in lx per cd: the mean illuminance of a cell of the ground."""
-    T = T_ground_headlight.double().cpu()
+def _on_plane(grid: TexelGrid, T_plane_headlight: Tensor, raster: Raster) -> sp.csr_matrix:
+    """`[cells, texels]` in lx per cd: the mean illuminance of a cell."""
+    T = T_plane_headlight.double().cpu()
     y, z = grid.tangents(torch.float64, torch.device("cpu"))
     z, y = (each.flatten() for each in torch.meshgrid(z, y, indexing="ij"))
     ray = T[:3, :3] @ torch.stack([torch.ones_like(y), y, z])  # [3, texels]
     height, long = T[2, 3], ray.norm(dim=0)
-    way = height / -ray[2]  # in rays to the ground
+    way = height / -ray[2]  # in rays to the plane
     cell = torch.where((ray[2] < 0) & (height > 0), raster.cells(T[0, 3] + way * ray[0], T[1, 3] + way * ray[1]), -1)
     n_cells = raster.rows * raster.cols
     few = torch.bincount(cell[cell >= 0], minlength=n_cells) < FEW
     hit = torch.nonzero((cell >= 0) & ~few[cell])[:, 0]
     distance = (way * long)[hit]
     factor = height / distance**3  # cos / d^2
-    area = 1 / long[hit] ** 3 / factor  # of a texel on the ground: its solid angle, to a factor, over cos / d^2
+    area = 1 / long[hit] ** 3 / factor  # of a texel on the plane: its solid angle, to a factor, over cos / d^2
     total = torch.zeros(n_cells, dtype=torch.float64).index_add_(0, cell[hit], area)
     share = area / total[cell[hit]]
     points = raster.points(POINTS)[:, :, few]  # [3, POINTS^2, few cells]

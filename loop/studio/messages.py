@@ -167,12 +167,14 @@ class Place(Told):
 
 
 class Wish(Told):
-    """Illuminances of the ground before the car that pixels shall be painted for, by all modules together.
+    """Illuminances of the road before the car, or of a wall 25 m before it, that pixels shall be painted for, by all modules together.
 
-    box_m: least and largest x, least and largest y. Its arrays `[rows, columns]`, along x and y: lx; painted, 0 where nothing is wanted.
+    box_m: least and largest x, least and largest y on the road; on the wall heights, and y. Its arrays `[rows, columns]`, along these: lx;
+    painted, 0 where nothing is wanted.
     """
 
     type: Literal["wish"]
+    on: Literal["road", "wall"] = "road"
     box_m: tuple[Metres, Metres, Metres, Metres]
     over: bool = True
 

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from controllers.functions.painted import Picture
 from controllers.jpo.plane import Raster, granted, lighting
+from loop.report.picture import WALL_M
 from loop.studio.arrays import Arrays
 from loop.studio.messages import Place, Wish
 from loop.studio.painting import layer, override
@@ -18,6 +19,8 @@ from world.frames import inverse
 
 MOST_CELLS: Final = 20_000
 MOST_LX: Final = 100_000.0
+# A wall before the middle of the lamps: x up, y to the left, z towards the car.
+T_BODY_WALL: Final = torch.tensor([[0.0, 0, -1, WALL_M], [0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1]], dtype=torch.float64)
 
 Answer = tuple[dict[str, Any], str | None]  # head of the message, and the override that paints
 
@@ -49,15 +52,16 @@ def wished(run: Run, wish: Wish, arrays: Arrays) -> Answer:
     if not ((lx[where] >= 0) & (lx[where] <= MOST_LX)).all():
         raise LuxloopError(f"wish: light wanted lies between 0 and {MOST_LX:g} lx")
     raster = Raster(x_min, x_max, y_min, y_max, *lx.shape)
-    T_ground_world = inverse(torch.tensor(run.snapshots[-1].head["T_world_ground"], dtype=torch.float64).view(4, 4))
-    modules, lights = run.simulation.modules, run.snapshots[-1].lights
-    lamps = [(each.headlight, T_ground_world @ _pose(run, k), lights[k]) for k, each in enumerate(modules)]
+    head, lights = run.snapshots[-1].head, run.snapshots[-1].lights
+    T_plane_world = inverse(_matrix(head["T_world_ground"]) if wish.on == "road" else _matrix(head["T_world_body"]) @ T_BODY_WALL)
+    lamps = [(each.headlight, T_plane_world @ _pose(run, k), lights[k]) for k, each in enumerate(run.simulation.modules)]
     there = torch.from_numpy(where).flatten()
     goal = torch.from_numpy(np.where(where, lx, 0).astype(np.float32)).flatten()
     found = granted(lamps, raster, goal, there)
     off = (found.lx - goal)[there]
-    head = {
+    answer = {
         "type": "wish",
+        "on": wish.on,
         "wanted_lx": float(goal[there].mean()),
         "rmse_lx": float(off.square().mean().sqrt()),
         "worst_lx": float(off.abs().max()),
@@ -68,7 +72,7 @@ def wished(run: Run, wish: Wish, arrays: Arrays) -> Answer:
         for k, (u, chosen) in enumerate(zip(found.u, found.chosen, strict=True))
         if chosen.any()
     }
-    return head, override(run.simulation, layers, wish.over)
+    return answer, override(run.simulation, layers, wish.over)
 
 
 def _painted(old: Sequence[Picture], pixels: Tensor, values: Tensor) -> tuple[Picture, Picture]:
@@ -78,4 +82,8 @@ def _painted(old: Sequence[Picture], pixels: Tensor, values: Tensor) -> tuple[Pi
 
 
 def _pose(run: Run, module: int) -> Tensor:
-    return torch.tensor(run.snapshots[-1].head["modules"][module]["T_world_module"], dtype=torch.float64).view(4, 4)
+    return _matrix(run.snapshots[-1].head["modules"][module]["T_world_module"])
+
+
+def _matrix(numbers: Sequence[float]) -> Tensor:
+    return torch.tensor(numbers, dtype=torch.float64).view(4, 4)

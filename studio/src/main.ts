@@ -21,7 +21,7 @@ import { newStore, type Studio } from "./state.ts";
 import { Toasts } from "./toast.ts";
 import { toolbar } from "./toolbar.ts";
 import { worldLight } from "./world/light.ts";
-import type { Raster } from "./world/raster.ts";
+import type { Raster, Surface } from "./world/raster.ts";
 
 declare global {
   interface Window {
@@ -32,7 +32,7 @@ declare global {
       placing: Placing | null;
       painting: Painting;
       pixelAt: MatrixPanel["pixelAt"];
-      wanted: Raster;
+      wanted: Readonly<Record<Surface, Raster>>;
     };
   }
 }
@@ -68,7 +68,7 @@ window.luxloop = {
   store,
   painting: matrix.painting,
   pixelAt: matrix.pixelAt,
-  wanted: light.raster,
+  wanted: light.rasters,
   placing,
   get scenes() {
     return scenes.views;

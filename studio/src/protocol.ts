@@ -194,6 +194,7 @@ export interface PlaceAnswer {
 
 export interface WishAnswer {
   type: "wish";
+  on: "road" | "wall";
   wanted_lx: number;
   rmse_lx: number;
   worst_lx: number;
@@ -237,4 +238,4 @@ export type ClientMessage =
   | { type: "compare"; overrides: string[] | null; recording?: string | null }
   | PaintMessage
   | { type: "place"; stroke: number; point_m: Vector; value: number | null; over: boolean }
-  | { type: "wish"; box_m: [number, number, number, number]; over: boolean };
+  | { type: "wish"; on: "road" | "wall"; box_m: [number, number, number, number]; over: boolean };

@@ -221,6 +221,11 @@ export class SceneView {
     this.viewpoints.orbits = enabled;
   }
 
+  /** What lies on the wall, in the frame of the car's body. */
+  get onWall(): Group {
+    return this.wall.group;
+  }
+
   /** A pose of the world in the local frame. */
   local(T_world_any: Matrix4x4): Matrix4 {
     return this.frame.pose(T_world_any);

@@ -1,28 +1,37 @@
-// Painting light in the world: a click on the road lights it by the pixels that reach it, a brush says how bright it shall be.
+// Painting light in the world: a click on a place lights it by the pixels that reach it, a brush says how bright road or wall shall be.
 
+import { Matrix4, Vector3 } from "three";
 import { brief } from "../brief.ts";
 import { h, numberField, numberOf, toggle } from "../dom.ts";
 import type { Painting } from "../matrix/painting.ts";
-import type { PlaceAnswer, Vector } from "../protocol.ts";
+import type { PlaceAnswer, StepMessage, Vector } from "../protocol.ts";
 import type { SceneView } from "../scene/index.ts";
+import { WALL_M } from "../scene/viewpoints.ts";
 import type { ScenesPanel } from "../scenes/panel.ts";
 import type { Session } from "../session.ts";
 import { hasPen, type Studio } from "../state.ts";
 import { Turns } from "../turns.ts";
-import { BOX_M, Raster } from "./raster.ts";
+import { Raster, type Surface } from "./raster.ts";
 import { WishPlane } from "./wish_plane.ts";
 
 const MODES = {
   find: "A click on the road, an object or the wall frames the pixels that light it",
   light: "Paint the pixels that light what you click on",
-  lux: "Paint illuminances on the road, to be found by all modules together",
+  lux: "Paint illuminances on the road, or on the wall in its view, to be found by all modules together",
 } as const;
 type Mode = keyof typeof MODES;
 const ANSWER_MS = 5000;
+const T_BODY_WALL = new Matrix4().set(0, 0, -1, WALL_M, 0, 1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 1);
 
-export function worldLight(store: Studio, session: Session, scenes: ScenesPanel, painting: Painting): { raster: Raster } {
-  const raster = new Raster();
-  const planes = new Map<SceneView, WishPlane>();
+export function worldLight(
+  store: Studio,
+  session: Session,
+  scenes: ScenesPanel,
+  painting: Painting,
+): { rasters: Readonly<Record<Surface, Raster>> } {
+  const rasters = { road: new Raster("road"), wall: new Raster("wall") };
+  const raster = () => rasters[store.state.viewpoint === "wall" ? "wall" : "road"];
+  const planes = new Map<SceneView, WishPlane[]>();
   let mode: Mode | null = null;
   let waiting: Vector | null = null;
 
@@ -63,32 +72,36 @@ export function worldLight(store: Studio, session: Session, scenes: ScenesPanel,
     draw();
   };
   const draw = () => {
-    for (const [view, plane] of planes) if (!scenes.views.includes(view)) planes.delete(view) && plane.dispose();
+    for (const [view, of] of planes) if (!scenes.views.includes(view)) planes.delete(view) && of.forEach((each) => each.dispose());
     scenes.views.forEach((view, run) => {
-      let plane = planes.get(view);
-      if (!plane) {
-        plane = new WishPlane(raster);
-        planes.set(view, plane);
-        view.overlay.add(plane.mesh);
+      let of = planes.get(view);
+      if (!of) {
+        of = Object.values(rasters).map((each) => new WishPlane(each));
+        planes.set(view, of);
+        for (const { mesh, raster } of of) (raster.on === "wall" ? view.onWall : view.overlay).add(mesh);
       }
       const shown = store.state.runs[run]?.shown;
-      plane.mesh.visible = mode === "lux" && shown !== null && store.state.viewpoint !== "wall";
-      if (shown) plane.place(view.local(shown.T_world_ground));
-      plane.update();
+      for (const plane of of) {
+        plane.mesh.visible = mode === "lux" && shown !== null && plane.raster === raster();
+        if (!shown || !plane.mesh.visible) continue;
+        plane.place(plane.raster.on === "wall" ? T_BODY_WALL : view.local(shown.T_world_ground));
+        plane.update();
+      }
       view.redraw();
     });
   };
   const wish = () => {
-    const shape = [raster.rows, raster.cols];
+    const { on, box_m, rows, cols, lx, painted } = raster();
+    const shape = [rows, cols];
     const arrays = new Map([
-      ["lx", { shape, values: raster.lx.slice() }],
-      ["painted", { shape, values: raster.painted.slice() }],
+      ["lx", { shape, values: lx.slice() }],
+      ["painted", { shape, values: painted.slice() }],
     ] as const);
-    session.send({ type: "wish", box_m: [...BOX_M], over: painting.over }, arrays);
+    session.send({ type: "wish", on, box_m: [...box_m], over: painting.over }, arrays);
     told.textContent = "looking for the pixels ...";
   };
   const clear = () => {
-    raster.clear();
+    raster().clear();
     told.textContent = "";
     draw();
   };
@@ -96,14 +109,14 @@ export function worldLight(store: Studio, session: Session, scenes: ScenesPanel,
   /** A point of the world is under the brush. */
   const paintAt = (point: Vector) => {
     if (mode === "lux") {
-      const at = onGround(point);
+      const at = onPlane(point);
       const size_m = numberOf(radius, 1);
       const wanted = lx.value === "" ? null : numberOf(lx);
       const from = before ?? at;
       const steps = Math.ceil(Math.hypot(at[0] - from[0], at[1] - from[1]) / (0.5 * size_m)) || 1;
       for (let k = 1; k <= steps; k++) {
         const share = k / steps;
-        raster.paint(from[0] + share * (at[0] - from[0]), from[1] + share * (at[1] - from[1]), size_m, wanted);
+        raster().paint(from[0] + share * (at[0] - from[0]), from[1] + share * (at[1] - from[1]), size_m, wanted);
       }
       before = at;
       draw();
@@ -129,15 +142,16 @@ export function worldLight(store: Studio, session: Session, scenes: ScenesPanel,
     const names = modules.map(({ module, pixels }) => `${store.state.scenario?.runs[0].modules[module].name} ${pixels.length}`);
     told.textContent = names.length > 0 ? `pixels: ${names.join(", ")}` : "no module lights this place";
   };
-  const onGround = (point: Vector): [number, number] => {
-    const T = store.state.runs[0].shown?.T_world_ground ?? [];
-    const away = [point[0] - T[3], point[1] - T[7], point[2] - T[11]];
-    const along = (axis: number) => away[0] * T[axis] + away[1] * T[4 + axis] + away[2] * T[8 + axis];
-    return [along(0), along(1)];
+  const onPlane = (point: Vector): [number, number] => {
+    const { shown } = store.state.runs[0];
+    if (!shown) return [0, 0];
+    const T = raster().on === "wall" ? worldOf(shown.T_world_body).multiply(T_BODY_WALL) : worldOf(shown.T_world_ground);
+    const { x, y } = new Vector3(...point).applyMatrix4(T.invert());
+    return [x, y];
   };
 
   let stroke: SceneView | null = null;
-  let before: [number, number] | null = null; // on the ground, of the same stroke
+  let before: [number, number] | null = null; // on the plane, of the same stroke
   const under = (event: PointerEvent) => {
     const point = stroke?.pick(event.offsetX, event.offsetY);
     if (point) paintAt(point);
@@ -173,5 +187,9 @@ export function worldLight(store: Studio, session: Session, scenes: ScenesPanel,
   });
   store.on(["scenario", "step_version", "viewpoint"], () => mode === "lux" && draw());
   choose(null);
-  return { raster };
+  return { rasters };
+}
+
+function worldOf(T: StepMessage["T_world_body"]): Matrix4 {
+  return new Matrix4().fromArray(T).transpose();
 }

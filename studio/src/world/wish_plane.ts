@@ -1,10 +1,10 @@
-// The light wanted, as false colours over the ground.
+// The light wanted, as false colours over the road or the wall.
 
 import { DataTexture, DoubleSide, Matrix4, Mesh, MeshBasicMaterial, NearestFilter, PlaneGeometry, SRGBColorSpace } from "three";
 import { colourOf } from "../scene/colour_map.ts";
-import { BOX_M, type Raster } from "./raster.ts";
+import type { Raster } from "./raster.ts";
 
-const ABOVE_M = 0.03; // the ground, so that it is seen
+const ABOVE_M = 0.03; // the plane, so that it is seen
 const OPACITY = 150; // of 255
 
 export class WishPlane {
@@ -12,7 +12,7 @@ export class WishPlane {
   readonly #pixels: Uint8Array;
   readonly #texture: DataTexture;
 
-  constructor(private readonly raster: Raster) {
+  constructor(readonly raster: Raster) {
     this.#pixels = new Uint8Array(4 * raster.rows * raster.cols);
     this.#texture = new DataTexture(this.#pixels, raster.cols, raster.rows);
     this.#texture.colorSpace = SRGBColorSpace;
@@ -24,12 +24,12 @@ export class WishPlane {
     this.mesh.renderOrder = 1;
   }
 
-  /** Lie on the ground, whose pose in the local frame it is given. */
-  place(T_local_ground: Matrix4): void {
-    const [least_x, most_x, least_y, most_y] = BOX_M;
+  /** Lie on its plane, whose pose in the frame that it is shown in is given. */
+  place(T_shown_plane: Matrix4): void {
+    const [least_x, most_x, least_y, most_y] = this.raster.box_m;
     const centre = [(least_x + most_x) / 2, (least_y + most_y) / 2];
     const T = new Matrix4().set(0, most_x - least_x, 0, centre[0], most_y - least_y, 0, 0, centre[1], 0, 0, 1, ABOVE_M, 0, 0, 0, 1);
-    this.mesh.matrix.multiplyMatrices(T_local_ground, T);
+    this.mesh.matrix.multiplyMatrices(T_shown_plane, T);
     this.mesh.matrixWorldNeedsUpdate = true;
   }
 

@@ -65,7 +65,7 @@ def test_a_click_lights_the_place_by_the_pixels_that_the_library_names(page: web
 
 def test_the_road_becomes_as_bright_as_is_wanted(page: webdriver.Chrome, dark: Served) -> None:
     pressed(page, "lux")
-    page.execute_script("luxloop.wanted.paint(28, 0, 3, 0.5)")
+    page.execute_script("luxloop.wanted.road.paint(28, 0, 3, 0.5)")
     pressed(page, "paint it")
     until(page, "return luxloop.store.state.light?.type === 'wish'")
     granted = page.execute_script("return luxloop.store.state.light")
@@ -79,3 +79,21 @@ def test_the_road_becomes_as_bright_as_is_wanted(page: webdriver.Chrome, dark: S
     # Cells of half a metre have the mean that is wanted: a point may differ, as the pixels' light has a ripple.
     assert np.abs(lx.mean() - 0.5) < 0.02 and np.sqrt(np.square(lx - 0.5).mean()) < 0.1
     assert probed(page, np.array([[28.0, 6.0, 0], [28.0, -6.0, 0], [45.0, 0, 0]])).max() < 0.1
+
+
+def test_the_wall_becomes_as_bright_as_is_wanted(page: webdriver.Chrome, dark: Served) -> None:
+    page.find_element(By.TAG_NAME, "body").send_keys("5")
+    pressed(page, "lux")
+    canvas = page.find_element(By.CSS_SELECTOR, ".scene canvas")
+    ActionChains(page).move_to_element_with_offset(canvas, 12, 30).click().perform()
+    painted = page.execute_script("return [luxloop.wanted.wall, luxloop.wanted.road].map((each) => each.painted.some((cell) => cell))")
+    assert painted == [True, False]
+    pressed(page, "clear")
+    page.execute_script("luxloop.wanted.wall.paint(0, 2, 0.6, 20)")
+    pressed(page, "paint it")
+    until(page, "return luxloop.store.state.light?.type === 'wish' && luxloop.store.state.light.on === 'wall'")
+    (run,) = dark.studio.session.published.runs
+    assert len(run.simulation.scenario.lighting.painted) == 2
+    granted = page.execute_script("return luxloop.store.state.light")
+    assert granted["wanted_lx"] == pytest.approx(20) and granted["rmse_lx"] < 1  # a step of 1 in 255 is 0.6 lx there, of each lamp
+    page.find_element(By.TAG_NAME, "body").send_keys("1")

@@ -166,13 +166,13 @@ def test_a_watcher_cannot_paint(lamp: Painted) -> None:
         assert "watch" in watcher.of("error")[0]["text"]
 
 
-def lit(served: Served, point: list[float]) -> float:
-    """Illuminance in lx, of what faces the left lamp, at a point of the world by the light that is shown last."""
+def lit(served: Served, point: list[float], module: int = 0) -> float:
+    """Illuminance in lx, of what faces the lamp, at a point of the world by the light that a module shows last."""
     run = served.studio.session.published.runs[0]
-    shown, light = run.snapshots[-1], run.simulation.modules[0].headlight
-    T = torch.tensor(shown.head["modules"][0]["T_world_module"], dtype=torch.float64).view(4, 4)
+    shown, light = run.snapshots[-1], run.simulation.modules[module].headlight
+    T = torch.tensor(shown.head["modules"][module]["T_world_module"], dtype=torch.float64).view(4, 4)
     there = torch.tensor(point, dtype=torch.float64)[:, None]
-    intensity = light.intensity(light.light_texture(shown.lights[0]), transform(inverse(T), there).float())
+    intensity = light.intensity(light.light_texture(shown.lights[module]), transform(inverse(T), there).float())
     return float(intensity) / float((there - T[:3, 3:]).square().sum())
 
 
@@ -194,6 +194,24 @@ def test_a_place_of_the_world_is_lit_by_the_pixels_that_are_named(lamp: Painted)
             assert value / 255 * 0.99 * most <= lit(served, point) <= share * 2 * most
         watcher.say(type="place", point_m=[-40.0, 0.0, 0.0], value=255)
         assert watcher.of("place")[0]["modules"] == []
+
+
+def test_light_wanted_on_the_wall_is_painted(lamp: Painted) -> None:
+    served, _ = lamp
+    raster = {"lx": np.zeros((70, 240), np.float32), "painted": np.zeros((70, 240), np.uint8)}
+    raster["lx"][10:20, 115:125] = 2  # -1 to 0 m high, half a metre to both sides
+    raster["painted"][10:20, 115:125] = 1
+    with watching(served.port, served.tokens.edit) as watcher:
+        watcher.of("scenario")
+        watcher.say(type="set", overrides=["lighting.painted=[]"])
+        watcher.of("edit")
+        watcher.say(raster, type="wish", on="wall", box_m=[-2, 5, -12, 12])
+        head, _ = watcher.of("wish")
+        assert head["on"] == "wall" and head["wanted_lx"] == 2 and head["pixels"] > 0
+        middle = sum(lit(served, [25.0, 0.0, -0.5], module) for module in (0, 1))
+        assert abs(middle - 2) <= head["worst_lx"] + 0.1  # a point of a cell, facing a lamp and not the car
+        watcher.say(raster, type="wish", on="ceiling", box_m=[-2, 5, -12, 12])
+        assert "'road' or 'wall'" in watcher.of("error")[0]["text"]
 
 
 def test_light_wanted_on_the_road_is_painted_on_all_modules_together(lamp: Painted) -> None:
