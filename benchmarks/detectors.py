@@ -18,10 +18,11 @@ from loop.training.light import luminance
 from loop.training.report import confidence_figure, page
 from loop.training.scenes import CAMERA, HELD_OUT, DarkScene, read
 from loop.training.train import LEAST_SCORE, drawn
-from perception.camera import expose, frame_generator
+from perception.camera import expose
 from perception.detection.build import WEIGHTS, detector
 from perception.detection.params import HogParams, NetworkParams
 from perception.detection.protocol import Detector
+from perception.noise import FrameNoise
 
 ROOT = Path(__file__).parents[1]
 REPORT = (ROOT / "perception" / "detection" / WEIGHTS).with_suffix(".json")
@@ -84,7 +85,7 @@ def picture(scene: DarkScene) -> np.ndarray:
 
 
 def with_boxes(scene: DarkScene, lx: torch.Tensor | float, finder: Detector) -> np.ndarray:
-    frame = expose(luminance(scene, lx), CAMERA, frame_generator(0, 0, 0)) / (2**CAMERA.bits - 1)
+    frame = expose(luminance(scene, lx), CAMERA, FrameNoise.of(0, 0, 0)) / (2**CAMERA.bits - 1)
     (found,) = finder.detect(frame[None])
     shown = cv2.cvtColor((255 * frame.sqrt()).byte().numpy(), cv2.COLOR_GRAY2BGR)[60:300]
     for box, scores in zip(found.boxes, found.scores, strict=True):

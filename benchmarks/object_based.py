@@ -27,8 +27,9 @@ from loop.lighting.lamps import flux_by_side
 from loop.lighting.simulation import Simulation
 from loop.recording.digest import digest_of_code
 from loop.training.report import goals as detector_goals
-from perception.camera import expose, frame_generator
+from perception.camera import expose
 from perception.detection.build import WEIGHTS
+from perception.noise import FrameNoise
 
 ROOT = Path(__file__).parents[1]
 DOCS, NETWORK = ROOT / "docs" / "results", ROOT / "perception" / "detection" / WEIGHTS
@@ -104,7 +105,7 @@ def example() -> object_based_page.Pictures:
     assert pipeline is not None
     pictures = {}
     for name, each in lights.items():
-        frame = expose(view.light(each)[1] + view.base, camera, frame_generator(0, COMES, 0)) / (2**camera.bits - 1)
+        frame = expose(view.light(each)[1] + view.base, camera, FrameNoise.of(0, COMES, 0)) / (2**camera.bits - 1)
         found = pipeline.find(frame, view)
         flux = sum(flux_by_side(simulation.modules, each).values())
         pictures[f"{name}: {flux:.0f} lm"] = (frame.numpy(), found.boxes.tolist(), found.scores.amax(-1).tolist())

@@ -18,8 +18,9 @@ from loop.lighting.simulation import Simulation
 from loop.plant.world import LitScene
 from loop.scenario.model import Scenario, load, validate
 from loop.scenario.overrides import Override
-from perception.camera import CameraParams, expose, frame_generator
+from perception.camera import CameraParams, expose
 from perception.ground_truth import GroundTruth
+from perception.noise import FrameNoise
 from world.traffic.generator import varied
 
 CAMERA = {"width_px": 640, "height_px": 360, "pitch_deg": 1.5, "oversampling": 1, "saturation_e": 2000.0}
@@ -200,7 +201,7 @@ class References:
             self._last = (view, {beam: view.light(lights)[1] + view.base for beam, lights in beams.items()})
         for beam, luminance in self._last[1].items():
             for seed, scores in enumerate(self.scores[beam]):
-                frame = expose(luminance, self.camera, frame_generator(seed, step, 0, luminance.device))
+                frame = expose(luminance, self.camera, FrameNoise.of(seed, step, 0))
                 found = self.pipeline.find(frame / (2**self.camera.bits - 1), view)
                 its_box = dict(pairs(view.boxes, found.boxes.double().cpu()))
                 for k, each in enumerate(view.objects):

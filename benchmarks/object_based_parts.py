@@ -14,10 +14,11 @@ from loop.jobs.runner import Job
 from loop.lighting.detection import pairs
 from loop.lighting.simulation import Simulation
 from loop.plant.world import World
-from perception.camera import expose, frame_generator
+from perception.camera import expose
 from perception.detection.protocol import Detections
 from perception.detection.suppression import SAME, overlaps
 from perception.metrics import dssim
+from perception.noise import FrameNoise
 from world.headlight.overlap import reduce
 
 REFLECTANCES = (0.05, 0.1, 0.2, 0.4, 0.8)
@@ -185,7 +186,7 @@ def _frame(simulation: Simulation, noise: int = 0) -> tuple[Tensor, Detections]:
     view, camera = simulation.world.lit(0.0), simulation.scenario.camera
     lights = [module.lamp.beam("high")[module.number].to(module.flux) for module in simulation.modules]
     luminance = view.light(lights)[1] + view.base
-    frame = expose(luminance, camera, frame_generator(noise, 0, 0)) / (2**camera.bits - 1)
+    frame = expose(luminance, camera, FrameNoise.of(noise, 0, 0)) / (2**camera.bits - 1)
     return frame, simulation.pipeline.find(frame, view)
 
 

@@ -27,7 +27,8 @@ from loop.lighting.result import SimulationState
 from loop.lighting.simulation import Simulation
 from loop.scenario.model import load
 from loop.terminal import tables
-from perception.camera import expose, frame_generator
+from perception.camera import expose
+from perception.noise import FrameNoise
 from world.light.illumination import added_light
 
 SIZES = ((640, 480), (1280, 720))  # px
@@ -65,7 +66,7 @@ def luxloop_step(simulation: Simulation, state: SimulationState, lap: Lap) -> tu
     lap("light")
     lit_on = added_light(lit.transports, lights, lit.base)
     lap("luminance")
-    noise = (frame_generator(scenario.seed, state.step, frame) for frame in (0, 1))
+    noise = (FrameNoise.of(scenario.seed, state.step, frame) for frame in (0, 1))
     frames = (expose(lit_on, scenario.camera, next(noise)), expose(lit.base, scenario.camera, next(noise)))
     lap("camera")
     seen = symbol.sensor.measure(frames, projection, lights)

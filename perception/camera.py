@@ -12,11 +12,11 @@ noise in the dark.
 import math
 from typing import Final, Literal, Self
 
-import numpy as np
 import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
+from perception.noise import FrameNoise
 from world.budget import afford
 from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
 from world.params import Params
@@ -88,29 +88,23 @@ def camera_view(params: CameraParams) -> View:
     )
 
 
-def frame_generator(seed: int, step: int, frame: int, device: torch.device | str = "cpu") -> torch.Generator:
-    """Generator for the noise of one frame (on: 0, off: 1) of one step; it carries no state, so a run can be resumed at any step."""
-    key = np.random.SeedSequence(seed, spawn_key=(step, frame)).generate_state(1, np.uint64)
-    return torch.Generator(device).manual_seed(int(key[0]))
-
-
 def average_rows(image: Tensor, oversampling: int) -> Tensor:
     """Mean over the rows of each pixel: from `[..., H * oversampling, W]` to `[..., H, W]`."""
     return image.unflatten(-2, (-1, oversampling)).mean(-2)
 
 
-def expose(luminance: Tensor, params: CameraParams, noise: Tensor | torch.Generator | None = None, *, quantise: bool = True) -> Tensor:
+def expose(luminance: Tensor, params: CameraParams, noise: Tensor | FrameNoise | None = None, *, quantise: bool = True) -> Tensor:
     """Digital numbers `[..., H, W]` of luminance `[..., H, W]` >= 0 in cd/m^2: whole numbers in luminance's floating dtype.
 
-    noise: standard normal numbers that broadcast to luminance, or the generator that draws them; None, like `params.noise = False`, is
-    a frame without noise. With `quantise=False` the number is left unrounded and differentiable.
+    noise: standard normal numbers that broadcast to luminance, or the noise of a whole frame; None, like `params.noise = False`, is a
+    frame without noise. With `quantise=False` the number is left unrounded and differentiable.
     """
     levels = _levels(params)
     levels_per_electron = levels / params.saturation_e
     signal = luminance * (_electrons_per_luminance(params) * levels_per_electron)  # in levels of a linear code
     if noise is not None and params.noise:
-        if isinstance(noise, torch.Generator):
-            noise = torch.empty(signal.shape, dtype=signal.dtype, device=signal.device).normal_(generator=noise)
+        if isinstance(noise, FrameNoise):
+            noise = noise.part((slice(0, signal.shape[-2]), slice(0, signal.shape[-1])), signal)
         signal.addcmul_((signal + params.read_noise_e**2 * levels_per_electron).sqrt_(), noise, value=levels_per_electron**0.5)
     if params.gamma == 1:
         signal.clamp_(0, levels)

@@ -11,10 +11,11 @@ from torch import Tensor
 
 from loop.lighting.simulation import Simulation
 from loop.plant.world import LitScene
-from perception.camera import expose, frame_generator, luminance_of, noise_std
+from perception.camera import expose, luminance_of, noise_std
 from perception.detection.network import Network, NetworkDetector, boxes_of, middles, prepared
 from perception.detection.protocol import Detector
 from perception.detection.suppression import SAME, overlaps
+from perception.noise import FrameNoise
 from perception.visibility import edge_definition, unevenness, weber_contrast
 from world.errors import LuxloopError
 from world.params import Params
@@ -74,9 +75,8 @@ class BeamJudge:
 
     def frame(self, luminance: Tensor, step: int, quantise: bool = False) -> Tensor:
         """Digital numbers as a share of the largest, with the noise of a step."""
-        camera, device = self.simulation.scenario.camera, luminance.device
-        noise = frame_generator(self.simulation.scenario.seed, step, 0, device)
-        return expose(luminance, camera, noise, quantise=quantise) / (2**camera.bits - 1)
+        camera, seed = self.simulation.scenario.camera, self.simulation.scenario.seed
+        return expose(luminance, camera, FrameNoise.of(seed, step, 0), quantise=quantise) / (2**camera.bits - 1)
 
     def judged(self, lights: Sequence[Tensor], step: int = 0) -> Judgement:
         """Differentiable in the utilisations `[n_p]`, one a module, if the metric is or the detector is the network."""

@@ -17,8 +17,9 @@ from controllers.symbol.sensing.symbol_sensor import Measurement
 from loop.lighting.simulation import Simulation
 from loop.scenario.model import only
 from loop.scenario.plant import SimulatedPlantParams
-from perception.camera import expose, frame_generator
+from perception.camera import expose
 from perception.extraction import Crop, Loss, symbol_image
+from perception.noise import FrameNoise
 from world.errors import LuxloopError, did_you_mean
 from world.light.illumination import Transport, added_light
 
@@ -142,13 +143,13 @@ def look(simulation: Simulation, poses: Tensor, step: int, *, quantise: bool = T
     if crop.v_stop - crop.v_start < 2 or crop.u_stop - crop.u_start < 2:
         return sensor.lost(poses, Loss.NOTHING)
     # One by one: the few rays and pixels that each pose touches are quicker than all of a batch.
-    lights, resting = [symbol.projector.light(pose) for pose in poses], _resting(simulation, step)
+    lights, resting, seed = [symbol.projector.light(pose) for pose in poses], _resting(simulation, step), simulation.scenario.seed
     shown = [_among(resting, symbol.drawn_by, light) for light in lights]
     on, off = (
-        expose(light, camera, noise[crop.slices].to(light), quantise=quantise)
+        expose(light, camera, noise.part(crop.slices, light), quantise=quantise)
         for light, noise in (
-            (_luminance(view.transports, shown, view.base, crop), _noise(simulation, step, 0)),
-            (_luminance(view.transports, [resting], view.base, crop)[0], _noise(simulation, step, 1)),
+            (_luminance(view.transports, shown, view.base, crop), FrameNoise.of(seed, step, 0)),
+            (_luminance(view.transports, [resting], view.base, crop)[0], FrameNoise.of(seed, step, 1)),
         )
     )
     model = sensor.model
@@ -168,13 +169,6 @@ def _among(resting: Lights, numbers: Sequence[int], light: Lights) -> Lights:
     """Lights of all modules, of which those with these numbers show a light in place of their base beams."""
     drawn = dict(zip(numbers, light, strict=True))
     return tuple(drawn.get(k, each) for k, each in enumerate(resting))
-
-
-def _noise(simulation: Simulation, step: int, frame: int) -> Tensor:
-    """Of a whole frame `[height, width]`, as in a single run."""
-    camera = simulation.scenario.camera
-    generator = frame_generator(simulation.scenario.seed, step, frame, simulation.device)
-    return torch.empty(camera.height_px, camera.width_px, device=simulation.device).normal_(generator=generator)
 
 
 def _luminance(transports: Any, lights: list[Lights], base: Tensor, crop: Crop) -> Tensor:

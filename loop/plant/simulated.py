@@ -14,9 +14,10 @@ from loop.plant.protocol import Arrivals, Exposure, Frame, Plant
 from loop.plant.world import World
 from loop.scenario.disturbances import UNDISTURBED, DisturbanceParams
 from loop.scenario.model import Scenario
-from perception.camera import expose, frame_generator
+from perception.camera import expose
 from perception.egomotion import Sample
 from perception.glare import glare
+from perception.noise import FrameNoise
 from perception.sensors import EXACT, SensorParams, Sensors
 from world.errors import LuxloopError
 from world.partial import Part, PartialImage
@@ -96,11 +97,8 @@ class SimulatedPlant:
         t_s = self._at(len(self.shares) * step + frame)
         for lamp in self.disturbances.oncoming_in(step, frame):
             luminance = luminance + glare(self.world.view_at(t_s).within(*part), lamp.position_at(t_s), lamp, device)
-        if not camera.noise:
-            return expose(luminance, camera)
-        noise = torch.empty(*luminance.shape[:-2], view.height, view.width, dtype=luminance.dtype, device=device)
-        noise.normal_(std=noisy, generator=frame_generator(self.seed, step, frame, device))
-        return expose(luminance, camera, noise[..., *part])
+        noise = FrameNoise.of(self.seed, step, frame).part(part, luminance) if camera.noise else None
+        return expose(luminance, camera, noise if noise is None or noisy == 1 else noisy * noise)
 
     def _at(self, number: int) -> float:
         """When an exposure begins, in s."""

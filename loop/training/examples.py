@@ -13,6 +13,7 @@ from loop.training.light import WELL_LIT_LX, all_light, full_light, lit_share, l
 from loop.training.scenes import CAMERA, CLASSES, DarkScene, read
 from perception.camera import expose
 from perception.detection.network import STRIDE, middles
+from perception.noise import FrameNoise
 
 SIZE = (256, 384)  # rows, columns of an example
 LEAST_HEIGHT_PX, LEAST_VISIBLE, LEAST_INSIDE = 16, 0.35, 0.4  # of objects that must be detected; others may be
@@ -54,7 +55,7 @@ def _pair(rows: Sequence[dict[str, Any]], rng: np.random.Generator) -> tuple[tup
 def example(scene: DarkScene, light: Tensor, exposure: float, rng: np.random.Generator) -> tuple[Tensor, ...]:
     """Frame, heat, counts, boxes and share as of `Examples`, of a scene on which the headlamps' light `[height, width]` lx falls."""
     frame = interpolate(exposure * luminance(scene, light)[None, None], SIZE, mode="bilinear", antialias=True, align_corners=False)[0, 0]
-    frame = expose(frame, CAMERA, torch.Generator().manual_seed(int(rng.integers(2**62)))) / (2**CAMERA.bits - 1)
+    frame = expose(frame, CAMERA, FrameNoise(int(rng.integers(2**62)))) / (2**CAMERA.bits - 1)
     to_frame = torch.tensor([SIZE[1] / scene.shape[1], SIZE[0] / scene.shape[0]]).repeat(2)
     seen = lit_share(scene, all_light(scene, light), UNSEEN_LX) >= LEAST_LIT
     must = lit_share(scene, light, WELL_LIT_LX) >= LEAST_LIT

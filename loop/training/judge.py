@@ -13,9 +13,10 @@ from torch import Tensor
 from controllers.obl.light import ObjectLightParams
 from loop.training.light import lit_alone, luminance
 from loop.training.scenes import CAMERA, CLASSES, DarkScene, Labelled, read
-from perception.camera import expose, frame_generator
+from perception.camera import expose
 from perception.detection.protocol import Detections, Detector
 from perception.detection.suppression import overlaps
+from perception.noise import FrameNoise
 
 ILLUMINANCES_LX = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
 JUDGED_LX = 10.0
@@ -147,7 +148,7 @@ def agreement(detector: Detector, scene: DarkScene, seed: int) -> list[tuple[int
 
 def seen(scene: DarkScene, light: Tensor | float, seed: int, number: int) -> Tensor:
     """A frame of the scene in a light for a detector, with noise of this seed and number."""
-    return expose(luminance(scene, light), CAMERA, frame_generator(seed, number, 0)) / (2**CAMERA.bits - 1)
+    return expose(luminance(scene, light), CAMERA, FrameNoise.of(seed, number, 0)) / (2**CAMERA.bits - 1)
 
 
 def object_based(scene: DarkScene) -> Tensor:

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from perception.camera import CameraParams, camera_view, expose, frame_generator, luminance_of, noise_std
+from perception.camera import CameraParams, camera_view, expose, luminance_of, noise_std
+from perception.noise import FrameNoise
 from world.frames import inverse, pose_from_degrees, transform
 
 BITS = [8, 10, 12]
@@ -51,7 +52,7 @@ def test_round_trip_stays_within_the_level(electrons: float, bits: int, gamma: f
 def test_noise_has_the_mean_and_variance_of_the_law(bits: int, gamma: float, electrons: float, device: torch.device) -> None:
     params = CameraParams(bits=bits, gamma=gamma, read_noise_e=3)
     luminance = torch.full((300, 300), electrons * PER_ELECTRON, dtype=torch.float64, device=device)
-    seen = luminance_of(expose(luminance, params, frame_generator(1, 0, 0, device)), params)
+    seen = luminance_of(expose(luminance, params, FrameNoise.of(1, 0, 0)), params)
     std = noise_std(luminance, params)[0, 0].item()
     # 90,000 samples: five standard errors of the mean are std / 60, of the standard deviation 1.2 %. A curved code shifts the mean
     # by up to 1 % of std at 30 electrons, its quantisation is not quite uniform: 2 % in all.
@@ -68,7 +69,7 @@ def test_near_black_frames_vary_less_and_are_brighter(electrons: int, share: flo
     """The table of docs/camera.md: there is no pedestal that would keep noise below zero."""
     params = CameraParams()
     luminance = torch.full((600, 600), electrons * PER_ELECTRON, dtype=torch.float64)
-    dn = expose(luminance, params, frame_generator(1, 0, 0))
+    dn = expose(luminance, params, FrameNoise.of(1, 0, 0))
     # 360,000 samples: five standard errors of the deviation are 0.6 %, of the mean 0.1 DN; the table is rounded to half a digit more.
     assert luminance_of(dn, params).std().item() == pytest.approx(share * noise_std(luminance, params)[0, 0].item(), rel=0.015)
     assert dn.mean().item() - electrons / params.saturation_e * 4095 == pytest.approx(brighter_dn, abs=0.15)
@@ -84,7 +85,7 @@ def test_noise_std_without_noise_is_a_uniform_level(device: torch.device) -> Non
 def test_saturation_clips_and_dark_noise_is_not_negative(device: torch.device) -> None:
     params = CameraParams()
     luminance = torch.tensor([0.0, 10.0], device=device)[:, None].expand(2, 500)
-    dn = expose(luminance, params, frame_generator(2, 0, 0, device))
+    dn = expose(luminance, params, FrameNoise.of(2, 0, 0))
     assert dn[0].min() == 0
     assert (dn[1] == 4095).all()
 
@@ -94,7 +95,7 @@ def test_noise_repeats_by_key_and_differs_between_keys() -> None:
     luminance = torch.full((2, 40, 50), 0.3)
 
     def frame(*key: int) -> torch.Tensor:
-        return expose(luminance, params, frame_generator(*key))
+        return expose(luminance, params, FrameNoise.of(*key))
 
     assert torch.equal(frame(7, 3, 1), frame(7, 3, 1))
     for other in [(8, 3, 1), (7, 4, 1), (7, 3, 0), (7, 1, 3)]:

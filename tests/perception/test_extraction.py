@@ -12,8 +12,9 @@ from torch import Tensor
 from torch.nn.functional import avg_pool1d
 
 from perception.appearance import appearance, image_axes
-from perception.camera import CameraParams, expose, frame_generator, luminance_of
+from perception.camera import CameraParams, expose, luminance_of
 from perception.extraction import Crop, ExtractionParams, Loss, difference, gate, symbol_image, threshold
+from perception.noise import FrameNoise
 
 PARAMS = ExtractionParams()
 SOFT = ExtractionParams(edges="soft")
@@ -26,7 +27,7 @@ CAMERAS = {
 
 
 def frames(on: Tensor, off: Tensor, camera: CameraParams, seed: int = 1) -> tuple[Tensor, Tensor]:
-    return expose(on, camera, frame_generator(seed, 0, 0, on.device)), expose(off, camera, frame_generator(seed, 0, 1, on.device))
+    return expose(on, camera, FrameNoise.of(seed, 0, 0)), expose(off, camera, FrameNoise.of(seed, 0, 1))
 
 
 def extracted(on: Tensor, off: Tensor, camera: CameraParams, params: ExtractionParams = PARAMS) -> Tensor:

@@ -22,8 +22,9 @@ from controllers.symbol.sensing.projector import DrawingModule, Projector, Symbo
 from controllers.symbol.sensing.protocol import Observation, Shown, SymbolController
 from controllers.symbol.sensing.symbol_sensor import Measurement, SymbolSensor
 from perception.appearance import Appearance
-from perception.camera import CameraParams, average_rows, camera_view, expose, frame_generator
+from perception.camera import CameraParams, average_rows, camera_view, expose
 from perception.extraction import Crop, ExtractionParams, Loss
+from perception.noise import FrameNoise
 from world.frames import pose_from_degrees
 from world.light.ambient import ambient_luminance
 from world.light.illumination import added_light
@@ -71,7 +72,7 @@ def ambient() -> Tensor:
 
 def frames(luminance: Tensor, step: int | None = None) -> tuple[Tensor, Tensor]:
     """On and off frames of added light; with noise where a step is given."""
-    noise = (None, None) if step is None else (frame_generator(1, step, 0), frame_generator(1, step, 1))
+    noise = (None, None) if step is None else (FrameNoise.of(1, step, 0), FrameNoise.of(1, step, 1))
     off = ambient().expand(luminance.shape)
     return expose(off + luminance, CAMERA, noise[0]), expose(off, CAMERA, noise[1])
 

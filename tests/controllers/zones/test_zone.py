@@ -14,7 +14,8 @@ from controllers.pixels.primitives import E_V
 from controllers.pixels.secondary import Light
 from controllers.situation import Seen, Situation
 from controllers.zones.zone import ZoneParams
-from perception.camera import CameraParams, camera_view, expose, frame_generator, luminance_of, saturation_luminance
+from perception.camera import CameraParams, camera_view, expose, luminance_of, saturation_luminance
+from perception.noise import FrameNoise
 from perception.regions import box_region
 from world.frames import pose_from_degrees, transform
 from world.presets import idealised
@@ -28,7 +29,7 @@ WALL = {"centre_m": (20.0, 0.0, 1.0), "size_m": (0.0, 2.0, 1.5), "luminance_cd_m
 
 def measured(luminance: float, step: int) -> Situation:
     """Everything as bright as that, with the camera's noise."""
-    digital = expose(torch.full((90, 160), luminance), CAMERA, frame_generator(0, step, 0))
+    digital = expose(torch.full((90, 160), luminance), CAMERA, FrameNoise.of(0, step, 0))
     seen = Seen(step / 30, VIEW, luminance_of(digital, CAMERA), saturation_luminance(CAMERA))
     return Situation(step / 30, HERE, LAMPS, seen=seen)
 

@@ -8,6 +8,7 @@ from torch import Tensor
 from loop.training.light import luminance
 from loop.training.scenes import CAMERA, DarkScene, Labelled
 from perception.camera import expose
+from perception.noise import FrameNoise
 
 
 @dataclass(frozen=True)
@@ -18,7 +19,7 @@ class Lit:
 
     def frame(self, lx: float) -> Tensor:
         """Where every surface that faces the lamps gets so many lx, noise and all, `[1, height, width]` in 0..1."""
-        return expose(luminance(self.scene, lx), CAMERA, torch.Generator().manual_seed(1))[None] / (2**CAMERA.bits - 1)
+        return expose(luminance(self.scene, lx), CAMERA, FrameNoise(1))[None] / (2**CAMERA.bits - 1)
 
     @property
     def clear(self) -> list[Labelled]:

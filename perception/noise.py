@@ -1,0 +1,68 @@
+"""The noise of frames: a standard normal number of each pixel, which depends on nothing but seed, step, frame and pixel.
+
+A part of a frame so has the same bits as that part of the whole, on every machine and device. The integers are those of SplitMix64, a
+counter-based generator (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", 2014), from a key of 64 bits for a frame
+and a counter for two pixels. Of a pixel's 32 bits the upper half chooses one of 65,536 equally probable parts of the normal distribution,
+the lower half one of as many parts of its first and last part, whose tails reach 6.2 standard deviations.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from world.partial import Part
+
+GOLDEN: Final = 0x9E3779B97F4A7C15 - 2**64
+FIRST: Final = 0xBF58476D1CE4E5B9 - 2**64
+SECOND: Final = 0x94D049BB133111EB - 2**64
+PARTS: Final = 2**16
+STEP: Final = 2.0**-20  # of tabled numbers: far coarser than errors of the function that gives them, so that they are the same everywhere
+
+
+@dataclass(frozen=True)
+class FrameNoise:
+    """The noise of one frame; it carries no state, so that a run can be resumed at any step."""
+
+    key: int
+
+    @classmethod
+    def of(cls, seed: int, step: int, frame: int) -> "FrameNoise":
+        """Of a step's on frame (0) or off frame (1)."""
+        return cls(int(np.random.SeedSequence(seed, spawn_key=(step, frame)).generate_state(1, np.uint64)[0]))
+
+    def integers(self, part: Part, device: torch.device | str = "cpu") -> Tensor:
+        """32 random bits of each pixel of a part, `[height, width]` int32; two neighbours have the low and the high half of 64."""
+        rows, columns = part
+        pairs = columns.start // 2, (columns.stop + 1) // 2
+        v, u = (torch.arange(*ends, device=device) for ends in ((rows.start, rows.stop), pairs))
+        mixed = ((v[:, None] << 32) + u + 1).mul_(GOLDEN).add_(self.key - (self.key >> 63 << 64))
+        mixed.bitwise_xor_(mixed >> 30 & 2**34 - 1).mul_(FIRST)
+        mixed.bitwise_xor_(mixed >> 27 & 2**37 - 1).mul_(SECOND)
+        mixed.bitwise_xor_(mixed >> 31 & 2**33 - 1)
+        halves = mixed.flatten().view(torch.int32).view(len(v), 2 * len(u))
+        return halves[:, columns.start % 2 :][:, : columns.stop - columns.start]
+
+    def part(self, part: Part, like: Tensor) -> Tensor:
+        """Standard normal numbers `[height, width]` of a part of the frame, in the dtype and on the device of like."""
+        bits = self.integers(part, like.device)
+        middle, sign, tail = _tables(like.dtype, like.device)
+        place, further = (each.flatten() for each in (bits >> 16 & PARTS - 1, bits & PARTS - 1))
+        drawn = middle.index_select(0, place).addcmul_(sign.index_select(0, place), tail.index_select(0, further))
+        return drawn.view_as(bits)
+
+
+@cache
+def _tables(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
+    """Medians of the parts of the distribution, 0 for the two tails; the sign of the tails there, 0 for all others; and medians of the
+    parts of the upper tail. Multiples of `STEP` below 8 are exact in 32 bits, and so is what comes of them.
+    """
+    shares = (torch.arange(PARTS, dtype=torch.float64) + 0.5) / PARTS
+    middle, sign = torch.special.ndtri(shares), torch.zeros_like(shares)
+    middle[[0, -1]], sign[0], sign[-1] = 0.0, -1.0, 1.0
+    tail = -torch.special.ndtri(shares / PARTS)
+    middle, sign, tail = (each.div_(STEP).round_().mul_(STEP).to(device, dtype) for each in (middle, sign, tail))
+    return middle, sign, tail

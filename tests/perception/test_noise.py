@@ -1,0 +1,113 @@
+"""The noise of frames: the same bits in any part, the distribution it says, and nothing that repeats."""
+
+import hashlib
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from perception.noise import GOLDEN, FrameNoise
+
+HEIGHT, WIDTH = 1000, 1000
+N = HEIGHT * WIDTH
+WHOLE = slice(0, HEIGHT), slice(0, WIDTH)
+SIGMAS = 5  # that an estimate may be off by, of its own standard error: some 1 in 2 million for each
+
+
+def drawn(seed: int = 1, step: int = 0, frame: int = 0, dtype: torch.dtype = torch.float64) -> torch.Tensor:
+    return FrameNoise.of(seed, step, frame).part(WHOLE, torch.empty(0, dtype=dtype))
+
+
+def splitmix64(state: int) -> int:
+    """The published algorithm in whole numbers: the next output of a generator in a state."""
+    most = 2**64 - 1
+    state = (state + GOLDEN) & most
+    state = ((state ^ (state >> 30)) * 0xBF58476D1CE4E5B9) & most
+    state = ((state ^ (state >> 27)) * 0x94D049BB133111EB) & most
+    return state ^ (state >> 31)
+
+
+@given(key=st.integers(0, 2**64 - 1), v=st.integers(0, 8191), u=st.integers(0, 8191))
+def test_integers_are_splitmix64s(key: int, v: int, u: int) -> None:
+    (bits,) = FrameNoise(key).integers((slice(v, v + 1), slice(u, u + 1))).flatten().tolist()
+    counter = (v << 32) + u // 2
+    assert bits % 2**32 == splitmix64((key + counter * GOLDEN) % 2**64) >> 32 * (u % 2) & 2**32 - 1
+
+
+def test_published_outputs_are_met() -> None:
+    """Of the generator with the seed 1234567, as its reference implementation prints them."""
+    first = FrameNoise(1234567).integers((slice(0, 1), slice(0, 6))).view(torch.int64).flatten().tolist()
+    assert [each % 2**64 for each in first] == [6457827717110365317, 3203168211198807973, 9817491932198370423]
+
+
+@given(top=st.integers(0, 900), left=st.integers(0, 900), height=st.integers(0, 99), width=st.integers(0, 99))
+def test_a_part_has_the_bits_of_the_whole(top: int, left: int, height: int, width: int) -> None:
+    part = slice(top, top + height), slice(left, left + width)
+    noise, like = FrameNoise.of(3, 5, 1), torch.empty(0)
+    assert torch.equal(noise.part(part, like), noise.part((slice(0, HEIGHT), slice(0, WIDTH)), like)[part])
+
+
+def test_devices_and_types_give_the_same_numbers(device: torch.device) -> None:
+    exact = drawn()
+    assert torch.equal(drawn(dtype=torch.float32), exact.float())
+    assert torch.equal(FrameNoise.of(1, 0, 0).part(WHOLE, torch.empty(0, dtype=torch.float64, device=device)).cpu(), exact)
+
+
+def test_numbers_stay_as_they_are() -> None:
+    """Another machine, another torch: recordings hold what these numbers make of them."""
+    assert hashlib.sha256(drawn(dtype=torch.float32).numpy().tobytes()).hexdigest()[:16] == "687139897ecc1d85"
+
+
+@pytest.mark.parametrize("power", [1, 2, 3, 4, 6])
+def test_moments_are_those_of_the_normal_distribution(power: int) -> None:
+    def moment(n: int) -> int:
+        return 0 if n % 2 else math.prod(range(1, n, 2))
+
+    error = math.sqrt((moment(2 * power) - moment(power) ** 2) / N)
+    assert abs(float((drawn() ** power).mean()) - moment(power)) < SIGMAS * error
+
+
+@pytest.mark.parametrize("z", [0.01, 0.5, 1.0, 2.0, 3.0, 4.0, 4.5])
+def test_as_much_lies_beyond_as_should(z: float) -> None:
+    p = math.erfc(z / math.sqrt(2))
+    beyond = float((drawn().abs() > z).sum())
+    assert abs(beyond - N * p) < SIGMAS * math.sqrt(N * p * (1 - p)) + 1  # counts are whole
+
+
+def test_tails_go_on_beyond_five_deviations() -> None:
+    """Too rare to be counted in a frame: a place in the highest part of the distribution is taken as the integers give it."""
+    n = 16
+    frames = torch.stack([FrameNoise.of(9, step, 0).integers(WHOLE) for step in range(n)])
+    high = frames >> 16 & 2**16 - 1 == 2**16 - 1
+    beyond = torch.stack([FrameNoise.of(9, step, 0).part(WHOLE, torch.empty(0)) for step in range(n)])[high]
+    least = 4.1697  # that 1 of 65,536 exceeds
+    assert beyond.min() >= least - 1e-3
+    assert abs(len(beyond) - n * N / 2**16) < SIGMAS * math.sqrt(n * N / 2**16)
+    share = 2**16 * math.erfc(4.5 / math.sqrt(2)) / 2  # of these that exceed 4.5
+    assert abs(float((beyond > 4.5).float().mean()) - share) < SIGMAS * math.sqrt(share / len(beyond))
+
+
+@pytest.mark.parametrize(
+    "other", [(1, 0, 1), (1, 1, 0), (2, 0, 0), (1, 2**20, 0)], ids=["the other frame", "the next step", "the next seed", "a late step"]
+)
+def test_frames_are_independent(other: tuple[int, int, int]) -> None:
+    one, two = drawn(), drawn(*other)
+    assert abs(float((one * two).mean())) < SIGMAS / math.sqrt(N)
+    assert abs(float(((one**2 - 1) * (two**2 - 1)).mean())) < SIGMAS * 2 / math.sqrt(N)
+
+
+@pytest.mark.parametrize("shift", [(0, 1), (1, 0), (1, 1), (0, 64), (64, 0), (0, 512)])
+def test_neighbours_are_independent(shift: tuple[int, int]) -> None:
+    one = drawn()
+    two = one.roll(shift, (0, 1))
+    assert abs(float((one * two).mean())) < SIGMAS / math.sqrt(N)
+    assert abs(float(((one**2 - 1) * (two**2 - 1)).mean())) < SIGMAS * 2 / math.sqrt(N)
+
+
+def test_no_bit_is_biased() -> None:
+    bits = FrameNoise.of(1, 0, 0).integers(WHOLE)
+    ones = [int((bits >> k & 1).sum()) for k in range(32)]
+    assert np.abs(np.array(ones) - N / 2).max() < SIGMAS * math.sqrt(N) / 2
