@@ -152,7 +152,8 @@ def _summed(images: dict[str, Tensor], ruling: bool, pixels: PixelMajor, default
 
     def summed(matrix: Csr, *names: str) -> dict[str, Tensor]:
         there = [name for name in names if name in images]
-        at_once = torch.stack([images[name].flatten(-2) for name in there])  # [images, ..., n_t]: one pass over the matrix
+        flat = [images[name].flatten(-2) for name in there]
+        at_once = torch.stack(flat) if len(flat) > 1 else flat[0][None]  # [images, ..., n_t]: one pass over the matrix, and no copy of one
         return dict(zip(there, multiply(matrix.band(band.start, band.stop), at_once), strict=True))  # [images, ..., band]
 
     finite, infinite = ("light", "of_default", "missed", "weight"), ("forced", "forced_light", "forced_of_default")
