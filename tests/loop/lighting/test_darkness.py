@@ -134,4 +134,4 @@ def test_a_car_that_the_network_finds_is_kept_dark_near_and_far(x_m: float, y_m:
     """Whatever its lamps look like: they fill a near box and are less than a pixel each in a far one."""
     car = f"{{kind='car', name='other', seed=3, track=[{{position_m=[{x_m}, {y_m}, 0.0], yaw_deg={yaw_deg}}}]}}"
     *_, last = prepare(load("gfhb", ["steps=12", "checks={}", f"objects=[{car}]", "detector={kind='network'}"]), "cpu").run()
-    assert last.objects["other"].lx_max < 2, "11.8 lx without a mask; the edge of a box that the network places a pixel off has 1.0"
+    assert last.objects["other"].lx_max < 3, "11.8 lx without a mask; the edge of a box that the network places a pixel off has 1.0 to 2.5"
