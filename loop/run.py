@@ -17,11 +17,11 @@ from controllers.symbol.sensing.field import SIDES, cut
 from controllers.symbol.sensing.projection import ProjectionCommand
 from loop.lighting.commanded import unmoved
 from loop.lighting.controlled import ControlledSymbol
-from loop.lighting.record import row, schema, valued
+from loop.lighting.record import refuse_unknown_columns, row
 from loop.lighting.recorder import Recorder, refuse_foreign
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
-from loop.recording.checks import Checks, lights, refuse_unknown
+from loop.recording.checks import Checks
 from loop.recording.files import REPORT, TRAJECTORY, VIDEO
 from loop.recording.remedies import of_target
 from loop.recording.video import VideoWriter
@@ -133,10 +133,7 @@ def prepare(scenario: Scenario, device: str = "auto", before: Simulation | None 
     if before is not None:
         before = replace(before, made=before.made.without("motion"))  # which may have gone on from another one
     simulation = Simulation.prepare(scenario, torch_device(device), before)
-    with located(scenario.source):
-        others = [simulation.lit_by(light) for light in lights(scenario.checks)]
-        compared = {name for other in others for name in valued(other)}
-        refuse_unknown(scenario.checks, schema(simulation), compared, schema(simulation, detects=True).names)
+    refuse_unknown_columns(simulation)
     return simulation
 
 

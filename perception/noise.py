@@ -1,9 +1,9 @@
 """The noise of frames: a standard normal number of each pixel, which depends on nothing but seed, step, frame and pixel.
 
-A part of a frame so has the same bits as that part of the whole, on every machine and device. The integers are those of SplitMix64, a
+A part of a frame so has the same bits as that part of the whole, on every device. The integers are those of SplitMix64, a
 counter-based generator (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", 2014), from a key of 64 bits for a frame
 and a counter for two pixels. Of a pixel's 32 bits the upper half chooses one of 65,536 equally probable parts of the normal distribution,
-the lower half one of as many parts of its first and last part, whose tails reach 6.2 standard deviations.
+the lower half one of as many parts of its first and last part, whose tails reach 6.3 standard deviations.
 """
 
 from dataclasses import dataclass

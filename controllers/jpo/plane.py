@@ -1,7 +1,7 @@
 """Light wanted on a plane, and the utilisations of all pixels of all modules together that come closest to it (T 4.2.2).
 
 The plane is z = 0 of its own frame, whose z axis points to the side of the lamps: the road, or a wall. A cell of it has the mean
-illuminance of the texels whose rays hit it, by area; one that few rays hit has that of 3 x 3 points.
+illuminance of the texels whose rays hit it, by area; one that few rays hit, or only in part, has that of 3 x 3 points.
 """
 
 from collections.abc import Sequence
@@ -24,6 +24,7 @@ ITERATIONS = 150
 KEPT = 0.1  # weight of cells where nothing is wanted, which shall stay as they are; 1 where something is
 MUCH = 0.5  # share of the brightest pixel's intensity towards a point that others need to be named beside it
 FEW = 64  # texels of a cell, whose mean is not that of its area yet
+WHOLE = 0.8  # share of a cell's area that its texels cover; of less the mean is not that of the cell, as at the border of the field
 POINTS = 3  # of a cell that has few, along x and y
 NEAREST_M = 0.01  # to a lamp, where cells lie below it
 THERE = 0.3  # share of a pixel's largest intensity that it must have towards a point, to be named: else it lights another place
@@ -127,13 +128,14 @@ def _on_plane(grid: TexelGrid, T_plane_headlight: Tensor, raster: Raster) -> sp.
     way = height / -ray[2]  # in rays to the plane
     cell = torch.where((ray[2] < 0) & (height > 0), raster.cells(T[0, 3] + way * ray[0], T[1, 3] + way * ray[1]), -1)
     n_cells = raster.rows * raster.cols
-    few = torch.bincount(cell[cell >= 0], minlength=n_cells) < FEW
-    hit = torch.nonzero((cell >= 0) & ~few[cell])[:, 0]
+    area = (grid.left - grid.right) * (grid.top - grid.bottom) / grid.n_texels * way**3 / height  # of texels on the plane, m^2
+    inside, cell_area = cell >= 0, (raster.x_max - raster.x_min) * (raster.y_max - raster.y_min) / n_cells
+    number, covered = (torch.bincount(cell[inside], each, minlength=n_cells) for each in (None, area[inside]))
+    few = (number < FEW) | (covered < WHOLE * cell_area)
+    hit = torch.nonzero(inside & ~few[cell])[:, 0]
     distance = (way * long)[hit]
     factor = height / distance**3  # cos / d^2
-    area = 1 / long[hit] ** 3 / factor  # of a texel on the plane: its solid angle, to a factor, over cos / d^2
-    total = torch.zeros(n_cells, dtype=torch.float64).index_add_(0, cell[hit], area)
-    share = area / total[cell[hit]]
+    share = area[hit] / covered[cell[hit]]
     points = raster.points(POINTS)[:, :, few]  # [3, POINTS^2, few cells]
     local = transform(inverse(T), points.flatten(1))
     texel, weight = bilinear(grid, *grid.texel_of(local[1] / local[0], local[2] / local[0]))

@@ -1,5 +1,6 @@
 """A program's connection to a loop that `luxloop studio` runs."""
 
+import re
 import threading
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack
@@ -147,7 +148,8 @@ class Client:
         swivel_deg: to the left positive. level_deg: down positive. intensity: share of its maximum. Limited by what the module can do.
         """
         values = {"swivel_deg": swivel_deg, "level_deg": level_deg, "intensity": intensity}
-        self.set({f"functions.commanded_{module.replace(' ', '_')}": {"kind": "command", "modules": [module], **values}})
+        name = re.sub("[^a-z0-9]+", "_", module.lower())
+        self.set({f"functions.commanded_{name}": {"kind": "command", "modules": [module], **values}})
 
     def show(self, module: str, u: np.ndarray | None) -> None:
         """Raw utilisations `[pixel rows, columns]` of a module, such as "left hires", in place of what functions draw, until the next.

@@ -8,9 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from controllers.functions.base_beams import BaseBeam
-from controllers.functions.planner import Plan
-from loop.lighting.lamps import flux_by_side
+from loop.lighting.lamps import ShiningModule, flux_by_side
 from loop.lighting.simulation import Simulation
 from loop.recording.summary import column
 
@@ -26,10 +24,19 @@ def compared(simulation: Simulation, table: pa.Table) -> Mapping[str, NDArray[np
         found[f"{LOW} beam"] = steps * _watts(simulation, low)
     own = dict.fromkeys(simulation.base(beam) for beam in beams)
     if set(own) - {*found, "base beam off"}:
-        plans = (Plan(time_s, BaseBeam(beam), None) for time_s, beam in zip(column(table, "time_s"), beams, strict=True))
-        watts = [_watts(simulation, [module.base(plan) for module in modules]) for plan in plans]
+        watts = [
+            _watts(simulation, [_base(module, beam, time_s) for module in modules])
+            for time_s, beam in zip(column(table, "time_s"), beams, strict=True)
+        ]
         found[next(iter(own)) if len(own) == 1 else "base beam"] = np.array(watts)
     return found
+
+
+def _base(module: ShiningModule, beam: str, time_s: float) -> Tensor:
+    """Utilisation `[n_p]` that nothing dims, also of a beam that an edited scenario no longer asks for."""
+    if module.raw is not None:
+        return module.raw.at(time_s).to(module.flux)
+    return module.lamp.beam(beam)[module.number].to(module.flux)
 
 
 def low_beam_lm(simulation: Simulation) -> float | None:

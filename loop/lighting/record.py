@@ -15,11 +15,13 @@ from loop.lighting.redrawn import covering, opened
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.lighting.summary import of_modules, summarise
+from loop.recording.checks import lights, refuse_unknown
 from loop.recording.columns import AIM, CENTROIDS, CUT, ERRORS, LOOKING_OF_TRUTH, POSE, SYMBOL, loss_name, of_one
 from loop.recording.summary import Circumstances
 from loop.recording.summary import summarise as summarise_symbol
 from loop.scenario.plant import shadow_of
 from perception.judge import Verdict
+from world.errors import located
 
 # name: (type, unit, description); lamps and objects have columns of their own.
 STEP = {
@@ -243,3 +245,12 @@ def summary_of(
     summary |= {"shadow_of": shadow_of(scenario.plant), "low_beam_lm": low_beam_lm(simulation)}
     summary |= {"modules": modules} if (modules := of_modules(table, simulation.modules)) else {}
     return summary | ({"flicker": {"rate_hz": scenario.rate_hz, "on_share": 1 - scenario.off_share}} if held else {})
+
+
+def refuse_unknown_columns(simulation: Simulation) -> None:
+    """Raises LuxloopError where a check names a column or light that is not there, or that the plant does not know."""
+    scenario = simulation.scenario
+    with located(scenario.source):
+        others = [simulation.lit_by(light) for light in lights(scenario.checks)]
+        compared = {name for other in others for name in valued(other)}
+        refuse_unknown(scenario.checks, schema(simulation), compared, schema(simulation, detects=True).names)

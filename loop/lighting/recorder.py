@@ -1,5 +1,6 @@
 """Records a run into a directory, readable at whatever moment the process dies."""
 
+import math
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -30,7 +31,8 @@ class Tally:
     def __init__(self, simulation: Simulation) -> None:
         self.first = self.simulation = simulation
         self.edits = list[Edit]()
-        self._idle, self._last = set(simulation.scenario.functions), dict[str, StepResult]()
+        self._idle, self._waiting = set(simulation.scenario.functions), set(simulation.scenario.functions)
+        self._last = dict[str, StepResult]()
         self._covered, self._findable = dict[str, StepResult](), set[str]()
         self._asked, self._came = set[int](), list[int]()  # numbers of exposures, and of frames with an image
         self._written = schema(simulation).empty_table()
@@ -41,6 +43,8 @@ class Tally:
         added = row(result)
         if self._idle:
             self._idle &= self.simulation.idle(result)
+        if self._waiting:
+            self._waiting &= self.simulation.waiting(result)
         self._last |= dict.fromkeys(result.held, result)
         self._covered |= {name: result for name, each in result.held.items() if each.measurement.code == Loss.COVERED}
         if result.look is not None:
@@ -52,7 +56,8 @@ class Tally:
 
     def edit(self, simulation: Simulation, edit: Edit) -> None:
         """The run goes on with an edited simulation, whose columns join those there are."""
-        self._idle |= simulation.scenario.functions.keys() - self.simulation.scenario.functions.keys()
+        fresh = simulation.scenario.functions.keys() - self.simulation.scenario.functions.keys()
+        self._idle, self._waiting = self._idle | fresh, self._waiting | fresh
         if not edit.driven:
             columns = pa.unify_schemas([self.table().schema, schema(simulation)])
             self._written = table_of(self._written.to_pylist(), columns) if columns != self._written.schema else self._written
@@ -69,7 +74,7 @@ class Tally:
     def summary(self, checked: Callable[[pa.Table], dict[str, Any]] | None = None) -> dict[str, Any]:
         """The steps in a few numbers. checked: what has come of checks, by name."""
         functions = sorted(self.simulation.scenario.functions.items())
-        idle = [f"functions.{name} ({each.kind})" for name, each in functions if name in self._idle]
+        idle = [f"functions.{name} ({each.kind})" for name, each in functions if name in self._idle - self._waiting]
         checks = {} if checked is None else checked(self.table())
         fitting = sum(number in self._asked for number in self._came)
         frames = {"asked": len(self._asked), "came": fitting, "unknown": len(self._came) - fitting}
@@ -79,7 +84,17 @@ class Tally:
         if self.simulation.pipeline is not None:
             for name, each in summary["objects"].items():
                 each["findable"] = name in self._findable
-        return summary | looks | {"idle_functions": idle, "checks": checks}
+        told: dict[str, Any] = _finite(summary | looks | {"idle_functions": idle, "checks": checks})
+        return told
+
+
+def _finite(value: Any) -> Any:
+    """The same with None in place of numbers that are none, as of what an edit took away."""
+    if isinstance(value, dict):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 class Recorder:

@@ -378,15 +378,16 @@ class Simulation:
             yield result
 
     def idle(self, result: StepResult) -> set[str]:
-        """Names of the functions that move no module at that moment, and of which no ray of any lamp that draws them hits anything; none of
-        those that wait for the indicator.
-        """
+        """Names of the functions that move no module at that moment, and of which no ray of any lamp that draws them hits anything."""
         drawn = self.planner.drawn(result.now, result.functions)
         reach = {name for name, parts in drawn.items() if any(in_reach(self.modules, part, result.now) for part in parts)}
         given = self.planner.commanded({}, result.now, self.modules)
         moving = {name for name, each in given.items() if any(command != REST for _, command in each.commands)}
-        waiting = {name for name, each in self.scenario.functions.items() if isinstance(each, Timed) and each.waits(result.now)}
-        return drawn.keys() - reach - result.held.keys() - moving - waiting
+        return drawn.keys() - reach - result.held.keys() - moving
+
+    def waiting(self, result: StepResult) -> set[str]:
+        """Names of the functions that wait for the indicator at that moment."""
+        return {name for name, each in self.scenario.functions.items() if isinstance(each, Timed) and each.waits(result.now)}
 
     def _all_objects(self, time_s: float) -> tuple[TrackedObject, ...]:
         if self.truth is None or not self.scenario.all_objects:

@@ -161,8 +161,8 @@ def _zones(table: pa.Table) -> dict[str, Any]:
         beyond = np.flatnonzero(~(np.abs(luminance / target - 1) <= SETTLED))
         after = int(beyond[-1]) + 1 if len(beyond) else 0
         if len(luminance):
-            settled, last = after if after < len(luminance) else None, float(luminance[-1])
-            found[name] = {"luminance": last if np.isfinite(last) else None, "target": float(target[-1]), "settled_step": settled}
+            settled = after if after < len(luminance) else None
+            found[name] = {"luminance": _last(luminance), "target": _last(target), "settled_step": settled}
     return found
 
 
@@ -171,10 +171,13 @@ def _materials(table: pa.Table) -> dict[str, Any]:
     found = {}
     for quantity in UNITS:
         for name in materials_of(table, quantity) if table.num_rows else ():
-            last = float(column(table, f"functions.{name}.{quantity}")[-1])
-            wanted = float(column(table, f"functions.{name}.wanted")[-1])
-            found[name] = {"quantity": quantity, "median": last if np.isfinite(last) else None, "wanted": wanted}
+            last, wanted = (_last(column(table, f"functions.{name}.{each}")) for each in (quantity, "wanted"))
+            found[name] = {"quantity": quantity, "median": last, "wanted": wanted}
     return found
+
+
+def _last(values: NDArray[np.floating]) -> float | None:
+    return float(values[-1]) if np.isfinite(values[-1]) else None
 
 
 def _energy(table: pa.Table, power_w: NDArray[np.floating]) -> float | None:

@@ -7,6 +7,7 @@ from typing import Any
 from pydantic import BaseModel
 from torch import Tensor
 
+from loop.lighting.record import refuse_unknown_columns
 from loop.lighting.result import SimulationState
 from loop.lighting.simulation import Simulation
 from loop.replay.driven import driven_on
@@ -24,7 +25,7 @@ def edited(
     state: after the last step, which a simulation of `reached_by` has done; None where that is this one's. So edits between two steps act
     as one, whatever came between them.
     Functions and controllers of the same kind whose state still fits go on from it; others start. Frames under way show what was there
-    when they were taken. Raises LuxloopError as `Simulation.prepare`, and where the scenario needs a simulation that starts anew.
+    when they were taken. Raises LuxloopError as `loop.run.prepare`, and where the scenario needs a simulation that starts anew.
     """
     reached_by = reached_by or simulation.scenario
     if acts(simulation.scenario, scenario) == "restart":
@@ -33,6 +34,8 @@ def edited(
     if driven is not None and reached_by is simulation.scenario:
         return driven, state
     after = driven or Simulation.prepare(scenario, simulation.device, simulation)
+    if (scenario.checks, scenario.functions) != (simulation.scenario.checks, simulation.scenario.functions):
+        refuse_unknown_columns(after)
     held = {name: each.start() for name, each in after.controlled.items()}
     same = {name for name, each in scenario.functions.items() if _alike(reached_by.functions.get(name), each)}
     functions, kept = _kept(after.planner.start(), state.functions, same), _kept(held, state.held, same)

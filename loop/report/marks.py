@@ -43,7 +43,8 @@ def marks(result: StepResult, simulation: Simulation) -> tuple[Mark, ...]:
     view = result.view
     functions = simulation.scenario.functions.items()
     zones = tuple(_zone(name, each, view) for name, each in functions if isinstance(each, ZoneParams))
-    zones += tuple(Mark(_target(simulation.controlled[name].function.held, view), "target") for name in result.held)
+    held = (simulation.controlled[name].function.held for name in result.held if name in simulation.controlled)
+    zones += tuple(Mark(_target(each, view), "target") for each in held)
     if result.look is None:
         there = (each for each in result.now.objects if each.since_s <= result.time_s < each.until_s)
         return (*zones, *(Mark(_around(each, view), _kind(each.name, result.masked)) for each in there))

@@ -20,18 +20,18 @@ class Watched:
     """What a page needs of a run beside its table: a few moments, and of each symbol that is held what `Gathered` keeps."""
 
     def __init__(self, simulation: Simulation) -> None:
+        self._moments: dict[int, StepResult] = {}  # first, between, and the last so far
+        self.gathered = list[Gathered]()
+        self.edit(simulation)
+
+    def edit(self, simulation: Simulation) -> None:
+        """The run goes on with an edited simulation, which may hold other symbols and end earlier or later."""
         scenario = simulation.scenario
         tracker, steps = scenario.tracker, scenario.steps
         # the last step that tracks do not light
         frames = scenario.camera.latency_steps + tracker.confirm_frames if scenario.detector and isinstance(tracker, TrackerParams) else 1
         first = min(frames, steps) - 1
         self._kept = {first + k * (steps - 1 - first) // (MOMENTS - 1) for k in range(MOMENTS)}
-        self._moments: dict[int, StepResult] = {}  # first, between, and the last so far
-        self.gathered = list[Gathered]()
-        self.edit(simulation)
-
-    def edit(self, simulation: Simulation) -> None:
-        """The run goes on with an edited simulation, which may hold other symbols."""
         known = {each.name for each in self.gathered}
         self.gathered += [Gathered(name, simulation.scenario.steps) for name in simulation.controlled if name not in known]
 

@@ -20,7 +20,7 @@ MOST_UNSHOWN: Final = 2  # steps of a run that a client may not have shown yet: 
 PERIOD_S: Final = 0.05  # between two steps of a run that plays, at least
 REST: Final = 20  # times what making messages takes pass until the next ones
 FORGOTTEN: Final = "light and pictures of this step are no longer kept: those of the step shown last are drawn; start anew to see them"
-PASSED: Final = "the road of this step is no longer kept"
+PASSED: Final = "roads and objects of this step that were left long ago are no longer kept"
 HALF_PEAK: Final = 1024.0  # of a module in units of its half floats, far from where these overflow
 
 
@@ -77,6 +77,7 @@ class SentRun:
         self.ids = list[int]()
         self._rows, self._rows_of, self._edits, self._meshes = 0, run.rows, 0, set[int]()
         self._step: tuple[Snapshot | None, bool, frozenset[View]] = None, False, frozenset()
+        self._pictured: int | None = None  # step of the camera's picture that was sent last
         modules = len(run.simulation.modules)
         self._lights: list[tuple[Headlight, torch.Tensor] | None] = [None] * modules  # as last shown
         self._utilisations: list[torch.Tensor | None] = [None] * modules
@@ -139,8 +140,9 @@ class SentRun:
         if "camera" in wanted:
             seen = self.run.pictured(snapshot) if scrubbed or was_scrubbed or before is None else snapshot
             pictures = {name: grey(picture) for name, picture in seen.pictures.items()}
-            if seen.step != snapshot.step:
-                notes = [*notes, f"the camera's picture is that of step {seen.step}"]
+            self._pictured = seen.step if pictures else self._pictured
+            if self._pictured not in (None, snapshot.step):
+                notes = [*notes, f"the camera's picture is that of step {self._pictured}"]
         if not snapshot.lights and snapshot.step < len(self.run.snapshots):
             notes = [*notes, FORGOTTEN]
         bodies = [each for each in snapshot.head["bodies"] if each["mesh"] in self._meshes]

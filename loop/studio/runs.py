@@ -182,8 +182,7 @@ class Run:
 
     def _taken(self, simulation: Simulation, result: StepResult, before: Snapshot | None, wanted: Collection[View]) -> Snapshot:
         self._bodies = bodies_at(simulation, result.time_s, self._bodies)
-        numbered = [(self.shapes.number(each), each) for each in self._bodies.placed]
-        return snapshot(simulation, result, numbered, before, wanted)
+        return snapshot(simulation, result, self.shapes.numbered(self._bodies.placed), before, wanted)
 
     def edited(self, scenario: Scenario) -> tuple[Simulation, SimulationState]:
         """What it would go on with under another scenario. Raises LuxloopError."""

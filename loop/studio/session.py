@@ -37,8 +37,7 @@ if TYPE_CHECKING:
     from loop.scenario.model import Scenario
     from loop.studio.runs import Run
 
-PATIENCE_S: Final = 5.0  # with a step, when all shall end
-REPORT_S: Final = 60.0  # with the report of a recording
+PATIENCE_S, REPORT_S = 5.0, 60.0  # with a step, and with the report of a recording, when all shall end
 LOOK: Final = "look"
 LOOK_AT_FILE_S: Final = 0.5  # between two looks at the scenario's file
 MOST_WAITING: Final = 2  # messages behind a step that is still done
@@ -402,9 +401,11 @@ class Session:
             raise LuxloopError(f"record: {RUNS / folder} is what is shown; give another name")
         if self.published.recording is not None:
             self._publish(progress="drawing the report of the recording")
-            for run in self.published.runs:
-                run.end_recording()
-            self._publish(recording=None, progress=None)
+            try:
+                for run in self.published.runs:
+                    run.end_recording()
+            finally:
+                self._publish(recording=None, progress=None)
         self._choose()
         if folder is not None:
             self._run(0).record(RUNS / folder)
@@ -429,15 +430,17 @@ class Session:
         read, runs = scenarios[0] is None, self.published.runs
         starting = Starting(self._device, self._allow_code, lambda text: self._publish(progress=text))
         made = starting.runs(sources, scenarios, runs[0].simulation if runs and not read else None, self.wanted)
-        self._record(None)
-        if read or len(sources) != len(self._sources):
-            self._history = History()
-        if read:
-            self._file = WatchedFile(file_of(sources[0]), made[0].simulation.scenario)
-        self._driven, self._sources, number = None, sources, self.published.number + 1
-        playing, self._next_s = self.published.playing or any(run.recorded for run in made), time.perf_counter()
-        told = {"playing": playing, "progress": None, "failed": None, "step_ms": None, "real_time": None}
-        self._publish(number=number, scenario=head(made, number), runs=tuple(made), **told)
+        try:
+            self._record(None)
+        finally:  # a recording that cannot be finished keeps no other run from its start
+            if read or len(sources) != len(self._sources):
+                self._history = History()
+            if read:
+                self._file = WatchedFile(file_of(sources[0]), made[0].simulation.scenario)
+            self._driven, self._sources, number = None, sources, self.published.number + 1
+            playing, self._next_s = self.published.playing or any(run.recorded for run in made), time.perf_counter()
+            told = {"playing": playing, "progress": None, "failed": None, "step_ms": None, "real_time": None}
+            self._publish(number=number, scenario=head(made, number), runs=tuple(made), **told)
 
 
 @cache

@@ -1,6 +1,6 @@
 """Bodies of a scene as numbered meshes, each sent once."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import count
 from typing import Any, Final
 from weakref import WeakKeyDictionary
@@ -38,11 +38,16 @@ class Shapes:
         if number not in self.meshes:
             self.meshes[number] = mesh = _mesh(number, placed.body, "road" if placed.object_id == 0 else "object")
             self._seen[number] = sum(each.nbytes for each in mesh[1].values())
-            while sum(self._seen.values()) > KEPT_BYTES and len(self._seen) > 1:
-                oldest = next(iter(self._seen))
-                del self._seen[oldest], self.meshes[oldest]
         self._seen[number] = self._seen.pop(number)
         return number
+
+    def numbered(self, placed: Sequence[Placed]) -> list[tuple[int, Placed]]:
+        """All bodies of a step with their numbers; meshes of earlier steps beyond KEPT_BYTES are forgotten."""
+        found = [(self.number(each), each) for each in placed]
+        while sum(self._seen.values()) > KEPT_BYTES and len(self._seen) > len(found):
+            oldest = next(iter(self._seen))
+            del self._seen[oldest], self.meshes[oldest]
+        return found
 
 
 def _mesh(number: int, body: Body, kind: str) -> Mesh:

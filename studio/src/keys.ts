@@ -48,4 +48,8 @@ export function bindKeys(store: Studio, does: Does): void {
     event.preventDefault();
     if (!event.repeat || "[].".includes(event.key)) act();
   });
+  // A button that was clicked gives the focus back, so that space plays; one that was reached by Tab keeps it.
+  document.addEventListener("click", ({ detail, target }) => {
+    if (detail > 0 && target instanceof Element && !target.closest("dialog, .popover")) target.closest("button")?.blur();
+  });
 }

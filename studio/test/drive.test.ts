@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { isControl, ofKeys, ofPads, type Pad, shoulders, turned } from "../src/drive/controls.ts";
 import { blinks, pressed } from "../src/drive/indicator.ts";
-import { override } from "../src/drive/modules.ts";
+import { commanding, nameOf, REST } from "../src/drive/modules.ts";
 
 function pad(stick: number, brake: number, accelerate: number, mapping = "standard"): Pad {
   const buttons = Array.from({ length: 17 }, (_, k) => ({ value: k === 6 ? brake : k === 7 ? accelerate : 0 }));
@@ -52,8 +52,10 @@ test("shoulder buttons of a standard gamepad indicate", () => {
 test("a module is commanded by a function of its own, which goes when it rests", () => {
   const command = { swivel_deg: 5, level_deg: 0, intensity: 0.5 };
   assert.equal(
-    override("left hires", command),
-    'functions.commanded_left_hires={kind="command",modules=["left hires"],swivel_deg=5,intensity=0.5}',
+    commanding("left hires", command, false),
+    'functions.commanded_left_hires={kind = "command", modules = ["left hires"], swivel_deg = 5, intensity = 0.5}',
   );
-  assert.equal(override("left hires", { swivel_deg: 0, level_deg: 0, intensity: 1 }), "functions.commanded_left_hires={}");
+  assert.equal(commanding("left hires", REST, true), "functions.commanded_left_hires={}");
+  assert.equal(commanding("left hires", REST, false), null);
+  assert.equal(nameOf('left Fine-2 "a.b"'), "commanded_left_fine_2_a_b_");
 });

@@ -77,7 +77,7 @@ def test_as_much_lies_beyond_as_should(z: float) -> None:
     assert abs(beyond - N * p) < SIGMAS * math.sqrt(N * p * (1 - p)) + 1  # counts are whole
 
 
-def test_tails_go_on_beyond_five_deviations() -> None:
+def test_tails_go_on_on_both_sides() -> None:
     """Too rare to be counted in a frame: a place in the highest part of the distribution is taken as the integers give it."""
     n = 16
     frames = torch.stack([FrameNoise.of(9, step, 0).integers(WHOLE) for step in range(n)])
@@ -85,6 +85,8 @@ def test_tails_go_on_beyond_five_deviations() -> None:
     beyond = torch.stack([FrameNoise.of(9, step, 0).part(WHOLE, torch.empty(0)) for step in range(n)])[high]
     least = 4.1697  # that 1 of 65,536 exceeds
     assert beyond.min() >= least - 1e-3
+    low = torch.stack([FrameNoise.of(9, step, 0).part(WHOLE, torch.empty(0)) for step in range(n)])[frames >> 16 & 2**16 - 1 == 0]
+    assert low.max() <= 1e-3 - least and abs(float(low.mean() + beyond.mean())) < SIGMAS * 2 * float(low.std()) / math.sqrt(len(low))
     assert abs(len(beyond) - n * N / 2**16) < SIGMAS * math.sqrt(n * N / 2**16)
     share = 2**16 * math.erfc(4.5 / math.sqrt(2)) / 2  # of these that exceed 4.5
     assert abs(float((beyond > 4.5).float().mean()) - share) < SIGMAS * math.sqrt(share / len(beyond))

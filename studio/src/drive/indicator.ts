@@ -26,6 +26,9 @@ export function blinks(now: Indicator, button: Switch): boolean {
 export class IndicatorSwitch {
   readonly element = h("span", { class: "segments", role: "group", "aria-label": "Indicator" });
 
+  /** What was asked for last, until it is answered. */
+  #asked: Indicator = "off";
+
   constructor(
     private readonly store: Studio,
     private readonly session: Session,
@@ -42,10 +45,12 @@ export class IndicatorSwitch {
   }
 
   press(by: Switch): void {
-    this.session.edit([`lighting.indicator="${pressed(this.#now(), by)}"`]);
+    this.#asked = pressed(this.#now(), by);
+    this.session.edit([`lighting.indicator="${this.#asked}"`]);
   }
 
   #now(): Indicator {
+    if (this.session.isEditing("lighting.indicator")) return this.#asked;
     const lighting = this.store.state.model?.lighting as { indicator: Indicator } | undefined;
     return lighting?.indicator ?? "off";
   }

@@ -26,6 +26,7 @@ export function keysPanel(store: Studio, session: Session, toast: (sentence: str
   const head = h("header", {}, h("h2", { id: "keys-title" }, "Keys"), words, close);
   const element = h("aside", { class: "keys-panel", "aria-labelledby": "keys-title" }, head, note, content, ...knownLists(store));
   let made = false;
+  let asked = false; // for the schema
   store.on(["keys_open"], ({ keys_open }) => {
     element.hidden = !keys_open;
     if (keys_open) words.focus();
@@ -35,7 +36,8 @@ export function keysPanel(store: Studio, session: Session, toast: (sentence: str
     if (schema && model) {
       made = true;
       content.replaceChildren(...parts(store, session, new Schemas(schema), words));
-    } else if (!schema && link === "open") session.send({ type: "schema" });
+    } else if (!schema && link === "open" && !asked) session.send({ type: "schema" });
+    asked = link === "open" && !schema;
   });
   needsPen(store, content);
   store.on(["link", "status", "id", "role"], (state) => {

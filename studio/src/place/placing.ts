@@ -60,6 +60,7 @@ export class Placing {
     store.on(["refused"], ({ refused }) => {
       if (refused?.overrides.some((each) => this.sent.has(each))) toast(refused.text);
     });
+    store.on(["things"], ({ things, chosen }) => !things && chosen.length > 0 && store.set({ chosen: [] }));
     store.on(["model", "step_version", "chosen", "tool", "things", "viewpoint", "status", "link", "off"], () => this.refresh());
   }
 

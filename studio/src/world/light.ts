@@ -178,7 +178,7 @@ export function worldLight(
     if (!light) return;
     if (light.type === "wish") {
       const { wanted_lx, rmse_lx, worst_lx, pixels } = light;
-      told.textContent = `${brief(wanted_lx)} lx wanted; off by ${brief(rmse_lx)} lx (RMSE), at most ${brief(worst_lx)} lx; ${pixels} pixels`;
+      told.textContent = `${brief(wanted_lx)} lx wanted; off by ${brief(rmse_lx)} lx (RMSE), worst cell ${brief(worst_lx)} lx; ${pixels} pixels`;
       return;
     }
     turns.answered();

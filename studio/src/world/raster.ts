@@ -3,7 +3,7 @@
 /** What light can be wanted on, and where on its plane: least and largest x, least and largest y. Of the wall x is the height over the ground, y to the left. */
 export const SURFACES = {
   road: { box_m: [0, 60, -10, 10], cell_m: 0.5 },
-  wall: { box_m: [-2, 5, -12, 12], cell_m: 0.1 },
+  wall: { box_m: [-3.5, 3.5, -12, 12], cell_m: 0.1 },
 } as const;
 export type Surface = keyof typeof SURFACES;
 

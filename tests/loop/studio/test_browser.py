@@ -71,6 +71,15 @@ def opened(browser: webdriver.Chrome, served: Served, token: str | None = None) 
     until(browser, "return (window.luxloop?.scenes ?? []).length > 0 && document.body.innerText.includes('step 0')")
 
 
+def opened_anew(browser: webdriver.Chrome, served: Served) -> None:
+    """The same of a run that other tests may have stepped."""
+    session = served.studio.session
+    number = session.published.number
+    session.ask(Button(type="reset"), print)
+    WebDriverWait(browser, WAIT_S).until(lambda _: session.published.number > number)
+    opened(browser, served)
+
+
 def until(browser: webdriver.Chrome, script: str) -> Any:
     """Wait for a script to return something true."""
     return WebDriverWait(browser, WAIT_S, 0.1).until(lambda driver: driver.execute_script(script))
@@ -167,7 +176,7 @@ def test_a_page_whose_network_is_cut_goes_on_with_the_same_run(browser: webdrive
 
 
 def test_texts_are_legible_and_controls_have_names(browser: webdriver.Chrome, objects: Served) -> None:
-    opened(browser, objects)
+    opened_anew(browser, objects)
     script, body = (Path(__file__).parent / "legible.js").read_text("utf-8"), browser.find_element(By.TAG_NAME, "body")
     assert browser.execute_script(script) == [[], []]
     for key, there in (("k", ".function"), ("e", ".things"), ("5", ".beam-controls"), ("?", "dialog[open]")):
@@ -218,16 +227,12 @@ def test_every_view_is_drawn(browser: webdriver.Chrome, objects: Served, tmp_pat
 
 
 def test_shadows_in_the_shader_are_those_of_the_library(browser: webdriver.Chrome, objects: Served) -> None:
-    session = objects.studio.session
-    number = session.published.number
-    session.ask(Button(type="reset"), print)  # other tests have stepped it
-    WebDriverWait(browser, WAIT_S).until(lambda _: session.published.number > number)
-    opened(browser, objects)
-    (run,) = session.published.runs
+    opened_anew(browser, objects)
+    (run,) = objects.studio.session.published.runs
     before = run.snapshots[0]
     # lower than the lamps, so that the camera sees its shadow beyond
     box = 'objects=[{name="box", kind="box", category="other", size_m=[0.5, 1.5, 0.4], track=[{position_m=[9.0, 0.0, 0.0]}]}]'
-    session.ask(Set(type="set", overrides=("functions={}", "checks={}", "lighting.base.beam=full", box)), print)
+    objects.studio.session.ask(Set(type="set", overrides=("functions={}", "checks={}", "lighting.base.beam=full", box)), print)
     WebDriverWait(browser, WAIT_S).until(lambda _: run.snapshots[0] is not before)  # in the other world
     opened(browser, objects)
     shader, lx, open_ = compared(browser, run)

@@ -197,20 +197,22 @@ def test_a_place_of_the_world_is_lit_by_the_pixels_that_are_named(lamp: Painted)
 
 
 def test_light_wanted_on_the_wall_is_painted(lamp: Painted) -> None:
-    served, _ = lamp
+    served, model = lamp
     raster = {"lx": np.zeros((70, 240), np.float32), "painted": np.zeros((70, 240), np.uint8)}
-    raster["lx"][10:20, 115:125] = 2  # -1 to 0 m high, half a metre to both sides
-    raster["painted"][10:20, 115:125] = 1
+    raster["lx"][25:35, 115:125] = 2  # -1 to 0 m high, half a metre to both sides
+    raster["painted"][25:35, 115:125] = 1
     with watching(served.port, served.tokens.edit) as watcher:
         watcher.of("scenario")
         watcher.say(type="set", overrides=["lighting.painted=[]"])
         watcher.of("edit")
-        watcher.say(raster, type="wish", on="wall", box_m=[-2, 5, -12, 12])
+        watcher.say(raster, type="wish", on="wall", box_m=[-3.5, 3.5, -12, 12])
         head, _ = watcher.of("wish")
         assert head["on"] == "wall" and head["wanted_lx"] == 2 and head["pixels"] > 0
         middle = sum(lit(served, [25.0, 0.0, -0.5], module) for module in (0, 1))
         assert abs(middle - 2) <= head["worst_lx"] + 0.1  # a point of a cell, facing a lamp and not the car
-        watcher.say(raster, type="wish", on="ceiling", box_m=[-2, 5, -12, 12])
+        if model != "hd84":  # whose pixels are wider than what is wanted
+            assert head["rmse_lx"] < 0.5  # a step of 1 in 255 is 0.6 lx there, of each lamp
+        watcher.say(raster, type="wish", on="ceiling", box_m=[-3.5, 3.5, -12, 12])
         assert "'road' or 'wall'" in watcher.of("error")[0]["text"]
 
 

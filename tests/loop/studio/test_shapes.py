@@ -15,17 +15,17 @@ def placed(name: str) -> Placed:
 
 
 def test_the_mesh_not_seen_for_longest_is_forgotten_and_made_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    made, bodies = Shapes(), [placed(name) for name in "abc"]
-    number = made.number(bodies[0])
-    size = sum(each.nbytes for each in made.meshes[number][1].values())
-    monkeypatch.setattr(shapes, "KEPT_BYTES", 2 * size)
-    numbers = [made.number(each) for each in bodies[:2]]
-    assert numbers == [number, number + 1] and made.number(bodies[0]) == number
-    assert made.number(bodies[2]) == number + 2 and made.meshes.keys() == {number, number + 2}  # the second one was seen before the first
-    assert made.number(bodies[1]) == number + 1 and made.meshes.keys() == {number + 1, number + 2}
+    made, (a, b, c) = Shapes(), [placed(name) for name in "abc"]
+    ((first, _),) = made.numbered([a])
+    monkeypatch.setattr(shapes, "KEPT_BYTES", 2 * sum(each.nbytes for each in made.meshes[first][1].values()))
+    for step in ([a, b], [a], [c]):
+        made.numbered(step)
+    assert made.meshes.keys() == {first, first + 2}  # the second one was seen before the first
+    assert made.numbered([b])[0][0] == first + 1 and made.meshes.keys() == {first + 1, first + 2}
 
 
-def test_a_mesh_larger_than_all_that_is_kept_is_there_while_it_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_meshes_of_a_step_are_there_however_large(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shapes, "KEPT_BYTES", 1)
-    made, one = Shapes(), placed("one")
-    assert made.number(one) in made.meshes
+    made, bodies = Shapes(), [placed(name) for name in "abc"]
+    made.numbered([placed("old")])
+    assert [number for number, _ in made.numbered(bodies)] == [*made.meshes]

@@ -1,0 +1,63 @@
+"""A recording through which functions come and go ends with a summary and a report, and is repeated."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import pytest
+
+from loop.recording.files import REPORT
+from loop.replay.replay import load as recording
+from loop.replay.replay import replay
+from loop.studio.sources import Source
+from tests.loop.studio.clients import Watcher, watching
+from tests.loop.studio.conftest import SMALL, Served, serving
+
+HELD = "{kind='symbol',image='snowflake',x_m=17.0,controller={name='thesis_pid'}}"
+EDITS = (
+    ("lighting.base.beam='low'", "functions.wall={kind='zone',centre_m=[17.0,3.0,1.0],size_m=[0.0,1.6,1.6],luminance_cd_m2=0.9}"),
+    (f"functions.held={HELD}", "functions.marks={kind='material',lights=[{materials=['asphalt'],luminance_cd_m2=0.1}]}"),
+    ("functions.wall={}", "lighting.base.beam='off'"),
+    ("functions.held={}", "functions.marks={}", "functions.guard_traffic={}"),
+    ("functions.wall={kind='zone',centre_m=[17.0,3.0,1.0],size_m=[0.0,1.6,1.6],luminance_cd_m2=0.9}", "lighting.base.beam='high'"),
+)
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    page = tmp_path_factory.mktemp("page")
+    (page / "index.html").write_text("<!doctype html><title>studio</title>")
+    yield from serving(Source("gfhb", SMALL), page)
+
+
+@pytest.fixture
+def editor(served: Served) -> Iterator[Watcher]:
+    with watching(served.port, served.tokens.edit) as watcher:
+        watcher.of("scenario")
+        watcher.of("step", step=0)
+        yield watcher
+
+
+def test_functions_come_and_go_in_a_recording(editor: Watcher, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    editor.say(type="record", folder="mine")
+    editor.of("status", recording="mine")
+    for step, overrides in enumerate(EDITS, 1):
+        editor.say(type="set", overrides=list(overrides))
+        editor.of("edit")
+        editor.say(type="step")
+        editor.of("step", step=step)
+    editor.say(type="summary", run=0)
+    assert editor.of("summary")[0]["summary"]["steps"] == 6
+    editor.of("status", recording=None)  # at the end of the run
+    read = recording(tmp_path / "runs/mine")
+    assert read.manifest.status == "complete" and read.table.num_rows == 6 and len(read.edits) == len(EDITS)
+    assert cv2.imread(str(tmp_path / "runs/mine" / REPORT)).std() > 10  # something is drawn
+    assert replay(tmp_path / "runs/mine").agrees
+
+
+def test_a_check_of_what_is_not_recorded_is_refused(editor: Watcher, served: Served) -> None:
+    before = served.studio.session.published.runs[0].simulation.scenario
+    editor.say(type="set", overrides=["checks.mine={metric='flux_lmm',at_least=0.5}"])
+    assert "flux_lmm" in editor.of("error")[0]["text"]
+    assert served.studio.session.published.runs[0].simulation.scenario == before
