@@ -106,9 +106,10 @@ def replay(
     held = dict[str, FeatureParams]()
     rows = []
     for made_by, result in rerun(recording, simulation):
-        rows.append(row(result))
         held |= {name: symbol.function.features for name, symbol in made_by.controlled.items()}
         columns = pa.unify_schemas([columns, schema(made_by)])
+        known = set(columns.names)  # so far: columns that an edit brings begin with it
+        rows.append({name: value for name, value in row(result).items() if name in known})
         on_step(result)
     recorded = columns_of(recording.table, columns, directory / TRAJECTORY)
     return Comparison(len(rows), compare(recorded, table_of(rows, columns), held), tuple(notes))

@@ -13,7 +13,7 @@ from loop.studio.sources import Source
 from tests.loop.studio.clients import Watcher, watching
 from tests.loop.studio.conftest import SMALL, Served, serving
 
-HELD = "{kind='symbol',image='snowflake',x_m=17.0,controller={name='thesis_pid'}}"
+HELD = "{kind='symbol',image='snowflake',x_m=17.0,yaw_deg=20.0}"
 EDITS = (
     ("lighting.base.beam='low'", "functions.wall={kind='zone',centre_m=[17.0,3.0,1.0],size_m=[0.0,1.6,1.6],luminance_cd_m2=0.9}"),
     (f"functions.held={HELD}", "functions.marks={kind='material',lights=[{materials=['asphalt'],luminance_cd_m2=0.1}]}"),
@@ -34,12 +34,12 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 def editor(served: Served) -> Iterator[Watcher]:
     with watching(served.port, served.tokens.edit) as watcher:
         watcher.of("scenario")
-        watcher.of("step", step=0)
         yield watcher
 
 
 def test_functions_come_and_go_in_a_recording(editor: Watcher, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    editor.of("step", step=0)
     editor.say(type="record", folder="mine")
     editor.of("status", recording="mine")
     for step, overrides in enumerate(EDITS, 1):
@@ -47,9 +47,9 @@ def test_functions_come_and_go_in_a_recording(editor: Watcher, tmp_path: Path, m
         editor.of("edit")
         editor.say(type="step")
         editor.of("step", step=step)
+    editor.of("status", recording=None)  # at the end of the run
     editor.say(type="summary", run=0)
     assert editor.of("summary")[0]["summary"]["steps"] == 6
-    editor.of("status", recording=None)  # at the end of the run
     read = recording(tmp_path / "runs/mine")
     assert read.manifest.status == "complete" and read.table.num_rows == 6 and len(read.edits) == len(EDITS)
     assert cv2.imread(str(tmp_path / "runs/mine" / REPORT)).std() > 10  # something is drawn

@@ -140,12 +140,12 @@ def test_a_recording_has_all_steps_and_edits_and_is_repeated(
     for step in (2, 3):
         editor.say(type="step")
         editor.of("step", step=step)
-    editor.say(type="set", overrides=["light.ambient_lx=0.5"])
+    another = ("light.ambient_lx=0.5", "functions.second={kind='symbol',image='snowflake',x_m=20.0,controller={name='thesis_pid'}}")
+    editor.say(type="set", overrides=list(another))
     editor.of("edit")
     editor.say(type="step")
     editor.of("step", step=4)
-    another = ("functions.second={kind='symbol',image='snowflake',x_m=20.0,controller={name='thesis_pid'}}", "steps=6")
-    editor.say(type="set", overrides=list(another))
+    editor.say(type="set", overrides=["functions.second={}", "steps=6"])
     editor.of("edit")
     editor.say(type="step")
     editor.of("step", step=5)
@@ -155,10 +155,15 @@ def test_a_recording_has_all_steps_and_edits_and_is_repeated(
     report, summary = cv2.imread(str(tmp_path / "runs/mine" / REPORT)), json.loads((tmp_path / "runs/mine" / SUMMARY).read_text())
     assert report is not None and report.std() > 10  # something is drawn
     assert summary["checks"].keys() == {"lies_on_target"}  # the other one compares with a light that did not run beside
-    assert [(each.step, each.overrides) for each in read.edits] == [(2, (f"{KP}=0.33",)), (4, ("light.ambient_lx=0.5",)), (5, another)]
+    assert [(each.step, each.overrides) for each in read.edits] == [
+        (2, (f"{KP}=0.33",)),
+        (4, another),
+        (5, ("functions.second={}", "steps=6")),
+    ]
     assert replay(tmp_path / "runs/mine").agrees
-    editor.say(type="undo")
-    editor.of("edit")
+    for _ in range(2):
+        editor.say(type="undo")
+        editor.of("edit")
     editor.say(type="record", folder="../mine")
     assert "folder" in editor.of("error")[0]["text"]
 
