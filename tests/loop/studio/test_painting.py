@@ -199,8 +199,8 @@ def test_a_place_of_the_world_is_lit_by_the_pixels_that_are_named(lamp: Painted)
 def test_light_wanted_on_the_wall_is_painted(lamp: Painted) -> None:
     served, model = lamp
     raster = {"lx": np.zeros((70, 240), np.float32), "painted": np.zeros((70, 240), np.uint8)}
-    raster["lx"][25:35, 115:125] = 2  # -1 to 0 m high, half a metre to both sides
-    raster["painted"][25:35, 115:125] = 1
+    raster["lx"][30:40, 115:125] = 2  # half a metre above and below the ground, and to both sides
+    raster["painted"][30:40, 115:125] = 1
     with watching(served.port, served.tokens.edit) as watcher:
         watcher.of("scenario")
         watcher.say(type="set", overrides=["lighting.painted=[]"])
@@ -208,7 +208,7 @@ def test_light_wanted_on_the_wall_is_painted(lamp: Painted) -> None:
         watcher.say(raster, type="wish", on="wall", box_m=[-3.5, 3.5, -12, 12])
         head, _ = watcher.of("wish")
         assert head["on"] == "wall" and head["wanted_lx"] == 2 and head["pixels"] > 0
-        middle = sum(lit(served, [25.0, 0.0, -0.5], module) for module in (0, 1))
+        middle = sum(lit(served, [25.0, 0.0, 0.05], module) for module in (0, 1))
         assert abs(middle - 2) <= head["worst_lx"] + 0.1  # a point of a cell, facing a lamp and not the car
         if model != "hd84":  # whose pixels are wider than what is wanted
             assert head["rmse_lx"] < 0.5  # a step of 1 in 255 is 0.6 lx there, of each lamp
