@@ -122,9 +122,9 @@ function keyControls(store: Studio, session: Session): HTMLElement[] {
     type: "text",
     class: "keys",
     placeholder: "road.kind=bumps camera.bits=10",
-    "aria-label": "Other values of keys; Enter takes them, Shift and Enter compare",
+    "aria-label": "Other values of keys; Enter sets them, Shift+Enter compares",
     title:
-      "Other values of keys. Enter: take them, functions at the next step, all else in a run that starts anew. Shift+Enter: compare with a run that has them.",
+      "Other values of keys. Enter sets them; the badges in the drawer of keys say when they act. Shift+Enter compares with a run that has them.",
     spellcheck: "false",
     autocomplete: "off",
   });

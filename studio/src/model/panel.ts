@@ -42,7 +42,7 @@ export function keysPanel(store: Studio, session: Session, toast: (sentence: str
   needsPen(store, content);
   store.on(["link", "status", "id", "role"], (state) => {
     note.hidden = hasPen(state) || state.link !== "open";
-    note.textContent = state.role === "watch" ? "You watch: values can be read, and not be changed." : "Take the pen to change values.";
+    note.textContent = state.role === "watch" ? "You watch: values can be read, but not changed." : "Take the pen to change values.";
   });
   store.on(["refused"], ({ refused }) => {
     if (refused && !showRefused(content, refused)) toast(refused.text);

@@ -35,7 +35,7 @@ export function actsOf(key: string, acts: Readonly<Record<string, Acts>>): Acts 
 
 const ACTS = {
   step: ["next step", "Acts at the next step"],
-  prepared: ["prepared", "Is prepared while the run goes on, and acts then"],
+  prepared: ["prepared", "Is prepared while the run waits, which then goes on"],
   restart: ["restarts", "Starts the run anew"],
 } as const;
 

@@ -17,7 +17,7 @@ import { WishPlane } from "./wish_plane.ts";
 const MODES = {
   find: "A click on the road, an object or the wall frames the pixels that light it",
   light: "Paint the pixels that light what you click on",
-  lux: "Paint illuminances on the road, or on the wall in its view, to be found by all modules together",
+  lux: "Paint the illuminance wanted on the road, or on the wall in its view",
 } as const;
 type Mode = keyof typeof MODES;
 const ANSWER_MS = 5000;
