@@ -1,9 +1,9 @@
 """What the studio costs the loop: `python benchmarks/studio.py [--json FILE] [--quick]`.
 
 Steps of scenarios by the clock: in the studio that nobody watches, watched by another process, which reads and acknowledges all that it
-gets, and watched by a deaf one, which reads nothing after its first step; run by run in turn, on two cores, each scenario in a process of
-its own. The time of the processor for the loop's thread counts beside that by the clock, which other programs lengthen. Then bytes and time
-of a message, and the time from the command to the first picture.
+gets, by a deaf one, which reads nothing after its first step, and by one that does not show the camera; run by run in turn, on two cores,
+each scenario in a process of its own. The time of the processor for the loop's thread counts beside that by the clock, which other programs
+lengthen. Then bytes and time of a message, and the time from the command to the first picture.
 """
 
 import argparse
@@ -24,7 +24,7 @@ from bench import machine, on_one_thread
 from rich.table import Table
 
 from loop.studio.feed import Feed
-from loop.studio.messages import LENGTH, Button, Request
+from loop.studio.messages import LENGTH, VIEWS, Button, Request
 from loop.studio.server import Studio, Tokens
 from loop.studio.session import Session
 from loop.studio.sources import Source
@@ -41,6 +41,7 @@ def message(**head):
     return struct.pack("<I", len(text)) + text
 with connect(f"ws://127.0.0.1:{sys.argv[1]}/socket", max_size=None, max_queue=1, compression=None) as socket:
     socket.send(message(type="hello", token=sys.argv[2]))
+    socket.send(message(type="want", views=sys.argv[4].split()))
     while data := socket.recv():
         (length,) = struct.unpack_from("<I", data)
         head = json.loads(data[4 : 4 + length])
@@ -50,6 +51,8 @@ with connect(f"ws://127.0.0.1:{sys.argv[1]}/socket", max_size=None, max_queue=1,
             time.sleep(float(sys.argv[3]))
 """
 DEAF_S = 1e6  # after a step, in which a watcher reads nothing
+ALL, NO_CAMERA = " ".join(VIEWS), " ".join(each for each in VIEWS if each != "camera")
+WATCHERS = {"watched": (0.0, ALL), "deaf": (DEAF_S, ALL), "without the camera": (0.0, NO_CAMERA)}  # what they sleep, and what they see
 
 
 @contextmanager
@@ -110,15 +113,15 @@ def measured(name: str, steps: int, rounds: int) -> dict[str, Any]:
     """One scenario: ms a step unwatched, watched, and watched by one that reads nothing, run by run in turn, medians; the medians of the
     ratios of runs that follow each other; and its messages.
     """
-    taken: dict[str, list[tuple[float, float]]] = {"unwatched": [], "watched": [], "deaf": []}
+    taken: dict[str, list[tuple[float, float]]] = {kind: [] for kind in ("unwatched", *WATCHERS)}
     with studio(name, steps) as (session, port, tokens):
         for _ in range(rounds):
             taken["unwatched"].append(played_ms(session))
-            for kind, sleeps_s in (("watched", 0.0), ("deaf", DEAF_S)):
-                with watched_from_outside(port, tokens.watch, sleeps_s):
+            for kind, (sleeps_s, views) in WATCHERS.items():
+                with watched_from_outside(port, tokens.watch, sleeps_s, views):
                     taken[kind].append(played_ms(session))
         found: dict[str, Any] = {kind: median(each[0] for each in runs) for kind, runs in taken.items()}
-        for kind in ("watched", "deaf"):
+        for kind in WATCHERS:
             ratios = zip(
                 *(
                     [after / before for after, before in zip(*pair, strict=True)]
@@ -131,9 +134,9 @@ def measured(name: str, steps: int, rounds: int) -> dict[str, Any]:
 
 
 @contextmanager
-def watched_from_outside(port: int | str, token: str, sleeps_s: float) -> Iterator[None]:
-    """By a process that has got a step, and sleeps after each."""
-    command = [sys.executable, "-c", WATCHER, str(port), token, str(sleeps_s)]
+def watched_from_outside(port: int | str, token: str, sleeps_s: float, views: str = ALL) -> Iterator[None]:
+    """By a process that has got a step of these views, and sleeps after each."""
+    command = [sys.executable, "-c", WATCHER, str(port), token, str(sleeps_s), views]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as watcher:
         assert watcher.stdout is not None
         watcher.stdout.readline()
@@ -171,23 +174,12 @@ def main() -> None:
         command = [sys.executable, __file__, "--scenario", name, *(["--quick"] if given.quick else [])]
         found[name] = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)
     result = {"machine": machine("websockets", "torch"), "scenarios": found, "first_picture_s": first_picture_s("snowflake")}
-    table = Table(
-        "scenario",
-        "unwatched",
-        "watched",
-        "ratio",
-        "by the processor",
-        "deaf",
-        "by the processor",
-        "bytes of a step",
-        "ms of a step's message",
-    )
+    beside = [column for kind in WATCHERS for column in (kind, "by the processor")]
+    table = Table("scenario", "unwatched, ms", *beside, "bytes of a step", "ms of a step's message")
     for name, each in found.items():
-        ratios = [f"{each[key]:.2f}" for key in ("watched_ratio", "watched_busy_ratio", "deaf_ratio", "deaf_busy_ratio")]
+        ratios = [f"{each[f'{kind}_{of}']:.2f}" for kind in WATCHERS for of in ("ratio", "busy_ratio")]
         message = each["messages"]["step"]
-        table.add_row(
-            name, f"{each['unwatched']:.1f}", f"{each['watched']:.1f}", *ratios, f"{message['bytes']:.0f}", f"{message['ms']:.1f}"
-        )
+        table.add_row(name, f"{each['unwatched']:.1f}", *ratios, f"{message['bytes']:.0f}", f"{message['ms']:.1f}")
     tables.show(table)
     print(f"first picture of snowflake: {result['first_picture_s']:.1f} s")
     if given.json:
