@@ -44,7 +44,7 @@ function dialog(title: string, body: HTMLElement): HTMLDialogElement {
 
 export function helpDialog(): Dialog {
   const rows = KEYS.map(([key, text]) => h("tr", {}, h("th", { scope: "row" }, h("kbd", {}, key)), h("td", {}, text)));
-  const element = dialog("What keys of the keyboard do", h("div", { class: "dialog-body" }, h("table", {}, h("tbody", {}, ...rows))));
+  const element = dialog("Keyboard shortcuts", h("div", { class: "dialog-body" }, h("table", {}, h("tbody", {}, ...rows))));
   return { element, open: () => element.open || element.showModal() };
 }
 

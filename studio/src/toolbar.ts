@@ -46,7 +46,7 @@ export function toolbar(store: Studio, session: Session, opens: Record<"help" | 
       ...people(store, session),
       keys.button,
       button("Summary", "The summary of the run so far", opens.summary),
-      button("?", "What keys of the keyboard do (?)", opens.help, "square"),
+      button("?", "Keyboard shortcuts (?)", opens.help, "square"),
     ),
     h(
       "div",
