@@ -333,7 +333,7 @@ def _of_lost(objects: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
 def processing(values: Mapping[str, Any], what: str) -> str:
     """Time that the car computes for a step by the summary of a run, what that is, and how far from real time."""
     times = values["times_real_time"]
-    return f"{number(values['processing_ms_median'], '.0f')} ms {what}" + ("" if times is None else f", {times:.2g} x real time")
+    return f"{number(values['processing_ms_median'], '.0f')} ms {what}" + ("" if times is None else f", {times:.2g} of the control period")
 
 
 def _of_symbol(values: dict[str, Any]) -> dict[str, str]:
