@@ -127,7 +127,7 @@ def test_parts_of_ones_own_run(code: str, module: str, tables: str, tmp_path: Pa
     if re.search(r"^\[(detector|functions\.(?!symbol\b))", tables, re.M):
         assert len(list(prepare(load("gfhb", [str(keys), "steps=2"], allow_code=True), "cpu").run())) == 2
         return
-    scenario = load("flat", [str(keys)], steps=12, camera={"width_px": 640, "height_px": 360, "oversampling": 2}, allow_code=True)
+    scenario = load("flat", [str(keys)], steps=16, camera={"width_px": 640, "height_px": 360, "oversampling": 2}, allow_code=True)
     *_, last = prepare(scenario, "cpu").run()
     assert last.symbol.measurement.code == 0, "it is seen, by whatever plant"
     verdict = last.symbol.verdict

@@ -178,7 +178,7 @@ class Studio:
             message, arrays = read(data)
             self._refuse(client, message)
         except LuxloopError as error:
-            reply({"type": "error", "text": str(error), "about": None, "ask": message and message.ask})
+            reply({"type": "error", "text": str(error), "about": message and message.type, "ask": message and message.ask})
             return
         match message:
             case Want(shared=True) if not client.is_here:

@@ -29,6 +29,7 @@ class Blocks:
 
     def __init__(self) -> None:
         self._blocks, self._lock, self._closed = dict[tuple[int, int], SharedMemory](), threading.Lock(), False
+        self._turns = dict[int, int]()  # of each run, whose two blocks are written in turn
 
     def put(self, run: int, number: int, arrays: Mapping[str, np.ndarray]) -> dict[str, Any] | None:
         """Write arrays of a step, and say where they lie; None where there is no room. number: that of its message, above 0."""
@@ -37,7 +38,8 @@ class Blocks:
             listed[name] = {"dtype": CODES[str(array.dtype)], "shape": array.shape, "start": end, "bytes": array.nbytes}
             end += -(-array.nbytes // ALIGNED) * ALIGNED
         with self._lock:
-            block = None if self._closed else self._block((run, number % 2), end)
+            self._turns[run] = turn = 1 - self._turns.get(run, 0)
+            block = None if self._closed else self._block((run, turn), end)
             if block is None:
                 return None
             assert block.buf is not None
