@@ -209,6 +209,8 @@ def test_who_reads_too_late_is_told_so() -> None:
         assert mapped.arrays(first, 1) is None
         larger = written.put(0, 4, {"a": np.zeros(10_000, np.float32)})
         assert larger is not None and larger["block"] != second["block"] and mapped.arrays(second, 2) is None
+        other, next_ = (written.put(1, number, {"a": np.zeros(6, np.float32)}) for number in (5, 7))  # beside another run
+        assert other is not None and next_ is not None and other["block"] != next_["block"]
     finally:
         mapped.close()
         written.close()
