@@ -39,8 +39,11 @@ def page(browser: webdriver.Chrome, plain: Served) -> webdriver.Chrome:
     clicked(browser, "clear")
     until(browser, "return luxloop.store.state.model.lighting.painted.length === 0")
     (run,) = plain.studio.session.published.runs
-    light = (255 * run.snapshots[-1].lights[0]).round().view(ROWS, COLUMNS).numpy()
-    WebDriverWait(browser, 20, 0.1).until(lambda page: np.array_equal(utilisations(page), light))
+
+    def shows_it(page: webdriver.Chrome) -> bool:  # which is looked at anew after the edit is told
+        return np.array_equal(utilisations(page), (255 * run.snapshots[-1].lights[0]).round().view(ROWS, COLUMNS).numpy())
+
+    WebDriverWait(browser, 20, 0.1).until(shows_it)
     return browser
 
 
