@@ -10,8 +10,10 @@ if TYPE_CHECKING:
 
 
 def scenario_of(name: str, set: Sequence[str] | None, controller: str | None = None, **given: Any) -> "Scenario":
-    """It is looked up before the model is imported, which takes seconds, so that a mistyped name is told at once. controller: another one
-    with its defaults. given: as for `load`. Raises LuxloopError.
+    """Read a scenario by shipped name or path. set: overrides of its keys. controller: name of another controller, with its defaults.
+    given: as for `load`.
+
+    Raises LuxloopError, for an unknown name at once: the import of the model, which takes seconds, comes after.
     """
     find(name)
     from loop.scenario.model import load

@@ -34,9 +34,7 @@ def compared(simulation: Simulation, table: pa.Table) -> Mapping[str, NDArray[np
 
 def _base(module: ShiningModule, beam: str, time_s: float) -> Tensor:
     """Utilisation `[n_p]` that nothing dims, also of a beam that an edited scenario no longer asks for."""
-    if module.raw is not None:
-        return module.raw.at(time_s).to(module.flux)
-    return module.lamp.beam(beam)[module.number].to(module.flux)
+    return module.beam(beam) if module.raw is None else module.raw.at(time_s).to(module.flux)
 
 
 def low_beam_lm(simulation: Simulation) -> float | None:
@@ -49,7 +47,7 @@ def _low_beam(simulation: Simulation) -> list[Tensor]:
     """Utilisations `[n_p]`, one a module; none where a lamp has no low beam."""
     modules = simulation.modules
     known = all(LOW in module.lamp.beams for module in modules)
-    return [module.lamp.beam(LOW)[module.number].to(module.flux) for module in modules] if known else []
+    return [module.beam(LOW) for module in modules] if known else []
 
 
 def _flux_lm(simulation: Simulation, lights: Sequence[Tensor]) -> list[float]:

@@ -51,10 +51,13 @@ class ShiningModule(MountedModule):
         """Of all its pixels."""
         return float(self.flux.sum())
 
+    def beam(self, name: str) -> Tensor:
+        """Utilisation `[n_p]` of a beam of the lamp. Raises LuxloopError where it has none of that name."""
+        return self.lamp.beam(name)[self.number].to(self.flux)
+
     def showing(self, beam: str) -> "ShiningModule":
         """The module with this base beam alone. Raises LuxloopError where the lamp has none of that name."""
-        shown = Morphing(self.headlight, self.lamp.beam(beam)[self.number].to(self.flux))
-        return replace(self, beams={beam: shown}, raw=None)
+        return replace(self, beams={beam: Morphing(self.headlight, self.beam(beam))}, raw=None)
 
     def base(self, plan: Plan) -> Tensor:
         """Utilisation `[n_p]` below all functions: the raw one, else a base beam, morphed and dimmed."""

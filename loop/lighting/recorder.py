@@ -89,12 +89,12 @@ class Tally:
 
 
 def _finite(value: Any) -> Any:
-    """The same with None in place of numbers that are none, as of what an edit took away."""
+    """The same with None in place of numbers that are not finite, as of what an edit took away."""
     if isinstance(value, dict):
         return {key: _finite(each) for key, each in value.items()}
     if isinstance(value, list):
         return [_finite(each) for each in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 class Recorder:

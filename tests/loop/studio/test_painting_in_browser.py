@@ -40,7 +40,8 @@ def page(browser: webdriver.Chrome, plain: Served) -> webdriver.Chrome:
     until(browser, "return luxloop.store.state.model.lighting.painted.length === 0")
     (run,) = plain.studio.session.published.runs
 
-    def shows_it(page: webdriver.Chrome) -> bool:  # which is looked at anew after the edit is told
+    def shows_it(page: webdriver.Chrome) -> bool:
+        """The last snapshot is replaced after the edit was answered, so it is read at each try."""
         return np.array_equal(utilisations(page), (255 * run.snapshots[-1].lights[0]).round().view(ROWS, COLUMNS).numpy())
 
     WebDriverWait(browser, 20, 0.1).until(shows_it)

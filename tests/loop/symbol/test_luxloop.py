@@ -308,9 +308,11 @@ def test_noise_is_measured_where_the_camera_does_not_tell() -> None:
 
 
 def test_ten_times_the_noise_leaves_the_symbol_where_it_was() -> None:
-    noisy = disturbed(simulation('{kind="bumps"}'), noise=[{"factor": 10.0, "from_step": 4, "until_step": 8}])
-    _, seen = course(noisy, on_bumps()[0][4], 5)
-    assert min(seen) > 0.88  # 0.89 to 0.92 over ten seeds; lower where the threshold stays and information fades
+    noisy, least = disturbed(simulation('{kind="bumps"}'), noise=[{"factor": 10.0, "from_step": 4, "until_step": 8}]), []
+    for seed in range(3):
+        _, seen = course(replace(noisy, plant=replace(noisy.plant, seed=seed)), on_bumps()[0][4], 5)
+        least.append(min(seen))
+    assert sorted(least)[1] > 0.9  # 0.89 to 0.92 over ten seeds; 0.89 where the threshold stays and information fades
 
 
 def test_a_symbol_that_fills_most_of_what_is_seen_is_not_taken_for_noise(tmp_path: Path) -> None:
