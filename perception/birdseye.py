@@ -1,6 +1,7 @@
 """The road seen from above: rectified views of a camera image, of the plane z = 0 or of the road itself."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from kornia.geometry.transform import remap
@@ -46,6 +47,29 @@ class BirdsEye:
         """The view on another device."""
         axes = Axes(self.axes.u.to(device), self.axes.v.to(device))
         return BirdsEye(self.map_u.to(device), self.map_v.to(device), self.columns, axes)
+
+    def within(self, rows: slice, cols: slice) -> "BirdsEye":
+        """A part of the view."""
+        return BirdsEye(self.map_u[rows, cols], self.map_v[rows, cols], self.columns, Axes(self.axes.u[cols], self.axes.v[rows]))
+
+    def reached(self, v: slice, u: slice) -> tuple[slice, slice]:
+        """Rows and columns of the view that hold all cells that `rectify` samples from a part of the image in px."""
+        low, high = self._v_of_rows
+        rows = span((high > v.start - 0.5) & (low < v.stop + 0.5))  # a pixel is interpolated to half a pixel beyond its border
+        across, half = self.map_u[rows], self.columns // 2 + 0.5
+        return rows, span(((across > u.start - half) & (across < u.stop + half)).any(0))
+
+    @cached_property
+    def _v_of_rows(self) -> tuple[Tensor, Tensor]:
+        """Least and largest v of each row of cells `[rows]`, without the cells that are hidden."""
+        hidden = self.map_u == NOWHERE_PX
+        return self.map_v.masked_fill(hidden, torch.inf).amin(1), self.map_v.masked_fill(hidden, -torch.inf).amax(1)
+
+
+def span(chosen: Tensor) -> slice:
+    """From the first to the last that is chosen of `[n]` bool; empty where none is."""
+    found = chosen.nonzero()
+    return slice(int(found[0]), int(found[-1]) + 1) if len(found) else slice(0, 0)
 
 
 def cells(region: Region) -> Tensor:

@@ -1,6 +1,7 @@
 """The judge: quality of a symbol on the road, from noise-free light and independent of any controller's extraction."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -8,7 +9,7 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
 from perception.appearance import Appearance, appearance
-from perception.birdseye import BirdsEye, rectify
+from perception.birdseye import BirdsEye, rectify, span
 from perception.metrics import iou, ssim
 
 THRESHOLD = 0.25  # of the target's median: far parts of a symbol are several times darker than near ones
@@ -21,12 +22,15 @@ class Target:
     """The symbol as it should lie on a flat road, in the bird's-eye view.
 
     luminance: `[rows, cols]` cd/m^2. median: `[]` cd/m^2, of its lit cells. mask: `[rows, cols]` bool. shape: the mask's moments.
+    rows, cols: the part of the view that its light reaches.
     """
 
     luminance: Tensor
     median: Tensor
     mask: Tensor
     shape: Appearance
+    rows: slice
+    cols: slice
     length_m: float
     width_m: float
 
@@ -51,41 +55,59 @@ def target(luminance: Tensor, view: BirdsEye, length_m: float, width_m: float) -
     plane = rectify(view, luminance)
     median = plane[plane > THRESHOLD * plane.max()].median()
     mask = plane > THRESHOLD * median
-    return Target(plane, median, mask, appearance(mask.to(plane), view.axes), length_m, width_m)
+    rows, cols = view.reached(*_lit(luminance))
+    part = _around(rows, cols, mask.shape)
+    return Target(plane, median, mask, appearance(mask[part].to(plane), view.within(*part).axes), rows, cols, length_m, width_m)
 
 
-def judge(luminance: Tensor, view: BirdsEye, goal: Target) -> Verdict:
-    """Judge the noise-free on-minus-off camera luminance `[..., height, width]` in cd/m^2; NaN where nothing is lit."""
-    plane = rectify(view, luminance)
+def judge(luminance: Tensor, view: BirdsEye, goal: Target, u_start: int = 0, v_start: int = 0) -> Verdict:
+    """Judge the noise-free on-minus-off camera luminance `[..., height, width]` in cd/m^2; NaN where nothing is lit.
+
+    luminance: of the whole image, or of a crop that starts at (u_start, v_start) px and is dark beyond. Only the part of the view in which
+    this light or the target's lies is computed, the same for all of a batch.
+    """
+    v, u = _lit(luminance)
+    luminance, u_start, v_start = luminance[..., v, u], u_start + u.start, v_start + v.start
+    height, width = luminance.shape[-2:]
+    found = view.reached(slice(v_start, v_start + height), slice(u_start, u_start + width))
+    part = _around(_hull(found[0], goal.rows), _hull(found[1], goal.cols), goal.mask.shape)
+    seen, wanted = view.within(*part), goal.mask[part]
+    plane = rectify(seen, luminance, u_start, v_start) if luminance.numel() else luminance.new_zeros(*luminance.shape[:-2], *wanted.shape)
     mask = plane > THRESHOLD * goal.median
-    shape = appearance(mask.to(plane), view.axes)
+    shape = appearance(mask.to(plane), seen.axes)
     offset = shape.centroids[..., 0, :] - goal.shape.centroids[0]
     size = torch.tensor([goal.length_m, goal.width_m]).to(offset)
+    grey, goal_grey = (_in_pairs((image / goal.median / 2).clamp(0, 1)) for image in (plane, goal.luminance[part]))
+    share = goal_grey.numel() / math.prod(n // 2 for n in goal.mask.shape)  # of the view; elsewhere both are dark, and the similarity is 1
     return Verdict(
         -100 * offset.flip(-1) / size,
-        iou(mask, goal.mask.expand_as(mask)),
-        _similarity(plane, goal),
+        iou(mask, wanted.expand_as(mask)),
+        1 - share * (1 - ssim(grey, goal_grey.expand_as(grey), SSIM_RADIUS, 1.0)),
         shape.length / goal.shape.length,
         shape.shear,
     )
 
 
-def _similarity(plane: Tensor, goal: Target) -> Tensor:
-    """SSIM `[...]` of luminance `[..., rows, cols]` and target; computed where its window reaches any light, elsewhere it is 1."""
-    lit = (plane > 0).reshape(-1, *plane.shape[-2:]).any(0) | (goal.luminance > 0)
-    rows, cols = (_reached(lit.any(axis)) for axis in (1, 0))
-    grey, goal_grey = (_in_pairs((image[..., rows, cols] / goal.median / 2).clamp(0, 1)) for image in (plane, goal.luminance))
-    share = goal_grey.numel() / (lit.shape[0] // 2 * (lit.shape[1] // 2))
-    return 1 - share * (1 - ssim(grey, goal_grey.expand_as(grey), SSIM_RADIUS, 1.0))
+def _lit(luminance: Tensor) -> tuple[slice, slice]:
+    """Rows and columns beyond which images `[..., height, width]` are dark, the same for all of a batch."""
+    image = luminance.detach().abs()
+    rows = span(image.reshape(-1, *image.shape[-2:]).amax((0, -1)) > 0)
+    if rows.stop == rows.start:
+        return rows, rows
+    return rows, span(image[..., rows, :].reshape(-1, image.shape[-1]).amax(0) > 0)
 
 
-def _reached(lit: Tensor) -> slice:
-    """Slice of whole pairs of cells from which SSIM's window reaches a lit cell of `[n]`; all if none is lit."""
-    found, window = lit.nonzero(), math.ceil(3 * SSIM_RADIUS)
-    if not len(found):
-        return slice(0, 2 * (len(lit) // 2))
-    first, last = int(found[0]) // 2, int(found[-1]) // 2
-    return slice(2 * max(first - window, 0), 2 * min(last + window + 1, len(lit) // 2))
+def _hull(found: slice, wanted: slice) -> slice:
+    """The smallest slice that holds two, the first of which may be empty."""
+    return wanted if found.stop == found.start else slice(min(found.start, wanted.start), max(found.stop, wanted.stop))
+
+
+def _around(rows: slice, cols: slice, shape: Sequence[int]) -> tuple[slice, slice]:
+    """Whole pairs of cells of a view `[rows, cols]`, from which SSIM's window reaches a part of it."""
+    window = 2 * math.ceil(3 * SSIM_RADIUS)
+    top, left = (max(each.start // 2 * 2 - window, 0) for each in (rows, cols))
+    bottom, right = (min(-(-each.stop // 2) * 2 + window, n) for each, n in zip((rows, cols), shape, strict=True))
+    return slice(top, bottom), slice(left, right)
 
 
 def _in_pairs(image: Tensor) -> Tensor:

@@ -75,6 +75,16 @@ def test_similarity_is_that_of_the_whole_plane(goal: Target, dx: float) -> None:
     assert judge(luminance, PLANE, goal).ssim.tolist() == pytest.approx(ssim(seen, wanted, SSIM_RADIUS, 1.0).tolist(), abs=2e-6)
 
 
+def test_a_crop_is_judged_as_the_whole_image_that_is_dark_beyond(goal: Target) -> None:
+    whole = torch.stack([symbol(), symbol(1.0, 0.5), torch.zeros_like(symbol())])
+    v, u = whole.any(0).any(1).nonzero(), whole.any(0).any(0).nonzero()
+    cut = whole[:, int(v[0]) - 3 : int(v[-1]) + 5, int(u[0]) - 4 : int(u[-1]) + 2]
+    expected, found = judge(whole, PLANE, goal), judge(cut, PLANE, goal, u_start=int(u[0]) - 4, v_start=int(v[0]) - 3)
+    for name, value in vars(expected).items():
+        assert vars(found)[name].equal(value) or torch.allclose(vars(found)[name], value, rtol=0, atol=1e-5, equal_nan=True), name
+    assert expected.iou[2] == 0, "nothing of the symbol is there"
+
+
 def test_brightness_does_not_move_the_symbol(goal: Target) -> None:
     """The threshold is fixed, so edges of a brighter symbol win a little; ten times darker and it is gone."""
     dim, bright = judge(symbol(brightness=0.06), PLANE, goal), judge(symbol(brightness=0.2), PLANE, goal)
