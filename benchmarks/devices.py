@@ -17,7 +17,7 @@ import torch
 from bench import machine, on_one_thread
 from rich.table import Table
 
-from loop.lighting.batch import rollouts
+from loop.batch.rollouts import rollouts
 from loop.lighting.simulation import Simulation
 from loop.scenario.model import load
 from loop.terminal import tables

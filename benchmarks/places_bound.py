@@ -9,7 +9,7 @@ from torch.nn.functional import grid_sample
 
 from controllers.pixels.ssc import Utilisation
 from controllers.symbol.sensing.projector import DrawingModule
-from loop.lighting.batch import Lights
+from loop.batch.copies import Lights
 from loop.lighting.simulation import Simulation
 from perception.birdseye import rectify
 from perception.judge import THRESHOLD

@@ -18,8 +18,8 @@ import torch
 from optuna.trial import TrialState
 
 from loop import objective
+from loop.batch.rollouts import rollouts
 from loop.jobs.executors import Executor, local
-from loop.lighting.batch import rollouts
 from loop.run import prepare
 from loop.scenario.model import Scenario, load
 from loop.studies import ranges

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from controllers.functions.symbol import SymbolFunctionParams
 from loop.assembly.build import build_symbol_controller
-from loop.lighting.batch import Rollout
+from loop.batch.rollouts import Rollout
 from loop.lighting.controlled import Held
 from loop.lighting.record import row, schema, summary_of
 from loop.lighting.result import StepResult

@@ -106,6 +106,16 @@ class Crop:
         """Row and column slices of an image's last two dimensions."""
         return slice(self.v_start, self.v_stop), slice(self.u_start, self.u_stop)
 
+    def holds(self, other: "Crop") -> bool:
+        """Whether another crop lies within this one."""
+        rows = self.v_start <= other.v_start and other.v_stop <= self.v_stop
+        return rows and self.u_start <= other.u_start and other.u_stop <= self.u_stop
+
+    def widened(self, px: int, height: int, width: int) -> "Crop":
+        """By so many pixels on all sides, within an image of this size."""
+        rows = max(self.v_start - px, 0), min(self.v_stop + px, height)
+        return Crop(*rows, max(self.u_start - px, 0), min(self.u_stop + px, width))
+
 
 def difference(on: Tensor, off: Tensor, camera: CameraParams) -> Tensor:
     """Signed luminance difference in cd/m^2 of two frames of digital numbers `[..., h, w]` (T 9.4.1)."""

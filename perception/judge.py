@@ -91,6 +91,8 @@ def judge(luminance: Tensor, view: BirdsEye, goal: Target, u_start: int = 0, v_s
 def _lit(luminance: Tensor) -> tuple[slice, slice]:
     """Rows and columns beyond which images `[..., height, width]` are dark, the same for all of a batch."""
     image = luminance.detach().abs()
+    if not image.numel():
+        return slice(0, 0), slice(0, 0)
     rows = span(image.reshape(-1, *image.shape[-2:]).amax((0, -1)) > 0)
     if rows.stop == rows.start:
         return rows, rows

@@ -10,7 +10,7 @@ from controllers.pixels.map_sums import Band, Sums
 from controllers.pixels.mrpc_params import MrpcParams
 from controllers.pixels.pixel_major import PixelMajor
 from controllers.pixels.primitives import E_V, HEAVIEST, I_V, U_ABS, U_REL
-from controllers.pixels.rthc import Casting, Setpoints, expanded
+from controllers.pixels.rthc import Casting, Setpoints, Stroke, expanded
 from controllers.pixels.windows import Window
 from world.spmv import Csr, multiply
 
@@ -51,8 +51,18 @@ def _pieces(asked: Setpoints | Casting) -> Iterator[_Piece]:
             weight = weights[stroke.primitive]
             finite, forced = (0.0, 1.0) if weight == torch.inf else (min(weight, HEAVIEST), 0.0)
         value = 0.0 if asked.is_mask[stroke.primitive] else stroke.value
-        in_cd, relative = float(stroke.quantity < U_ABS), float(stroke.quantity == U_REL)
-        yield _Piece(stroke.window, stroke.hit, value, finite, forced, 0.0, in_cd, relative)
+        yield _Piece(stroke.window, stroke.hit, value, finite, forced, 0.0, *_kinds(stroke))
+
+
+def _kinds(stroke: Stroke) -> tuple[float, float]:
+    """`in_cd` and `relative` of a stroke."""
+    return float(stroke.quantity < U_ABS), float(stroke.quantity == U_REL)
+
+
+def light_of(stroke: Stroke, pixels: PixelMajor) -> Image:
+    """Mapped utilisation `[..., rows, cols]` of a stroke of finite weight over dark pixels, broadcastable (T eq. 7.4.1, 7.4.2)."""
+    in_cd, relative = _kinds(stroke)
+    return _utilisation(_Piece(stroke.window, stroke.hit, stroke.value, 1.0, 0.0, 0.0, in_cd, relative), pixels) * (1 - relative)
 
 
 def by_products(

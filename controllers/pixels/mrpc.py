@@ -49,10 +49,10 @@ def _mapped_and_reduced(
     asked: Setpoints | Casting, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool, place: Band, batch: tuple[int, ...]
 ) -> Tensor:
     """Utilisation `[..., n_p]` of one mapping and reduction."""
-    band, same_for_all_pixels = place.pixels, _same_for_all_pixels(asked, pixels, params, dark)
-    if isinstance(asked, Casting) and not same_for_all_pixels:
+    band, alike = place.pixels, same_for_all_pixels(asked, pixels, params, dark)
+    if isinstance(asked, Casting) and not alike:
         asked = asked.setpoints()
-    if isinstance(asked, Setpoints) and not same_for_all_pixels:
+    if isinstance(asked, Setpoints) and not alike:
         sums = by_entries(asked, pixels, params, default, place)
     else:
         sums = by_products(asked, pixels, params, default, dark, place, batch)
@@ -64,7 +64,7 @@ def _mapped_and_reduced(
     return u
 
 
-def _same_for_all_pixels(asked: Setpoints | Casting, pixels: PixelMajor, params: MrpcParams, dark: bool) -> bool:
+def same_for_all_pixels(asked: Setpoints | Casting, pixels: PixelMajor, params: MrpcParams, dark: bool) -> bool:
     """Whether each ray's setpoint is one utilisation for all pixels of its texel (or one share of their default that no bound cuts)."""
     if params.upper_cd is not None or params.lower_cd or (params.a_x and params.exclusion == "printed"):
         return False

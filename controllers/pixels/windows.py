@@ -41,6 +41,16 @@ class Window:
         rows = self.row_start < other.row_stop and other.row_start < self.row_stop
         return rows and self.col_start < other.col_stop and other.col_start < self.col_stop
 
+    def holds(self, other: "Window") -> bool:
+        """Whether another window lies within this one."""
+        rows = self.row_start <= other.row_start and other.row_stop <= self.row_stop
+        return rows and self.col_start <= other.col_start and other.col_stop <= self.col_stop
+
+    def widened(self, texels: int, grid: TexelGrid) -> "Window":
+        """By so many texels on all sides, within the light texture."""
+        rows = max(self.row_start - texels, 0), min(self.row_stop + texels, grid.rows)
+        return Window(*rows, max(self.col_start - texels, 0), min(self.col_stop + texels, grid.cols))
+
     def within(self, outer: "Window") -> tuple[slice, slice]:
         """Row and column slices of this window in an image on an outer window."""
         rows = slice(self.row_start - outer.row_start, self.row_stop - outer.row_start)

@@ -11,8 +11,8 @@ import torch
 from optuna.trial import create_trial
 from torch import Tensor
 
+from loop.batch.rollouts import Rollout, check
 from loop.jobs.executors import Executor
-from loop.lighting.batch import Rollout, check
 from loop.lighting.simulation import Simulation
 from loop.run import prepare
 from loop.scenario.model import only
@@ -43,7 +43,7 @@ class Iteration:
 def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) -> Tuned:
     """Continue the study in a folder up to a number of trials; the first has the given values, all others are found by descent.
 
-    Raises what `loop.studies.tune.tune` and `loop.lighting.batch.check` raise, and LuxloopError if a symbol is never seen.
+    Raises what `loop.studies.tune.tune` and `loop.batch.rollouts.check` raise, and LuxloopError if a symbol is never seen.
     """
     if whole := [each.key for each in task.ranges if each.whole]:
         raise LuxloopError(f"--key {whole[0]}: takes whole numbers, which have no gradient; leave it out, or tune without --gradient")

@@ -17,7 +17,7 @@ from world.materials.brdf import luminance_factor
 from world.rendering.gbuffer import GBuffer
 from world.rendering.raycast import sees
 from world.scene.triangles import Triangles
-from world.spmv import Csr, multiply, row_of_entries, segment_bounds
+from world.spmv import Csr, multiply, numbers, row_of_entries, segment_bounds
 from world.texels import bilinear
 
 
@@ -121,6 +121,15 @@ class Transport:
         start = min(int(self.first[band].min()), self.matrix.n_rows)
         stop = max(int(self.last[band].max()) + 1, start)
         return multiply(self.matrix.band(start, stop), utilisation), self.index[start:stop]
+
+    def onto(self, crop: tuple[slice, slice], width: int, pixels: Tensor) -> Csr:
+        """The part `[h * w, m]` from pixellights `[m]` int64, ascending, to a crop `[h, w]` of an image of this width, in px."""
+        (v, u), part = crop, self.within(crop[0].start * width, crop[0].stop * width)
+        row, column = part.index // width, part.index % width - u.start
+        inside = (column >= 0) & (column < u.stop - u.start)
+        place = torch.where(inside, row * (u.stop - u.start) + column, -1).int()
+        shape = ((v.stop - v.start) * (u.stop - u.start), len(pixels))
+        return part.matrix.part(place, numbers(pixels, part.matrix.n_cols), shape)
 
     def within(self, start: int, stop: int) -> "Transport":
         """The part to the camera pixels of flat image index start to stop, which count from start."""

@@ -6,7 +6,7 @@ on such products.
 """
 
 from world.spmv.auto import fastest
-from world.spmv.csr import Csr, multiply, row_of_entries, segment_bounds
+from world.spmv.csr import Csr, multiply, numbers, row_of_entries, segment_bounds
 from world.spmv.formats import FORMATS, build
 from world.spmv.graph import CapturedProduct
 from world.spmv.incremental import Bands, ChangedPixels
@@ -23,6 +23,7 @@ __all__ = [
     "build",
     "fastest",
     "multiply",
+    "numbers",
     "row_of_entries",
     "segment_bounds",
 ]

@@ -74,6 +74,15 @@ class Csr:
         first, last = int(self.indptr[start]), int(self.indptr[stop])
         return Csr(self.indptr[start : stop + 1] - first, self.indices[first:last], self.values[first:last], self.n_cols)
 
+    def part(self, rows: Tensor, columns: Tensor, shape: tuple[int, int]) -> "Csr":
+        """Some rows and columns as a matrix of this shape. rows: `[n_rows]`, columns: `[n_cols]` int32, number of each in it, -1 for those
+        that are left out; rows stay in order.
+        """
+        row, column = rows[row_of_entries(self)], columns[self.indices]
+        kept = torch.nonzero((row >= 0) & (column >= 0))[:, 0]
+        begin = torch.arange(shape[0] + 1, dtype=row.dtype, device=row.device)
+        return Csr(torch.searchsorted(row[kept], begin, out_int32=True), column[kept], self.values[kept], shape[1])
+
     @cached_property
     def torch_csr(self) -> Tensor:
         return torch.sparse_csr_tensor(self.indptr, self.indices, self.values.detach(), (self.n_rows, self.n_cols), check_invariants=False)
@@ -118,6 +127,13 @@ def segment_bounds(keys: Tensor, values: Tensor, n_keys: int) -> tuple[Tensor, T
     last = torch.full((n_keys,), -1, dtype=torch.int64, device=keys.device)
     keys, values = keys.long(), values.long()
     return first.scatter_reduce(0, keys, values, "amin"), last.scatter_reduce(0, keys, values, "amax")
+
+
+def numbers(chosen: Tensor, n: int) -> Tensor:
+    """The number of each of n in chosen `[m]` int64, ascending, and -1 where it is not: `[n]` int32."""
+    number = torch.full((n,), -1, dtype=torch.int32, device=chosen.device)
+    number[chosen] = torch.arange(len(chosen), dtype=torch.int32, device=chosen.device)
+    return number
 
 
 def row_of_entries(matrix: Csr) -> Tensor:

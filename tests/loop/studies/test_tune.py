@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from loop import objective
+from loop.batch.rollouts import Rollout, rollouts
 from loop.commands import cli
 from loop.jobs.executors import local
-from loop.lighting.batch import Rollout, rollouts
 from loop.lighting.simulation import Simulation
 from loop.scenario.model import Scenario, load
 from loop.studies import gradient, ranges
@@ -179,9 +179,9 @@ def test_what_is_held_beside_other_functions_is_tuned(tmp_path: Path) -> None:
         assert len(others) == 2 and all(each is not None and each != cost for _, each, _ in others)
     late, short = (load("flat", [*SMALL, f"functions.symbol.{key}=0.03"]) for key in ("start_s", "stop_s"))
     for scenario, said in (
-        (late, r"flat: functions\.symbol\.start_s: batched rollouts show the symbol in all steps; .*tune without --gradient"),
+        (late, r"flat: functions\.symbol\.start_s: batches show the symbol in all steps; .*tune without --gradient"),
         (short, r"flat: functions\.symbol\.stop_s: "),
-        (one, "flat: batched rollouts support only a single symbol; .*tune without --gradient"),
+        (one, "flat: batches are of a single symbol; .*tune without --gradient"),
         (two, "flat: --gradient: .*not one"),
     ):
         gains = (ranges.parse("functions.symbol.controller.position.kp=0.1:2", [scenario]),)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.world.spmv.matrices import matrices, random_matrix
-from world.spmv import Csr, multiply, row_of_entries, segment_bounds
+from world.spmv import Csr, multiply, numbers, row_of_entries, segment_bounds
 
 
 def close(actual: torch.Tensor, expected: np.ndarray) -> None:
@@ -30,6 +30,16 @@ def test_products_are_those_of_scipy(matrix: sp.csr_array, data: st.DataObject) 
     stop = data.draw(st.integers(start, csr.n_rows))
     close(multiply(csr.band(start, stop), x), expected[..., start:stop])
     close(multiply(csr.band(start, stop), x[0, 0]), expected[0, 0, start:stop])
+
+
+@settings(deadline=None)
+@given(matrices, st.data())
+def test_a_part_has_the_chosen_rows_and_columns(matrix: sp.csr_array, data: st.DataObject) -> None:
+    rows, columns = (sorted(data.draw(st.sets(st.integers(0, n - 1), max_size=n))) if n else [] for n in matrix.shape)
+    number = [numbers(torch.tensor(chosen, dtype=torch.int64), n) for chosen, n in zip((rows, columns), matrix.shape, strict=True)]
+    part = Csr.from_scipy(matrix, torch.float64).part(*number, (len(rows), len(columns)))
+    assert (part.n_rows, part.n_cols) == (len(rows), len(columns))
+    close(torch.from_numpy(part.to_scipy().toarray()), matrix.toarray()[np.ix_(rows, columns)])
 
 
 @settings(deadline=None)

@@ -1,0 +1,1 @@
+"""Many copies of one closed loop at once."""
