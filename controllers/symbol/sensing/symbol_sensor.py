@@ -49,13 +49,14 @@ class SymbolSensor:
     """Extraction in the predicted footprint, gated by the area that is expected there; errors against the flat model's target.
 
     A symbol that is not where it is expected is searched for in the whole image. projector: the lamps that draw, and the symbol. model:
-    what the camera would see on a flat road. camera: its parameters. params: those of the extraction.
+    what the camera would see on a flat road. camera: its parameters. params: those of the extraction. searches: whether it is.
     """
 
     projector: Projector
     model: FlatModel
     camera: CameraParams
     params: Extraction
+    searches: bool = True
 
     @cached_property
     def acquisition(self) -> Acquisition:
@@ -78,7 +79,7 @@ class SymbolSensor:
         if frames is None:
             return replace(self.lost(projection.pose, Loss.NO_FRAME), shape=shape)
         seen = self._expected(frames, projection, lights, shape if projection.shape is None else projection.shape)
-        if seen.code.dim():
+        if seen.code.dim() or not self.searches:
             return seen
         if projection.shape is None and shape is not None and (seen.code != Loss.SEEN or self.at_ends(seen)):
             flat = self._expected(frames, projection, lights, None)

@@ -1,0 +1,1 @@
+"""A symbol's closed loop as an environment to learn in, for Gymnasium."""

@@ -1,0 +1,176 @@
+"""What an action does: it moves the symbol, or changes gains of its feedback, or the heights of the road that it is drawn for."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final, Protocol
+
+import torch
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from controllers.symbol.heights.feedforward import CELL_M, region_around, shown_on
+from controllers.symbol.heights.relief import Relief
+from controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams, ThesisPidState
+from controllers.symbol.sensing.projection import ProjectionCommand
+from controllers.symbol.sensing.protocol import Observation
+from controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from perception.camera import camera_view
+from perception.egomotion import Ego
+
+GAIN_SPAN: Final = 4.0  # by which an action of 1 multiplies a gain
+HEIGHT_CELLS: Final = (8, 4)  # along and across, of the heights that actions move
+HEIGHT_RATE_M, HEIGHT_RANGE_M = 0.03, 0.25  # of a cell's height: most in a step, and most in all
+
+
+class Acting(Protocol):
+    """A controller that takes actions; for all but heights its states may have batch dimensions.
+
+    size: of an action. limits: `[k]` each, least and greatest of what is told of a state.
+    """
+
+    @property
+    def size(self) -> int: ...
+
+    @property
+    def limits(self) -> tuple[Tensor, Tensor]: ...
+
+    def start(self, pose: Tensor) -> Any:
+        """State that shows a pose `[..., 4]` first."""
+        ...
+
+    def act(self, state: Any, action: Tensor) -> Any:
+        """The state after an action `[..., size]` in -1..1."""
+        ...
+
+    def told(self, state: Any) -> Tensor:
+        """What one who acts is told of a state, `[..., k]`: the pose that is shown (x, y in m, roll, pitch in rad), or the heights in m."""
+        ...
+
+    def projection(self, state: Any, ego: Ego | None) -> ProjectionCommand:
+        """What is shown."""
+        ...
+
+    def step(self, state: Any, observation: Observation) -> Any:
+        """The state after an observation."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Moves:
+    """Actions move the symbol in x, y, roll and pitch; 1 is the move of each that `law` makes in a step at most."""
+
+    law: ThesisPid
+
+    @property
+    def size(self) -> int:
+        return 4
+
+    @property
+    def limits(self) -> tuple[Tensor, Tensor]:
+        return self.law.gains.lower, self.law.gains.upper
+
+    def start(self, pose: Tensor) -> Tensor:
+        return pose.clamp(*self.limits)
+
+    def act(self, state: Tensor, action: Tensor) -> Tensor:
+        return (state + action * self.law.gains.rate_limit).clamp(*self.limits)
+
+    def told(self, state: Tensor) -> Tensor:
+        return state
+
+    def projection(self, state: Tensor, ego: Ego | None) -> ProjectionCommand:
+        return ProjectionCommand(state)
+
+    def step(self, state: Tensor, observation: Observation) -> Tensor:
+        return state
+
+
+@dataclass(frozen=True)
+class GainsState:
+    """law: of the feedback. factors: `[..., 3, 4]`, of kp, ki and kd of x, y, roll and pitch."""
+
+    law: ThesisPidState
+    factors: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """The symbol is held by `law`; actions multiply its kp, ki and kd of position, then those of rotation, by GAIN_SPAN ** action."""
+
+    law: ThesisPid
+
+    @property
+    def size(self) -> int:
+        return 6
+
+    @property
+    def limits(self) -> tuple[Tensor, Tensor]:
+        return self.law.gains.lower, self.law.gains.upper
+
+    def start(self, pose: Tensor) -> GainsState:
+        return GainsState(self.law.start(pose.clamp(*self.limits)), pose.new_ones(*pose.shape[:-1], 3, 4))
+
+    def act(self, state: GainsState, action: Tensor) -> GainsState:
+        factors = (GAIN_SPAN ** action.unflatten(-1, (2, 3))).repeat_interleave(2, -2).mT  # [..., 3, 4]
+        return replace(state, factors=factors)
+
+    def told(self, state: GainsState) -> Tensor:
+        return state.law.pid.output
+
+    def projection(self, state: GainsState, ego: Ego | None) -> ProjectionCommand:
+        return self.law.projection(state.law, ego)
+
+    def step(self, state: GainsState, observation: Observation) -> GainsState:
+        kp, ki, kd = state.factors.unbind(-2)
+        gains = self.law.gains
+        scaled = replace(self.law, gains=replace(gains, kp=gains.kp * kp, ki=gains.ki * ki, kd=gains.kd * kd))
+        return replace(state, law=scaled.step(state.law, observation))
+
+
+@dataclass(frozen=True, eq=False)
+class Heights:
+    """The symbol is drawn for a road of HEIGHT_CELLS heights over the plane, which actions move by HEIGHT_RATE_M at most, and which stay
+    within HEIGHT_RANGE_M: first those of the far row from left to right. It lies at its target all the time.
+    """
+
+    sensor: SymbolSensor
+
+    @property
+    def size(self) -> int:
+        return HEIGHT_CELLS[0] * HEIGHT_CELLS[1]
+
+    @property
+    def limits(self) -> tuple[Tensor, Tensor]:
+        most = self.sensor.projector.target.new_full((self.size,), HEIGHT_RANGE_M)
+        return -most, most
+
+    def start(self, pose: Tensor) -> Tensor:
+        return pose.new_zeros(HEIGHT_CELLS)
+
+    def act(self, state: Tensor, action: Tensor) -> Tensor:
+        return (state + HEIGHT_RATE_M * action.view(HEIGHT_CELLS)).clamp(-HEIGHT_RANGE_M, HEIGHT_RANGE_M)
+
+    def told(self, state: Tensor) -> Tensor:
+        return state.flatten()
+
+    def projection(self, state: Tensor, ego: Ego | None) -> ProjectionCommand:
+        region = region_around(self.sensor)
+        cells = [round((far - near) / CELL_M) for far, near in ((region.x_far_m, region.x_near_m), (region.y_left_m, region.y_right_m))]
+        heights = interpolate(state[None, None], cells, mode="bilinear", align_corners=True)[0, 0]
+        eye = camera_view(self.sensor.camera).origin
+        return shown_on(Relief(region, eye.float(), heights, torch.ones_like(heights)), self.sensor)
+
+    def step(self, state: Tensor, observation: Observation) -> Tensor:
+        return state
+
+
+def _law(sensor: SymbolSensor, params: Any) -> ThesisPid:
+    """The scenario's, or that of the thesis where another controller holds the symbol."""
+    return ThesisPid.prepare(params if isinstance(params, ThesisPidParams) else ThesisPidParams(), sensor.projector.target)
+
+
+ACTIONS: Final[Mapping[str, Callable[[SymbolSensor, Any], Acting]]] = {
+    "moves": lambda sensor, params: Moves(_law(sensor, params)),
+    "gains": lambda sensor, params: Gains(_law(sensor, params)),
+    "heights": lambda sensor, params: Heights(sensor),
+}

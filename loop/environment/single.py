@@ -1,0 +1,190 @@
+"""One closed loop as an environment of Gymnasium, on the whole simulation."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium import spaces
+
+from controllers.symbol.sensing.projection import ProjectionCommand
+from controllers.symbol.sensing.symbol_sensor import Measurement
+from loop.environment.acting import ACTIONS
+from loop.environment.task import Floats, bounds, image, observation, reward
+from loop.lighting.result import SimulationState, StepResult
+from loop.lighting.simulation import Simulation
+from loop.plant.simulated import as_simulated
+from loop.report.picture import frame_picture, white_of
+from loop.scenario.edits import changed
+from loop.scenario.model import Scenario, load, only
+from perception.extraction import Loss
+from world.errors import LuxloopError, did_you_mean
+
+FPS = 10
+SEEDS = 2**63
+
+
+class SymbolEnv(gymnasium.Env[Any, Floats]):
+    """A scenario with one symbol that a controller holds; the agent takes the controller's place.
+
+    An observation is float32:
+
+    | at | what | unit | sign | within |
+    | --- | --- | --- | --- | --- |
+    | 0, 1 | x, y of the symbol's primitive as it is shown | m | ahead, to the left | range of the controller |
+    | 2, 3 | its roll, pitch | rad | right side down, nose down | range of the controller |
+    | 4, 5 | error of x, y as the camera saw it, 0 where it is lost | m | too far, too far left | 20, 10 |
+    | 6, 7 | error of roll, pitch | rad | as 2, 3 | 0.5 |
+    | 8 to 13 | why it was lost: 1 at the number of `luxloop.Loss`, 8 where it was seen | 1 | | 0 to 1 |
+    | 14 | area seen over area expected | 1 | | 0 to 4 |
+    | 15, 16 | speed, yaw rate of the car | m/s, rad/s | ahead, to the left | 100, 3 |
+
+    With the action "heights" 0 to 3 are the 32 heights in m, and the rest follows. With `image` it is `{"state": such an observation,
+    "image": [h, w] uint8}`, the second the symbol cut from the camera's image, scaled. Errors are those of the newest frame that has come,
+    which a late camera took some steps ago.
+
+    Actions are float32 in -1..1. "moves" `[4]`: moves of x, y, roll, pitch, 1 is the controller's largest in a step. "gains" `[6]`: kp, ki,
+    kd of position, then of rotation, times 4 ** action. "heights" `[32]`: moves of the heights of the assumed road, 8 rows from far to
+    near of 4 cells from left to right, 1 is 3 cm.
+
+    The reward is that of `loop.environment.task.Reward`, its terms are in `info["terms"]`; `info["verdict"]` has all that the judge says.
+    An episode is truncated after the scenario's steps and never ends before. `reset(seed=...)` draws other noise in the same world;
+    `options={"start": [x, y, roll, pitch]}` begins elsewhere (m, rad).
+    """
+
+    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's name)
+
+    def __init__(
+        self,
+        scenario: Scenario | str | Path,
+        overrides: Sequence[str] = (),
+        *,
+        action: str = "moves",
+        image: tuple[int, int] | None = None,
+        render_mode: Literal["rgb_array", "human"] | None = None,
+        device: str = "cpu",
+    ) -> None:
+        """overrides: other values of the scenario's keys, as KEY=VALUE. image: rows and columns of the picture in observations.
+
+        Raises LuxloopError where there is no such scenario, no symbol that a controller holds or several, or nobody who judges.
+        """
+        self.scenario = changed(load(scenario) if isinstance(scenario, str | Path) else scenario, [*overrides, "judge_every=1"])
+        self.render_mode, self.image, self._device, self._action = render_mode, image, device, known_action(action)
+        self._simulation: Simulation | None = None
+        self.prepare({})
+        low, high = bounds(self.acting)
+        state = spaces.Box(low, high, dtype=np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (self.acting.size,), np.float32)
+        self.observation_space = state if image is None else spaces.Dict({"state": state, "image": spaces.Box(0, 255, image, np.uint8)})
+        self._state: SimulationState | None = None
+        self._result: StepResult | None = None
+        self._white: torch.Tensor | None = None
+
+    def prepare(self, values: dict[str, float | int]) -> None:
+        """Go on in a world with other values of keys, of which all that stays as it was serves again; begin anew with `reset`."""
+        scenario = changed(self.scenario, [f"{key}={value!r}" for key, value in values.items()])
+        prepared = Simulation.prepare(scenario, self._device, self._simulation)
+        as_simulated(prepared.plant, "an environment")
+        symbol = prepared.symbol
+        sensor = replace(symbol.sensor, searches=False)
+        self.acting = ACTIONS[self._action](sensor, symbol.params)
+        held = replace(symbol, sensor=sensor, controller=self.acting)
+        self._simulation = prepared
+        self.simulation = replace(prepared, controlled={only(prepared.controlled): held})
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        drawn = int(self.np_random.integers(SEEDS)) if seed is None else seed
+        simulation = self.simulation
+        plant = replace(as_simulated(simulation.plant, "an environment"), seed=drawn)
+        scenario = simulation.scenario.model_copy(update={"seed": drawn})
+        self.simulation = replace(simulation, scenario=scenario, plant=plant)
+        state, symbol = self.simulation.start(), self.simulation.symbol
+        pose = start_of(options, symbol.function.start_pose.pose).to(symbol.projector.target)
+        ((name, held),) = state.held.items()
+        self._state = replace(state, held={name: replace(held, controller=self.acting.start(pose))})
+        self._result = None
+        return self._observed(None), {}
+
+    def step(self, action: Floats) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        if self._state is None:
+            raise LuxloopError("step: there is no episode; call reset() first")
+        ((name, held),) = self._state.held.items()
+        taken = torch.as_tensor(np.asarray(action, np.float32)).clamp(-1, 1).to(self.simulation.device)
+        acted = replace(held, controller=self.acting.act(held.controller, taken))
+        self._state, result = self.simulation.step(replace(self._state, held={name: acted}))
+        self._result = result
+        verdict = result.symbol.verdict
+        assert verdict is not None
+        found = reward(verdict, taken)
+        info = {
+            "terms": {key: float(value) for key, value in found.terms.items()},
+            "verdict": {key: value.cpu().numpy() for key, value in vars(verdict).items()},
+        }
+        truncated = self._state.step >= self.simulation.scenario.steps
+        if self.render_mode == "human":
+            self._show()
+        return self._observed(result.symbol.measurement), float(found.reward), False, truncated, info
+
+    def render(self) -> Any:
+        """The camera's view as a run's film shows it, `[height, width, 3]` uint8; black before the first step."""
+        if self.render_mode == "human":
+            self._show()
+            return None
+        return self._picture()
+
+    def close(self) -> None:
+        if self.render_mode == "human":
+            from matplotlib import pyplot
+
+            pyplot.close(self._title)
+
+    @property
+    def _title(self) -> str:
+        return f"luxloop: {self.scenario.name}"
+
+    def _picture(self) -> Any:
+        if self._result is None:
+            camera = self.scenario.camera
+            return np.zeros((camera.height_px, camera.width_px, 3), np.uint8)
+        if self._white is None:
+            self._white = white_of(self._result, self.simulation)
+        return frame_picture(self._result, self.simulation, self._white)
+
+    def _show(self) -> None:
+        from matplotlib import pyplot
+
+        figure = pyplot.figure(self._title)
+        figure.clear()
+        figure.add_axes((0, 0, 1, 1)).imshow(self._picture())
+        pyplot.pause(1e-3)
+
+    def _observed(self, seen: Measurement | None) -> Any:
+        assert self._state is not None
+        ((_, held),) = self._state.held.items()
+        ego = self.simulation.ego(self._state.samples, self._state.arrivals.time_s)
+        projection: ProjectionCommand = self.acting.projection(held.controller, ego)
+        seen = self.simulation.symbol.sensor.lost(projection.pose, Loss.NO_FRAME) if seen is None else seen
+        vector = observation(self.acting.told(held.controller), seen, ego).float().cpu().numpy()
+        return vector if self.image is None else {"state": vector, "image": image(seen, self.image)}
+
+
+def known_action(action: str) -> str:
+    """Raises LuxloopError for another one."""
+    if action not in ACTIONS:
+        raise LuxloopError(f"action: there is no {action!r}; {did_you_mean(action, ACTIONS)}")
+    return action
+
+
+def start_of(options: dict[str, Any] | None, pose: torch.Tensor) -> torch.Tensor:
+    """The start pose `[..., 4]` that options give, by default another one. Raises LuxloopError where it is none."""
+    given = (options or {}).get("start")
+    if given is None:
+        return pose
+    start = torch.as_tensor(np.asarray(given, np.float32))
+    if start.shape[-1:] != (4,) or not bool(start.isfinite().all()):
+        raise LuxloopError("reset: options['start']: is no pose; give x and y in m, roll and pitch in rad")
+    return start
