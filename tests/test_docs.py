@@ -40,7 +40,7 @@ EXEMPT = {
     r"(\.venv/bin/)?python benchmarks/": "takes minutes, and has tests of its own",
     r"luxloop studio\b": "serves until it is ended, and has tests in a browser",
     r"luxloop run .*--checks": "holds for all steps of a run, and has a test of its own",
-    r"luxloop (evaluate|campaign|optimise-beam|train-detector)\b": "takes minutes, and has tests of its own",
+    r"luxloop (evaluate|campaign|dataset|optimise-beam|train-detector)\b": "takes minutes, and has tests of its own",
 }
 # What makes a command cheap without changing what it shows.
 CHEAP = {

@@ -15,7 +15,7 @@ from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensErr
 from loop.commands.given import scenario_of
 from loop.commands.headlight import headlight_app
 from loop.commands.listing import data_app, doctor, list_, schema
-from loop.commands.studies import campaign, evaluate, optimise_beam, train_detector, tune
+from loop.commands.studies import campaign, dataset, evaluate, optimise_beam, train_detector, tune
 from loop.commands.studio import studio
 from loop.scenario.shipped import TEMPLATE, copied, examples, original
 from loop.terminal import tables
@@ -44,7 +44,7 @@ app = App(
     suppress_keyboard_interrupt=False,
 )
 app.command(list_, name="list")
-for command in (studio, schema, doctor, data_app, headlight_app, evaluate, campaign, tune, optimise_beam, train_detector):
+for command in (studio, schema, doctor, data_app, headlight_app, evaluate, campaign, dataset, tune, optimise_beam, train_detector):
     app.command(command)
 app.register_install_completion_command(help="Install shell completion for bash, zsh or fish.")
 
