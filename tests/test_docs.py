@@ -109,7 +109,7 @@ def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     if "runs/snowflake" in code:
         execute("luxloop run snowflake")
     for command in commands(page):
-        if re.search(r"luxloop run .*--out runs/(drive|shadow|street)", command):
+        if re.search(r"luxloop (run .*--out runs/(drive|shadow|street)|export light .*npz)", command):
             execute(command)
     exec(compile(code, str(page), "exec"), {"__name__": "docs"})
 

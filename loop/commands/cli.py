@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensError
 
+from loop.commands.exports import export_app
 from loop.commands.given import scenario_of
 from loop.commands.headlight import headlight_app
 from loop.commands.listing import data_app, doctor, list_, schema
@@ -44,8 +45,10 @@ app = App(
     suppress_keyboard_interrupt=False,
 )
 app.command(list_, name="list")
-for command in (studio, schema, doctor, data_app, headlight_app, evaluate, campaign, dataset, tune, optimise_beam, train_detector):
+for command in (studio, schema, doctor, data_app, headlight_app, export_app):
     app.command(command)
+for study in (evaluate, campaign, dataset, tune, optimise_beam, train_detector):
+    app.command(study)
 app.register_install_completion_command(help="Install shell completion for bash, zsh or fish.")
 
 
