@@ -88,8 +88,8 @@ def run(
     `summary["checks"]`.
     on_step: called after every step. on_end: called before video and report are finished.
     Ctrl-C ends the recording, reports on the steps so far and goes on as KeyboardInterrupt. Raises LuxloopError where the scenario cannot
-    be read or run, another process writes into the folder, or the plant
-    does not know what labels tell; nothing is written before the first step is done.
+    be read or run, another process writes into the folder, or the plant does not know what labels tell; nothing is written before the
+    first step is done.
     """
     from loop.report.page import write_report  # Matplotlib, for which a preparation alone does not wait
 
