@@ -15,6 +15,7 @@ import torch
 
 from controllers.symbol.sensing.field import SIDES, cut
 from controllers.symbol.sensing.projection import ProjectionCommand
+from loop.labels.labelled import Labels, Layout
 from loop.lighting.commanded import unmoved
 from loop.lighting.controlled import ControlledSymbol
 from loop.lighting.record import refuse_unknown_columns, row
@@ -67,6 +68,10 @@ def run(
     video: bool = True,
     report: bool = True,
     frames: bool = False,
+    labels: Layout | None = None,
+    masks: bool = False,
+    depth: bool = False,
+    lux: bool = False,
     checks: bool = False,
     on_step: Callable[[StepResult], None] = lambda result: None,
     on_end: Callable[[], None] = lambda: None,
@@ -77,11 +82,14 @@ def run(
     scenario: a shipped name or a path, or a loaded one. values: what `load` reads it with (`overrides=["road.kind=bumps"], steps=20`).
     folder: where files go, in place of an older recording; None for a temporary one that lives as long as the result. device: "auto",
     "cpu" or "cuda". video, report: whether these files are written, which takes seconds. frames: whether frames, light and ego
-    motion are kept, which takes megabytes a step. checks: whether those of the scenario that compare with another light are evaluated, too,
-    for which that light runs beside; what has come of them is in `summary["checks"]`.
+    motion are kept, which takes megabytes a step. labels: "coco" or "kitti": frames are kept with labels in that layout (docs/data.md).
+    masks, depth, lux: whether labels have masks of instances and parts, depth, and illuminance of each pixel. checks: whether those of the
+    scenario that compare with another light are evaluated, too, for which that light runs beside; what has come of them is in
+    `summary["checks"]`.
     on_step: called after every step. on_end: called before video and report are finished.
     Ctrl-C ends the recording, reports on the steps so far and goes on as KeyboardInterrupt. Raises LuxloopError where the scenario cannot
-    be read or run, or another process writes into the folder; nothing is written before the first step is done.
+    be read or run, another process writes into the folder, or the plant does not know what labels tell; nothing is written before the
+    first step is done.
     """
     from loop.report.page import write_report  # Matplotlib, for which a preparation alone does not wait
 
@@ -95,6 +103,7 @@ def run(
     if folder is None:
         temporary = TemporaryDirectory(prefix="luxloop-")
         folder = temporary.name
+    wanted = Labels.asked(labels, masks=masks, depth=depth, lux=lux)
     played = shadow_of(scenario.plant)
     if played is not None and Path(played).resolve() == Path(folder).resolve():
         raise LuxloopError(f"{folder}: is the recording that is played, which this run would replace; give another folder with --out")
@@ -105,7 +114,7 @@ def run(
         camera, watched = scenario.camera, Watched(simulation)
         run_checks = Checks(scenario.checks, (lambda light: map(row, simulation.lit_by(light).run())) if checks else None)
         page = partial(write_report, folder / REPORT, simulation, watched) if report else None
-        recorder = stack.enter_context(Recorder(folder, simulation, page, run_checks.outcomes, frames))
+        recorder = stack.enter_context(Recorder(folder, simulation, page, run_checks.outcomes, frames, wanted))
         film = VideoWriter(folder / VIDEO, VIDEO_FPS, (camera.width_px, camera.height_px)) if video else None
         if film is not None:
             stack.enter_context(film)

@@ -62,16 +62,22 @@ def ground_truth(surfaces: GBuffer, triangles: Triangles, view: View, categories
     return tuple(found)
 
 
-def part_mask(surfaces: GBuffer, triangles: Triangles, names: Collection[str]) -> Tensor:
-    """Pixels that see parts of these names, such as heads and windscreens, `[height, width]` bool."""
+def part_picture(surfaces: GBuffer, triangles: Triangles, names: Sequence[str]) -> Tensor:
+    """Index `[height, width]` int64 in names of the part that each pixel sees, such as a head; -1 where it is none of them."""
     bodies = {placed.object_id: placed.body.parts for placed in triangles.placed if placed.body.parts}
     if surfaces.part is None or not bodies:
-        return torch.zeros_like(surfaces.object_id, dtype=torch.bool)
+        return torch.full_like(surfaces.object_id, -1, dtype=torch.int64)
     rows = max(placed.object_id for placed in triangles.placed) + 2  # the last is that of no object, -1
-    meant = torch.zeros(rows, max(map(len, bodies.values())), dtype=torch.bool)
+    index = {name: k for k, name in enumerate(names)}
+    known = torch.full((rows, max(map(len, bodies.values()))), -1)
     for object_id, parts in bodies.items():
-        meant[object_id, : len(parts)] = torch.tensor([part.name in names for part in parts])
-    return meant.to(surfaces.part.device)[surfaces.object_id.long(), surfaces.part.long()]
+        known[object_id, : len(parts)] = torch.tensor([index.get(part.name, -1) for part in parts])
+    return known.to(surfaces.part.device)[surfaces.object_id.long(), surfaces.part.long()]
+
+
+def part_mask(surfaces: GBuffer, triangles: Triangles, names: Collection[str]) -> Tensor:
+    """Pixels that see parts of these names, such as heads and windscreens, `[height, width]` bool."""
+    return part_picture(surfaces, triangles, tuple(names)) >= 0
 
 
 def _seen(mask: Tensor) -> Box:

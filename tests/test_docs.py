@@ -40,7 +40,7 @@ EXEMPT = {
     r"(\.venv/bin/)?python benchmarks/": "takes minutes, and has tests of its own",
     r"luxloop studio\b": "serves until it is ended, and has tests in a browser",
     r"luxloop run .*--checks": "holds for all steps of a run, and has a test of its own",
-    r"luxloop (evaluate|campaign|optimise-beam|train-detector)\b": "takes minutes, and has tests of its own",
+    r"luxloop (evaluate|campaign|dataset|optimise-beam|train-detector)\b": "takes minutes, and has tests of its own",
 }
 # What makes a command cheap without changing what it shows.
 CHEAP = {
@@ -109,7 +109,7 @@ def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     if "runs/snowflake" in code:
         execute("luxloop run snowflake")
     for command in commands(page):
-        if re.search(r"luxloop run .*--out runs/(drive|shadow)", command):
+        if re.search(r"luxloop (run .*--out runs/(drive|shadow|street)|export light .*npz)", command):
             execute(command)
     exec(compile(code, str(page), "exec"), {"__name__": "docs"})
 

@@ -8,14 +8,15 @@ import traceback
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensError
 
+from loop.commands.exports import export_app
 from loop.commands.given import scenario_of
 from loop.commands.headlight import headlight_app
 from loop.commands.listing import data_app, doctor, list_, schema
-from loop.commands.studies import campaign, evaluate, optimise_beam, train_detector, tune
+from loop.commands.studies import campaign, dataset, evaluate, optimise_beam, train_detector, tune
 from loop.commands.studio import studio
 from loop.scenario.shipped import TEMPLATE, copied, examples, original
 from loop.terminal import tables
@@ -44,8 +45,10 @@ app = App(
     suppress_keyboard_interrupt=False,
 )
 app.command(list_, name="list")
-for command in (studio, schema, doctor, data_app, headlight_app, evaluate, campaign, tune, optimise_beam, train_detector):
+for command in (studio, schema, doctor, data_app, headlight_app, export_app):
     app.command(command)
+for study in (evaluate, campaign, dataset, tune, optimise_beam, train_detector):
+    app.command(study)
 app.register_install_completion_command(help="Install shell completion for bash, zsh or fish.")
 
 
@@ -188,6 +191,10 @@ def run(
     video: bool = True,
     report: bool = True,
     frames: Flag = False,
+    labels: Literal["coco", "kitti"] | None = None,
+    masks: Flag = False,
+    depth: Flag = False,
+    lux: Flag = False,
     checks: Flag = False,
     allow_code: AllowCode = False,
 ) -> int:
@@ -217,6 +224,14 @@ def run(
         Whether to write report.png, which takes seconds.
     frames
         Record the plant's input and output as well: light, frames and sensor samples, megabytes per step.
+    labels
+        Record frames with boxes, classes and poses of objects, in the layout of COCO or KITTI (see docs/data.md).
+    masks
+        With --labels: masks of instances and parts.
+    depth
+        With --labels: depth at each pixel.
+    lux
+        With --labels: illuminance from the lamps at each pixel.
     checks
         Evaluate all checks of the scenario, including those that compare with a second light; exit code 1 if one fails.
     """
@@ -229,7 +244,8 @@ def run(
         from loop.plant.recorded import to_the_end
 
         scenario = to_the_end(scenario)
-    passed = run_scenario(scenario, out or Path("runs") / Path(name).stem, device, checks, video=video, report=report, frames=frames)
+    kept = {"video": video, "report": report, "frames": frames, "labels": labels, "masks": masks, "depth": depth, "lux": lux}
+    passed = run_scenario(scenario, out or Path("runs") / Path(name).stem, device, checks, kept)
     return OK if passed or not checks else FAILED
 
 

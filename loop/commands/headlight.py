@@ -208,7 +208,7 @@ def export(
     step_deg
         Step of both angles in deg.
     """
-    from loop.commands.export import export as export_beam
+    from loop.export.photometric import export as export_beam
     from world.lampfiles.description import for_traffic, load_lamp
 
     exported = for_traffic(load_lamp(lamp, side), traffic)

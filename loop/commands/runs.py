@@ -1,8 +1,10 @@
 """Run and replay the loop for the command line, with a progress bar."""
 
 import os
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import torch
 from rich.markup import escape
@@ -26,14 +28,14 @@ def _one_thread() -> None:
         torch.set_num_threads(1)
 
 
-def run_scenario(scenario: Scenario, out: Path, device: str, checks: bool, *, report: bool, video: bool, frames: bool) -> bool:
-    """Run a scenario, print its summary and where its files are; returns whether all evaluated checks passed.
+def run_scenario(scenario: Scenario, out: Path, device: str, checks: bool, kept: Mapping[str, Any]) -> bool:
+    """Run a scenario, print its summary and where its files are; returns whether all evaluated checks passed. kept: as of `run`.
 
     Raises KeyboardInterrupt with a message that says what was kept.
     """
     _one_thread()
     done = 0
-    wanted = [name for name, is_wanted in (("report", report), ("video", video)) if is_wanted]
+    wanted = [name for name in ("report", "video") if kept[name]]
     writing = f"{scenario.name}: writing {' and '.join(wanted) or 'recording'}"
 
     with progress(scenario.name, scenario.steps) as advance:
@@ -45,7 +47,6 @@ def run_scenario(scenario: Scenario, out: Path, device: str, checks: bool, *, re
 
         try:
             on_end = partial(advance, 0, writing)
-            kept = {"video": video, "report": report, "frames": frames}
             result = run(scenario, out, device=device, checks=checks, on_step=on_step, on_end=on_end, **kept)
         except KeyboardInterrupt as error:
             raise KeyboardInterrupt(f"{done} of {scenario.steps} steps are kept in {out}" if done else "nothing was recorded") from error

@@ -1,4 +1,4 @@
-"""The commands with many runs: evaluate, campaign, tune, optimise-beam, train-detector."""
+"""The commands with many runs: evaluate, campaign, dataset, tune, optimise-beam, train-detector."""
 
 import shlex
 from pathlib import Path
@@ -62,6 +62,33 @@ def campaign(
     from loop.studies.campaign_report import do_campaign
 
     return OK if do_campaign(file, out, jobs, scheduler, device, allow_code) else DIFFERS
+
+
+def dataset(
+    file: Path,
+    /,
+    *,
+    scenes: int = 100,
+    out: Path | None = None,
+    jobs: int | None = None,
+    allow_code: AllowCode = False,
+) -> int:
+    """Make a data set of night scenes with labels, from seeds; exit code 1 if scenes failed.
+
+    Parameters
+    ----------
+    file
+        TOML file of the data set (see docs/data.md).
+    scenes
+        Number of scenes; scenes that the folder has already are not made again.
+    out
+        Folder for scenes and labels, by default runs/FILE; an interrupted data set continues from there.
+    jobs
+        Processes, each with one thread; by default one per core.
+    """
+    from loop.commands.datasets import do_dataset
+
+    return OK if do_dataset(file, scenes, out, jobs, allow_code) else DIFFERS
 
 
 def tune(

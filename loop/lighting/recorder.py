@@ -11,10 +11,13 @@ from typing import Any, Self
 
 import pyarrow as pa
 
+from loop.labels import files as label_files
+from loop.labels.labelled import Labels
+from loop.labels.recorder import LabelRecorder
 from loop.lighting.record import row, schema, summary_of
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
-from loop.plant.frames import remove
+from loop.plant import frames as frame_files
 from loop.recording.files import EDITS, FILES, SUMMARY, TRAJECTORY, table_of, write_table
 from loop.recording.frames import FrameRecorder
 from loop.recording.manifest import Manifest, write_json
@@ -112,16 +115,21 @@ class Recorder:
         report: Callable[[pa.Table, dict[str, Any]], None] | None = None,
         checked: Callable[[pa.Table], dict[str, Any]] | None = None,
         frames: bool = False,
+        labels: Labels | None = None,
     ) -> None:
         """run: a simulation, or a run of one so far, whose steps are recorded as well. report: draws what the table and the summary of the
-        run say. checked: what has come of its checks, by name. frames: whether to keep them.
+        run say. checked: what has come of its checks, by name. frames: whether to keep them. labels: of frames, which are kept then.
 
-        Raises LuxloopError if the directory holds something else than a recording, or cannot be written, or an input file not be read.
+        Raises LuxloopError if the directory holds something else than a recording, or cannot be written, or an input file not be read, and
+        of labels where the plant does not know the truth.
         """
         self.directory, self.tally, self._report, self._checked = directory, run if isinstance(run, Tally) else Tally(run), report, checked
         first = self.tally.first
         self.manifest = Manifest.of(first.scenario, first.renderer, first.device)
-        self._frames = FrameRecorder(directory, first.scenario.camera.bits) if frames else None
+        kept = FrameRecorder(directory, first.scenario.camera.bits)
+        self._kept: list[FrameRecorder | LabelRecorder] = [kept] if frames or labels is not None else []
+        if labels is not None:
+            self._kept.append(LabelRecorder(directory, labels.of(first.truth, first.scenario.plant.kind), labels, kept))
         self._next_write_s = 0.0
         self._begun, self._edits_written = False, list[Edit]()
         self.summary = dict[str, Any]()
@@ -134,8 +142,8 @@ class Recorder:
         """Record a step. Returns its row. Raises LuxloopError if the directory can no longer be written."""
         added = self.tally.add(result)
         self.begin()
-        if self._frames is not None:
-            self._frames.add(result.showings)
+        for each in self._kept:
+            each.add(result.showings)
         if time.perf_counter() >= self._next_write_s:
             self._write_trajectory()
         return added
@@ -173,12 +181,13 @@ class Recorder:
             return
         with _writing(self.directory):
             self.directory.mkdir(parents=True, exist_ok=True)
-            remove(self.directory)
+            frame_files.remove(self.directory)
+            label_files.remove(self.directory)
             for name in FILES:
                 (self.directory / name).unlink(missing_ok=True)
             self.manifest.write(self.directory)
-            if self._frames is not None:
-                self._frames.begin()
+            for each in self._kept:
+                each.begin()
         self._begun = True
         self._write_edits()
 
@@ -190,8 +199,8 @@ class Recorder:
     def _write_trajectory(self) -> None:
         start = time.thread_time()  # a busy machine makes writes last, but not rarer
         self._write_edits()
-        if self._frames is not None:
-            self._frames.write()
+        for each in self._kept:
+            each.write()
         write_table(self.directory / TRAJECTORY, self.table())
         self._next_write_s = time.perf_counter() + REST * (time.thread_time() - start)
 

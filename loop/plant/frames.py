@@ -1,7 +1,7 @@
 """Frames in a folder: what a plant was shown and what it handed over, bit for bit, in files that run no code when they are read.
 
-A table with a row an exposure and a last one for the end; a 16-bit grey PNG a frame; a NumPy archive for each light, which several
-exposures may share.
+A table with a row an exposure and a last one for the end; a grey PNG a frame, of 8 bits where the camera has no more, else of 16; a NumPy
+archive for each light, which several exposures may share.
 """
 
 import json
@@ -86,7 +86,7 @@ def write_image(file: Path, image: Tensor, bits: int) -> None:
             f"{file}: cannot be stored, as the frame has values other than digital numbers of 0 to {2**bits - 1}; check the plant with "
             "luxloop.check_plant"
         )
-    coded = cv2.imencode(".png", numbers.cpu().numpy().astype(np.uint16), QUICK)[1]
+    coded = cv2.imencode(".png", numbers.cpu().numpy().astype(np.uint8 if bits <= 8 else np.uint16), QUICK)[1]
     with whole(file) as part:
         part.write_bytes(coded.tobytes())
 
@@ -95,7 +95,8 @@ def read_image(file: Path, camera: CameraParams, like: Tensor) -> Tensor:
     """Digital numbers `[height, width]` in the dtype and on the device of like. Raises LuxloopError for a frame of another camera."""
     with reading(file, "damaged, or no frame of a recording", AGAIN):
         image = decoded(content(file), str(file))
-        if image is None or image.dtype != np.uint16 or image.ndim != 2:
+        small = image is not None and camera.bits <= 8 and image.dtype == np.uint8  # earlier versions wrote these with 16 bits, too
+        if image is None or not (small or image.dtype == np.uint16) or image.ndim != 2:
             raise ValueError("no grey PNG of 16 bits")
         if image.shape != (camera.height_px, camera.width_px):
             size = f"{image.shape[1]} x {image.shape[0]}"

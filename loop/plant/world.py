@@ -11,11 +11,12 @@ import torch
 from torch import Tensor
 
 from controllers.pixels.ssc import Utilisation
+from controllers.situation import TrackedObject
 from loop.assembly.truth import LampModule
 from perception.camera import CameraParams, average_rows, camera_view
 from perception.detection.params import TruthParams
 from perception.detection.protocol import Detections
-from perception.ground_truth import Box, GroundTruth, ground_truth, part_mask
+from perception.ground_truth import Box, GroundTruth, ground_truth, part_mask, part_picture
 from perception.materials import material_picture
 from world.headlight.lamp import REST, Commands, ModuleCommand
 from world.light.ambient import ambient_luminance
@@ -82,7 +83,7 @@ class LitScene:
     def light(self, lights: Sequence[Tensor], commands: Commands = ()) -> tuple[Tensor, Tensor]:
         """Illuminance in lx at the pixels' centres and luminance in cd/m^2 of the pixels `[height, width]`, from the lamps alone.
 
-        lights: utilisations `[n_p]`, one a module. Of a metered world only.
+        lights: utilisations `[n_p]`, one a module. Of a direct view only.
         """
         arriving = torch.zeros_like(self.base).flatten()
         leaving = torch.zeros_like(arriving)
@@ -131,6 +132,17 @@ class LitScene:
         """Index `[height, width]` of what is seen in names of materials, -1 for none, and these."""
         return material_picture(self.surfaces, self.triangles)
 
+    @cached_property
+    def depth(self) -> Tensor:
+        """`[height, width]` m along the camera's axis at the pixels' centres, 0 where nothing is."""
+        T, position = self.view.T_world_view.to(self.surfaces.position), self.surfaces.position
+        along = (T[:3, 2, None, None] * (position - T[:3, 3, None, None])).sum(0)
+        return along.where(self.surfaces.object_id >= 0, 0 * along)
+
+    def parts(self, names: Sequence[str]) -> Tensor:
+        """Index `[height, width]` in names of the part that each pixel sees, -1 for none of them."""
+        return part_picture(self.surfaces, self.triangles, names)
+
     def detections(self, params: TruthParams, classes: tuple[Category, ...]) -> Detections:
         """What a detector finds that makes no mistakes."""
         height = self.boxes[:, 3] - self.boxes[:, 1]
@@ -159,6 +171,21 @@ class Metered:
     def luminance(self) -> Tensor:
         """In cd/m^2 `[height, width]` with all other light."""
         return self.leaving + self.seen.base
+
+
+@dataclass(frozen=True, eq=False)
+class TrueObject:
+    """An object that is there.
+
+    instance: its number among the world's instances. category: as the scenario gives it. boxed: its box in the world. seen: its ground
+    truth in the camera's view, None where no pixel sees it or it has no class.
+    """
+
+    name: str
+    instance: int
+    category: Category | None
+    boxed: TrackedObject
+    seen: GroundTruth | None
 
 
 class World:
@@ -210,7 +237,7 @@ class World:
         """Luminances in cd/m^2 at a time, of a part of the image if there is one: `[..., height, width]` of all light, and
         `[height, width]` without the lamps.
         """
-        if part is not None and (self.metered or not self.moving or (self._key(time_s), None) in self._lit):
+        if part is not None and (self.metered or not self.moving or (self._key(time_s), None, True) in self._lit):
             everything, base = self.luminance(time_s, lights, commands)
             return everything[..., *part], base[part]
         lit = self.lit(time_s, part)
@@ -241,11 +268,21 @@ class World:
         """Luminance `[height, width]` in cd/m^2 at a time of what lights have beyond others."""
         return self.luminance(time_s, lights, commands)[0] - self.luminance(time_s, others, commands)[0]
 
-    def lit(self, t_s: float, part: Part | None = None) -> LitScene:
-        """The camera's view of the scene at a time, or a part of it; rendered only when geometry or the vehicle has moved."""
-        key = self._key(t_s), part and tuple((each.start, each.stop) for each in part)
+    def illuminance(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
+        """`[height, width]` lx from the lamps alone at a time, at the pixels' centres; also where the world is not metered."""
+        if self.metered:
+            return self.meter(time_s, lights, commands).illuminance
+        return self.lit(time_s, direct=True).light([light.u for light in lights], commands)[0]
+
+    def lit(self, t_s: float, part: Part | None = None, direct: bool = False) -> LitScene:
+        """The camera's view of the scene at a time, or a part of it; rendered only when geometry or the vehicle has moved.
+
+        direct: whether illuminance is asked for.
+        """
+        direct = direct or self.moving or self.metered
+        key = self._key(t_s), part and tuple((each.start, each.stop) for each in part), direct
         if key not in self._lit:
-            self._lit[key] = self._render(t_s, self.view_at(t_s), self.camera.oversampling, self.moving or self.metered, part)
+            self._lit[key] = self._render(t_s, self.view_at(t_s), self.camera.oversampling, direct, part)
             if len(self._lit) > KEPT_VIEWS:
                 self._lit.popitem(last=False)
         self._lit.move_to_end(key)
@@ -257,6 +294,21 @@ class World:
             where = () if self.motion is STANDING else tuple(self.motion.at(t_s).T_world_body.flatten().tolist())
             self._asked = t_s, (self.scene.key_at(t_s), where)
         return self._asked[1]
+
+    @property
+    def instances(self) -> tuple[str, ...]:
+        """What the numbers `object_id + 1` of a view's surfaces mean: nothing, the road, and the objects by name."""
+        return "", "road", *(each.name for each in self.scene.objects)
+
+    def objects_at(self, t_s: float) -> tuple[TrueObject, ...]:
+        """All objects that are there at a time, in the order of their instances."""
+        lit = self.lit(t_s)
+        there, seen = {each.object_id for each in lit.triangles.placed}, {each.object_id: each for each in lit.objects}
+        return tuple(
+            TrueObject(body.name, number + 1, given.category, TrackedObject.of(body, given.category or "car", t_s), seen.get(number))
+            for number, (body, given) in enumerate(zip(self.scene.objects, self.given, strict=True), 1)
+            if number in there
+        )
 
     def through(self, view: View, t_s: float) -> LitScene:
         """The scene at a time through another view, which is given in the ground frame of that time."""

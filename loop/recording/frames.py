@@ -26,7 +26,7 @@ class FrameRecorder:
 
     def begin(self) -> None:
         """Make the folder. Raises OSError where that cannot be."""
-        (self._directory / FOLDER).mkdir()
+        (self._directory / FOLDER).mkdir(exist_ok=True)
 
     def add(self, showings: Sequence[Showing]) -> None:
         """Write light and frames. Raises LuxloopError where that cannot be, or a frame is none of digital numbers."""
@@ -38,6 +38,11 @@ class FrameRecorder:
             for frame in showing.after.frames:
                 if frame.number <= exposure.number and frame.number in self._rows:
                     self._frame(frame, exposure.number)
+
+    def light_of(self, number: int) -> int:
+        """The number of the light of an exposure that was added."""
+        found: int = self._rows[number]["light"]
+        return found
 
     def write(self) -> None:
         """Write the table, whole or not at all. Raises LuxloopError where that cannot be."""

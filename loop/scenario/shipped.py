@@ -18,7 +18,7 @@ def shipped() -> dict[str, Path]:
 
 
 def examples() -> dict[str, Path]:
-    """Campaign files, a lamp's description and programs that come with luxloop, by the name of the file."""
+    """Files of campaigns and data sets, a lamp's description and programs that come with luxloop, by the name of the file."""
     return {path.name: path for path in sorted(Path(str(files("scenarios") / "examples")).glob("*.*"))}
 
 

@@ -24,12 +24,12 @@ class Range:
     whole: bool = False
 
 
-def parse(text: str, scenarios: Sequence[Scenario]) -> Range:
-    """A range from KEY=LOW:HIGH or KEY=LOW:HIGH:log; all scenarios must have that key and accept both ends.
+def parse(text: str, scenarios: Sequence[Scenario], given_as: str = "--key") -> Range:
+    """A range from KEY=LOW:HIGH or KEY=LOW:HIGH:log; all scenarios must have that key and accept both ends. given_as: for messages.
 
     Raises LuxloopError that names the key and the remedy.
     """
-    where = f"--key {text}"
+    where = f"{given_as} {text}"
     key, _, ends = text.partition("=")
     low_text, _, rest = ends.partition(":")
     high_text, _, scale = rest.partition(":")

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from controllers.situation import TrackedObject
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.studio.messages import View
@@ -27,41 +26,27 @@ def exact(simulation: Simulation, result: StepResult, wanted: Collection[View]) 
     if (world := simulation.truth) is None or not {"depth", "instances", "materials", "truth"} & set(wanted):
         return head, arrays
     lit = world.lit(result.time_s)
-    names = ["", "road", *(each.name for each in world.scene.objects)]
     if "depth" in wanted:
-        T, seen = lit.view.T_world_view.to(lit.surfaces.position), lit.surfaces.object_id >= 0
-        along = (T[:3, 2, None, None] * (lit.surfaces.position - T[:3, 3, None, None])).sum(0)
-        arrays["depth"] = _array(along.where(seen, 0 * along), np.float32)
+        arrays["depth"] = _array(lit.depth, np.float32)
     if "instances" in wanted:
-        arrays["instances"], head["instances"] = _array(lit.surfaces.object_id + 1, np.uint16), names
+        arrays["instances"], head["instances"] = _array(lit.surfaces.object_id + 1, np.uint16), [*world.instances]
     if "materials" in wanted:
         index, materials = lit.materials
         arrays["materials"], head["materials"] = _array(index + 1, np.uint8), ["", *materials]
     if "truth" in wanted:
-        head["truth"] = _truth(simulation, result.time_s)
+        head["truth"] = [
+            {
+                "name": each.name,
+                "instance": each.instance,
+                "category": each.category,
+                "T_world_object": each.boxed.T_world_object.flatten().tolist(),
+                "size_m": each.boxed.size_m,
+                "box": None if each.seen is None else each.seen.box,
+                "visible": 0.0 if each.seen is None else each.seen.visible,
+            }
+            for each in world.objects_at(result.time_s)
+        ]
     return head, arrays
-
-
-def _truth(simulation: Simulation, time_s: float) -> list[dict[str, Any]]:
-    """Of all objects that are there."""
-    lit, world = simulation.world.lit(time_s), simulation.world
-    there, seen = {each.object_id for each in lit.triangles.placed}, {each.object_id: each for each in lit.objects}
-    told = []
-    for number, (body, given) in enumerate(zip(world.scene.objects, world.given, strict=True), 1):
-        if number in there:
-            boxed, found = TrackedObject.of(body, given.category or "car", time_s), seen.get(number)
-            told.append(
-                {
-                    "name": body.name,
-                    "instance": number + 1,
-                    "category": given.category,
-                    "T_world_object": boxed.T_world_object.flatten().tolist(),
-                    "size_m": boxed.size_m,
-                    "box": None if found is None else found.box,
-                    "visible": 0.0 if found is None else found.visible,
-                }
-            )
-    return told
 
 
 def _array(values: Tensor, dtype: Any) -> np.ndarray:

@@ -6,13 +6,11 @@ from typing import Any, Final
 from weakref import WeakKeyDictionary
 
 import numpy as np
-import torch
 
+from world.scene.albedo import albedo_picture
 from world.scene.body import Body
 from world.scene.triangles import Placed
 
-TEXEL_M: Final = 0.05  # of an albedo picture
-MOST_TEXELS: Final = 2_000_000
 KEPT_BYTES: Final = 2**28  # of meshes: those of some 1.5 km of road
 
 Mesh = tuple[dict[str, Any], dict[str, np.ndarray]]  # head and arrays of it
@@ -66,17 +64,10 @@ def _mesh(number: int, body: Body, kind: str) -> Mesh:
             albedo = of_part[body.part_of_face.numpy()].repeat(3)
         arrays["albedo"] = _byte(albedo)
     else:
-        low, high = (each[:2].tolist() for each in body.bounds)
-        columns, rows = (max(round((b - a) / _texel_m(low, high)), 1) for a, b in zip(low, high, strict=True))
-        x, y = (torch.from_numpy(a + (np.arange(n) + 0.5) * (b - a) / n) for a, b, n in zip(low, high, (columns, rows), strict=True))
+        picture, low, high = albedo_picture(body)
         head["box"] = [*low, *high]
-        arrays["texture"] = _byte(body.texture.at(x.expand(rows, -1).contiguous(), y[:, None].expand(-1, columns).contiguous()).numpy())
+        arrays["texture"] = _byte(picture.numpy())
     return head, {f"{number}.{name}": array for name, array in arrays.items()}
-
-
-def _texel_m(low: list[float], high: list[float]) -> float:
-    area = (high[0] - low[0]) * (high[1] - low[1])
-    return max(TEXEL_M, (area / MOST_TEXELS) ** 0.5)
 
 
 def _byte(share: np.ndarray) -> np.ndarray:

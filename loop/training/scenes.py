@@ -166,12 +166,17 @@ def _file(folder: str, seed: int) -> Path:
     return Path(folder) / f"{seed}.npy"
 
 
-def _scenario(seed: int) -> Scenario:
-    tables = varied(seed)
-    traffic = tables["traffic"]
+def tables(seed: int) -> dict[str, Any]:
+    """Tables `road`, `surface`, `light` and `traffic` of a scenario, from a seed, with something to be found in most."""
+    found = varied(seed)
+    traffic = found["traffic"]
     for key in ("pedestrians", "cyclists", "animals"):  # nights are emptier than what is worth drawing
         traffic[key] += 1
-    return validate({"name": "training", "lighting": {}, **tables}, f"seed {seed}")
+    return found
+
+
+def _scenario(seed: int) -> Scenario:
+    return validate({"name": "training", "lighting": {}, **tables(seed)}, f"seed {seed}")
 
 
 def _road_seed(seed: int) -> int:

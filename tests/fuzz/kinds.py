@@ -16,6 +16,7 @@ import torch
 
 from controllers.pixels.ssc import Utilisation
 from controllers.symbol.sensing.projection import ProjectionCommand, Warp
+from loop.dataset import drawn
 from loop.jobs.runner import run as run_jobs
 from loop.plant import frames
 from loop.plant.protocol import Exposure
@@ -136,6 +137,16 @@ def _override(data: bytes, rng: random.Random) -> bytes:
 
 
 EDGES = ("0.01", "0.5", "2", "3", "60", "1000", "10000", "1e-9", "1e6", "-10000", "-0.5")
+DATASET = b"""
+labels = "coco"
+masks = true
+steps = 2
+vary = ["light.ambient_lx=0.01:0.3:log"]
+[set]
+camera = { width_px = 160, height_px = 80 }
+[variants.low]
+lighting.base.beam = "low"
+"""
 CAMPAIGN = b"""
 scenarios = ["flat", "snowflake"]
 controllers = ["thesis_pid", "luxloop"]
@@ -371,7 +382,8 @@ ALL: dict[str, Kind] = {
     "resolved": Kind(_resolved, _nested, lambda path: validate(json.loads(path.read_bytes()), str(path)), 8),
     "override": Kind(_overrides, _override, lambda path: load(path.stem, [path.read_text()]), 12),
     "manifest": Kind(_manifests, _json, _read_manifest, 8),
-    "campaign": Kind(lambda folder: {"c.toml": CAMPAIGN}, _text, campaign.read, 2),
+    "campaign": Kind(lambda folder: {"c.toml": CAMPAIGN}, _text, campaign.read, 1),
+    "data set": Kind(lambda folder: {"d.toml": DATASET}, _text, lambda path: drawn.read(path, 1), 1),
     "lamp description": Kind(lambda folder: {"lamp.toml": LAMP}, _text, description.build, 6),
     "lamp file": Kind(_lamp_files, mutations.of_archive, _read_lamp, 12),
     "table": Kind(_tables, _damaged_table, lambda path: TableSource(path=path, rows=2).pixels(), 8),

@@ -1,9 +1,10 @@
 """Photometric files and what is made of them: IES LM-63 and EULUMDAT, distributions on the sphere, light textures (T 2.3, 5.2)."""
 
 from world.photometry.distribution import Distribution, sample
+from world.photometry.eulumdat import write as write_eulumdat
 from world.photometry.files import read
 from world.photometry.lm63 import write
 from world.photometry.record import Photometry
 from world.photometry.texture import light_texture, rmse
 
-__all__ = ["Distribution", "Photometry", "light_texture", "read", "rmse", "sample", "write"]
+__all__ = ["Distribution", "Photometry", "light_texture", "read", "rmse", "sample", "write", "write_eulumdat"]

@@ -132,16 +132,16 @@ def directions_of(kind: Kind, vertical_deg: ArrayLike, horizontal_deg: ArrayLike
     return np.stack([x, y, z] if aim == "beam" else [z, y, -x])
 
 
-def sample(intensity: Callable[[Tensor], Tensor], horizontal_deg: ArrayLike, vertical_deg: ArrayLike) -> Distribution:
-    """A type A distribution of any lamp, sampled at the nodes of a grid.
+def sample(intensity: Callable[[Tensor], Tensor], horizontal_deg: ArrayLike, vertical_deg: ArrayLike, kind: Kind = "A") -> Distribution:
+    """A distribution of any lamp, sampled at the nodes of a grid.
 
     intensity: cd `[N]` of directions `[3, N]` float64 of the lamp frame, as `Lamp.intensity` gives it for fixed utilisations.
-    horizontal_deg `[H]` to the right and vertical_deg `[V]` up, ascending.
+    horizontal_deg `[H]` and vertical_deg `[V]`, ascending: of type A to the right and up; of type C about the beam axis and from it.
     """
     h, v = np.array(horizontal_deg, np.float64), np.array(vertical_deg, np.float64)
     h_at, v_at = (angles.ravel() for angles in np.meshgrid(h, v, indexing="ij"))
-    candela = intensity(torch.from_numpy(directions_of("A", v_at, h_at))).double().cpu().numpy().reshape(len(h), len(v))
-    return Distribution("A", v, h, candela)
+    candela = intensity(torch.from_numpy(directions_of(kind, v_at, h_at))).double().cpu().numpy().reshape(len(h), len(v))
+    return Distribution(kind, v, h, candela)
 
 
 def _around(h: Array, candela: Array) -> tuple[Array, Array]:

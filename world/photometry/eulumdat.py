@@ -1,13 +1,16 @@
 """EULUMDAT (.ldt) files: one value a line, planes C and angles gamma of a luminaire that looks down.
 
-Our own reader: the format is a page long, and those at hand neither name the line of an error nor take a file's oddities with a warning.
+Our own reader and writer: the format is a page long, and readers at hand neither name the line of an error nor take a file's oddities with
+a warning.
 """
 
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
 from world.errors import LuxloopError
+from world.files import whole
 from world.photometry.distribution import VERTICAL_RANGE, Array, Distribution
 from world.photometry.record import Photometry
 from world.photometry.text import Numbers, PhotometryError
@@ -118,3 +121,20 @@ def _stored(symmetry: int, c: Array, numbers: Numbers) -> Array:
     if not len(planes) or planes[0] != first or planes[-1] != last:
         raise numbers.wrong(f"C planes that hold C{first % 360} and C{last}, as symmetry {symmetry} needs")
     return planes
+
+
+def write(path: str | Path, distribution: Distribution, name: str) -> None:
+    """Write a distribution of type C with planes all round, evenly spaced, as EULUMDAT; the file appears whole or not at all.
+
+    name: of the luminaire. Its one lamp has the flux of the distribution. Raises LuxloopError where the file cannot be written.
+    """
+    path, c, gamma = Path(path), distribution.horizontal_deg, distribution.vertical_deg
+    flux = round(distribution.luminous_flux, 3) or 1.0  # of a dark one, whose table is zero
+    kind, no_symmetry, uneven = 3, 0, 0
+    head = ["luxloop (computed)", kind, no_symmetry, len(c), f"{360 / len(c):g}", len(gamma), uneven]
+    names = ["none", name, "none", path.name, "none"]
+    opening, shares, lamp = [0] * 9, [100, 100, 1, 0], [1, 1, "none", f"{flux:.3f}", "none", "none", 0]
+    values = (f"{value:.3f}" for value in (distribution.candela * (1000 / flux)).ravel())
+    angles = (f"{angle:g}" for angle in (*c, *gamma))
+    with whole(path) as part:
+        part.write_bytes("\r\n".join(map(str, chain(head, names, opening, shares, lamp, [0] * _RATIOS, angles, values, [""]))).encode())

@@ -5,6 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import torch
@@ -25,6 +27,7 @@ from loop.plant.frames import (
     read_image,
     read_light,
     read_samples,
+    write_image,
     write_light,
 )
 from loop.plant.protocol import Exposure, Frame, Showing
@@ -118,6 +121,17 @@ def test_functions_without_a_symbol_that_is_held_keep_frames(tmp_path: Path) -> 
         assert read_image(image_file(tmp_path, row["number"]), camera, result.frame).equal(result.frame)
         lights, projections, _ = read_light(light_file(tmp_path, row["light"]), [u.numel() for u in result.lights], result.frame.device)
         assert not projections and all(light.u.equal(u) for light, u in zip(lights, result.lights, strict=True))
+
+
+@pytest.mark.parametrize(("bits", "dtype", "before"), [(8, np.uint8, np.uint16), (12, np.uint16, np.uint16)])
+def test_frames_of_eight_bits_are_pictures_that_every_program_shows(bits: int, dtype: type, before: type, tmp_path: Path) -> None:
+    camera = CameraParams(width_px=32, height_px=16, bits=bits)
+    image = torch.arange(512.0).view(16, 32).remainder(2**bits)
+    write_image(tmp_path / "frame.png", image, bits)
+    coded = cv2.imread(str(tmp_path / "frame.png"), cv2.IMREAD_UNCHANGED)
+    assert coded.dtype == dtype and read_image(tmp_path / "frame.png", camera, image).equal(image)
+    cv2.imwrite(str(tmp_path / "frame.png"), coded.astype(before))
+    assert read_image(tmp_path / "frame.png", camera, image).equal(image), "as earlier versions wrote it"
 
 
 def test_documentation_names_every_column() -> None:

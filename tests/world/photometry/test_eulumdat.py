@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.world.photometry.writing import ies, ldt
 from world.errors import LuxloopError
-from world.photometry import read
+from world.photometry import Distribution, read, write_eulumdat
 from world.photometry.eulumdat import parse
 
 C, GAMMA = [0, 90, 180, 270], [0, 90, 180]
@@ -133,3 +133,16 @@ def test_any_damage_is_read_or_refused_with_a_sentence(tmp_path: Path, at: int, 
         assert np.isfinite(read(file).distribution.candela).all()
     except LuxloopError as error:
         assert str(file) in str(error)
+
+
+def test_what_is_written_is_read_again(tmp_path: Path) -> None:
+    c, gamma = np.arange(360.0), np.array([0.0, 1.0, 2.5, 7.0, 180.0])
+    candela = 1000 * np.exp(-gamma) * (1 + 0.5 * np.sin(np.radians(c)))[:, None]
+    candela[:, -2:] = 0
+    written = Distribution("C", gamma, c, candela)
+    write_eulumdat(tmp_path / "a.ldt", written, "a lamp, tilted")
+    again = read(tmp_path / "a.ldt")
+    assert (again.warnings, again.luminaire, again.distribution.type) == ((), "a lamp, tilted", "C")
+    assert np.array_equal(again.distribution.horizontal_deg, c) and np.array_equal(again.distribution.vertical_deg, gamma)
+    assert again.distribution.candela == pytest.approx(candela, abs=0.01), "three decimals of cd/klm, 3 lm"
+    assert again.lumens_per_lamp == pytest.approx(written.luminous_flux, abs=1e-3)

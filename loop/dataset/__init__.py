@@ -1,0 +1,1 @@
+"""Data sets of many scenes with labels, drawn from seeds."""

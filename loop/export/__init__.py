@@ -1,0 +1,1 @@
+"""Lamps, light and scenes as files that other programs read."""

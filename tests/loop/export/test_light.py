@@ -1,0 +1,76 @@
+"""`luxloop export light`: the light of each module at one time, in files that agree with the simulation and with each other."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from loop.run import prepare
+from loop.scenario.model import load
+from tests.loop.conftest import Lux, assert_one_sentence
+from world.photometry import read
+
+AT_S = 0.3
+SMALL = ["camera.width_px=320", "camera.height_px=133", "renderer=raycast"]
+
+
+def test_npz_has_the_textures_of_the_modules(lux: Lux, tmp_path: Path) -> None:
+    code, out, error = lux("export", "light", "gfhb", "--at", str(AT_S), "--out", "light.npz", "--set", *SMALL)
+    assert (code, error, out) == (0, "", "light.npz written: gfhb at 0.3 s, 1 file\n")
+    *_, result = (each for each in prepare(load("gfhb", SMALL, steps=4), "cpu").run())
+    assert result.time_s == pytest.approx(AT_S)
+    simulation, arrays = prepare(load("gfhb", SMALL), "cpu"), np.load(tmp_path / "light.npz")
+    for module, u in zip(simulation.world.modules, result.lights, strict=True):
+        assert np.array_equal(arrays[f"{module.name}.u"].ravel(), u.numpy())
+        assert np.array_equal(arrays[f"{module.name}.candela"], module.headlight.light_texture(u).numpy())
+        assert np.array_equal(arrays[f"{module.name}.T_body_module"], module.T_world_headlight.double().numpy())
+        left, right, bottom, top = arrays[f"{module.name}.border_deg"]
+        assert np.tan(np.radians(left)) == pytest.approx(module.headlight.left) and right < left and bottom < top
+
+
+@pytest.mark.parametrize("suffix", ["ies", "ldt"])
+def test_photometric_files_give_the_same_light(suffix: str, lux: Lux, tmp_path: Path) -> None:
+    code, out, _ = lux("export", "light", "gfhb", "--at", str(AT_S), "--out", f"light.{suffix}", "--set", *SMALL)
+    assert code == 0 and "2 files" in out
+    simulation = prepare(load("gfhb", SMALL), "cpu")
+    lights, _ = simulation.lights_at(AT_S)
+    rng = np.random.default_rng(0)
+    for module, u in zip(simulation.world.modules, lights, strict=True):
+        file = read(tmp_path / f"light-{module.name.replace(' ', '-')}.{suffix}")
+        assert not file.warnings and module.name in file.luminaire
+        headlight = module.headlight
+        texture = headlight.light_texture(u).double()
+        y, z = rng.uniform(headlight.right, headlight.left, 4000), rng.uniform(headlight.bottom, headlight.top, 4000)
+        directions = np.stack([np.ones_like(y), y, z])
+        wanted = headlight.intensity(texture, torch.from_numpy(directions)).numpy()
+        found = file.distribution.intensity(directions)
+        # nodes of 0.1 deg, of EULUMDAT also 1 deg round the axis, are coarser than texels of 0.05 deg, beside masks with sharp edges
+        assert np.abs(found - wanted).mean() < 0.01 * wanted.max()
+        assert found.max() == pytest.approx(wanted.max(), rel=0.05)
+        assert not file.distribution.intensity([[1.0], [headlight.left + 0.1], [0.0]]).any(), "dark beyond the field"
+
+
+def test_a_single_module_has_the_file_alone_and_may_be_dark(lux: Lux, tmp_path: Path) -> None:
+    dark = ["lighting.base.beam=off", "functions={}", 'headlight.lamps=["left"]', "headlight.model=ssl-hd-lores", *SMALL]
+    for name in ("dark.ldt", "dark.ies"):
+        code, _, error = lux("export", "light", "gfhb", "--out", name, "--step-deg", "1", "--set", *dark, "checks={}")
+        assert code == 0, error
+        assert not read(tmp_path / name).distribution.candela.any()
+    assert "[_POSITION_M] 0.0000 0.6000 0.7500" in (tmp_path / "dark.ies").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "part"),
+    [
+        (["--out", "a.txt"], "--out a.txt: gives no format of light; end it in .npz, .ies or .ldt"),
+        (["--out", "a.ies", "--step-deg", "0"], "--step-deg 0: give an angle step"),
+        (["--out", "a.ldt", "--step-deg", "9"], "--step-deg 9: give an angle step"),
+        (["--out", "a.npz", "--at", "-1"], "--at -1: small lasts 0.1 s"),
+    ],
+)
+def test_what_cannot_be_written_is_said_in_a_sentence(arguments: list[str], part: str, lux: Lux, tmp_path: Path) -> None:
+    code, _, error = lux("export", "light", "small.toml", *arguments)
+    assert code == 2 and part in error
+    assert_one_sentence(error)
+    assert [file.name for file in tmp_path.iterdir()] == ["small.toml"]
