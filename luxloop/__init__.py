@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from loop.contracts.function import check_function
     from loop.contracts.plant import check_plant
     from loop.contracts.tracker import check_tracker
+    from loop.environment.making import make, make_vec
     from loop.lighting.simulation import Simulation
     from loop.pictures.headlight import show as show_headlight
     from loop.plant.protocol import Arrivals, Exposure, Frame
@@ -94,6 +95,8 @@ __all__ = [
     "idealised",
     "load",
     "load_lamp",
+    "make",
+    "make_vec",
     "pose_from_degrees",
     "prepare",
     "read_photometry",
@@ -121,6 +124,7 @@ _MODULES = {
     "loop.contracts.function": ("check_function",),
     "loop.contracts.plant": ("check_plant",),
     "loop.contracts.tracker": ("check_tracker",),
+    "loop.environment.making": ("make", "make_vec"),
     "loop.pictures.headlight": ("show as show_headlight",),
     "loop.plant.protocol": ("Arrivals", "Exposure", "Frame"),
     "loop.plant.simulated": ("simulated_plant",),

@@ -10,10 +10,9 @@ import numpy as np
 import torch
 from gymnasium import spaces
 
-from controllers.symbol.sensing.projection import ProjectionCommand
 from controllers.symbol.sensing.symbol_sensor import Measurement
 from loop.environment.acting import ACTIONS
-from loop.environment.task import Floats, bounds, image, observation, reward
+from loop.environment.task import Floats, Look, bounds, observation, reward, told
 from loop.lighting.result import SimulationState, StepResult
 from loop.lighting.simulation import Simulation
 from loop.plant.simulated import as_simulated
@@ -71,7 +70,7 @@ class SymbolEnv(gymnasium.Env[Any, Floats]):
 
         Raises LuxloopError where there is no such scenario, no symbol that a controller holds or several, or nobody who judges.
         """
-        self.scenario = changed(load(scenario) if isinstance(scenario, str | Path) else scenario, [*overrides, "judge_every=1"])
+        self.scenario = changed(load(str(scenario)) if isinstance(scenario, str | Path) else scenario, [*overrides, "judge_every=1"])
         self.render_mode, self.image, self._device, self._action = render_mode, image, device, known_action(action)
         self._simulation: Simulation | None = None
         self.prepare({})
@@ -166,10 +165,10 @@ class SymbolEnv(gymnasium.Env[Any, Floats]):
         assert self._state is not None
         ((_, held),) = self._state.held.items()
         ego = self.simulation.ego(self._state.samples, self._state.arrivals.time_s)
-        projection: ProjectionCommand = self.acting.projection(held.controller, ego)
-        seen = self.simulation.symbol.sensor.lost(projection.pose, Loss.NO_FRAME) if seen is None else seen
-        vector = observation(self.acting.told(held.controller), seen, ego).float().cpu().numpy()
-        return vector if self.image is None else {"state": vector, "image": image(seen, self.image)}
+        if seen is None:
+            seen = self.simulation.symbol.sensor.lost(self.acting.projection(held.controller, ego).pose, Loss.NO_FRAME)
+        look = Look.of(seen, self.image)
+        return told(observation(self.acting.told(held.controller), look, ego), look)
 
 
 def known_action(action: str) -> str:

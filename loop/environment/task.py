@@ -1,7 +1,7 @@
 """What one who learns gets: observations within finite bounds, and a reward from the judge."""
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -54,22 +54,44 @@ def bounds(acting: Acting) -> tuple[Floats, Floats]:
     return np.array(least, np.float32), np.array(most, np.float32)
 
 
-def observation(told: Tensor, seen: Measurement, ego: Ego | None) -> Tensor:
-    """`[..., n]`, see `SymbolEnv`. told: `[..., k]`, see `Acting`. seen: what the newest frames show."""
-    usable = (seen.code == Loss.SEEN) & seen.pose_error.isfinite().all(-1)
-    most = told.new_tensor(ERRORS)
-    errors = torch.where(usable[..., None], seen.pose_error, 0.0).clamp(-most, most)
-    codes = torch.nn.functional.one_hot(seen.code, len(Loss)).to(told)
-    area = torch.where(usable, seen.area_ratio, 0.0).nan_to_num(0.0).clamp(0, AREA)
+@dataclass(frozen=True)
+class Look:
+    """What is told of the newest frames. code: `[...]` int64, a `Loss`. pose_error: `[..., 4]` m, m, rad, rad, 0 where the symbol is lost.
+    area_ratio: `[...]`, seen to expected. image: `[..., h, w]` uint8, the symbol as it was extracted, scaled; None where nobody wants it.
+    """
+
+    code: Tensor
+    pose_error: Tensor
+    area_ratio: Tensor
+    image: Tensor | None
+
+    @classmethod
+    def of(cls, seen: Measurement, size: tuple[int, int] | None) -> "Look":
+        """size: rows and columns of the image."""
+        usable = (seen.code == Loss.SEEN) & seen.pose_error.isfinite().all(-1)
+        most = seen.pose_error.new_tensor(ERRORS)
+        errors = torch.where(usable[..., None], seen.pose_error, 0.0).clamp(-most, most)
+        area = torch.where(usable, seen.area_ratio, 0.0).nan_to_num(0.0).clamp(0, AREA)
+        return cls(seen.code, errors, area, None if size is None else _scaled(seen.symbol, size))
+
+
+def observation(told: Tensor, look: Look, ego: Ego | None) -> Tensor:
+    """`[..., n]`, see `SymbolEnv`. told: `[..., k]`, see `Acting`."""
+    codes = torch.nn.functional.one_hot(look.code, len(Loss)).to(told)
     moving = told.new_zeros(2) if ego is None or ego.stands else torch.stack([ego.speed_m_s, ego.yaw_rate_rad_s]).to(told)
     motion = moving.clamp(told.new_tensor([0.0, -MOTION[1]]), told.new_tensor(MOTION)).expand(*told.shape[:-1], 2)
-    return torch.cat([told, errors, codes, area[..., None], motion], -1)
+    return torch.cat([told, look.pose_error, codes, look.area_ratio[..., None], motion], -1)
 
 
-def image(seen: Measurement, size: tuple[int, int]) -> npt.NDArray[np.uint8]:
-    """The symbol as it was extracted, `[..., h, w]` in 0..255: the camera's image where it is looked for, scaled to a size."""
-    symbol = seen.symbol
+def told(vector: Tensor, look: Look) -> Any:
+    """An observation as Gymnasium has it."""
+    state = vector.float().cpu().numpy()
+    return state if look.image is None else {"state": state, "image": look.image.cpu().numpy()}
+
+
+def _scaled(symbol: Tensor, size: tuple[int, int]) -> Tensor:
+    """A symbol image `[..., h, w]` in 0..1 as `[..., *size]` uint8."""
     if not symbol.numel():
-        return np.zeros((*symbol.shape[:-2], *size), np.uint8)
+        return torch.zeros((*symbol.shape[:-2], *size), dtype=torch.uint8, device=symbol.device)
     scaled = interpolate(symbol.reshape(-1, 1, *symbol.shape[-2:]), size, mode="bilinear", align_corners=False, antialias=True)
-    return (255 * scaled).round().clamp(0, 255).byte().reshape(*symbol.shape[:-2], *size).cpu().numpy()
+    return (255 * scaled).round().clamp(0, 255).byte().reshape(*symbol.shape[:-2], *size)

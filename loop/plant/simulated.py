@@ -61,7 +61,7 @@ class SimulatedPlant:
         per_step = len(self.shares)
         step, part = divmod(exposure.number, per_step)
         begins_s, ends_s = (self._at(number) for number in (exposure.number, exposure.number + 1))
-        image = None if self._dropped(step) else self._frame(exposure, step, part)
+        image = None if self.loses(step) else self._frame(exposure, step, part)
         due = max([exposure.number + per_step * self._latency(step), *(number for number, _ in state)])
         queue = (*state, (due, Frame(exposure.number, exposure.start_s, ends_s, image)))
         come = tuple(replace(frame, arrived_s=ends_s) for number, frame in queue if number <= exposure.number)
@@ -105,7 +105,8 @@ class SimulatedPlant:
         step, part = divmod(number, len(self.shares))
         return (step + sum(self.shares[:part])) * self.period_s
 
-    def _dropped(self, step: int) -> bool:
+    def loses(self, step: int) -> bool:
+        """Whether the frames of a step never arrive."""
         p = self.disturbances.loss_probability(step, self.world.camera.drop_probability)
         return p > 0 and bool(self._draw(step, LOSS_KEY).random() < p)
 

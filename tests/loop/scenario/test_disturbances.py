@@ -112,8 +112,8 @@ def test_frames_are_lost_when_listed_and_as_often_as_they_shall(plain: Simulatio
     spells = [{"from_step": 2, "until_step": 4}, {"from_step": 7, "until_step": 8}]
     assert [step for step in range(10) if frames(plain, step, drops=spells) is None] == [2, 3, 7]
     plant = disturbed(plain.world, drops=[{"probability": 0.5}, {"probability": 0.2, "from_step": 1000}])
-    lost = [plant._dropped(step) for step in range(2000)]
-    assert lost == [plant._dropped(step) for step in range(2000)]
+    lost = [plant.loses(step) for step in range(2000)]
+    assert lost == [plant.loses(step) for step in range(2000)]
     # 0.5, and 1 - 0.5 * 0.8 where both hold; three standard errors of a share of a thousand are 0.048
     assert sum(lost[:1000]) / 1000 == pytest.approx(0.5, abs=0.048) and sum(lost[1000:]) / 1000 == pytest.approx(0.6, abs=0.048)
 

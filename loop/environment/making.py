@@ -1,0 +1,60 @@
+"""Environments by a call: `make` and `make_vec`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from loop.scenario.model import Scenario
+from world.errors import LuxloopError
+
+if TYPE_CHECKING:
+    from loop.environment.single import SymbolEnv
+    from loop.environment.vector import SymbolVectorEnv
+
+
+def make(
+    scenario: Scenario | str | Path,
+    /,
+    *overrides: str,
+    action: Literal["moves", "gains", "heights"] = "moves",
+    image: tuple[int, int] | None = None,
+    render_mode: Literal["rgb_array", "human"] | None = None,
+    device: str = "cpu",
+) -> "SymbolEnv":
+    """An environment of Gymnasium in which the agent holds the scenario's symbol; its docstring has spaces, units and signs.
+
+    scenario: a loaded one, or the name or path of one. overrides: other values of its keys, as KEY=VALUE. action: what an action does.
+    image: rows and columns of a picture of the symbol in observations, none if left out. Raises LuxloopError where Gymnasium is missing,
+    and as `SymbolEnv`.
+    """
+    _needs_gymnasium()
+    from loop.environment.single import SymbolEnv
+
+    return SymbolEnv(scenario, overrides, action=action, image=image, render_mode=render_mode, device=device)
+
+
+def make_vec(
+    scenario: Scenario | str | Path,
+    num_envs: int,
+    /,
+    *overrides: str,
+    action: Literal["moves", "gains"] = "moves",
+    image: tuple[int, int] | None = None,
+    autoreset_mode: Any = "NextStep",
+    device: str = "cpu",
+) -> "SymbolVectorEnv":
+    """So many copies of it at once, a `VectorEnv` of Gymnasium; for scenarios in which nothing but the symbol moves.
+
+    autoreset_mode: one of `gymnasium.vector.AutoresetMode`. Arguments otherwise and errors as `make`; raises LuxloopError also where the
+    scenario moves.
+    """
+    _needs_gymnasium()
+    from loop.environment.vector import SymbolVectorEnv
+
+    return SymbolVectorEnv(scenario, num_envs, overrides, action=action, image=image, autoreset_mode=autoreset_mode, device=device)
+
+
+def _needs_gymnasium() -> None:
+    try:
+        import gymnasium  # noqa: F401
+    except ImportError as error:
+        raise LuxloopError("make: needs Gymnasium, which is not installed; get it with pip install 'luxloop[gym]'") from error
