@@ -1,7 +1,7 @@
 """What copies at once save: `python benchmarks/batch.py [--quick] [--json FILE]`, a minute of one core.
 
-One copy of `snowflake` on the whole simulation beside B copies that are drawn, seen and judged together, both with the judge's verdict, step
-by step in turn, in one process with one thread, in process time. The copies stand where a run is in that step, and up to 0.3 m beside.
+One copy of `snowflake` on the whole simulation beside B copies that are drawn, seen and judged together, both with the judge's verdict,
+step by step in turn, in one process with one thread, in process time. The copies stand where the run is in that step, or some 0.3 m.
 """
 
 import argparse

@@ -10,10 +10,9 @@ from torch import Tensor
 
 from controllers.functions.symbol import SymbolFunctionParams
 from loop.assembly.build import build_symbol_controller
-from loop.batch.rollouts import Rollout
 from loop.lighting.controlled import Held
 from loop.lighting.record import row, schema, summary_of
-from loop.lighting.result import StepResult
+from loop.lighting.result import Rollout, StepResult
 from loop.lighting.simulation import Simulation
 from loop.plant.simulated import SimulatedPlant
 from loop.recording.columns import of_one

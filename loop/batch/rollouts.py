@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -15,6 +15,7 @@ from controllers.symbol.sensing.protocol import Observation, Shown
 from controllers.symbol.sensing.symbol_sensor import Measurement
 from loop.batch import copies
 from loop.batch.copies import Copies
+from loop.lighting.result import Rollout
 from loop.lighting.simulation import Simulation
 from perception.extraction import Loss
 from world.errors import LuxloopError, did_you_mean
@@ -32,16 +33,6 @@ GAINS: dict[str, tuple[str, tuple[int, ...], float]] = {
     "controller.roll_rate_deg": ("rate_limit", (2,), math.pi / 180),
     "controller.pitch_rate_deg": ("rate_limit", (3,), math.pi / 180),
 }
-
-
-@dataclass(frozen=True)
-class Rollout:
-    """poses: `[B, steps, 4]` that were shown (x, y in m, roll, pitch in rad). errors: `[B, steps, 4]`, how far the symbol was seen to be
-    off in the same units, 0 where it was lost. seen: `[B, steps]` bool, whether it was not."""
-
-    poses: Tensor
-    errors: Tensor
-    seen: Tensor
 
 
 def check(simulation: Simulation, keys: Any) -> None:

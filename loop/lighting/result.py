@@ -127,6 +127,19 @@ class StepResult:
         return min((each.iou for each in self.symbols), default=None)
 
 
+@dataclass(frozen=True)
+class Rollout:
+    """B runs of a symbol that is held.
+
+    poses: `[B, steps, 4]` that were shown (x, y in m, roll, pitch in rad). errors: `[B, steps, 4]`, how far the symbol was seen to be
+    off in the same units, 0 where it was lost. seen: `[B, steps]` bool, whether it was not.
+    """
+
+    poses: Tensor
+    errors: Tensor
+    seen: Tensor
+
+
 class Clock:
     """Time by part. taken_ms: ms so far by the clock on the wall, by name. processing_ms: of the parts that the car computes, on the
     processor. What the plant computes of frames where they are read is its own time.

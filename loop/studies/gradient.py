@@ -11,8 +11,9 @@ import torch
 from optuna.trial import create_trial
 from torch import Tensor
 
-from loop.batch.rollouts import Rollout, check
+from loop.batch.rollouts import check
 from loop.jobs.executors import Executor
+from loop.lighting.result import Rollout
 from loop.lighting.simulation import Simulation
 from loop.run import prepare
 from loop.scenario.model import only

@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from controllers.symbol.sensing.symbol_sensor import Measurement
-from loop.batch.rollouts import Rollout, loops
+from loop.batch.rollouts import loops
+from loop.lighting.result import Rollout
 from loop.lighting.simulation import Simulation
 from loop.recording.summary import FINAL
 from perception.extraction import Loss

@@ -1,7 +1,7 @@
 """Learn to hold a symbol on uneven roads by proximal policy optimisation (PPO): `python train_ppo.py [--minutes 8] [--out learned.pt]`.
 
-Two processes try the policy on roads drawn from a seed, 32 copies each; then it is compared with thesis_pid, and with a
-blind way straight to the target, on roads that it has not seen. The picture beside the policy shows them. Needs Gymnasium: pip install 'luxloop[gym]'.
+Two processes try the policy on roads drawn from a seed, 32 copies each; then it is compared with thesis_pid, and with a blind way straight
+to the target, on roads that it has not seen. The picture beside the policy shows them. Needs Gymnasium: pip install 'luxloop[gym]'.
 """
 
 import argparse

@@ -14,8 +14,8 @@ from gymnasium.vector import AutoresetMode
 import luxloop
 from loop.environment.acting import HEIGHT_RATE_M
 from loop.environment.randomised import Randomised, RandomisedVector
+from loop.environment.registered import register
 from loop.environment.single import SymbolEnv
-from luxloop.environments import IDS
 from perception.extraction import Loss
 from world.errors import LuxloopError
 
@@ -41,7 +41,7 @@ def played(env: gymnasium.Env, actions: np.ndarray, seed: int | None) -> list:
 
 @pytest.mark.parametrize("name", ["Snowflake", "SnowflakeGains", "SnowflakeHeights"])
 def test_gymnasium_has_no_complaint(name: str) -> None:
-    assert f"luxloop/{name}-v0" in IDS
+    assert f"luxloop/{name}-v0" in register()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", "Sparse CSR tensor support is in beta", UserWarning)
@@ -148,7 +148,7 @@ def test_copies_begin_anew_as_the_mode_says() -> None:
 
 
 def test_gymnasium_makes_the_vector_of_copies() -> None:
-    made = gymnasium.make_vec("luxloop/Snowflake-v0", num_envs=2, overrides=SMALL)
+    made = gymnasium.make_vec("luxloop.environments:luxloop/Snowflake-v0", num_envs=2, overrides=SMALL)
     assert made.unwrapped.copies.windowed
     told, _ = made.reset(seed=[4, 9])
     assert made.observation_space.contains(told) and made.action_space.contains(made.action_space.sample())

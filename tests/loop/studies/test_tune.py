@@ -11,9 +11,10 @@ import torch
 from torch import Tensor
 
 from loop import objective
-from loop.batch.rollouts import Rollout, rollouts
+from loop.batch.rollouts import rollouts
 from loop.commands import cli
 from loop.jobs.executors import local
+from loop.lighting.result import Rollout
 from loop.lighting.simulation import Simulation
 from loop.scenario.model import Scenario, load
 from loop.studies import gradient, ranges
