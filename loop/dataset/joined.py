@@ -18,8 +18,7 @@ from world.files import content, part_of, reading, whole
 from world.validation import parsed_json
 
 FILES: Final = ("file_name", "light", "instances", "parts", "depth", "lux")  # of an image, which may not have all
-REMEDY: Final = "remove scenes.jsonl in the data set's folder, so that all scenes are made again"
-SCENES, TRAINING = "scenes", "training"
+SCENES, TRAINING, ALL_COCO, ALL_IMAGES = "scenes", "training", "coco.json", "images.json"
 
 
 @dataclass(frozen=True)
@@ -35,14 +34,12 @@ class Counts:
 def join(out: Path, layout: Layout, scenes: Mapping[str, Mapping[str, Any]]) -> Counts:
     """Join the labels of scenes, which lie in folders of `out` by these names, with what is said of each.
 
-    Raises LuxloopError where the labels of a scene are gone, and where files cannot be written.
+    Raises LuxloopError where the labels of a scene cannot be read, and where files cannot be written.
     """
     said, images, annotations, objects = [], list[str](), list[str](), Counter[str]()
     for number, (name, facts) in enumerate(scenes.items()):
         source = out / name / (COCO if layout == "coco" else IMAGES)
-        if not source.exists():
-            raise LuxloopError(f"{source}: was made, but is gone; {REMEDY}")
-        with reading(source, "no labels of a scene", REMEDY):
+        with reading(source, "no labels of a scene", f"remove {out / name}, so that the scene is made again"):
             document = parsed_json(content(source))
             said.append({"folder": name, **facts, **{key: document[key] for key in ("camera", "instances", "parts")}})
             first = {each["id"]: len(images) + k for k, each in enumerate(document["images"])}
@@ -52,12 +49,20 @@ def join(out: Path, layout: Layout, scenes: Mapping[str, Mapping[str, Any]]) -> 
                 objects[coco.CATEGORIES[each["category_id"] - 1]] += 1
     if layout == "kitti":
         objects = _kitti(out, scenes)
-        file, head, lists = out / "images.json", {}, {"images": images}
+        file, head, lists = out / ALL_IMAGES, {}, {"images": images}
     else:
-        file, head, lists = out / "coco.json", {"categories": coco.categories()}, {"images": images, "annotations": annotations}
+        file, head, lists = out / ALL_COCO, {"categories": coco.categories()}, {"images": images, "annotations": annotations}
     with whole(file) as part:
         part.write_text(coco.document({**head, "scenes": said}, lists), "utf-8")
     return Counts(file, len(scenes), len(images), objects)
+
+
+def unjoin(out: Path) -> None:
+    """Remove the joined labels. Raises OSError where that cannot be."""
+    for name in (ALL_COCO, ALL_IMAGES):
+        (out / name).unlink(missing_ok=True)
+    if (out / TRAINING).exists():
+        shutil.rmtree(out / TRAINING)
 
 
 def _image(image: Mapping[str, Any], number: int, scene: int, folder: str) -> dict[str, Any]:
