@@ -35,9 +35,9 @@ def reading(path: Path, otherwise: str, remedy: str) -> Iterator[None]:
         yield
     except LuxloopError:
         raise
-    except OSError as error:
-        raise LuxloopError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
-    except Exception as error:  # readers raise whatever their formats provoke
+    except Exception as error:  # readers raise whatever their formats provoke, OSError without a number as well
+        if isinstance(error, OSError) and error.strerror:
+            raise LuxloopError(f"{path}: cannot be read ({error.strerror}); check the path") from error
         raise LuxloopError(f"{path}: {otherwise} ({str(error).strip() or type(error).__name__}); {remedy}") from error
 
 
