@@ -2,6 +2,7 @@
 
 import errno
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -64,6 +65,14 @@ def whole(path: Path) -> Iterator[Path]:
     finally:
         if os.path.lexists(part):  # no folder, no part, and no second error
             part.unlink()
+
+
+def link(source: Path, target: Path) -> None:
+    """A second name of a file, which takes no room, or a copy where there can be none. Raises OSError where neither can be."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)
 
 
 def part_of(path: Path) -> Path:

@@ -1,7 +1,6 @@
 """One file of labels for all scenes of a data set, or one set of folders in the layout of KITTI."""
 
 import json
-import os
 import shutil
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -14,7 +13,7 @@ from loop.labels import coco
 from loop.labels.files import CALIB, COCO, FOLDER, IMAGE_2, IMAGES, LABEL_2
 from loop.labels.labelled import Layout
 from world.errors import LuxloopError
-from world.files import content, part_of, reading, whole
+from world.files import content, link, part_of, reading, whole
 from world.validation import parsed_json
 
 FILES: Final = ("file_name", "light", "instances", "parts", "depth", "lux")  # of an image, which may not have all
@@ -80,19 +79,11 @@ def _kitti(out: Path, scenes: Mapping[str, Mapping[str, Any]]) -> Counter[str]:
             for image in sorted((out / scene / IMAGE_2).glob("*.png")):
                 for name, suffix in ((IMAGE_2, "png"), (LABEL_2, "txt"), (CALIB, "txt")):
                     source = out / scene / name / f"{image.stem}.{suffix}"
-                    _link(source, part / Path(name).relative_to(FOLDER) / f"{number:06d}.{suffix}")
+                    link(source, part / Path(name).relative_to(FOLDER) / f"{number:06d}.{suffix}")
                 labels = (out / scene / LABEL_2 / f"{image.stem}.txt").read_text()
                 objects.update(line.split()[0] for line in labels.splitlines())
                 number += 1
     return objects
-
-
-def _link(source: Path, target: Path) -> None:
-    """A second name of a file, which takes no room, or a copy where there can be none."""
-    try:
-        os.link(source, target)
-    except OSError:
-        shutil.copyfile(source, target)
 
 
 @contextmanager
