@@ -114,6 +114,7 @@ def test_a_scene_that_fails_leaves_nothing(file: Path, tmp_path: Path) -> None:
         ({'"camera.pitch_deg=1:2"': '"camera.pich_deg=1:2"'}, "2", ["night.toml: vary camera.pich_deg=1:2"]),
         ({"camera.pitch_deg=1:2": "camera.pitch_deg=2:1"}, "2", ["night.toml: vary", "camera.pitch_deg=1:2"]),
         ({'"high"': '"hihg"'}, "2", ["night.toml: variants.high", "beam"]),
+        ({"[variants": "[set.x", 'model = "ssl-hd-lores"': 'model = "no-such"'}, "2", ["night.toml: set: scene 5: "]),
         ({"masks": "mask"}, "2", ["night.toml: mask: unknown key", "masks"]),
         ({}, "0", ["--scenes 0: too few"]),
     ],
