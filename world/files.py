@@ -2,6 +2,7 @@
 
 import errno
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -35,9 +36,9 @@ def reading(path: Path, otherwise: str, remedy: str) -> Iterator[None]:
         yield
     except LuxloopError:
         raise
-    except OSError as error:
-        raise LuxloopError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
-    except Exception as error:  # readers raise whatever their formats provoke
+    except Exception as error:  # readers raise whatever their formats provoke, OSError without a number as well
+        if isinstance(error, OSError) and error.strerror:
+            raise LuxloopError(f"{path}: cannot be read ({error.strerror}); check the path") from error
         raise LuxloopError(f"{path}: {otherwise} ({str(error).strip() or type(error).__name__}); {remedy}") from error
 
 
@@ -64,6 +65,14 @@ def whole(path: Path) -> Iterator[Path]:
     finally:
         if os.path.lexists(part):  # no folder, no part, and no second error
             part.unlink()
+
+
+def link(source: Path, target: Path) -> None:
+    """A second name of a file, which takes no room, or a copy where there can be none. Raises OSError where neither can be."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)
 
 
 def part_of(path: Path) -> Path:

@@ -13,6 +13,7 @@ from world.errors import LuxloopError
 from world.files import reading
 
 BYTES_A_VALUE: Final = 16  # of a table while it is read, however well it was compressed
+ROWS: Final = 65_536  # read at once, so that no column reserves memory for as many values as it claims to have
 TYPES: Final = (pa.int64(), pa.float64(), pa.bool_(), pa.string())
 
 
@@ -27,13 +28,17 @@ def read_parquet(file: Path) -> pa.Table:
         texts = [field.name for field in schema if field.type == pa.string()]
         with pq.ParquetFile(file, read_dictionary=texts) as stored:
             afford(f"{file}: its table", _declared(stored.metadata), "record the run again")
-            table = stored.read()
-        longest = [pc.max(pc.binary_length(chunk.dictionary)).as_py() or 0 for name in texts for chunk in table[name].chunks]
-        afford(f"{file}: its texts", table.num_rows * sum(longest), "record the run again")
+            table = pa.Table.from_batches(stored.iter_batches(ROWS), stored.schema_arrow)
+        chunks = (chunk for name in texts for chunk in table[name].chunks)
+        unpacked = sum(len(chunk) * (pc.max(pc.binary_length(chunk.dictionary)).as_py() or 0) for chunk in chunks)
+        afford(f"{file}: its texts", unpacked, "record the run again")
         return table.cast(schema)
 
 
 def _declared(metadata: pq.FileMetaData) -> int:
-    """Bytes of all columns, texts that are the same in many rows counted once."""
-    chunks = [metadata.row_group(k).column(j) for k in range(metadata.num_row_groups) for j in range(metadata.num_columns)]
-    return sum(max(BYTES_A_VALUE * chunk.num_values, chunk.total_uncompressed_size) for chunk in chunks)
+    """Bytes of all columns, texts that are the same in many rows counted once.
+
+    From the row groups, as pyarrow ends the process where it is asked for a column chunk whose metadata are damaged.
+    """
+    groups = (metadata.row_group(k) for k in range(metadata.num_row_groups))
+    return sum(max(BYTES_A_VALUE * each.num_rows * metadata.num_columns, each.total_byte_size) for each in groups)

@@ -103,7 +103,7 @@ def _scenario(params: DatasetParams, seed: int, variant: str) -> Scenario:
     name = f"scene {seed}"
     own = {"name": name, "steps": params.steps, "rate_hz": params.rate_hz, "seed": seed, "lighting": {}}
     data = validate({**own, **tables(seed)}, name).model_dump(mode="json")
-    with located(f"variants.{variant}" if variant else name):
+    with located(f"variants.{variant}" if variant else "set"):
         return validate(overridden(data, [params.set, params.variants[variant] if variant else {}]), name)
 
 

@@ -1,7 +1,6 @@
 """One file of labels for all scenes of a data set, or one set of folders in the layout of KITTI."""
 
 import json
-import os
 import shutil
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -14,12 +13,11 @@ from loop.labels import coco
 from loop.labels.files import CALIB, COCO, FOLDER, IMAGE_2, IMAGES, LABEL_2
 from loop.labels.labelled import Layout
 from world.errors import LuxloopError
-from world.files import content, part_of, reading, whole
+from world.files import content, link, part_of, reading, whole
 from world.validation import parsed_json
 
 FILES: Final = ("file_name", "light", "instances", "parts", "depth", "lux")  # of an image, which may not have all
-REMEDY: Final = "remove scenes.jsonl in the data set's folder, so that all scenes are made again"
-SCENES, TRAINING = "scenes", "training"
+SCENES, TRAINING, ALL_COCO, ALL_IMAGES = "scenes", "training", "coco.json", "images.json"
 
 
 @dataclass(frozen=True)
@@ -35,14 +33,12 @@ class Counts:
 def join(out: Path, layout: Layout, scenes: Mapping[str, Mapping[str, Any]]) -> Counts:
     """Join the labels of scenes, which lie in folders of `out` by these names, with what is said of each.
 
-    Raises LuxloopError where the labels of a scene are gone, and where files cannot be written.
+    Raises LuxloopError where the labels of a scene cannot be read, and where files cannot be written.
     """
     said, images, annotations, objects = [], list[str](), list[str](), Counter[str]()
     for number, (name, facts) in enumerate(scenes.items()):
         source = out / name / (COCO if layout == "coco" else IMAGES)
-        if not source.exists():
-            raise LuxloopError(f"{source}: was made, but is gone; {REMEDY}")
-        with reading(source, "no labels of a scene", REMEDY):
+        with reading(source, "no labels of a scene", f"remove {out / name}, so that the scene is made again"):
             document = parsed_json(content(source))
             said.append({"folder": name, **facts, **{key: document[key] for key in ("camera", "instances", "parts")}})
             first = {each["id"]: len(images) + k for k, each in enumerate(document["images"])}
@@ -52,12 +48,20 @@ def join(out: Path, layout: Layout, scenes: Mapping[str, Mapping[str, Any]]) -> 
                 objects[coco.CATEGORIES[each["category_id"] - 1]] += 1
     if layout == "kitti":
         objects = _kitti(out, scenes)
-        file, head, lists = out / "images.json", {}, {"images": images}
+        file, head, lists = out / ALL_IMAGES, {}, {"images": images}
     else:
-        file, head, lists = out / "coco.json", {"categories": coco.categories()}, {"images": images, "annotations": annotations}
+        file, head, lists = out / ALL_COCO, {"categories": coco.categories()}, {"images": images, "annotations": annotations}
     with whole(file) as part:
         part.write_text(coco.document({**head, "scenes": said}, lists), "utf-8")
     return Counts(file, len(scenes), len(images), objects)
+
+
+def unjoin(out: Path) -> None:
+    """Remove the joined labels. Raises OSError where that cannot be."""
+    for name in (ALL_COCO, ALL_IMAGES):
+        (out / name).unlink(missing_ok=True)
+    if (out / TRAINING).exists():
+        shutil.rmtree(out / TRAINING)
 
 
 def _image(image: Mapping[str, Any], number: int, scene: int, folder: str) -> dict[str, Any]:
@@ -75,19 +79,11 @@ def _kitti(out: Path, scenes: Mapping[str, Mapping[str, Any]]) -> Counter[str]:
             for image in sorted((out / scene / IMAGE_2).glob("*.png")):
                 for name, suffix in ((IMAGE_2, "png"), (LABEL_2, "txt"), (CALIB, "txt")):
                     source = out / scene / name / f"{image.stem}.{suffix}"
-                    _link(source, part / Path(name).relative_to(FOLDER) / f"{number:06d}.{suffix}")
+                    link(source, part / Path(name).relative_to(FOLDER) / f"{number:06d}.{suffix}")
                 labels = (out / scene / LABEL_2 / f"{image.stem}.txt").read_text()
                 objects.update(line.split()[0] for line in labels.splitlines())
                 number += 1
     return objects
-
-
-def _link(source: Path, target: Path) -> None:
-    """A second name of a file, which takes no room, or a copy where there can be none."""
-    try:
-        os.link(source, target)
-    except OSError:
-        shutil.copyfile(source, target)
 
 
 @contextmanager

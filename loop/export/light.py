@@ -82,9 +82,9 @@ def write_light(simulation: Simulation, time_s: float, file: Path, step_deg: flo
         own = file if len(lights) == 1 else file.with_name(f"{file.stem}-{each.name.replace(' ', '-')}{file.suffix}")
         x, y, z = each.T_body_module[:3, 3].tolist()
         yaw, pitch, roll = Rotation.from_matrix(each.T_body_module[:3, :3].double().cpu().numpy()).as_euler("ZYX", degrees=True)
-        told = {"_POSITION_M": f"{x:.4f} {y:.4f} {z:.4f}", "_ROLL_PITCH_YAW_DEG": f"{roll:.4f} {pitch:.4f} {yaw:.4f}"}
+        keywords = {"_POSITION_M": f"{x:.4f} {y:.4f} {z:.4f}", "_ROLL_PITCH_YAW_DEG": f"{roll:.4f} {pitch:.4f} {yaw:.4f}"}
         name = f"{each.headlight.name}, {each.name}, {simulation.scenario.name} at {time_s:g} s"
-        write_texture(own, each.headlight, each.texture, name, step_deg, told)
+        write_texture(own, each.headlight, each.texture, name, step_deg, keywords)
         files.append(own)
     return files
 

@@ -31,11 +31,13 @@ def export(lamp: Lamp, beam: str, file: Path, step_deg: float = 0.1) -> Distribu
     return distribution
 
 
-def write_texture(file: Path, headlight: Headlight, texture: Tensor, name: str, step_deg: float, told: Mapping[str, str]) -> Distribution:
+def write_texture(
+    file: Path, headlight: Headlight, texture: Tensor, name: str, step_deg: float, keywords: Mapping[str, str]
+) -> Distribution:
     """Write the light texture `[rows, cols]` in cd of a module about its own axis, as LM-63-2019, type A, or as EULUMDAT, by the suffix.
 
-    name: of the luminaire. told: more keywords of LM-63. Raises LuxloopError for a step out of range or too fine, and where the file cannot
-    be written.
+    name: of the luminaire. keywords: more of them in LM-63. Raises LuxloopError for a step out of range or too fine, and where the file
+    cannot be written.
     """
     light = texture.detach().double().cpu()
     borders = (headlight.left, headlight.right, headlight.bottom, headlight.top)
@@ -48,7 +50,7 @@ def write_texture(file: Path, headlight: Headlight, texture: Tensor, name: str, 
         h, v = _nodes(-left, -right, step_deg), _nodes(bottom, top, step_deg)
         _refuse_many(len(h), len(v), step_deg)
         distribution = sample(intensity, h, v)
-        write(file, distribution, {"LUMINAIRE": name, **told})
+        write(file, distribution, {"LUMINAIRE": name, **keywords})
     else:
         corner = math.hypot(max(map(abs, borders[:2])), max(map(abs, borders[2:])))
         gamma = _nodes(0.0, math.degrees(math.atan(corner)), step_deg)

@@ -1,5 +1,6 @@
 """The scene of a scenario at one time as a glTF file: road, objects, camera and lamps, each as a node with its pose."""
 
+import math
 from pathlib import Path
 from typing import Final
 
@@ -19,7 +20,7 @@ from world.scene.body import Body
 from world.scene.triangles import Placed
 from world.view import View
 
-SCENE: Final = "scene"  # node of our world, z up, in glTF's, y up
+ROOT, SCENE, CAMERA = "world y-up", "world z-up", "front camera"  # names that no object can have
 T_GLTF_WORLD: Final = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 T_VIEW_CAMERA: Final = np.diag([1.0, -1, -1, 1])  # a camera of glTF looks along -z, y up
 
@@ -39,12 +40,12 @@ def write_scene(simulation: Simulation, time_s: float, file: Path) -> trimesh.Sc
 
 
 def scene_at(simulation: Simulation, time_s: float) -> trimesh.Scene:
-    """The scene at a time: the node `scene` is the world, with a node for the road and for each object, module and street lamp; `camera`
+    """The scene at a time: the node SCENE is the world, with a node for the road and for each object, module and street lamp; CAMERA
     is the camera. Raises LuxloopError as `write_scene`.
     """
     refuse_time(simulation, time_s)
     world, state = simulation.world, simulation.world.motion.at(time_s)
-    found = trimesh.Scene()
+    found = trimesh.Scene(base_frame=ROOT)
     found.graph.update(SCENE, matrix=T_GLTF_WORLD)
     for number, placed in enumerate(world.scene.at(time_s, state.T_world_ground).placed):
         _add(found, placed, placed.body.name if placed.object_id else f"road {number}")
@@ -58,8 +59,9 @@ def scene_at(simulation: Simulation, time_s: float) -> trimesh.Scene:
 
 
 def _add_camera(scene: trimesh.Scene, view: View) -> None:
-    fov = np.degrees(2 * np.arctan([view.width / (2 * view.fx), view.height / (2 * view.fy)]))
-    scene.camera = trimesh.scene.Camera("camera", resolution=(view.width, view.height), fov=fov)
+    wide, high = view.width / view.fx, view.height / view.fy
+    fov_deg = math.degrees(2 * math.atan(high / 2)) * np.array([wide / high, 1.0])  # trimesh writes the ratio of the angles
+    scene.camera = trimesh.scene.Camera(CAMERA, resolution=(view.width, view.height), fov=fov_deg)
     scene.camera_transform = T_GLTF_WORLD @ view.T_world_view.numpy() @ T_VIEW_CAMERA
 
 

@@ -10,7 +10,7 @@ import json
 import os
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -28,10 +28,14 @@ _START = b'{"id": '  # begins every line
 
 @dataclass(frozen=True)
 class Job:
-    """Keyword arguments of one call. key: readable name for tables and messages."""
+    """Keyword arguments of one call.
+
+    key: readable name for tables and messages. place: more arguments, which say where the call puts files and do not decide its result.
+    """
 
     key: str
     parameters: Values
+    place: Values = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -63,23 +67,25 @@ def run(
     version: str,
     executor: Executor = ALL_CORES,
     title: str = "jobs",
+    is_there: Callable[[Job], bool] = lambda job: True,
 ) -> Results:
     """Do the jobs without a result in the file, and return the results of all.
 
     function: of a module's top level, so that other processes can import it; takes the parameters of a job and returns a JSON value. file:
     JSON lines, one per result; lines are only added, and results of other functions, parameters and versions stay. version: what decides a
-    result besides its parameters, such as `digest_of(...)`. executor: by default a process per core. The next run tries failed jobs
-    again.
+    result besides its parameters, such as `digest_of(...)`. executor: by default a process per core. is_there: whether the files
+    that a call made are still there; if not, the job runs again. The next run tries failed jobs again.
 
     Raises: KeyboardInterrupt that says what is kept; LuxloopError if workers are lost, or the file is of another kind or cannot be written.
     """
-    pairs = [(_identity(function, job.parameters, version), job) for job in jobs]
-    done = _read(file)
+    pairs = [(identity_of(function, job.parameters, version), job) for job in jobs]
+    read = _read(file)
+    done = {identity: read[identity] for identity, job in pairs if identity in read and is_there(job)}
     left = {identity: job for identity, job in pairs if identity not in done}
     total, failures = len(dict(pairs)), dict[str, str]()
     try:
         with progress(title, total, total - len(left)) as advance:
-            tasks = [(identity, job.parameters) for identity, job in left.items()]
+            tasks = [(identity, {**job.parameters, **job.place}) for identity, job in left.items()]
             for identity, result, error in executor(partial(_call, function), tasks):
                 if error:
                     failures[identity] = error
@@ -88,7 +94,7 @@ def run(
                     done[identity] = json.loads(result)
                 advance()
     except (KeyboardInterrupt, WorkersLostError) as error:
-        kept = f"{len(done.keys() & dict(pairs))} of {total} {title} are kept in {file}, the same command goes on from there"
+        kept = f"{len(done)} of {total} {title} are kept in {file}, the same command goes on from there"
         if isinstance(error, KeyboardInterrupt):
             raise KeyboardInterrupt(kept) from error
         lost = [job.key for identity, job in left.items() if identity not in done and identity not in failures]
@@ -104,7 +110,8 @@ def digest_of(*modules: ModuleType) -> str:
     return hashlib.sha256(b"".join(Path(str(module.__file__)).read_bytes() for module in modules)).hexdigest()
 
 
-def _identity(function: Callable[..., Values], parameters: Values, version: str) -> str:
+def identity_of(function: Callable[..., Values], parameters: Values, version: str) -> str:
+    """Digest of what decides a job's result."""
     decisive = [function.__module__, function.__qualname__, version, parameters]
     return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()[:32]
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from torch import Tensor
@@ -28,11 +28,13 @@ class Labels:
 
     @classmethod
     def asked(cls, layout: Layout | None, **files: bool) -> "Labels | None":
-        """None where no layout is asked for. Raises LuxloopError where files are, all the same."""
+        """None where no layout is asked for. Raises LuxloopError where files are, all the same, and for a layout that is none."""
         if layout is None:
             if lonely := [name for name, wanted in files.items() if wanted]:
                 raise LuxloopError(f"--{lonely[0]}: is written beside labels; give --labels coco or --labels kitti as well")
             return None
+        if layout not in get_args(Layout):
+            raise LuxloopError(f"labels = {layout!r}: is no layout; choose from {' and '.join(map(repr, get_args(Layout)))}")
         return cls(layout, **files)
 
     def of(self, world: World | None, plant: str) -> World:

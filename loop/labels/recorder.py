@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -10,12 +11,12 @@ import numpy as np
 from loop.labels import coco, kitti
 from loop.labels.files import CALIB, COCO, FOLDER, IMAGE_2, IMAGES, LABEL_2, frame_name, light_name, mask_name, values_name
 from loop.labels.labelled import LabelledImage, Labels, part_names
-from loop.plant.frames import QUICK, write_image
-from loop.plant.protocol import Frame, Showing
+from loop.plant.frames import QUICK
+from loop.plant.protocol import Exposure, Showing
 from loop.plant.world import World
 from loop.recording.frames import FrameRecorder
 from world.arrays import write_npz
-from world.files import whole
+from world.files import link, whole
 
 
 class LabelRecorder:
@@ -25,7 +26,7 @@ class LabelRecorder:
         """frames: which keeps the frames that are labelled, and is given each step before."""
         self._directory, self._world, self._labels, self._frames = directory, world, labels, frames
         self._parts = part_names(world)
-        self._waiting: dict[int, LabelledImage] = {}  # for their frames
+        self._waiting: dict[int, Exposure] = {}  # for their frames
         self._images: list[str] = []
         self._annotations: list[str] = []
 
@@ -37,13 +38,13 @@ class LabelRecorder:
     def add(self, showings: Sequence[Showing]) -> None:
         """Label the frames that have come, each with what was true when it was exposed. Raises LuxloopError where that cannot be."""
         for showing in showings:
-            number = showing.exposure.number
-            self._waiting[number] = LabelledImage.of(self._world, showing.exposure, self._labels, self._parts)
+            self._waiting[showing.exposure.number] = showing.exposure
             for frame in showing.after.frames:
-                labelled = self._waiting.get(frame.number)
+                exposure = self._waiting.get(frame.number)
                 self._waiting = {number: each for number, each in self._waiting.items() if number > frame.number}
-                if labelled is not None and frame.image is not None:
-                    self._keep(labelled, frame)
+                if exposure is not None and frame.image is not None:
+                    shown = replace(frame.shown or exposure, number=frame.number)
+                    self._keep(LabelledImage.of(self._world, shown, self._labels, self._parts))
 
     def write(self) -> None:
         """Write what is known of all images, whole or not at all. Raises LuxloopError where that cannot be."""
@@ -56,7 +57,7 @@ class LabelRecorder:
         with whole(self._directory / file) as part:
             part.write_text(coco.document(head, lists), "utf-8")
 
-    def _keep(self, labelled: LabelledImage, frame: Frame) -> None:
+    def _keep(self, labelled: LabelledImage) -> None:
         number = labelled.number
         files = {"file_name": frame_name(number), "light": light_name(self._frames.light_of(number))}
         if labelled.parts is not None:
@@ -70,7 +71,7 @@ class LabelRecorder:
                     write_npz(part, [(kind, values)])
         self._images.append(json.dumps(coco.image(labelled, files)))
         if self._labels.layout == "kitti":
-            self._write_kitti(labelled, frame)
+            self._write_kitti(labelled)
         else:
             self._annotations += map(json.dumps, coco.annotations(labelled, len(self._annotations) + 1))
 
@@ -78,10 +79,10 @@ class LabelRecorder:
         with whole(self._directory / name) as part:
             part.write_bytes(cv2.imencode(".png", mask, QUICK)[1].tobytes())
 
-    def _write_kitti(self, labelled: LabelledImage, frame: Frame) -> None:
-        assert frame.image is not None
+    def _write_kitti(self, labelled: LabelledImage) -> None:
         name = f"{labelled.number:06d}"
-        write_image(self._directory / IMAGE_2 / f"{name}.png", frame.image, self._world.camera.bits)
+        with whole(self._directory / IMAGE_2 / f"{name}.png") as part:
+            link(self._directory / frame_name(labelled.number), part)
         for folder, text in ((LABEL_2, kitti.lines(labelled)), (CALIB, kitti.calibration(self._world.view))):
             with whole(self._directory / folder / f"{name}.txt") as part:
                 part.write_text(text)

@@ -104,7 +104,7 @@ def test_a_scene_that_fails_leaves_nothing(file: Path, tmp_path: Path) -> None:
     (scene,) = read(file, 1).scenes
     broken = scene.scenario.model_dump(mode="json") | {"plant": {"kind": "recording", "folder": str(tmp_path)}}
     with pytest.raises(LuxloopError):
-        make(broken, {}, {"layout": "coco"}, str(tmp_path / "000005"))
+        make(broken, {}, {"layout": "coco"}, str(tmp_path / "000005"), "")
     assert [path.name for path in tmp_path.iterdir()] == ["night.toml"]
 
 
@@ -114,6 +114,7 @@ def test_a_scene_that_fails_leaves_nothing(file: Path, tmp_path: Path) -> None:
         ({'"camera.pitch_deg=1:2"': '"camera.pich_deg=1:2"'}, "2", ["night.toml: vary camera.pich_deg=1:2"]),
         ({"camera.pitch_deg=1:2": "camera.pitch_deg=2:1"}, "2", ["night.toml: vary", "camera.pitch_deg=1:2"]),
         ({'"high"': '"hihg"'}, "2", ["night.toml: variants.high", "beam"]),
+        ({"[variants": "[set.x", 'model = "ssl-hd-lores"': 'model = "no-such"'}, "2", ["night.toml: set: scene 5: "]),
         ({"masks": "mask"}, "2", ["night.toml: mask: unknown key", "masks"]),
         ({}, "0", ["--scenes 0: too few"]),
     ],
@@ -129,10 +130,35 @@ def test_a_wrong_file_is_said_in_a_sentence(changes: dict[str, str], scenes: str
     assert not (file.parent / "set").exists()
 
 
-def test_a_scene_that_is_gone_is_named_with_the_remedy(lux: Lux, file: Path, tmp_path: Path) -> None:
+def test_what_is_there_is_what_the_file_says_now(lux: Lux, file: Path, tmp_path: Path) -> None:
+    arguments = ["dataset", "night.toml", "--scenes", "1", "--jobs", "1", "--out", "set"]
+    folder = tmp_path / "set" / "scenes" / "000005"
+    assert lux(*arguments)[0] == 0
+    (tmp_path / "set").rename(tmp_path / "moved")
+    code, _, error = lux(*arguments[:-1], str(tmp_path / "moved"))
+    assert code == 0 and "1 of 1 already done" in error, "wherever the folder is"
+    (tmp_path / "moved").rename(tmp_path / "set")
+    for masks in ("false", "true"):
+        file.write_text(FILE.replace("masks = true", f"masks = {masks}"))
+        assert lux(*arguments)[0] == 0
+        assert any((folder / "labels").glob("instances_*")) == (masks == "true"), "also where the file is as it was before"
+    shutil.rmtree(folder)
+    assert lux(*arguments)[0] == 0 and folder.exists()
+
+
+def test_joined_labels_of_scenes_that_are_replaced_do_not_outlive_them(lux: Lux, file: Path, tmp_path: Path) -> None:
     arguments = ["dataset", "night.toml", "--scenes", "1", "--jobs", "1", "--out", "set"]
     assert lux(*arguments)[0] == 0
-    shutil.rmtree(tmp_path / "set" / "scenes" / "000005")
-    code, _, error = lux(*arguments)
-    assert code == 2 and "coco.json: was made, but is gone; remove scenes.jsonl" in error
-    assert_one_sentence(error.partition("\n")[2])  # after the line on what is done already
+    file.write_text(FILE.replace('"coco"', '"kitti"'))
+    assert lux(*arguments)[0] == 0
+    assert sorted(path.name for path in (tmp_path / "set").iterdir()) == ["images.json", "scenes", "scenes.jsonl", "training"]
+
+
+def test_files_of_others_stay(lux: Lux, file: Path, tmp_path: Path) -> None:
+    mine = tmp_path / "set" / "training" / "image_2" / "000000.png"
+    mine.parent.mkdir(parents=True)
+    mine.write_text("mine")
+    code, _, error = lux("dataset", "night.toml", "--scenes", "1", "--jobs", "1", "--out", "set")
+    assert code == 2 and "set: holds files that are no data set of luxloop" in error
+    assert_one_sentence(error)
+    assert mine.read_text() == "mine" and [path.name for path in (tmp_path / "set").iterdir()] == ["training"]

@@ -1,14 +1,17 @@
 """`luxloop export scene`: the file that other programs open holds the scene, each body where it is."""
 
+import json
+import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
 
-from loop.export.scene import SCENE, T_GLTF_WORLD
+from loop.export.scene import SCENE, T_GLTF_WORLD, write_scene
 from loop.run import prepare
-from loop.scenario.model import load
+from loop.scenario.model import load, validate
 from tests.loop.conftest import Lux, assert_one_sentence
 
 AT_S = 0.5
@@ -44,11 +47,34 @@ def test_scene_opens_in_trimesh_with_every_vertex_where_it_is(lux: Lux, tmp_path
 
     T_world_camera = world.view_at(AT_S).T_world_view.numpy() @ np.diag([1, -1, -1, 1])
     assert np.allclose(opened.camera_transform, T_GLTF_WORLD @ T_world_camera, atol=1e-6)
-    assert opened.camera.fov[0] == pytest.approx(simulation.scenario.camera.hfov_deg)
+    (camera,) = tree(tmp_path / "night.glb")["cameras"]
+    wide = camera["perspective"]["aspectRatio"] * math.tan(camera["perspective"]["yfov"] / 2)  # as glTF defines both
+    assert 2 * math.atan(wide) == pytest.approx(math.radians(simulation.scenario.camera.hfov_deg))
     for module in world.modules:
         T_world_module = state.T_world_body @ module.T_world_headlight.double()
         assert np.allclose(graph.get(f"lamp {module.name}", SCENE)[0], T_world_module.numpy(), atol=1e-6)
     assert graph.get("street lamp 1", SCENE)[0][:3, 3].tolist() == [20, 7, 6]
+
+
+def tree(file: Path) -> dict[str, Any]:
+    """The JSON of a .glb: its first chunk, behind a header of 12 bytes, begins with its length and type."""
+    data = file.read_bytes()
+    found: dict[str, Any] = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    return found
+
+
+def test_no_name_of_an_object_is_taken(tmp_path: Path) -> None:
+    names = ["world", "scene", "camera", "road"]
+    objects = [
+        {"kind": "box", "name": each, "size_m": [1.0, 1.0, 1.0], "track": [{"position_m": [10.0 + k, 0, 0]}]}
+        for k, each in enumerate(names)
+    ]
+    scenario = validate({"name": "boxes", "renderer": "raycast", "headlight": {"model": "ssl-hd-lores"}, "objects": objects}, "boxes")
+    write_scene(prepare(scenario, "cpu"), 0.0, tmp_path / "boxes.glb")
+    nodes = tree(tmp_path / "boxes.glb")["nodes"]
+    for k, each in enumerate(names):
+        (node,) = (node for node in nodes if node["name"] == each)
+        assert node["matrix"][12:15] == [10.0 + k, 0, 0]
 
 
 def same(triangles: np.ndarray, others: np.ndarray) -> None:

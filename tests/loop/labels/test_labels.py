@@ -1,6 +1,7 @@
 """Labels beside frames: read by the programs that they are made for, and true to the pixel."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +10,16 @@ import numpy as np
 import pytest
 from pycocotools.coco import COCO
 
+from controllers.pixels.ssc import Utilisation
 from loop.labels.coco import run_lengths
+from loop.labels.labelled import Labels
+from loop.labels.recorder import LabelRecorder
 from loop.lighting.result import StepResult
-from loop.run import run
+from loop.recording.frames import FrameRecorder
+from loop.run import prepare, run
 from loop.scenario.model import Scenario, validate
 from tests.loop.conftest import Lux, assert_one_sentence
+from world.errors import LuxloopError
 
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation")  # of pycocotools
 
@@ -114,10 +120,29 @@ def test_late_and_lost_frames_have_the_labels_of_their_exposure(tmp_path: Path) 
     assert [image["time_s"] for image in images] == pytest.approx([image["id"] / 10 for image in images])
 
 
+def test_light_is_that_which_the_frame_shows(tmp_path: Path) -> None:
+    simulation = prepare(street(steps=1), "cpu")
+    (result,) = simulation.run()
+    (showing,) = result.showings
+    dark = tuple(Utilisation(0 * each.u) for each in showing.exposure.lights)
+    (frame,) = showing.after.frames
+    other = replace(frame, shown=replace(showing.exposure, lights=dark))
+    frames = FrameRecorder(tmp_path, bits=8)
+    labels = LabelRecorder(tmp_path, simulation.world, Labels("coco", lux=True), frames)
+    for each in (frames, labels):
+        each.begin()
+        each.add([replace(showing, after=replace(showing.after, frames=(other,)))])
+        each.write()
+    (image,) = json.loads((tmp_path / "labels" / "coco.json").read_text())["images"]
+    assert not np.load(tmp_path / image["lux"])["lux"].any() and not np.load(tmp_path / image["light"])["u_0"].any()
+
+
 def test_kitti_boxes_lie_where_the_calibration_puts_the_objects(tmp_path: Path) -> None:
     run(street(), tmp_path, video=False, report=False, labels="kitti")
     for number in range(4):
-        assert cv2.imread(str(tmp_path / "labels" / "image_2" / f"{number:06d}.png")).shape == (160, 320, 3)
+        picture = tmp_path / "labels" / "image_2" / f"{number:06d}.png"
+        assert cv2.imread(str(picture)).shape == (160, 320, 3)
+        assert picture.samefile(tmp_path / "frames" / f"frame_{number:08d}.png"), "it takes no room"
         text = (tmp_path / "labels" / "calib" / f"{number:06d}.txt").read_text()
         calibration = {line.split(":")[0]: np.array(line.split(":")[1].split(), float) for line in text.splitlines()}
         P2, to_camera = (calibration[name].reshape(3, 4) for name in ("P2", "Tr_velo_to_cam"))
@@ -154,6 +179,8 @@ def test_old_labels_go_with_their_recording_and_nothing_else(tmp_path: Path) -> 
 
 
 def test_what_cannot_be_labelled_is_said_in_a_sentence(lux: Lux, tmp_path: Path) -> None:
+    with pytest.raises(LuxloopError, match="labels = 'cocco': is no layout; choose from 'coco' and 'kitti'"):
+        run(street(), tmp_path / "drive", labels="cocco")  # type: ignore[arg-type]
     code, _, error = lux("run", "small.toml", "--depth")
     assert code == 2 and "--depth: is written beside labels; give --labels coco" in error
     assert_one_sentence(error)
