@@ -68,12 +68,14 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]])
         self._state: Any = None
 
     def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:  # type: ignore[override]
-        one = seed if isinstance(seed, int) or seed is None else None
-        super().reset(seed=one)
-        drawn = self.np_random.integers(SEEDS, size=self.num_envs).tolist()
-        given = [None if one is None else one + k for k in range(self.num_envs)] if seed is one else list(seed)  # type: ignore[arg-type]
+        if isinstance(seed, int | np.integer) or seed is None:
+            given = [None if seed is None else int(seed) + k for k in range(self.num_envs)]
+        else:
+            given = list(seed)
         if len(given) != self.num_envs:
             raise LuxloopError(f"reset: there are {len(given)} seeds for {self.num_envs} copies; give one for each")
+        super().reset(seed=given[0])
+        drawn = self.np_random.integers(SEEDS, size=self.num_envs).tolist()
         seeds = [new if each is None else each for each, new in zip(given, drawn, strict=True)]
         fresh = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, bool)), bool)
         if self._state is None and not fresh.all():
