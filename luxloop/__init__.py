@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from loop.contracts.plant import check_plant
     from loop.contracts.tracker import check_tracker
     from loop.environment.making import make, make_vec
+    from loop.environment.randomised import Randomised, RandomisedVector
     from loop.lighting.simulation import Simulation
     from loop.pictures.headlight import show as show_headlight
     from loop.plant.protocol import Arrivals, Exposure, Frame
@@ -69,6 +70,8 @@ __all__ = [
     "Observation",
     "Planner",
     "ProjectionCommand",
+    "Randomised",
+    "RandomisedVector",
     "RoadModel",
     "RunResult",
     "Sample",
@@ -125,6 +128,7 @@ _MODULES = {
     "loop.contracts.plant": ("check_plant",),
     "loop.contracts.tracker": ("check_tracker",),
     "loop.environment.making": ("make", "make_vec"),
+    "loop.environment.randomised": ("Randomised", "RandomisedVector"),
     "loop.pictures.headlight": ("show as show_headlight",),
     "loop.plant.protocol": ("Arrivals", "Exposure", "Frame"),
     "loop.plant.simulated": ("simulated_plant",),

@@ -23,8 +23,8 @@ def make(
     """An environment of Gymnasium in which the agent holds the scenario's symbol; its docstring has spaces, units and signs.
 
     scenario: a loaded one, or the name or path of one. overrides: other values of its keys, as KEY=VALUE. action: what an action does.
-    image: rows and columns of a picture of the symbol in observations, none if left out. Raises LuxloopError where Gymnasium is missing,
-    and as `SymbolEnv`.
+    image: rows and columns of a picture of the symbol in observations, none if left out. render_mode: whether `render` returns the camera's
+    view, or a window shows it. device: "cpu" or "cuda". Raises LuxloopError where Gymnasium is missing, and as `SymbolEnv`.
     """
     _needs_gymnasium()
     from loop.environment.single import SymbolEnv
@@ -44,8 +44,8 @@ def make_vec(
 ) -> "SymbolVectorEnv":
     """So many copies of it at once, a `VectorEnv` of Gymnasium; for scenarios in which nothing but the symbol moves.
 
-    autoreset_mode: one of `gymnasium.vector.AutoresetMode`. Arguments otherwise and errors as `make`; raises LuxloopError also where the
-    scenario moves.
+    num_envs: how many. autoreset_mode: one of `gymnasium.vector.AutoresetMode`. overrides, action, image, device and errors as of `make`;
+    raises LuxloopError also where the scenario moves.
     """
     _needs_gymnasium()
     from loop.environment.vector import SymbolVectorEnv

@@ -20,7 +20,6 @@ from matplotlib import pyplot
 from torch import Tensor, nn
 
 import luxloop
-from loop.environment.randomised import RandomisedVector
 
 WORLD = ("camera.width_px=640", "camera.height_px=360", "camera.latency_steps=0")
 COPIES, STEPS, WORKERS = 32, 16, 2
@@ -50,10 +49,10 @@ class Policy(nn.Module):
         return torch.distributions.Normal(self.mean(x), self.log_std.exp()), self.value(x)[..., 0]
 
 
-def roads(first: int, last: int, every: int, steps: int, action: str = "moves") -> RandomisedVector:
+def roads(first: int, last: int, every: int, steps: int, action: str = "moves") -> luxloop.RandomisedVector:
     """Copies on a mixed road whose bumps and roughness are drawn anew every so many episodes."""
     copies = luxloop.make_vec("snowflake", COPIES, *WORLD, f"steps={steps}", action=action, autoreset_mode="Disabled")
-    return RandomisedVector(copies, [f"road.seed={first}:{last}"], every)
+    return luxloop.RandomisedVector(copies, [f"road.seed={first}:{last}"], every)
 
 
 def starts(generator: torch.Generator) -> np.ndarray:
