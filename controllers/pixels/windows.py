@@ -47,7 +47,7 @@ class Window:
         return rows and self.col_start <= other.col_start and other.col_stop <= self.col_stop
 
     def widened(self, texels: int, grid: TexelGrid) -> "Window":
-        """By so many texels on all sides, within the light texture."""
+        """The window with a margin in texels on all sides, clipped to the light texture."""
         rows = max(self.row_start - texels, 0), min(self.row_stop + texels, grid.rows)
         return Window(*rows, max(self.col_start - texels, 0), min(self.col_stop + texels, grid.cols))
 

@@ -25,7 +25,7 @@ HEIGHT_RATE_M, HEIGHT_RANGE_M = 0.03, 0.25  # of a cell's height: most in a step
 class Acting(Protocol):
     """A controller that takes actions; for all but heights its states may have batch dimensions.
 
-    size: of an action. limits: `[k]` each, least and greatest of what is told of a state.
+    size: number of values of an action. limits: `[k]` each, least and greatest values of the observed part of a state.
     """
 
     @property
@@ -42,8 +42,8 @@ class Acting(Protocol):
         """The state after an action `[..., size]` in -1..1."""
         ...
 
-    def told(self, state: Any) -> Tensor:
-        """What one who acts is told of a state, `[..., k]`: the pose that is shown (x, y in m, roll, pitch in rad), or the heights in m."""
+    def observed(self, state: Any) -> Tensor:
+        """The observed part of a state, `[..., k]`: the pose that is shown (x, y in m, roll, pitch in rad), or the heights in m."""
         ...
 
     def projection(self, state: Any, ego: Ego | None) -> ProjectionCommand:
@@ -75,7 +75,7 @@ class Moves:
     def act(self, state: Tensor, action: Tensor) -> Tensor:
         return (state + action * self.law.gains.rate_limit).clamp(*self.limits)
 
-    def told(self, state: Tensor) -> Tensor:
+    def observed(self, state: Tensor) -> Tensor:
         return state
 
     def projection(self, state: Tensor, ego: Ego | None) -> ProjectionCommand:
@@ -114,7 +114,7 @@ class Gains:
         factors = (GAIN_SPAN ** action.unflatten(-1, (2, 3))).repeat_interleave(2, -2).mT  # [..., 3, 4]
         return replace(state, factors=factors)
 
-    def told(self, state: GainsState) -> Tensor:
+    def observed(self, state: GainsState) -> Tensor:
         return state.law.pid.output
 
     def projection(self, state: GainsState, ego: Ego | None) -> ProjectionCommand:
@@ -150,7 +150,7 @@ class Heights:
     def act(self, state: Tensor, action: Tensor) -> Tensor:
         return (state + HEIGHT_RATE_M * action.view(HEIGHT_CELLS)).clamp(-HEIGHT_RANGE_M, HEIGHT_RANGE_M)
 
-    def told(self, state: Tensor) -> Tensor:
+    def observed(self, state: Tensor) -> Tensor:
         return state.flatten()
 
     def projection(self, state: Tensor, ego: Ego | None) -> ProjectionCommand:

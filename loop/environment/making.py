@@ -42,10 +42,10 @@ def make_vec(
     autoreset_mode: Any = "NextStep",
     device: str = "cpu",
 ) -> "SymbolVectorEnv":
-    """So many copies of it at once, a `VectorEnv` of Gymnasium; for scenarios in which nothing but the symbol moves.
+    """A `VectorEnv` of Gymnasium with num_envs copies of `make`'s environment; for scenarios in which nothing but the symbol moves.
 
-    num_envs: how many. autoreset_mode: one of `gymnasium.vector.AutoresetMode`. overrides, action, image, device and errors as of `make`;
-    raises LuxloopError also where the scenario moves.
+    num_envs: number of copies. autoreset_mode: one of `gymnasium.vector.AutoresetMode`. overrides, action, image, device and errors: as of
+    `make`; raises LuxloopError also where the scenario moves.
     """
     _needs_gymnasium()
     from loop.environment.vector import SymbolVectorEnv

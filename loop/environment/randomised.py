@@ -47,7 +47,7 @@ class RandomisedVector(gymnasium.vector.VectorWrapper):
 
 
 class _Drawn:
-    """Values of keys, drawn for every so many episodes."""
+    """Values of keys, drawn anew after `every` episodes."""
 
     def __init__(self, env: Any, keys: Sequence[str], every: int) -> None:
         assert isinstance(env, SymbolEnv | SymbolVectorEnv)

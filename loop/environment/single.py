@@ -12,7 +12,7 @@ from gymnasium import spaces
 
 from controllers.symbol.sensing.symbol_sensor import Measurement
 from loop.environment.acting import ACTIONS
-from loop.environment.task import Floats, Look, bounds, observation, reward, told
+from loop.environment.task import Floats, Look, as_gymnasium, bounds, observation, reward
 from loop.lighting.result import SimulationState, StepResult
 from loop.lighting.simulation import Simulation
 from loop.plant.simulated import as_simulated
@@ -168,7 +168,7 @@ class SymbolEnv(gymnasium.Env[Any, Floats]):
         if seen is None:
             seen = self.simulation.symbol.sensor.lost(self.acting.projection(held.controller, ego).pose, Loss.NO_FRAME)
         look = Look.of(seen, self.image)
-        return told(observation(self.acting.told(held.controller), look, ego), look)
+        return as_gymnasium(observation(self.acting.observed(held.controller), look, ego), look)
 
 
 def known_action(action: str) -> str:

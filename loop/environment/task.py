@@ -17,7 +17,7 @@ from perception.judge import Verdict
 
 Floats = npt.NDArray[np.float32]
 
-ERRORS: Final = (20.0, 10.0, 0.5, 0.5)  # m, m, rad, rad: greatest that are told
+ERRORS: Final = (20.0, 10.0, 0.5, 0.5)  # m, m, rad, rad: limits of observed errors
 AREA: Final = 4.0
 MOTION: Final = (100.0, 3.0)  # m/s, rad/s
 CENTROID_WEIGHT, ACTION_WEIGHT = 0.5, 0.01
@@ -56,8 +56,10 @@ def bounds(acting: Acting) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True)
 class Look:
-    """What is told of the newest frames. code: `[...]` int64, a `Loss`. pose_error: `[..., 4]` m, m, rad, rad, 0 where the symbol is lost.
-    area_ratio: `[...]`, seen to expected. image: `[..., h, w]` uint8, the symbol as it was extracted, scaled; None where nobody wants it.
+    """The observed part of a measurement of the newest frames.
+
+    code: `[...]` int64, a `Loss`. pose_error: `[..., 4]` m, m, rad, rad, 0 where the symbol is lost. area_ratio: `[...]`, seen to expected.
+    image: `[..., h, w]` uint8, the symbol as it was extracted, scaled; None if observations have no image.
     """
 
     code: Tensor
@@ -75,15 +77,15 @@ class Look:
         return cls(seen.code, errors, area, None if size is None else _scaled(seen.symbol, size))
 
 
-def observation(told: Tensor, look: Look, ego: Ego | None) -> Tensor:
-    """`[..., n]`, see `SymbolEnv`. told: `[..., k]`, see `Acting`."""
-    codes = torch.nn.functional.one_hot(look.code, len(Loss)).to(told)
-    moving = told.new_zeros(2) if ego is None or ego.stands else torch.stack([ego.speed_m_s, ego.yaw_rate_rad_s]).to(told)
-    motion = moving.clamp(told.new_tensor([0.0, -MOTION[1]]), told.new_tensor(MOTION)).expand(*told.shape[:-1], 2)
-    return torch.cat([told, look.pose_error, codes, look.area_ratio[..., None], motion], -1)
+def observation(state: Tensor, look: Look, ego: Ego | None) -> Tensor:
+    """`[..., n]`, see `SymbolEnv`. state: `[..., k]`, observed part of the state of an `Acting`."""
+    codes = torch.nn.functional.one_hot(look.code, len(Loss)).to(state)
+    moving = state.new_zeros(2) if ego is None or ego.stands else torch.stack([ego.speed_m_s, ego.yaw_rate_rad_s]).to(state)
+    motion = moving.clamp(state.new_tensor([0.0, -MOTION[1]]), state.new_tensor(MOTION)).expand(*state.shape[:-1], 2)
+    return torch.cat([state, look.pose_error, codes, look.area_ratio[..., None], motion], -1)
 
 
-def told(vector: Tensor, look: Look) -> Any:
+def as_gymnasium(vector: Tensor, look: Look) -> Any:
     """An observation as Gymnasium has it."""
     state = vector.float().cpu().numpy()
     return state if look.image is None else {"state": state, "image": look.image.cpu().numpy()}

@@ -18,7 +18,7 @@ from controllers.symbol.sensing.protocol import Observation, Shown
 from controllers.symbol.sensing.symbol_sensor import Measurement
 from loop.batch.copies import Copies
 from loop.environment.single import SEEDS, SymbolEnv, start_of
-from loop.environment.task import Floats, Look, Reward, observation, reward, told
+from loop.environment.task import Floats, Look, Reward, as_gymnasium, observation, reward
 from loop.plant.simulated import as_simulated
 from loop.scenario.model import Scenario
 from perception.extraction import Loss
@@ -156,7 +156,7 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]])
         self._seen = _rows(chosen, self._nothing_seen(), self._seen)
 
     def _observed(self) -> Any:
-        return told(observation(self.acting.told(self._state), self._seen, None), self._seen)
+        return as_gymnasium(observation(self.acting.observed(self._state), self._seen, None), self._seen)
 
 
 def _rows(chosen: Tensor, new: Any, old: Any) -> Any:
@@ -169,7 +169,7 @@ def _rows(chosen: Tensor, new: Any, old: Any) -> Any:
 
 
 def _infos(found: Reward, verdict: Verdict, there: Mask) -> dict[str, Any]:
-    """What each copy that went a step is told, as vector environments tell it."""
+    """Infos of the copies that went a step, in the layout of vector environments: arrays, and masks of those that have them."""
     tables = {"terms": found.terms, "verdict": vars(verdict)}
     told = {name: {key: value.cpu().numpy() for key, value in table.items()} for name, table in tables.items()}
     masked = {name: table | {f"_{key}": there for key in table} for name, table in told.items()}
