@@ -40,9 +40,8 @@ def _step(axis: Tensor) -> Tensor:
     return (axis[..., 1:2] - axis[..., :1]).sum(-1, keepdim=True)
 
 
-def _halves(axis: Tensor, split: Tensor) -> tuple[Tensor, Tensor]:
+def _halves(axis: Tensor, step: Tensor, split: Tensor) -> tuple[Tensor, Tensor]:
     """Share of each pixel before and after the split, by area, and first moment of each share: both `[..., 2, n]`."""
-    step = _step(axis)
     before = ((split[..., None] - axis) / step + 0.5).clamp(0, 1)
     after = 1 - before
     centres = torch.stack([axis - step * after / 2, axis + step * before / 2], -2)
@@ -71,14 +70,15 @@ def appearance(image: Tensor, axes: Axes) -> Appearance:
     mu02 = (rows * dv * dv).sum(-1) / m00
     mu11 = ((image @ du[..., None])[..., 0] * dv).sum(-1) / m00
 
-    (across, across_u), (along, along_v) = _halves(u, cu), _halves(v, cv)
+    step_u, step_v = _step(u), _step(v)
+    (across, across_u), (along, along_v) = _halves(u, step_u, cu), _halves(v, step_v, cv)
     across_image = image @ across.transpose(-1, -2)
     q00 = along @ across_image
     q10 = along @ (image @ across_u.transpose(-1, -2))
     q01 = along_v @ across_image
     quadrants = torch.stack([q10 / q00, q01 / q00], -1).flatten(-3, -2)
     centre = torch.stack([cu, cv], -1)[..., None, :]
-    return Appearance(area(image, axes), torch.cat([centre, quadrants], -2), mu11 / mu20, (mu02 - mu11**2 / mu20).clamp(min=0).sqrt())
+    return Appearance(m00 * (step_u * step_v)[..., 0].abs(), torch.cat([centre, quadrants], -2), mu11 / mu20, (mu02 - mu11**2 / mu20).clamp(min=0).sqrt())
 
 
 def features(seen: Appearance, shape: str) -> Tensor:

@@ -7,7 +7,7 @@ the lower half one of as many parts of its first and last part, whose tails reac
 """
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import Final
 
 import numpy as np
@@ -38,12 +38,11 @@ class FrameNoise:
         """32 random bits of each pixel of a part, `[height, width]` int32; two neighbours have the low and the high half of 64."""
         rows, columns = part
         pairs = columns.start // 2, (columns.stop + 1) // 2
-        v, u = (torch.arange(*ends, device=device) for ends in ((rows.start, rows.stop), pairs))
-        mixed = ((v[:, None] << 32) + u + 1).mul_(GOLDEN).add_(self.key - (self.key >> 63 << 64))
+        mixed = _counted(rows.start, rows.stop, *pairs, torch.device(device)) + (self.key - (self.key >> 63 << 64))
         mixed.bitwise_xor_(mixed >> 30 & 2**34 - 1).mul_(FIRST)
         mixed.bitwise_xor_(mixed >> 27 & 2**37 - 1).mul_(SECOND)
         mixed.bitwise_xor_(mixed >> 31 & 2**33 - 1)
-        halves = mixed.flatten().view(torch.int32).view(len(v), 2 * len(u))
+        halves = mixed.view(torch.int32)
         return halves[:, columns.start % 2 :][:, : columns.stop - columns.start]
 
     def part(self, part: Part, like: Tensor) -> Tensor:
@@ -53,6 +52,13 @@ class FrameNoise:
         place, further = (each.flatten() for each in (bits >> 16 & PARTS - 1, bits & PARTS - 1))
         drawn = middle.index_select(0, place).addcmul_(sign.index_select(0, place), tail.index_select(0, further))
         return drawn.view_as(bits)
+
+
+@lru_cache(2)  # both frames of a step are read in the same part
+def _counted(top: int, bottom: int, left: int, right: int, device: torch.device) -> Tensor:
+    """The counter of each pair of pixels, multiplied as SplitMix64 does, `[rows, pairs]` int64."""
+    v, u = torch.arange(top, bottom, device=device), torch.arange(left, right, device=device)
+    return ((v[:, None] << 32) + u + 1).mul_(GOLDEN)
 
 
 @cache

@@ -181,6 +181,8 @@ def concatenate(*parts: Primitives) -> Primitives:
     """
     if not parts:
         raise LuxloopError("there are no primitives to concatenate: give at least one")
+    if len(parts) == 1:
+        return parts[0]
     batch = np.broadcast_shapes(*(part.origin.shape[:-2] for part in parts))
 
     def joined(name: str, width: int) -> Tensor:

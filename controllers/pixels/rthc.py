@@ -5,9 +5,9 @@ as much as sums, so hits are images of zeros and ones, and painting is blending.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import groupby
 
 import torch
@@ -278,6 +278,11 @@ class _Rays:
         return self._times(self.seen.uv, self.seen.margin[0] if self.masking else None)
 
     @cached_property
+    def at(self) -> Callable[[int, Window], tuple[Tensor, Tensor]]:
+        """n and uv on a window, for one primitive after the other: `[..., rows, cols]`, `[..., 2, rows, cols]`."""
+        return lru_cache(1)(lambda p, window: (self.n.on(p, window), self.uv.on(p, window)))
+
+    @cached_property
     def sight(self) -> tuple[_Product, _Product] | None:
         """As n and uv, for the flying symbols of observers."""
         return None if self.seen.sight is None else (self._times(self.seen.sight[0]), self._times(self.seen.sight[1]))
@@ -314,10 +319,10 @@ def _step(a: Tensor) -> Tensor:
 
 
 def _inside(n: Tensor, uv: Tensor, wider: Tensor | None = None) -> Tensor:
-    """1 where a ray passes a rectangle, by n `[..., rows, cols]` and uv `[..., 2, rows, cols]`, which it overwrites; wider: `[..., 2]`."""
-    uv = uv.detach().abs_()
+    """1 where a ray passes a rectangle, by n `[..., rows, cols]` and uv `[..., 2, rows, cols]`; wider: `[..., 2]`."""
+    uv = uv.detach().abs()
     uv = uv if wider is None else uv.sub_(wider[..., None, None])
-    return _step(n.detach().sub_(torch.maximum(*uv.unbind(-3))))  # |2 u d.n| <= d.n and |2 v d.n| <= d.n (T eq. 7.3.3)
+    return _step(n.detach() - torch.maximum(*uv.unbind(-3)))  # |2 u d.n| <= d.n and |2 v d.n| <= d.n (T eq. 7.3.3)
 
 
 def _hit(rays: _Rays, seen: Homographies, p: int, mask: bool | None, front: bool | None, window: Window) -> Tensor:
@@ -325,7 +330,7 @@ def _hit(rays: _Rays, seen: Homographies, p: int, mask: bool | None, front: bool
 
     mask, front: whether it is a mask and whether the lamp sees its front, None if unknown on the host.
     """
-    n, uv = rays.n.on(p, window), rays.uv.on(p, window)  # [..., rows, cols], [..., 2, rows, cols]
+    n, uv = rays.at(p, window)
     if mask is False:
         hit = _inside(n, uv)
         return hit if front else hit * _step(rays.facing.on(p, window).detach())
@@ -388,8 +393,7 @@ def _setpoint(p: int, hit: Tensor, rays: _Rays, primitives: Primitives, seen: Ho
         return value
     if not homogeneous:
         if watched and rays.sight is not None:
-            n, uv = rays.sight
-            value = value * _inside(n.on(p, window), uv.on(p, window))
+            value = value * _inside(*(product.on(p, window) for product in rays.sight))
         value = value * _read(symbol, p, rays, primitives, window)
     if not illuminance:
         return value
@@ -408,8 +412,9 @@ def _opaque(p: int, rays: _Rays, primitives: Primitives, seen: Homographies, win
 
 def _read(image: Tensor, p: int, rays: _Rays, primitives: Primitives, window: Window) -> Tensor:
     """Samples `[..., rows, cols]` of an image `[h, w]` on the p-th primitive, or on its observer's flying symbol."""
-    n, uv = rays.sight if primitives.observed(p) and rays.sight is not None else (rays.n, rays.uv)
-    at = uv.on(p, window) / n.on(p, window).clamp(min=GRAZING).unsqueeze(-3)  # 2 u, 2 v of T eq. 7.3.3, [..., 2, rows, cols]
+    watching = rays.sight if primitives.observed(p) else None
+    n, uv = rays.at(p, window) if watching is None else (product.on(p, window) for product in watching)
+    at = uv / n.clamp(min=GRAZING).unsqueeze(-3)  # 2 u, 2 v of T eq. 7.3.3, [..., 2, rows, cols]
     return _symbol_value(image, at, bool(primitives.nearest[p]))
 
 

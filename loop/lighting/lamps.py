@@ -185,6 +185,12 @@ def flux_by_side(modules: Sequence[ShiningModule], lights: Sequence[Tensor]) -> 
     return sides
 
 
+def _flux_lm(light: Utilisation, flux: Tensor) -> float:
+    """Of a light in lm; flux: `[n_p]` lm of each of its pixels. Only pixels that may be lit are looked at."""
+    lit = slice(None) if light.band is None else light.band
+    return float(light.u[lit] @ flux[lit])
+
+
 def driven(
     modules: Sequence[ShiningModule],
     plan: Plan,
@@ -206,7 +212,7 @@ def driven(
             u, least = limit_power(torch.cat([each.u for each in shown]), flux, most * power_limit)
             parts, factor = u.split([len(module.flux) for module in mine]), float(least)
             shown = [Utilisation(part, each.band) for part, each in zip(parts, shown, strict=True)]
-        total = sum(module.intensity * float(each.u @ module.flux) for each, module in zip(shown, mine, strict=True))
+        total = sum(module.intensity * _flux_lm(each, module.flux) for each, module in zip(shown, mine, strict=True))
         powers[side] = LampPower(total, total / most, factor, power_w(total), total)
         lights += shown
     return tuple(lights), powers

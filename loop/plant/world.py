@@ -66,15 +66,15 @@ class LitScene:
         """Light transport, one a module, of all at rest."""
         return tuple(self.transported(number, REST) for number in range(self.modules))
 
-    def shown(self, lights: Sequence[Utilisation], commands: Commands = ()) -> Tensor:
-        """Luminance `[..., height, width]` in cd/m^2 of all light, the lamps' lights `[..., n_p]` included."""
+    def shown(self, lights: Sequence[Utilisation], commands: Commands = (), rows: slice | None = None) -> Tensor:
+        """Luminance `[..., height, width]` in cd/m^2 of all light, the lamps' lights `[..., n_p]` included, of all rows or some."""
         if all(light.band is not None and light.band.stop <= light.band.start for light in lights):
-            return self.base
+            return self.base if rows is None else self.base[rows]
         if not commands:
-            return added_light(self.transports, lights, self.base)
+            return added_light(self.transports, lights, self.base, rows)
         turned = tuple(self.transported(number, command) for number, command in enumerate(commands))
         dimmed = tuple(Utilisation(command.intensity * each.u, each.band) for each, command in zip(lights, commands, strict=True))
-        return added_light(turned, dimmed, self.base)
+        return added_light(turned, dimmed, self.base, rows)
 
     def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
         """Luminance `[..., height, width]` in cd/m^2 of these lights alone, all modules at rest."""
@@ -238,8 +238,11 @@ class World:
         `[height, width]` without the lamps.
         """
         if part is not None and (self.metered or not self.moving or (self._key(time_s), None, True) in self._lit):
-            everything, base = self.luminance(time_s, lights, commands)
-            return everything[..., *part], base[part]
+            lit = self.lit(time_s)
+            if self.metered or self._known(lit, lights, commands) is not None:
+                everything, base = self.luminance(time_s, lights, commands)
+                return everything[..., *part], base[part]
+            return lit.shown(lights, commands, part[0])[..., part[1]], lit.base[part]
         lit = self.lit(time_s, part)
         if self.metered:
             return self.meter(time_s, lights, commands).luminance, lit.base
@@ -257,12 +260,16 @@ class World:
 
     def _once(self, lit: LitScene, lights: tuple[Utilisation, ...], commands: Commands, make: Callable[[], Made]) -> Made:
         """What a light does to a scene, made anew only where it is not one of the last two."""
-        for scene, shown, commanded, made in self._made:
-            if scene is lit and shown is lights and commanded == commands:
-                return cast(Made, made)
+        if (known := self._known(lit, lights, commands)) is not None:
+            return cast(Made, known)
         made = make()
         self._made.append((lit, lights, commands, made))
         return made
+
+    def _known(self, lit: LitScene, lights: tuple[Utilisation, ...], commands: Commands) -> Any:
+        """What was made of a light, None where that is not one of the last two."""
+        of_it = (made for scene, shown, commanded, made in self._made if scene is lit and shown is lights and commanded == commands)
+        return next(of_it, None)
 
     def added(self, time_s: float, lights: tuple[Utilisation, ...], others: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
         """Luminance `[height, width]` in cd/m^2 at a time of what lights have beyond others."""

@@ -109,17 +109,21 @@ class Transport:
     first: Tensor
     last: Tensor
 
-    def luminance(self, utilisation: Tensor, band: slice | None = None) -> tuple[Tensor, Tensor]:
+    def luminance(self, utilisation: Tensor, band: slice | None = None, within: slice | None = None) -> tuple[Tensor, Tensor]:
         """Luminance `[..., m]` in cd/m^2 and flat image index `[m]` of the camera pixels that the pixellights of `band` can reach.
 
-        utilisation: `[..., n_p]`. Without a band all pixellights count; with one the host learns its size (CPU only).
+        utilisation: `[..., n_p]`. Without a band all pixellights count; with one the host learns its size (CPU only). within: of the flat
+        image, None for all of it.
         """
-        if band is None:
-            return multiply(self.matrix, utilisation), self.index
-        if band.stop <= band.start:
+        if band is not None and band.stop <= band.start:
             return utilisation.new_zeros(*utilisation.shape[:-1], 0), self.index[:0]
-        start = min(int(self.first[band].min()), self.matrix.n_rows)
-        stop = max(int(self.last[band].max()) + 1, start)
+        start, stop = 0, self.matrix.n_rows
+        if within is not None:
+            start, stop = torch.searchsorted(self.index, self.index.new_tensor([within.start, within.stop])).tolist()
+        if band is not None:
+            start, stop = max(start, int(self.first[band].min())), min(stop, int(self.last[band].max()) + 1)
+        start = min(start, self.matrix.n_rows)
+        stop = max(start, stop)
         return multiply(self.matrix.band(start, stop), utilisation), self.index[start:stop]
 
     def onto(self, crop: tuple[slice, slice], width: int, pixels: Tensor) -> Csr:
@@ -205,12 +209,19 @@ class DirectTransport:
         lit = lit[self.shadows.spare(surface.index[lit])]
         return lx[..., lit], surface.index[lit], surface.luminance_factor[lit]
 
-    def luminance(self, utilisation: Tensor, band: slice | None = None) -> tuple[Tensor, Tensor]:
-        """Luminance `[..., m]` in cd/m^2 that samples add to the camera pixel at flat image index `[m]`; see `illuminance`."""
+    def luminance(self, utilisation: Tensor, band: slice | None = None, within: slice | None = None) -> tuple[Tensor, Tensor]:
+        """Luminance `[..., m]` in cd/m^2 that samples add to the camera pixel at flat image index `[m]`; see `illuminance`.
+
+        within: of the flat image, None for all of it.
+        """
         if band is not None and band.stop <= band.start:
             return utilisation.new_zeros(*utilisation.shape[:-1], 0), torch.empty(0, dtype=torch.int64, device=utilisation.device)
         lx, samples, factor = self.illuminance(utilisation, band)
-        return self.reflected(lx, factor), self.pixel(samples)
+        luminance, pixels = self.reflected(lx, factor), self.pixel(samples)
+        if within is None:
+            return luminance, pixels
+        kept = (pixels >= within.start) & (pixels < within.stop)
+        return luminance[..., kept], pixels[kept]
 
     def reflected(self, lx: Tensor, luminance_factor: Tensor) -> Tensor:
         """Luminance `[..., m]` in cd/m^2 that samples of an illuminance `[..., m]` add to their pixels."""
@@ -235,9 +246,11 @@ def _camera_pixel(index: Tensor, width: int, oversampling: int) -> Tensor:
 
 
 class LightTransport(Protocol):
-    """From one module's utilisation `[..., n_p]` to luminances `[..., m]` in cd/m^2 and the flat image indices `[m]` that they add to."""
+    """From one module's utilisation `[..., n_p]` to luminances `[..., m]` in cd/m^2 and the flat image indices `[m]` that they add to, all
+    of them or those within a part.
+    """
 
-    def luminance(self, utilisation: Tensor, band: slice | None = None) -> tuple[Tensor, Tensor]: ...
+    def luminance(self, utilisation: Tensor, band: slice | None = None, within: slice | None = None) -> tuple[Tensor, Tensor]: ...
 
 
 class Light(Protocol):
@@ -250,10 +263,15 @@ class Light(Protocol):
     def band(self) -> slice | None: ...
 
 
-def added_light(transports: Sequence[LightTransport], lights: Sequence[Light], base: Tensor) -> Tensor:
-    """Luminance `[..., height, width]` in cd/m^2 of a camera's pixels: that of one light a transport on top of a base `[height, width]`."""
+def added_light(transports: Sequence[LightTransport], lights: Sequence[Light], base: Tensor, rows: slice | None = None) -> Tensor:
+    """Luminance `[..., height, width]` in cd/m^2 of a camera's pixels: that of one light a transport on top of a base `[height, width]`.
+
+    rows: of the image, which alone are returned and computed; None for all of them.
+    """
+    within = rows and slice(rows.start * base.shape[1], rows.stop * base.shape[1])
+    base = base if rows is None else base[rows]
     image = base.to(lights[0].u).expand(*lights[0].u.shape[:-1], *base.shape).flatten(-2).clone()
     for transport_, light in zip(transports, lights, strict=True):
-        luminance, index = transport_.luminance(light.u, light.band)
-        image.index_add_(-1, index, luminance)
+        luminance, index = transport_.luminance(light.u, light.band, within)
+        image.index_add_(-1, index if within is None else index - within.start, luminance)
     return image.unflatten(-1, base.shape)

@@ -82,9 +82,9 @@ class FlatModel:
     gains: Tensor
     albedo: float
 
-    def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
-        """Luminance `[..., height, width]` in cd/m^2 that the lamps add to their base beams on the flat road."""
-        return added_light(self.transports, lights, self._without_beams)
+    def luminance(self, lights: Sequence[Utilisation], rows: slice | None = None) -> Tensor:
+        """Luminance `[..., height, width]` in cd/m^2 that the lamps add to their base beams on the flat road, of all rows or some."""
+        return added_light(self.transports, lights, self._without_beams, rows)
 
     @cached_property
     def _without_beams(self) -> Tensor:
@@ -92,7 +92,8 @@ class FlatModel:
 
     def symbol(self, lights: Sequence[Utilisation], crop: Crop) -> Tensor:
         """Symbol image `[..., h, w]` that extraction would find without noise."""
-        return symbol_image(self.luminance(lights)[..., *crop.slices], self.limit[crop.slices], self.params)
+        rows, columns = crop.slices
+        return symbol_image(self.luminance(lights, rows)[..., columns], self.limit[crop.slices], self.params)
 
 
 def flat_model(

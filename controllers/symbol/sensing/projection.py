@@ -26,7 +26,7 @@ class Warp:
         return Warp(self.source.to(device), self.dimming.to(device), self.size_m)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ProjectionCommand:
     """One symbol to be shown.
 

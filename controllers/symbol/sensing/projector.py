@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, Self
+from weakref import WeakKeyDictionary
 
 import torch
 from kornia.geometry.transform import remap
@@ -101,11 +102,20 @@ class Projector:
         value = p.value if p.quantity == "u_rel" else p.value / len(self.modules)
         return road_symbol(pose, 0.0, width_m, length_m, image, value, p.quantity)
 
+    @cached_property
+    def _rectangles(self) -> WeakKeyDictionary[ProjectionCommand, Primitives]:
+        return WeakKeyDictionary()
+
     def rectangle(self, projection: ProjectionCommand) -> Primitives:
-        """The primitive that a projection's symbol lies on, not warped."""
-        projection = self.on_road(projection)
-        size = (self.params.length_m, self.params.width_m) if projection.warp is None else projection.warp.size_m
-        return _raised(self._rectangle(projection.pose, *size, self.symbol), projection.z)
+        """The primitive that a projection's symbol lies on, not warped; made once for each projection without a gradient."""
+        known = self._rectangles.get(projection)
+        if known is None:
+            shown = self.on_road(projection)
+            size = (self.params.length_m, self.params.width_m) if shown.warp is None else shown.warp.size_m
+            known = _raised(self._rectangle(shown.pose, *size, self.symbol), shown.z)
+            if not known.origin.requires_grad:
+                self._rectangles[projection] = known
+        return known
 
     def light(self, pose: Tensor) -> tuple[Utilisation, ...]:
         """Utilisations `[..., n_p]`, one a module, that draw the symbol as it is at a pose `[..., 4]`."""
@@ -132,7 +142,7 @@ class Projector:
         """
         projection = self.on_road(projection)
         if projection.warp is None:
-            return [_raised(self.primitive(projection.pose), projection.z)] * len(self.modules)
+            return [self.rectangle(projection)] * len(self.modules)
         u, v = projection.warp.source.unbind(1)
         symbol = self.symbol.expand(len(u), 1, -1, -1)
         warped = remap(symbol, u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)[:, 0] * projection.warp.dimming
@@ -171,9 +181,12 @@ class Projector:
         corners = self.rectangle(projection).corners().detach().reshape(-1, 3).T.cpu().double()
         origins = torch.stack([module.T_world_headlight[:3, 3:] for module in self.modules]).to(corners)
         rays = corners - origins
-        middle = corners.new_zeros(4) if shape is None else shape.detach().to(corners)
-        bounds = middle + corners.new_tensor([[-margin_m, 0, 0, 0], [margin_m, 0, 0, 0]])
-        reach = torch.stack([reached(bounds, self.params.x_m, *each) for each in zip(origins[..., 0], rays, strict=True)], 1)
+        heights = corners.new_tensor([-margin_m, margin_m])[:, None, None]
+        if shape is None:
+            reach = torch.where(rays[:, 2] < 0, (heights - origins[:, 2]) / rays[:, 2], torch.inf)  # [2, m, 4 * ...]
+        else:
+            bounds = shape.detach().to(corners) + torch.nn.functional.pad(heights[:, 0], (0, 3))
+            reach = torch.stack([reached(bounds, self.params.x_m, *each) for each in zip(origins[..., 0], rays, strict=True)], 1)
         ends = origins + rays * reach.minimum(200 / rays.norm(dim=1))[:, :, None]
         uv, depth = view.project(ends.transpose(0, 2).reshape(3, -1))
         uv = uv[:, depth > 0.1]
