@@ -78,7 +78,8 @@ def appearance(image: Tensor, axes: Axes) -> Appearance:
     q01 = along_v @ across_image
     quadrants = torch.stack([q10 / q00, q01 / q00], -1).flatten(-3, -2)
     centre = torch.stack([cu, cv], -1)[..., None, :]
-    return Appearance(m00 * (step_u * step_v)[..., 0].abs(), torch.cat([centre, quadrants], -2), mu11 / mu20, (mu02 - mu11**2 / mu20).clamp(min=0).sqrt())
+    size, length = m00 * (step_u * step_v)[..., 0].abs(), (mu02 - mu11**2 / mu20).clamp(min=0).sqrt()
+    return Appearance(size, torch.cat([centre, quadrants], -2), mu11 / mu20, length)
 
 
 def features(seen: Appearance, shape: str) -> Tensor:
