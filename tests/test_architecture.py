@@ -31,11 +31,17 @@ each_module = pytest.mark.parametrize("module", MODULES, ids=str)
 each_folder = pytest.mark.parametrize("folder", FOLDERS, ids=str)
 
 
+@cache
+def parsed(source: str) -> ast.Module:
+    return ast.parse(source)
+
+
+@cache
 def imported(source: str) -> set[str]:
     """All that a module imports, at its head or inside functions: `a.b.c` of `from a.b import c`, what begins with "." of relative
     imports."""
     names = set()
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(parsed(source)):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -130,7 +136,7 @@ def test_module_can_be_held_in_mind(module: Path) -> None:
 
 @each_module
 def test_values_stay_as_they_are(module: Path) -> None:
-    tree = ast.parse((ROOT / module).read_text())
+    tree = parsed((ROOT / module).read_text())
     source = ast.unparse(tree)
     assert not TRICKS.search(source), f"{module}: make another value with `replace`"
     for name in re.findall(r"^(\w+)(?:: .+)? = ", source, re.M):
@@ -143,7 +149,7 @@ def test_values_stay_as_they_are(module: Path) -> None:
 
 @each_module
 def test_functions_take_few_values(module: Path) -> None:
-    for node in ast.walk(ast.parse((ROOT / module).read_text())):
+    for node in ast.walk(parsed((ROOT / module).read_text())):
         if isinstance(node, ast.FunctionDef) and "Parameters\n---" not in (ast.get_docstring(node) or ""):  # as those of commands have
             names = [each.arg for each in (*node.args.args, *node.args.kwonlyargs) if each.arg not in ("self", "cls")]
             assert len(names) <= PARAMETERS or f"{module.name}: {node.name}" in MANY, f"{module}: {node.name} takes {len(names)}"

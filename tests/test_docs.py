@@ -18,6 +18,7 @@ import pytest
 from pydantic import BaseModel
 
 from loop.commands import cli
+from loop.commands.given import scenario_of
 from loop.run import prepare
 from loop.scenario.model import Scenario, load, validate
 from loop.scenario.overrides import TAGS
@@ -25,9 +26,11 @@ from loop.scenario.shipped import shipped
 from loop.studies.campaign import CampaignParams
 from loop.studio.page import PAGE
 from loop.terminal.tables import markdown
+from tests.parts import parts_serve_again, simulations_end_with_the_file
 from world.lampfiles import description
 from world.lampfiles.description import LampDescription
 
+__all__ = ["parts_serve_again", "simulations_end_with_the_file"]
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md"))]
 SCENARIOS = ROOT / "docs" / "scenarios.md"
@@ -49,7 +52,15 @@ CHEAP = {
     r"python tune_gains.py\b": "--trials 1 --steps 3",
     r"luxloop tune\b": "--trials 1 --jobs 1 --set steps=3 camera.width_px=320 camera.height_px=180",
 }
-CHEAP_PYTHON = {"steps=40": "steps=3"}
+CHEAP_PYTHON = {
+    '("snowflake", steps=40': '("snowflake", overrides=["camera.width_px=320", "camera.height_px=180"], steps=3',
+    '["road.kind=bumps"]': '["road.kind=bumps", "camera.width_px=320", "camera.height_px=180"]',
+    '"camera.width_px=640", "camera.height_px=360"': '"camera.width_px=320", "camera.height_px=180"',
+    'make_vec("snowflake", 32)': 'make_vec("snowflake", 2, "camera.width_px=320", "camera.height_px=180")',
+    "steps=40": "steps=3",
+}
+FULLY_RUN = ("README",)  # pages whose commands the fast tests run, all of them; of others they run what is quick, or needed on the page
+LONG = r"luxloop (run|check|tune|headlight show|export)\b|python "
 
 MEASURED = "|".join(["data get", "opencrg", *(name for name, path in shipped().items() if 'kind = "opencrg"' in path.read_text("utf-8"))])
 
@@ -82,11 +93,46 @@ def execute(command: str) -> None:
         pytest.fail(f"{command}: teach this test to run {program!r}, or exempt it with a reason")
 
 
-@pytest.mark.parametrize("page", with_blocks("sh"))
+def understand(command: str) -> None:
+    """Read a command line of luxloop, and the scenario that it would run, without running it."""
+    program, *arguments = shlex.split(command)
+    if program != "luxloop":
+        return
+    function, given, _ = cli.app.parse_args(arguments, exit_on_error=False, print_error=False)
+    if function in (cli.run, cli.check):
+        told = given.arguments
+        values = {key: told[key] for key in ("seed", "steps") if told.get(key) is not None}
+        scenario_of(told["name"], told.get("set"), told.get("controller"), allow_code=bool(told.get("allow_code")), **values)
+
+
+def recording_of(command: str) -> str:
+    """The folder into which a `luxloop run` records."""
+    out = re.search(r"--out (\S+)", command)
+    return out[1] if out else f"runs/{Path(command.split()[2]).stem}"
+
+
+def runs_in_a_page(marks: Any) -> list[Any]:
+    return [pytest.param(*each.values, id=each.id, marks=() if each.id in FULLY_RUN else marks) for each in with_blocks("sh")]
+
+
+@pytest.mark.parametrize("page", runs_in_a_page(pytest.mark.slow))
 def test_commands_run_in_the_order_in_which_they_are_read(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for command in commands(page):
         if not re.search(MEASURED, command):
+            execute(command)
+
+
+@pytest.mark.parametrize("page", [each for each in with_blocks("sh") if each.id not in FULLY_RUN])
+def test_commands_are_understood(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the slow test above runs is read at least, with its scenarios; what is quick, or needed by a later command, is run."""
+    monkeypatch.chdir(tmp_path)
+    todo = [command for command in commands(page) if not re.search(MEASURED, command)]
+    for k, command in enumerate(todo):
+        needed = command.startswith("luxloop run ") and any(recording_of(command) in later for later in todo[k + 1 :])
+        if re.match(LONG, command) and not needed:
+            understand(command)
+        else:
             execute(command)
 
 

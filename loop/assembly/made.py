@@ -18,7 +18,7 @@ class Made:
     def __call__(self, name: str, ingredients: Any, make: Callable[[], Part]) -> Part:
         """The part of a name. ingredients: all that `make` uses: parameters, which are compared, and objects, which are the same or not."""
         known = self._before.get(name)
-        part: Part = known[1] if known is not None and _same(known[0], ingredients) else make()
+        part: Part = known[1] if known is not None and same(known[0], ingredients) else make()
         self._parts[name] = ingredients, part
         return part
 
@@ -44,13 +44,14 @@ class Made:
         self._before = {}
 
 
-def _same(a: Any, b: Any) -> bool:
+def same(a: Any, b: Any) -> bool:
+    """Whether both are the same ingredients: equal parameters, or one object."""
     if a is b:
         return True
     if type(a) is not type(b):
         return False
     if isinstance(a, tuple | list):
-        return len(a) == len(b) and all(map(_same, a, b))
+        return len(a) == len(b) and all(map(same, a, b))
     if isinstance(a, Mapping):
-        return a.keys() == b.keys() and all(_same(a[key], b[key]) for key in a)
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
     return isinstance(a, BaseModel | str | int | float) and bool(a == b)

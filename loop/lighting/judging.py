@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -139,15 +138,5 @@ def _spread(texture: Tensor, lamp: Headlight) -> Tensor:
 
     A pixel averages setpoints over its light, so that what is asked at its one edge shines at the other.
     """
-    up, aside = _extent(lamp)
+    up, aside = lamp.pixel_extent
     return max_pool2d(max_pool2d(texture[None], (2 * up + 1, 1), 1, (up, 0)), (1, 2 * aside + 1), 1, (0, aside))[0]
-
-
-@lru_cache(maxsize=16)
-def _extent(lamp: Headlight) -> tuple[int, int]:
-    """How many texels, up and aside, the light of its middle pixel is large where it is more than a tenth of its peak."""
-    only = torch.zeros(lamp.n_pixels).to(lamp.matrix.values)
-    only[lamp.n_pixels // 2 + (lamp.pixel_cols or 0) // 2] = 1
-    light = lamp.light_texture(only)
-    up, aside = (int((light > light.max() / 10).any(dim).sum()) for dim in (1, 0))
-    return up, aside

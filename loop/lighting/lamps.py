@@ -111,7 +111,7 @@ def mean_powers(powers: Sequence[Mapping[str, LampPower]], shares: Sequence[floa
 def shining_modules(scenario: Scenario, device: torch.device, made: Made | None = None) -> tuple[ShiningModule, ...]:
     """The shining modules of a scenario's lamps, all where it names none. Raises LuxloopError as `mounted`, and for a missing beam."""
     made, headlight = made or Made(), scenario.headlight
-    mounts = made("mounted modules", headlight, lambda: tuple(mounted(headlight, device, lambda lamp: lamp.modules)))
+    mounts = made("mounted modules", (headlight, str(device)), lambda: tuple(mounted(headlight, device, lambda lamp: lamp.modules)))
     return tuple(_shining(scenario, each, made) for each in mounts)
 
 

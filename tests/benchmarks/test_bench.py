@@ -76,6 +76,7 @@ def test_the_benchmark_on_the_move_draws_best_for_what_is_true(tmp_path: Path) -
     assert found["luxloop below open, worst step"] >= found["open"] - found["luxloop"]
 
 
+@pytest.mark.slow
 def test_the_benchmark_of_shadows_finds_them_where_they_are(tmp_path: Path, data_dir: Path) -> None:
     file = tmp_path / "shadows.json"
     command = [sys.executable, "benchmarks/shadows.py", "--quick", "--json", str(file)]

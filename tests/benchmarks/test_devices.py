@@ -6,9 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.slow
 def test_the_quick_benchmark_writes_a_figure_for_each_device(tmp_path: Path) -> None:
     command = [sys.executable, "benchmarks/devices.py", "--quick", "--json", str(tmp_path / "devices.json")]
     done = subprocess.run(command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=300)

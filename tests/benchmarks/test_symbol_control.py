@@ -100,6 +100,7 @@ def test_controllers_side_by_side_run_as_each_does_alone() -> None:
         assert together[name]["iou"] == [round(iou, 4) for iou in alone]
 
 
+@pytest.mark.slow
 def test_the_page_is_written_and_a_second_run_does_nothing_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def few(seeds: int, quick: bool) -> Iterator[Any]:
         assert seeds == 1 and quick

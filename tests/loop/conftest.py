@@ -15,6 +15,9 @@ from loop.lighting.simulation import Simulation
 from loop.plant.protocol import Exposure
 from loop.plant.simulated import SimulatedPlant
 from loop.scenario.model import Scenario, validate
+from tests.parts import parts_serve_again, simulations_end_with_the_file, unshared
+
+__all__ = ["parts_serve_again", "simulations_end_with_the_file", "unshared"]
 
 SMALL: dict[str, Any] = {
     "name": "small",

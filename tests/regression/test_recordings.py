@@ -1,12 +1,14 @@
 """The shipped scenarios still run as they were recorded, by the comparison of `luxloop replay`.
 
 A recording here is the trajectory without its timings: what else a manifest says is the scenario file itself. Of symbols that are held
-alone it has all steps; of others four, from a coarse camera, and moments of the utilisation of every module.
+alone it has all steps; of others four, from a coarse camera, and moments of the utilisation of every module. The fast tests compare only
+how most recordings begin; `pytest -m slow tests/regression` compares all of all.
 """
 
 import os
 import subprocess
 import sys
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -34,6 +36,13 @@ SENSITIVE, ALIKE = ("masked_symbol", "torsion_track"), {"MKL_CBWR": "COMPATIBLE"
 STEPS, WIDTH_PX = 4, 320
 LEARNING_STEPS = 16  # of which scenarios with a detector are run, since each step depends on those before
 MOMENTS = ("mean", "rms", "row", "col")
+# How much of a recording the fast test compares: steps of a symbol that is held alone, else rows.
+FIRST_STEPS, FIRST_ROWS = 8, 2
+# Only the slow test compares them: they differ from others by road, picture or number of functions alone.
+LIKE_OTHERS = (
+    *("belgian_block", "black_box_static", "chevrons", "conditional_animation", "crest", "crossing_symbols", "curb", "distance_warning"),
+    *("flat", "half_round_bar", "night_drive", "rough_course", "speed_bump", "torsion_track", "warning_triangle"),
+)
 
 
 @pytest.fixture(autouse=True)
@@ -50,29 +59,33 @@ def skip_without_data(scenario: Scenario) -> None:
         pytest.skip(f"the measured road is not here: luxloop data get {road.file}")
 
 
-def trajectory(name: str) -> pa.Table:
+def trajectory(name: str, whole: bool = True) -> pa.Table:
+    """All rows of a recording, or those that a fast test compares."""
     scenario = load(name, SHORTENED.get(name, []))
     skip_without_data(scenario)
     if name in SENSITIVE and not ALIKE.items() <= os.environ.items():
-        return trajectory_elsewhere(name)
-    return coarse(name) if scenario.metered else whole(Simulation.prepare(scenario))
+        return trajectory_elsewhere(name, whole)
+    if scenario.metered:
+        return coarse(name, STEPS if whole else FIRST_ROWS)
+    return of_each_step(Simulation.prepare(scenario), scenario.steps if whole else FIRST_STEPS)
 
 
-def trajectory_elsewhere(name: str) -> pa.Table:
+def trajectory_elsewhere(name: str, whole: bool) -> pa.Table:
     """The trajectory from a process in which MKL rounds alike on all processors."""
     with TemporaryDirectory() as folder:
         file = Path(folder, "trajectory.parquet")
-        command = [sys.executable, "-m", "tests.regression.test_recordings", name, str(file)]
+        command = [sys.executable, "-m", "tests.regression.test_recordings", name, str(file), *(["whole"] if whole else [])]
         subprocess.run(command, env={**os.environ, **ALIKE}, cwd=ROOT, check=True)
         return pq.read_table(file)
 
 
-def whole(simulation: Simulation) -> pa.Table:
+def of_each_step(simulation: Simulation, steps: int) -> pa.Table:
     columns = pa.schema([field for field in schema(simulation) if not field.name.endswith("_ms")])
-    return table_of([row(result) for result in simulation.run()], columns)
+    return table_of([row(result) for result in islice(simulation.run(), steps)], columns)
 
 
-def coarse(name: str) -> pa.Table:
+def coarse(name: str, rows: int) -> pa.Table:
+    """The first rows of four, of steps that are spread over the scenario."""
     scenario = load(name, ["renderer=raycast"])
     if scenario.detector is not None:
         # A network's sums are rounded as the processor likes, and a score at the border of what is found decides what is lit.
@@ -82,10 +95,10 @@ def coarse(name: str) -> pa.Table:
     simulation = Simulation.prepare(scenario.model_copy(update={"camera": few}))
     steps = [k * (scenario.steps - 1) // (STEPS - 1) for k in range(STEPS)]
     results = (each for each in simulation.run() if each.step in steps) if simulation.remembers else map(simulation.at, steps)
-    rows = [row(result) | moments(result, simulation) for result in results]
+    found = [row(result) | moments(result, simulation) for result in islice(results, rows)]
     columns = [pa.field(field.name, field.type) for field in schema(simulation) if not field.name.endswith("_ms")]
     columns += [pa.field(f"module.{module.name}.{key}", pa.float64()) for module in simulation.modules for key in MOMENTS]
-    return table_of(rows, pa.schema(columns))
+    return table_of(found, pa.schema(columns))
 
 
 def moments(result: StepResult, simulation: Simulation) -> dict[str, float]:
@@ -105,6 +118,14 @@ def held(name: str) -> dict[str, FeatureParams]:
     return {each: scenario.functions[each].features for each in scenario.controlled}
 
 
+@pytest.mark.parametrize("name", [name for name in shipped() if name not in LIKE_OTHERS])
+def test_scenario_begins_as_recorded(name: str, re_record: bool) -> None:
+    if re_record:
+        pytest.skip("the recording is replaced")
+    compared(name, trajectory(name, whole=False))
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", shipped())
 def test_scenario_runs_as_recorded(name: str, re_record: bool, capsys: pytest.CaptureFixture[str]) -> None:
     now, file = trajectory(name), file_of(name)
@@ -115,10 +136,19 @@ def test_scenario_runs_as_recorded(name: str, re_record: bool, capsys: pytest.Ca
         with capsys.disabled():
             print(replace(name, now, news))
         return
-    assert kept is not None, f"never recorded: pytest tests/regression --re-record -k {name}"
-    assert kept.column_names == now.column_names
-    differences = compare(kept, now, held(name))
-    assert not differences, f"{name} runs differently; if that is meant, pytest tests/regression --re-record\n{told(differences)}"
+    assert kept is not None and now.num_rows == kept.num_rows, f"{name} has another number of steps"
+    compared(name, now)
+
+
+def compared(name: str, now: pa.Table) -> None:
+    """Assert that a run does not differ from the recording, of which it may have the first rows alone."""
+    file = file_of(name)
+    assert file.is_file(), f"never recorded: pytest -m slow tests/regression --re-record -k {name}"
+    kept = pq.read_table(file)
+    assert kept.column_names == now.column_names and kept.num_rows >= now.num_rows > 0
+    differences = compare(kept.slice(0, now.num_rows), now, held(name))
+    remedy = "if that is meant, pytest -m slow tests/regression --re-record"
+    assert not differences, f"{name} runs differently; {remedy}\n{told(differences)}"
 
 
 def test_a_change_of_the_light_is_told() -> None:
@@ -133,7 +163,7 @@ def test_a_change_of_the_light_is_told() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("setting", [{"OMP_NUM_THREADS": "1"}, {"OMP_NUM_THREADS": "2"}, {"ATEN_CPU_CAPABILITY": "default"}], ids=str)
 def test_recordings_hold_on_other_machines(setting: dict[str, str]) -> None:
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-k", "runs_as_recorded", str(Path(__file__).parent)]
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-m", "slow", "-k", "runs_as_recorded", str(Path(__file__).parent)]
     result = subprocess.run(command, env={**os.environ, **setting}, cwd=ROOT, capture_output=True, text=True)
     assert result.returncode == 0, result.stdout
 
@@ -143,4 +173,4 @@ def test_every_recording_has_its_scenario() -> None:
 
 
 if __name__ == "__main__":
-    pq.write_table(trajectory(sys.argv[1]), sys.argv[2])
+    pq.write_table(trajectory(sys.argv[1], "whole" in sys.argv[3:]), sys.argv[2])

@@ -73,6 +73,15 @@ class Headlight(TexelGrid):
         return _lit(self._pixel_cols_of_cols, pixel_cols)
 
     @cached_property
+    def pixel_extent(self) -> tuple[int, int]:
+        """How many texels, up and aside, the light of its middle pixel is large where it is more than a tenth of its peak."""
+        only = torch.zeros(self.n_pixels).to(self.matrix.values)
+        only[self.n_pixels // 2 + (self.pixel_cols or 0) // 2] = 1
+        light = self.light_texture(only)
+        up, aside = (int((light > light.max() / 10).any(dim).sum()) for dim in (1, 0))
+        return up, aside
+
+    @cached_property
     def _pixels_of_rows(self) -> tuple[Tensor, Tensor]:
         """The first and the last pixel that lights each row of texels, both `[rows]`."""
         return segment_bounds(row_of_entries(self.matrix) // self.cols, self.matrix.indices, self.rows)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -12,6 +12,7 @@ from torch import Tensor
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from world.frames import pose, rotation
+from world.kept import keeping
 from world.materials.brdf import LAMBERTIAN, Material
 from world.materials.library import MaterialName, Texture
 from world.materials.spots import SpottedTexture
@@ -80,7 +81,7 @@ class PoseTrack:
     @cached_property
     def pose_at(self) -> Callable[[float], Tensor]:
         """`T_world_body` `[4, 4]` float64 at a time in s; the last ones are kept, since a step asks for the same again and again."""
-        return lru_cache(maxsize=4)(self._pose)
+        return keeping(4, self._pose)
 
     def _pose(self, t_s: float) -> Tensor:
         T = self._interpolated(t_s)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -11,6 +11,7 @@ import torch
 import trimesh
 from torch import Tensor
 
+from world.kept import keeping
 from world.materials.library import Texture
 from world.materials.spots import SpottedTexture
 from world.roads.base import Floats, Road
@@ -41,7 +42,7 @@ class RoadPatches:
     @cached_property
     def _patch(self) -> Callable[[int, int, int, bool], Placed]:
         """`_make`, memoised for the last patches."""
-        return lru_cache(KEPT)(self._make)
+        return keeping(KEPT, self._make)
 
     def near(self, object_id: int, T_world_ground: Tensor) -> tuple[Placed, ...]:
         """The patches in sight of a vehicle at `T_world_ground` `[4, 4]`, as parts of the body `object_id`."""

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -11,6 +11,7 @@ import torch
 import trimesh
 from torch import Tensor
 
+from world.kept import keeping
 from world.materials.library import Texture
 from world.materials.spots import SpottedTexture
 from world.roads.base import Road
@@ -55,7 +56,7 @@ class RoadTiles:
     @cached_property
     def _tile(self) -> Callable[[int, int, bool], Placed]:
         """`_make`, memoised for the last tiles."""
-        return lru_cache(KEPT * math.ceil(self.sight_m / LENGTH_M))(self._make)
+        return keeping(KEPT * math.ceil(self.sight_m / LENGTH_M), self._make)
 
     def near(self, object_id: int, T_world_ground: Tensor) -> tuple[Placed, ...]:
         """The tiles in sight of a vehicle at `T_world_ground` `[4, 4]`, as parts of the body `object_id`."""

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from world.budget import afford
 from world.frames import pose, rotation
+from world.kept import keeping
 from world.params import Params
 from world.roads.base import Floats, Road, smoothstep
 
@@ -163,7 +164,7 @@ class Motion:
     @cached_property
     def _known(self) -> Callable[[float], VehicleState]:
         """States by time; a control step asks for the same few again and again."""
-        return lru_cache(maxsize=8)(self._interpolated)
+        return keeping(8, self._interpolated)
 
     def _interpolated(self, t_s: float) -> VehicleState:
         k = max(int(np.searchsorted(self.times_s, t_s)) - 1, 0)

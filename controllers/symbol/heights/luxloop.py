@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Annotated, Literal
 
 import torch
@@ -29,6 +28,7 @@ from perception.egomotion import Ego
 from perception.extraction import Loss
 from world.frames import inverse, transform
 from world.frames import pose as pose_of
+from world.kept import keeping
 from world.params import Params
 from world.scene.vehicle import LEARNT_M
 
@@ -96,7 +96,7 @@ class Luxloop:
         self.params, self.projector, self.sensor = params, sensor.projector, sensor
         self.region = region_of(self.projector.params, *params.beyond_m)
         self.reach_m = self.projector.params.x_m - self.projector.params.length_m / 4
-        self.standing = lru_cache(maxsize=2)(self._standing)
+        self.standing = keeping(2, self._standing)
         self.registration = self.over(HERE)[1]
         lamps = torch.stack([module.T_world_headlight[:3, 3].cpu().double() for module in self.projector.modules])
         self.ends = torch.stack([camera_view(sensor.camera).origin, *lamps], 1)  # of the ways of light, in the body

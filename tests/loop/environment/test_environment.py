@@ -23,6 +23,7 @@ SMALL = (
     *("headlight.model=ssl-hd-lores", "functions.symbol={ width_m=3.0, length_m=8.0 }", "renderer=raycast"),
     *("camera={ width_px=240, height_px=135, oversampling=1 }", "steps=5"),
 )
+LATE = ("camera.latency_steps=2", "camera.drop_probability=0.4")
 POSE, ERRORS, CODES = slice(0, 4), slice(4, 8), slice(8, 14)
 
 
@@ -39,7 +40,7 @@ def played(env: gymnasium.Env, actions: np.ndarray, seed: int | None) -> list:
     return told
 
 
-@pytest.mark.parametrize("name", ["Snowflake", "SnowflakeGains", "SnowflakeHeights"])
+@pytest.mark.parametrize("name", ["Snowflake", "SnowflakeHeights", pytest.param("SnowflakeGains", marks=pytest.mark.slow)])
 def test_gymnasium_has_no_complaint(name: str) -> None:
     assert f"luxloop/{name}-v0" in register()
     with warnings.catch_warnings():
@@ -105,8 +106,17 @@ def test_heights_move_what_the_symbol_is_drawn_for() -> None:
     assert x > x_flat + 1, "drawn for a higher road it falls farther away on this one"
 
 
-@pytest.mark.parametrize("more", [(), ("camera.latency_steps=2", "camera.drop_probability=0.4"), ("lighting.base.beam=low",)])
-@pytest.mark.parametrize("action", ["moves", "gains"])
+@pytest.mark.parametrize(
+    ("action", "more"),
+    [
+        ("moves", ()),
+        ("gains", LATE),
+        pytest.param("moves", LATE, marks=pytest.mark.slow),
+        ("moves", ("lighting.base.beam=low",)),
+        pytest.param("gains", (), marks=pytest.mark.slow),
+        pytest.param("gains", ("lighting.base.beam=low",), marks=pytest.mark.slow),
+    ],
+)
 def test_each_copy_is_the_single_environment(action: str, more: tuple[str, ...]) -> None:
     many, one = luxloop.make_vec("snowflake", 3, *SMALL, *more, action=action), luxloop.make("snowflake", *SMALL, *more, action=action)
     together, alone = many.reset(seed=10)[0], one.reset(seed=11)[0]

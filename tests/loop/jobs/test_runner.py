@@ -113,8 +113,17 @@ def test_processes_have_one_thread_and_their_failures_come_back(tmp_path: Path, 
         run(die, numbers(1, 2), tmp_path / "r.jsonl", version="1", executor=local(2))
 
 
-@pytest.mark.parametrize("workers_too", [True, False])
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    ("how", "workers_too"),
+    [
+        (signal.SIGINT, True),
+        (signal.SIGTERM, False),
+        (signal.SIGKILL, False),
+        pytest.param(signal.SIGINT, False, marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, True, marks=pytest.mark.slow),
+        pytest.param(signal.SIGKILL, True, marks=pytest.mark.slow),
+    ],
+)
 def test_a_run_that_is_stopped_goes_on_where_it_was(how: signal.Signals, workers_too: bool, tmp_path: Path) -> None:
     """Terminals and service managers send a signal to workers, too; `kill` and `timeout` do not."""
     script, log, file = tmp_path / "script.py", tmp_path / "log", tmp_path / "results.jsonl"

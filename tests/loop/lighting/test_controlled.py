@@ -49,7 +49,7 @@ def ious(results: Sequence[StepResult], name: str) -> list[float]:
     return [float(each.iou) for each in verdicts if each is not None]
 
 
-@pytest.mark.parametrize("controller", ["luxloop", "thesis_pid"])
+@pytest.mark.parametrize("controller", ["luxloop", pytest.param("thesis_pid", marks=pytest.mark.slow)])
 def test_a_mask_over_a_part_neither_moves_nor_loses_a_symbol(controller: str) -> None:
     box = {"kind": "box", "name": "box", "category": "car", "size_m": [1.0, 0.5, 0.6], "track": [{"position_m": [15.2, 1.0, 0]}]}
     flake = FLAKE | {"controller": controller}
@@ -67,7 +67,7 @@ def test_a_symbol_under_other_functions_is_lost_as_covered_and_they_are_named(tm
     beside = {"kind": "symbol", "image": "chevrons", "x_m": 30.0, "y_m": 3.0, "priority": 9}
     functions = {"flake": FLAKE | {"controller": "open"}, "guard": {"kind": "glare_free"}, "beside": beside}
     given = validate(WORLD | {"functions": functions, "objects": [wall], "steps": 11}, "covered")
-    done = luxloop_run(given, tmp_path / "covered", device="cpu", video=False)
+    done = luxloop_run(given, tmp_path / "covered", device="cpu", video=False, report=False)
     assert set(done.trajectory["functions.flake.loss"].to_pylist()) == {"covered"}
     told = done.summary["functions"]["flake"]
     assert (told["unsettled"], told["lost_steps"], told["covered_steps"], told["covered_by"]) == ("covered", 11, 11, ["guard"])
@@ -77,7 +77,7 @@ def test_a_symbol_under_other_functions_is_lost_as_covered_and_they_are_named(tm
     assert "11, of which guard covered it in 11" in text and "functions.guard took too much light from the symbol to measure it" in text
 
 
-@pytest.mark.parametrize("speed_m_s", [0.0, 5.0])
+@pytest.mark.parametrize("speed_m_s", [0.0, pytest.param(5.0, marks=pytest.mark.slow)])
 def test_a_symbol_that_is_wholly_covered_waits_in_its_place(speed_m_s: float) -> None:
     """A wall comes along for 40 steps: no other road is looked for, to which the symbol would be moved; then it is held at once."""
     there_s, x_m = 40 / 30, 17 + speed_m_s * 40 / 30

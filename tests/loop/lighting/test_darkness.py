@@ -129,7 +129,10 @@ def test_shipped_glare_free_scenarios_are_dark_where_they_must_be(name: str) -> 
         assert masked and all(lx == 0.0 for seen in light.values() for lx in seen.values()), (step, light)
 
 
-@pytest.mark.parametrize(("x_m", "y_m", "yaw_deg"), [(35.0, 3.5, 180.0), (70.0, 3.5, 180.0), (35.0, 0.0, 0.0)])
+@pytest.mark.parametrize(
+    ("x_m", "y_m", "yaw_deg"),
+    [(35.0, 3.5, 180.0), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((70.0, 3.5, 180.0), (35.0, 0.0, 0.0)))],
+)
 def test_a_car_that_the_network_finds_is_kept_dark_near_and_far(x_m: float, y_m: float, yaw_deg: float) -> None:
     """Whatever its lamps look like: they fill a near box and are less than a pixel each in a far one."""
     car = f"{{kind='car', name='other', seed=3, track=[{{position_m=[{x_m}, {y_m}, 0.0], yaw_deg={yaw_deg}}}]}}"

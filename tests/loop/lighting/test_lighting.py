@@ -109,7 +109,9 @@ def test_a_report_of_one_step_in_the_dark_without_objects(tmp_path: Path) -> Non
 def test_functions_without_effect_are_told(tmp_path: Path) -> None:
     far = {"kind": "symbol", "image": "snowflake", "y_m": 60.0}  # beside all light
     late = {"kind": "glare_free", "categories": ["truck"]}
-    told = run(scenario(steps=1, functions={"guard": GLARE_FREE, "far": far, "late": late}), tmp_path / "lit", video=False).summary
+    told = run(
+        scenario(steps=1, functions={"guard": GLARE_FREE, "far": far, "late": late}), tmp_path / "lit", video=False, report=False
+    ).summary
     assert told["idle_functions"] == ["functions.far (symbol)", "functions.late (glare_free)"]
 
 
@@ -123,7 +125,7 @@ def test_pictures_of_light_beyond_the_camera_are_white_and_not_black() -> None:
 
 def test_the_recording_replays_and_a_changed_one_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "lit"
-    run(scenario(steps=2), out, video=False)
+    run(scenario(steps=2), out, video=False, report=False)
     assert cli.main(["replay", str(out)]) == cli.OK
     assert cli.main(["replay", str(out), "--csv", str(tmp_path / "lit.csv")]) == cli.OK
     assert "objects.van.lx_max" in (tmp_path / "lit.csv").read_text()

@@ -221,7 +221,7 @@ def test_scenes_without_objects_and_out_of_sight_are_recorded(tmp_path: Path) ->
         )
         table = table_of([row(result)], schema(simulation))
         assert [table[f"objects.{each['name']}.{key}"].to_pylist() for each in objects for key in LOOKED_AT] == [[None]] * 3 * len(objects)
-    summary = run(scenario(objects=[behind], steps=2), tmp_path / "run", video=False).summary
+    summary = run(scenario(objects=[behind], steps=2), tmp_path / "run", video=False, report=False).summary
     assert summary["objects"]["walker"] == {
         **{"lx_mean": None, "lx_max": None, "masked_steps": 0, "confidence_final": None, "confidence_min": None},
         **{"tracks": 0, "pixels_max": 0.0, "steps_in_sight": 0, "steps_lost": 0, "findable": False},

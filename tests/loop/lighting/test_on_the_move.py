@@ -83,6 +83,7 @@ def test_the_road_of_a_crest_leaves_the_plane_of_the_ground_with_the_square_of_t
 HILL = {"kind": "profile", "grades": [{"x_m": 5, "percent": 5, "curve_m": 50}, {"x_m": 60, "percent": -5, "curve_m": 100}]}
 
 
+@pytest.mark.slow
 def test_masks_stay_on_an_oncoming_car_that_comes_over_a_crest() -> None:
     coming = ONCOMING | {"on_road": True, "track": [{"time_s": t, "position_m": [x, 3, 0], "yaw_deg": 180} for t, x in ((0, 140), (5, 65))]}
     drive = {"course": [{"speed_m_s": 12.0}], "oscillation": {"pitch_deg": 1.0, "rate_hz": 0.7}}

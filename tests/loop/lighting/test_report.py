@@ -50,7 +50,7 @@ def scenario(functions: dict[str, dict[str, Any]], beam: str = "high", **changes
 
 def test_every_chart_is_there_and_no_legend_lies_over_one(tmp_path: Path) -> None:
     given = scenario({"half": HALF, "wall": ZONE})
-    summary = run(given, tmp_path / "told", video=False).summary
+    summary = run(given, tmp_path / "told", video=False, report=False).summary
     table = pq.read_table(tmp_path / "told" / "trajectory.parquet")
     with rc_context(STYLE):
         figure = Figure((5.4, 7.4), 80, layout="constrained")
@@ -131,7 +131,8 @@ def _title(axes: Axes) -> str:
 
 def test_energy_stands_beside_that_of_standby_and_of_undimmed_beams(tmp_path: Path) -> None:
     dimmed, full = (
-        run(scenario({"half": each} if each else {}, objects=[]), tmp_path / str(bool(each)), video=False).summary for each in (HALF, None)
+        run(scenario({"half": each} if each else {}, objects=[]), tmp_path / str(bool(each)), video=False, report=False).summary
+        for each in (HALF, None)
     )
     others, seconds = dimmed["energy_compared_j"], 4 / 30
     assert others == full["energy_compared_j"] and list(others) == ["standby", "low beam", "high beam"]
@@ -253,7 +254,7 @@ def test_a_run_that_finds_nobody_says_how_small_they_were(tmp_path: Path) -> Non
     for case, function, objects in (("falls", falls, [WALKER]), ("constant", HALF, [WALKER]), ("nobody", falls, [])):
         detector = {"kind": "truth", "least_height_px": 1000}
         summary = run(
-            scenario({"object_light": function}, steps=2, objects=objects, detector=detector), tmp_path / case, video=False
+            scenario({"object_light": function}, steps=2, objects=objects, detector=detector), tmp_path / case, video=False, report=False
         ).summary
         console = Console(record=True, width=160)
         console.print(shown(summary, "here"))

@@ -129,6 +129,7 @@ def by_lamps_that_load_at_once(name: str) -> Scenario:
     return scenario.model_copy(update={"functions": functions, "headlight": headlight})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", METERED)
 def test_shipped_scenarios_run(name: str) -> None:
     """First and last steps, or two where steps depend on earlier ones; symbols that are held need their own lamps and camera."""

@@ -48,7 +48,7 @@ def test_zones_settle_within_10_steps_over_all_reflectances(tmp_path: Path) -> N
         f"of_{100 * albedo:.0f}": {"kind": "zone", "centre_m": [15, y, 1.0], "size_m": [0, 1.6, 1.6], "luminance_cd_m2": 0.6}
         for albedo, y in WALLS.items()
     }
-    summary = run(scenario(zones), tmp_path / "zones", video=False).summary
+    summary = run(scenario(zones), tmp_path / "zones", video=False, report=False).summary
     table = pq.read_table(tmp_path / "zones" / "trajectory.parquet")
     lx = []
     for name in zones:
@@ -73,7 +73,7 @@ def test_a_white_wall_in_the_low_beam_settles_as_its_zone_counts_more_than_the_b
 
 def test_a_zone_behind_the_camera_keeps_its_light_and_has_no_luminance(tmp_path: Path) -> None:
     zone = {"kind": "zone", "centre_m": [-15, 0, 1.0], "size_m": [0, 2, 2], "luminance_cd_m2": 0.6, "start_lx": 2.0}
-    summary = run(scenario({"behind": zone}, steps=2, objects=[]), tmp_path / "zones", video=False).summary
+    summary = run(scenario({"behind": zone}, steps=2, objects=[]), tmp_path / "zones", video=False, report=False).summary
     assert summary["zones"]["behind"] == {"luminance": None, "target": 0.6, "settled_step": None}
     table = pq.read_table(tmp_path / "zones" / "trajectory.parquet")
     assert table["functions.behind.luminance"].to_pylist() == [None, None]

@@ -137,7 +137,7 @@ def recorded(mine: Path, text: str, key: str, value: Any) -> Path:
     """A recording in whose manifest a key of the scenario was edited."""
     (mine / "plain.toml").write_text(text)
     scenario = load(str(mine / "plain.toml"))
-    run(scenario, mine / "run", device="cpu", video=False)
+    run(scenario, mine / "run", device="cpu", video=False, report=False)
     manifest = json.loads((mine / "run" / FILE).read_text())
     *tables, last = key.split(".")
     reduce(getitem, tables, manifest["scenario"])[last] = value
@@ -201,7 +201,7 @@ def test_a_step_that_fails_says_where_and_debug_shows_how(mine: Path, capsys: py
         SYMBOL + 'functions.symbol.controller = { name = "mine:Stays", options = { fails = true } }'
     )
     line = 1 + MINE.splitlines().index("        return 1 / 0 if self.fails else state")
-    command = ["run", str(file), "--allow-code", "--no-video", "--device", "cpu"]
+    command = ["run", str(file), "--allow-code", "--no-video", "--no-report", "--device", "cpu"]
     assert cli.main(command) == cli.WRONG
     told = capsys.readouterr().err.splitlines()[-1]
     assert told.endswith(f"mine:Stays: step fails at {mine}/mine.py, line {line} (ZeroDivisionError: division by zero)"), told

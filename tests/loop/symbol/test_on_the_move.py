@@ -334,6 +334,7 @@ def test_the_road_ahead_is_taken_to_bend_on_as_the_ground_does() -> None:
         assert over.heights.mean.equal(mean), "what is known stays, whatever is expected"
 
 
+@pytest.mark.slow
 def test_a_symbol_is_held_beyond_a_sharp_crest() -> None:
     """From step 44 on the road below it is farther from the plane of the ground than heights are looked for around that."""
     crest = "road={kind='profile', roughness_class='B', grades=[{x_m=10, percent=-5, curve_m=75}]}"
@@ -342,6 +343,7 @@ def test_a_symbol_is_held_beyond_a_sharp_crest() -> None:
     assert ious[44:].mean() > 0.65  # 0.81 in the camera of the scenario; without the bend 0.25
 
 
+@pytest.mark.slow
 def test_wheels_and_a_gyro_alone_hold_most_of_a_symbol_in_a_car_that_nods() -> None:
     """A gyro tells how fast the body pitches and not how far: what it adds up drifts until looks at the road correct it."""
     vehicle = "vehicle={course=[{speed_m_s=10}], oscillation={pitch_deg=0.3}}"

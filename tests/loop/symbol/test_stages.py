@@ -62,7 +62,7 @@ def test_where_nothing_has_moved_nothing_is_moved(alignment: Alignment) -> None:
     torch.testing.assert_close(found.of(alignment.points), alignment.points, rtol=0, atol=1e-5)  # single precision
 
 
-@pytest.mark.parametrize("latency", [0, 2])
+@pytest.mark.parametrize("latency", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_warp_mends_what_four_numbers_leave(latency: int) -> None:
     late = f"camera.latency_steps={latency}"
     alone, warped = (
@@ -91,7 +91,7 @@ def test_a_controller_that_makes_things_worse_loses_the_charge() -> None:
     assert [bool(u.equal(flat)) for u in drawn] == [True, False, False, False, True, True]
 
 
-@pytest.mark.parametrize("stage", ["warp", "supervisor"])
+@pytest.mark.parametrize("stage", ["warp", pytest.param("supervisor", marks=pytest.mark.slow)])
 def test_a_run_goes_on_from_a_stored_state(stage: str) -> None:
     prepared = simulation(f"functions.symbol.controller={{name='gauss_newton', {stage}={{}}}}", *ROUGH, "camera.latency_steps=1")
     kept, stored = prepared.start(), prepared.start()
