@@ -17,6 +17,7 @@ from controllers.symbol.sensing.projection import ProjectionCommand
 from controllers.symbol.sensing.protocol import Observation, Shown
 from controllers.symbol.sensing.symbol_sensor import Measurement
 from loop.batch.copies import Copies
+from loop.batch.looking import Taken
 from loop.environment.single import SEEDS, SymbolEnv, start_of
 from loop.environment.task import Floats, Look, Reward, as_gymnasium, observation, reward
 from loop.plant.simulated import as_simulated
@@ -117,7 +118,8 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]])
         self._state = self.acting.act(self._state, actions)
         pose = self.acting.projection(self._state, None).pose
         light = self.copies.show(pose)
-        frames = list(zip(self._seeds, self._age.tolist(), strict=True))
+        disturbances = self.copies.simulation.scenario.disturbances
+        frames = [Taken(seed, step, disturbances) for seed, step in zip(self._seeds, self._age.tolist(), strict=True)]
         self._looks.append(Look.of(self.copies.measured(light, frames), self.image))
         if len(self._looks) > self.late:
             came = torch.from_numpy((self._age >= self.late) & ~self._lost()).to(pose.device)
@@ -130,7 +132,8 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]])
 
     def _lost(self) -> Mask:
         """Whose frames that come in this step are lost."""
-        if not self.copies.simulation.scenario.camera.drop_probability:
+        scenario = self.copies.simulation.scenario
+        if not (scenario.camera.drop_probability or scenario.disturbances.drops):
             return np.zeros(self.num_envs, bool)
         plant = as_simulated(self.copies.simulation.plant, "an environment")
         taken = zip(self._seeds, (self._age - self.late).tolist(), strict=True)
