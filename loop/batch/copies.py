@@ -17,7 +17,7 @@ from loop.batch.judging import judged
 from loop.batch.looking import Scene, Taken, joined, look, rendered
 from loop.batch.windows import EMPTY, Windows, hull
 from loop.lighting.simulation import Simulation
-from loop.scenario.model import only
+from loop.scenario.model import Scenario, only
 from loop.scenario.plant import SimulatedPlantParams
 from perception.extraction import Crop, Loss
 from perception.judge import Verdict
@@ -31,11 +31,19 @@ TOGETHER = 16  # copies whose images are computed at once: more do not fit into 
 
 
 def check(simulation: Simulation, otherwise: str = "run it one by one") -> None:
-    """Raises LuxloopError where a scenario is no lone symbol in a standing world, or something disturbs it at some steps alone.
+    """Raises LuxloopError where a scenario is no lone symbol in a standing world. otherwise: what is advised to keep it."""
+    refuse_scenario(simulation.scenario, otherwise)
+    name, world = simulation.scenario.name, simulation.world
+    if simulation.planner.commanding:
+        raise LuxloopError(
+            f"{name}: batches leave modules at rest, but functions.{next(iter(simulation.planner.commanding))} commands some"
+        )
+    if world.moving or not all(isinstance(each, Transport) for each in world.lit(0.0).transports):
+        raise LuxloopError(f"{name}: batches are for scenes in which nothing moves; {otherwise}")
 
-    otherwise: what is advised to keep it.
-    """
-    scenario = simulation.scenario
+
+def refuse_scenario(scenario: Scenario, otherwise: str = "run it one by one") -> None:
+    """The part of `check` that a scenario's file decides."""
     only(scenario.controlled)
     if scenario.metered:
         others = "other functions, the detector and objects' categories"
@@ -44,15 +52,17 @@ def check(simulation: Simulation, otherwise: str = "run it one by one") -> None:
         raise LuxloopError(f"{scenario.name}: lighting.painted: batches show no painted pixels; leave it out, or {otherwise}")
     if scenario.lighting.power_limit is not None:
         raise LuxloopError(f"{scenario.name}: lighting.power_limit: batches have no limit; leave it out, or {otherwise}")
-    if timed := [key for key in ("start_s", "stop_s", "indicated") if getattr(scenario.symbol, key) is not None]:
+    if timed := [key for key in ("start_s", "stop_s", "indicated", "when", "unless") if getattr(scenario.symbol, key) is not None]:
         key = f"functions.{only(scenario.controlled)}.{timed[0]}"
         raise LuxloopError(f"{scenario.name}: {key}: batches show the symbol in all steps; leave it out, or {otherwise}")
+    if scenario.symbol.weight != 1:
+        key = f"functions.{only(scenario.controlled)}.weight"
+        raise LuxloopError(f"{scenario.name}: {key}: batches draw with weight 1; leave it out, or {otherwise}")
     if scenario.disturbances.oncoming:
         raise LuxloopError(f"{scenario.name}: batches do not support disturbances.oncoming; leave it out, or {otherwise}")
     if not isinstance(scenario.plant, SimulatedPlantParams):
         raise LuxloopError(f"{scenario.name}: batches need the simulated plant, not {scenario.plant.kind}; {otherwise}")
-    world = simulation.world
-    if scenario.vehicle is not None or world.moving or not all(isinstance(each, Transport) for each in world.lit(0.0).transports):
+    if scenario.vehicle is not None:
         raise LuxloopError(f"{scenario.name}: batches are for scenes in which nothing moves; {otherwise}")
 
 

@@ -15,7 +15,7 @@ from loop.scenario.disturbances import UNDISTURBED, DisturbanceParams
 from perception.appearance import Axes, appearance, area
 from perception.birdseye import rectify
 from perception.camera import CameraParams, expose, luminance_of
-from perception.extraction import Extraction, Loss, OwnExtractionParams, gate, noise_limit, symbol_image
+from perception.extraction import Extraction, OwnExtractionParams, gate, noise_limit, symbol_image
 from perception.noise import FrameNoise
 
 DARK = -1e30  # contrast beside a crop: below every threshold, and finite, as infinities have no gradients
@@ -79,12 +79,9 @@ def joined(parts: Sequence[Measurement]) -> Measurement:
     )
 
 
-def searched(seen: Measurement, windows: Windows) -> Tensor:
-    """Of which copies `[B]` bool a single run searches the whole image: the symbol is not where it is expected, or reaches to where the
-    footprint ends (`SymbolSensor.at_ends`).
-    """
-    reaches = ((seen.symbol > LIT) & windows.ends(ENDS, seen.symbol.device)).flatten(1).any(1)
-    return (seen.code != Loss.SEEN) | reaches
+def at_ends(seen: Measurement, windows: Windows) -> Tensor:
+    """Of which copies `[B]` bool the symbol reaches to where the footprint ends, as `SymbolSensor.at_ends`."""
+    return ((seen.symbol > LIT) & windows.ends(ENDS, seen.symbol.device)).flatten(1).any(1)
 
 
 def rendered(sensor: SymbolSensor, scene: Scene) -> Tensor:

@@ -43,7 +43,7 @@ def test_each_rollout_is_the_run_with_its_gains(simulation: Simulation) -> None:
     single = list(simulation.run())
     poses = torch.stack([result.symbol.pose for result in single])
     alone = rollouts(simulation, {key: torch.tensor([value]) for key, value in given.items()})
-    # To the rounding of sums in another order; a digital number that it turns by one moves a pose by some 1e-4 m, and those that follow with it.
+    # Sums are rounded in another order; a digital number that this turns by one moves later poses by some 1e-4 m.
     torch.testing.assert_close(alone.poses[0], poses, rtol=0, atol=5e-4)
     both = rollouts(simulation, {key: torch.tensor([0.5 * value, value]) for key, value in given.items()})
     torch.testing.assert_close(both.poses[1], poses, rtol=0, atol=5e-4)
