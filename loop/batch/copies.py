@@ -109,7 +109,7 @@ class Copies:
         if isinstance(projection, Tensor):
             projection = ProjectionCommand(projection)
         crops = self.projector.footprints(projection, self.sensor.model.eye.view, self.sensor.params.footprint_margin_m)
-        windows = Windows.around(crops, tuple(self.view.base.shape))
+        windows = Windows.around(crops, (self.view.view.height, self.view.view.width))
         return self._in_windows(projection, windows) if self.windowed else self._one_by_one(projection, windows)
 
     def measured(self, light: Light, frames: Sequence[Taken], *, quantise: bool = True) -> Measurement:

@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import Any, cast
+from operator import attrgetter
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -12,7 +13,6 @@ from controllers.pixels.ssc import Utilisation
 from controllers.symbol import AnyParams
 from controllers.symbol.laws.feedback import Feedback, FeedbackParams, ModelReferenceParams
 from controllers.symbol.laws.lifting import Lifting
-from controllers.symbol.laws.open_loop import OpenLoop
 from controllers.symbol.laws.stages import StagedParams
 from controllers.symbol.laws.thesis_pid import ThesisPid
 from controllers.symbol.sensing.flat_model import FlatModel
@@ -49,30 +49,30 @@ def shape_of(params: AnyParams | None) -> tuple[str, ...]:
     return (params.name, params.dof) if isinstance(params, FeedbackParams) else (params.name,)
 
 
-def law_of(controllers: Sequence[SymbolController]) -> OpenLoop | ThesisPid | Feedback:
+def law_of(controllers: Sequence[SymbolController]) -> SymbolController:
     """The law of controllers of one shape (`shape_of`), lifted or not, with the values of each in a row `[B, ...]`."""
-    laws = [each.inner if isinstance(each, Lifting) else each for each in controllers]
-    first = cast(OpenLoop | ThesisPid | Feedback, laws[0])
-    device = first.target.device
+    laws: list[Any] = [each.inner if isinstance(each, Lifting) else each for each in controllers]
+    first = laws[0]
+
+    def of_each(name: str) -> Tensor:
+        return torch.stack([torch.as_tensor(attrgetter(name)(each), device=first.target.device) for each in laws])
+
     if isinstance(first, ThesisPid):
-        given = [cast(ThesisPid, each) for each in laws]
-        names = [each.name for each in fields(PidGains) if each.name != "form"]
-        gains = {name: torch.stack([getattr(each.gains, name) for each in given]) for name in names}
-        losses = torch.tensor([each.losses_to_reset for each in given], device=device)
-        return replace(first, gains=replace(first.gains, **gains), losses_to_reset=losses)
+        gains: dict[str, Any] = {each.name: of_each(f"gains.{each.name}") for each in fields(PidGains) if each.name != "form"}
+        return replace(first, gains=replace(first.gains, **gains), losses_to_reset=of_each("losses_to_reset"))
     if isinstance(first, Feedback):
-        return replace(
-            first, **{name: torch.stack([getattr(each, name) for each in laws]) for name in ("low", "high", "gain", "losses_to_reset")}
-        )
-    return first
+        values: dict[str, Any] = {name: of_each(name) for name in ("low", "high", "gain", "losses_to_reset")}
+        return replace(first, **values)
+    law: SymbolController = first
+    return law
 
 
-def asks(law: OpenLoop | ThesisPid | Feedback) -> bool:
+def asks(law: SymbolController) -> bool:
     """Whether a law asks what a flat road would show."""
     return isinstance(law, Feedback) and isinstance(law.params, ModelReferenceParams)
 
 
-def asking(law: OpenLoop | ThesisPid | Feedback, features: Tensor | None) -> OpenLoop | ThesisPid | Feedback:
+def asking(law: SymbolController, features: Tensor | None) -> SymbolController:
     """The law as it steps on frames of which a flat road would show these features `[B, 4]`."""
     return replace(law, sensor=Rendered(law.sensor.model, features)) if isinstance(law, Feedback) and features is not None else law
 

@@ -1,7 +1,7 @@
 """What the sensor of a symbol makes of frames of many copies, each in its own footprint, as `SymbolSensor` does of one."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -12,7 +12,7 @@ from controllers.symbol.sensing.symbol_sensor import ENDS, LIT, Measurement, Sym
 from loop.batch.noise import normal
 from loop.batch.windows import Windows
 from loop.scenario.disturbances import UNDISTURBED, DisturbanceParams
-from perception.appearance import Axes, appearance, area
+from perception.appearance import Appearance, Axes, appearance, area
 from perception.birdseye import rectify
 from perception.camera import CameraParams, expose, luminance_of
 from perception.extraction import Extraction, OwnExtractionParams, gate, noise_limit, symbol_image
@@ -69,13 +69,19 @@ def look(sensor: SymbolSensor, scene: Scene, camera: CameraParams, frames: Seque
 
 def joined(parts: Sequence[Measurement]) -> Measurement:
     """Measurements of some copies and of the following ones as one."""
-    first = parts[0]
-    appearances = [vars(each.appearance) for each in parts]
-    names = ("code", "errors", "pose_error", "area_ratio", "symbol")
-    return replace(
-        first,
-        **{name: torch.cat([getattr(each, name) for each in parts]) for name in names},
-        appearance=type(first.appearance)(**{name: torch.cat([each[name] for each in appearances]) for name in appearances[0]}),
+
+    def all_of(name: str) -> Tensor:
+        return torch.cat([getattr(each, name) for each in parts])
+
+    appearances = zip(*(vars(each.appearance).values() for each in parts), strict=True)
+    return Measurement(
+        all_of("code"),
+        all_of("errors"),
+        all_of("pose_error"),
+        all_of("area_ratio"),
+        Appearance(*map(torch.cat, appearances)),
+        all_of("symbol"),
+        parts[0].crop,
     )
 
 

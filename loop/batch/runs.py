@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 from torch import Tensor
 
@@ -36,7 +37,7 @@ def kind(scenario: Scenario) -> str | None:
     except LuxloopError:
         return None
     held = {only(scenario.controlled): {"controller", "start"}}
-    numbers = {"seed": True, "camera": OF_CAMERA, "disturbances": OF_DISTURBANCES, "functions": held}
+    numbers: Any = {"seed": True, "camera": OF_CAMERA, "disturbances": OF_DISTURBANCES, "functions": held}
     return json.dumps([scenario.model_dump_json(exclude=numbers), *shape_of(scenario.symbol.controller)])
 
 

@@ -174,7 +174,10 @@ class Projector:
         """
         uv, there = self._ends(projection, view, margin_m, shape)
         uv = uv[:, there]
-        return _crop(*(each.tolist() for each in uv.aminmax(dim=1)), view) if uv.shape[1] else NOWHERE
+        if not uv.shape[1]:
+            return NOWHERE
+        low, high = uv.aminmax(dim=1)
+        return _crop(low.tolist(), high.tolist(), view)
 
     def footprints(self, projection: ProjectionCommand, view: View, margin_m: float) -> list[Crop]:
         """The footprint of each projection of a batch `[B]`, for the plane z = 0."""
@@ -182,7 +185,7 @@ class Projector:
         uv, there = (each.unflatten(-1, (-1, CORNERS)) for each in (uv, there))  # [2, n, B, 4], [n, B, 4]
         low, high = (each.T.tolist() for each in (uv.where(there, torch.inf).amin((1, 3)), uv.where(there, -torch.inf).amax((1, 3))))
         seen = there.any(-1).any(0).tolist()
-        return [_crop(*ends, view) if some else NOWHERE for *ends, some in zip(low, high, seen, strict=True)]
+        return [_crop(*ends, view) if some else NOWHERE for ends, some in zip(zip(low, high, strict=True), seen, strict=True)]
 
     def _ends(self, projection: ProjectionCommand, view: View, margin_m: float, shape: Tensor | None) -> tuple[Tensor, Tensor]:
         """Image coordinates `[2, n, N]` px where light to N corners ends, n times each, and whether they lie ahead `[n, N]` bool."""
