@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, cast
 
 import torch
@@ -72,7 +73,8 @@ class Light:
 
     projection: of poses `[B, 4]`, x, y in m, roll, pitch in rad. crop: the part of the image that has all light of the symbols. added:
     `[B, h, w]` at it, by the symbols. scene: the same and more in each one's own footprint; None where the camera sees none of them.
-    sums: `[B, m, 2]`, flux in lm and sum of utilisations of each of the modules that draw.
+    sums: `[B, m, 2]`, flux in lm and sum of utilisations of each of the modules that draw. drawn: utilisations of each of them, of each
+    copy, all `[n_p]` or those of its pixels `[m]`.
     """
 
     projection: ProjectionCommand
@@ -80,6 +82,8 @@ class Light:
     added: Tensor
     scene: Scene | None
     sums: Tensor
+    drawn: Sequence[Sequence[Tensor]]
+    pixels: Sequence[Tensor | None]
 
     @property
     def poses(self) -> Tensor:
@@ -103,6 +107,12 @@ class Copies:
         primitive = self.projector.primitive(self.projector.target)
         self.windowed = all(serves(each.pixel_controller, primitive, each.T_world_headlight) for each in self.projector.modules)
         self._kept: _Kept | None = None
+
+    @cached_property
+    def rest(self) -> Tensor:
+        """Luminance `[height, width]` in cd/m^2 of all but the symbols."""
+        height, width = self.view.base.shape
+        return _luminance(self.view.transports, [self.resting], self.view.base, Crop(0, height, 0, width))[0]
 
     def show(self, projection: ProjectionCommand | Tensor) -> Light:
         """The light of projections `[B]` of the symbol as it is, or of poses `[B, 4]`."""
@@ -150,7 +160,8 @@ class Copies:
         added = _luminance(self.view.transports, shown, self.view.base, place.crop) - place.resting
         model = self.sensor.model
         flat = _luminance(model.transports, lights, -model.beams, place.crop)
-        return Light(projection, place.crop, added, place.scene(windows, added, flat), torch.stack(sums))
+        drawn = [[each.u for each in light] for light in lights]
+        return Light(projection, place.crop, added, place.scene(windows, added, flat), torch.stack(sums), drawn, [None] * len(fluxes))
 
     def _in_windows(self, projection: ProjectionCommand, windows: Windows) -> Light:
         """On the parts of light texture, lamp and image that the symbols touch."""
@@ -163,14 +174,16 @@ class Copies:
         place = kept.place
         shape = place.resting.shape
         images: list[list[Tensor]] = [[], []]  # on the world's road and on the flat one, of each copy
-        sums = []
+        sums, drawn = [], []
         for lights in zip(*(utilisations(each.drawn, cast_) for each, cast_ in zip(kept.modules, rays, strict=True)), strict=True):
             for seen, roads in zip(images, kept.roads, strict=True):
                 parts = [multiply(road, u).view(shape) for road, u in zip(roads, lights, strict=True)]
                 seen.append(sum(parts[1:], parts[0]))
+            drawn.append(lights)
             sums.append(torch.stack([u @ each.weights for each, u in zip(kept.modules, lights, strict=True)]))
         added, flat = map(torch.stack, images)
-        return Light(projection, place.crop, added, place.scene(windows, added, flat), torch.stack(sums))
+        scene, pixels = place.scene(windows, added, flat), [each.drawn.pixels for each in kept.modules]
+        return Light(projection, place.crop, added, scene, torch.stack(sums), drawn, pixels)
 
     def _reached(self, windows: Sequence[Window], footprints: Windows) -> "_Kept":
         """The products of all modules, for what they draw in windows of their light textures."""

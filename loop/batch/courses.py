@@ -15,6 +15,7 @@ from loop.batch.arrivals import Arrival, arrivals
 from loop.batch.copies import Copies
 from loop.batch.laws import asking, asks, law_of, rows
 from loop.batch.looking import Taken, at_ends
+from loop.batch.searching import finds_another_road
 from loop.lighting.controlled import ControlledSymbol
 from loop.scenario.model import Scenario
 from perception.extraction import Loss
@@ -38,7 +39,7 @@ class Course:
 
 @dataclass(frozen=True)
 class Courses:
-    """All steps of B copies. left: those for which a single run searches the whole image from some step on, so that it may differ."""
+    """All steps of B copies. left: those for which a single run searches the whole image in some step, so that it may go on otherwise."""
 
     steps: list[Course]
     left: frozenset[int]
@@ -46,12 +47,12 @@ class Courses:
 
 @dataclass(frozen=True, eq=False)
 class _Look:
-    """What the frames of a step show. searched: of which copies `[B]` bool the image is searched then. features: `[B, 4]` that a flat road
-    would show, None where no law asks for them.
+    """What the frames of a step show. searched: of which copies a single run would search the image and may find something. features:
+    `[B, 4]` that a flat road would show, None where no law asks for them.
     """
 
     seen: Measurement
-    searched: Tensor
+    searched: Sequence[bool]
     features: Tensor | None
 
 
@@ -65,11 +66,13 @@ def course_of(copies: Copies, given: Sequence[Copy]) -> Courses:
     for step in range(like.steps):
         projection = law.projection(state, None)
         light = copies.show(projection)
-        seen = copies.measured(light, [Taken(each.seed, step, each.disturbances) for each in scenarios])
-        searched = seen.code != Loss.SEEN
+        frames = [Taken(each.seed, step, each.disturbances) for each in scenarios]
+        seen = copies.measured(light, frames)
+        searched = (seen.code != Loss.SEEN).tolist()
         if lifted and light.scene is not None:
-            searched = searched | at_ends(seen, light.scene.windows)
-        looks.append(_Look(replace(seen, symbol=seen.symbol[:, :0, :0]), searched.cpu(), copies.rendered(light) if asks(law) else None))
+            for k in at_ends(seen, light.scene.windows).nonzero()[:, 0].tolist():
+                searched[k] = searched[k] or k in left or finds_another_road(copies, light, k, frames[k])
+        looks.append(_Look(replace(seen, symbol=seen.symbol[:, :0, :0]), searched, copies.rendered(light) if asks(law) else None))
         came = [each[step] for each in plans]
         measurement, features = _gathered(copies, looks, [each[0] for each in came], projection.pose)
         stepped = asking(law, features).step(state, Observation(measurement, None, Shown(projection, ())))

@@ -175,6 +175,16 @@ def _try(study: optuna.Study, trials: Sequence[optuna.Trial], task: Task, execut
         study.tell(trial, float(np.mean(first[0] + more[0])))
 
 
+def told_together(task: Task, workers: int, gradient: bool) -> str | None:
+    """Which runs of a study are done together, in words; None where all are alone."""
+    runs = task.runs({})
+    half = -(-len(runs) // 2)
+    random, later = (max(map(len, placed(some, workers))) for some in (runs[:half] * STARTUP, runs if gradient else runs[:half]))
+    found = [f"up to {random} in the first {STARTUP} trials"] if random > 1 and not gradient else []
+    found += [f"up to {later} in {'the others' if found else 'all trials'}"] if later > 1 else []
+    return f"runs in batches of {', of '.join(found)}" if found else None
+
+
 def ran(task: Task, runs: Runs, execute: Executor) -> Ran:
     """Costs and traces in the order of the runs, whatever order they end in, so that sums round equally, and how many settled."""
     return ran_each(task, [runs], execute)[0]
