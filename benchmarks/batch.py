@@ -15,6 +15,7 @@ from bench import machine, on_one_thread
 from rich.table import Table
 
 from loop.batch.copies import Copies
+from loop.batch.looking import Taken
 from loop.lighting.simulation import Simulation
 from loop.scenario.model import load
 from loop.terminal import tables
@@ -40,7 +41,7 @@ def measure(width: int, height: int, batches: tuple[int, ...], steps: int) -> di
             began = time.process_time()
             light = copies.show(poses)
             shown = time.process_time()
-            copies.measured(light, [(seed, step) for seed in range(batch)])
+            copies.measured(light, [Taken(seed, step) for seed in range(batch)])
             measured = time.process_time()
             copies.judged(light)
             judged = time.process_time()

@@ -1,5 +1,6 @@
 """A run in one row of plain figures, without files: what campaigns tabulate and tuning minimises."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
@@ -24,6 +25,7 @@ from loop.scenario.model import Scenario, only
 from loop.scenario.plant import SimulatedPlantParams
 from perception.extraction import Loss
 
+Figures = dict[str, float | str | None]
 KEPT = 4  # simulations made ready, half a gigabyte each
 WORST = {  # figures of symbols that are held, and which of several is the worst
     "settle_step": max,
@@ -35,7 +37,7 @@ WORST = {  # figures of symbols that are held, and which of several is the worst
 }
 
 
-def figures(scenario: Scenario, device: str = "auto") -> dict[str, float | str | None]:
+def figures(scenario: Scenario, device: str = "auto") -> Figures:
     """Run a scenario and give its summary, flat: `lamps.left.flux_lm_mean`, say; None where a value does not exist.
 
     flux_lm_mean is that of all lamps, utilisation_mean that of all pixels over all steps. Where symbols are held, the figures in `WORST`
@@ -44,24 +46,26 @@ def figures(scenario: Scenario, device: str = "auto") -> dict[str, float | str |
     sight at the end. Times are left out, so that the same scenario gives the same figures.
     Raises LuxloopError where the scenario cannot run.
     """
-    return _figures(_simulation(scenario, device))[0]
+    return traced(scenario, device)[0]
 
 
-def traced(scenario: Scenario, device: str = "auto") -> tuple[dict[str, float | str | None], Rollout | None]:
+def traced(scenario: Scenario, device: str = "auto") -> tuple[Figures, Rollout | None]:
     """The figures of a run, and how its only symbol was held, as a batch of one; None where several are held, or none.
 
     Raises as `figures`.
     """
-    return _figures(_simulation(scenario, device))
+    simulation = ready(scenario, device)
+    return tabulated(simulation, ((result, _utilisation(result)) for result in simulation.run()))
 
 
-def _figures(simulation: Simulation) -> tuple[dict[str, float | str | None], Rollout | None]:
+def tabulated(simulation: Simulation, steps: Iterable[tuple[StepResult, float]]) -> tuple[Figures, Rollout | None]:
+    """The same from the steps of a run, each with the mean utilisation of all pixels."""
     rows, utilisations, trace = [], list[float](), []
     last = dict[str, StepResult]()
     name = only(simulation.controlled) if len(simulation.controlled) == 1 else None
-    for result in simulation.run():  # which is not kept: a step is megabytes
+    for result, utilisation in steps:  # which are not kept: a step is megabytes
         rows.append(row(result))
-        utilisations.append(sum(float(u.sum()) for u in result.lights) / sum(u.numel() for u in result.lights))
+        utilisations.append(utilisation)
         last |= dict.fromkeys(result.held, result)
         if name is not None:
             trace.append(_traced(result.held.get(name), simulation.symbol.projector.target))
@@ -85,6 +89,10 @@ def _figures(simulation: Simulation) -> tuple[dict[str, float | str | None], Rol
     return _flat(values), Rollout(*(torch.stack(part)[None] for part in zip(*trace, strict=True))) if trace else None
 
 
+def _utilisation(result: StepResult) -> float:
+    return sum(float(u.sum()) for u in result.lights) / sum(u.numel() for u in result.lights)
+
+
 def _traced(held: Held | None, target: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Pose, error of the pose, and whether it was seen; the target, unseen, while it is not shown."""
     if held is None:
@@ -93,21 +101,25 @@ def _traced(held: Held | None, target: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return held.pose, torch.where(usable, held.measurement.pose_error, 0.0), usable
 
 
-def _simulation(scenario: Scenario, device: str) -> Simulation:
+def ready(scenario: Scenario, device: str) -> Simulation:
     """A simulation of the scenario; all but controllers and noise is taken from one that is ready where there is one."""
     if not isinstance(scenario.plant, SimulatedPlantParams):
         return prepare(scenario, device)
     functions = {name: {"controller"} for name in scenario.controlled}
     decisive = scenario.model_dump_json(exclude={"seed": True, "functions": functions})
-    ready = _prepared(_Shared(scenario, device, decisive, (*digests(scenario).items(),)))
-    assert isinstance(ready.plant, SimulatedPlant)
+    like = _prepared(_Shared(scenario, device, decisive, (*digests(scenario).items(),)))
+    assert isinstance(like.plant, SimulatedPlant)
+    return replace(controlled_as(like, scenario), plant=replace(like.plant, seed=scenario.seed))
+
+
+def controlled_as(simulation: Simulation, scenario: Scenario) -> Simulation:
+    """The same world and plant with the controllers of another scenario, whose symbols are the same."""
     held = {}
-    for name, symbol in ready.controlled.items():
+    for name, symbol in simulation.controlled.items():
         function = scenario.functions[name]
         assert isinstance(function, SymbolFunctionParams) and function.controller is not None
-        controller = build_symbol_controller(function.controller, symbol.sensor)
-        held[name] = replace(symbol, function=function, controller=controller)
-    return replace(ready, scenario=scenario, plant=replace(ready.plant, seed=scenario.seed), controlled=held)
+        held[name] = replace(symbol, function=function, controller=build_symbol_controller(function.controller, symbol.sensor))
+    return replace(simulation, scenario=scenario, controlled=held)
 
 
 @dataclass(frozen=True)

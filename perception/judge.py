@@ -56,7 +56,7 @@ def target(luminance: Tensor, view: BirdsEye, length_m: float, width_m: float) -
     median = plane[plane > THRESHOLD * plane.max()].median()
     mask = plane > THRESHOLD * median
     rows, cols = view.reached(*_lit(luminance))
-    part = _around(rows, cols, mask.shape)
+    part = around(rows, cols, mask.shape)
     return Target(plane, median, mask, appearance(mask[part].to(plane), view.within(*part).axes), rows, cols, length_m, width_m)
 
 
@@ -70,7 +70,7 @@ def judge(luminance: Tensor, view: BirdsEye, goal: Target, u_start: int = 0, v_s
     luminance, u_start, v_start = luminance[..., v, u], u_start + u.start, v_start + v.start
     height, width = luminance.shape[-2:]
     found = view.reached(slice(v_start, v_start + height), slice(u_start, u_start + width))
-    part = _around(_hull(found[0], goal.rows), _hull(found[1], goal.cols), goal.mask.shape)
+    part = around(hull(found[0], goal.rows), hull(found[1], goal.cols), goal.mask.shape)
     seen, wanted = view.within(*part), goal.mask[part]
     plane = rectify(seen, luminance, u_start, v_start) if luminance.numel() else luminance.new_zeros(*luminance.shape[:-2], *wanted.shape)
     mask = plane > THRESHOLD * goal.median
@@ -99,12 +99,12 @@ def _lit(luminance: Tensor) -> tuple[slice, slice]:
     return rows, span(image[..., rows, :].reshape(-1, image.shape[-1]).amax(0) > 0)
 
 
-def _hull(found: slice, wanted: slice) -> slice:
+def hull(found: slice, wanted: slice) -> slice:
     """The smallest slice that holds two, the first of which may be empty."""
     return wanted if found.stop == found.start else slice(min(found.start, wanted.start), max(found.stop, wanted.stop))
 
 
-def _around(rows: slice, cols: slice, shape: Sequence[int]) -> tuple[slice, slice]:
+def around(rows: slice, cols: slice, shape: Sequence[int]) -> tuple[slice, slice]:
     """Whole pairs of cells of a view `[rows, cols]`, from which SSIM's window reaches a part of it."""
     window = 2 * math.ceil(3 * SSIM_RADIUS)
     top, left = (max(each.start // 2 * 2 - window, 0) for each in (rows, cols))

@@ -52,7 +52,7 @@ def ssim(a: Tensor, b: Tensor, radius: float, data_range: float) -> Tensor:
     if radius <= 0 or data_range <= 0:
         raise LuxloopError(f"SSIM needs a positive radius and data_range, got {radius} and {data_range}")
     a, b = torch.broadcast_tensors(a, b)
-    mean_a, mean_b, mean_aa, mean_bb, mean_ab = _gaussian(torch.stack([a, b, a * a, b * b, a * b]), radius)
+    mean_a, mean_b, mean_aa, mean_bb, mean_ab = gaussian(torch.stack([a, b, a * a, b * b, a * b]), radius)
     covariance = mean_ab - mean_a * mean_b
     variances = (mean_aa - mean_a**2) + (mean_bb - mean_b**2)
     c1, c2 = (0.01 * data_range) ** 2, (0.03 * data_range) ** 2
@@ -72,7 +72,7 @@ def iou(a: Tensor, b: Tensor) -> Tensor:
     return torch.where(union > 0, intersection / union.clamp(min=1), 1.0)
 
 
-def _gaussian(images: Tensor, radius: float) -> Tensor:
+def gaussian(images: Tensor, radius: float) -> Tensor:
     height, width = images.shape[-2:]
     return _window(height, radius, images) @ images @ _window(width, radius, images).mT
 

@@ -48,7 +48,7 @@ class FrameNoise:
     def part(self, part: Part, like: Tensor) -> Tensor:
         """Standard normal numbers `[height, width]` of a part of the frame, in the dtype and on the device of like."""
         bits = self.integers(part, like.device)
-        middle, sign, tail = _tables(like.dtype, like.device)
+        middle, sign, tail = tables(like.dtype, like.device)
         place, further = (each.flatten() for each in (bits >> 16 & PARTS - 1, bits & PARTS - 1))
         drawn = middle.index_select(0, place).addcmul_(sign.index_select(0, place), tail.index_select(0, further))
         return drawn.view_as(bits)
@@ -62,7 +62,7 @@ def _counted(top: int, bottom: int, left: int, right: int, device: torch.device)
 
 
 @cache
-def _tables(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
+def tables(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
     """Medians of the parts of the distribution, 0 for the two tails; the sign of the tails there, 0 for all others; and medians of the
     parts of the upper tail. Multiples of `STEP` below 8 are exact in 32 bits, and so is what comes of them.
     """

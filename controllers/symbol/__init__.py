@@ -56,7 +56,7 @@ def build_controller(params: AnyParams, sensor: SymbolSensor) -> SymbolControlle
         case OwnParams():
             return staged(params, own_controller(params, sensor), sensor)
         case GaussNewtonParams() | ModelReferenceParams():
-            return staged(params, Feedback(params, sensor), sensor)
+            return staged(params, Feedback.prepare(params, sensor), sensor)
 
 
 def refuse_place(params: AnyParams, target: str) -> None:

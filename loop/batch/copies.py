@@ -2,72 +2,96 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, cast
 
 import torch
 from torch import Tensor
 
 from controllers.pixels.ssc import Ssc, Utilisation
-from controllers.pixels.windowed import WindowedSsc, serves
-from controllers.pixels.windows import Window, union
+from controllers.pixels.windowed import serves
+from controllers.pixels.windows import Window
 from controllers.symbol.sensing.projection import ProjectionCommand
 from controllers.symbol.sensing.symbol_sensor import Measurement
+from loop.batch.drawing import Reached, casting, utilisations
+from loop.batch.judging import judged
+from loop.batch.looking import Scene, Taken, joined, look, rendered
+from loop.batch.windows import EMPTY, Windows, hull
 from loop.lighting.simulation import Simulation
-from loop.scenario.model import only
+from loop.scenario.model import Scenario, only
 from loop.scenario.plant import SimulatedPlantParams
-from perception.camera import expose
-from perception.extraction import Crop, Loss, symbol_image
-from perception.judge import Verdict, judge
-from perception.noise import FrameNoise
+from perception.extraction import Crop, Loss
+from perception.judge import Verdict
 from world.errors import LuxloopError
 from world.light.illumination import Transport, added_light
 from world.spmv import Csr, multiply
 
 Lights = tuple[Utilisation, ...]
-AROUND_TEXELS, AROUND_PX = 32, 16  # by which products that are kept reach beyond what was asked for, since poses move on
+AROUND_PX = 16  # by which a crop that is kept reaches beyond what was asked for, since poses move on
+TOGETHER = 16  # copies whose images are computed at once: more do not fit into the processor's cache
 
 
 def check(simulation: Simulation, otherwise: str = "run it one by one") -> None:
-    """Raises LuxloopError where a scenario is no lone symbol in a standing world, or something disturbs it at some steps alone.
+    """Raises LuxloopError where a scenario is no lone symbol in a standing world. otherwise: what is advised to keep it."""
+    refuse_scenario(simulation.scenario, otherwise)
+    name, world = simulation.scenario.name, simulation.world
+    if simulation.planner.commanding:
+        raise LuxloopError(
+            f"{name}: batches leave modules at rest, but functions.{next(iter(simulation.planner.commanding))} commands some"
+        )
+    if world.moving or not all(isinstance(each, Transport) for each in world.lit(0.0).transports):
+        raise LuxloopError(f"{name}: batches are for scenes in which nothing moves; {otherwise}")
 
-    otherwise: what is advised to keep it.
-    """
-    scenario = simulation.scenario
+
+def refuse_scenario(scenario: Scenario, otherwise: str = "run it one by one") -> None:
+    """The part of `check` that a scenario's file decides."""
     only(scenario.controlled)
     if scenario.metered:
         others = "other functions, the detector and objects' categories"
         raise LuxloopError(f"{scenario.name}: batches are of a single symbol; take {others} out, or {otherwise}")
     if scenario.lighting.painted:
         raise LuxloopError(f"{scenario.name}: lighting.painted: batches show no painted pixels; leave it out, or {otherwise}")
-    if timed := [key for key in ("start_s", "stop_s", "indicated") if getattr(scenario.symbol, key) is not None]:
+    if scenario.lighting.power_limit is not None:
+        raise LuxloopError(f"{scenario.name}: lighting.power_limit: batches have no limit; leave it out, or {otherwise}")
+    if timed := [key for key in ("start_s", "stop_s", "indicated", "when", "unless") if getattr(scenario.symbol, key) is not None]:
         key = f"functions.{only(scenario.controlled)}.{timed[0]}"
         raise LuxloopError(f"{scenario.name}: {key}: batches show the symbol in all steps; leave it out, or {otherwise}")
-    if found := [name for name in ("oncoming", "ambient", "noise", "drops") if getattr(scenario.disturbances, name)]:
-        raise LuxloopError(f"{scenario.name}: batches do not support disturbances.{found[0]}; leave it out, or {otherwise}")
+    if scenario.symbol.weight != 1:
+        key = f"functions.{only(scenario.controlled)}.weight"
+        raise LuxloopError(f"{scenario.name}: {key}: batches draw with weight 1; leave it out, or {otherwise}")
+    if scenario.disturbances.oncoming:
+        raise LuxloopError(f"{scenario.name}: batches do not support disturbances.oncoming; leave it out, or {otherwise}")
     if not isinstance(scenario.plant, SimulatedPlantParams):
         raise LuxloopError(f"{scenario.name}: batches need the simulated plant, not {scenario.plant.kind}; {otherwise}")
-    world = simulation.world
-    if scenario.vehicle is not None or world.moving or not all(isinstance(each, Transport) for each in world.lit(0.0).transports):
+    if scenario.vehicle is not None:
         raise LuxloopError(f"{scenario.name}: batches are for scenes in which nothing moves; {otherwise}")
 
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """What the camera gets of B poses, without noise, at one crop of its image: luminances in cd/m^2.
+    """What the camera gets of B projections, without noise; luminances in cd/m^2.
 
-    poses: `[B, 4]`, x, y in m, roll, pitch in rad. lit: `[B, h, w]`, of all light. resting: `[h, w]`, of all but the symbols'. flat:
-    `[B, h, w]`, what the symbols would add on the flat road that the controller assumes.
+    projection: of poses `[B, 4]`, x, y in m, roll, pitch in rad. crop: the part of the image that has all light of the symbols. added:
+    `[B, h, w]` at it, by the symbols. scene: the same and more in each one's own footprint; None where the camera sees none of them.
+    sums: `[B, m, 2]`, flux in lm and sum of utilisations of each of the modules that draw. drawn: utilisations of each of them, of each
+    copy, all `[n_p]` or those of its pixels `[m]`.
     """
 
-    poses: Tensor
+    projection: ProjectionCommand
     crop: Crop
-    lit: Tensor
-    resting: Tensor
-    flat: Tensor
+    added: Tensor
+    scene: Scene | None
+    sums: Tensor
+    drawn: Sequence[Sequence[Tensor]]
+    pixels: Sequence[Tensor | None]
+
+    @property
+    def poses(self) -> Tensor:
+        return self.projection.pose
 
 
 class Copies:
-    """Poses of a scenario's only symbol in its world at rest. Raises LuxloopError as `check`.
+    """Projections of a scenario's only symbol in its world at rest. Raises LuxloopError as `check`.
 
     The parts of the matrices that one look needed are kept for the next.
     """
@@ -75,103 +99,148 @@ class Copies:
     def __init__(self, simulation: Simulation) -> None:
         check(simulation)
         self.simulation, self.symbol = simulation, simulation.symbol
-        self.projector, self.model = self.symbol.projector, self.symbol.sensor.model
+        self.projector, self.sensor = self.symbol.projector, self.symbol.sensor
         self.view, planner = simulation.world.lit(0.0), simulation.planner
         plan = planner.composed(simulation.situation(0.0), planner.start(), {})
         beams = [module.base(plan) for module in simulation.modules]
         self.resting = tuple(Utilisation(beam, None if bool(beam.any()) else slice(0, 0)) for beam in beams)
         primitive = self.projector.primitive(self.projector.target)
         self.windowed = all(serves(each.pixel_controller, primitive, each.T_world_headlight) for each in self.projector.modules)
-        self._kept: list[_Products] = []
+        self._kept: _Kept | None = None
 
-    def show(self, poses: Tensor) -> Light:
-        """The light of poses `[B, 4]`."""
-        crop = self.symbol.footprint(ProjectionCommand(poses))
-        if crop.v_stop - crop.v_start < 2 or crop.u_stop - crop.u_start < 2:
-            dark = poses.new_zeros(len(poses), 0, 0)
-            return Light(poses, Crop(0, 0, 0, 0), dark, dark[0], dark)
-        resting = _luminance(self.view.transports, [self.resting], self.view.base, crop)[0]
-        if self.windowed:
-            added, flat = self._in_windows(poses, crop)
-            return Light(poses, crop, resting + added, resting, flat)
-        # One by one: the few rays and pixels that each pose touches are quicker than all of a batch.
-        lights = [self.projector.light(pose) for pose in poses]
-        shown = [self._among_resting(light) for light in lights]
-        lit = _luminance(self.view.transports, shown, self.view.base, crop)
-        return Light(poses, crop, lit, resting, _luminance(self.model.transports, lights, -self.model.beams, crop))
+    @cached_property
+    def rest(self) -> Tensor:
+        """Luminance `[height, width]` in cd/m^2 of all but the symbols."""
+        height, width = self.view.base.shape
+        return _luminance(self.view.transports, [self.resting], self.view.base, Crop(0, height, 0, width))[0]
 
-    def measured(self, light: Light, noises: Sequence[tuple[int, int]], *, quantise: bool = True) -> Measurement:
-        """What the symbol's sensor makes of it, `[B]`. noises: seed and step of each copy's frames, or those of all copies.
+    def show(self, projection: ProjectionCommand | Tensor) -> Light:
+        """The light of projections `[B]` of the symbol as it is, or of poses `[B, 4]`."""
+        if isinstance(projection, Tensor):
+            projection = ProjectionCommand(projection)
+        crops = self.projector.footprints(projection, self.sensor.model.eye.view, self.sensor.params.footprint_margin_m)
+        windows = Windows.around(crops, (self.view.view.height, self.view.view.width))
+        return self._in_windows(projection, windows) if self.windowed else self._one_by_one(projection, windows)
 
-        quantise: false leaves digital numbers unrounded, for gradients.
+    def measured(self, light: Light, frames: Sequence[Taken], *, quantise: bool = True) -> Measurement:
+        """What the symbol's sensor makes of it, `[B]`, each in its own footprint. quantise: false leaves digital numbers unrounded, for
+        gradients.
         """
-        if not light.lit.numel():
-            return self.symbol.sensor.lost(light.poses, Loss.NOTHING)
-        part, camera = light.crop.slices, self.simulation.scenario.camera
+        if light.scene is None:
+            return self.sensor.lost(light.poses, Loss.NOTHING)
+        camera = self.simulation.scenario.camera
+        return joined([look(self.sensor, light.scene[part], camera, frames[part], quantise) for part in _parts(len(frames))])
 
-        def exposed(luminance: Tensor, frame: int) -> Tensor:
-            noise = [FrameNoise.of(seed, step, frame).part(part, luminance) for seed, step in noises] if camera.noise else []
-            drawn = torch.stack(noise) if len(noise) > 1 else noise[0] if noise else None
-            luminance = luminance.expand(len(noise), *luminance.shape) if luminance.dim() < len(noise[1:2]) + 2 else luminance
-            return expose(luminance, camera, drawn, quantise=quantise)
-
-        expected = symbol_image(light.flat, self.model.limit[part], self.model.params)
-        return self.symbol.sensor.compare(exposed(light.lit, 0), exposed(light.resting, 1), expected, light.crop)
+    def rendered(self, light: Light) -> Tensor:
+        """Features `[B, 4]` that the flat road would show, without noise; NaN where it would show nothing."""
+        if light.scene is None:
+            return torch.full_like(light.poses, torch.nan)
+        return torch.cat([rendered(self.sensor, light.scene[part]) for part in _parts(len(light.poses))])
 
     def judged(self, light: Light) -> Verdict:
         """What the judge says of it, `[B]`."""
         made = self.symbol.judge
         assert made is not None
-        added = light.lit - light.resting
-        return judge(added, made.plane, made.goal, light.crop.u_start, light.crop.v_start)
+        corner = light.crop.u_start, light.crop.v_start
+        found = [judged(light.added[part], made.plane, made.goal, *corner) for part in _parts(len(light.poses))]
+        return Verdict(*(torch.cat(each) for each in zip(*(vars(each).values() for each in found), strict=True)))
 
-    def _among_resting(self, light: Lights) -> Lights:
-        """Lights of all modules, of which those that draw show a light in place of their base beams."""
-        drawn = dict(zip(self.symbol.drawn_by, light, strict=True))
-        return tuple(drawn.get(k, each) for k, each in enumerate(self.resting))
+    def _one_by_one(self, projection: ProjectionCommand, windows: Windows) -> Light:
+        """Where more than a window of the light texture counts: each with all pixels of the lamps, in all footprints."""
+        lights = [self.projector.draw(each) for each in projection.singles()]
+        fluxes = [self.simulation.modules[k].flux for k in self.symbol.drawn_by]
+        sums = [
+            torch.stack([torch.stack([each.u @ flux, each.u.sum()]) for each, flux in zip(light, fluxes, strict=True)]) for light in lights
+        ]
+        place = _Place.of(self, windows.hull)
+        shown = [
+            tuple(dict(zip(self.symbol.drawn_by, light, strict=True)).get(k, each) for k, each in enumerate(self.resting))
+            for light in lights
+        ]
+        added = _luminance(self.view.transports, shown, self.view.base, place.crop) - place.resting
+        model = self.sensor.model
+        flat = _luminance(model.transports, lights, -model.beams, place.crop)
+        drawn = [[each.u for each in light] for light in lights]
+        return Light(projection, place.crop, added, place.scene(windows, added, flat), torch.stack(sums), drawn, [None] * len(fluxes))
 
-    def _in_windows(self, poses: Tensor, crop: Crop) -> tuple[Tensor, Tensor]:
-        """Luminances `[B, h, w]` that the symbols add to the world and to the flat road."""
-        primitives = [self.projector.primitive(pose) for pose in poses]
-        added: list[Tensor] = []
-        for k, module in enumerate(self.projector.modules):
-            controller = cast(Ssc, module.pixel_controller)
-            castings = [controller.casting(each, module.T_world_headlight) for each in primitives]
-            products = self._products(k, controller, union([each.window for each in castings]), crop)
-            lit = [products.drawn.utilisation(each) for each in castings]
-            added.append(torch.stack([torch.stack([products.seen(road, u, crop) for u in lit]) for road in products.roads]))
-        world, flat = sum(added[1:], added[0])
-        return world, flat
+    def _in_windows(self, projection: ProjectionCommand, windows: Windows) -> Light:
+        """On the parts of light texture, lamp and image that the symbols touch."""
+        modules = self.projector.modules
+        rays = [
+            casting(cast(Ssc, module.pixel_controller), primitives, module.T_world_headlight)
+            for module, primitives in zip(modules, self.projector.primitives(projection), strict=True)
+        ]
+        kept = self._reached([each.window for each in rays], windows)
+        place = kept.place
+        shape = place.resting.shape
+        images: list[list[Tensor]] = [[], []]  # on the world's road and on the flat one, of each copy
+        sums, drawn = [], []
+        for lights in zip(*(utilisations(each.drawn, cast_) for each, cast_ in zip(kept.modules, rays, strict=True)), strict=True):
+            for seen, roads in zip(images, kept.roads, strict=True):
+                parts = [multiply(road, u).view(shape) for road, u in zip(roads, lights, strict=True)]
+                seen.append(sum(parts[1:], parts[0]))
+            drawn.append(lights)
+            sums.append(torch.stack([u @ each.weights for each, u in zip(kept.modules, lights, strict=True)]))
+        added, flat = map(torch.stack, images)
+        scene, pixels = place.scene(windows, added, flat), [each.drawn.pixels for each in kept.modules]
+        return Light(projection, place.crop, added, scene, torch.stack(sums), drawn, pixels)
 
-    def _products(self, k: int, controller: Ssc, window: Window, crop: Crop) -> "_Products":
-        """Those of the k-th module that draws."""
-        if k == len(self._kept) or not self._kept[k].serves(window, crop):
-            drawn = WindowedSsc.of(controller, window.widened(AROUND_TEXELS, controller.headlight))
-            around = crop.widened(AROUND_PX, *self.view.base.shape)
-            transports = cast(Transport, self.view.transports[self.symbol.drawn_by[k]]), self.model.transports[k]
-            roads = tuple(each.onto(around.slices, self.view.base.shape[1], drawn.pixels) for each in transports)
-            self._kept[k : k + 1] = [_Products(around, drawn, roads)]
-        return self._kept[k]
+    def _reached(self, windows: Sequence[Window], footprints: Windows) -> "_Kept":
+        """The products of all modules, for what they draw in windows of their light textures."""
+        kept = self._kept
+        if kept is None or not kept.serve(windows, footprints):
+            width, model = self.view.base.shape[1], self.sensor.model
+            modules, roads = [], []
+            for module, window, number in zip(self.projector.modules, windows, self.symbol.drawn_by, strict=True):
+                transport = cast(Transport, self.view.transports[number])
+                controller = cast(Ssc, module.pixel_controller)
+                modules.append(Reached.of(controller, window, transport, width, self.simulation.modules[number].flux))
+            crops = [each.crop for each in modules if each.crop != EMPTY] + ([footprints.hull] if footprints.height else [])
+            place = _Place.of(self, hull(crops) if crops else EMPTY)
+            for each, flat in zip(modules, model.transports, strict=True):
+                roads.append(tuple(each.onto(transport, place.crop) for transport in (each.transport, flat)))
+            world, flat_road = zip(*roads, strict=True)
+            self._kept = kept = _Kept(place, tuple(modules), (world, flat_road))
+        return kept
 
 
 @dataclass(frozen=True, eq=False)
-class _Products:
-    """Of a module. drawn: from primitives to pixels. roads: from these `[m]` to a crop of the image `[h * w]`, of the world and of the flat
-    road.
+class _Place:
+    """A crop of the image with what is there without the symbols, `[h, w]` cd/m^2: resting light, light without the lamps, the threshold
+    of extraction.
     """
 
     crop: Crop
-    drawn: WindowedSsc
-    roads: tuple[Csr, ...]
+    resting: Tensor
+    base: Tensor
+    limit: Tensor
 
-    def serves(self, window: Window, crop: Crop) -> bool:
-        return self.drawn.window.holds(window) and self.crop.holds(crop)
+    @classmethod
+    def of(cls, copies: Copies, crop: Crop) -> "_Place":
+        """With some px around a crop."""
+        view = copies.view
+        crop = crop.widened(AROUND_PX, *view.base.shape)
+        resting = _luminance(view.transports, [copies.resting], view.base, crop)[0]
+        return cls(crop, resting, view.base[crop.slices], copies.sensor.model.limit[crop.slices])
 
-    def seen(self, road: Csr, u: Tensor, crop: Crop) -> Tensor:
-        """Luminance at a crop `[h, w]` that lies within."""
-        kept = self.crop
-        image = multiply(road, u).view(kept.v_stop - kept.v_start, kept.u_stop - kept.u_start)
-        return image[crop.v_start - kept.v_start : crop.v_stop - kept.v_start, crop.u_start - kept.u_start : crop.u_stop - kept.u_start]
+    def scene(self, windows: Windows, added: Tensor, flat: Tensor) -> Scene | None:
+        """Of light `[B, h, w]` that symbols add to the world and to the flat road; None where no window holds anything."""
+        if not windows.height:
+            return None
+        return Scene(windows, *(windows.cut(each, self.crop) for each in (added, self.resting, self.base, flat, self.limit)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Kept:
+    """What modules reach. roads: of each module, from its pixels to the crop on the world's road, and on the flat road."""
+
+    place: _Place
+    modules: tuple[Reached, ...]
+    roads: tuple[tuple[Csr, ...], tuple[Csr, ...]]
+
+    def serve(self, windows: Sequence[Window], footprints: Windows) -> bool:
+        drawn = all(each.drawn.window.holds(window) for each, window in zip(self.modules, windows, strict=True))
+        return drawn and (not footprints.height or self.place.crop.holds(footprints.hull))
 
 
 def _luminance(transports: Any, lights: list[Lights], base: Tensor, crop: Crop) -> Tensor:
@@ -180,3 +249,8 @@ def _luminance(transports: Any, lights: list[Lights], base: Tensor, crop: Crop) 
     parts = [each.within(crop.v_start * width, crop.v_stop * width) for each in transports]
     rows, columns = crop.slices
     return torch.stack([added_light(parts, light, base[rows])[:, columns] for light in lights])
+
+
+def _parts(count: int) -> list[slice]:
+    """Of so many copies, those that are computed at once."""
+    return [slice(k, k + TOGETHER) for k in range(0, count, TOGETHER)]

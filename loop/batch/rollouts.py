@@ -15,6 +15,7 @@ from controllers.symbol.sensing.protocol import Observation, Shown
 from controllers.symbol.sensing.symbol_sensor import Measurement
 from loop.batch import copies
 from loop.batch.copies import Copies
+from loop.batch.looking import Taken
 from loop.lighting.result import Rollout
 from loop.lighting.simulation import Simulation
 from perception.extraction import Loss
@@ -47,7 +48,7 @@ def check(simulation: Simulation, keys: Any) -> None:
             raise LuxloopError(f"{key}: has no gradient; {did_you_mean(key, [before + gain for gain in GAINS])}")
     if controller.warp or controller.supervisor:
         raise LuxloopError(f"{scenario.name}: batches of gains have no stages; leave out controller.warp and controller.supervisor")
-    if scenario.camera.drop_probability or scenario.camera.latency_spread_steps:
+    if scenario.camera.drop_probability or scenario.disturbances.drops or scenario.camera.latency_spread_steps:
         raise LuxloopError(
             f"{scenario.name}: batches of gains are for cameras of which no frame is lost and all are equally late; tune without --gradient"
         )
@@ -65,8 +66,12 @@ def rollouts(simulation: Simulation, values: dict[str, Tensor], *, quantise: boo
     Raises LuxloopError as `check`.
     """
     check(simulation, values)
-    many, seed = Copies(simulation), simulation.scenario.seed
-    return loops(simulation, values, lambda poses, step: many.measured(many.show(poses), [(seed, step)], quantise=quantise))
+    many, seed, disturbances = Copies(simulation), simulation.scenario.seed, simulation.scenario.disturbances
+    return loops(
+        simulation,
+        values,
+        lambda poses, step: many.measured(many.show(poses), [Taken(seed, step, disturbances)] * len(poses), quantise=quantise),
+    )
 
 
 def loops(simulation: Simulation, values: dict[str, Tensor], look: Callable[[Tensor, int], Measurement]) -> Rollout:

@@ -1,7 +1,7 @@
 """Many closed loops as one vector environment of Gymnasium, on copies of one world at rest."""
 
 from collections.abc import Sequence
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,8 @@ from controllers.symbol.sensing.projection import ProjectionCommand
 from controllers.symbol.sensing.protocol import Observation, Shown
 from controllers.symbol.sensing.symbol_sensor import Measurement
 from loop.batch.copies import Copies
+from loop.batch.laws import rows
+from loop.batch.looking import Taken
 from loop.environment.single import SEEDS, SymbolEnv, start_of
 from loop.environment.task import Floats, Look, Reward, as_gymnasium, observation, reward
 from loop.plant.simulated import as_simulated
@@ -117,11 +119,12 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]])
         self._state = self.acting.act(self._state, actions)
         pose = self.acting.projection(self._state, None).pose
         light = self.copies.show(pose)
-        frames = list(zip(self._seeds, self._age.tolist(), strict=True))
+        disturbances = self.copies.simulation.scenario.disturbances
+        frames = [Taken(seed, step, disturbances) for seed, step in zip(self._seeds, self._age.tolist(), strict=True)]
         self._looks.append(Look.of(self.copies.measured(light, frames), self.image))
         if len(self._looks) > self.late:
             came = torch.from_numpy((self._age >= self.late) & ~self._lost()).to(pose.device)
-            self._seen = _rows(came, self._looks.pop(0), self._nothing_seen())
+            self._seen = rows(came, self._looks.pop(0), self._nothing_seen())
         seen = replace(self._unseen(pose), code=self._seen.code, pose_error=self._seen.pose_error)
         self._state = self.acting.step(self._state, Observation(seen, None, Shown(ProjectionCommand(pose), ())))
         self._age = self._age + 1
@@ -130,7 +133,8 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]])
 
     def _lost(self) -> Mask:
         """Whose frames that come in this step are lost."""
-        if not self.copies.simulation.scenario.camera.drop_probability:
+        scenario = self.copies.simulation.scenario
+        if not (scenario.camera.drop_probability or scenario.disturbances.drops):
             return np.zeros(self.num_envs, bool)
         plant = as_simulated(self.copies.simulation.plant, "an environment")
         taken = zip(self._seeds, (self._age - self.late).tolist(), strict=True)
@@ -150,22 +154,13 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]])
     def _begin(self, which: Mask, start: Any, seeds: Sequence[int]) -> None:
         """Begin the chosen copies at their rows of a state."""
         chosen = torch.from_numpy(which).to(self.copies.simulation.device)
-        self._state = _rows(chosen, start, self._state)
+        self._state = rows(chosen, start, self._state)
         self._seeds = [new if anew else old for anew, new, old in zip(which.tolist(), seeds, self._seeds, strict=True)]
         self._age, self._over = np.where(which, 0, self._age), self._over & ~which
-        self._seen = _rows(chosen, self._nothing_seen(), self._seen)
+        self._seen = rows(chosen, self._nothing_seen(), self._seen)
 
     def _observed(self) -> Any:
         return as_gymnasium(observation(self.acting.observed(self._state), self._seen, None), self._seen)
-
-
-def _rows(chosen: Tensor, new: Any, old: Any) -> Any:
-    """The chosen rows `[B]` bool of one value of tensors `[B, ...]`, and the others of another."""
-    if isinstance(new, Tensor):
-        return torch.where(chosen.view(-1, *[1] * (new.dim() - 1)), new, old)
-    if not is_dataclass(new) or isinstance(new, type):
-        return new
-    return replace(new, **{each.name: _rows(chosen, getattr(new, each.name), getattr(old, each.name)) for each in fields(new)})
 
 
 def _infos(found: Reward, verdict: Verdict, there: Mask) -> dict[str, Any]:

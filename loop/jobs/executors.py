@@ -6,7 +6,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from typing import Final, Protocol, TypeVar
+from dataclasses import dataclass
+from typing import Any, Final, Protocol, TypeVar
 
 from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky import process_executor
@@ -25,7 +26,10 @@ class WorkersLostError(LuxloopError):
 
 
 class Executor(Protocol):
-    """Calls a function with each task and yields results in order of completion. Raises WorkersLostError."""
+    """Calls a function with each task and yields results in order of completion. Raises WorkersLostError. workers: tasks at once."""
+
+    @property
+    def workers(self) -> int: ...
 
     def __call__(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]: ...
 
@@ -38,8 +42,15 @@ def local(processes: int | None = None) -> Executor:
     if processes is not None and processes < 1:
         raise LuxloopError(f"--jobs: {processes} is too few processes; give 1 or more")
 
-    def execute(function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]:
-        workers = min(processes or os.cpu_count() or 1, len(tasks))
+    return _Local(processes or os.cpu_count() or 1)
+
+
+@dataclass(frozen=True)
+class _Local:
+    workers: int
+
+    def __call__(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]:
+        workers = min(self.workers, len(tasks))
         if workers <= 1:
             yield from map(function, tasks)
             return
@@ -49,8 +60,6 @@ def local(processes: int | None = None) -> Executor:
             yield from parallel(delayed(function)(task) for task in tasks)
         except BrokenProcessPool as error:
             raise WorkersLostError("a worker process was killed, probably for lack of memory; use fewer processes") from error
-
-    return execute
 
 
 ALL_CORES: Final = local()
@@ -77,36 +86,54 @@ def dask(scheduler: str) -> Executor:
     Raises LuxloopError if Dask is not installed, the scheduler does not answer, or a worker has another version of luxloop.
     """
     try:
-        import distributed
+        import distributed  # noqa: F401
     except ImportError as error:
         raise LuxloopError("--scheduler: needs Dask, which is not installed; get it with pip install 'luxloop[dask]'") from error
-    where = f"--scheduler {scheduler}"
+    return _Dask(scheduler)
 
-    def connected() -> distributed.Client:
+
+@dataclass(frozen=True)
+class _Dask:
+    scheduler: str
+
+    @property
+    def workers(self) -> int:
+        with self._connected() as client:
+            return len(client.scheduler_info(n_workers=-1)["workers"])
+
+    def __call__(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]:
+        import distributed
+
+        with self._connected() as client:
+            try:
+                for future in distributed.as_completed(client.map(function, tasks, pure=False), loop=client.loop):
+                    yield future.result()
+                    future.release()
+            except distributed.KilledWorker as error:
+                raise WorkersLostError(f"{self._where}: a job has killed several workers, probably for lack of memory") from error
+            except (OSError, distributed.client.FutureCancelledError, distributed.client.FuturesCancelledError) as error:
+                raise WorkersLostError(f"{self._where}: was lost") from error
+
+    @property
+    def _where(self) -> str:
+        return f"--scheduler {self.scheduler}"
+
+    def _connected(self) -> Any:
+        """A client. Raises LuxloopError as `dask`."""
+        import distributed
+
+        where = self._where
         try:
-            client = distributed.Client(scheduler, timeout=CONNECTING_S, set_as_default=False)
+            client = distributed.Client(self.scheduler, timeout=CONNECTING_S, set_as_default=False)
         except (OSError, ValueError) as error:
             raise LuxloopError(f"{where}: no answer; start `dask scheduler`, and give the address that it prints") from error
         try:
             client.wait_for_workers(1, timeout=CONNECTING_S)
             digests = client.run(digest_of_code)
         except TimeoutError as error:
-            raise LuxloopError(f"{where}: has no workers; start `dask worker {scheduler} --nthreads 1`") from error
+            raise LuxloopError(f"{where}: has no workers; start `dask worker {self.scheduler} --nthreads 1`") from error
         except ImportError as error:
             raise LuxloopError(f"{where}: a worker has no luxloop ({error}); install this one there") from error
         if others := [worker for worker, digest in digests.items() if digest != digest_of_code()]:
             raise LuxloopError(f"{where}: {', '.join(others)} has another luxloop; install this one there")
         return client
-
-    def execute(function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]:
-        with connected() as client:
-            try:
-                for future in distributed.as_completed(client.map(function, tasks, pure=False), loop=client.loop):
-                    yield future.result()
-                    future.release()
-            except distributed.KilledWorker as error:
-                raise WorkersLostError(f"{where}: a job has killed several workers, probably for lack of memory") from error
-            except (OSError, distributed.client.FutureCancelledError, distributed.client.FuturesCancelledError) as error:
-                raise WorkersLostError(f"{where}: was lost") from error
-
-    return execute

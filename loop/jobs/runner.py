@@ -16,7 +16,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from loop.jobs.bundles import bundles, told
 from loop.jobs.executors import ALL_CORES, Executor, WorkersLostError
+from loop.terminal import tables
 from loop.terminal.progress import progress
 from world.errors import LuxloopError
 from world.validation import parsed_json
@@ -36,6 +38,19 @@ class Job:
     key: str
     parameters: Values
     place: Values = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Together:
+    """A function of a job, and how several jobs are done at once with the same results.
+
+    kind: of a job's parameters; jobs of one kind may be done together, None is done alone. many: of the parameters of several; gives the
+    result of each, or the error that it raised.
+    """
+
+    one: Callable[..., Values]
+    kind: Callable[[Values], str | None]
+    many: Callable[[Sequence[Values]], Sequence[Values | Exception]]
 
 
 @dataclass(frozen=True)
@@ -60,7 +75,7 @@ class Results:
 
 
 def run(
-    function: Callable[..., Values],
+    function: Callable[..., Values] | Together,
     jobs: Sequence[Job],
     file: Path,
     *,
@@ -71,14 +86,15 @@ def run(
 ) -> Results:
     """Do the jobs without a result in the file, and return the results of all.
 
-    function: of a module's top level, so that other processes can import it; takes the parameters of a job and returns a JSON value. file:
-    JSON lines, one per result; lines are only added, and results of other functions, parameters and versions stay. version: what decides a
-    result besides its parameters, such as `digest_of(...)`. executor: by default a process per core. is_there: whether the files
-    that a call made are still there; if not, the job runs again. The next run tries failed jobs again.
+    function: of a module's top level, so that other processes can import it; takes the parameters of a job and returns a JSON value. A line
+    says which jobs are done together. file: JSON lines, one per result; lines are only added, and results of other functions, parameters
+    and versions stay. version: what decides a result besides its parameters, such as `digest_of(...)`. executor: by default a process per
+    core. is_there: whether the files that a call made are still there; if not, the job runs again. The next run tries failed jobs again.
 
     Raises: KeyboardInterrupt that says what is kept; LuxloopError if workers are lost, or the file is of another kind or cannot be written.
     """
-    pairs = [(identity_of(function, job.parameters, version), job) for job in jobs]
+    how = function if isinstance(function, Together) else Together(function, _alone, partial(_one_by_one, function))
+    pairs = [(identity_of(how.one, job.parameters, version), job) for job in jobs]
     read = _read(file)
     done = {identity: read[identity] for identity, job in pairs if identity in read and is_there(job)}
     left = {identity: job for identity, job in pairs if identity not in done}
@@ -86,13 +102,17 @@ def run(
     try:
         with progress(title, total, total - len(left)) as advance:
             tasks = [(identity, {**job.parameters, **job.place}) for identity, job in left.items()]
-            for identity, result, error in executor(partial(_call, function), tasks):
-                if error:
-                    failures[identity] = error
-                else:
-                    _append(file, f'{{"id": "{identity}", "key": {json.dumps(left[identity].key)}, "result": {result}}}')
-                    done[identity] = json.loads(result)
-                advance()
+            found = _bundles(how, [parameters for _, parameters in tasks], executor)
+            if note := told(found, title):
+                tables.console(stderr=True).print(note, markup=False)
+            for ended in executor(partial(_call, how), [[tasks[k] for k in places] for places in found]):
+                for identity, result, error in ended:
+                    if error:
+                        failures[identity] = error
+                    else:
+                        _append(file, f'{{"id": "{identity}", "key": {json.dumps(left[identity].key)}, "result": {result}}}')
+                        done[identity] = json.loads(result)
+                    advance()
     except (KeyboardInterrupt, WorkersLostError) as error:
         kept = f"{len(done)} of {total} {title} are kept in {file}, the same command goes on from there"
         if isinstance(error, KeyboardInterrupt):
@@ -116,13 +136,34 @@ def identity_of(function: Callable[..., Values], parameters: Values, version: st
     return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()[:32]
 
 
-def _call(function: Callable[..., Values], task: tuple[str, Values]) -> tuple[str, str, str]:
-    """The job's identity, its result as JSON, and the reason of failure, one of both empty."""
-    identity, parameters = task
-    try:
-        return identity, json.dumps(dict(function(**parameters))), ""
-    except Exception as error:
-        return identity, "", reason(error)
+def _bundles(how: Together, parameters: Sequence[Values], executor: Executor) -> list[list[int]]:
+    kinds = [how.kind(each) for each in parameters]
+    return bundles(kinds, executor.workers) if any(kinds) else [[k] for k in range(len(kinds))]
+
+
+def _call(how: Together, tasks: Sequence[tuple[str, Values]]) -> list[tuple[str, str, str]]:
+    """Of each job its identity, its result as JSON, and the reason of failure, one of both empty."""
+    found = []
+    for (identity, _), result in zip(tasks, how.many([parameters for _, parameters in tasks]), strict=True):
+        try:
+            found.append((identity, "", reason(result)) if isinstance(result, Exception) else (identity, json.dumps(dict(result)), ""))
+        except Exception as error:
+            found.append((identity, "", reason(error)))
+    return found
+
+
+def _alone(parameters: Values) -> None:
+    """The kind of jobs that are never done together."""
+
+
+def _one_by_one(function: Callable[..., Values], parameters: Sequence[Values]) -> list[Values | Exception]:
+    found: list[Values | Exception] = []
+    for each in parameters:
+        try:
+            found.append(function(**each))
+        except Exception as error:
+            found.append(error)
+    return found
 
 
 def reason(error: Exception) -> str:

@@ -1,17 +1,18 @@
 """`luxloop campaign`: a grid or list of runs from one TOML file into one table, resumable, on this machine or on many."""
 
+import json
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
 from loop.jobs.executors import ALL_CORES, Executor
-from loop.jobs.runner import Job, Results, run
+from loop.jobs.runner import Job, Results, Together, run
 from loop.recording.digest import digest_of_code
 from loop.recording.manifest import digests
 from loop.scenario.model import Scenario, load, only, validate
@@ -21,6 +22,9 @@ from world.folders import output_folder
 from world.params import Params
 from world.plugin import refuse_code
 from world.validation import read_toml, validated
+
+if TYPE_CHECKING:
+    from loop.lighting.result import Rollout
 
 MOST_RUNS = 100_000
 JOBS, TABLE = "jobs.jsonl", "runs.parquet"
@@ -121,7 +125,9 @@ def run_campaign(file: Path, out: Path, *, device: str = "cpu", executor: Execut
         for each in runs
     ]
     with output_folder(out):
-        results = run(figures_of, jobs, out / JOBS, version=digest_of_code(), executor=executor, title="runs")
+        results = run(
+            Together(figures_of, kind_of, figures_of_many), jobs, out / JOBS, version=digest_of_code(), executor=executor, title="runs"
+        )
         found = {row.pop("key"): row for row in results.rows}
         rows = [
             {"key": each.key, **each.row, **_figures(found.get(each.key, {})), "error": results.failures.get(each.key, "")} for each in runs
@@ -140,6 +146,29 @@ def figures_of(scenario: Mapping[str, Any], inputs: dict[str, str], device: str)
     from loop.metrics import figures
 
     return figures(checked(scenario, inputs), device)
+
+
+def kind_of(parameters: Mapping[str, Any]) -> str | None:
+    """Jobs of one kind are done together (`loop.batch.runs.kind`): they have the same files on the same device, too."""
+    from loop.batch.runs import kind
+
+    found = kind(validate(parameters["scenario"], str(parameters["scenario"]["name"])))
+    return found and json.dumps([found, parameters["inputs"], parameters["device"]])
+
+
+def figures_of_many(parameters: Sequence[Mapping[str, Any]]) -> list[Row | Exception]:
+    """`figures_of` of several jobs of one kind, or the error of each."""
+    return [each if isinstance(each, Exception) else each[0] for each in runs_of_many(parameters)]
+
+
+def runs_of_many(parameters: Sequence[Mapping[str, Any]]) -> "list[tuple[Row, Rollout | None] | Exception]":
+    """Figures and trace of each run of one kind, or the error that it raised."""
+    from loop.batch.runs import runs
+
+    try:
+        return list(runs([checked(each["scenario"], each["inputs"]) for each in parameters], parameters[0]["device"]))
+    except Exception as error:  # each says its own
+        return [error] if len(parameters) == 1 else [found for each in parameters for found in runs_of_many([each])]
 
 
 def checked(scenario: Mapping[str, Any], inputs: dict[str, str]) -> Scenario:

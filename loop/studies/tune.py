@@ -2,26 +2,27 @@
 
 import hashlib
 import json
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import optuna
 from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
 from optuna.trial import TrialState, create_trial
 
+from loop.jobs.bundles import bundles
 from loop.jobs.executors import Executor
 from loop.jobs.runner import reason
-from loop.metrics import traced
 from loop.objective import Objective
 from loop.recording.digest import digest_of_code
 from loop.recording.manifest import digests
 from loop.scenario.model import Scenario
-from loop.studies.campaign import checked
+from loop.studies.campaign import kind_of, runs_of_many
 from loop.studies.ranges import Range, Values, changed, value_of
 from loop.studies.study import FINISHED, STUDY, finished, keeping, study_in
 from loop.terminal.progress import progress
@@ -33,8 +34,10 @@ SETTLED = "settled"  # attribute with how many runs of a trial settled
 TRACES = "traces"  # attribute with the traces of a trial's runs
 APART = 1_000_003  # distance between the seeds of two searches, so that they share no trial's seed
 STARTUP = 8  # random trials before the sampler uses results
-Runs = list[tuple[dict[str, Any], dict[str, str], str]]
+Run = tuple[dict[str, Any], dict[str, str], str]  # scenario, digests of its files, device
+Runs = list[Run]
 Trace = list[list[Any]] | str  # of a run: poses, errors and whether seen (`loop.metrics.traced`), or the reason of failure
+Ran = tuple[list[float], list[Trace], int]  # costs, traces, and how many runs settled
 
 
 @dataclass(frozen=True)
@@ -120,12 +123,13 @@ def tune(task: Task, out: Path, trials: int, execute: Executor) -> Tuned:
         with progress("trials", trials, min(shown, trials)) as advance:
             with turn(out / STUDY):
                 space = begun(study, task, out, execute)
-            while (trial := _asked(study, space, task, out, trials)) is not None:
+            while asked := _asked(study, space, task, out, trials):
                 try:
-                    _try(study, trial, task, execute)
+                    _try(study, asked, task, execute)
                 except BaseException:
-                    with suppress(OSError):
-                        study.tell(trial, state=TrialState.FAIL, skip_if_finished=True)  # another process will run it
+                    for trial in asked:
+                        with suppress(OSError):
+                            study.tell(trial, state=TrialState.FAIL, skip_if_finished=True)  # another process will run it
                     raise
                 done = finished(study)  # other processes add trials, too
                 advance(done - shown)
@@ -133,42 +137,76 @@ def tune(task: Task, out: Path, trials: int, execute: Executor) -> Tuned:
     return Tuned(task, study.user_attrs["given_cost"], study)
 
 
-def _asked(study: optuna.Study, space: dict[str, BaseDistribution], task: Task, out: Path, trials: int) -> optuna.Trial | None:
-    """The next trial up to a number of trials; None if all are finished or running."""
+def _asked(study: optuna.Study, space: dict[str, BaseDistribution], task: Task, out: Path, trials: int) -> list[optuna.Trial]:
+    """The next trials up to a number of them: all random ones at once, which depend on no result, then one by one; none if all are
+    finished or running.
+    """
     with turn(out / STUDY):
         number = len(study.get_trials(deepcopy=False, states=(*FINISHED, TrialState.RUNNING)))
-        if number >= trials:
-            return None
-        # Seeded by the trial, so that an interrupted study continues as if it had not been interrupted.
-        seed = (task.seed * APART + number) % 2**32
-        study.sampler = optuna.samplers.TPESampler(seed=seed, n_startup_trials=STARTUP, multivariate=True)
-        return study.ask(space)
+        asked = []
+        for each in range(number, min(max(number + 1, STARTUP), trials)):
+            # Seeded by the trial, so that an interrupted study continues as if it had not been interrupted.
+            seed = (task.seed * APART + each) % 2**32
+            study.sampler = optuna.samplers.TPESampler(seed=seed, n_startup_trials=STARTUP, multivariate=True)
+            asked.append(study.ask(space))
+        return asked
 
 
-def _try(study: optuna.Study, trial: optuna.Trial, task: Task, execute: Executor) -> None:
-    """Do all runs of a trial, which may be pruned after half of them; the same runs for any number of processes."""
-    runs = task.runs(trial.params)
-    half = -(-len(runs) // 2)
-    costs, traces, settled = ran(task, runs[:half], execute)
-    trial.set_user_attr(FAILURES, failed(traces))
-    trial.set_user_attr(SETTLED, settled)
-    if len(runs) > half:
+def _try(study: optuna.Study, trials: Sequence[optuna.Trial], task: Task, execute: Executor) -> None:
+    """Do all runs of some trials, which may be pruned after half of them; the same runs for any number of processes."""
+    runs = [task.runs(trial.params) for trial in trials]
+    half = -(-len(runs[0]) // 2)
+    left = []
+    for trial, given, first in zip(trials, runs, ran_each(task, [each[:half] for each in runs], execute), strict=True):
+        costs, traces, settled = first
+        trial.set_user_attr(FAILURES, failed(traces))
+        trial.set_user_attr(SETTLED, settled)
+        if len(given) == half:
+            study.tell(trial, float(np.mean(costs)))
+            continue
         trial.report(float(np.mean(costs)), 0)
         if trial.should_prune():
             study.tell(trial, state=TrialState.PRUNED)
-            return
-        more, others, settled_later = ran(task, runs[half:], execute)
-        costs += more
-        trial.set_user_attr(FAILURES, failed(traces + others))
-        trial.set_user_attr(SETTLED, settled + settled_later)
-    study.tell(trial, float(np.mean(costs)))
+        else:
+            left.append((trial, given[half:], first))
+    for (trial, _, first), more in zip(left, ran_each(task, [rest for _, rest, _ in left], execute), strict=True):
+        trial.set_user_attr(FAILURES, failed(first[1] + more[1]))
+        trial.set_user_attr(SETTLED, first[2] + more[2])
+        study.tell(trial, float(np.mean(first[0] + more[0])))
 
 
-def ran(task: Task, runs: Runs, execute: Executor) -> tuple[list[float], list[Trace], int]:
+def told_together(task: Task, workers: int, gradient: bool) -> str | None:
+    """Which runs of a study are done together, in words; None where all are alone."""
+    runs = task.runs({})
+    half = -(-len(runs) // 2)
+    random, later = (max(map(len, placed(some, workers))) for some in (runs[:half] * STARTUP, runs if gradient else runs[:half]))
+    found = [f"up to {random} in the first {STARTUP} trials"] if random > 1 and not gradient else []
+    found += [f"up to {later} in {'the others' if found else 'all trials'}"] if later > 1 else []
+    return f"runs in batches of {', of '.join(found)}" if found else None
+
+
+def ran(task: Task, runs: Runs, execute: Executor) -> Ran:
     """Costs and traces in the order of the runs, whatever order they end in, so that sums round equally, and how many settled."""
-    done = sorted(execute(_traced, list(enumerate(runs))), key=itemgetter(0))
-    settled = sum(figures.get("settle_step") is not None for _, figures, _ in done)
-    return [task.objective.cost(figures) for _, figures, _ in done], [trace for _, _, trace in done], settled
+    return ran_each(task, [runs], execute)[0]
+
+
+def ran_each(task: Task, parts: Sequence[Runs], execute: Executor) -> list[Ran]:
+    """The same of several parts, whose runs are done together where that is faster."""
+    runs = [run for part in parts for run in part]
+    places = placed(runs, execute.workers)
+    done = sorted((each for ended in execute(_traced, [[(k, runs[k]) for k in of] for of in places]) for each in ended), key=itemgetter(0))
+    found, begin = [], 0
+    for part in parts:
+        mine = done[begin : begin + len(part)]
+        begin += len(part)
+        settled = sum(figures.get("settle_step") is not None for _, figures, _ in mine)
+        found.append(([task.objective.cost(figures) for _, figures, _ in mine], [trace for _, _, trace in mine], settled))
+    return found
+
+
+def placed(runs: Runs, workers: int) -> list[list[int]]:
+    """Places of the runs that are done together (`loop.jobs.bundles`)."""
+    return bundles([kind_of(_parameters(run)) if len(runs) > 1 else None for run in runs], workers)
 
 
 def failed(traces: list[Trace]) -> list[str]:
@@ -176,14 +214,20 @@ def failed(traces: list[Trace]) -> list[str]:
     return [trace for trace in traces if isinstance(trace, str)]
 
 
-def _traced(task: tuple[int, tuple[dict[str, Any], dict[str, str], str]]) -> tuple[int, dict[str, Any], Trace]:
-    """Number, metrics and trace of a run; a run that fails does not stop the study."""
-    number, (scenario, inputs, device) = task
-    try:
-        figures, run = traced(cast(Scenario, checked(scenario, inputs)), device)
-        return number, figures, [] if run is None else [part[0].tolist() for part in vars(run).values()]
-    except Exception as error:
-        return number, {}, reason(error)
+def _traced(tasks: Sequence[tuple[int, Run]]) -> list[tuple[int, dict[str, Any], Trace]]:
+    """Number, metrics and trace of runs that are done together; a run that fails does not stop the study."""
+    found: list[tuple[int, dict[str, Any], Trace]] = []
+    for (number, _), done in zip(tasks, runs_of_many([_parameters(run) for _, run in tasks]), strict=True):
+        if isinstance(done, Exception):
+            found.append((number, {}, reason(done)))
+        else:
+            figures, run = done
+            found.append((number, figures, [] if run is None else [part[0].tolist() for part in vars(run).values()]))
+    return found
+
+
+def _parameters(run: Run) -> dict[str, Any]:
+    return dict(zip(("scenario", "inputs", "device"), run, strict=True))
 
 
 def _distribution(each: Range) -> BaseDistribution:

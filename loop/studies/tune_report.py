@@ -13,7 +13,7 @@ from loop.jobs.executors import local
 from loop.studies import ranges
 from loop.studies.gradient import tune_by_gradient
 from loop.studies.study import FINISHED, STUDY
-from loop.studies.tune import Task, Tuned, tune
+from loop.studies.tune import Task, Tuned, told_together, tune
 from loop.terminal import tables
 from loop.terminal.tables import number
 from world.errors import LuxloopError
@@ -34,7 +34,10 @@ def do_tune(task: Task, folder: Path, trials: int, processes: int | None, gradie
     for name, value in (("--trials", trials), ("--seeds", task.seeds)):
         if value < 1:
             raise LuxloopError(f"{name}: {value} is too few; give 1 or more")
-    tuned = (tune_by_gradient if gradient else tune)(task, folder, trials, local(processes))
+    execute = local(processes)
+    if note := told_together(task, execute.workers, gradient):
+        tables.console(stderr=True).print(note, markup=False)
+    tuned = (tune_by_gradient if gradient else tune)(task, folder, trials, execute)
     write(tuned, folder)
     values, cost = tuned.best
     rows = [(f"[bold]{key}[/]", given, values.get(key, given)) for key, given in task.given.items()]

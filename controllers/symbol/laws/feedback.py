@@ -6,15 +6,17 @@ subtracts it. Since it compares with the light that was seen, be it as old as it
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import torch
 from pydantic import Field
 from torch import Tensor
 
+from controllers.pixels.ssc import Utilisation
 from controllers.symbol.laws.stages import StagedParams
-from controllers.symbol.sensing.flat_model import PROBE
+from controllers.symbol.sensing.flat_model import PROBE, FlatModel
 from controllers.symbol.sensing.projection import ProjectionCommand
 from controllers.symbol.sensing.protocol import Observation
 from controllers.symbol.sensing.symbol_sensor import SymbolSensor
@@ -63,28 +65,60 @@ class FeedbackState:
     pose: Tensor | None = None
 
 
-class Feedback:
-    """One of the laws."""
+class Rendering(Protocol):
+    """What a law asks its sensor: the flat model, and features `[..., 4]` that a flat road would show of the light of a projection."""
 
-    def __init__(self, params: FeedbackParams, sensor: SymbolSensor) -> None:
-        self.params, self.sensor = params, sensor
-        self.target = sensor.projector.target
+    @property
+    def model(self) -> FlatModel: ...
+
+    def rendered(self, projection: ProjectionCommand, lights: Sequence[Utilisation]) -> Tensor: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Feedback:
+    """One of the laws.
+
+    target: `[4]`, the flat-road pose. m_per_z: of a place, to a m of height. inverse: `[4, 4]`, of the flat model's Jacobian. low, high:
+    `[..., 4]`, limits of the correction. gain: `[..., 1]`, losses_to_reset: `[...]`, as in params, which say the rest.
+    """
+
+    params: FeedbackParams
+    sensor: Rendering
+    target: Tensor
+    m_per_z: float
+    inverse: Tensor
+    low: Tensor
+    high: Tensor
+    gain: Tensor
+    losses_to_reset: Tensor
+
+    @classmethod
+    def prepare(cls, params: FeedbackParams, sensor: SymbolSensor) -> "Feedback":
+        """Measure the Jacobian."""
+        target = sensor.projector.target
         height = torch.stack([module.T_world_headlight[2, 3] for module in sensor.projector.modules]).mean()
-        self.m_per_z = float(self.target[0] / height) if params.dof == "z" else 1.0
+        m_per_z = float(target[0] / height) if params.dof == "z" else 1.0
         lows, highs = zip(
             params.shift_range_m,
             params.y_range_m,
             *(tuple(map(math.radians, ends)) for ends in (params.roll_range_deg, params.pitch_range_deg)),
             strict=True,
         )
-        self.low, self.high = (self.target.new_tensor(ends) for ends in (lows, highs))
+        low, high = (target.new_tensor(ends) for ends in (lows, highs))
         if params.dof == "z":  # heights that cast the same light as those places
-            places = [max(float(self.target[0]) + end, 1.0) for end in params.shift_range_m]
-            self.low[0], self.high[0] = (float(height * (1 - self.target[0] / place)) for place in places)
-        probe = torch.diag(self.target.new_tensor(PROBE))
-        probe[0, 0] /= self.m_per_z
-        columns = [(self._expected(h) - self._expected(-h)) / (2 * h.sum()) for h in probe]
-        self.inverse = torch.linalg.pinv(torch.stack(columns, -1).double()).to(self.target)
+            places = [max(float(target[0]) + end, 1.0) for end in params.shift_range_m]
+            low[0], high[0] = (float(height * (1 - target[0] / place)) for place in places)
+        probe = torch.diag(target.new_tensor(PROBE))
+        probe[0, 0] /= m_per_z
+
+        def expected(correction: Tensor) -> Tensor:
+            projection = _drawn(params, target, correction)
+            return sensor.rendered(projection, sensor.projector.draw(projection))
+
+        columns = [(expected(h) - expected(-h)) / (2 * h.sum()) for h in probe]
+        inverse = torch.linalg.pinv(torch.stack(columns, -1).double()).to(target)
+        losses = torch.tensor(params.losses_to_reset, device=target.device)
+        return cls(params, sensor, target, m_per_z, inverse, low, high, target.new_tensor([params.gain]), losses)
 
     def start(self, pose: Tensor) -> FeedbackState:
         """State that shows the pose `[..., 4]` first."""
@@ -97,7 +131,7 @@ class Feedback:
 
     def projection(self, state: FeedbackState, ego: Ego | None) -> ProjectionCommand:
         """The symbol as it is at the corrected target."""
-        return self._drawn(state.correction) if state.pose is None else ProjectionCommand(state.pose)
+        return _drawn(self.params, self.target, state.correction) if state.pose is None else ProjectionCommand(state.pose)
 
     def step(self, state: FeedbackState, observation: Observation) -> FeedbackState:
         """Correct by what was seen; hold while the symbol is lost, show the flat-road primitive after repeated loss."""
@@ -111,17 +145,14 @@ class Feedback:
             wanted = -offset @ self.inverse.T
         else:
             wanted = state.correction - offset @ self.inverse.T
-        moved = torch.lerp(state.correction, wanted, self.params.gain).clamp(self.low, self.high)
-        reset = losses >= self.params.losses_to_reset
+        moved = torch.lerp(state.correction, wanted, self.gain).clamp(self.low, self.high)
+        reset = losses >= self.losses_to_reset
         correction = torch.where(usable[..., None], moved, state.correction)
         return FeedbackState(torch.where(reset[..., None], 0.0, correction), torch.where(reset, 0, losses))
 
-    def _drawn(self, correction: Tensor) -> ProjectionCommand:
-        if self.params.dof == "x":
-            return ProjectionCommand(self.target + correction)
-        shift = torch.cat([torch.zeros_like(correction[..., :1]), correction[..., 1:]], -1)
-        return ProjectionCommand(self.target + shift, correction[..., 0])
 
-    def _expected(self, correction: Tensor) -> Tensor:
-        projection = self._drawn(correction)
-        return self.sensor.rendered(projection, self.sensor.projector.draw(projection))
+def _drawn(params: FeedbackParams, target: Tensor, correction: Tensor) -> ProjectionCommand:
+    if params.dof == "x":
+        return ProjectionCommand(target + correction)
+    shift = torch.cat([torch.zeros_like(correction[..., :1]), correction[..., 1:]], -1)
+    return ProjectionCommand(target + shift, correction[..., 0])

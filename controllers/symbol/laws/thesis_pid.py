@@ -61,11 +61,13 @@ class ThesisPidState:
 
 @dataclass(frozen=True, eq=False)
 class ThesisPid:
-    """Four PIDs (T 9.4.1); target: the flat-road pose `[4]` (x, y in m, roll, pitch in rad). losses_to_reset: as in its parameters."""
+    """Four PIDs (T 9.4.1); target: the flat-road pose `[4]` (x, y in m, roll, pitch in rad). losses_to_reset: as in its parameters, `[...]`
+    where it differs in a batch.
+    """
 
     gains: PidGains
     target: Tensor
-    losses_to_reset: int
+    losses_to_reset: int | Tensor
 
     @classmethod
     def prepare(cls, params: ThesisPidParams, target: Tensor) -> "ThesisPid":

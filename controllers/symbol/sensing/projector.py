@@ -21,6 +21,10 @@ from perception.extraction import Crop
 from world.params import Params
 from world.view import View
 
+CORNERS = 4  # of a rectangle
+AHEAD_M = 0.1  # nearer to the camera than that nothing is seen
+NOWHERE = Crop(0, 0, 0, 0)
+
 
 class SymbolParams(Params):
     """The symbol, how large and bright it shall be, and where on the assumed road."""
@@ -178,6 +182,23 @@ class Projector:
         shape: of the road, see `controllers.symbol.sensing.shape`; default: z = 0. One rectangle for all of a batch. Rays that do not meet
         the road within 200 m end there.
         """
+        uv, there = self._ends(projection, view, margin_m, shape)
+        uv = uv[:, there]
+        if not uv.shape[1]:
+            return NOWHERE
+        low, high = uv.aminmax(dim=1)
+        return _crop(low.tolist(), high.tolist(), view)
+
+    def footprints(self, projection: ProjectionCommand, view: View, margin_m: float) -> list[Crop]:
+        """The footprint of each projection of a batch `[B]`, for the plane z = 0."""
+        uv, there = self._ends(projection, view, margin_m, None)
+        uv, there = (each.unflatten(-1, (-1, CORNERS)) for each in (uv, there))  # [2, n, B, 4], [n, B, 4]
+        low, high = (each.T.tolist() for each in (uv.where(there, torch.inf).amin((1, 3)), uv.where(there, -torch.inf).amax((1, 3))))
+        seen = there.any(-1).any(0).tolist()
+        return [_crop(*ends, view) if some else NOWHERE for ends, some in zip(zip(low, high, strict=True), seen, strict=True)]
+
+    def _ends(self, projection: ProjectionCommand, view: View, margin_m: float, shape: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Image coordinates `[2, n, N]` px where light to N corners ends, n times each, and whether they lie ahead `[n, N]` bool."""
         corners = self.rectangle(projection).corners().detach().reshape(-1, 3).T.cpu().double()
         origins = torch.stack([module.T_world_headlight[:3, 3:] for module in self.modules]).to(corners)
         rays = corners - origins
@@ -187,16 +208,17 @@ class Projector:
         else:
             bounds = shape.detach().to(corners) + torch.nn.functional.pad(heights[:, 0], (0, 3))
             reach = torch.stack([reached(bounds, self.params.x_m, *each) for each in zip(origins[..., 0], rays, strict=True)], 1)
-        ends = origins + rays * reach.minimum(200 / rays.norm(dim=1))[:, :, None]
-        uv, depth = view.project(ends.transpose(0, 2).reshape(3, -1))
-        uv = uv[:, depth > 0.1]
-        if uv.shape[1] == 0:
-            return Crop(0, 0, 0, 0)
-        low, high = uv.aminmax(dim=1)
-        whole = (view.width, view.height)
-        u0, v0 = (min(max(math.floor(end), 0), n) for end, n in zip(low.tolist(), whole, strict=True))
-        u1, v1 = (min(max(math.ceil(end), 0), n) for end, n in zip(high.tolist(), whole, strict=True))
-        return Crop(v0, v1, u0, u1)
+        ends = origins + rays * reach.minimum(200 / rays.norm(dim=1))[:, :, None]  # [2, m, 3, N]
+        uv, depth = view.project(ends.movedim(2, 0).reshape(3, -1))
+        return uv.view(2, -1, corners.shape[1]), (depth > AHEAD_M).view(-1, corners.shape[1])
+
+
+def _crop(low: Sequence[float], high: Sequence[float], view: View) -> Crop:
+    """All pixels from (u, v) to (u, v) px within an image."""
+    whole = (view.width, view.height)
+    u0, v0 = (min(max(math.floor(end), 0), n) for end, n in zip(low, whole, strict=True))
+    u1, v1 = (min(max(math.ceil(end), 0), n) for end, n in zip(high, whole, strict=True))
+    return Crop(v0, v1, u0, u1)
 
 
 def _raised(primitive: Primitives, z: Tensor | None) -> Primitives:

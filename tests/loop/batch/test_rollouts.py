@@ -43,11 +43,10 @@ def test_each_rollout_is_the_run_with_its_gains(simulation: Simulation) -> None:
     single = list(simulation.run())
     poses = torch.stack([result.symbol.pose for result in single])
     alone = rollouts(simulation, {key: torch.tensor([value]) for key, value in given.items()})
-    # To the rounding of sums in another order; a digital number that it turns by one would move a pose by some 1e-5.
-    torch.testing.assert_close(alone.poses[0], poses, rtol=0, atol=5e-5)
-    # Beside others it is looked for in the footprint of all, where a little more noise may be seen.
+    # Sums are rounded in another order; a digital number that this turns by one moves later poses by some 1e-4 m.
+    torch.testing.assert_close(alone.poses[0], poses, rtol=0, atol=5e-4)
     both = rollouts(simulation, {key: torch.tensor([0.5 * value, value]) for key, value in given.items()})
-    torch.testing.assert_close(both.poses[1], poses, rtol=0, atol=2e-3)
+    torch.testing.assert_close(both.poses[1], poses, rtol=0, atol=5e-4)
     assert (both.poses[0] - poses).abs().max() > 0.1
     assert both.poses.shape == both.errors.shape == (2, 5, 4)
     late = simulation.scenario.camera.latency_steps
@@ -100,9 +99,7 @@ def test_errors_are_differentiable_in_gains(monkeypatch: pytest.MonkeyPatch) -> 
         (["functions.symbol.controller.warp.takes_over=0.3"], [], "leave out controller.warp"),
         (["functions.symbol.controller.supervisor.grace_steps=8"], [], "leave out controller.warp and controller.supervisor"),
         (["disturbances.oncoming=[{ position_m=[40, 2, 0.65] }]"], [], r"do not support disturbances\.oncoming"),
-        (["disturbances.ambient=[{ factor=2.0 }]"], [], r"do not support disturbances\.ambient"),
-        (["disturbances.noise=[{ factor=2.0 }]"], [], r"do not support disturbances\.noise"),
-        (["disturbances.drops=[{}]"], [], r"do not support disturbances\.drops"),
+        (["disturbances.drops=[{}]"], [], "no frame is lost"),
     ],
 )
 def test_what_cannot_be_rolled_out_is_said_so(changes: list[str], keys: list[str], said: str, simulation: Simulation) -> None:

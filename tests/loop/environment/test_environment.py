@@ -122,14 +122,13 @@ def test_each_copy_is_the_single_environment(action: str, more: tuple[str, ...])
     together, alone = many.reset(seed=10)[0], one.reset(seed=11)[0]
     actions = np.random.default_rng(1).uniform(-0.2, 0.2, (5, 3, many.single_action_space.shape[0])).astype(np.float32)
     for action_now in actions:
-        assert together[1][POSE] == pytest.approx(alone[POSE], abs=0.02)
+        assert together[1][POSE] == pytest.approx(alone[POSE], abs=2e-3)
         assert np.array_equal(together[1][CODES], alone[CODES])
         together, rewards, _, ends, infos = many.step(action_now)
         alone, reward, _, end, info = one.step(action_now[1])
-        # Beside others it is looked for in the footprint of all, where its own cuts off some of its light.
-        assert together[1][ERRORS] == pytest.approx(alone[ERRORS], abs=0.05)
-        assert rewards[1] == pytest.approx(reward, abs=0.02) and ends[1] == end
-        assert infos["verdict"]["iou"][1] == pytest.approx(float(info["verdict"]["iou"]), abs=0.02)
+        assert together[1][ERRORS] == pytest.approx(alone[ERRORS], abs=2e-3)
+        assert rewards[1] == pytest.approx(reward, abs=1e-3) and ends[1] == end
+        assert infos["verdict"]["iou"][1] == pytest.approx(float(info["verdict"]["iou"]), abs=1e-3)
 
 
 def test_copies_begin_anew_as_the_mode_says() -> None:

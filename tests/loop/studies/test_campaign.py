@@ -151,6 +151,26 @@ def test_runs_that_share_a_simulation_are_as_those_that_do_not() -> None:
     assert alone[0] != alone[1]
 
 
+def test_runs_that_differ_in_numbers_are_done_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = written(
+        tmp_path,
+        'scenarios = ["flat"]\ncontrollers = ["thesis_pid"]\nseeds = [0, 1]\n'
+        "variants.soon = {}\nvariants.late.camera.latency_steps = 1\nvariants.lit.lighting.base.beam = 'low'\n",
+    )
+    found = run_campaign(file, tmp_path / "out", executor=local(1))
+    assert "6 of 6 runs in batches of up to 4" in capsys.readouterr().err
+    assert [key for key in found.failures if "lit" not in key] == [] and len(found.failures) == 2, "each has its own reason"
+    assert all("cannot be distinguished" in why for why in found.failures.values())
+    for run, row in zip(read(file), found.rows, strict=True):
+        if run.params.variant == "lit":
+            continue
+        expected = figures(run.scenario, "cpu")
+        for key in ("iou_final", "residual_percent", "flux_lm_mean", "energy_j", "utilisation_mean"):
+            assert row[key] == pytest.approx(expected[key], rel=1e-3, abs=1e-3)
+    again = run_campaign(file, tmp_path / "out", executor=local(1))
+    assert again.rows == found.rows and "2 of 2 runs" in capsys.readouterr().err, "what failed is tried again, and nothing else"
+
+
 def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(tmp_path)
     file = written(tmp_path, 'scenarios = ["flat"]\n')

@@ -206,10 +206,27 @@ def interrupted(monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str, 
 def test_a_seeded_study_is_the_same_with_more_processes_and_after_a_stop(
     tuned: Tuned, scenario: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    interrupted(monkeypatch, module, "_try", 3)
-    with pytest.raises(KeyboardInterrupt, match="3 of 5 trials are kept"):
+    interrupted(monkeypatch, module, "_traced", 3)  # in the second half of the random trials, of which none is told yet
+    with pytest.raises(KeyboardInterrupt, match="1 of 5 trials are kept"):
         tune(task(scenario), tmp_path, 5, local(1))
-    assert trials(tune(task(scenario), tmp_path, 5, local(2))) == trials(tuned)
+    monkeypatch.undo()
+    for found, expected in zip(trials(tune(task(scenario), tmp_path, 5, local(2))), trials(tuned), strict=True):
+        assert (found[0], found[2]) == (expected[0], expected[2])
+        assert found[1] == pytest.approx(expected[1], abs=1e-3), "batches of other sizes round otherwise"
+
+
+def test_random_trials_are_run_together_and_cost_what_they_cost_alone(tuned: Tuned, scenario: Scenario) -> None:
+    given, execute = task(scenario), local(1)
+    assert module.told_together(given, 1, False) == "runs in batches of up to 8 in the first 8 trials"
+    assert module.told_together(given, 2, True) is None
+    assert (
+        module.told_together(replace(given, seeds=6), 1, False)
+        == "runs in batches of up to 16 in the first 8 trials, of up to 3 in the others"
+    )
+    for values, cost, state in trials(tuned)[1:]:
+        if state == "COMPLETE":
+            alone = [module.ran(given, [run], execute)[0][0] for run in given.runs(values)]
+            assert cost == pytest.approx(sum(alone) / len(alone), abs=1e-3)
 
 
 def test_what_scenarios_do_not_share_is_given_by_none(scenario: Scenario, tmp_path: Path) -> None:

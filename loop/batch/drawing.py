@@ -1,0 +1,161 @@
+"""One symbol drawn many times by a module: on a window of its light texture, and on the pixels and part of the image that this reaches."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+from torch.nn.functional import grid_sample
+
+from controllers.pixels.map_products import light_of
+from controllers.pixels.primitives import U_ABS, Primitives
+from controllers.pixels.rthc import GRAZING, Casting
+from controllers.pixels.ssc import Ssc
+from controllers.pixels.windowed import WindowedSsc
+from controllers.pixels.windows import NEAREST_M, Window
+from perception.extraction import Crop
+from world.light.illumination import Transport
+from world.spmv import Csr, multiply, numbers, row_of_entries
+from world.texels import TexelGrid
+
+AROUND_TEXELS = 32  # by which a window that is kept reaches beyond what was asked for, since poses move on
+BANDS = 4  # of rows: what lies beside a slanting outline need not be computed
+SLACK = 0.05  # texels, margin for rounding
+
+
+def casting(controller: Ssc, primitives: Primitives, T_world_headlight: Tensor) -> Casting:
+    """Rays to cast at one primitive in B places `[B, 1]`: at B primitives of one scene, painted apart so that none hides another."""
+    count = len(primitives.origin)
+    each = replace(
+        primitives,
+        **{name: getattr(primitives, name)[:, 0] for name in ("origin", "d1", "d2", "normal", "value", "weight")},
+        **{name: getattr(primitives, name).expand(count) for name in ("quantity", "symbol_of", "nearest", "shared")},
+        forced=torch.ones(count, dtype=torch.bool),
+        priority=torch.arange(count),
+        modules=primitives.modules * count,
+    )
+    return controller.casting(each, T_world_headlight)
+
+
+@dataclass(frozen=True, eq=False)
+class Reached:
+    """What a module lights of an image from a window of its light texture.
+
+    drawn: from primitives to its pixels `[m]`. crop: what of the image these pixels reach on the world's road. weights: `[m, 2]`, flux in
+    lm, and 1.
+    """
+
+    drawn: WindowedSsc
+    transport: Transport
+    width: int
+    crop: Crop
+    weights: Tensor
+
+    @classmethod
+    def of(cls, controller: Ssc, window: Window, transport: Transport, width: int, flux: Tensor) -> "Reached":
+        """window: of what is drawn first. flux: `[n_p]` lm."""
+        drawn = WindowedSsc.of(controller, window.widened(AROUND_TEXELS, controller.headlight))
+        matrix = transport.matrix
+        lit = torch.unique_consecutive(row_of_entries(matrix)[numbers(drawn.pixels, matrix.n_cols)[matrix.indices] >= 0])
+        crop = Crop(0, 0, 0, 0)
+        if len(lit):
+            index = transport.index[lit]
+            (top, left), (bottom, right) = (each.tolist() for each in torch.stack([index // width, index % width]).aminmax(dim=1))
+            crop = Crop(top, bottom + 1, left, right + 1)
+        lm = flux[drawn.pixels]
+        return cls(drawn, transport, width, crop, torch.stack([lm, torch.ones_like(lm)], 1))
+
+    def onto(self, transport: Transport, crop: Crop) -> Csr:
+        """From its pixels to an image's crop `[h * w]`."""
+        return transport.onto(crop.slices, self.width, self.drawn.pixels)
+
+
+def utilisations(drawn: WindowedSsc, rays: Casting) -> Iterator[Tensor]:
+    """Utilisation `[m]` of the pixels for each of the primitives, as `WindowedSsc.utilisation` of one."""
+    images = _sampled(drawn, rays) if _plain(drawn, rays) else _painted(drawn, rays)
+    for image in images:
+        yield multiply(drawn.weight, image.flatten()).clamp(0, 1)
+
+
+def _painted(drawn: WindowedSsc, rays: Casting) -> Iterator[Tensor]:
+    """Setpoints `[rows, cols]` of the window for each of the primitives, by rays of any kind, and with gradients."""
+    height, width = (each.stop - each.start for each in drawn.window.slices)
+    strokes = rays.strokes()
+    for window in rays.windows:
+        image = drawn.ssc.default.new_zeros(height, width)
+        if not window.empty:
+            stroke = next(strokes)
+            image[window.within(drawn.window)] = light_of(stroke, drawn.ssc.pixels) * stroke.hit
+        yield image
+
+
+def _plain(drawn: WindowedSsc, rays: Casting) -> bool:
+    """Whether the setpoints are samples of one image, all seen from the front, without gradients."""
+    primitives = rays.primitives
+    image = primitives.image_of(0)
+    sampled = image.dim() == 2 and image.numel() > 1 and not bool(primitives.nearest[0]) and primitives.observer is None
+    absolute = rays.quantities == (U_ABS,) and drawn.ssc.pixels.darkening is None and rays.secondary is None
+    return sampled and absolute and None not in rays.front and True not in rays.is_mask and not primitives.origin.requires_grad
+
+
+def _sampled(drawn: WindowedSsc, rays: Casting) -> Iterator[Tensor]:
+    """The same in few passes over bands of rows, each no wider than the primitive is there. One image is given again and again."""
+    grid, primitives, window = rays.grid, rays.primitives, drawn.window
+    y, z = grid.tangents(primitives.origin.dtype, primitives.origin.device)
+    products = torch.cat([rays.seen.n[:, None], rays.seen.uv], 1)[..., None]  # [B, 3, 3, 1]: d.n, and twice u d.n and v d.n
+    rows, cols = products[:, :, 0] + products[:, :, 2] * z, products[:, :, 1] * y  # [B, 3, R], [B, 3, C]
+    symbol, value = primitives.image_of(0)[None, None], float(primitives.value[0])  # the same of all
+    image = drawn.ssc.default.new_zeros(*(each.stop - each.start for each in window.slices))
+    for k, bands in enumerate(_bands(rays)):
+        for band in bands:
+            r, c = band.slices
+            rays_ = rows[k, :, r, None] + cols[k, :, None, c]  # [3, rows, cols]
+            n, uv = rays_[0], rays_[1:]
+            off = uv.abs()
+            hit = torch.maximum(*off).neg_().add_(n).ge_(0)  # |2 u d.n| <= d.n and |2 v d.n| <= d.n (T eq. 7.3.3)
+            uv.div_(n.clamp_(min=GRAZING))
+            found = grid_sample(symbol, uv.movedim(0, -1)[None], padding_mode="border", align_corners=False)[0, 0]
+            image[band.within(window)] = (found if value == 1 else found.mul_(value)).clamp_(0, 1).mul_(hit)
+        yield image
+        for band in bands:
+            image[band.within(window)].zero_()
+
+
+def _bands(rays: Casting) -> list[list[Window]]:
+    """The window of each primitive in BANDS of rows, each as wide as its outline there."""
+    T, grid = rays.T_world_headlight, rays.grid
+    corners = (rays.primitives.corners() - T[:3, 3].to(rays.primitives.origin)) @ T[:3, :3].to(rays.primitives.origin)
+    return [_of_one(outline, window, grid) for outline, window in zip(corners.tolist(), rays.windows, strict=True)]
+
+
+def _of_one(corners: list[list[float]], window: Window, grid: TexelGrid) -> list[Window]:
+    if window.empty:
+        return []
+    if min(x for x, _, _ in corners) < NEAREST_M:
+        return [window]
+    a, b, c, d = (
+        ((grid.top - z / x) / (grid.top - grid.bottom) * grid.rows - 0.5, (grid.left - y / x) / (grid.left - grid.right) * grid.cols - 0.5)
+        for x, y, z in corners
+    )  # row and column, whole at texels' centres
+    edges, found = ((a, b), (b, d), (d, c), (c, a)), []
+    height = -(-(window.row_stop - window.row_start) // BANDS)
+    for top in range(window.row_start, window.row_stop, height):
+        bottom = min(top + height, window.row_stop)
+        across = [at for edge in edges for at in _columns(*edge, top - SLACK, bottom - 1 + SLACK)]
+        if across:
+            left, right = max(math.ceil(min(across) - SLACK), window.col_start), min(math.floor(max(across) + SLACK) + 1, window.col_stop)
+            if left < right:
+                found.append(Window(top, bottom, left, right))
+    return found
+
+
+def _columns(p: tuple[float, float], q: tuple[float, float], top: float, bottom: float) -> list[float]:
+    """Columns of the ends of the part of an edge that lies between two rows."""
+    (r0, c0), (r1, c1) = sorted((p, q))
+    if r1 < top or r0 > bottom:
+        return []
+    if r1 == r0:
+        return [c0, c1]
+    slope = (c1 - c0) / (r1 - r0)
+    return [c0 + slope * (min(max(r, top), bottom) - r0) for r in (r0, r1)]
