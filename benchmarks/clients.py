@@ -21,10 +21,10 @@ from websockets.sync.server import ServerConnection, serve
 
 from loop.client.decoding import unpacked
 from loop.client.shared import Mapped
-from loop.studio.arrays import raw
-from loop.studio.messages import packed
 from loop.studio.shared import Blocks
 from loop.terminal import tables
+from world.messages.arrays import raw
+from world.messages.packing import packed
 
 SIZES = ((640, 360), (1920, 1080))
 ROUNDS = 40

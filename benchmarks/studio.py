@@ -24,11 +24,12 @@ from bench import machine, on_one_thread
 from rich.table import Table
 
 from loop.studio.feed import Feed
-from loop.studio.messages import LENGTH, VIEWS, Button, Request
+from loop.studio.messages import VIEWS, Button, Request
 from loop.studio.server import Studio, Tokens
 from loop.studio.session import Session
 from loop.studio.sources import Source
 from loop.terminal import tables
+from world.messages.packing import LENGTH
 
 SMALL = ("camera.width_px=640", "camera.height_px=360", "judge_every=0")
 STEPS = {"snowflake": 240, "gfhb": 60, "driving": 80}  # some four to eight seconds each

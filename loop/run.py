@@ -2,7 +2,7 @@
 
 import gc
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -119,7 +119,7 @@ def run(
         if film is not None:
             stack.enter_context(film)
         stack.callback(on_end)
-        for result in simulation.run():
+        for result in stack.enter_context(closing(simulation.run())):
             recorder.add(result)
             run_checks.step()
             watched.add(result)

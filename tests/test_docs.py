@@ -42,6 +42,7 @@ EXEMPT = {
     r"python3 -m venv|pip install": "tests/test_packaging.py installs",
     r"(\.venv/bin/)?python benchmarks/": "takes minutes, and has tests of its own",
     r"python train_ppo\.py\b": "takes minutes, and has a test of its own",
+    r"python game_engine\.py\b|luxloop run (.*plant\.kind=remote|runs/engine)\b": "needs two programs at once, and has a test of its own",
     r"luxloop studio\b": "serves until it is ended, and has tests in a browser",
     r"luxloop run .*--checks": "holds for all steps of a run, and has a test of its own",
     r"luxloop (evaluate|campaign|dataset|optimise-beam|train-detector)\b": "takes minutes, and has tests of its own",

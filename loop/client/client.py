@@ -16,9 +16,10 @@ from loop.client.decoding import unpacked
 from loop.client.received import Received
 from loop.client.shared import Mapped
 from loop.client.state import State
-from loop.studio.arrays import coded
-from loop.studio.messages import View, packed
+from loop.studio.messages import View
 from world.errors import LuxloopError
+from world.messages.arrays import coded
+from world.messages.packing import packed
 from world.validation import toml
 
 VIEWS: Final[tuple[View, ...]] = ("frames", "light", "matrix")

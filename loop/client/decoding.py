@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from loop.studio.messages import LENGTH
+from world.messages.packing import LENGTH
 
 
 def unpacked(data: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

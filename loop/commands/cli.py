@@ -13,7 +13,7 @@ from typing import Any, Literal
 from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensError
 
 from loop.commands.exports import export_app
-from loop.commands.given import scenario_of
+from loop.commands.given import recorded_scenario_of, scenario_of
 from loop.commands.headlight import headlight_app
 from loop.commands.listing import data_app, doctor, list_, schema
 from loop.commands.studies import campaign, dataset, evaluate, optimise_beam, train_detector, tune
@@ -203,7 +203,7 @@ def run(
     Parameters
     ----------
     name
-        Name of a shipped scenario (see `luxloop list`), or scenario file.
+        Name of a shipped scenario (see `luxloop list`), or scenario file; with --plant recording the folder of a recording.
     out
         Folder for the recording; by default runs/NAME. An existing recording is replaced.
     set
@@ -215,7 +215,8 @@ def run(
     controller
         Controller to use instead, with its defaults (see `luxloop list controllers`).
     plant
-        Recording with frames to play back: controllers and functions run on its frames, and their output is not shown.
+        Recording with frames to play back: controllers and functions run on its frames, and their output is not shown. `recording`: that
+        of NAME, which is then a recording's folder, with the scenario in it.
     device
         Device to compute on; auto takes CUDA if available.
     video
@@ -236,8 +237,9 @@ def run(
         Evaluate all checks of the scenario, including those that compare with a second light; exit code 1 if one fails.
     """
     given: dict[str, Any] = {key: value for key, value in {"seed": seed, "steps": steps}.items() if value is not None}
-    given |= {} if plant is None else {"plant": {"kind": "recording", "folder": str(plant)}}
-    scenario = scenario_of(name, set, controller, allow_code=allow_code, **given)
+    itself = str(plant) == "recording" and Path(name).is_dir()
+    given |= {} if plant is None else {"plant": {"kind": "recording", "folder": name if itself else str(plant)}}
+    scenario = (recorded_scenario_of if itself else scenario_of)(name, set, controller, allow_code=allow_code, **given)
     from loop.commands.runs import run_scenario
 
     if plant is not None and steps is None:

@@ -1,6 +1,7 @@
 """The scenario that a command line names."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loop.scenario.shipped import find
@@ -21,3 +22,19 @@ def scenario_of(name: str, set: Sequence[str] | None, controller: str | None = N
     if controller is not None:
         given["controller"] = {"name": controller}
     return load(name, set or [], **given)
+
+
+def recorded_scenario_of(
+    folder: str, set: Sequence[str] | None, controller: str | None = None, *, allow_code: bool = False, **given: Any
+) -> "Scenario":
+    """The scenario of a recording, as it was at the beginning of the run. set, controller, given: as of `scenario_of`.
+
+    Raises LuxloopError where it is no recording, and as `load`.
+    """
+    from loop.recording.manifest import Manifest
+    from loop.scenario.model import changed_as_given
+
+    if controller is not None:
+        given["controller"] = {"name": controller}
+    data = Manifest.read(Path(folder)).scenario
+    return changed_as_given(data, Path(folder), set or [], given, allow_code=allow_code)

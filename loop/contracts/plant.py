@@ -12,7 +12,7 @@ from loop.contracts.values import Parts, check_calls, check_state, copied, diffe
 from loop.lighting.lamps import lamp_modules
 from loop.lighting.simulation import Simulation
 from loop.plant.build import KEY, METHODS
-from loop.plant.checked import ROUNDING_S, check_frames, check_image, check_samples, check_time, pair
+from loop.plant.checked import ROUNDING_S, check_frames, check_image, check_objects, check_samples, check_time, pair
 from loop.plant.protocol import Arrivals, Exposure, Frame
 from loop.plant.world import World
 from loop.run import prepare
@@ -126,6 +126,7 @@ def _said(own: Guarded, method: str, inputs: Mapping[str, Any], shown: Sequence[
                 _check_image(frame.image, simulation)
             came.append(frame)
         check_samples(arrivals, simulation.symbol.projector.target)
+        check_objects(arrivals)
     return state, arrivals
 
 

@@ -21,7 +21,9 @@ from loop.plant import frames as frame_files
 from loop.recording.files import EDITS, FILES, SUMMARY, TRAJECTORY, table_of, write_table
 from loop.recording.frames import FrameRecorder
 from loop.recording.manifest import Manifest, write_json
+from loop.recording.shadow import ShadowTally
 from loop.scenario.edits import Edit, add
+from loop.scenario.plant import shadow_of
 from perception.extraction import Loss
 from world.errors import LuxloopError
 
@@ -37,6 +39,7 @@ class Tally:
         self._idle, self._waiting = set(simulation.scenario.functions), set(simulation.scenario.functions)
         self._last = dict[str, StepResult]()
         self._covered, self._findable = dict[str, StepResult](), set[str]()
+        self._shadow = None if shadow_of(simulation.scenario.plant) is None else ShadowTally()
         self._asked, self._came = set[int](), list[int]()  # numbers of exposures, and of frames with an image
         self._written = schema(simulation).empty_table()
         self._fresh: list[dict[str, Any]] = []
@@ -52,6 +55,8 @@ class Tally:
         self._covered |= {name: result for name, each in result.held.items() if each.measurement.code == Loss.COVERED}
         if result.look is not None:
             self._findable |= {name for name, each in result.look.recognised.items() if each.findable}
+        if self._shadow is not None:
+            self._shadow.add(result.showings)
         self._asked |= {each.exposure.number for each in result.showings}
         self._came += [frame.number for each in result.showings for frame in each.after.frames if frame.image is not None]
         self._fresh.append(added)
@@ -84,6 +89,7 @@ class Tally:
         sees = self.simulation.pipeline is not None or self.simulation.planner.adaptive or self.simulation.controlled
         looks = {"frames": frames} if sees else {}
         summary = summary_of(self.simulation, self.table(), self._last, self._covered)
+        summary |= {} if self._shadow is None else {"shadow": self._shadow.summary()}
         if self.simulation.pipeline is not None:
             for name, each in summary["objects"].items():
                 each["findable"] = name in self._findable

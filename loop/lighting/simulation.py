@@ -1,7 +1,7 @@
 """Lighting functions at work: at each step the objects are tracked, the functions planned, the lamps driven, and the light looked at."""
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -32,7 +32,7 @@ from loop.lighting.on_objects import DUE_S, OnObject, most_on, must_be_dark, nea
 from loop.lighting.parts import parts
 from loop.lighting.result import Clock, FrameDetections, SimulationState, StepResult
 from loop.plant.pairing import paired
-from loop.plant.protocol import Arrivals, Exposure, Plant, Showing
+from loop.plant.protocol import Arrivals, Exposure, Objects, Plant, Showing, closed
 from loop.plant.simulated import as_simulated
 from loop.plant.world import LitScene, Metered, World, categories
 from loop.scenario.checks import Light as OtherLight
@@ -148,8 +148,8 @@ class Simulation:
         wanted = enumerate(zip(self.world.scene.objects, told if self.pipeline is None else categories(self.world.given), strict=True), 1)
         return {body.name: number for number, (body, category) in wanted if category is not None}
 
-    def situation(self, time_s: float, tracks: Any = None, ego: Ego | None = None) -> Situation:
-        """What the car knows at a time: from tracks, if there is a detector, else from a tracker that makes no mistakes.
+    def situation(self, time_s: float, tracks: Any = None, ego: Ego | None = None, told: Objects | None = None) -> Situation:
+        """What the car knows at a time: from tracks, if there is a detector, else as told by the plant, or by a tracker without mistakes.
 
         ego: its motion as measured; left out: it stands on a level body.
         """
@@ -161,7 +161,7 @@ class Simulation:
             time_s,
             torch.eye(4, dtype=torch.float64),
             torch.stack([light.T_world_headlight[:3, 3].double().cpu() for _, light in lights]),
-            self._all_objects(time_s) if self.pipeline is None else self._tracked(tracks, time_s, T_ground_body),
+            self._all_objects(time_s, told) if self.pipeline is None else self._tracked(tracks, time_s, T_ground_body),
             speed,
             yaw_rate / speed if speed else 0.0,
             conditions.wet,
@@ -172,14 +172,13 @@ class Simulation:
         )
 
     def _commanded(self, time_s: float, state: SimulationState, ego: Ego | None) -> tuple[Situation, Mapping[str, Given]]:
-        now = self.situation(time_s, state.tracks, ego)
+        now = self.situation(time_s, state.tracks, ego, state.arrivals.objects)
         return commanded(self.planner, self.modules, self.controlled, state.commanded, now)
 
     def start(self, step: int = 0) -> SimulationState:
         """The state before a step, with nothing seen yet."""
         (plant, arrivals), tracks = self.plant.start(), None if self.pipeline is None else self.pipeline.tracker.start()
-        if step:
-            arrivals = self.sensed(step / self.scenario.rate_hz)
+        arrivals = self.sensed(step / self.scenario.rate_hz) if step else arrivals
         held = {name: each.start() for name, each in self.controlled.items()}
         return SimulationState(step, tracks, self.planner.start(), plant, arrivals, newest({}, arrivals.samples), held)
 
@@ -369,13 +368,14 @@ class Simulation:
         """Watch and steer the scenario in the page of `luxloop studio`, in a frame of a notebook; as `luxloop.show`, which says more."""
         return Shown(self.scenario, str(self.device))
 
-    def run(self) -> Iterator[StepResult]:
-        """All steps of the scenario."""
-        state = self.start()
-        for _ in range(self.scenario.steps):
-            with located(self.scenario.source):
-                state, result = self.step(state)
-            yield result
+    def run(self) -> Generator[StepResult, None, None]:
+        """All steps of the scenario, after which the plant is closed."""
+        with closed(self.plant):
+            state = self.start()
+            for _ in range(self.scenario.steps):
+                with located(self.scenario.source):
+                    state, result = self.step(state)
+                yield result
 
     def idle(self, result: StepResult) -> set[str]:
         """Names of the functions that move no module at that moment, and of which no ray of any lamp that draws them hits anything."""
@@ -389,15 +389,15 @@ class Simulation:
         """Names of the functions that wait for the indicator at that moment."""
         return {name for name, each in self.scenario.functions.items() if isinstance(each, Timed) and each.waits(result.now)}
 
-    def _all_objects(self, time_s: float) -> tuple[TrackedObject, ...]:
-        if self.truth is None or not self.scenario.all_objects:
-            return ()
+    def _all_objects(self, time_s: float, known: Objects | None) -> Objects:
+        if known is not None or self.truth is None or not self.scenario.all_objects:
+            return known or ()
         T_ground_world = inverse(self.world.motion.at(time_s).T_world_ground)
         told = ((body, item.category) for body, item in zip(self.world.scene.objects, self.scenario.all_objects, strict=True))
         found = (TrackedObject.of(body, category, time_s) for body, category in told if category is not None)
         return tuple(replace(each, T_world_object=T_ground_world @ each.T_world_object) for each in found)
 
-    def _tracked(self, tracks: Any, time_s: float, T_ground_body: Tensor) -> tuple[TrackedObject, ...]:
+    def _tracked(self, tracks: Any, time_s: float, T_ground_body: Tensor) -> Objects:
         return () if self.pipeline is None or tracks is None else self.pipeline.objects(tracks, time_s, self._from(T_ground_body))
 
     def _from(self, T_ground_body: Tensor) -> View:

@@ -204,11 +204,20 @@ def _recognised(table: pa.Table, name: str) -> dict[str, Any]:
     }
 
 
+def _in_shadow(told: dict[str, Any]) -> str:
+    if not told["differ"]:
+        return f"that of the recording, in all {told['exposures']} exposures with a frame"
+    share = number(100 * told["elsewhere"], ".2g")
+    return f"other than in the recording in {told['differ']} of {told['exposures']} exposures with a frame, by {share} % of both (mean)"
+
+
 def shown(values: dict[str, Any], files: str) -> Table:
     """The closing table of a run."""
     rows = {"steps": str(values["steps"])}
     if values["shadow_of"] is not None:
         rows["in shadow"] = f"on the frames of {values['shadow_of']}; the commands of this run were not shown and not judged"
+        if told := values.get("shadow"):
+            rows["light"] = _in_shadow(told)
     for side, lamp in values["lamps"].items():
         dimmed = f", dimmed to {100 * lamp['power_factor_min']:.0f} % in the worst step" if (lamp["power_factor_min"] or 1.0) < 1 else ""
         rows[f"{side} lamp"] = (

@@ -8,9 +8,10 @@ from loop.assembly.truth import LampModule
 from loop.plant.clock import FromZero
 from loop.plant.protocol import Plant
 from loop.plant.recorded import recorded_plant
+from loop.plant.remote import remote_plant
 from loop.plant.simulated import simulated_plant
 from loop.scenario.model import Scenario
-from loop.scenario.plant import RecordedPlantParams, SimulatedPlantParams
+from loop.scenario.plant import RecordedPlantParams, RemotePlantParams, SimulatedPlantParams
 from world import plugin
 
 KEY = "plant.kind"
@@ -24,6 +25,9 @@ def build_plant(scenario: Scenario, modules: Sequence[LampModule], made: Made | 
         return simulated_plant(scenario, modules, made)
     if isinstance(params, RecordedPlantParams):
         return recorded_plant(scenario, params, modules)
+    like = modules[0].headlight.matrix.values
+    if isinstance(params, RemotePlantParams):
+        return FromZero(remote_plant(scenario, params, modules), f"{KEY}: {params.kind}", scenario.camera, like)
     given = {"scenario": scenario, "modules": modules}
     plant = cast(Plant, plugin.make(params.kind, KEY, given, params.options, METHODS))
-    return FromZero(plant, f"{KEY}: {params.kind}", scenario.camera, modules[0].headlight.matrix.values)
+    return FromZero(plant, f"{KEY}: {params.kind}", scenario.camera, like)

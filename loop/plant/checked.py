@@ -1,10 +1,12 @@
 """What a plant of the user's own hands over, refused in a sentence where the loop could make nothing, or something wrong, of it."""
 
 import math
+from collections import Counter
 from typing import Any
 
 from torch import Tensor
 
+from controllers.situation import TrackedObject
 from loop.plant.protocol import Arrivals, Exposure, Frame
 from perception.camera import CameraParams
 from perception.egomotion import VALUES, Sample
@@ -69,6 +71,16 @@ def check_samples(arrivals: Arrivals, like: Tensor) -> None:
                 )
             if not sample.values.isfinite().all():
                 raise LuxloopError(f"has the values {sample.values.tolist()}, which are not finite; give none where it tells nothing")
+
+
+def check_objects(arrivals: Arrivals) -> None:
+    """Raises LuxloopError where its objects are none, or two have one name."""
+    if arrivals.objects is None:
+        return
+    if not isinstance(arrivals.objects, tuple) or not all(isinstance(each, TrackedObject) for each in arrivals.objects):
+        raise LuxloopError("gives objects that are no tuple of TrackedObject; give objects=(...), or leave them out")
+    if twice := [name for name, count in Counter(each.name for each in arrivals.objects).items() if count > 1]:
+        raise LuxloopError(f"gives two objects of the name {twice[0]!r}; give each a name of its own")
 
 
 def check_frame(frame: Frame, start_s: float, now_s: float, camera: CameraParams, like: Tensor) -> None:

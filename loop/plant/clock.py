@@ -5,7 +5,8 @@ from typing import Any
 
 from torch import Tensor
 
-from loop.plant.checked import check_frame, check_frames, check_samples, check_time, pair
+from controllers.situation import TrackedObject
+from loop.plant.checked import check_frame, check_frames, check_objects, check_samples, check_time, pair
 from loop.plant.protocol import Arrivals, Exposure, Frame, Plant
 from loop.plant.world import World
 from perception.camera import CameraParams
@@ -36,6 +37,7 @@ class FromZero:
             state, arrivals = pair(self.plant.start())
             check_time(arrivals, None)
             check_samples(arrivals, self.like)
+            check_objects(arrivals)
         return (arrivals.time_s, state), _since(arrivals.time_s, arrivals)
 
     def show(self, state: Any, exposure: Exposure) -> tuple[Any, Arrivals]:
@@ -47,9 +49,14 @@ class FromZero:
             check_time(arrivals, exposure)
             check_frames(arrivals)
             check_samples(arrivals, self.like)
+            check_objects(arrivals)
             for frame in arrivals.frames:
                 check_frame(frame, start_s, arrivals.time_s, self.camera, self.like)
         return (start_s, own), _since(start_s, arrivals)
+
+    def close(self) -> None:
+        """End what the plant holds open."""
+        getattr(self.plant, "close", lambda: None)()
 
 
 def _since(start_s: float, arrivals: Arrivals) -> Arrivals:
@@ -57,5 +64,9 @@ def _since(start_s: float, arrivals: Arrivals) -> Arrivals:
         shown = each.shown and replace(each.shown, start_s=each.shown.start_s - start_s)
         return replace(each, taken_s=each.taken_s - start_s, arrived_s=each.arrived_s - start_s, shown=shown)
 
+    def object_(each: TrackedObject) -> TrackedObject:
+        return replace(each, since_s=each.since_s - start_s, until_s=each.until_s - start_s)
+
     samples = (replace(each, measured_s=each.measured_s - start_s, arrived_s=each.arrived_s - start_s) for each in arrivals.samples)
-    return Arrivals(arrivals.time_s - start_s, tuple(map(frame, arrivals.frames)), tuple(samples))
+    objects = None if arrivals.objects is None else tuple(map(object_, arrivals.objects))
+    return Arrivals(arrivals.time_s - start_s, tuple(map(frame, arrivals.frames)), tuple(samples), objects)

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from controllers.pixels.ssc import Utilisation
 from controllers.symbol.sensing.projection import ProjectionCommand, Warp
+from loop.plant.objects import read_objects
 from loop.plant.protocol import Exposure
 from perception.camera import CameraParams
 from perception.egomotion import VALUES, Sample
@@ -52,6 +53,7 @@ COLUMNS: dict[str, tuple[pa.DataType, str, str]] = {
         "",
         "[sensor, measured_s, arrived_s, values] of each `Sample` that arrived since the previous exposure, as JSON",
     ),
+    "objects": (pa.string(), "", "the `TrackedObject`s that the plant told of, as JSON; empty where it told nothing"),
 }
 SCHEMA = pa.schema(pa.field(name, kind, metadata={"unit": unit, "description": text}) for name, (kind, unit, text) in COLUMNS.items())
 
@@ -178,6 +180,8 @@ def read_exposures(file: Path) -> list[Row]:
     """The rows of a table, that of the end included. Raises LuxloopError where it is missing, damaged, or has no exposure."""
     with reading(file, "damaged, or no table of exposures", AGAIN):
         table = read_parquet(file)
+        if "objects" not in table.column_names:  # as written by earlier versions
+            table = table.append_column("objects", pa.nulls(table.num_rows))
         rows: list[Row] = table.select(SCHEMA.names).cast(SCHEMA).to_pylist()
         if len(rows) < 2 or [row["number"] for row in rows] != list(range(len(rows))):
             raise ValueError("no exposures that are numbered from 0")
@@ -191,6 +195,7 @@ def read_exposures(file: Path) -> list[Row]:
             if row["time_s"] is None or row["samples"] is None:
                 raise ValueError(f"time or samples of exposure {row['number']} are not complete")
             read_samples(row, torch.empty(0))
+            read_objects(row["objects"])
         return rows
 
 

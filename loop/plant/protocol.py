@@ -1,15 +1,19 @@
 """What every plant is: it shows light, exposes frames of it and owns time. The loop knows nothing else of the world."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from torch import Tensor
 
 from controllers.pixels.ssc import Utilisation
+from controllers.situation import TrackedObject
 from controllers.symbol.sensing.projection import ProjectionCommand
 from perception.egomotion import Sample
 from world.headlight.lamp import Commands
+
+Objects = tuple[TrackedObject, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,12 +52,14 @@ class Frame:
 class Arrivals:
     """What has come in by `time_s` s, when the next exposure begins.
 
-    frames: by ascending number. samples: of the vehicle's sensors, none of a vehicle that stands.
+    frames: by ascending number. samples: of the vehicle's sensors, none of a vehicle that stands. objects: that functions act on where no
+    detector finds them, in the ground frame; None where the plant tells nothing of them.
     """
 
     time_s: float
     frames: tuple[Frame, ...] = ()
     samples: tuple[Sample, ...] = ()
+    objects: Objects | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +75,8 @@ class Plant(Protocol):
     """Its state is a value; a plant of hardware holds the connection and returns what is known of it.
 
     Frames come in the order of their exposures. Its clock may begin at any time; a scenario's times count from the arrivals of `start`.
-    One that knows the truth has an attribute `truth`, a `loop.plant.world.World`, whose time counts from there as well.
+    One that knows the truth has an attribute `truth`, a `loop.plant.world.World`, whose time counts from there as well. One that holds
+    something open has a method `close`, called at the end of a run.
     """
 
     def start(self) -> tuple[Any, Arrivals]:
@@ -79,3 +86,12 @@ class Plant(Protocol):
     def show(self, state: Any, exposure: Exposure) -> tuple[Any, Arrivals]:
         """Show an exposure; what has come in by its end."""
         ...
+
+
+@contextmanager
+def closed(plant: Plant) -> Iterator[None]:
+    """Close a plant that can be closed at the end of a block."""
+    try:
+        yield
+    finally:
+        getattr(plant, "close", lambda: None)()

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from loop.assembly.truth import LampModule
 from loop.plant.frames import TABLE, Row, image_file, light_file, read_exposures, read_image, read_light, read_samples
+from loop.plant.objects import read_objects
 from loop.plant.protocol import Arrivals, Exposure, Frame
 from loop.scenario.model import Scenario
 from loop.scenario.plant import RecordedPlantParams
@@ -45,7 +46,7 @@ class RecordedPlant:
 
     def _arrivals(self, number: int, frames: tuple[Frame, ...] = ()) -> Arrivals:
         row = self.rows[number]
-        return Arrivals(row["time_s"], frames, read_samples(row, self.like))
+        return Arrivals(row["time_s"], frames, read_samples(row, self.like), read_objects(row["objects"]))
 
     def _frame(self, row: Mapping[str, Any]) -> Frame:
         number = row["number"]

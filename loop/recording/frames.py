@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from loop.plant.frames import FOLDER, SCHEMA, TABLE, Row, image_file, light_arrays, light_file, sample_values, write_image, write_light
+from loop.plant.objects import object_values
 from loop.plant.protocol import Arrivals, Exposure, Frame, Showing
 from world.arrays import Arrays
 from world.files import whole
@@ -50,7 +51,8 @@ class FrameRecorder:
             pq.write_table(pa.Table.from_pylist([self._rows[number] for number in sorted(self._rows)], SCHEMA), part)
 
     def _note(self, number: int, arrivals: Arrivals) -> None:
-        self._rows[number] = {"number": number, "time_s": arrivals.time_s} | {"samples": sample_values(arrivals.samples)}
+        told = {"samples": sample_values(arrivals.samples), "objects": object_values(arrivals.objects)}
+        self._rows[number] = {"number": number, "time_s": arrivals.time_s} | told
 
     def _frame(self, frame: Frame, came_with: int) -> None:
         times = {key: None if math.isnan(value) else value for key, value in (("taken_s", frame.taken_s), ("arrived_s", frame.arrived_s))}

@@ -34,6 +34,8 @@ def edited(
     if driven is not None and reached_by is simulation.scenario:
         return driven, state
     after = driven or Simulation.prepare(scenario, simulation.device, simulation)
+    if scenario.plant.kind != "simulated":
+        after = replace(after, plant=simulation.plant)  # which may hold a connection or devices
     if (scenario.checks, scenario.functions) != (simulation.scenario.checks, simulation.scenario.functions):
         refuse_unknown_columns(after)
     held = {name: each.start() for name, each in after.controlled.items()}

@@ -275,6 +275,13 @@ def load(name: str, overrides: Sequence[Override] = (), *, allow_code: bool = Fa
     path = find(name)
     data = read_toml(path)
     resolve_paths(data, path.parent)
+    return changed_as_given(data, path, overrides, values, allow_code=allow_code)
+
+
+def changed_as_given(
+    data: dict[str, Any], path: Path, overrides: Sequence[Override], values: Mapping[str, Any], *, allow_code: bool
+) -> Scenario:
+    """The scenario of plain data that were read at a path, with other values; the rest, and what is raised, as for `load`."""
     keys = tables(values)
     if "controller" in keys:
         _of_the_controlled(data, path)["controller"] = keys.pop("controller")

@@ -21,6 +21,21 @@ class RecordedPlantParams(Params):
     folder: str = Field(min_length=1, examples=["runs/mine"], description="recording that `luxloop run --frames` wrote")
 
 
+class RemotePlantParams(Params):
+    """Another simulator, which connects to the loop and runs in lockstep with it (docs/remote.md)."""
+
+    kind: Literal["remote"]
+    address: str = Field(
+        "127.0.0.1:4060",
+        pattern=r"^([A-Za-z0-9.-]+|\[[0-9a-f:]+\]):[1-9]\d{0,4}$",
+        description="where the loop waits for the simulator: an address of this machine, and a port",
+    )
+    sends: Literal["utilisation", "texture"] = Field(
+        "utilisation", description="light that the simulator gets: utilisation of each pixel, or light texture of each module in cd"
+    )
+    timeout_s: float = Field(30.0, ge=0.01, le=3600, description="longest wait for the simulator to connect, and for each of its answers")
+
+
 class OwnPlantParams(Params):
     """`Name(scenario, modules, **options)` of a module of the user's own makes the plant."""
 
@@ -28,7 +43,7 @@ class OwnPlantParams(Params):
     options: dict[str, Any] = Field({}, description="keyword arguments of Name, beside scenario and modules")
 
 
-def shadow_of(plant: SimulatedPlantParams | RecordedPlantParams | OwnPlantParams) -> str | None:
+def shadow_of(plant: SimulatedPlantParams | RecordedPlantParams | RemotePlantParams | OwnPlantParams) -> str | None:
     """The recording that is played, None where light is shown."""
     return plant.folder if isinstance(plant, RecordedPlantParams) else None
 
@@ -47,6 +62,7 @@ def refuse_long_exposures(exposure_s: float, off_share: float, rate_hz: float) -
 PlantParams = Annotated[
     Annotated[SimulatedPlantParams, Tag("simulated")]
     | Annotated[RecordedPlantParams, Tag("recording")]
+    | Annotated[RemotePlantParams, Tag("remote")]
     | Annotated[OwnPlantParams, Tag(OWN)],
     known_or_own("kind", "simulated"),
 ]

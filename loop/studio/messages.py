@@ -1,23 +1,17 @@
-"""Messages of the studio's socket (docs/studio_protocol.md): four bytes with the length of a JSON head, the head, and arrays."""
+"""Messages of the studio's socket (docs/studio_protocol.md)."""
 
-import json
-import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
-import numpy as np
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter
 
-from loop.studio.arrays import ArrayHead, Arrays, Coded, given_arrays
-from world.errors import LuxloopError
+from world.messages.arrays import Arrays, given_arrays
+from world.messages.packing import parted, understood
 from world.params import Metres, Params
-from world.plugin import in_a_line
 
 PROTOCOL: Final = 1
 LARGEST: Final = 2**22  # bytes of a client's message
-LARGEST_HEAD: Final = 2**20
-LENGTH: Final = struct.Struct("<I")
 
 View = Literal["scene", "light", "camera", "matrix", "marks", "frames", "depth", "instances", "materials", "truth"]
 VIEWS: Final[tuple[View, ...]] = ("scene", "light", "camera", "matrix", "marks")  # of a client that has not said what it shows
@@ -203,47 +197,9 @@ class Request:
     shared: bool = False
 
 
-def packed(head: Mapping[str, Any], arrays: Mapping[str, Coded] | None = None) -> bytes:
-    """A message. Numbers that are not finite become null, which JSON has in their place."""
-    listed, start = {}, 0
-    for name, each in (arrays or {}).items():
-        listed[name] = {"dtype": each.dtype, "shape": each.shape, "start": start, "bytes": len(each.data), "coding": each.coding}
-        start += len(each.data)
-    text = json.dumps(_finite({**head, **({"arrays": listed} if listed else {})}), allow_nan=False, separators=(",", ":")).encode()
-    return b"".join([LENGTH.pack(len(text)), text, *(each.data for each in (arrays or {}).values())])
-
-
-class Body(Params):
-    """The arrays of a message's body."""
-
-    arrays: dict[str, ArrayHead] = Field({}, max_length=4)
-
-
 def read(data: bytes | str) -> tuple[Message, Arrays]:
     """A client's message, and the arrays that messages of its type have. Raises LuxloopError that says what is wrong with it."""
-    try:
-        if isinstance(data, str):
-            raise ValueError("it is text; messages are binary")
-        (length,) = LENGTH.unpack_from(data)
-        if length > min(len(data) - LENGTH.size, LARGEST_HEAD):
-            raise ValueError(f"its head has {length} bytes, but {len(data) - LENGTH.size} are there, and {LARGEST_HEAD} may be")
-        head = json.loads(data[LENGTH.size : LENGTH.size + length])
-        if not isinstance(head, dict):
-            raise ValueError("its head is no object")
-        body = Body(arrays=head.pop("arrays", {}))
+    with understood():
+        head, arrays, body = parted(data)
         message = MESSAGE.validate_python(head)
-        return message, given_arrays(body.arrays, data[LENGTH.size + length :], ARRAYS.get(message.type, {}))
-    except ValidationError as error:
-        raise LuxloopError(f"message: {in_a_line(error)}") from error
-    except RecursionError as error:
-        raise LuxloopError("message: not understood (it is nested too deep)") from error
-    except (struct.error, ValueError) as error:
-        raise LuxloopError(f"message: not understood ({error})") from error
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if np.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): _finite(each) for key, each in value.items()}
-    return [_finite(each) for each in value] if isinstance(value, list | tuple) else value
+        return message, given_arrays(arrays, body, ARRAYS.get(message.type, {}))

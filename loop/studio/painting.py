@@ -6,9 +6,9 @@ import numpy as np
 
 from controllers.functions.painted import PaintedParams, Picture
 from loop.lighting.simulation import Simulation
-from loop.studio.arrays import Arrays
 from loop.studio.messages import Paint
 from world.errors import LuxloopError
+from world.messages.arrays import Arrays
 from world.validation import toml
 
 

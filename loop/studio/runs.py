@@ -290,11 +290,13 @@ class Starting:
         torch.set_num_threads(1)  # a step's operations are too small for two
 
     def runs(
-        self, sources: Sequence[Source], scenarios: Sequence[Scenario | None], before: Simulation | None, wanted: Collection[View]
+        self, sources: Sequence[Source], scenarios: Sequence[Scenario | None], old: Sequence[Run], wanted: Collection[View], anew: bool
     ) -> list[Run]:
-        """Of sources, each with a scenario in place of its own, or None to read that. before: whose parts serve again. wanted: what is
-        looked at. Raises LuxloopError.
+        """Of sources, each with a scenario in place of its own, or None to read that. old: in whose place they come, whose plants are
+        closed once a new one is prepared, and whose parts serve again unless all is made anew. wanted: what is looked at. Raises
+        LuxloopError.
         """
+        before = None if anew or not old else old[0].simulation
         given = [
             loaded(source, self._allow_code) if each is None else (each, None) for source, each in zip(sources, scenarios, strict=True)
         ]
@@ -302,6 +304,8 @@ class Starting:
         for source, (scenario, recording) in zip(sources, given, strict=True):
             self._told(f"preparing {scenario.name}")
             before = prepare(scenario, self._device, before)
+            for run in old:
+                getattr(run.simulation.plant, "close", lambda: None)()  # its address or devices are those of the new one
             self._told(f"first step of {scenario.name}")
             recorded = Recorded(source.recording, recording) if source.recording and recording else None
             runs.append(Run(before, source.label, source.all, wanted, recorded))

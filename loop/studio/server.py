@@ -37,12 +37,12 @@ from loop.studio.messages import (
     Scrub,
     Shown,
     Want,
-    packed,
     read,
 )
 from loop.studio.session import Session
 from loop.studio.sources import Source
 from world.errors import LuxloopError
+from world.messages.packing import packed
 
 if TYPE_CHECKING:
     from loop.studio.feed import Feed

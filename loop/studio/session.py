@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from loop.studio.arrays import Arrays
 from loop.studio.history import History
 from loop.studio.messages import (
     VIEWS,
@@ -32,6 +31,7 @@ from loop.studio.messages import (
 from loop.studio.sources import RUNS, Source, file_of, loaded, named
 from loop.studio.watched import WatchedFile
 from world.errors import LuxloopError
+from world.messages.arrays import Arrays
 
 if TYPE_CHECKING:
     from loop.scenario.model import Scenario
@@ -429,7 +429,7 @@ class Session:
         self._choose()
         read, runs = scenarios[0] is None, self.published.runs
         starting = Starting(self._device, self._allow_code, lambda text: self._publish(progress=text))
-        made = starting.runs(sources, scenarios, runs[0].simulation if runs and not read else None, self.wanted)
+        made = starting.runs(sources, scenarios, runs, self.wanted, anew=read)
         try:
             self._record(None)
         finally:  # a recording that cannot be finished keeps no other run from its start

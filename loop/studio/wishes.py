@@ -10,12 +10,12 @@ from torch import Tensor
 from controllers.functions.painted import Picture
 from controllers.jpo.plane import Raster, granted, lighting
 from loop.report.picture import WALL_M
-from loop.studio.arrays import Arrays
 from loop.studio.messages import Place, Wish
 from loop.studio.painting import layer, override
 from loop.studio.runs import Run
 from world.errors import LuxloopError
 from world.frames import inverse
+from world.messages.arrays import Arrays
 
 MOST_CELLS: Final = 20_000
 MOST_LX: Final = 100_000.0

@@ -15,7 +15,10 @@ from world.errors import LuxloopError
 
 OWN = """
 from dataclasses import replace
-from luxloop import Arrivals, simulated_plant
+import torch
+from luxloop import Arrivals, TrackedObject, simulated_plant
+
+WALKER = TrackedObject("walker", "pedestrian", torch.eye(4, dtype=torch.float64), (0.5, 0.5, 1.8))
 
 class Clock:
     def __init__(self, scenario, modules, begins_s=0.0):
@@ -75,6 +78,8 @@ BROKEN = {  # what is replaced in OWN by what, and words of the sentence that te
     "an image as what is shown": ("replace(each, taken_s", "replace(each, shown=each.image, taken_s", "frame 0: has shown = Tensor"),
     "a sample of no time": ("measured_s=each.measured_s + by", "measured_s=float('nan')", "sample of wheels: was measured at nan s"),
     "a sample of NumPy": ("replace(each, measured_s", "replace(each, values=each.values.numpy(), measured_s", "values that are a ndarray"),
+    "objects that are none": ("tuple(samples))", "tuple(samples), (3,))", "gives objects that are no tuple of TrackedObject"),
+    "objects of one name": ("tuple(samples))", "tuple(samples), 2 * (WALKER,))", "gives two objects of the name 'walker'"),
     "a sample of whole numbers": (
         "replace(each, measured_s",
         "replace(each, values=each.values.long(), measured_s",

@@ -1,5 +1,6 @@
 """The recording plant: old frames with the light that they show, on which another controller steps in shadow."""
 
+import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -168,6 +169,26 @@ def test_a_shadow_is_recorded_beside_and_says_what_it_is(lux: Lux, tmp_path: Pat
     code, _, error = lux("run", "small.toml", "--plant", "shadow", "--out", "other")
     assert code == 2 and "shadow holds no frames; record frames with `luxloop run --frames`" in error
     assert_one_sentence(error)
+
+
+def test_a_recording_plays_its_own_frames(lux: Lux, tmp_path: Path) -> None:
+    """With the scenario in it, so that a plant that is gone need not be named."""
+    assert lux("run", "small.toml", "--out", "runs/drive", "--frames", "--no-video", "--no-report")[0] == 0
+    manifest = tmp_path / "runs/drive/manifest.json"
+    manifest.write_text(manifest.read_text().replace('"kind": "simulated"', '"kind": "gone:Rig", "options": {}'))
+    code, out, error = lux("run", "runs/drive", "--plant", "recording", "--out", "again", "--no-video", "--no-report")
+    assert code == 0 and "light that of the recording, in all 6 exposures with a frame" in " ".join(out.split()), error
+    drive, again = (recorded_in(tmp_path / name) for name in ("runs/drive", "again"))
+    assert again["x_m"].to_pylist() == drive["x_m"].to_pylist()
+    options = ("--plant", "recording", "--controller", "open", "--set", "functions.symbol.x_m=19.0", "--no-video", "--no-report")
+    code, out, _ = lux("run", "runs/drive", *options, "--out", "other")
+    assert code == 0 and "light other than in the recording in 3 of 6 exposures with a frame, by " in " ".join(out.split())
+    told = json.loads((tmp_path / "other/summary.json").read_text())["shadow"]
+    assert (told["exposures"], told["differ"]) == (6, 3) and 0.2 < told["elsewhere"] <= 0.5, "off frames have no light of either"
+    code, _, error = lux("run", "runs/drive", "--plant", "recording")
+    assert code == 2 and "runs/drive: is the recording that is played, which this run would replace; give another folder" in error
+    code, _, error = lux("run", "small.toml", "--plant", "recording")
+    assert code == 2 and "recording does not exist" in error
 
 
 def test_frames_of_a_shadow_are_kept_with_the_light_that_they_show(recorded: dict[str, Path], tmp_path: Path) -> None:

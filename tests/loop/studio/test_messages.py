@@ -8,10 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from loop.studio.arrays import coded, grey
-from loop.studio.messages import LENGTH, Paint, Set, Speed, packed, read
+from loop.studio.messages import Paint, Set, Speed, read
 from tests.loop.studio.clients import message, unpacked
 from world.errors import LuxloopError
+from world.messages.arrays import coded, grey
+from world.messages.packing import LENGTH, packed
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.uint32, np.float16, np.float32])

@@ -14,7 +14,7 @@ from pydantic import Field
 from world.params import Params
 
 CODES: Final = {"uint8": "u1", "uint16": "u2", "uint32": "u4", "float16": "f2", "float32": "f4"}
-MOST_BYTES: Final = 2**22  # of an array of a client, decoded
+MOST_BYTES: Final = 2**22  # of an array of a studio's client, decoded
 PNG: Final = b"\x89PNG\r\n\x1a\n"
 GREY: Final = (8, 0)  # bits and colour type of a PNG
 
@@ -66,8 +66,8 @@ class ArrayHead(Params):
     coding: Literal["raw", "deflate", "png"]
 
 
-def given_arrays(heads: Mapping[str, ArrayHead], body: Any, wanted: Mapping[str, tuple[str, ...]]) -> Arrays:
-    """The arrays of a client's message. wanted: the dtypes that each may have; all must be there, and nothing else.
+def given_arrays(heads: Mapping[str, ArrayHead], body: Any, wanted: Mapping[str, tuple[str, ...]], most_bytes: int = MOST_BYTES) -> Arrays:
+    """The arrays of a client's message. wanted: the dtypes that each may have; all must be there, and nothing else. most_bytes: of one.
 
     An array is decoded once its size is known to be allowed, and only as far as that size. Raises ValueError where one is not as it is said
     to be.
@@ -80,8 +80,8 @@ def given_arrays(heads: Mapping[str, ArrayHead], body: Any, wanted: Mapping[str,
     for name, head in heads.items():
         if head.dtype not in wanted[name]:
             raise ValueError(f"array {name} is {head.dtype}; it may be {' or '.join(wanted[name])}")
-        if int(head.dtype[1]) * prod(head.shape) > MOST_BYTES:
-            raise ValueError(f"array {name} has the shape {list(head.shape)}; arrays have at most {MOST_BYTES} bytes")
+        if int(head.dtype[1]) * prod(head.shape) > most_bytes:
+            raise ValueError(f"array {name} has the shape {list(head.shape)}; arrays have at most {most_bytes} bytes")
     return {name: _decoded(name, head, bytes(body[head.start : head.start + head.bytes])) for name, head in heads.items()}
 
 

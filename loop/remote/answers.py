@@ -1,0 +1,98 @@
+"""Messages of a simulator that is the plant (docs/remote.md), read within strict limits."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field, TypeAdapter
+
+from perception.egomotion import Sensor
+from world.messages.arrays import Arrays, given_arrays
+from world.messages.packing import LARGEST_HEAD, LENGTH, parted, understood
+from world.params import Metres, Params
+from world.traffic.tracked import Category
+
+PROTOCOL: Final = 1
+MOST_FRAMES: Final = 8  # in an answer
+MOST_ITEMS: Final = 1000  # samples or objects in an answer
+MOST_VALUES: Final = 64  # of a sample
+
+Number = Annotated[int, Field(ge=0, lt=2**53)]
+Text = Annotated[str, Field(max_length=4000)]
+Pose = Annotated[tuple[float, ...], Field(min_length=16, max_length=16)]  # row by row
+
+
+class Hello(Params):
+    """The first message. name: what the simulator is called in messages."""
+
+    type: Literal["hello"]
+    protocol: int
+    name: Annotated[str, Field(max_length=80)] = "simulator"
+
+
+class FrameHead(Params):
+    """A frame, whose digital numbers are the array `frame.NUMBER` unless it is lost. number: of its exposure. Times by its clock."""
+
+    number: Number
+    taken_s: float = 0.0
+    arrived_s: float = 0.0
+    lost: bool = False
+
+
+class SampleHead(Params):
+    """A sample of a sensor of the vehicle, as `perception.egomotion.Sample`."""
+
+    sensor: Sensor
+    measured_s: float
+    arrived_s: float
+    values: Annotated[tuple[float, ...], Field(min_length=1, max_length=MOST_VALUES)]
+
+
+class ObjectHead(Params):
+    """An object at the answer's time. T_ground_object: the pose of its box, whose origin is the centre of its foot, in the ground frame.
+    size_m: length, width, height.
+    """
+
+    name: Annotated[str, Field(min_length=1, max_length=80)]
+    category: Category
+    T_ground_object: Pose
+    size_m: tuple[Metres, Metres, Metres]
+
+
+class Answer(Params):
+    """The answer to `start`, number None, or to the exposure of a number. objects: all that are there, None where it tells nothing."""
+
+    type: Literal["arrivals"]
+    number: Number | None
+    time_s: float
+    frames: Annotated[tuple[FrameHead, ...], Field(max_length=MOST_FRAMES)] = ()
+    samples: Annotated[tuple[SampleHead, ...], Field(max_length=MOST_ITEMS)] = ()
+    objects: Annotated[tuple[ObjectHead, ...], Field(max_length=MOST_ITEMS)] | None = None
+
+
+class Failed(Params):
+    """The simulator cannot go on."""
+
+    type: Literal["error"]
+    text: Text
+
+
+Message = Hello | Answer | Failed
+MESSAGE: Final[TypeAdapter[Message]] = TypeAdapter(Annotated[Message, Field(discriminator="type")])
+
+
+def largest(size: tuple[int, int]) -> int:
+    """Bytes of the largest message. size: height and width of a frame."""
+    return LENGTH.size + LARGEST_HEAD + MOST_FRAMES * 2 * size[0] * size[1]
+
+
+def read(data: bytes | str, size: tuple[int, int]) -> tuple[Message, Arrays]:
+    """A message, and the digital numbers of its frames by name, each of this height and width. Raises LuxloopError for anything else."""
+    with understood():
+        head, heads, body = parted(data)
+        message = MESSAGE.validate_python(head)
+        frames = [each for each in message.frames if not each.lost] if isinstance(message, Answer) else []
+        wanted: Mapping[str, Any] = {f"frame.{each.number}": ("u1", "u2") for each in frames}
+        for name, each in heads.items():
+            if each.shape != size:
+                raise ValueError(f"array {name} has the shape {list(each.shape)}, but frames have {list(size)}, as the welcome says")
+        return message, given_arrays(heads, body, wanted, 2 * size[0] * size[1])
