@@ -191,7 +191,8 @@ def _looks(switches: Sequence[tuple[float, bool]], pictures: Sequence[tuple[floa
         share = (rows - dark) / (bright - dark)
         share = share if on else 1 - share
         values.append((arrived_s - at_s, at_s, share.min(), share.max()))
-    return Looks(*(np.array(values).T if values else np.zeros((4, 0))), seen)
+    lag_s, at_s, least, most = np.array(values).T if values else np.zeros((4, 0))
+    return Looks(lag_s, at_s, least, most, seen)
 
 
 def _between(lag_s: NDArray[np.float64], after: NDArray[np.bool_]) -> float:

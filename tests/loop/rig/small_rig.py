@@ -28,6 +28,7 @@ DEFAULTS = {
     "loss": 0.0,
     "dark_s": 0.1,
     "width": 64,
+    "height": 48,
     "mute_after_s": 1e9,
     "mute_for_s": 0.0,
 }
@@ -94,7 +95,7 @@ def main() -> None:
             continue
         lit = lamp.during(from_s, to_s)
         level = sum(part * share for part, _, share in lit)
-        picture = np.full((48, int(keys["width"])), round(20 + 200 * level), np.uint8)
+        picture = np.full((int(keys["height"]), int(keys["width"])), round(20 + 200 * level), np.uint8)
         codes = [code for _, code, _ in lit] or [0]
         picture[0, :8] = np.frombuffer(np.array([codes[0], codes[-1]], "<u4").tobytes(), np.uint8)
         server.publish(Part(cv2.imencode(".png", picture)[1].tobytes(), PNG))
