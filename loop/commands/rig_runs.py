@@ -51,7 +51,7 @@ def run_on_rig(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool
             from loop.lighting.lamps import lamp_modules
 
             modules = lamp_modules(simulation.modules)
-            return from_zero(RigPlant.of(rig, modules), scenario, modules)
+            return from_zero(RigPlant.of(rig, modules, scenario.steps * len(scenario.shares)), scenario, modules)
 
         try:
             return run_scenario(scenario, out, device, False, {**kept, "plant": plant})
@@ -163,13 +163,12 @@ def written(file: Path, timing: Mapping[str, float]) -> None:
     table = re.search(r"^\[timing\][^\n]*\n(?:(?!\[)[^\n]*\n?)*", text, re.M)
     old = table[0] if table else "\n[timing]\n"
     new = old if old.endswith("\n") else f"{old}\n"
-    for name, value in timing.items():
+    for name, value in reversed(timing.items()):
         line, pattern = f"{name} = {value:g}", rf"^{name}\s*=[^\n]*"
-        new = (
-            re.sub(pattern, line, new, flags=re.M)
-            if re.search(pattern, new, re.M)
-            else re.sub(r"(\[timing\][^\n]*\n)", rf"\1{line}\n", new)
-        )
+        if re.search(pattern, new, re.M):
+            new = re.sub(pattern, line, new, flags=re.M)
+        else:
+            new = re.sub(r"(\[timing\][^\n]*\n)", rf"\1{line}\n", new)
     with whole(file) as part:
         part.write_text(text.replace(old, new) if table else f"{text.rstrip()}\n{new}", "utf-8")
 

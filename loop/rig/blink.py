@@ -13,6 +13,7 @@ from loop.rig.rectified import WrongPicture, grey
 from loop.rig.rig import Rig
 from world.errors import LuxloopError
 
+LEARNT: Final = 2  # switches from which the levels are learnt
 HOLD_S: Final = 0.4  # of a light at least, longer than any camera's latency
 SPREAD_S: Final = 0.1  # by which holds differ, so that blinks meet every phase of the camera
 LEARN_S: Final = 1.5  # of the first light and the first darkness, from whose end the levels are taken
@@ -77,19 +78,19 @@ def blink(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: float,
     drawn = np.random.default_rng(0)
     switches, pictures = list[tuple[float, bool]](), list[tuple[float, NDArray[Any]]]()
     settled: list[NDArray[np.float32]] = []
-    came = late = 0
+    came = late = void = 0
     arrivals: list[float] = []
     rows: NDArray[np.bool_] | None = None
     mask: NDArray[np.float32] | None = None
-    for number in range(2 + blinks):
+    for number in range(LEARNT + blinks):
         on = number % 2 == 1
         _shown(rig, Shine(number, (lit if on else black).pictures))
         sent_s = rig.keeper.since_s
         if sent_s is None:
             raise LuxloopError(f"blink: {rig.keeper.reason}")
         switches.append((sent_s, on))
-        hold_s = LEARN_S if number < 2 else HOLD_S + SPREAD_S * drawn.random()
-        kept = []
+        hold_s = LEARN_S if number < LEARNT else HOLD_S + SPREAD_S * drawn.random()
+        kept, begun = [], len(pictures)
         for arrived_s, awaited, image in _pictures(rig, sent_s + hold_s):
             arrivals.append(arrived_s)
             came, late = came + 1, late + (not awaited)
@@ -98,10 +99,14 @@ def blink(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: float,
             elif awaited:
                 assert rows is not None
                 pictures.append((arrived_s, (image * mask).sum(1)[rows]))
-        if number < 2:
+        if rig.keeper.since_s != sent_s:  # in doubt
+            if number < LEARNT or (void := void + 1) > blinks / 2:
+                raise LuxloopError(f"blink: {rig.keeper.reason}")
+            del pictures[begun:]
+        if number < LEARNT:
             settled.append(_settled(kept))
-            if number == 1:
-                mask, rows = _region(*(np.median(each, axis=0) for each in settled))
+            if number == LEARNT - 1:
+                mask, rows = _region(*(each.mean(0) for each in settled))
         advance()
     assert mask is not None and rows is not None
     steady = [(each * mask).sum(2)[:, rows] for each in settled]
@@ -142,13 +147,11 @@ def _shown(rig: Rig, shine: Shine) -> None:
 
 
 def _pictures(rig: Rig, until_s: float) -> Iterator[tuple[float, bool, NDArray[np.float32]]]:
-    """Pictures as they come. Raises LuxloopError where the camera or the lamp fails."""
+    """Pictures as they come. Raises LuxloopError where the camera fails."""
     while time.monotonic() < until_s:
         rig.keeper.beat()
         if not rig.camera.alive:
             raise LuxloopError(f"blink: {rig.camera.reason}")
-        if rig.keeper.since_s is None:
-            raise LuxloopError(f"blink: {rig.keeper.reason}")
         picture = rig.camera.next(min(until_s, time.monotonic() + 0.1))
         if picture is not None:
             try:
@@ -187,6 +190,8 @@ def _looks(switches: Sequence[tuple[float, bool]], pictures: Sequence[tuple[floa
     values = []
     for arrived_s, rows in pictures:
         k = int(np.searchsorted(starts_s, arrived_s, "right")) - 1
+        if k < LEARNT:
+            continue
         at_s, on = switches[k]
         share = (rows - dark) / (bright - dark)
         share = share if on else 1 - share

@@ -21,11 +21,16 @@ class HttpCamera:
     """One connection."""
 
     def __init__(self, params: HttpParams) -> None:
-        """Raises LuxloopError where the address is none, or does not answer with pictures, and OSError where nobody answers."""
+        """Raises LuxloopError where the address is none, or nobody answers there with pictures."""
         url = urlsplit(params.url)
         if not url.hostname:
             raise LuxloopError(f"camera.url: {params.url} names no host; write it as http://192.168.1.21:8080/camera")
-        self._socket = socket.create_connection((url.hostname, url.port or 80), SLOW_S)
+        try:
+            self._socket = socket.create_connection((url.hostname, url.port or 80), SLOW_S)
+        except OSError as error:
+            raise LuxloopError(
+                f"camera.url: {params.url} cannot be reached ({error.strerror or error}); check it, and the network"
+            ) from error
         self._stream = _Stream(self._socket)
         try:
             self._ask(url.hostname, url.path or "/", url.query, (url.username, url.password))

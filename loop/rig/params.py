@@ -171,7 +171,7 @@ class UdpEgoParams(Params):
 
     kind: Literal["udp"]
     host: Host = Field("127.0.0.1", description="address to listen on")
-    port: Port = Field(4050, description="UDP port to listen on")
+    port: Port = Field(4049, description="UDP port to listen on")
     latency_s: float = Field(0.0, ge=0, le=10, description="time from sending to arrival")
 
 

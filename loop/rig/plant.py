@@ -23,16 +23,18 @@ class RigPlant:
     """Shows light on a rig. Its state is nothing: a laboratory cannot go back. It does not know the truth.
 
     Its clock is `time.monotonic`. grids: rows and columns of the modules' pixels. like: in whose dtype and on whose device frames are.
+    last: number of the exposure after which it is dark.
     """
 
     rig: Rig
     grids: tuple[tuple[int, int], ...]
     like: Tensor
+    last: int
 
     @classmethod
-    def of(cls, rig: Rig, modules: Sequence[LampModule]) -> "RigPlant":
-        """modules: of the scenario's lamps."""
-        return cls(rig, grids_of(modules), modules[0].headlight.matrix.values)
+    def of(cls, rig: Rig, modules: Sequence[LampModule], exposures: int) -> "RigPlant":
+        """modules: of the scenario's lamps. exposures: how many it shows."""
+        return cls(rig, grids_of(modules), modules[0].headlight.matrix.values, exposures - 1)
 
     def start(self) -> tuple[None, Arrivals]:
         """Nothing is lit."""
@@ -48,6 +50,8 @@ class RigPlant:
             taken_s = max(taken.sent_s, taken.arrived_s - self.rig.params.timing.latency_s)
             image = torch.from_numpy(taken.image).to(self.like)
             frame = Frame(exposure.number, taken_s, taken.arrived_s, image, None if given.whole else self._shown(exposure, given))
+        if exposure.number == self.last:
+            self.rig.dark("the run has ended")
         samples = self.rig.ego.samples(self.like)
         return state, Arrivals(time.monotonic(), (frame,), samples)
 
