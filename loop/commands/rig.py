@@ -6,10 +6,13 @@ from pathlib import Path
 from cyclopts import App
 
 from loop.commands.given import scenario_of
+from loop.commands.rig_runs import blink, check
 from loop.terminal.options import AllowCode, Keys
 from world.errors import LuxloopError
 
 rig_app = App(name="rig", help="A rig: a real lamp and a real camera in the loop, or a process that stands for both.")
+for command in (check, blink):
+    rig_app.command(command)
 
 
 @rig_app.command

@@ -163,7 +163,7 @@ def written(file: Path, timing: Mapping[str, float]) -> None:
     table = re.search(r"^\[timing\][^\n]*\n(?:(?!\[)[^\n]*\n?)*", text, re.M)
     old = table[0] if table else "\n[timing]\n"
     new = old if old.endswith("\n") else f"{old}\n"
-    for name, value in reversed(timing.items()):
+    for name, value in reversed(list(timing.items())):
         line, pattern = f"{name} = {value:g}", rf"^{name}\s*=[^\n]*"
         if re.search(pattern, new, re.M):
             new = re.sub(pattern, line, new, flags=re.M)

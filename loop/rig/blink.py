@@ -196,8 +196,8 @@ def _looks(switches: Sequence[tuple[float, bool]], pictures: Sequence[tuple[floa
         share = (rows - dark) / (bright - dark)
         share = share if on else 1 - share
         values.append((arrived_s - at_s, at_s, share.min(), share.max()))
-    lag_s, at_s, least, most = np.array(values).T if values else np.zeros((4, 0))
-    return Looks(lag_s, at_s, least, most, seen)
+    columns = np.array(values).T if values else np.zeros((4, 0))
+    return Looks(columns[0], columns[1], columns[2], columns[3], seen)
 
 
 def _between(lag_s: NDArray[np.float64], after: NDArray[np.bool_]) -> float:

@@ -4,12 +4,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loop.rig.matching import Regularity
 from loop.rig.params import Cameras, DeviceParams, FolderParams, HttpParams, StreamParams
 from world import plugin
 from world.errors import LuxloopError
@@ -28,11 +29,13 @@ class CameraPicture:
 
     arrived_s: when its first byte was here, by `time.monotonic`. awaited: whether the reader waited for it; one that lay in a buffer
     already may be older than it seems. data: encoded, or `[height, width]` or `[height, width, 3]` (blue, green, red) of 8 or 16 bits.
+    late_s: by how much it came later than the pictures before it let expect, which the camera's thread finds out.
     """
 
     arrived_s: float
     awaited: bool
     data: bytes | NDArray[np.generic]
+    late_s: float = 0.0
 
 
 class CameraSource(Protocol):
@@ -141,12 +144,13 @@ class Camera:
                 time.sleep(0.02)
 
     def _read(self, source: CameraSource) -> None:
-        heard_s = time.monotonic()
+        heard_s, regularity = time.monotonic(), Regularity()
         while self._open:
             picture = source.read(STEP_S)
             if picture is not None:
                 heard_s = time.monotonic()
                 self._last_s = max(self._last_s, picture.arrived_s)
+                picture = replace(picture, late_s=regularity.late(picture.arrived_s))
                 with self._changed:
                     self.dropped += len(self._pictures) == KEPT
                     self._pictures.append(picture)

@@ -31,6 +31,11 @@ class DdpLight:
         self._number, self._timecode, self._darkened = -1, -1, 0
         self._packets: list[bytes] = []
 
+    @property
+    def timecode(self) -> int:
+        """Of what was sent last, -1 before that."""
+        return self._timecode
+
     def show(self, shine: Shine) -> str | None:
         """Send a frame, new light as often as the rig file says. Returns why it did not leave."""
         fresh = not self._packets or shine.number != self._number

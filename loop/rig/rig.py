@@ -25,12 +25,16 @@ CAMERA_S = 5.0  # for a camera's first picture
 
 @dataclass(frozen=True)
 class Taken:
-    """A frame, or why it is lost. sent_s, arrived_s: by `time.monotonic`, of the light and of the frame. image: `[height, width]`."""
+    """A frame, or why it is lost. sent_s, arrived_s: by `time.monotonic`, of the light and of the frame. image: `[height, width]`.
+
+    data: the picture as it came.
+    """
 
     sent_s: float
     arrived_s: float
     image: NDArray[np.float32] | None
     reason: str = ""
+    data: bytes | NDArray[np.generic] = b""
 
 
 @dataclass
@@ -128,7 +132,7 @@ class Rig:
         lag_s = picture.arrived_s - since_s
         if self.params.camera.triggered:
             return None if lag_s > self.params.timing.clear_s else "old"
-        verdict = shows(lag_s, self.params.timing)
+        verdict = shows(lag_s, self.params.timing, picture.late_s)
         return verdict if verdict != "clear" else None if picture.awaited else "late"
 
     def _looked_at(self, picture: CameraPicture, number: int, since_s: float) -> Taken | str:
@@ -146,7 +150,7 @@ class Rig:
         if self.keeper.since_s != since_s:  # while it was looked at
             return self.keeper.reason or "the light changed"
         self.statistics.lateness.add(picture.arrived_s - since_s)
-        return Taken(since_s, picture.arrived_s, image)
+        return Taken(since_s, picture.arrived_s, image, data=picture.data)
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from loop.rig.ego import UdpEgo
 from loop.rig.files import FilesLight
 from loop.rig.light import Shine, open_light, places
 from loop.rig.limits import limited
-from loop.rig.matching import shows
+from loop.rig.matching import Regularity, shows
 from loop.rig.params import FilesParams, LimitParams, MarkParams, RigParams, ScanParams, TimingParams, UdpEgoParams, load_rig
 from loop.rig.rectified import Rectifier, WrongPicture
 from loop.wire.datagrams import encoded
@@ -104,6 +104,19 @@ def test_a_fast_change_is_made_in_part_and_arrives() -> None:
 def test_a_frame_counts_when_all_earlier_light_must_be_gone() -> None:
     timing = TimingParams(latency_s=0.05, jitter_s=0.02, rolling_s=0.03)
     assert [shows(lag_s, timing) for lag_s in (-0.1, 0.0199, 0.021, 0.0699, 0.0701)] == ["old", "old", "mixed", "mixed", "clear"]
+
+
+def test_a_picture_that_is_stuck_is_late_and_so_are_those_behind_it() -> None:
+    regularity = Regularity()
+    drawn = np.random.default_rng(0)
+    late = [regularity.late(k / 30 + 0.01 * drawn.random()) for k in range(200)]
+    assert max(late) < 0.012  # the jitter, and a little
+    stuck = [regularity.late(max(k / 30, 201 / 30 + 0.1)) for k in range(200, 206)]  # 200 to 204 come together
+    assert stuck[0] == pytest.approx(0.1 + 1 / 30, abs=0.012)
+    assert stuck[1] == pytest.approx(0.1, abs=0.012) and stuck[-1] < 0.015
+    assert shows(0.15, TimingParams(latency_s=0.05, jitter_s=0.02), stuck[0]) == "mixed"
+    lost = [regularity.late(k / 30) for k in range(207, 240)]  # one is missing
+    assert lost[0] == pytest.approx(1 / 30, abs=0.012) and lost[-1] < 0.003
 
 
 def test_a_mark_names_the_exposure_modulo_four_or_none() -> None:
