@@ -1,4 +1,7 @@
-"""A mark in the light that says which of four exposures a frame shows: two bits of a Gray code, each a cell beside its opposite."""
+"""A mark in the light that says which of four exposures a frame shows: two bits of a Gray code, each a cell beside its opposite.
+
+The light may come in the midst of the first picture that shows its mark, so it is the second one that counts.
+"""
 
 import math
 from collections.abc import Sequence

@@ -51,6 +51,7 @@ class Rig:
     statistics: Statistics = field(default_factory=Statistics)
     _stands: tuple[Picture, ...] | None = None
     _changed_s: float = 0.0
+    _marked: int = -1  # number of the newest exposure whose mark was seen
 
     def expose(self, shine: Shine, least_s: float) -> tuple[Limited, Taken]:
         """Show light for `least_s` at least, until a frame has come that shows nothing else, or until it counts as lost."""
@@ -147,6 +148,10 @@ class Rig:
             if found != number % mark.CODES:
                 self.statistics.seen["unmarked" if found is None else "of another exposure"] += 1
                 return "no picture with this exposure's mark came" if found is None else "the mark was that of another exposure"
+            if self._marked != number:  # the light may have come in its midst; the next picture begins after it has ended
+                self._marked = number
+                self.statistics.seen["first of its mark"] += 1
+                return "no second picture with this exposure's mark came"
         if self.keeper.since_s != since_s:  # while it was looked at
             return self.keeper.reason or "the light changed"
         self.statistics.lateness.add(picture.arrived_s - since_s)
