@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from loop.scenario.model import Scenario
 
 Named = Annotated[str, Parameter(name="--scenario")]
-JUDGED = "not judged: a rig does not know the truth; its camera's frames are in report and video"
+JUDGED = "the rig's own camera, by its view of the plane that it is calibrated to; the truth is not known, and its columns are empty"
 
 
 def run_on_rig(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool], device: str, kept: Mapping[str, Any]) -> bool:
@@ -33,6 +34,7 @@ def run_on_rig(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool
     from loop.plant.build import from_zero
     from loop.recording.files import RIG
     from loop.recording.manifest import write_json
+    from loop.rig.judged import Judged
     from loop.rig.params import load_rig
     from loop.rig.plant import RigPlant
     from loop.rig.rig import opened
@@ -47,17 +49,21 @@ def run_on_rig(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool
         if not armed:
             tables.console().print("dry run: the lamp stays dark; give --arm to light it", markup=False)
 
+        judged: Judged | None = None
+
         def plant(simulation: Any) -> Any:
             from loop.lighting.lamps import lamp_modules
 
-            modules = lamp_modules(simulation.modules)
-            return from_zero(RigPlant.of(rig, modules, scenario.steps * len(scenario.shares)), scenario, modules)
+            nonlocal judged
+            modules, judged = lamp_modules(simulation.modules), Judged(simulation.controlled, scenario.camera, params.mark)
+            own = RigPlant.of(rig, modules, scenario.steps * len(scenario.shares))
+            return from_zero(replace(own, look=judged.look), scenario, modules)
 
         try:
             return run_scenario(scenario, out, device, False, {**kept, "plant": plant})
         finally:
             rig.dark("the run has ended")
-            found = _of_run(rig, len(scenario.shares))
+            found = _of_run(rig, len(scenario.shares)) | {"judged": {} if judged is None else judged.summary()}
             if out.is_dir() and rig.statistics.exposures:
                 write_json(out / RIG, {"rig": params.model_dump(mode="json"), "armed": armed, **found})
             tables.show(tables.facts(_in_words(found)))
@@ -223,6 +229,11 @@ def _in_words(found: Mapping[str, Any]) -> dict[str, str]:
         "pictures": ", ".join(f"{count} {what}" for what, count in sorted(found["pictures"].items())) or "none",
         "judge": JUDGED,
     }
+    for name, each in found["judged"].items():
+        off = each["centroid_error_percent"]
+        told = f"IoU {each['iou_final']:.3f} at the last of {each['steps']} steps, {each['iou_mean']:.3f} on average in the second half"
+        where = "nothing is lit" if off is None else f"centroid {off[0]:.1f} % along, {off[1]:.1f} % across"
+        rows[f"{name}, as the camera sees it"] = f"{told}; {where}"
     if found["dimmed"] or found["slowed"]:
         rows["limits"] = f"dimmed {found['dimmed']} exposures, slowed {found['slowed']}"
     if any(found["watchdog"].values()):

@@ -1,5 +1,6 @@
 """Which light a frame shows, by the time that passed from sending the light to the frame's arrival. In doubt it shows none."""
 
+import math
 import statistics
 from collections import deque
 from typing import Final, Literal
@@ -8,7 +9,8 @@ from loop.rig.params import TimingParams
 
 Verdict = Literal["old", "mixed", "clear"]
 GAPS: Final = 61  # between pictures, whose median is the camera's period
-FORGIVEN: Final = 0.05  # of a period a picture: lost pictures and a period that is not quite known look like lateness, but do not last
+FEWEST: Final = 8  # gaps by which a period is known
+KEPT: Final = 0.9  # of the lateness, from picture to picture: a lost picture looks like lateness, but nothing catches up after it
 
 
 def shows(lag_s: float, timing: TimingParams, late_s: float = 0.0) -> Verdict:
@@ -32,11 +34,16 @@ class Regularity:
         self._last_s: float | None = None
 
     def late(self, arrived_s: float) -> float:
-        """Lateness in s of the next picture. Where pictures pile up behind one that is stuck, that one and those behind it are late."""
+        """Lateness in s of the next picture, infinite where the period is not known yet.
+
+        Where pictures pile up behind one that is stuck, that one and those behind it are late.
+        """
         if self._last_s is not None:
             gap_s = arrived_s - self._last_s
             self._gaps.append(gap_s)
-            period_s = statistics.median(self._gaps)
-            self._late_s = max(self._late_s + gap_s - (1 + FORGIVEN) * period_s, 0.0)
+            self._late_s = max(KEPT * self._late_s + gap_s - statistics.median(self._gaps), 0.0)
         self._last_s = arrived_s
+        if len(self._gaps) < FEWEST:
+            self._late_s = 0.0
+            return math.inf
         return self._late_s

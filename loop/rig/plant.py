@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,13 +23,14 @@ class RigPlant:
     """Shows light on a rig. Its state is nothing: a laboratory cannot go back. It does not know the truth.
 
     Its clock is `time.monotonic`. grids: rows and columns of the modules' pixels. like: in whose dtype and on whose device frames are.
-    last: number of the exposure after which it is dark.
+    last: number of the exposure after which it is dark. look: gets each exposure with its image, None where that is lost.
     """
 
     rig: Rig
     grids: tuple[tuple[int, int], ...]
     like: Tensor
     last: int
+    look: Callable[[Exposure, Tensor | None], None] = lambda exposure, image: None
 
     @classmethod
     def of(cls, rig: Rig, modules: Sequence[LampModule], exposures: int) -> "RigPlant":
@@ -50,6 +51,7 @@ class RigPlant:
             taken_s = max(taken.sent_s, taken.arrived_s - self.rig.params.timing.latency_s)
             image = torch.from_numpy(taken.image).to(self.like)
             frame = Frame(exposure.number, taken_s, taken.arrived_s, image, None if given.whole else self._shown(exposure, given))
+        self.look(exposure, frame.image)
         if exposure.number == self.last:
             self.rig.dark("the run has ended")
         samples = self.rig.ego.samples(self.like)

@@ -1,5 +1,6 @@
 """A rig that is open: lamp, camera and sensors, and one way to show light and get a frame of it."""
 
+import math
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -131,7 +132,7 @@ class Rig:
     def _refused(self, picture: CameraPicture, since_s: float) -> str | None:
         """Why a picture may not be of light that stands since a time: old, mixed, or late, which lay in a buffer for an unknown time."""
         lag_s = picture.arrived_s - since_s
-        if self.params.camera.triggered:
+        if self.params.camera.triggered:  # which has no rhythm
             return None if lag_s > self.params.timing.clear_s else "old"
         verdict = shows(lag_s, self.params.timing, picture.late_s)
         return verdict if verdict != "clear" else None if picture.awaited else "late"
@@ -180,8 +181,10 @@ def opened(params: RigParams, grids: Sequence[tuple[int, int]], camera: CameraPa
 
 
 def await_camera(rig: Rig, seconds: float = CAMERA_S) -> bool:
-    """Wait for the first picture; whether it has come."""
+    """Wait for the camera's first pictures, until its rhythm is known; whether some have come."""
     until_s = time.monotonic() + seconds
-    while not rig.camera.alive and time.monotonic() < until_s:
-        rig.camera.next(time.monotonic() + 0.05)
+    while time.monotonic() < until_s:
+        picture = rig.camera.next(time.monotonic() + 0.05)
+        if picture is not None and math.isfinite(picture.late_s):
+            break
     return rig.camera.alive

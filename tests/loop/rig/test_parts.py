@@ -110,13 +110,13 @@ def test_a_picture_that_is_stuck_is_late_and_so_are_those_behind_it() -> None:
     regularity = Regularity()
     drawn = np.random.default_rng(0)
     late = [regularity.late(k / 30 + 0.01 * drawn.random()) for k in range(200)]
-    assert max(late) < 0.012  # the jitter, and a little
+    assert max(late[8:]) < 0.015 and late[7] == float("inf")  # the jitter, and a little
     stuck = [regularity.late(max(k / 30, 201 / 30 + 0.1)) for k in range(200, 206)]  # 200 to 204 come together
-    assert stuck[0] == pytest.approx(0.1 + 1 / 30, abs=0.012)
-    assert stuck[1] == pytest.approx(0.1, abs=0.012) and stuck[-1] < 0.015
+    assert stuck[0] == pytest.approx(0.1 + 1 / 30, abs=0.02)
+    assert stuck[1] == pytest.approx(0.1, abs=0.02) and stuck[-1] < 0.02
     assert shows(0.15, TimingParams(latency_s=0.05, jitter_s=0.02), stuck[0]) == "mixed"
     lost = [regularity.late(k / 30) for k in range(207, 240)]  # one is missing
-    assert lost[0] == pytest.approx(1 / 30, abs=0.012) and lost[-1] < 0.003
+    assert lost[0] == pytest.approx(1 / 30, abs=0.02) and lost[-1] < 0.003
 
 
 def test_a_mark_names_the_exposure_modulo_four_or_none() -> None:

@@ -31,7 +31,7 @@ def test_a_scenario_runs_on_a_rig_and_is_recorded(small_rig: Callable[..., Proce
     file = rig_file(small_rig(PIXELS, width=320, height=180), tmp_path)
     code, out, error = lux("run", "small.toml", "--rig", str(file), "--arm", "--out", "runs/rig", "--set", "camera.bits=8", "--frames")
     assert code == 0, error
-    assert "control rate" in out and "light to frame" in out and "a rig does not know the truth" in out and "6 of 6 exposures" in out
+    assert "control rate" in out and "light to frame" in out and "the rig's own camera" in out and "6 of 6 exposures" in out
     told = json.loads((tmp_path / "runs/rig/rig.json").read_text())
     assert told["armed"] and not told["lost"] and told["rig"]["light"]["kind"] == "ddp"
     assert 20 < told["light_to_frame_ms"]["median"] < 150 and 1 < told["control_rate_hz"] < 20

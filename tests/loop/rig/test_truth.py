@@ -18,6 +18,7 @@ from loop.lighting.simulation import Simulation
 from loop.plant.build import from_zero
 from loop.plant.protocol import Arrivals, Exposure
 from loop.rig.ddp import DdpLight
+from loop.rig.judged import Judged
 from loop.rig.params import RigParams
 from loop.rig.plant import RigPlant, grids_of
 from loop.rig.rig import await_camera, opened
@@ -105,9 +106,10 @@ def run_on(bench: Bench, rig_params: RigParams, steps: int = 40) -> tuple[Simula
     modules = lamp_modules(simulation.modules)
     with opened(rig_params, grids_of(modules), scenario.camera, armed=True) as rig:
         assert await_camera(rig, 20)
-        watched = Watched(RigPlant.of(rig, modules, 2 * steps))
+        judged = Judged(simulation.controlled, scenario.camera, rig_params.mark)
+        watched = Watched(replace(RigPlant.of(rig, modules, 2 * steps), look=judged.look))
         results = list(replace(simulation, plant=from_zero(watched, scenario, modules)).run())
-        summary = {**rig.statistics.summary(2), "interruptions": rig.keeper.interruptions}
+        summary = {**rig.statistics.summary(2), "interruptions": rig.keeper.interruptions, "judged": judged.summary()}
     on, off = (each.exposure.lights for each in results[-1].showings)
     judge = world.symbol.judge
     assert judge is not None
@@ -134,6 +136,7 @@ def test_on_a_good_rig_the_symbol_is_as_straight_as_in_simulation(bench: Callabl
     simulated = [float(each.symbol.verdict.iou) for each in world.run()][-1]
     print(f"\nIoU {iou:.3f}, simulated {simulated:.3f}; {summary}")
     assert iou > simulated - 0.02
+    assert abs(summary["judged"]["symbol"]["iou_final"] - iou) < 0.06  # with noise, and by a plane where the road is none
 
 
 def test_with_jitter_lost_packets_and_flicker_no_frame_is_wrong(bench: Callable[..., Bench]) -> None:
@@ -152,3 +155,4 @@ def test_light_that_comes_late_is_told_by_its_mark(bench: Callable[..., Bench]) 
     assert not wrong(rig, taken) and len(taken) >= 50
     print(f"\nIoU {iou:.3f}; {summary}")
     assert summary["pictures"]["of another exposure"] > 0 and iou > 0.88
+    assert abs(summary["judged"]["symbol"]["iou_final"] - iou) < 0.06
