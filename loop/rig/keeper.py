@@ -83,6 +83,6 @@ class Keeper:
                 reason = self._light.show(self._standing)
                 self._sent_s = time.monotonic()
                 if gap_s > STILL * self._params.dark_after_s:
-                    reason = f"the lamp may have gone dark in between: nothing was sent to it for {1e3 * STILL * self._params.dark_after_s:.0f} ms"
+                    reason = f"the lamp may have been dark: nothing was sent to it for more than {STILL * self._params.dark_after_s:.2g} s"
                 if reason is not None:
                     self.interruptions, self.reason, self._since_s = self.interruptions + 1, reason, None
