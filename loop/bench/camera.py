@@ -44,6 +44,17 @@ class Exposed:
     sent_s: float = math.nan
 
 
+class End:
+    """Whether the end is asked for; a signal's handler may do so, which must not wait for a lock."""
+
+    def __init__(self) -> None:
+        self.asked = False
+
+    def ask(self) -> None:
+        """From any thread."""
+        self.asked = True
+
+
 class BenchCamera:
     """Exposes frames of a bench in the caller's thread, and sends them in one of its own."""
 
@@ -64,10 +75,10 @@ class BenchCamera:
         """From the beginning of the first row's exposure to the end of the last one's."""
         return self.faults.camera.readout_s + self.sensor.exposure_s
 
-    def run(self, ended: threading.Event) -> None:
+    def run(self, end: End) -> None:
         """Expose frame after frame until the end."""
         params, next_s = self.faults.camera, time.monotonic()
-        while not ended.is_set():
+        while not end.asked:
             if params.trigger == "light":
                 lit_s = self.timeline.newer(next_s, WAIT_S)
                 if lit_s is None:
@@ -80,7 +91,8 @@ class BenchCamera:
                 self.skipped += behind
                 from_s = next_s + behind * period_s
                 next_s = from_s + period_s
-            ended.wait(max(from_s + self.window_s - time.monotonic(), 0))
+            while not end.asked and (left_s := from_s + self.window_s - time.monotonic()) > 0:
+                time.sleep(min(left_s, WAIT_S))
             self._queue(self.expose(from_s))
 
     def expose(self, from_s: float) -> tuple[Part, Exposed]:

@@ -67,16 +67,18 @@ class Lens:
 
     def image(self, luminance: Image) -> Image:
         """What reaches the sensor, `[height, width]`, of a pinhole's picture in cd/m^2."""
-        seen, params = luminance, self.params
+        seen: Any = luminance
+        params = self.params
         if self.maps:
-            seen = sum(np.float32(share) * cv2.remap(luminance, x, y, cv2.INTER_LINEAR) for x, y, share in self.maps)  # type: ignore[assignment]
+            seen = sum(np.float32(share) * cv2.remap(luminance, x, y, cv2.INTER_LINEAR) for x, y, share in self.maps)
         if params.blur_px:
             seen = cv2.GaussianBlur(seen, (0, 0), params.blur_px)
         if params.veil:
             coarse = cv2.resize(seen, (-(-self.width // VEIL_SCALE), -(-self.height // VEIL_SCALE)), interpolation=cv2.INTER_AREA)
             scattered = cv2.resize(cv2.GaussianBlur(coarse, (0, 0), params.veil_px / VEIL_SCALE), (self.width, self.height))
             seen = cv2.addWeighted(seen, 1 - params.veil, scattered, params.veil, 0)
-        return seen if self.falloff is None else seen * self.falloff
+        falling: Image = seen if self.falloff is None else seen * self.falloff
+        return falling
 
     @property
     def matrix(self) -> Floats:
@@ -120,7 +122,8 @@ def distorted(params: LensParams, straight: Floats) -> Floats:
     given[: len(params.coefficients)] = params.coefficients
     if params.model == "opencv":
         points = np.column_stack([straight, np.ones(len(straight))])
-        return cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), given)[0][:, 0]
+        found: Any = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), given)[0]
+        return np.asarray(found[:, 0], np.float64)
     radius = np.linalg.norm(straight, axis=1, keepdims=True).clip(1e-12)
     if params.model == "fisheye":
         theta = np.arctan(radius)

@@ -1,7 +1,6 @@
 """The rig: all its parts in one process."""
 
 import sys
-import threading
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
@@ -12,7 +11,7 @@ import cv2
 import numpy as np
 import torch
 
-from loop.bench.camera import BenchCamera, Exposed
+from loop.bench.camera import BenchCamera, End, Exposed
 from loop.bench.faults import FaultParams
 from loop.bench.light_input import DdpInput
 from loop.bench.scene import LitBench
@@ -76,14 +75,14 @@ class Rig:
         """Stop to listen and to send."""
         self._opened.close()
 
-    def run(self, ended: threading.Event, ready: Callable[[], None] = lambda: None) -> None:
+    def run(self, end: End, ready: Callable[[], None] = lambda: None) -> None:
         """Expose and send frames until the end. ready: called when the first light could come."""
         torch.set_num_threads(1)
         cv2.setNumThreads(1)
         sys.setswitchinterval(SWITCH_S)
         self.bench.light(LightFrame(np.zeros(self.bench.pixels, np.uint8), (0,)), 0.0)  # so that the first light waits for nothing
         ready()
-        self.camera.run(ended)
+        self.camera.run(end)
 
     def addresses(self) -> list[str]:
         """A line for each of its addresses."""

@@ -1,7 +1,10 @@
 """The commands `luxloop rig ...`: a rig of real light, and one that is simulated."""
 
-import threading
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cyclopts import App
 
@@ -9,6 +12,9 @@ from loop.commands.given import scenario_of
 from loop.commands.rig_runs import blink, check
 from loop.terminal.options import AllowCode, Keys
 from world.errors import LuxloopError
+
+if TYPE_CHECKING:
+    from loop.bench.camera import End
 
 rig_app = App(name="rig", help="A rig: a real lamp and a real camera in the loop, or a process that stands for both.")
 for command in (check, blink):
@@ -55,18 +61,30 @@ def simulate(
 
     keys, changes = split(set or ())
     scenario, wrong = scenario_of(name, keys, allow_code=allow_code), read(faults, changes)
+    from loop.bench.camera import End
     from loop.bench.rig import Ports, Rig
 
-    ended = threading.Event()
+    end = End()
     with Rig(scenario, wrong, Ports(host, light_port, camera_port, truth_port, _address(ego))) as rig:
 
         def ready() -> None:
             print("\n".join([*rig.addresses(), "End it with Ctrl-C."]), flush=True)
 
-        try:
-            rig.run(ended, ready)
-        except KeyboardInterrupt:
-            print(rig.summary(), flush=True)
+        with _ending(end):
+            rig.run(end, ready)
+        print(rig.summary(), flush=True)
+
+
+@contextmanager
+def _ending(end: "End") -> Iterator[None]:
+    """Ctrl-C and SIGTERM ask for the end, instead of an exception that could strike while a lock is held."""
+    ends = [each for each in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(each) is not signal.SIG_IGN]
+    before = [(each, signal.signal(each, lambda *_: end.ask())) for each in ends]
+    try:
+        yield
+    finally:
+        for each, handler in before:
+            signal.signal(each, handler)
 
 
 def _address(text: str) -> tuple[str, int]:

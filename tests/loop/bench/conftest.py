@@ -10,14 +10,9 @@ from loop.bench.scene import LitBench
 from loop.scenario.model import Scenario, load
 from loop.wire.ddp import LightFrame
 
-KEYS = (
-    "renderer=raycast",
-    "headlight.model=ssl-hd-lores",
-    "camera.width_px=160",
-    "camera.height_px=120",
-    "camera.oversampling=1",
-    "camera.hfov_deg=40",
-)
+SIZE = ("camera.width_px=160", "camera.height_px=120", "camera.oversampling=1", "camera.hfov_deg=40")
+SIZE = ("camera.width_px=160", "camera.height_px=120", "camera.oversampling=1", "camera.hfov_deg=40")
+KEYS = ("renderer=raycast", "headlight.model=ssl-hd-lores", *SIZE)
 DARK = ("light.ambient_lx=0", "camera.noise=false")
 
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from loop.bench.camera import BenchCamera, Exposed, digitised, encoded, flicker, shares
+from loop.bench.camera import BenchCamera, End, Exposed, digitised, encoded, flicker, shares
 from loop.bench.faults import CameraErrorParams, FaultParams, FlickerParams
 from loop.bench.scene import LitBench
 from loop.bench.timeline import Segment, Timeline
@@ -65,15 +65,15 @@ def taken(seconds: float, *keys: str) -> tuple[list[tuple[float, Part, Exposed]]
     """Frames of a short run in the light of a frame each 20 ms, with the times of their sending."""
     sent = list[tuple[float, Part, Exposed]]()
     bench, faults = LitBench(scenario_of(*DARK, "camera.exposure_s=0.004"), faults_of(*keys)), faults_of(*keys)
-    timeline, ended = Timeline(0.1), threading.Event()
+    timeline, end = Timeline(0.1), End()
     bench.light(light(np.zeros(bench.pixels, np.uint8)), 0.0)
     camera = BenchCamera(bench, timeline, faults, lambda part, exposed: sent.append((time.monotonic(), part, exposed)))
-    thread = threading.Thread(target=camera.run, args=(ended,))
+    thread = threading.Thread(target=camera.run, args=(end,))
     thread.start()
     for k in range(round(seconds / 0.02)):
         timeline.show(light(np.full(bench.pixels, 50 * (k % 2), np.uint8), k))
         time.sleep(0.02)
-    ended.set()
+    end.ask()
     thread.join()
     camera.close()
     return sent, camera

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
+from loop.bench.camera import End
 from loop.bench.rig import Ports, Rig
 from loop.wire import datagrams, ddp
 from loop.wire.mjpeg import parts
@@ -68,9 +69,9 @@ class Loop:
 
 @contextmanager
 def looped(scenario_keys: Sequence[str] = (), *faults: str, ports: Ports = FREE) -> Iterator[Loop]:
-    ended, ready = threading.Event(), threading.Event()
+    end, ready = End(), threading.Event()
     with Rig(scenario_of(*scenario_keys), faults_of(*faults), ports) as rig:
-        thread = threading.Thread(target=rig.run, args=(ended, ready.set))
+        thread = threading.Thread(target=rig.run, args=(end, ready.set))
         thread.start()
         try:
             assert ready.wait(60)
@@ -78,7 +79,7 @@ def looped(scenario_keys: Sequence[str] = (), *faults: str, ports: Ports = FREE)
             yield loop
             loop.close()
         finally:
-            ended.set()
+            end.ask()
             thread.join()
 
 
