@@ -8,7 +8,7 @@ from typing import Final
 from urllib.parse import unquote, urlsplit
 
 from loop.rig.camera import CameraPicture
-from loop.rig.params import HttpParams
+from loop.rig.params import HttpCameraParams
 from loop.wire.mjpeg import parts
 from world.errors import LuxloopError
 
@@ -20,7 +20,7 @@ SLOW_S: Final = 2.0  # without a byte within a picture or a head
 class HttpCamera:
     """One connection."""
 
-    def __init__(self, params: HttpParams) -> None:
+    def __init__(self, params: HttpCameraParams) -> None:
         """Raises LuxloopError where the address is none, or nobody answers there with pictures."""
         url = urlsplit(params.url)
         if not url.hostname:
