@@ -10,8 +10,9 @@ from loop.plant.protocol import Plant
 from loop.plant.recorded import recorded_plant
 from loop.plant.remote import remote_plant
 from loop.plant.simulated import simulated_plant
+from loop.plant.unconnected import Unconnected
 from loop.scenario.model import Scenario
-from loop.scenario.plant import RecordedPlantParams, RemotePlantParams, SimulatedPlantParams
+from loop.scenario.plant import RecordedPlantParams, RemotePlantParams, RigPlantParams, SimulatedPlantParams
 from world import plugin
 
 KEY = "plant.kind"
@@ -25,9 +26,15 @@ def build_plant(scenario: Scenario, modules: Sequence[LampModule], made: Made | 
         return simulated_plant(scenario, modules, made)
     if isinstance(params, RecordedPlantParams):
         return recorded_plant(scenario, params, modules)
-    like = modules[0].headlight.matrix.values
+    if isinstance(params, RigPlantParams):
+        return Unconnected()
     if isinstance(params, RemotePlantParams):
-        return FromZero(remote_plant(scenario, params, modules), f"{KEY}: {params.kind}", scenario.camera, like)
+        return from_zero(remote_plant(scenario, params, modules), scenario, modules)
     given = {"scenario": scenario, "modules": modules}
     plant = cast(Plant, plugin.make(params.kind, KEY, given, params.options, METHODS))
-    return FromZero(plant, f"{KEY}: {params.kind}", scenario.camera, like)
+    return from_zero(plant, scenario, modules)
+
+
+def from_zero(plant: Plant, scenario: Scenario, modules: Sequence[LampModule]) -> Plant:
+    """A plant whose clock may begin at any time, as one whose time begins at 0; what it gives is looked at."""
+    return FromZero(plant, f"{KEY}: {scenario.plant.kind}", scenario.camera, modules[0].headlight.matrix.values)

@@ -36,6 +36,12 @@ class RemotePlantParams(Params):
     timeout_s: float = Field(30.0, ge=0.01, le=3600, description="longest wait for the simulator to connect, and for each of its answers")
 
 
+class RigPlantParams(Params):
+    """A lamp and a camera of a laboratory, whose addresses are in the rig file of `luxloop run --rig FILE`; see docs/rig.md."""
+
+    kind: Literal["rig"]
+
+
 class OwnPlantParams(Params):
     """`Name(scenario, modules, **options)` of a module of the user's own makes the plant."""
 
@@ -43,7 +49,7 @@ class OwnPlantParams(Params):
     options: dict[str, Any] = Field({}, description="keyword arguments of Name, beside scenario and modules")
 
 
-def shadow_of(plant: SimulatedPlantParams | RecordedPlantParams | RemotePlantParams | OwnPlantParams) -> str | None:
+def shadow_of(plant: SimulatedPlantParams | RecordedPlantParams | RemotePlantParams | RigPlantParams | OwnPlantParams) -> str | None:
     """The recording that is played, None where light is shown."""
     return plant.folder if isinstance(plant, RecordedPlantParams) else None
 
@@ -63,6 +69,7 @@ PlantParams = Annotated[
     Annotated[SimulatedPlantParams, Tag("simulated")]
     | Annotated[RecordedPlantParams, Tag("recording")]
     | Annotated[RemotePlantParams, Tag("remote")]
+    | Annotated[RigPlantParams, Tag("rig")]
     | Annotated[OwnPlantParams, Tag(OWN)],
     known_or_own("kind", "simulated"),
 ]

@@ -204,7 +204,8 @@ class Projector:
         rays = corners - origins
         heights = corners.new_tensor([-margin_m, margin_m])[:, None, None]
         if shape is None:
-            reach = torch.where(rays[:, 2] < 0, (heights - origins[:, 2]) / rays[:, 2], torch.inf)  # [2, m, 4 * ...]
+            reach = (heights - origins[:, 2]) / rays[:, 2]  # [2, m, N]
+            reach = torch.where((rays[:, 2] < 0) & (reach > 0), reach, torch.inf)
         else:
             bounds = shape.detach().to(corners) + torch.nn.functional.pad(heights[:, 0], (0, 3))
             reach = torch.stack([reached(bounds, self.params.x_m, *each) for each in zip(origins[..., 0], rays, strict=True)], 1)
