@@ -126,6 +126,7 @@ def rows(size: str, names: list[str]) -> Iterator[tuple[str, list[float]]]:
         scenario = wall(model(Path(folder) / "lamp.npz", light), camera.pop("width"), camera.pop("height"), **camera)
         for name in names:
             of = replace(rig(scenario, CASES[name], 4 if size == "small" else 2), light=light)
+            print(f"{name}: rig built", file=sys.stderr, flush=True)
             start = time.monotonic()
             found = measured(of)
             print(f"{name}: {time.monotonic() - start:.1f} s, {int(found.dead.sum())} dead", file=sys.stderr, flush=True)

@@ -44,8 +44,8 @@ def _board(params: BoardParams) -> Any:
     return cv2.aruco.CharucoBoard((params.columns, params.rows), side, MARKER * side, words)
 
 
-def picture(params: BoardParams, dpi: float = DPI) -> Image:
-    """The board alone, grey `[height, width]`, at so many px an inch."""
+def picture(params: BoardParams, dpi: float) -> Image:
+    """The board alone, grey `[height, width]`, at about so many px an inch."""
     px = round(params.square_mm / INCH_MM * dpi)
     drawn: Image = _board(params).generateImage((px * params.columns, px * params.rows), marginSize=0, borderBits=1)
     return drawn
@@ -65,14 +65,15 @@ def print_board(path: Path, params: BoardParams, paper: str) -> None:
             f"the board has {needed[0]:g} x {needed[1]:g} mm, but {paper} has {size_mm[0]:g} x {size_mm[1]:g} mm with 10 mm of margin; "
             "take smaller or fewer squares, or --paper a3"
         )
-    page = np.full([round(each / INCH_MM * DPI) for each in size_mm[::-1]], 255, np.uint8)
-    drawn = picture(params)
+    drawn = picture(params, DPI)
+    dpi = drawn.shape[1] / needed[0] * INCH_MM  # of whole pixels a square
+    page = np.full([round(each / INCH_MM * dpi) for each in size_mm[::-1]], 255, np.uint8)
     top, left = ((a - b) // 2 for a, b in zip(page.shape, drawn.shape, strict=True))
     page[top : top + drawn.shape[0], left : left + drawn.shape[1]] = drawn
     note = f"{params.columns} x {params.rows} squares of {params.square_mm:g} mm, DICT_5X5_1000; print at 100 %, measure a square"
     cv2.putText(page, note, (left, top + drawn.shape[0] + 60), cv2.FONT_HERSHEY_SIMPLEX, 1.0, 0, 2, cv2.LINE_AA)
     with whole(path) as part:
-        Picture.fromarray(page).save(part, format=path.suffix[1:].upper(), resolution=DPI, dpi=(DPI, DPI))
+        Picture.fromarray(page).save(part, format=path.suffix[1:].upper(), resolution=dpi, dpi=(dpi, dpi))
 
 
 def corners(frame: Image, params: BoardParams) -> Corners | None:

@@ -44,13 +44,12 @@ def windows(images: Array, row: Array, col: Array, places: tuple[Array, Array], 
     """
     height, width = images.shape[1:]
     u, v = places
-    half = int(np.ceil(spacing / 2 * _pitch_px(lamp_of, u, v))) + 1
-    du, dv = (each.ravel() for each in np.meshgrid(np.arange(-half, half + 1), np.arange(-half, half + 1)))
+    jacobian = lamp_of.jacobian(u, v)  # [2, 2, n]
+    du, dv = (each.ravel() for each in np.meshgrid(*(np.arange(-half, half + 1) for half in _halves(jacobian, spacing / 2))))
     x, y = np.floor(u).astype(int)[:, None] + du, np.floor(v).astype(int)[:, None] + dv  # [n, m]
     image = (row % spacing * spacing + col % spacing)[:, None]
     seen = images[image, y.clip(0, height - 1), x.clip(0, width - 1)]
     centre_r, centre_c = lamp_of(x + 0.5, y + 0.5)
-    jacobian = lamp_of.jacobian(u, v)  # [2, 2, n]
     part = (np.arange(SUBSAMPLES) + 0.5) / SUBSAMPLES - 0.5
     du, dv = (each.ravel() for each in np.meshgrid(part, part))
     dr, dc = (
@@ -61,8 +60,8 @@ def windows(images: Array, row: Array, col: Array, places: tuple[Array, Array], 
     return Windows(seen, near & (x >= 0) & (x < width) & (y >= 0) & (y < height), dr, dc)
 
 
-def _pitch_px(lamp_of: Chart, u: Array, v: Array) -> float:
-    """The largest camera pixels a lamp pixel."""
-    a, b, c, d = lamp_of.jacobian(u, v).reshape(4, -1)
-    across = np.abs(a * d - b * c)
-    return float((np.maximum(np.hypot(a, c), np.hypot(b, d)) / across).max())
+def _halves(jacobian: Array, reach: float) -> tuple[int, int]:
+    """Camera pixels to either side of a lamp pixel's centre, in u and in v, that are nearer to it than `reach` along rows or columns."""
+    by_lamp = np.linalg.inv(np.moveaxis(jacobian, -1, 0))  # [n, 2, 2], camera pixels a lamp pixel
+    u, v = (reach * np.abs(by_lamp).sum(-1)).max(0)
+    return int(np.ceil(u + 0.5)), int(np.ceil(v + 0.5))

@@ -124,9 +124,11 @@ def take(shots: Shots, nominal: Nominal, sizes: Sequence[int], settings: Setting
     return Taken(dark, located, np.stack(taken), linear.mean(0) - located[0], noise / np.sqrt(settings.frames))
 
 
-def located(taken: Taken, nominal: Nominal) -> Places:
-    """Where the pixels are seen, before anything else is known. Raises LuxloopError where too few are."""
-    decoded = decode(taken.located, nominal.rows, nominal.cols, np.full(taken.dark.shape, taken.noise))
+def located(light: Sequence[Array], noise: float, nominal: Nominal) -> Places:
+    """Where the pixels are seen in the light `[height, width]` of `patterns`, with this noise. Raises LuxloopError where too few are."""
+    decoded = decode(light, nominal.rows, nominal.cols, np.full(light[0].shape, noise))
+    if not decoded.valid.any():
+        raise LuxloopError(f"module {nominal.name!r}: the camera sees none of its pixels; look at lamp, screen, camera and exposure")
     found = places(decoded, nominal.rows, nominal.cols)
     share = float(np.isfinite(found.u).mean())
     if share < LOCATED:
@@ -147,7 +149,7 @@ def digitised(
     """Measure a module in its frames. start: camera and screen, and about where the lamp is. factor_of: cd for each unit of light at each
     camera pixel, `[height, width]`.
     """
-    found = located(taken, nominal)
+    found = located(taken.located, taken.noise, nominal)
     texels = settings.texels
     row, col = np.indices((nominal.rows, nominal.cols)) + 0.5
 
@@ -164,9 +166,10 @@ def digitised(
         rough = measure(window_of(images, chart, lamp_of), nominal.rows, nominal.cols, texels, every)
         chart, lamp_of = _refined(rough, chart)
     geometry = _lamp_placed(geometry, nominal, chart)
-    images = (taken.combs * factor_of(geometry)).astype(np.float32)
+    factor = factor_of(geometry).astype(np.float32)
+    images = taken.combs * factor
     measured = measure(window_of(images, chart, lamp_of), nominal.rows, nominal.cols, texels)
-    dead, stuck = _faulty(measured, window_of(np.repeat(taken.dark[None], SPACING**2, 0) * factor_of(geometry), chart, lamp_of))
+    dead, stuck = _faulty(measured, window_of(np.broadcast_to(taken.dark * factor, images.shape), chart, lamp_of))
 
     y, z = geometry.tangents(geometry.on_screen(*chart(row, col)))
     grid = grid_over(y, z, texels)
@@ -177,7 +180,6 @@ def digitised(
     for pattern, image in zip(patterns(nominal.rows, nominal.cols), taken.located, strict=True):
         if pattern.name.endswith("phase_0"):
             lights[pattern.name] = pattern.u, image - taken.located[0]
-    factor = factor_of(geometry)
     return replace(made, checked={name: _difference(made, factor * image, u) for name, (u, image) in lights.items()})
 
 

@@ -14,6 +14,7 @@ from world.spmv import Csr
 from world.texels import TexelGrid
 
 LEAST: Final = 3e-3  # share of a pixel's peak, below which its light is left out
+NEAR: Final = 0.25  # pixels, by which a shape reaches further where its pixel is shifted
 AT_ONCE: Final = 64  # rows of texels
 
 
@@ -51,6 +52,7 @@ def headlight(name: str, grid: TexelGrid, measured: Measured, lamp_of: Chart) ->
             for j in range(-reach, reach + 1):
                 r, c = np.floor(row).astype(int) + i, np.floor(col).astype(int) + j
                 inside = (r >= 0) & (r < rows) & (c >= 0) & (c < cols)
+                inside &= (np.abs(row - r - 0.5) < REACH + NEAR) & (np.abs(col - c - 0.5) < REACH + NEAR)
                 r, c, at = r[inside], c[inside], texel[inside]
                 dr, dc = row[at] - r - 0.5 - measured.shift_row[r, c], col[at] - c - 0.5 - measured.shift_col[r, c]
                 block = block_of[0][r], block_of[1][c]

@@ -5,14 +5,13 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from loop.calibration.bench import Array, Image
 from world.errors import LuxloopError
 
 KNOTS: Final = 32
 SAMPLES: Final = 400  # camera pixels
-SMOOTH: Final = 3.0  # weight of the curve's second difference beside one reading
+SMOOTH: Final = 10.0  # weight of the curve's second difference beside one reading
 USED: Final = (0.02, 0.98)  # of the range of digital numbers
 
 
@@ -53,39 +52,39 @@ def response_curve(frames: Sequence[Image], ratios: Sequence[float], levels: int
         raise LuxloopError("the series says too little of the response; take at least three exposures, from dark to nearly saturated")
     by_brightness = useful[np.argsort(flat[:, useful].mean(0))]
     chosen = by_brightness[np.linspace(0, len(by_brightness) - 1, min(SAMPLES, len(by_brightness))).astype(int)]
-    knots = np.linspace(low, high, KNOTS)
-    log_light, covariance = _solved(flat[:, chosen], good[:, chosen], np.log(by), knots)
-    light = np.exp(log_light)
-    x, y = np.concatenate([[black], knots]), np.concatenate([[0.0], light])
-    y = np.maximum.accumulate(y)
+    knots = np.log(np.linspace(low - black, high - black, 2))
+    knots = np.linspace(*knots, KNOTS)
+    log_light, covariance = _solved(np.log((flat[:, chosen] - black).clip(min=1e-3)), good[:, chosen], np.log(by), knots)
     numbers = np.arange(levels + 1.0)
-    curve = PchipInterpolator(x, y + 1e-12 * np.arange(len(y)), extrapolate=True)(numbers.clip(black, None))
-    dark = numbers < black
-    curve[dark] = (numbers[dark] - black) * (curve[int(black) + 1] - curve[int(black)])  # noise about black keeps its sign
-    std = np.interp(numbers, knots, light * np.sqrt(np.maximum(np.diag(covariance), 0)))
+    step = np.maximum(numbers - black, 1e-3)
+    at = np.log(step)
+    slopes = [(log_light[k + 1] - log_light[k]) / (knots[k + 1] - knots[k]) for k in (0, -2)]
+    beyond = np.minimum(at - knots[0], 0) * slopes[0] + np.maximum(at - knots[-1], 0) * slopes[1]
+    curve = np.maximum.accumulate(np.exp(np.interp(at, knots, log_light) + beyond))
+    first = int(np.floor(black)) + 1
+    dark = numbers < first
+    curve[dark] = (numbers[dark] - black) * curve[first] / (first - black)  # noise about black keeps its sign
+    std = np.interp(at, knots, np.sqrt(np.maximum(np.diag(covariance), 0))) * curve.clip(min=0)
     return Response((curve / curve[-1]).astype(np.float32), (std / curve[-1]).astype(np.float32))
 
 
-def _solved(numbers: Array, good: Array, log_by: Array, knots: Array) -> tuple[Array, Array]:
-    """Logarithm of the light at knots `[n]` with its covariance: `g(z) = ln L_i + ln t_k` by least squares, linear between knots."""
+def _solved(codes: Array, good: np.ndarray, log_by: Array, knots: Array) -> tuple[Array, Array]:
+    """Logarithm of the light at knots `[n]` with its covariance: `g(z) = ln L_i + ln t_k` by least squares.
+
+    codes: logarithms of digital numbers over black, in which any power is a straight line, and g is one between knots.
+    """
     k, i = np.nonzero(good)
-    z = numbers[k, i]
-    step = knots[1] - knots[0]
-    left = ((z - knots[0]) / step).astype(int).clip(0, len(knots) - 2)
-    share = (z - knots[left]) / step
+    z = codes[k, i]
+    left = ((z - knots[0]) / (knots[1] - knots[0])).astype(int).clip(0, len(knots) - 2)
+    share = (z - knots[left]) / (knots[1] - knots[0])
     n, rows = len(knots), np.arange(len(z))
-    weight = np.sqrt(np.minimum(z - knots[0], knots[-1] - z) / (knots[-1] - knots[0]) + 0.02)
-    design = np.zeros((len(z) + n - 2 + 1, n + numbers.shape[1]))
+    weight = np.exp(0.5 * (z - knots[-1]))  # as the noise of light has it
+    design = np.zeros((len(z) + n - 1, n + codes.shape[1]))
     design[rows, left], design[rows, left + 1] = weight * (1 - share), weight * share
     design[rows, n + i] = -weight
     right = np.concatenate([weight * log_by[k], np.zeros(n - 1)])
-    bend = len(z) + np.arange(n - 2)
-    # A second difference of the logarithm by the logarithm of the level, in which any power is straight.
-    at = np.log(knots - knots[0] + step)
-    for offset in range(3):
-        others = [each for each in range(3) if each != offset]
-        x = [at[each : n - 2 + each] for each in range(3)]
-        design[bend, np.arange(n - 2) + offset] = SMOOTH * 2 / np.prod([x[offset] - x[other] for other in others], 0) * step / knots[-1]
+    for offset, factor in enumerate((1.0, -2.0, 1.0)):
+        design[len(z) + np.arange(n - 2), np.arange(n - 2) + offset] = SMOOTH * factor
     design[-1, n - 1] = 1e3
     solved, *_ = np.linalg.lstsq(design, right, rcond=None)
     left_over = design[: len(z)] @ solved - right[: len(z)]

@@ -20,6 +20,7 @@ from loop.calibration.combs import REACH, Windows
 BLOCK: Final = 16  # pixels along a side that have one shape, together with the blocks around them
 ROUGHNESS: Final = 1e-3  # weight of the second differences, relative to the mean of the normal matrix' diagonal
 BEYOND: Final = 1.45  # pixels from the centre, where a first background is taken
+SHAPED: Final = 3  # one of so many pixels of a block is looked at for its shape
 FEWEST: Final = 16  # pixels of a block that are measured at least
 SHIFT: Final = 0.05  # pixels, by which those of a lamp stray: shifts are drawn to zero where they are less certain
 
@@ -85,24 +86,30 @@ def _divided(n: int) -> tuple[int, ...]:
 
 
 def measure(window_of: Callable[[Array, Array], Windows], rows: int, cols: int, texels: tuple[int, int], every: int = 1) -> Measured:
-    """Fit shapes, then pixels. window_of: windows of pixels at rows and columns `[n]`. texels: rows and columns of texels a pixel. every:
-    measures one of so many pixels of a block, the others are NaN.
+    """Fit shapes, to some pixels of each block, then pixels. window_of: windows of pixels at rows and columns `[n]`. texels: rows and
+    columns of texels a pixel. every: measures one of so many pixels of a block, the others are NaN.
     """
     shape = round(2 * REACH * texels[0]), round(2 * REACH * texels[1])
     divided = Blocks.of(rows, cols)
     k = shape[0] * shape[1]
     normal, right = np.zeros((*divided.shape, k, k)), np.zeros((*divided.shape, k))
     for block, r, c in divided:
-        some = slice(None, None, max(1, min(every, len(r) // FEWEST)))
+        some = _some(len(r), max(every, SHAPED))
         each = window_of(r[some], c[some])
         normal[block], right[block] = _normal(each, _weights(each, texels, shape))
     shapes = _solved(normal, right, shape)
     found = np.full((6, rows, cols), np.nan)
     for block, r, c in divided:
-        r, c = (each[:: max(1, min(every, len(r) // FEWEST))] for each in (r, c))
+        some = _some(len(r), every)
+        r, c = r[some], c[some]
         each = window_of(r, c)
         found[:, r, c] = _fitted(each, _weights(each, texels, shape), shapes[block], texels)
     return Measured(*found, shapes)
+
+
+def _some(n: int, every: int) -> slice:
+    """One of so many pixels of a block's n, but enough of them."""
+    return slice(None, None, max(1, min(every, n // FEWEST)))
 
 
 def _weights(at: Windows, texels: tuple[int, int], shape: tuple[int, int]) -> Array:

@@ -16,6 +16,7 @@ from loop.commands.exports import export_app
 from loop.commands.given import scenario_of
 from loop.commands.headlight import headlight_app
 from loop.commands.listing import data_app, doctor, list_, schema
+from loop.commands.rig import rig_app
 from loop.commands.studies import campaign, dataset, evaluate, optimise_beam, train_detector, tune
 from loop.commands.studio import studio
 from loop.scenario.shipped import TEMPLATE, copied, examples, original
@@ -45,7 +46,7 @@ app = App(
     suppress_keyboard_interrupt=False,
 )
 app.command(list_, name="list")
-for command in (studio, schema, doctor, data_app, headlight_app, export_app):
+for command in (studio, schema, doctor, data_app, headlight_app, export_app, rig_app):
     app.command(command)
 for study in (evaluate, campaign, dataset, tune, optimise_beam, train_detector):
     app.command(study)
