@@ -32,7 +32,15 @@ CASES = {
     "another lens": Effects(lens=True),
     "all four": Effects(blur=True, veil=True, gloss=True, lens=True),
 }
-COLUMNS = ("not modelled", "places, px rms", "intensities, % rms", "with 9 readings", "directions, pixels rms", "all pixels on, %", "checked, %")
+COLUMNS = (
+    "not modelled",
+    "places, px rms",
+    "intensities, % rms",
+    "with 9 readings",
+    "directions, pixels rms",
+    "all pixels on, %",
+    "checked, %",
+)
 
 
 def uneven(light: Headlight, seed: int = 1) -> Headlight:

@@ -84,6 +84,8 @@ def corners(frame: Image, params: BoardParams) -> Corners | None:
     found, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
     if ids is None or len(ids) < FEWEST:
         return None
-    sharp = cv2.cornerSubPix(grey, found.astype(np.float32), (5, 5), (-1, -1), (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-3))
+    sharp = cv2.cornerSubPix(
+        grey, found.astype(np.float32), (5, 5), (-1, -1), (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-3)
+    )
     places = board.getChessboardCorners()[ids.ravel(), :2]
     return Corners(places.astype(float), sharp.reshape(-1, 2).astype(float) + 0.5)

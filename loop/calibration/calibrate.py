@@ -38,6 +38,12 @@ class Known:
     board: Corners | None = None
     screen_m: float | None = None
 
+    def __post_init__(self) -> None:
+        if self.board is None and self.screen_m is None:
+            raise LuxloopError(
+                "nothing tells where the screen is; give a picture of the board on it with --on-screen, or its distance with --screen-m"
+            )
+
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
@@ -123,7 +129,7 @@ def _seen(nominal: Nominal, places: Places, board: Corners | None) -> Seen:
 
 
 def _screen(camera: CameraModel, known: Known) -> Pose:
-    """T_camera_screen to begin with. Raises LuxloopError where nothing is known of it."""
+    """T_camera_screen to begin with. Raises LuxloopError where the board does not tell it."""
     if known.board is not None:
         points = np.concatenate([known.board.board, np.zeros((len(known.board.board), 1))], 1)
         rays = camera.rays(*known.board.pixels.T)[:, :2]
@@ -131,8 +137,7 @@ def _screen(camera: CameraModel, known: Known) -> Pose:
         if not good:
             raise LuxloopError("the board on the screen does not tell where that is; take a sharper picture of it")
         return Pose(turn.ravel(), move.ravel())
-    if known.screen_m is None:
-        raise LuxloopError("nothing tells where the screen is; give a picture of the board on it, or its distance with --screen-m")
+    assert known.screen_m is not None
     T_world_screen = np.eye(4)
     T_world_screen[:3, :3], T_world_screen[:3, 3] = SCREEN, (known.screen_m, 0.0, 0.0)
     return Pose.of(np.linalg.inv(camera_view(known.camera).T_world_view.numpy()) @ T_world_screen)

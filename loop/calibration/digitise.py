@@ -11,7 +11,7 @@ from scipy.ndimage import median_filter
 from loop.calibration.bench import Array
 from loop.calibration.charts import Chart, Places, places
 from loop.calibration.codes import decode, patterns
-from loop.calibration.combs import SPACING, Windows, combs, windows
+from loop.calibration.combs import Windows, combs, windows
 from loop.calibration.geometry import Geometry, Seen, adjusted
 from loop.calibration.lamp import grid_over, headlight
 from loop.calibration.shapes import Measured, measure

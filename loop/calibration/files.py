@@ -41,10 +41,15 @@ class Calibration:
         return Geometry(self.camera, (self.screen,), self.modules[module], np.ones(2), {}, {})
 
 
+def refuse_name(path: Path) -> None:
+    """Raises LuxloopError where a file's name does not end in .npz."""
+    if path.suffix != ".npz":
+        raise LuxloopError(f"{path}: its name ends in .npz; write for example {path.with_suffix('.npz')}")
+
+
 def save(path: Path, calibration: Calibration) -> None:
     """Write a calibration, whole or not at all. Raises LuxloopError where the name does not end in .npz, or it cannot be written."""
-    if path.suffix != ".npz":
-        raise LuxloopError(f"{path}: the name of a calibration ends in .npz; write for example {path.with_suffix('.npz')}")
+    refuse_name(path)
     camera = calibration.camera
     header = {"format": FORMAT, "version": 1, "modules": list(calibration.modules), "rms_px": calibration.rms}
     arrays: dict[str, Any] = {

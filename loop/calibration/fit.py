@@ -112,7 +112,9 @@ def fit(
     at = np.ones(len(varied))  # so that steps, which are relative, are shares of the spans
     before = _scores(pictures(at), wanted, levels)
     at += [BLURRED / each.span if each.key == BLUR else 0.0 for each in varied]
-    solved: Any = least_squares(residuals, at, loss="soft_l1", f_scale=_scale(residuals(at)), diff_step=STEP, x_scale=1.0, xtol=1e-4, ftol=1e-6, max_nfev=MOST_STEPS)
+    solved: Any = least_squares(
+        residuals, at, loss="soft_l1", f_scale=_scale(residuals(at)), diff_step=STEP, x_scale=1.0, xtol=1e-4, ftol=1e-6, max_nfev=MOST_STEPS
+    )
     after = _scores(pictures(solved.x), wanted, levels)
     length = np.linalg.norm(solved.jac, axis=0)
     if dead := [each.key for each, size in zip(varied, length, strict=True) if not size > 0]:

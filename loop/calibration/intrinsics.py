@@ -34,7 +34,9 @@ def lens(views: Sequence[Corners], width: int, height: int) -> Lens:
     Raises LuxloopError for fewer than five views, or where they say too little.
     """
     if len(views) < FEWEST:
-        raise LuxloopError(f"{len(views)} views show the board; take at least {FEWEST}, tilted by 20 to 45 deg to all sides, and into corners")
+        raise LuxloopError(
+            f"{len(views)} views show the board; take at least {FEWEST}, tilted by 20 to 45 deg to all sides, and into corners"
+        )
     points = [np.concatenate([each.board, np.zeros((len(each.board), 1))], 1).astype(np.float32) for each in views]
     places = [(each.pixels - 0.5).astype(np.float32)[:, None] for each in views]
     matrix, distortion, guess = np.eye(3), np.zeros(5), 0
@@ -80,7 +82,9 @@ def vignetting(flats: Sequence[Array]) -> tuple[Array, float]:
         height, width = flat.shape
         r2 = radius(height, width).ravel() ** 2
         some = slice(None, None, max(1, flat.size // 50_000))
-        mean = float(np.median(flat[height // 2 - height // 10 : height // 2 + height // 10, width // 2 - width // 10 : width // 2 + width // 10]))
+        mean = float(
+            np.median(flat[height // 2 - height // 10 : height // 2 + height // 10, width // 2 - width // 10 : width // 2 + width // 10])
+        )
         rows.append(np.stack([np.ones_like(r2), r2, r2**2, r2**3], -1)[some])
         right.append(flat.ravel()[some] / mean)
     design, values = np.concatenate(rows), np.concatenate(right)

@@ -1,22 +1,28 @@
 """A measured lamp: from intensities, shapes and places to a sparse headlight matrix over a light texture."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 import scipy.sparse as sp
+import torch
 
 from loop.calibration.bench import Array
 from loop.calibration.charts import Chart
 from loop.calibration.combs import REACH
 from loop.calibration.shapes import Blocks, Measured
+from loop.lighting.lamps import shining_modules
+from loop.scenario.model import Scenario
+from world.errors import LuxloopError
 from world.headlight import Headlight
+from world.headlight.lamp import Lamp
 from world.spmv import Csr
 from world.texels import TexelGrid
 
 LEAST: Final = 3e-3  # share of a pixel's peak, below which its light is left out
 NEAR: Final = 0.25  # pixels, by which a shape reaches further where its pixel is shifted
 AT_ONCE: Final = 64  # rows of texels
-
 
 
 def grid_over(y: Array, z: Array, texels: tuple[int, int]) -> TexelGrid:
@@ -83,3 +89,21 @@ def _read(shapes: Array, block: tuple[Array, Array], dr: Array, dc: Array) -> Ar
             inside = (r0 + i >= 0) & (r0 + i < n_r) & (c0 + j >= 0) & (c0 + j < n_c)
             total += np.where(inside, weight * shapes[(*block, (r0 + i).clip(0, n_r - 1), (c0 + j).clip(0, n_c - 1))], 0)
     return total
+
+
+def digitised_side(scenario: Scenario) -> str:
+    """The only side that shines. Raises LuxloopError where both do, since a lamp file is one lamp."""
+    if len(scenario.headlight.lamps) > 1:
+        raise LuxloopError("a lamp file holds one lamp; digitise each by itself, with --set 'headlight.lamps=[\"left\"]'")
+    return scenario.headlight.lamps[0]
+
+
+def measured_lamp(scenario: Scenario, lights: Sequence[Headlight], name: str, notes: str) -> Lamp:
+    """The scenario's lamp with measured lights, one a module that shines, as a left lamp, which lamp files hold."""
+    mounts = shining_modules(scenario, torch.device("cpu"))
+    lamp = mounts[0].lamp
+    modules = list(lamp.modules)
+    for mount, light in zip(mounts, lights, strict=True):
+        modules[mount.number] = replace(modules[mount.number], headlight=light)
+    lamp = Lamp(name, tuple(modules), notes=notes)
+    return lamp if mounts[0].side == "left" else replace(lamp, modules=tuple(each.mirrored() for each in modules))

@@ -195,4 +195,3 @@ def _fitted(at: Windows, weights: Array, shape: Array, texels: tuple[int, int]) 
     shift *= 1 / (1 + (shift_noise / SHIFT) ** 2)
     peak = np.maximum(intensity * shape.max(), 1e-30)
     return np.stack([intensity, solved[:, 3], shift[:, 0].clip(-1, 1), shift[:, 1].clip(-1, 1), noise, np.sqrt(variance) / peak])
-

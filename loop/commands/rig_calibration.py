@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from loop.commands.given import scenario_of
 from loop.terminal import tables
-from loop.terminal.options import AllowCode, Flag, Keys
+from loop.terminal.options import AllowCode, Keys
 from world.errors import LuxloopError
 
 if TYPE_CHECKING:
@@ -96,6 +96,7 @@ def calibrate(
     from loop.calibration.intrinsics import lens, vignetting
     from loop.calibration.response import Response
 
+    files.refuse_name(out)
     printed = _board(columns, rows, square_mm)
     scenario = scenario_of(name, set, allow_code=allow_code)
     views, size = _views(boards, printed) if boards is not None else ([], (0, 0))
@@ -177,19 +178,23 @@ def digitise(
     from loop.calibration import files, report
     from loop.calibration.geometry import candela_factor
     from loop.calibration.intrinsics import brightness
-    from world.headlight.lamp import Lamp, Module
+    from loop.calibration.lamp import digitised_side, measured_lamp
     from world.lampfiles import archive
 
     if not 0 < reflectance <= 1 or comb_frames < 1 or not all(1 <= each <= 8 for each in texels):
         raise LuxloopError("--reflectance is above 0, up to 1; --comb-frames at least 1; --texels from 1 to 8")
     readings = [_reading(each) for each in lux or ()]
-    rig = files.load(calibration)
+    files.refuse_name(out)
     scenario = scenario_of(name, set, allow_code=allow_code)
+    digitised_side(scenario)
+    rig = files.load(calibration)
     settings = steps.Settings(comb_frames=comb_frames, texels=texels)
     with _bench(scenario) as (bench, modules):
         if bench.shape != (rig.camera.height, rig.camera.width):
             height, width = bench.shape
-            raise LuxloopError(f"{calibration}: is of {rig.camera.width} x {rig.camera.height} px, but the camera has {width} x {height} px")
+            raise LuxloopError(
+                f"{calibration}: is of {rig.camera.width} x {rig.camera.height} px, but the camera has {width} x {height} px"
+            )
         factor = _factor(reflectance, by_angle)
         shade = brightness(rig.vignetting, *bench.shape)
         shots = _shots(bench, rig.response, frames or out.with_name(f"{out.stem}_frames"), scenario)
@@ -204,9 +209,8 @@ def digitise(
     if readings:
         scaled, scatter = steps.scaled(found, readings)
         found = list(scaled)
-    mounts = [Module(each.name, each.light) for each in found]
-    notes = f"Digitised on a rig with {calibration.name}, {len(readings)} luxmeter readings."
-    archive.save(out, Lamp(out.stem, tuple(mounts), notes=notes))
+    notes = f"Digitised on a rig with {calibration.name}, {tables.counted(len(readings), 'luxmeter reading')}."
+    archive.save(out, measured_lamp(scenario, [each.light for each in found], out.stem, notes))
     written = report.write(out.with_suffix(""), found)
     for each in found:
         told = report.facts(each)
@@ -252,9 +256,8 @@ def fit(
     set
         Keys of the scenario to change first, as key=value in TOML syntax.
     """
-    from loop.calibration.fit import Varied
+    from loop.calibration.fit import Varied, recorded
     from loop.calibration.fit import fit as fitted
-    from loop.calibration.fit import recorded
     from loop.terminal.progress import progress
 
     varied = [Varied(*_span(each)) for each in vary]

@@ -16,6 +16,7 @@ from perception.camera import expose
 from perception.noise import FrameNoise
 from world.errors import LuxloopError
 
+
 def scenario_with(values: Mapping[str, float]) -> Scenario:
     """A lamp of 3 x 28 pixels before a screen, seen in 160 x 90 px."""
     screen = {"kind": "box", "name": "screen", "size_m": [0.1, 9.0, 6.0], "track": [{"position_m": [6.0, 0.0, -2.0]}]}
@@ -50,7 +51,9 @@ def shown(values: Mapping[str, float], blur_px: float = 0.0) -> list[Shown]:
 
 def test_values_are_found_with_their_uncertainty() -> None:
     true = {"camera.pitch_deg": 3.2, "objects[0].albedo": 0.23}
-    found = fit(scenario_with, shown(true, blur_px=0.8), [Varied("camera.pitch_deg", 0.3), Varied("objects[0].albedo", 0.05), Varied(BLUR, 1.0)])
+    found = fit(
+        scenario_with, shown(true, blur_px=0.8), [Varied("camera.pitch_deg", 0.3), Varied("objects[0].albedo", 0.05), Varied(BLUR, 1.0)]
+    )
     for key, value in {**true, BLUR: 0.8}.items():
         assert found.stds[key] > 0
         # Noise that is cut off at black makes dark pixels a little brighter than the fit has them.
