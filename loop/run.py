@@ -22,6 +22,7 @@ from loop.lighting.record import refuse_unknown_columns, row
 from loop.lighting.recorder import Recorder, refuse_foreign
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
+from loop.plant.protocol import Plant
 from loop.recording.checks import Checks
 from loop.recording.files import REPORT, TRAJECTORY, VIDEO
 from loop.recording.remedies import of_target
@@ -73,6 +74,7 @@ def run(
     depth: bool = False,
     lux: bool = False,
     checks: bool = False,
+    plant: Callable[[Simulation], Plant] | None = None,
     on_step: Callable[[StepResult], None] = lambda result: None,
     on_end: Callable[[], None] = lambda: None,
     **values: Any,
@@ -85,7 +87,7 @@ def run(
     motion are kept, which takes megabytes a step. labels: "coco" or "kitti": frames are kept with labels in that layout (docs/data.md).
     masks, depth, lux: whether labels have masks of instances and parts, depth, and illuminance of each pixel. checks: whether those of the
     scenario that compare with another light are evaluated, too, for which that light runs beside; what has come of them is in
-    `summary["checks"]`.
+    `summary["checks"]`. plant: makes what shows the light in place of the scenario's plant, a rig that is open, say.
     on_step: called after every step. on_end: called before video and report are finished.
     Ctrl-C ends the recording, reports on the steps so far and goes on as KeyboardInterrupt. Raises LuxloopError where the scenario cannot
     be read or run, another process writes into the folder, or the plant does not know what labels tell; nothing is written before the
@@ -111,6 +113,8 @@ def run(
     with output_folder(folder), ExitStack() as stack:
         refuse_foreign(folder)
         simulation, white = prepare(scenario, device), None
+        if plant is not None:
+            simulation = replace(simulation, plant=plant(simulation))
         camera, watched = scenario.camera, Watched(simulation)
         run_checks = Checks(scenario.checks, (lambda light: map(row, simulation.lit_by(light).run())) if checks else None)
         page = partial(write_report, folder / REPORT, simulation, watched) if report else None

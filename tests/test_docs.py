@@ -1,6 +1,6 @@
 """The documentation tells the truth: commands run, Python runs, TOML is valid, tables are those of the models, links lead somewhere.
 
-`python -m tests.test_docs` writes the tables of docs/scenarios.md and docs/lampfiles.md anew from the models.
+`python -m tests.test_docs` writes the tables of docs/scenarios.md, docs/lampfiles.md and docs/rig.md anew from the models.
 """
 
 import json
@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
+from loop.bench.faults import FaultParams
 from loop.commands import cli
 from loop.run import prepare
 from loop.scenario.model import Scenario, load, validate
@@ -39,6 +40,7 @@ EXEMPT = {
     r"python3 -m venv|pip install": "tests/test_packaging.py installs",
     r"(\.venv/bin/)?python benchmarks/": "takes minutes, and has tests of its own",
     r"python train_ppo\.py\b": "takes minutes, and has a test of its own",
+    r"luxloop rig simulate\b": "serves until it is ended, and has tests of its own",
     r"luxloop studio\b": "serves until it is ended, and has tests in a browser",
     r"luxloop run .*--checks": "holds for all steps of a run, and has a test of its own",
     r"luxloop (evaluate|campaign|dataset|optimise-beam|train-detector)\b": "takes minutes, and has tests of its own",
@@ -186,6 +188,7 @@ def test_pictures_are_small() -> None:
 TABLES: dict[Path, tuple[type[BaseModel], ...]] = {
     SCENARIOS: (Scenario,),
     ROOT / "docs" / "lampfiles.md": (LampDescription,),
+    ROOT / "docs" / "rig.md": (FaultParams,),
 }
 
 

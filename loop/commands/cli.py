@@ -188,6 +188,8 @@ def run(
     steps: int | None = None,
     controller: str | None = None,
     plant: Path | None = None,
+    rig: Path | None = None,
+    arm: Flag = False,
     device: Device = "auto",
     video: bool = True,
     report: bool = True,
@@ -217,6 +219,10 @@ def run(
         Controller to use instead, with its defaults (see `luxloop list controllers`).
     plant
         Recording with frames to play back: controllers and functions run on its frames, and their output is not shown.
+    rig
+        Rig file of a lamp and a camera on which the scenario runs in place of the simulated world.
+    arm
+        With --rig: light the lamp. Without it, a dry run shows nothing.
     device
         Device to compute on; auto takes CUDA if available.
     video
@@ -238,6 +244,11 @@ def run(
     """
     given: dict[str, Any] = {key: value for key, value in {"seed": seed, "steps": steps}.items() if value is not None}
     given |= {} if plant is None else {"plant": {"kind": "recording", "folder": str(plant)}}
+    if rig is not None and plant is not None:
+        raise LuxloopError("--rig lights a lamp and --plant plays a recording; give one of the two")
+    if arm and rig is None:
+        raise LuxloopError("--arm lights the lamp of a rig file; give --rig FILE as well")
+    given |= {} if rig is None else {"plant": {"kind": "rig"}}
     scenario = scenario_of(name, set, controller, allow_code=allow_code, **given)
     from loop.commands.runs import run_scenario
 
@@ -246,7 +257,13 @@ def run(
 
         scenario = to_the_end(scenario)
     kept = {"video": video, "report": report, "frames": frames, "labels": labels, "masks": masks, "depth": depth, "lux": lux}
-    passed = run_scenario(scenario, out or Path("runs") / Path(name).stem, device, checks, kept)
+    folder = out or Path("runs") / Path(name).stem
+    if rig is not None:
+        from loop.commands.rig_runs import run_on_rig
+
+        passed = run_on_rig(scenario, folder, (rig, arm, allow_code), device, kept)
+    else:
+        passed = run_scenario(scenario, folder, device, checks, kept)
     return OK if passed or not checks else FAILED
 
 

@@ -1,9 +1,95 @@
 """The commands `luxloop rig ...`: a rig of real light, and one that is simulated."""
 
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 from cyclopts import App
 
+from loop.commands.given import scenario_of
 from loop.commands.rig_calibration import board, calibrate, digitise, fit
+from loop.commands.rig_runs import blink, check
+from loop.terminal.options import AllowCode, Keys
+from world.errors import LuxloopError
+
+if TYPE_CHECKING:
+    from loop.bench.camera import End
 
 rig_app = App(name="rig", help="A rig: a real lamp and a real camera in the loop, or a process that stands for both.")
-for command in (board, calibrate, digitise, fit):
+for command in (check, blink, board, calibrate, digitise, fit):
     rig_app.command(command)
+
+
+@rig_app.command
+def simulate(
+    name: str,
+    /,
+    *,
+    faults: Path | None = None,
+    set: Keys = None,
+    host: str = "127.0.0.1",
+    light_port: int = 4048,
+    camera_port: int = 8080,
+    truth_port: int = 8081,
+    ego: str = "127.0.0.1:4049",
+    allow_code: AllowCode = False,
+) -> None:
+    """Be a rig until Ctrl-C: take light over the network, light the scenario's road or objects, and serve the camera's pictures.
+
+    Parameters
+    ----------
+    name
+        Scenario file, or name of a shipped scenario.
+    faults
+        TOML file of what is wrong with the rig (see docs/rig.md); by default it is the scenario's lamp and camera.
+    set
+        Keys to change, as key=value in TOML syntax: of the scenario, such as camera.width_px=640, or of the faults, such as
+        faults.camera.latency_s=0.02.
+    host
+        Address to listen on; with an address other than 127.0.0.1, other machines reach the rig.
+    light_port
+        UDP port for light (DDP), 0 for a free one.
+    camera_port
+        HTTP port of the camera, 0 for a free one.
+    truth_port
+        HTTP port of the truth for tests, 0 for a free one.
+    ego
+        Address HOST:PORT that gets samples of the vehicle's sensors where the scenario has a vehicle.
+    """
+    from loop.bench.faults import read, split
+
+    keys, changes = split(set or ())
+    scenario, wrong = scenario_of(name, keys, allow_code=allow_code), read(faults, changes)
+    from loop.bench.camera import End
+    from loop.bench.rig import Ports, Rig
+
+    end = End()
+    with Rig(scenario, wrong, Ports(host, light_port, camera_port, truth_port, _address(ego))) as rig:
+
+        def ready() -> None:
+            print("\n".join([*rig.addresses(), "End it with Ctrl-C."]), flush=True)
+
+        with _ending(end):
+            rig.run(end, ready)
+        print(rig.summary(), flush=True)
+
+
+@contextmanager
+def _ending(end: "End") -> Iterator[None]:
+    """Ctrl-C and SIGTERM ask for the end, instead of an exception that could strike while a lock is held."""
+    ends = [each for each in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(each) is not signal.SIG_IGN]
+    before = [(each, signal.signal(each, lambda *_: end.ask())) for each in ends]
+    try:
+        yield
+    finally:
+        for each, handler in before:
+            signal.signal(each, handler)
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not (host and port.isdigit() and 0 < int(port) < 65536):
+        raise LuxloopError(f"--ego {text}: is no address; write HOST:PORT, such as 127.0.0.1:4049")
+    return host, int(port)

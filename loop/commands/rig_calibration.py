@@ -58,6 +58,8 @@ def calibrate(
     rows: int = 11,
     square_mm: float = 23.0,
     frames: Path | None = None,
+    rig: Path | None = None,
+    arm: Flag = False,
     set: Keys = None,
     allow_code: AllowCode = False,
 ) -> None:
@@ -85,6 +87,10 @@ def calibrate(
         Side of a square of the board as printed.
     frames
         Folder that keeps what is taken, so that a calibration that was interrupted goes on; by default named after `out`.
+    rig
+        Rig file (see docs/rig.md); without it, the scenario's simulated world stands for the rig.
+    arm
+        With --rig: light the lamp.
     set
         Keys of the scenario to change, as key=value in TOML syntax.
     """
@@ -97,13 +103,14 @@ def calibrate(
     from loop.calibration.response import Response
 
     files.refuse_name(out)
+    _refuse_unarmed(rig, arm)
     printed = _board(columns, rows, square_mm)
     scenario = scenario_of(name, set, allow_code=allow_code)
     views, size = _views(boards, printed) if boards is not None else ([], (0, 0))
     found_lens = lens(views, *size) if boards is not None else None
     seen = _views(on_screen, printed)[0][0] if on_screen is not None else None
     known = steps.Known(scenario.camera, found_lens, seen, screen_m)
-    with _bench(scenario) as (bench, modules):
+    with _bench(scenario, rig, allow_code) as (bench, modules):
         kept = frames or out.with_name(f"{out.stem}_frames")
         shots = _shots(bench, Response.linear(bench.levels), kept, scenario)
         response = steps.measured_response(shots, [each.headlight.n_pixels for each in modules])
@@ -145,6 +152,8 @@ def digitise(
     comb_frames: int = 4,
     texels: tuple[int, int] = (4, 2),
     frames: Path | None = None,
+    rig: Path | None = None,
+    arm: Flag = False,
     set: Keys = None,
     allow_code: AllowCode = False,
 ) -> None:
@@ -171,6 +180,10 @@ def digitise(
         Rows and columns of texels a pixel.
     frames
         Folder that keeps what is taken, so that a measurement that was interrupted goes on; by default named after `out`.
+    rig
+        Rig file (see docs/rig.md); without it, the scenario's simulated world stands for the rig.
+    arm
+        With --rig: light the lamp.
     set
         Keys of the scenario to change, as key=value in TOML syntax.
     """
@@ -185,25 +198,26 @@ def digitise(
         raise LuxloopError("--reflectance is above 0, up to 1; --comb-frames at least 1; --texels from 1 to 8")
     readings = [_reading(each) for each in lux or ()]
     files.refuse_name(out)
+    _refuse_unarmed(rig, arm)
     scenario = scenario_of(name, set, allow_code=allow_code)
     digitised_side(scenario)
-    rig = files.load(calibration)
+    known = files.load(calibration)
     settings = steps.Settings(comb_frames=comb_frames, texels=texels)
-    with _bench(scenario) as (bench, modules):
-        if bench.shape != (rig.camera.height, rig.camera.width):
+    with _bench(scenario, rig, allow_code) as (bench, modules):
+        if bench.shape != (known.camera.height, known.camera.width):
             height, width = bench.shape
             raise LuxloopError(
-                f"{calibration}: is of {rig.camera.width} x {rig.camera.height} px, but the camera has {width} x {height} px"
+                f"{calibration}: is of {known.camera.width} x {known.camera.height} px, but the camera has {width} x {height} px"
             )
         factor = _factor(reflectance, by_angle)
-        shade = brightness(rig.vignetting, *bench.shape)
-        shots = _shots(bench, rig.response, frames or out.with_name(f"{out.stem}_frames"), scenario)
+        shade = brightness(known.vignetting, *bench.shape)
+        shots = _shots(bench, known.response, frames or out.with_name(f"{out.stem}_frames"), scenario)
         nominal = [steps.Nominal.of(k, each.name, each.headlight) for k, each in enumerate(modules)]
         sizes = [each.headlight.n_pixels for each in modules]
         found = []
         for each in nominal:
             taken = steps.take(shots, each, sizes, settings)
-            start = rig.geometry(each.name)
+            start = known.geometry(each.name)
             found.append(steps.digitised(taken, each, start, settings, lambda at: candela_factor(at, bench.shape, factor) / shade))
     scatter = None
     if readings:
@@ -277,15 +291,30 @@ def fit(
 
 
 @contextmanager
-def _bench(scenario: "Scenario") -> Iterator[tuple["Bench", list["LampModule"]]]:
-    """The scenario's simulated world as a bench, and the modules that it lights."""
+def _bench(scenario: "Scenario", rig: Path | None, allow_code: bool) -> Iterator[tuple["Bench", list["LampModule"]]]:
+    """A rig that is lit, or without one the scenario's simulated world, and the modules that shine."""
     import torch
 
     from loop.calibration.bench import simulated_bench
     from loop.lighting.lamps import lamp_modules, shining_modules
 
     modules = lamp_modules(shining_modules(scenario, torch.device("cpu")))
-    yield simulated_bench(scenario, modules), modules
+    if rig is None:
+        yield simulated_bench(scenario, modules), modules
+        return
+    from loop.calibration.live import live_bench
+    from loop.rig.params import load_rig
+    from loop.rig.plant import grids_of
+
+    with live_bench(rig, load_rig(rig, allow_code=allow_code), scenario.camera, grids_of(modules)) as bench:
+        yield bench, modules
+
+
+def _refuse_unarmed(rig: Path | None, arm: bool) -> None:
+    if rig is not None and not arm:
+        raise LuxloopError(f"--rig {rig}: its lamp would be lit, with all pixels at times; give --arm as well")
+    if arm and rig is None:
+        raise LuxloopError("--arm lights the lamp of a rig file; give --rig FILE as well")
 
 
 def _shots(bench: "Bench", response: "Response", folder: Path, scenario: "Scenario") -> "Shots":

@@ -9,8 +9,9 @@ from loop.plant.clock import FromZero
 from loop.plant.protocol import Plant
 from loop.plant.recorded import recorded_plant
 from loop.plant.simulated import simulated_plant
+from loop.plant.unconnected import Unconnected
 from loop.scenario.model import Scenario
-from loop.scenario.plant import RecordedPlantParams, SimulatedPlantParams
+from loop.scenario.plant import RecordedPlantParams, RigPlantParams, SimulatedPlantParams
 from world import plugin
 
 KEY = "plant.kind"
@@ -24,6 +25,13 @@ def build_plant(scenario: Scenario, modules: Sequence[LampModule], made: Made | 
         return simulated_plant(scenario, modules, made)
     if isinstance(params, RecordedPlantParams):
         return recorded_plant(scenario, params, modules)
+    if isinstance(params, RigPlantParams):
+        return Unconnected()
     given = {"scenario": scenario, "modules": modules}
     plant = cast(Plant, plugin.make(params.kind, KEY, given, params.options, METHODS))
-    return FromZero(plant, f"{KEY}: {params.kind}", scenario.camera, modules[0].headlight.matrix.values)
+    return from_zero(plant, scenario, modules)
+
+
+def from_zero(plant: Plant, scenario: Scenario, modules: Sequence[LampModule]) -> Plant:
+    """A plant whose clock may begin at any time, as one whose time begins at 0; what it gives is looked at."""
+    return FromZero(plant, f"{KEY}: {scenario.plant.kind}", scenario.camera, modules[0].headlight.matrix.values)

@@ -10,7 +10,8 @@ from loop.recording.manifest import FILE as MANIFEST
 from world.files import whole
 
 TRAJECTORY, SUMMARY, REPORT, VIDEO, EDITS = "trajectory.parquet", "summary.json", "report.png", "video.mp4", "edits.json"
-FILES = (TRAJECTORY, SUMMARY, REPORT, VIDEO, EDITS, MANIFEST)
+RIG = "rig.json"  # of a run on a rig: its file, and how frames came
+FILES = (TRAJECTORY, SUMMARY, REPORT, VIDEO, EDITS, RIG, MANIFEST)
 
 
 def table_of(rows: list[dict[str, Any]], schema: pa.Schema) -> pa.Table:

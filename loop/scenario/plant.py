@@ -21,6 +21,12 @@ class RecordedPlantParams(Params):
     folder: str = Field(min_length=1, examples=["runs/mine"], description="recording that `luxloop run --frames` wrote")
 
 
+class RigPlantParams(Params):
+    """A lamp and a camera of a laboratory, whose addresses are in the rig file of `luxloop run --rig FILE`; see docs/rig.md."""
+
+    kind: Literal["rig"]
+
+
 class OwnPlantParams(Params):
     """`Name(scenario, modules, **options)` of a module of the user's own makes the plant."""
 
@@ -28,7 +34,7 @@ class OwnPlantParams(Params):
     options: dict[str, Any] = Field({}, description="keyword arguments of Name, beside scenario and modules")
 
 
-def shadow_of(plant: SimulatedPlantParams | RecordedPlantParams | OwnPlantParams) -> str | None:
+def shadow_of(plant: SimulatedPlantParams | RecordedPlantParams | RigPlantParams | OwnPlantParams) -> str | None:
     """The recording that is played, None where light is shown."""
     return plant.folder if isinstance(plant, RecordedPlantParams) else None
 
@@ -47,6 +53,7 @@ def refuse_long_exposures(exposure_s: float, off_share: float, rate_hz: float) -
 PlantParams = Annotated[
     Annotated[SimulatedPlantParams, Tag("simulated")]
     | Annotated[RecordedPlantParams, Tag("recording")]
+    | Annotated[RigPlantParams, Tag("rig")]
     | Annotated[OwnPlantParams, Tag(OWN)],
     known_or_own("kind", "simulated"),
 ]

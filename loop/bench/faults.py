@@ -1,0 +1,128 @@
+"""What is wrong with a simulated rig and unknown to whoever uses it: its light, its lamp, its screen, its lens and its camera."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, Literal, Self
+
+from pydantic import Field, model_validator
+
+from loop.scenario.disturbances import PoseErrorParams
+from loop.scenario.overrides import overridden
+from world.errors import located
+from world.params import Params
+from world.validation import read_toml, validated
+
+PREFIX: Final = "faults"
+
+
+class LightInputParams(Params):
+    """The way of light from the network to the lamp."""
+
+    gamma: float = Field(1.0, ge=0.2, le=5, description="utilisation is the code's share to this power; 1 is linear")
+    latency_s: float = Field(0.0, ge=0, le=1, description="delay from the last packet of a frame to its light")
+    packet_loss: float = Field(0.0, ge=0, le=1, description="probability that a packet is lost")
+    mixed: bool = Field(False, description="whether a frame that lacks packets is lit with older light in its holes; else the lamp waits")
+    timeout_ms: float = Field(100.0, ge=1, le=60_000, description="time without a whole frame after which the lamp darkens")
+
+
+class LampErrorParams(PoseErrorParams):
+    """What is true of the lamp beyond what the scenario says: its mounting, its intensity, its pixels."""
+
+    scale: float = Field(1.0, gt=0, le=10, description="intensity as a multiple of the scenario's")
+    dead: float = Field(0.0, ge=0, le=1, description="share of pixels that never shine, in each module")
+    stuck: float = Field(0.0, ge=0, le=1, description="share of pixels that shine fully whenever the lamp is powered, in each module")
+
+
+class ScreenParams(Params):
+    """A screen or road that is not Lambertian: it reflects more about the mirror direction."""
+
+    gloss: float = Field(0.0, ge=0, le=100, description="additional luminance in the mirror direction, as a share of the diffuse one")
+    gloss_width_deg: float = Field(
+        15.0, gt=0.1, le=90, description="angle between the normal and the bisector of lamp and camera at which it has fallen to 1/e"
+    )
+
+
+class LensParams(Params):
+    """Distortion and errors of the lens. Coefficients are those of OpenCV."""
+
+    model: Literal["opencv", "fisheye", "division"] = Field(
+        "opencv",
+        description="opencv: k1, k2, p1, p2, k3; fisheye: k1 to k4 of an equidistant lens; division: one, radii shrink by 1 + k r^2",
+    )
+    coefficients: tuple[float, ...] = Field((), max_length=5, description="of the model; left out: no distortion")
+    centre_px: tuple[float, float] = Field((0.0, 0.0), description="offset of the principal point to the right and down")
+    chromatic_percent: float = Field(
+        0.0, ge=-2, le=2, description="lateral chromatic aberration: by how much red is magnified more, and blue less, than green"
+    )
+    blur_px: float = Field(0.0, ge=0, le=20, description="standard deviation of the image of a point")
+    veil: float = Field(0.0, ge=0, le=0.5, description="share of the light that is scattered widely over the image (veiling glare)")
+    veil_px: float = Field(60.0, ge=10, le=2000, description="standard deviation of the scattered light")
+    vignetting: float = Field(
+        0.0, ge=0, le=1, description="share of the light that is lost in the corners; it grows with the radius' square"
+    )
+
+    @model_validator(mode="after")
+    def _as_many_as_the_model_has(self) -> Self:
+        most = {"opencv": 5, "fisheye": 4, "division": 1}[self.model]
+        if len(self.coefficients) > most:
+            raise ValueError(f"coefficients: the model {self.model} has {most}, not {len(self.coefficients)}; leave out the others")
+        return self
+
+
+class CameraErrorParams(Params):
+    """How the camera exposes, responds and sends, beyond the scenario's [camera]."""
+
+    rate_hz: float = Field(30.0, ge=0.1, le=1000, description="frame rate; as many frames as one core can render come in any case")
+    trigger: Literal["free", "light"] = Field("free", description="free-running, or one frame of each new frame of light")
+    trigger_delay_s: float = Field(0.0, ge=0, le=1, description="delay from light to the exposure that it triggers")
+    readout_s: float = Field(
+        0.0, ge=0, le=1, description="rolling shutter: time from the first row's exposure to the last one's; 0: global"
+    )
+    latency_s: float = Field(
+        0.0, ge=0, le=5, description="delay from the end of an exposure to its sending, at least the time to render it"
+    )
+    jitter_s: float = Field(0.0, ge=0, le=1, description="largest additional delay, drawn uniformly for each frame; the order is kept")
+    loss: float = Field(0.0, ge=0, le=1, description="probability that a frame is not sent")
+    gamma: float | None = Field(None, ge=1, le=3, description="true gamma of the response; left out: that of [camera]")
+    black_level: float = Field(0.0, ge=0, le=0.5, description="digital number without light, as a share of the largest")
+    encoding: Literal["png", "jpeg"] = Field("png", description="of frames; JPEG is lossy and for cameras of 8 bits")
+    quality: int = Field(95, ge=10, le=100, description="of JPEG")
+
+
+class FlickerParams(Params):
+    """Flicker of all light beside the lamps'."""
+
+    depth: float = Field(0.0, ge=0, le=1, description="amplitude as a share of the mean")
+    rate_hz: float = Field(100.0, gt=0, le=1000, description="frequency, twice that of the mains")
+
+
+class FaultParams(Params):
+    """All that is wrong with a rig; without it, it is the scenario's."""
+
+    light: LightInputParams = Field(LightInputParams(), description="the way of the light to the lamp")
+    lamp: LampErrorParams = Field(LampErrorParams(), description="errors of the lamp")
+    screen: ScreenParams = Field(ScreenParams(), description="reflectance of all surfaces")
+    lens: LensParams = Field(LensParams(), description="distortion and errors of the lens")
+    camera: CameraErrorParams = Field(CameraErrorParams(), description="shutter, response, delay and loss")
+    flicker: FlickerParams = Field(FlickerParams(), description="flicker of the ambient light")
+    seed: int = Field(0, ge=0, lt=2**63, description="seed of losses, jitter and faulty pixels")
+
+
+def read(file: Path | None, changes: Sequence[str] = ()) -> FaultParams:
+    """Faults of a file with changes, as `faults.KEY=VALUE` in TOML syntax. Raises LuxloopError that names the file, the key, the remedy."""
+    data: Mapping[str, Any] = {} if file is None else read_toml(file)
+    if changes:
+        data = overridden({PREFIX: {**FaultParams().model_dump(mode="json"), **data}}, changes)[PREFIX]
+    source = [*([] if file is None else [str(file)]), *(f"--set {each}" for each in changes)]
+    with located(" with ".join(source) or PREFIX):
+        return validated(FaultParams, data, "docs/rig.md has an example")
+
+
+def split(overrides: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Overrides of the scenario's keys, and those of faults."""
+    mine = [each for each in overrides if _changes_faults(each)]
+    return [each for each in overrides if each not in mine], mine
+
+
+def _changes_faults(override: str) -> bool:
+    return override.partition("=")[0].strip().partition(".")[0] == PREFIX

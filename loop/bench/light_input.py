@@ -1,0 +1,58 @@
+"""Light that comes over the network. Other inputs show `LightFrame`s on the same timeline."""
+
+import random
+import socket
+import threading
+from typing import Final
+
+from loop.bench.faults import LightInputParams
+from loop.bench.timeline import Timeline
+from loop.wire.ddp import LARGEST_PACKET, Assembler
+from world.errors import LuxloopError
+
+BUFFER_BYTES: Final = 2**22  # of the socket; systems may give less
+
+
+class DdpInput:
+    """Takes DDP packets in a thread of its own and shows each whole frame."""
+
+    def __init__(self, timeline: Timeline, pixels: int, params: LightInputParams, address: tuple[str, int], seed: int) -> None:
+        """Listen; a port of 0 takes a free one. Raises LuxloopError where it cannot be had."""
+        host, port = address
+        self._timeline, self._params, self._random = timeline, params, random.Random(seed)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind(address)
+        except (OSError, OverflowError) as error:
+            self._socket.close()
+            reason = getattr(error, "strerror", None) or error
+            raise LuxloopError(f"--light-port {port}: cannot listen on {host}:{port} ({reason}); give another, 0 for a free one") from error
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
+        self._socket.settimeout(params.timeout_ms / 1000)
+        self.port: int = self._socket.getsockname()[1]
+        self.assembler, self.frames, self._open = Assembler(pixels, params.mixed), 0, True
+        self._thread = threading.Thread(target=self._receive, name="light", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop to listen."""
+        self._open = False
+        self._thread.join()
+        self._socket.close()
+
+    def _receive(self) -> None:
+        buffer = bytearray(LARGEST_PACKET + 1)  # a longer packet is seen to be too long
+        view, loss = memoryview(buffer), self._params.packet_loss
+        while self._open:
+            try:
+                size = self._socket.recv_into(buffer)
+            except TimeoutError:
+                self.assembler.forget()  # whoever comes next counts from anew
+                continue
+            except OSError:
+                continue  # the system tells of a sender that has gone
+            if loss and self._random.random() < loss:
+                continue
+            if (light := self.assembler.take(view[:size])) is not None:
+                self.frames += 1
+                self._timeline.show(light)

@@ -1,0 +1,253 @@
+"""Runs on a rig, and looks at one: `luxloop run --rig`, `luxloop rig check` and `luxloop rig blink`."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from loop.commands.given import scenario_of
+from loop.terminal import tables
+from loop.terminal.options import AllowCode, Flag, Keys
+from loop.terminal.progress import progress
+from world.errors import LuxloopError, located
+from world.files import whole
+
+if TYPE_CHECKING:
+    from loop.rig.blink import Blinked
+    from loop.rig.rig import Rig
+    from loop.scenario.model import Scenario
+
+Named = Annotated[str, Parameter(name="--scenario")]
+JUDGED = "the rig's own camera, by its view of the plane that it is calibrated to; the truth is not known, and its columns are empty"
+
+
+def run_on_rig(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool], device: str, kept: Mapping[str, Any]) -> bool:
+    """Run a scenario on a rig and record it; returns whether all evaluated checks passed.
+
+    rig_file: its path, whether the lamp is lit, and whether modules that it names may run. kept: as of `run`. Checks that need the truth
+    are left out. Raises LuxloopError where the rig cannot be had, and KeyboardInterrupt with what was kept; the lamp is dark then.
+    """
+    from loop.commands.runs import run_scenario
+    from loop.plant.build import from_zero
+    from loop.recording.files import RIG
+    from loop.recording.manifest import write_json
+    from loop.rig.judged import Judged
+    from loop.rig.params import load_rig
+    from loop.rig.plant import RigPlant
+    from loop.rig.rig import opened
+
+    file, armed, allow_code = rig_file
+    params = load_rig(file, allow_code=allow_code)
+    scenario, left_out = _without_truth(scenario)
+    if left_out:
+        tables.console().print(f"checks that need the truth are left out: {', '.join(left_out)}", markup=False)
+    with located(str(file)), opened(params, _grids(scenario), scenario.camera, armed=armed) as rig:
+        _await(rig)
+        if not armed:
+            tables.console().print("dry run: the lamp stays dark; give --arm to light it", markup=False)
+
+        judged: Judged | None = None
+
+        def plant(simulation: Any) -> Any:
+            from loop.lighting.lamps import lamp_modules
+
+            nonlocal judged
+            modules, judged = lamp_modules(simulation.modules), Judged(simulation.controlled, scenario.camera, params.mark)
+            own = RigPlant.of(rig, modules, scenario.steps * len(scenario.shares))
+            return from_zero(replace(own, look=judged.look), scenario, modules)
+
+        try:
+            return run_scenario(scenario, out, device, False, {**kept, "plant": plant})
+        finally:
+            rig.dark("the run has ended")
+            found = _of_run(rig, len(scenario.shares)) | {"judged": {} if judged is None else judged.summary()}
+            if out.is_dir() and rig.statistics.exposures:
+                write_json(out / RIG, {"rig": params.model_dump(mode="json"), "armed": armed, **found})
+            tables.show(tables.facts(_in_words(found)))
+
+
+def check(file: Path, /, *, scenario: Named = "snowflake", set: Keys = None, allow_code: AllowCode = False) -> None:
+    """Look at a rig without lighting it: the rig file, the lamp's address, and what the camera sends for three seconds.
+
+    Parameters
+    ----------
+    file
+        Rig file.
+    scenario
+        Scenario whose lamp and camera it shall fit to.
+    set
+        Keys of the scenario to change, as key=value in TOML syntax.
+    """
+    from loop.rig.light import open_light
+    from loop.rig.look import look
+    from loop.rig.params import load_rig
+    from loop.rig.rig import opened
+
+    params = load_rig(file, allow_code=allow_code)
+    given = scenario_of(scenario, set, allow_code=allow_code)
+    with located(str(file)):
+        grids = _grids(given)
+        light = open_light(params.light, grids)
+        light.close()
+        with opened(params, grids, given.camera, armed=False) as rig:
+            _await(rig)
+            found = look(rig)
+    rows = {
+        "light": f"{params.light.kind}, {sum(rows * columns for rows, columns in grids):,} pixels of {scenario}; not lit",
+        "camera": f"{', '.join(f'{w} x {h} px' for w, h in found['sizes'])} at {found['rate_hz']:.1f} Hz, "
+        f"{found['interval_worst_ms']:.0f} ms between two pictures at most, {found['late']:.0%} of them from a queue",
+        "brightest": f"{found['brightest']:.0%} of the largest digital number",
+        "timing": f"frames count from {1e3 * params.timing.clear_s:.0f} ms after the light on; measure it with luxloop rig blink",
+        "limits": f"{params.limits.share:.0%} mean utilisation, {params.limits.change_per_s:g} change a second",
+    }
+    if found["refused"]:
+        rows["does not fit"] = found["refused"]
+    tables.show(tables.facts(rows))
+
+
+def blink(
+    file: Path,
+    /,
+    *,
+    arm: Flag = False,
+    scenario: Named = "snowflake",
+    set: Keys = None,
+    blinks: int = 60,
+    level: float = 1.0,
+    write: Flag = False,
+    allow_code: AllowCode = False,
+) -> None:
+    """Measure the time from light to frame: all pixels go on and off at random times, for half a second each.
+
+    Parameters
+    ----------
+    file
+        Rig file.
+    arm
+        Light the lamp. Without it, nothing is opened.
+    scenario
+        Scenario whose lamp it is.
+    set
+        Keys of the scenario to change, as key=value in TOML syntax.
+    blinks
+        How often the light changes.
+    level
+        Utilisation of all pixels, which the limits of the rig file lower.
+    write
+        Write what was found as [timing] into the rig file.
+    """
+    from loop.rig.blink import blink as measure
+    from loop.rig.params import load_rig
+    from loop.rig.rig import opened
+
+    params = load_rig(file, allow_code=allow_code)
+    if not 0 < level <= 1:
+        raise LuxloopError(f"--level {level:g}: is no utilisation; give a number above 0, to 1")
+    given = scenario_of(scenario, set, allow_code=allow_code)
+    grids = _grids(given)
+    if not arm:
+        print(f"{file}: all {sum(rows * columns for rows, columns in grids):,} pixels would blink {blinks} times; give --arm to light them")
+        return
+    with located(str(file)), opened(params, grids, None, armed=True) as rig, progress("blink", blinks + 2) as advance:
+        _await(rig)
+        found = measure(rig, grids, blinks, level, advance)
+    tables.show(tables.facts(_blinked(found)))
+    text = "[timing]\n" + "".join(f"{name} = {value:g}\n" for name, value in found.timing.items())
+    if write:
+        written(file, found.timing)
+        print(f"{file}: [timing] written")
+    else:
+        print(f"\n{text}\nWith --write these go into {file}.")
+
+
+def written(file: Path, timing: Mapping[str, float]) -> None:
+    """Put values of `[timing]` into a rig file; all else in it stays as it is. Raises LuxloopError where it cannot be written."""
+    text = file.read_text("utf-8")
+    table = re.search(r"^\[timing\][^\n]*\n(?:(?!\[)[^\n]*\n?)*", text, re.M)
+    old = table[0] if table else "\n[timing]\n"
+    new = old if old.endswith("\n") else f"{old}\n"
+    for name, value in reversed(list(timing.items())):
+        line, pattern = f"{name} = {value:g}", rf"^{name}\s*=[^\n]*"
+        if re.search(pattern, new, re.M):
+            new = re.sub(pattern, line, new, flags=re.M)
+        else:
+            new = re.sub(r"(\[timing\][^\n]*\n)", rf"\1{line}\n", new)
+    with whole(file) as part:
+        part.write_text(text.replace(old, new) if table else f"{text.rstrip()}\n{new}", "utf-8")
+
+
+def _grids(scenario: "Scenario") -> tuple[tuple[int, int], ...]:
+    """Rows and columns of the pixels of the scenario's modules."""
+    import torch
+
+    from loop.assembly.lamps import mounted
+    from loop.rig.plant import grids_of
+
+    with located(scenario.source):
+        return grids_of(tuple(mounted(scenario.headlight, torch.device("cpu"), lambda lamp: lamp.modules)))
+
+
+def _await(rig: "Rig") -> None:
+    """Wait for camera, and for a screen's page. Raises LuxloopError where no picture comes."""
+    from loop.rig.rig import await_camera
+    from loop.rig.screen import ScreenLight
+
+    if isinstance(rig.light, ScreenLight):
+        rig.light.await_page(lambda address: print(f"Open {address} on the projector, in full screen.", flush=True))
+    if not await_camera(rig):
+        raise LuxloopError(rig.camera.reason)
+
+
+def _without_truth(scenario: "Scenario") -> tuple["Scenario", list[str]]:
+    """The scenario without checks that a rig cannot evaluate, and their names."""
+    from loop.recording.columns import of_truth
+
+    left_out = [name for name, each in scenario.checks.items() if of_truth(each.metric) or each.compare is not None]
+    kept = {name: each for name, each in scenario.checks.items() if name not in left_out}
+    return scenario.model_copy(update={"checks": kept}), left_out
+
+
+def _of_run(rig: "Rig", per_step: int) -> dict[str, Any]:
+    told = rig.keeper
+    watched = {"darkened": told.darkened, "interruptions": told.interruptions}
+    camera = {"pictures": rig.camera.count, "dropped": rig.camera.dropped, "connections": rig.camera.connections}
+    return {**rig.statistics.summary(per_step), "watchdog": watched, "camera": camera}
+
+
+def _in_words(found: Mapping[str, Any]) -> dict[str, str]:
+    lost, late = sum(found["lost"].values()), found["light_to_frame_ms"]
+    rows = {
+        "control rate": f"{tables.number(found['control_rate_hz'], '.2f')} Hz",
+        "light to frame": "no frame was taken"
+        if late["median"] is None
+        else f"{late['median']:.0f} ms (median), {late['p95']:.0f} ms (95 %), {late['worst']:.0f} ms (worst)",
+        "frames": f"{found['exposures'] - lost} of {found['exposures']} exposures"
+        + "".join(f"\n{count} lost: {reason}" for reason, count in sorted(found["lost"].items(), key=lambda each: -each[1])[:5]),
+        "pictures": ", ".join(f"{count} {what}" for what, count in sorted(found["pictures"].items())) or "none",
+        "judge": JUDGED,
+    }
+    for name, each in found["judged"].items():
+        off = each["centroid_error_percent"]
+        told = f"IoU {each['iou_final']:.3f} at the last of {each['steps']} steps, {each['iou_mean']:.3f} on average in the second half"
+        where = "nothing is lit" if off is None else f"centroid {off[0]:.1f} % along, {off[1]:.1f} % across"
+        rows[f"{name}, as the camera sees it"] = f"{told}; {where}"
+    if found["dimmed"] or found["slowed"]:
+        rows["limits"] = f"dimmed {found['dimmed']} exposures, slowed {found['slowed']}"
+    if any(found["watchdog"].values()):
+        rows["watchdog"] = f"darkened the lamp {found['watchdog']['darkened']} times, {found['watchdog']['interruptions']} interruptions"
+    return rows
+
+
+def _blinked(found: "Blinked") -> dict[str, str]:
+    median, most, worst = (1e3 * each for each in found.first_s)
+    return {
+        "light to frame": f"{median:.0f} ms (median), {most:.0f} ms (95 %), {worst:.0f} ms (worst), in {found.blinks} blinks",
+        "latency": f"{1e3 * found.latency_s:.1f} ms to a frame that begins with the light",
+        "jitter": f"{1e3 * found.jitter_s:.1f} ms, the worst that was measured with a quarter and 3 ms on it",
+        "exposure and readout": f"{1e3 * found.rolling_s:.1f} ms",
+        "drift": f"{1e3 * found.drift_s_per_min:+.1f} ms a minute",
+        "pictures": f"every {1e3 * found.interval_s[0]:.1f} ms (median), {1e3 * found.interval_s[1]:.0f} ms (worst), {found.late:.0%} late",
+    }

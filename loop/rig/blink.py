@@ -1,0 +1,210 @@
+"""The blink test: the lamp goes on and off at random times, and frames tell when that is seen (latency, jitter, rolling shutter, drift)."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loop.rig.light import Shine
+from loop.rig.rectified import WrongPicture, grey
+from loop.rig.rig import Rig
+from world.errors import LuxloopError
+
+LEARNT: Final = 2  # switches from which the levels are learnt
+HOLD_S: Final = 0.4  # of a light at least, longer than any camera's latency
+SPREAD_S: Final = 0.1  # by which holds differ, so that blinks meet every phase of the camera
+LEARN_S: Final = 1.5  # of the first light and the first darkness, from whose end the levels are taken
+SEEN: Final = (0.01, 0.1)  # share of the change in a row of pixels that counts as seen, and whose lack as not yet whole: least and most
+SIGMAS: Final = 5.0  # of the scatter of steady light, which is not taken for a change
+LEAST_LEVELS: Final = 3.0  # digital numbers by which the brightest part has to change
+BRIGHT: Final = 0.5  # share of the largest change: pixels with more are looked at
+MARGIN: Final = 1.25  # on the worst that was measured, since worse will come
+MARGIN_S: Final = 0.003
+FEWEST: Final = 10  # blinks
+
+
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """Pictures of a blink test. lag_s: `[n]`, from sending the light that stands to the picture's arrival. at_s: `[n]`, when that was sent.
+    least, most: `[n]`, share of the change that is seen in the row of pixels that shows least and most of it. seen: share that is more than
+    scatter.
+    """
+
+    lag_s: NDArray[np.float64]
+    at_s: NDArray[np.float64]
+    least: NDArray[np.float64]
+    most: NDArray[np.float64]
+    seen: float
+
+
+@dataclass(frozen=True)
+class Blinked:
+    """What a blink test found; times in s.
+
+    latency_s, jitter_s, rolling_s: keys of `[timing]`. first_s: median, 95 % and worst time from light to the first frame that shows
+    nothing else. drift_s_per_min: by how much the latency grows. interval_s: median and worst time between pictures. late: share of the
+    pictures that lay in a queue.
+    """
+
+    latency_s: float
+    jitter_s: float
+    rolling_s: float
+    first_s: tuple[float, float, float]
+    drift_s_per_min: float
+    interval_s: tuple[float, float]
+    late: float
+    blinks: int
+
+    @property
+    def timing(self) -> dict[str, float]:
+        """Keys of `[timing]`."""
+        return {name: round(getattr(self, name), 4) for name in ("latency_s", "jitter_s", "rolling_s")}
+
+
+def blink(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: float, advance: Callable[[], None] = lambda: None) -> Blinked:
+    """Let the lamp of an armed rig blink. level: utilisation of all pixels, where the limits allow it. advance: called after each blink.
+
+    Raises LuxloopError where the camera does not see it, or too few pictures come.
+    """
+    if blinks < FEWEST:
+        raise LuxloopError(f"--blinks {blinks}: is too few for a worst case; give {FEWEST} at least")
+    lit = Shine(0, tuple(np.full(grid, level, np.float32) for grid in grids))
+    factor = np.float32(min(1.0, rig.params.limits.share / lit.share))
+    lit = Shine(0, tuple(u * factor for u in lit.pictures))
+    black = Shine(1, tuple(np.zeros(grid, np.float32) for grid in grids))
+    drawn = np.random.default_rng(0)
+    switches, pictures = list[tuple[float, bool]](), list[tuple[float, NDArray[Any]]]()
+    settled: list[NDArray[np.float32]] = []
+    came = late = void = 0
+    arrivals: list[float] = []
+    rows: NDArray[np.bool_] | None = None
+    mask: NDArray[np.float32] | None = None
+    for number in range(LEARNT + blinks):
+        on = number % 2 == 1
+        _shown(rig, Shine(number, (lit if on else black).pictures))
+        sent_s = rig.keeper.since_s
+        if sent_s is None:
+            raise LuxloopError(f"blink: {rig.keeper.reason}")
+        switches.append((sent_s, on))
+        hold_s = LEARN_S if number < LEARNT else HOLD_S + SPREAD_S * drawn.random()
+        kept, begun = [], len(pictures)
+        for arrived_s, awaited, image in _pictures(rig, sent_s + hold_s):
+            arrivals.append(arrived_s)
+            came, late = came + 1, late + (not awaited)
+            if mask is None:
+                kept.append(image)
+            elif awaited:
+                assert rows is not None
+                pictures.append((arrived_s, (image * mask).sum(1)[rows]))
+        if rig.keeper.since_s != sent_s:  # in doubt
+            if number < LEARNT or (void := void + 1) > blinks / 2:
+                raise LuxloopError(f"blink: {rig.keeper.reason}")
+            del pictures[begun:]
+        if number < LEARNT:
+            settled.append(_settled(kept))
+            if number == LEARNT - 1:
+                mask, rows = _region(*(each.mean(0) for each in settled))
+        advance()
+    assert mask is not None and rows is not None
+    steady = [(each * mask).sum(2)[:, rows] for each in settled]
+    rig.dark("the blink test has ended")
+    return found(_looks(switches, pictures, steady), np.diff(np.array(arrivals)), late / max(came, 1), blinks)
+
+
+def found(looks: Looks, intervals_s: NDArray[np.float64], late: float, blinks: int) -> Blinked:
+    """What the pictures of a blink test tell. Raises LuxloopError where they are too few."""
+    whole, begun = looks.least > 1 - looks.seen, looks.most > looks.seen
+    if whole.sum() < blinks / 2 or len(looks.lag_s) < 2 * blinks:
+        raise LuxloopError("blink: too few pictures came, or the light is not steady; check the camera's rate, its exposure, and the lamp")
+    latency_s, begins_s = _between(looks.lag_s, whole), _between(looks.lag_s, begun)
+    worst_s = float(looks.lag_s[~whole].max(initial=latency_s))
+    first = np.array([looks.lag_s[(looks.at_s == at_s) & whole].min() for at_s in np.unique(looks.at_s[whole])])
+    half = np.median(looks.at_s)
+    early, later = (_between(looks.lag_s[part], whole[part]) for part in (looks.at_s <= half, looks.at_s > half))
+    minutes = (looks.at_s[looks.at_s > half].mean() - looks.at_s[looks.at_s <= half].mean()) / 60
+    return Blinked(
+        latency_s,
+        MARGIN * (worst_s - latency_s) + MARGIN_S,
+        max(latency_s - begins_s, 0.0),
+        (float(np.median(first)), float(np.quantile(first, 0.95)), float(first.max())),
+        (later - early) / minutes,
+        (float(np.median(intervals_s)), float(intervals_s.max())),
+        late,
+        blinks,
+    )
+
+
+def _shown(rig: Rig, shine: Shine) -> None:
+    """Show light at once. Raises LuxloopError where a limit forbids that."""
+    rig.keeper.beat()
+    given = rig.limited(shine, time.monotonic())
+    if given.slowed < 1:
+        raise LuxloopError("limits.change_per_s: is too low for a blink; give a lower --level, or raise it")
+    rig.show(given.shine)
+
+
+def _pictures(rig: Rig, until_s: float) -> Iterator[tuple[float, bool, NDArray[np.float32]]]:
+    """Pictures as they come. Raises LuxloopError where the camera fails."""
+    while time.monotonic() < until_s:
+        rig.keeper.beat()
+        if not rig.camera.alive:
+            raise LuxloopError(f"blink: {rig.camera.reason}")
+        picture = rig.camera.next(min(until_s, time.monotonic() + 0.1))
+        if picture is not None:
+            try:
+                yield picture.arrived_s, picture.awaited, grey(picture.data).astype(np.float32)
+            except WrongPicture:
+                continue
+
+
+def _settled(images: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """The last half of them `[n, height, width]`, 20 at most. Raises LuxloopError where there are too few, or their sizes differ."""
+    last = images[len(images) // 2 :][-20:]
+    if len(last) < 3 or len({each.shape for each in last}) > 1:
+        raise LuxloopError("blink: too few pictures came, or of different sizes; see `luxloop rig check`")
+    return np.stack(last)
+
+
+def _region(dark: NDArray[np.float32], bright: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Which pixels show the light, and the rows in which there are some. Raises LuxloopError where none do."""
+    change = bright - dark
+    most = float(np.quantile(change, 0.999))
+    if most < LEAST_LEVELS:
+        raise LuxloopError(
+            f"blink: the camera does not see the lamp ({most:.1f} digital numbers brighter); aim it, or give a higher --level"
+        )
+    mask = (change > BRIGHT * most).astype(np.float32)
+    counts = mask.sum(1)
+    return mask, counts > 0.2 * counts.max()
+
+
+def _looks(switches: Sequence[tuple[float, bool]], pictures: Sequence[tuple[float, NDArray[Any]]], steady: Sequence[NDArray[Any]]) -> Looks:
+    """steady: dark and bright rows of pixels, both `[n, rows]`."""
+    dark, bright = (np.median(each, axis=0) for each in steady)
+    scatter = max(float((each.std(0) / (bright - dark)).max()) for each in steady)
+    seen = min(max(SIGMAS * scatter, SEEN[0]), SEEN[1])
+    starts_s = np.array([at_s for at_s, _ in switches])
+    values = []
+    for arrived_s, rows in pictures:
+        k = int(np.searchsorted(starts_s, arrived_s, "right")) - 1
+        if k < LEARNT:
+            continue
+        at_s, on = switches[k]
+        share = (rows - dark) / (bright - dark)
+        share = share if on else 1 - share
+        values.append((arrived_s - at_s, at_s, share.min(), share.max()))
+    columns = np.array(values).T if values else np.zeros((4, 0))
+    return Looks(columns[0], columns[1], columns[2], columns[3], seen)
+
+
+def _between(lag_s: NDArray[np.float64], after: NDArray[np.bool_]) -> float:
+    """The time that parts best those that are `after` it from those that are not: the middle of the best ones."""
+    order = np.argsort(lag_s)
+    lags, late = lag_s[order], after[order]
+    wrong = np.concatenate([[0], np.cumsum(late)]) + np.concatenate([np.cumsum(~late[::-1])[::-1], [0]])  # with a border before each
+    best = np.flatnonzero(wrong == wrong.min())
+    low, high = best[0], best[-1]
+    return float((lags[max(low - 1, 0)] + lags[min(high, len(lags) - 1)]) / 2)

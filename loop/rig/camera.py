@@ -1,0 +1,201 @@
+"""The camera's thread: it connects, reads pictures as they come, and connects again where that fails."""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loop.rig.matching import Regularity
+from loop.rig.params import Cameras, DeviceParams, FolderParams, HttpParams, StreamParams
+from world import plugin
+from world.errors import LuxloopError
+
+METHODS: Final = ("read", "close")
+KEY: Final = "camera.kind"
+KEPT: Final = 8  # pictures that nobody has looked at yet; older ones are dropped
+AGAIN_S: Final = 0.5  # between two attempts to connect
+STEP_S: Final = 0.1  # for which a read waits at most, so that the thread can end
+CHANNELS: Final = (3, 4)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPicture:
+    """A picture as it came.
+
+    arrived_s: when its first byte was here, by `time.monotonic`. awaited: whether the reader waited for it; one that lay in a buffer
+    already may be older than it seems. data: encoded, or `[height, width]` or `[height, width, 3]` (blue, green, red) of 8 or 16 bits.
+    late_s: by how much it came later than the pictures before it let expect, which the camera's thread finds out.
+    """
+
+    arrived_s: float
+    awaited: bool
+    data: bytes | NDArray[np.generic]
+    late_s: float = 0.0
+
+
+class CameraSource(Protocol):
+    """One connection."""
+
+    def read(self, timeout_s: float) -> CameraPicture | None:
+        """The next picture, None where none has come in that time. Raises any exception where the connection is lost."""
+        ...
+
+    def close(self) -> None: ...
+
+
+def opener(params: Cameras) -> Callable[[], CameraSource]:
+    """What connects to the camera of a rig file; it raises LuxloopError or OSError where it cannot.
+
+    Raises LuxloopError where a camera of one's own cannot be made.
+    """
+    from loop.rig.http_camera import HttpCamera
+    from loop.rig.video_camera import DeviceCamera, FolderCamera, StreamCamera
+
+    match params:
+        case HttpParams():
+            return lambda: HttpCamera(params)
+        case DeviceParams():
+            return lambda: DeviceCamera(params)
+        case StreamParams():
+            return lambda: StreamCamera(params)
+        case FolderParams():
+            return lambda: FolderCamera(params)
+    methods = (*METHODS, "trigger") if params.triggered else METHODS
+    plugin.load(params.kind, KEY, methods)
+    return lambda: cast(CameraSource, _Own(plugin.make(params.kind, KEY, {}, params.options, methods)))
+
+
+class Camera:
+    """The newest pictures of a camera, read in a thread of its own."""
+
+    def __init__(self, connect: Callable[[], CameraSource], timeout_s: float) -> None:
+        """timeout_s: without a picture after which the camera counts as gone, and is connected anew."""
+        self._connect, self._timeout_s = connect, timeout_s
+        self._changed, self._pictures = threading.Condition(), deque[CameraPicture](maxlen=KEPT)
+        self._open, self._source = True, cast(CameraSource | None, None)
+        self._last_s, self._failure = -np.inf, ""
+        self.count = self.dropped = self.connections = 0
+        self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
+        self._thread.start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether pictures come."""
+        return time.monotonic() - self._last_s <= self._timeout_s
+
+    @property
+    def reason(self) -> str:
+        """Why no pictures come, in words."""
+        if self._source is not None or not self._failure:
+            return f"camera: no picture for {self._timeout_s:g} s"
+        return self._failure
+
+    @property
+    def last_s(self) -> float:
+        """When the newest picture arrived, minus infinity before the first."""
+        return self._last_s
+
+    def next(self, until_s: float) -> CameraPicture | None:
+        """The oldest picture that nobody has taken, waited for until a time of `time.monotonic` at most; None where none comes."""
+        with self._changed:
+            self._changed.wait_for(lambda: bool(self._pictures) or not self._open, max(until_s - time.monotonic(), 0))
+            return self._pictures.popleft() if self._pictures else None
+
+    def forget(self) -> int:
+        """Drop all pictures so far; how many these were."""
+        with self._changed:
+            dropped = len(self._pictures)
+            self._pictures.clear()
+        return dropped
+
+    def trigger(self) -> None:
+        """Ask for a frame. Raises LuxloopError where the camera's own code fails."""
+        source = self._source
+        if source is not None:
+            cast(Any, source).trigger()
+
+    def close(self) -> None:
+        """End the thread; one that hangs in a driver is left behind, and dies with the program."""
+        with self._changed:
+            self._open = False
+            self._changed.notify_all()
+        self._thread.join(2)
+
+    def _run(self) -> None:
+        while self._open:
+            try:
+                self._source = self._connect()
+                self.connections += 1
+                try:
+                    self._read(self._source)
+                finally:
+                    source, self._source = self._source, None
+                    source.close()
+            except Exception as error:  # drivers and streams raise whatever they like; the loop is told, and the lamp is dark
+                text = str(error) or type(error).__name__
+                self._failure = text if isinstance(error, LuxloopError) else f"camera: {text}"
+            until_s = time.monotonic() + AGAIN_S
+            while self._open and time.monotonic() < until_s:
+                time.sleep(0.02)
+
+    def _read(self, source: CameraSource) -> None:
+        heard_s, regularity = time.monotonic(), Regularity()
+        while self._open:
+            picture = source.read(STEP_S)
+            if picture is not None:
+                heard_s = time.monotonic()
+                self._last_s = max(self._last_s, picture.arrived_s)
+                picture = replace(picture, late_s=regularity.late(picture.arrived_s))
+                with self._changed:
+                    self.dropped += len(self._pictures) == KEPT
+                    self._pictures.append(picture)
+                    self.count += 1
+                    self._changed.notify_all()
+            elif time.monotonic() - heard_s > self._timeout_s:
+                raise LuxloopError(f"camera: no picture for {self._timeout_s:g} s")
+
+
+class _Own:
+    """A camera of the user's own, whose pictures are looked at."""
+
+    def __init__(self, own: Any) -> None:
+        self._own = own
+
+    def read(self, timeout_s: float) -> CameraPicture | None:
+        given = self._own.read(timeout_s)
+        return None if given is None else checked_picture(given)
+
+    def trigger(self) -> None:
+        self._own.trigger()
+
+    def close(self) -> None:
+        self._own.close()
+
+
+def checked_picture(given: Any) -> CameraPicture:
+    """A picture that a camera of the user's own gave. Raises LuxloopError where it is none."""
+    if not isinstance(given, CameraPicture):
+        raise LuxloopError(f"{KEY}: read gives a {type(given).__name__}; return a luxloop.CameraPicture, or None where none has come")
+    if isinstance(given.data, bytes):
+        return given
+    if not isinstance(given.data, np.ndarray) or not _is_picture(given.data):
+        what = f"{given.data.dtype} {list(given.data.shape)}" if isinstance(given.data, np.ndarray) else type(given.data).__name__
+        raise LuxloopError(f"{KEY}: read gives a picture of {what}; give uint8 or uint16 [height, width] or [height, width, 3], or bytes")
+    if not -np.inf < given.arrived_s <= time.monotonic() + 1e-3:
+        raise LuxloopError(f"{KEY}: read gives the time {given.arrived_s!r}; give time.monotonic() when the picture had come")
+    return given
+
+
+def _is_picture(data: NDArray[np.generic]) -> bool:
+    shaped = data.ndim == 2 or (data.ndim == 3 and data.shape[2] in CHANNELS)
+    return shaped and data.dtype in (np.uint8, np.uint16) and data.size > 0
+
+
+def described(camera: Camera) -> Mapping[str, Any]:
+    """What the thread has counted."""
+    return {"pictures": camera.count, "dropped": camera.dropped, "connections": camera.connections}

@@ -1,0 +1,79 @@
+"""Light by DDP over UDP."""
+
+import socket
+from collections.abc import Sequence
+
+import numpy as np
+
+from loop.rig.light import Shine, places
+from loop.rig.params import DdpParams
+from loop.wire.ddp import Codes, WireCommand, codes_of, packets, send
+from world.errors import LuxloopError
+
+FAREWELLS = 3  # times that darkness is sent, since a packet may be lost
+
+
+class DdpLight:
+    """A lamp on the network. The time code of an exposure is its number, plus one for each time that the lamp was darkened between."""
+
+    def __init__(self, params: DdpParams, grids: Sequence[tuple[int, int]]) -> None:
+        """Raises LuxloopError where the host has no address."""
+        self._params = params
+        self._order = [places(params.scan, *grid) for grid in grids]
+        self._pixels = sum(map(len, self._order))
+        try:
+            where = socket.getaddrinfo(params.host, params.port, type=socket.SOCK_DGRAM)[0]
+            self._socket = socket.socket(where[0], socket.SOCK_DGRAM)
+            self._socket.settimeout(1.0)
+            self._socket.connect(where[4])
+        except (OSError, UnicodeError) as error:
+            raise LuxloopError(f"light.host: {params.host} cannot be reached ({error}); check the name, and the network") from error
+        self._number, self._timecode, self._darkened = -1, -1, 0
+        self._packets: list[bytes] = []
+
+    @property
+    def timecode(self) -> int:
+        """Of what was sent last, -1 before that."""
+        return self._timecode
+
+    def show(self, shine: Shine) -> str | None:
+        """Send a frame, new light as often as the rig file says. Returns why it did not leave."""
+        fresh = not self._packets or shine.number != self._number
+        if fresh:
+            self._number, self._timecode = shine.number, shine.number + self._darkened
+            self._packets = list(packets(self._codes(shine), self._timecode, self._commands(shine)))
+        return self._sent(self._packets, self._params.repeats if fresh else 1)
+
+    def dark(self) -> None:
+        """Send a dark frame, several times."""
+        self._darkened += 1
+        self._timecode += 1
+        self._packets = []
+        dark = codes_of(np.zeros(self._pixels), self._params.bits)
+        rest = [WireCommand()] * len(self._order) if self._params.commands else None
+        self._sent(list(packets(dark, self._timecode, rest)), FAREWELLS)
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def _codes(self, shine: Shine) -> Codes:
+        pictures = shine.pictures if self._params.commands else shine.dimmed
+        ordered = [u.ravel()[order] for u, order in zip(pictures, self._order, strict=True)]
+        return codes_of(np.concatenate(ordered), self._params.bits, self._params.gamma)
+
+    def _commands(self, shine: Shine) -> list[WireCommand] | None:
+        if not self._params.commands:
+            return None
+        given = [WireCommand(each.swivel_deg, each.level_deg, each.intensity) for each in shine.commands]
+        return given or [WireCommand()] * len(self._order)
+
+    def _sent(self, frame: list[bytes], times: int) -> str | None:
+        refused = 0
+        for _ in range(times):
+            try:
+                send(self._socket, frame)
+            except ConnectionRefusedError:  # word of an earlier packet
+                refused += 1
+            except OSError as error:
+                return f"light: sending to {self._params.host}:{self._params.port} fails ({error.strerror or error})"
+        return f"light: nobody listens at {self._params.host}:{self._params.port}" if refused else None

@@ -1,0 +1,99 @@
+"""Samples of the vehicle's sensors, as they come."""
+
+import socket
+import threading
+import time
+from collections import deque
+from typing import Any, Final, Protocol, cast
+
+from torch import Tensor
+
+from loop.rig.params import Egos, NoEgoParams, UdpEgoParams
+from loop.wire.datagrams import LARGEST, SensorDatagram, decoded
+from perception.egomotion import VALUES, Sample
+from world import plugin
+from world.errors import LuxloopError
+
+KEY: Final = "ego.kind"
+METHODS: Final = ("samples", "close")
+MOST: Final = 1000  # samples that nobody has taken yet
+OLDEST_S: Final = 10.0  # age of a sample; an older one has another clock
+
+
+class Ego(Protocol):
+    """A vehicle's sensors."""
+
+    def samples(self, like: Tensor) -> tuple[Sample, ...]:
+        """Those that have come since the last call, by `time.monotonic`, as tensors like another one."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class NoEgo:
+    """A vehicle that stands."""
+
+    def samples(self, like: Tensor) -> tuple[Sample, ...]:
+        return ()
+
+    def close(self) -> None:
+        return None
+
+
+class UdpEgo:
+    """Datagrams of JSON, received in a thread of its own. refused: datagrams that are no sample."""
+
+    def __init__(self, params: UdpEgoParams) -> None:
+        """Raises LuxloopError where the port cannot be had."""
+        self._params, self.refused = params, 0
+        self._come = deque[tuple[float, SensorDatagram]](maxlen=MOST)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind((params.host, params.port))
+        except OSError as error:
+            self._socket.close()
+            raise LuxloopError(
+                f"ego.port: cannot listen on {params.host}:{params.port} ({error.strerror}); give another port, or end what holds it"
+            ) from error
+        self._socket.settimeout(0.1)
+        self._open = True
+        self._thread = threading.Thread(target=self._run, name="ego", daemon=True)
+        self._thread.start()
+
+    def samples(self, like: Tensor) -> tuple[Sample, ...]:
+        found = []
+        while self._come:
+            arrived_s, told = self._come.popleft()
+            measured_s = arrived_s - self._params.latency_s - told.age_s
+            found.append(Sample(cast(Any, told.sensor), measured_s, arrived_s, like.new_tensor(told.values)))
+        return tuple(found)
+
+    def close(self) -> None:
+        self._open = False
+        self._thread.join(1)
+        self._socket.close()
+
+    def _run(self) -> None:
+        while self._open:
+            try:
+                datagram = self._socket.recv(LARGEST + 1)
+            except TimeoutError:
+                continue
+            except OSError:
+                return
+            told = decoded(datagram)
+            count = None if told is None or told.sensor not in VALUES else VALUES[cast(Any, told.sensor)]
+            if told is None or told.sensor not in VALUES or (count and len(told.values) != count) or not 0 <= told.age_s <= OLDEST_S:
+                self.refused += 1
+            else:
+                self._come.append((time.monotonic(), told))
+
+
+def open_ego(params: Egos) -> Ego:
+    """What a rig file names. Raises LuxloopError where it cannot be had."""
+    match params:
+        case NoEgoParams():
+            return NoEgo()
+        case UdpEgoParams():
+            return UdpEgo(params)
+    return cast(Ego, plugin.make(params.kind, KEY, {}, params.options, METHODS))

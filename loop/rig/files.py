@@ -1,0 +1,64 @@
+"""Light as files in a folder, for a player of the laboratory's own."""
+
+import json
+import os
+from collections.abc import Sequence
+from contextlib import suppress
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from loop.rig.light import Picture, Shine
+from loop.rig.params import FilesParams
+from loop.wire.ddp import Codes, codes_of
+from world.errors import LuxloopError
+from world.files import whole
+
+PICTURE, ABOUT = "light.png", "light.json"
+
+
+class FilesLight:
+    """Each light replaces `light.png`, and then `light.json`, which says the number and the commands; both whole or not at all."""
+
+    def __init__(self, params: FilesParams) -> None:
+        """Raises LuxloopError where there is no such folder, or it cannot be written."""
+        self._params, self._number, self._shape = params, -1, (1, 1)
+        if not params.folder.is_dir() or not os.access(params.folder, os.W_OK):
+            raise LuxloopError(f"light.folder: {params.folder} is no folder that can be written; make it")
+
+    def show(self, shine: Shine) -> str | None:
+        """Write new light; light that stands is touched, so that a player sees that the loop is alive."""
+        try:
+            if shine.number == self._number:
+                os.utime(self._params.folder / ABOUT)
+            else:
+                codes = stacked([codes_of(u, self._params.bits, self._params.gamma) for u in shine.pictures])
+                self._write(codes, {"number": shine.number, "modules": [vars(each) for each in shine.commands]})
+                self._number, self._shape = shine.number, codes.shape
+        except (LuxloopError, OSError) as error:
+            return f"light: {error}"
+        return None
+
+    def dark(self) -> None:
+        """Write black."""
+        self._number = -1
+        with suppress(LuxloopError):
+            self._write(codes_of(np.zeros(self._shape), self._params.bits), {"number": None, "modules": []})
+
+    def close(self) -> None:
+        return None
+
+    def _write(self, codes: Codes, about: dict[str, object]) -> None:
+        done, coded = cv2.imencode(".png", codes, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        assert done
+        with whole(self._params.folder / PICTURE) as part:
+            part.write_bytes(coded.tobytes())
+        with whole(self._params.folder / ABOUT) as part:
+            part.write_text(json.dumps(about), "utf-8")
+
+
+def stacked(pictures: Sequence[NDArray] | Sequence[Picture]) -> NDArray:
+    """Pictures of all modules below each other, the first on top, each at the left: `[sum of rows, most columns]`, black beside them."""
+    width = max(each.shape[1] for each in pictures)
+    return np.concatenate([np.pad(each, ((0, 0), (0, width - each.shape[1]))) for each in pictures])

@@ -1,0 +1,92 @@
+"""The judge of a rig: its own camera's bird's-eye view of the plane that the camera is calibrated to.
+
+It sees what the camera sees, noise included, and knows nothing of the true road: where that is not the plane, a symbol that looks right
+lies elsewhere.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+from torch import Tensor
+
+from loop.lighting.controlled import ControlledSymbol
+from loop.plant.protocol import Exposure
+from loop.rig.params import MarkParams
+from perception.birdseye import BirdsEye, birds_eye, region_around
+from perception.camera import CameraParams, camera_view, luminance_of
+from perception.judge import CELL_M, Target, Verdict, judge, target
+
+AROUND = 0.5  # of a mark's width and height, by which its light may reach beyond it
+
+
+@dataclass(frozen=True, eq=False)
+class CameraJudge:
+    """Of one symbol. plane: of the assumed road. goal: the symbol at its target there, as the camera would see it."""
+
+    camera: CameraParams
+    plane: BirdsEye
+    goal: Target
+
+    @classmethod
+    def of(cls, symbol: ControlledSymbol, camera: CameraParams) -> Self:
+        """camera: the scenario's."""
+        held, projector = symbol.function.held, symbol.projector
+        region = region_around(held.x_m, held.y_m, held.length_m, held.width_m, CELL_M)
+        flat = symbol.sensor.model.luminance(projector.light(projector.target))
+        plane = birds_eye(region, camera_view(camera)).to(flat.device)
+        return cls(camera, plane, target(flat, plane, held.length_m, held.width_m))
+
+    def verdict(self, on: Tensor, off: Tensor) -> Verdict:
+        """on, off: frames `[height, width]` with the symbol and without it."""
+        return judge(luminance_of(on, self.camera) - luminance_of(off, self.camera), self.plane, self.goal)
+
+
+class Judged:
+    """Verdicts of a run so far."""
+
+    def __init__(self, symbols: Mapping[str, ControlledSymbol], camera: CameraParams, mark: MarkParams | None = None) -> None:
+        """mark: in the light, which is not looked at."""
+        self._mark = mark
+        self._judges = {name: CameraJudge.of(each, camera) for name, each in symbols.items()}
+        self._on: tuple[Exposure, Tensor] | None = None
+        self._found = dict[str, list[tuple[float, float, float]]]()
+
+    def look(self, exposure: Exposure, image: Tensor | None) -> None:
+        """Take a frame, None where it is lost. Those of an exposure and of the next one are held against each other."""
+        before, self._on = self._on, None if image is None else (exposure, image)
+        if before is None or image is None or before[0].number + 1 != exposure.number:
+            return
+        for name in before[0].projections.keys() - exposure.projections.keys():
+            verdict = self._judges[name].verdict(self._unmarked(before[1]), self._unmarked(image))
+            along, across = verdict.centroid_percent.tolist()
+            self._found.setdefault(name, []).append((float(verdict.iou), along, across))
+
+    def _unmarked(self, image: Tensor) -> Tensor:
+        if (mark := self._mark) is None:
+            return image
+        u, v = (slice(max(int(at - AROUND * n), 0), int(at + (1 + AROUND) * n) + 1) for at, n in _sides(mark))
+        image = image.clone()
+        image[v, u] = 0
+        return image
+
+    def summary(self) -> dict[str, Any]:
+        """By name: IoU and centroid error (None where nothing is lit) at the last step judged, and the mean IoU of the second half."""
+        found = {}
+        for name, verdicts in self._found.items():
+            iou, *off = verdicts[-1]
+            lit = all(map(math.isfinite, off))
+            late = [each[0] for each in verdicts[len(verdicts) // 2 :]]
+            found[name] = {
+                "iou_final": iou,
+                "iou_mean": sum(late) / len(late),
+                "centroid_error_percent": off if lit else None,
+                "steps": len(verdicts),
+            }
+        return found
+
+
+def _sides(mark: MarkParams) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Begin and length along u and along v."""
+    return (mark.u_px, mark.width_px), (mark.v_px, mark.height_px)

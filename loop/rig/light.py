@@ -1,0 +1,100 @@
+"""What every light of a rig is: it shows pictures of utilisations, again and again, and goes dark."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loop.rig.params import DdpParams, FilesParams, Lights, ScanParams, ScreenParams
+from world import plugin
+from world.errors import LuxloopError
+from world.headlight.lamp import REST, Commands
+
+Picture = NDArray[np.float32]  # utilisations [rows, columns] of a module in 0..1, row 0 on top, column 0 on the left
+METHODS: Final = ("show", "dark", "close")
+KEY: Final = "light.kind"
+
+
+@dataclass(frozen=True, eq=False)
+class Shine:
+    """Light of all modules. number: of its exposure. commands: one a module, or none where all are at rest."""
+
+    number: int
+    pictures: tuple[Picture, ...]
+    commands: Commands = ()
+
+    @property
+    def dimmed(self) -> tuple[Picture, ...]:
+        """The pictures with the modules' maximum intensities in them, for lamps that have no such command."""
+        commands = self.commands or (REST,) * len(self.pictures)
+        return tuple(np.float32(each.intensity) * u for each, u in zip(commands, self.pictures, strict=True))
+
+    @property
+    def share(self) -> float:
+        """Mean utilisation of all pixels, with the modules' maximum intensities."""
+        return float(sum(u.sum() for u in self.dimmed) / sum(u.size for u in self.pictures))
+
+
+class Light(Protocol):
+    """One device. `show` of the same number again means the same light, sent to say that the loop is alive."""
+
+    def show(self, shine: Shine) -> str | None:
+        """Send light; returns once all of it has left. The reason in words where it cannot be known to shine, else None."""
+        ...
+
+    def dark(self) -> None:
+        """No light. Never raises."""
+        ...
+
+    def close(self) -> None:
+        """Leave the device, which is dark. Never raises."""
+        ...
+
+
+class NoLight:
+    """Of a dry run: nothing is lit, and no device is opened."""
+
+    def show(self, shine: Shine) -> str | None:
+        return None
+
+    def dark(self) -> None:
+        return None
+
+    def close(self) -> None:
+        return None
+
+
+def open_light(params: Lights, grids: Sequence[tuple[int, int]]) -> Light:
+    """The device of a rig file. grids: rows and columns of the modules' pixels. Raises LuxloopError where it cannot be had."""
+    from loop.rig.ddp import DdpLight
+    from loop.rig.files import FilesLight
+    from loop.rig.screen import ScreenLight
+
+    match params:
+        case DdpParams():
+            return DdpLight(params, grids)
+        case ScreenParams():
+            return ScreenLight(params, grids)
+        case FilesParams():
+            return FilesLight(params)
+    return cast(Light, plugin.make(params.kind, KEY, {"grids": tuple(grids)}, params.options, METHODS))
+
+
+def places(scan: ScanParams, rows: int, columns: int) -> NDArray[np.int64]:
+    """Indices `[rows * columns]` into a picture in the order in which a device wants its pixels."""
+    index = np.arange(rows * columns).reshape(rows, columns)
+    index = index[:: -1 if scan.from_bottom else 1, :: -1 if scan.from_right else 1]
+    lines = index.T if scan.columns_first else index
+    if scan.serpentine:
+        lines = lines.copy()
+        lines[1::2] = lines[1::2, ::-1]
+    return lines.ravel()
+
+
+def checked_reason(reason: Any) -> str | None:
+    """What `show` of a light gave. Raises LuxloopError where it is neither None nor a text."""
+    if reason is None or isinstance(reason, str):
+        return reason
+    raise LuxloopError(f"{KEY}: show gives a {type(reason).__name__}; return None where the light was sent, else the reason as a text")

@@ -1,0 +1,47 @@
+"""What a lamp may be asked for: a limit of power, and of change a second."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from loop.rig.light import Picture, Shine
+from loop.rig.params import LimitParams
+
+
+@dataclass(frozen=True, eq=False)
+class Limited:
+    """Light that may be shown. dimmed: the factor by which the power limit dims it. slowed: the share of the change that is made, 1 for
+    all of it.
+    """
+
+    shine: Shine
+    dimmed: float = 1.0
+    slowed: float = 1.0
+
+    @property
+    def whole(self) -> bool:
+        """Whether it is what was asked for."""
+        return self.dimmed == 1 and self.slowed == 1
+
+
+def limited(shine: Shine, before: Sequence[Picture] | None, passed_s: float, limits: LimitParams) -> Limited:
+    """Light within limits. before: pictures that stand, dimmed as modules are, None in the dark. passed_s: since they were sent.
+
+    Light is dimmed by one factor. A change that is too fast is made in part, from what stands towards what is asked for, so that it is
+    there after some exposures.
+    """
+    share = shine.share
+    factor = 1.0 if share <= limits.share else limits.share / share
+    pictures = shine.pictures if factor == 1 else tuple(np.float32(factor) * u for u in shine.pictures)
+    asked = replace(shine, pictures=pictures)
+    old = tuple(np.zeros_like(u) for u in pictures) if before is None else tuple(before)
+    count = sum(u.size for u in pictures)
+    change = float(sum(np.abs(new - u).sum() for new, u in zip(asked.dimmed, old, strict=True))) / count
+    most = limits.change_per_s * passed_s
+    if change <= most:
+        return Limited(asked, factor)
+    part = most / change
+    commands = shine.commands and tuple(replace(each, intensity=1.0) for each in shine.commands)
+    between = tuple(u + np.float32(part) * (new - u) for new, u in zip(asked.dimmed, old, strict=True))
+    return Limited(replace(asked, pictures=between, commands=commands), factor, part)

@@ -1,0 +1,55 @@
+"""A mark in the light that says which of four exposures a frame shows: two bits of a Gray code, each a cell beside its opposite.
+
+The light may come in the midst of the first picture that shows its mark, so it is the second one that counts.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loop.rig.light import Picture
+from loop.rig.params import MarkParams
+
+CODES = 4
+INNER = 0.25  # of a cell's width and height, left out at each border
+
+
+def drawn(pictures: Sequence[Picture], mark: MarkParams, number: int) -> tuple[Picture, ...]:
+    """Pictures with the mark of an exposure in them."""
+    marked = list(pictures)
+    picture = marked[mark.module].copy()
+    width = mark.columns // 4
+    for cell, lit in enumerate(cells(number)):
+        first = mark.column + cell * width
+        picture[mark.row : mark.row + mark.rows, first : first + width] = np.float32(lit)
+    marked[mark.module] = picture
+    return tuple(marked)
+
+
+def cells(number: int) -> tuple[bool, bool, bool, bool]:
+    """Which cells are lit, from the left. Of one exposure and the next, one pair of cells changes and the other does not."""
+    gray = (number % CODES) ^ (number % CODES >> 1)
+    high, low = bool(gray & 2), bool(gray & 1)
+    return high, not high, low, not low
+
+
+def shown(image: NDArray[np.float32], mark: MarkParams) -> int | None:
+    """Which exposure modulo 4 an image `[height, width]` shows; None where that is in doubt."""
+    levels = [_level(image, mark, cell) for cell in range(4)]
+    bits = []
+    for a, b in ((levels[0], levels[1]), (levels[2], levels[3])):
+        if not abs(a - b) >= mark.contrast * (a + b) or a == b:
+            return None
+        bits.append(a > b)
+    return next(number for number in range(CODES) if cells(number)[::2] == tuple(bits))
+
+
+def _level(image: NDArray[np.float32], mark: MarkParams, cell: int) -> float:
+    width = mark.width_px / 4
+    u, v = mark.u_px + cell * width, mark.v_px
+    left, right = math.floor(u + INNER * width), math.ceil(u + (1 - INNER) * width)
+    top, bottom = math.floor(v + INNER * mark.height_px), math.ceil(v + (1 - INNER) * mark.height_px)
+    part = image[top:bottom, left:right]
+    return float(part.mean()) if part.size else 0.0

@@ -1,0 +1,323 @@
+"""The rig file: addresses, devices and limits of one laboratory, which no scenario names."""
+
+import hashlib
+import json
+from collections.abc import Collection
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, Self
+
+from pydantic import Field, Tag, model_validator
+
+from world.errors import LuxloopError, located
+from world.params import Params
+from world.plugin import OWN, OwnName, beside, known_or_own, refuse_code
+from world.validation import read_toml, validated
+
+Port = Annotated[int, Field(ge=1, le=65535)]
+Host = Annotated[str, Field(min_length=1, max_length=255)]
+Count = Annotated[int, Field(ge=1, le=100_000)]
+EXAMPLE: Final = "docs/rig.md has a complete file"
+
+
+class ScanParams(Params):
+    """Order in which pixels lie on the wire or on the screen."""
+
+    columns_first: bool = Field(False, description="whether pixels follow each other down a column, not along a row")
+    from_right: bool = Field(False, description="whether rows begin at the right")
+    from_bottom: bool = Field(False, description="whether columns begin at the bottom")
+    serpentine: bool = Field(False, description="whether every second row, or column, runs backwards")
+
+
+class LightParams(Params):
+    """What all lights have."""
+
+    gamma: float = Field(1.0, ge=0.2, le=5, description="a code is the 1/gamma-th power of a utilisation; 1 is a linear lamp")
+    keep_alive_s: float = Field(0.03, ge=0.005, le=1, description="time between two sendings of the light that stands")
+    dark_after_s: float = Field(0.1, ge=0.02, le=60, description="time without light from here after which the lamp darkens by itself")
+
+
+class DdpParams(LightParams):
+    """A lamp behind a network of pixels, by DDP over UDP."""
+
+    kind: Literal["ddp"]
+    host: Host = Field(examples=["192.168.1.20"], description="name or address of the lamp")
+    port: Port = Field(4048, description="UDP port")
+    bits: Literal[8, 16] = Field(8, description="bits of a code")
+    repeats: int = Field(1, ge=1, le=8, description="how often new light is sent at once, against lost packets")
+    commands: bool = Field(True, description="whether orientation and maximum intensity of the modules are sent")
+    scan: ScanParams = Field(ScanParams(), description="order of the pixels")
+
+    @model_validator(mode="after")
+    def _alive(self) -> Self:
+        return _refuse_gaps(self)
+
+
+class ScreenParams(LightParams):
+    """A page on a second display or a projector, opened in full screen."""
+
+    kind: Literal["screen"]
+    host: Host = Field("127.0.0.1", description="address to listen on")
+    port: Annotated[int, Field(ge=0, le=65535)] = Field(8766, description="port to listen on, 0 for a free one")
+    scan: ScanParams = Field(ScanParams(), description="how the picture is mirrored")
+
+    @model_validator(mode="after")
+    def _alive(self) -> Self:
+        return _refuse_gaps(self)
+
+
+class FilesParams(LightParams):
+    """A folder of PNG files for a laboratory's own player."""
+
+    kind: Literal["files"]
+    folder: Path = Field(examples=["light"], description="folder that gets light.png, and light.json with its number and commands")
+    bits: Literal[8, 16] = Field(8, description="bits of a code")
+
+
+class OwnLightParams(LightParams):
+    """`Name(**options)` of a module of one's own."""
+
+    kind: OwnName
+    options: dict[str, Any] = Field({}, description="keyword arguments of Name")
+
+
+Lights = Annotated[
+    Annotated[DdpParams, Tag("ddp")] | Annotated[ScreenParams, Tag("screen")] | Annotated[FilesParams, Tag("files")]
+    | Annotated[OwnLightParams, Tag(OWN)],
+    known_or_own("kind"),
+]  # fmt: skip
+
+
+class CropParams(Params):
+    """A rectangle of the camera's picture in px."""
+
+    u_px: int = Field(0, ge=0, le=65535, description="first column")
+    v_px: int = Field(0, ge=0, le=65535, description="first row")
+    width_px: int = Field(ge=1, le=8192, description="columns", examples=[640])
+    height_px: int = Field(ge=1, le=8192, description="rows", examples=[480])
+
+
+class CameraSourceParams(Params):
+    """What all cameras have."""
+
+    timeout_s: float = Field(
+        1.0, gt=0, le=60, description="time without a frame after which the camera counts as gone, and the lamp darkens"
+    )
+    crop: CropParams | None = Field(None, description="part of the rectified picture that is the scenario's image; left out: all of it")
+    bits: int | None = Field(None, ge=8, le=16, description="bits of a digital number; left out: those of the file, 8 or 16")
+    triggered: bool = Field(False, description="whether each frame is asked for, with the method trigger of a camera of one's own")
+
+
+class HttpParams(CameraSourceParams):
+    """A network camera that serves JPEG or PNG pictures, one after another in one answer (MJPEG)."""
+
+    kind: Literal["http"]
+    url: str = Field(pattern="^http://", examples=["http://192.168.1.21:8080/camera"], description="its address")
+    largest_bytes: int = Field(16_000_000, ge=1000, le=200_000_000, description="bytes of a picture at most")
+
+
+class DeviceParams(CameraSourceParams):
+    """A V4L2 device, by OpenCV."""
+
+    kind: Literal["device"]
+    device: str = Field("/dev/video0", description="its file")
+    width_px: int = Field(640, ge=16, le=8192, description="columns to ask for")
+    height_px: int = Field(480, ge=16, le=8192, description="rows to ask for")
+    rate_hz: float = Field(30.0, gt=0, le=1000, description="frames a second to ask for")
+    exposure: float | None = Field(
+        None, description="exposure to lock, in the driver's unit (100 us with most webcams); left out: as it is"
+    )
+    gain: float | None = Field(None, description="gain to lock, in the driver's unit; left out: as it is")
+
+
+class StreamParams(CameraSourceParams):
+    """An RTSP or other video stream, by PyAV."""
+
+    kind: Literal["stream"]
+    url: str = Field(min_length=1, examples=["rtsp://192.168.1.21/live"], description="its address")
+    options: dict[str, str] = Field(
+        {"rtsp_transport": "tcp", "fflags": "nobuffer", "flags": "low_delay"}, description="options of FFmpeg's demuxer"
+    )
+
+
+class FolderParams(CameraSourceParams):
+    """A folder into which another program writes pictures, each whole, with names in ascending order."""
+
+    kind: Literal["folder"]
+    folder: Path = Field(examples=["frames"], description="folder of PNG, JPEG or TIFF files")
+
+
+class OwnCameraParams(CameraSourceParams):
+    """`Name(**options)` of a module of one's own."""
+
+    kind: OwnName
+    options: dict[str, Any] = Field({}, description="keyword arguments of Name")
+
+
+Cameras = Annotated[
+    Annotated[HttpParams, Tag("http")] | Annotated[DeviceParams, Tag("device")] | Annotated[StreamParams, Tag("stream")]
+    | Annotated[FolderParams, Tag("folder")] | Annotated[OwnCameraParams, Tag(OWN)],
+    known_or_own("kind"),
+]  # fmt: skip
+
+
+class NoEgoParams(Params):
+    """A vehicle that stands."""
+
+    kind: Literal["none"] = "none"
+
+
+class UdpEgoParams(Params):
+    """Samples of the vehicle's sensors as UDP datagrams of JSON."""
+
+    kind: Literal["udp"]
+    host: Host = Field("127.0.0.1", description="address to listen on")
+    port: Port = Field(4049, description="UDP port to listen on")
+    latency_s: float = Field(0.0, ge=0, le=10, description="time from sending to arrival")
+
+
+class OwnEgoParams(Params):
+    """`Name(**options)` of a module of one's own."""
+
+    kind: OwnName
+    options: dict[str, Any] = Field({}, description="keyword arguments of Name")
+
+
+Egos = Annotated[
+    Annotated[NoEgoParams, Tag("none")] | Annotated[UdpEgoParams, Tag("udp")] | Annotated[OwnEgoParams, Tag(OWN)],
+    known_or_own("kind", "none"),
+]
+
+
+class LimitParams(Params):
+    """What the lamp may be asked for, whatever the loop wants."""
+
+    power: float = Field(1.0, gt=0, le=1, description="mean utilisation of all pixels at most; more is dimmed")
+    power_w: float | None = Field(None, gt=0, le=1e6, description="power in W at most; needs full_w")
+    full_w: float | None = Field(None, gt=0, le=1e6, description="power in W of all pixels on")
+    change_per_s: float = Field(1000.0, gt=0, le=1e6, description="change of the mean utilisation a second at most; faster is slowed down")
+    loop_s: float = Field(1.0, ge=0.1, le=60, description="time without a word from the loop after which the lamp darkens")
+
+    @model_validator(mode="after")
+    def _both(self) -> Self:
+        if self.power_w is not None and self.full_w is None:
+            raise ValueError("power_w needs full_w, the power of all pixels on")
+        return self
+
+    @property
+    def share(self) -> float:
+        """Mean utilisation at most."""
+        return self.power if self.power_w is None or self.full_w is None else min(self.power, self.power_w / self.full_w)
+
+
+class TimingParams(Params):
+    """From light to frame, as `luxloop rig blink` measures and prints it."""
+
+    latency_s: float = Field(
+        0.1, ge=0, le=5, description="from sending light to the arrival of a frame whose exposure begins when the light is there"
+    )
+    jitter_s: float = Field(0.03, ge=0, le=5, description="by how much a frame may come later than that: the worst that was measured")
+    rolling_s: float = Field(0.035, ge=0, le=5, description="from the begin of a frame's first exposure to the end of its last one")
+    wait_s: float = Field(1.0, gt=0, le=60, description="time from sending light after which its frame counts as lost")
+
+    @model_validator(mode="after")
+    def _patient(self) -> Self:
+        if self.wait_s <= self.clear_s:
+            raise ValueError(
+                f"wait_s: {self.wait_s:g} s is no longer than latency_s + jitter_s = {self.clear_s:g} s; no frame would ever count"
+            )
+        return self
+
+    @property
+    def clear_s(self) -> float:
+        """Frames that arrive so long after light was sent show nothing before it."""
+        return self.latency_s + self.jitter_s
+
+
+class MarkParams(Params):
+    """Four cells of light side by side that say which of four exposures a frame shows."""
+
+    module: int = Field(0, ge=0, le=1000, description="number of the module that draws them")
+    row: int = Field(0, ge=0, le=100_000, description="their first row of pixels")
+    column: int = Field(0, ge=0, le=100_000, description="their first column of pixels")
+    rows: Count = Field(16, description="their height in pixels")
+    columns: Count = Field(64, description="width of all four together in pixels")
+    u_px: float = Field(ge=0, le=8192, description="left border in the scenario's image", examples=[10])
+    v_px: float = Field(ge=0, le=8192, description="upper border in the scenario's image", examples=[10])
+    width_px: float = Field(gt=0, le=8192, description="width of all four together in the image", examples=[80])
+    height_px: float = Field(gt=0, le=8192, description="their height in the image", examples=[20])
+    contrast: float = Field(
+        0.2, gt=0, lt=1, description="least difference of a bright cell and a dark one by their sum; with less a frame is lost"
+    )
+
+
+class CalibrationParams(Params):
+    """What `luxloop rig calibrate` has found."""
+
+    file: Path = Field(examples=["rig.npz"], description="its file, from which the camera's pictures are rectified")
+
+
+class RigParams(Params):
+    """One laboratory."""
+
+    light: Lights = Field(description="the lamp")
+    camera: Cameras = Field(description="the camera")
+    ego: Egos = Field(NoEgoParams(), description="the vehicle's sensors")
+    limits: LimitParams = Field(LimitParams(), description="limits")
+    timing: TimingParams = Field(TimingParams(), description="from light to frame")
+    mark: MarkParams | None = Field(None, description="a mark in the light that says which exposure a frame shows")
+    calibration: CalibrationParams | None = Field(None, description="the camera's calibration")
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all keys, hexadecimal."""
+        return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
+
+
+def load_rig(file: Path, *, allow_code: bool = False, typed: Collection[str] = ()) -> RigParams:
+    """Read a rig file; its paths are relative to it. Opens nothing.
+
+    allow_code: whether modules that it names may run. Raises LuxloopError that names file, key and remedy.
+    """
+    data = read_toml(file)
+    with located(str(file)):
+        rig = validated(RigParams, _beside(data, file.parent), EXAMPLE)
+    if not allow_code:
+        refuse_code(rig, str(file), typed)
+    return rig
+
+
+def _beside(data: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """With paths and modules relative to the file's folder."""
+    found: dict[str, Any] = {}
+    for table, keys in data.items():
+        if not isinstance(keys, dict):
+            found[table] = keys
+            continue
+        found[table] = dict(keys)
+        for key, value in keys.items():
+            if key in ("file", "folder") and isinstance(value, str):
+                found[table][key] = str(folder / Path(value).expanduser())
+            elif key == "kind" and isinstance(value, str):
+                found[table][key] = beside(value, folder)
+    return found
+
+
+def _refuse_gaps(light: Any) -> Any:
+    """Raises ValueError where the lamp would darken between two sendings."""
+    if light.keep_alive_s > light.dark_after_s / 2:
+        raise ValueError(
+            f"keep_alive_s: {light.keep_alive_s:g} s is more than half of dark_after_s, {light.dark_after_s:g} s; the lamp would flicker"
+        )
+    return light
+
+
+def refuse_module(mark: MarkParams, grids: Collection[tuple[int, int]]) -> None:
+    """Raises LuxloopError where a mark does not lie on its module. grids: rows and columns of the modules' pixels."""
+    sizes = list(grids)
+    if mark.module >= len(sizes):
+        raise LuxloopError(f"mark.module: there is no module {mark.module}; the scenario has {len(sizes)}, numbered from 0")
+    rows, columns = sizes[mark.module]
+    if mark.row + mark.rows > rows or mark.column + mark.columns > columns:
+        raise LuxloopError(f"mark: lies beyond the {rows} x {columns} pixels of module {mark.module}; move it, or make it smaller")
+    if mark.columns < 4:
+        raise LuxloopError("mark.columns: four cells need four columns at least")

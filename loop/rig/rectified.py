@@ -1,0 +1,134 @@
+"""From a camera's picture to the scenario's image: decoded, grey, straightened by the calibration, cut, and in the scenario's numbers."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from loop.rig.params import CameraSourceParams, RigParams
+from perception.camera import CameraParams, camera_view
+from world.errors import LuxloopError
+from world.files import content, reading
+from world.images import decoded
+
+GREY: Final = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
+AGAIN: Final = "run `luxloop rig calibrate` again"
+
+
+class WrongPicture(LuxloopError):
+    """A picture that cannot be a frame of this camera."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lens:
+    """What straightens a camera's pictures.
+
+    size: width and height of them in px. matrix: `[3, 3]`, and distortion: `[n]`, as OpenCV has them. response: share of the saturation
+    by code `[2^bits]`, None for a linear camera.
+    """
+
+    size: tuple[int, int]
+    matrix: NDArray[np.float64]
+    distortion: NDArray[np.float64]
+    response: NDArray[np.float32] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Rectifier:
+    """maps: of the straightened image, None without a calibration. size: of the pictures that are taken, None for any that has a part of
+    the scenario's size.
+    """
+
+    source: CameraSourceParams
+    camera: CameraParams
+    lens: Lens | None
+    maps: tuple[NDArray[Any], NDArray[Any]] | None
+
+    @classmethod
+    def of(cls, rig: RigParams, camera: CameraParams) -> "Rectifier":
+        """camera: the scenario's. Raises LuxloopError where the calibration's file cannot be read, or does not fit."""
+        lens = None if rig.calibration is None else load_lens(rig.calibration.file)
+        size = camera.width_px, camera.height_px
+        if lens is None:
+            crop = rig.camera.crop
+            if crop is not None and (crop.width_px, crop.height_px) != size:
+                raise LuxloopError(
+                    f"camera.crop: is {crop.width_px} x {crop.height_px} px, but the scenario's image has {size[0]} x {size[1]}; "
+                    f"set its camera.width_px = {crop.width_px} and camera.height_px = {crop.height_px}"
+                )
+            return cls(rig.camera, camera, None, None)
+        if rig.camera.crop is not None:
+            raise LuxloopError("camera.crop: the calibration gives the scenario's image as a whole; leave crop out")
+        view = camera_view(camera)
+        pinhole = np.array([[view.fx, 0, view.cx - 0.5], [0, view.fy, view.cy - 0.5], [0, 0, 1]])  # OpenCV counts from pixels' centres
+        maps = cv2.initUndistortRectifyMap(lens.matrix, lens.distortion, np.eye(3), pinhole, size, cv2.CV_32FC1)
+        return cls(rig.camera, camera, lens, (maps[0], maps[1]))
+
+    def image(self, data: bytes | NDArray[np.generic]) -> NDArray[np.float32]:
+        """The scenario's image `[height, width]` in its digital numbers. Raises WrongPicture with the reason where it is none."""
+        picture = grey(data)
+        height, width = picture.shape
+        wanted = (self.camera.width_px, self.camera.height_px)
+        if self.lens is not None and (width, height) != self.lens.size:
+            raise WrongPicture(f"camera: a picture of {width} x {height} px, where the calibration is of {_times(self.lens.size)}")
+        if self.lens is None:
+            crop = self.source.crop
+            u, v = (0, 0) if crop is None else (crop.u_px, crop.v_px)
+            if (width - u < wanted[0] or height - v < wanted[1]) if crop else ((width, height) != wanted):
+                raise WrongPicture(f"camera: a picture of {width} x {height} px, where the scenario's image has {_times(wanted)}")
+            picture = picture[v : v + wanted[1], u : u + wanted[0]]
+        bits = self.source.bits or 8 * picture.dtype.itemsize
+        share = self._linear(picture, bits)
+        if self.maps is not None:
+            share = cv2.remap(share, *self.maps, cv2.INTER_LINEAR).astype(np.float32, copy=False)
+        levels = 2**self.camera.bits - 1
+        return np.clip(np.rint(share * np.float32(levels)), 0, levels).astype(np.float32)
+
+    def _linear(self, picture: NDArray[np.generic], bits: int) -> NDArray[np.float32]:
+        """Codes as shares of the largest, coded as the scenario's camera codes them where the calibration knows the response."""
+        response = None if self.lens is None else self.lens.response
+        if response is None:
+            return np.minimum(picture.astype(np.float32) / np.float32(2**bits - 1), 1)
+        light = response[np.minimum(picture.astype(np.int64), len(response) - 1)]
+        return light if self.camera.gamma == 1 else light ** np.float32(1 / self.camera.gamma)
+
+
+def grey(data: bytes | NDArray[np.generic]) -> NDArray[np.generic]:
+    """Codes `[height, width]` of a picture. Raises WrongPicture where it is none, or too large."""
+    if isinstance(data, bytes):
+        try:
+            picture = decoded(data, "camera: a picture", GREY)
+        except LuxloopError as error:
+            raise WrongPicture(str(error)) from error
+        if picture is None:
+            raise WrongPicture("camera: a picture is damaged")
+        return picture
+    if data.ndim == 3:
+        return cv2.cvtColor(np.ascontiguousarray(data[..., :3]), cv2.COLOR_BGR2GRAY)
+    return data
+
+
+def load_lens(file: Path) -> Lens:
+    """The camera of a calibration's file: `size_px` `[2]`, `camera_matrix` `[3, 3]`, `distortion` `[n]`, and `response` `[2^bits]` if it
+    was measured. Raises LuxloopError where it cannot be read.
+    """
+    with reading(file, "no calibration of a rig", AGAIN):
+        content(file)
+        with np.load(file, allow_pickle=False) as arrays:
+            width, height = (int(value) for value in arrays["size_px"])
+            matrix, distortion = (np.asarray(arrays[key], np.float64) for key in ("camera_matrix", "distortion"))
+            response = np.asarray(arrays["response"], np.float32) if "response" in arrays else None
+        if matrix.shape != (3, 3) or distortion.size not in (4, 5, 8, 12, 14) or not (0 < width <= 16384 and 0 < height <= 16384):
+            raise ValueError("camera_matrix is no [3, 3], distortion has no 4, 5, 8, 12 or 14 numbers, or size_px is none")
+        if not all(np.isfinite(each).all() for each in (matrix, distortion, *(() if response is None else (response,)))):
+            raise ValueError("a number is not finite")
+        if response is not None and (response.ndim != 1 or not 256 <= len(response) <= 65536 or response.min() < 0 or response.max() > 1):
+            raise ValueError("response is no [256] to [65536] of shares")
+        return Lens((width, height), matrix, distortion.ravel(), response)
+
+
+def _times(size: tuple[int, int]) -> str:
+    return f"{size[0]} x {size[1]}"

@@ -1,0 +1,190 @@
+"""A rig that is open: lamp, camera and sensors, and one way to show light and get a frame of it."""
+
+import math
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loop.rig import mark
+from loop.rig.camera import Camera, CameraPicture, opener
+from loop.rig.ego import Ego, open_ego
+from loop.rig.keeper import Keeper
+from loop.rig.light import Light, NoLight, Picture, Shine, open_light
+from loop.rig.limits import Limited, limited
+from loop.rig.matching import shows
+from loop.rig.params import RigParams, refuse_module
+from loop.rig.rectified import Rectifier, WrongPicture
+from loop.rig.statistics import Statistics
+from perception.camera import CameraParams
+
+CAMERA_S = 5.0  # for a camera's first picture
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A frame, or why it is lost. sent_s, arrived_s: by `time.monotonic`, of the light and of the frame. image: `[height, width]`.
+
+    data: the picture as it came.
+    """
+
+    sent_s: float
+    arrived_s: float
+    image: NDArray[np.float32] | None
+    reason: str = ""
+    data: bytes | NDArray[np.generic] = b""
+
+
+@dataclass
+class Rig:
+    """An open rig. armed: whether the lamp is lit; else it is a dry run. light: the device, for tests and for what it has to tell."""
+
+    params: RigParams
+    armed: bool
+    light: Light
+    keeper: Keeper
+    camera: Camera
+    ego: Ego
+    rectifier: Rectifier | None
+    statistics: Statistics = field(default_factory=Statistics)
+    _stands: tuple[Picture, ...] | None = None
+    _changed_s: float = 0.0
+    _marked: int = -1  # number of the newest exposure whose mark was seen
+
+    def expose(self, shine: Shine, least_s: float) -> tuple[Limited, Taken]:
+        """Show light for `least_s` at least, until a frame has come that shows nothing else, or until it counts as lost."""
+        self.statistics.exposures += 1
+        began_s = time.monotonic()
+        self.statistics.began_s = self.statistics.began_s or began_s
+        self.keeper.beat()
+        if not self.camera.alive:  # nobody would see it
+            self._stands = None
+            self.keeper.dark(self.camera.reason)
+            self.camera.next(began_s + self.params.timing.wait_s)
+            self._done(began_s)
+            return Limited(shine), self._lost(shine.number, began_s, self.camera.reason)
+        given = self.limited(shine, began_s)
+        self.show(given.shine)
+        taken = self._frame(given.shine.number, began_s)
+        while (left_s := began_s + least_s - time.monotonic()) > 0:
+            self.keeper.beat()
+            time.sleep(min(left_s, self.params.light.keep_alive_s))
+        self._done(began_s)
+        return given, taken
+
+    def limited(self, shine: Shine, now_s: float) -> Limited:
+        """Light within limits, since what stands now."""
+        given = limited(shine, self._stands, now_s - self._changed_s, self.params.limits)
+        self.statistics.dimmed += given.dimmed < 1
+        self.statistics.slowed += given.slowed < 1
+        return given
+
+    def show(self, shine: Shine) -> None:
+        """Show light that is within limits, and the mark in it."""
+        self._stands, self._changed_s = shine.dimmed, time.monotonic()
+        marked = shine.pictures if self.params.mark is None else mark.drawn(shine.pictures, self.params.mark, shine.number)
+        self.keeper.show(Shine(shine.number, marked, shine.commands))
+
+    def dark(self, reason: str) -> None:
+        """No light until some is shown again."""
+        self._stands = None
+        self.keeper.dark(reason)
+
+    def _done(self, began_s: float) -> None:
+        self.statistics.ended_s = time.monotonic()
+        self.statistics.hold.add(self.statistics.ended_s - began_s)
+        self.keeper.beat()
+
+    def _lost(self, number: int, sent_s: float, reason: str) -> Taken:
+        self.statistics.lose(number, reason)
+        return Taken(sent_s, np.nan, None, reason)
+
+    def _frame(self, number: int, began_s: float) -> Taken:
+        """The first frame that shows nothing but the light that stands."""
+        timing, statistics = self.params.timing, self.statistics
+        until_s = began_s + timing.wait_s
+        last = "no picture came"
+        if self.params.camera.triggered and (since_s := self.keeper.since_s) is not None:
+            time.sleep(max(since_s + timing.clear_s - time.monotonic(), 0))
+            statistics.seen["old"] += self.camera.forget()
+            self.camera.trigger()
+        while (picture := self.camera.next(min(until_s, time.monotonic() + timing.wait_s / 8))) is not None or time.monotonic() < until_s:
+            self.keeper.beat()
+            if (since_s := self.keeper.since_s) is None:
+                return self._lost(number, began_s, self.keeper.reason)
+            if picture is None:
+                continue
+            why = self._refused(picture, since_s)
+            if why is not None:
+                statistics.seen[why] += 1
+                last = {"late": "all pictures had lain in a queue"}.get(why, "no picture that shows this light alone came")
+                continue
+            taken = self._looked_at(picture, number, since_s)
+            if isinstance(taken, Taken):
+                statistics.seen["taken"] += 1
+                return taken
+            last = taken
+        return self._lost(number, began_s, f"{last} in {timing.wait_s:g} s" if self.camera.alive else self.camera.reason)
+
+    def _refused(self, picture: CameraPicture, since_s: float) -> str | None:
+        """Why a picture may not be of light that stands since a time: old, mixed, or late, which lay in a buffer for an unknown time."""
+        lag_s = picture.arrived_s - since_s
+        if self.params.camera.triggered:  # which has no rhythm
+            return None if lag_s > self.params.timing.clear_s else "old"
+        verdict = shows(lag_s, self.params.timing, picture.late_s)
+        return verdict if verdict != "clear" else None if picture.awaited else "late"
+
+    def _looked_at(self, picture: CameraPicture, number: int, since_s: float) -> Taken | str:
+        """The frame, or why it is none."""
+        try:
+            image = np.zeros((1, 1), np.float32) if self.rectifier is None else self.rectifier.image(picture.data)
+        except WrongPicture as error:
+            self.statistics.seen["wrong"] += 1
+            return str(error)
+        if self.params.mark is not None and self.rectifier is not None:
+            found = mark.shown(image, self.params.mark)
+            if found != number % mark.CODES:
+                self.statistics.seen["unmarked" if found is None else "of another exposure"] += 1
+                return "no picture with this exposure's mark came" if found is None else "the mark was that of another exposure"
+            if self._marked != number:  # the light may have come in its midst; the next picture begins after it has ended
+                self._marked = number
+                self.statistics.seen["first of its mark"] += 1
+                return "no second picture with this exposure's mark came"
+        if self.keeper.since_s != since_s:  # while it was looked at
+            return self.keeper.reason or "the light changed"
+        self.statistics.lateness.add(picture.arrived_s - since_s)
+        return Taken(since_s, picture.arrived_s, image, data=picture.data)
+
+
+@contextmanager
+def opened(params: RigParams, grids: Sequence[tuple[int, int]], camera: CameraParams | None, *, armed: bool) -> Iterator[Rig]:
+    """Open a rig, and leave it dark at the end, however that comes.
+
+    grids: rows and columns of the modules' pixels. camera: the scenario's, None where images are not looked at. armed: whether the lamp
+    is lit. Raises LuxloopError where a device cannot be had.
+    """
+    if params.mark is not None:
+        refuse_module(params.mark, grids)
+    with ExitStack() as stack:
+        rectifier = None if camera is None else Rectifier.of(params, camera)
+        ego = open_ego(params.ego)
+        stack.callback(ego.close)
+        watched = Camera(opener(params.camera), params.camera.timeout_s)
+        stack.callback(watched.close)
+        light: Light = open_light(params.light, grids) if armed else NoLight()
+        keeper = Keeper(light, params.light, params.limits.loop_s, lambda: None if watched.alive else watched.reason)
+        stack.callback(keeper.close)
+        yield Rig(params, armed, light, keeper, watched, ego, rectifier)
+
+
+def await_camera(rig: Rig, seconds: float = CAMERA_S) -> bool:
+    """Wait for the camera's first pictures, until its rhythm is known; whether some have come."""
+    until_s = time.monotonic() + seconds
+    while time.monotonic() < until_s:
+        picture = rig.camera.next(time.monotonic() + 0.05)
+        if picture is not None and math.isfinite(picture.late_s):
+            break
+    return rig.camera.alive

@@ -1,0 +1,181 @@
+"""Light on a second display or a projector: a page that draws the pixels one to one, and says when it has."""
+
+import asyncio
+import json
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from http import HTTPStatus
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import urlsplit
+
+import numpy as np
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from loop.rig.files import stacked
+from loop.rig.light import Shine, places
+from loop.rig.params import ScreenParams
+from loop.wire.ddp import codes_of
+from world.errors import LuxloopError
+
+PAGE: Final = Path(__file__).parent / "page" / "screen.html"
+LARGEST_ANSWER: Final = 1000  # bytes
+CONFIRMED_S: Final = 0.5  # in which a page has to say that it shows a frame
+HEAD: Final = struct.Struct(">IHH")
+
+
+class ScreenLight:
+    """Serves the page. One page shows the light: the newest that has connected. A frame is shown once the page has said so.
+
+    A frame is 4 bytes of its number, 2 of its width and 2 of its height, big endian, and a byte a pixel, row by row from the top.
+    """
+
+    def __init__(self, params: ScreenParams, grids: Sequence[tuple[int, int]]) -> None:
+        """Listen, in a thread of its own. Raises LuxloopError where the port cannot be had."""
+        self._params = params
+        self._order = [places(params.scan.model_copy(update={"columns_first": False}), *grid) for grid in grids]
+        self._changed = threading.Condition()
+        self._page: ServerConnection | None = None
+        self._number, self._answer, self._failed = -1, dict[str, Any](), ""
+        self.port = 0
+        self._ready, self._loop = threading.Event(), asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._run, name="screen", daemon=True)
+        self._thread.start()
+        self._ready.wait()
+        if self._failed:
+            raise LuxloopError(self._failed)
+
+    @property
+    def connected(self) -> bool:
+        """Whether a page is there."""
+        return self._page is not None
+
+    def await_page(self, ask: Callable[[str], None], seconds: float = 600.0) -> None:
+        """Wait until a page is there; ask: is told the address that somebody has to open. Raises LuxloopError where none comes."""
+        if not self.connected:
+            ask(f"http://{self._params.host}:{self.port}/")
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._page is not None, seconds):
+                raise LuxloopError("light: no page has connected; open the address that was printed on the projector")
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """What the page said of the newest frame: its number, and drawn_ms and presented_ms by the page's clock, now_ms when it said so."""
+        return self._answer
+
+    def show(self, shine: Shine) -> str | None:
+        """Send new light and wait until the page has shown it; light that stands is not sent again, only word that the loop is alive."""
+        page = self._page
+        if page is None:
+            return f"light: no page shows it; open http://{self._params.host}:{self.port}/ on the projector"
+        if shine.number == self._number:
+            self._send(page, '{"alive": true}')
+            return None
+        picture = stacked([u.ravel()[order].reshape(u.shape) for u, order in zip(shine.dimmed, self._order, strict=True)])
+        codes = codes_of(picture, 8, self._params.gamma)
+        self._number = shine.number
+        self._send(page, HEAD.pack(shine.number % 2**32, codes.shape[1], codes.shape[0]) + codes.astype(np.uint8).tobytes())
+        with self._changed:
+            done = self._changed.wait_for(lambda: self._answer.get("number") == shine.number % 2**32 or self._page is not page, CONFIRMED_S)
+        if not done or self._page is not page:
+            self._number = -1
+            return "light: the page has not shown it in time" if done is False else "light: the page was closed"
+        return None
+
+    def dark(self) -> None:
+        self._number = -1
+        if self._page is not None:
+            self._send(self._page, '{"dark": true}')
+
+    def close(self) -> None:
+        """Close the page's connection, upon which it is dark, and stop to listen."""
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self._stop.set)
+        self._thread.join(2)
+
+    def _send(self, page: ServerConnection, data: bytes | str) -> None:
+        async def send() -> None:
+            with suppress(ConnectionClosed):
+                await page.send(data)
+
+        with suppress(RuntimeError, TimeoutError):  # the loop has ended, or the page takes nothing
+            asyncio.run_coroutine_threadsafe(send(), self._loop).result(CONFIRMED_S)
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        self._loop.run_until_complete(self._serve())
+
+    async def _serve(self) -> None:
+        self._stop = asyncio.Event()
+        host, port = self._params.host, self._params.port
+        try:
+            server = await serve(
+                self._client, host, port, process_request=self._file, max_size=LARGEST_ANSWER, compression=None, ping_timeout=5
+            )
+        except OSError as error:
+            self._failed = f"light.port: cannot listen on {host}:{port} ({error.strerror}); give another port, 0 for a free one"
+            self._ready.set()
+            return
+        self.port = server.sockets[0].getsockname()[1]
+        self._ready.set()
+        await self._stop.wait()
+        server.close()
+        await server.wait_closed()
+
+    def _file(self, connection: ServerConnection, request: Request) -> Response | None:
+        host, origin = request.headers.get("Host", "").lower(), request.headers.get("Origin")
+        path = request.path.partition("?")[0]
+        if path == "/light" and _is_ours(host) and (origin is None or origin.lower() == f"http://{host}"):
+            return None
+        status, kind, body = HTTPStatus.OK, "text/html; charset=utf-8", PAGE.read_bytes()
+        if path != "/":
+            status, kind, body = HTTPStatus.NOT_FOUND, "text/plain", b"There is no such file.\n"
+        headers = {"Content-Type": kind, "Content-Length": str(len(body)), "Cache-Control": "no-store", "Connection": "close"}
+        return Response(status.value, status.phrase, Headers(headers), body)
+
+    async def _client(self, page: ServerConnection) -> None:
+        with self._changed:
+            before, self._page = self._page, page
+            self._changed.notify_all()
+        if before is not None:
+            await before.close()
+        try:
+            await page.send(json.dumps({"dark_after_ms": 1000 * self._params.dark_after_s}))
+            async for text in page:
+                self._take(text)
+        except ConnectionClosed:
+            pass
+        finally:
+            with self._changed:
+                self._page = None if self._page is page else self._page
+                self._changed.notify_all()
+
+    def _take(self, text: str | bytes) -> None:
+        try:
+            answer = json.loads(text)
+            number = answer["number"]
+        except (ValueError, TypeError, KeyError, RecursionError):
+            return
+        if isinstance(number, int):
+            with self._changed:
+                self._answer = {**answer, "arrived_s": time.monotonic()}
+                self._changed.notify_all()
+
+
+def _is_ours(host: str) -> bool:
+    """Whether a Host header names this machine: a page of somebody else, whose name is made to lead here, has that name in it."""
+    try:
+        name = urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return False
+    with suppress(ValueError):
+        return bool(ip_address(name))
+    return name in ("localhost", socket.gethostname().lower())

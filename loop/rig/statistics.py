@@ -1,0 +1,75 @@
+"""What a rig run was like: how late frames came, which were taken, which were lost and why, and the control rate that came of it."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+
+BIN_S: Final = 0.0005
+BINS: Final = 10_000  # up to 5 s; later ones count as the last
+MOST_LOSSES: Final = 1000  # of which the number of the exposure is kept
+
+
+@dataclass
+class Lateness:
+    """Times in a histogram, whose memory does not grow."""
+
+    counts: "np.ndarray" = field(default_factory=lambda: np.zeros(BINS, np.int64))
+    worst_s: float = 0.0
+
+    def add(self, time_s: float) -> None:
+        self.counts[min(max(int(time_s / BIN_S), 0), BINS - 1)] += 1
+        self.worst_s = max(self.worst_s, time_s)
+
+    def quantile_s(self, share: float) -> float | None:
+        """None where there is none."""
+        total = int(self.counts.sum())
+        if not total:
+            return None
+        at = int(np.searchsorted(np.cumsum(self.counts), share * total))
+        return min((at + 0.5) * BIN_S, self.worst_s)
+
+    @property
+    def in_ms(self) -> dict[str, float | None]:
+        """Median, 95 % and worst."""
+        values = {"median": self.quantile_s(0.5), "p95": self.quantile_s(0.95), "worst": self.worst_s if self.counts.any() else None}
+        return {name: None if value is None else round(1e3 * value, 2) for name, value in values.items()}
+
+
+@dataclass
+class Statistics:
+    """Of a run so far. lateness: from light that was sent to the frame that was taken for it. hold: of an exposure, from its begin to the
+    arrival of its frame. seen: pictures by what was made of them.
+    """
+
+    lateness: Lateness = field(default_factory=Lateness)
+    hold: Lateness = field(default_factory=Lateness)
+    seen: Counter[str] = field(default_factory=Counter)
+    lost: Counter[str] = field(default_factory=Counter)
+    losses: list[tuple[int, str]] = field(default_factory=list)
+    exposures: int = 0
+    dimmed: int = 0
+    slowed: int = 0
+    began_s: float = 0.0
+    ended_s: float = 0.0
+
+    def lose(self, number: int, reason: str) -> None:
+        self.lost[reason] += 1
+        if len(self.losses) < MOST_LOSSES:
+            self.losses.append((number, reason))
+
+    def summary(self, per_step: int) -> dict[str, Any]:
+        """per_step: exposures a control step."""
+        lasted_s = self.ended_s - self.began_s
+        return {
+            "exposures": self.exposures,
+            "lost": dict(self.lost),
+            "losses": [{"exposure": number, "reason": reason} for number, reason in self.losses],
+            "control_rate_hz": round(self.exposures / per_step / lasted_s, 3) if lasted_s > 0 else None,
+            "light_to_frame_ms": self.lateness.in_ms,
+            "hold_ms": self.hold.in_ms,
+            "pictures": dict(self.seen),
+            "dimmed": self.dimmed,
+            "slowed": self.slowed,
+        }

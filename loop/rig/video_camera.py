@@ -1,0 +1,128 @@
+"""Pictures of V4L2 devices by OpenCV, of RTSP and other streams by PyAV, and of a folder that another program fills."""
+
+import os
+import time
+from pathlib import Path
+from typing import Any, Final
+
+from loop.rig.camera import CameraPicture
+from loop.rig.params import DeviceParams, FolderParams, StreamParams
+from world.errors import LuxloopError
+from world.files import content
+
+WAITED_S: Final = 0.001  # a read that takes less has found its picture in a buffer
+LOCKED: Final = 1  # V4L2's word for an exposure that is not automatic
+POLL_S: Final = 0.005
+ENDINGS: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+LOST_S: Final = 5.0  # without an answer of a stream's server
+
+
+class DeviceCamera:
+    """A webcam. A read that its driver does not answer blocks the camera's thread alone."""
+
+    def __init__(self, params: DeviceParams) -> None:
+        """Raises LuxloopError where there is no such device, or it does not do what it is asked for."""
+        import cv2
+
+        if not Path(params.device).exists():
+            raise LuxloopError(f"camera.device: there is no {params.device}; `ls /dev/video*` lists those there are")
+        self._capture = cv2.VideoCapture(params.device, cv2.CAP_V4L2)
+        if not self._capture.isOpened():
+            raise LuxloopError(
+                f"camera.device: {params.device} cannot be opened; another program may hold it, or you are not in group video"
+            )
+        wanted = {
+            "width_px": (cv2.CAP_PROP_FRAME_WIDTH, params.width_px),
+            "height_px": (cv2.CAP_PROP_FRAME_HEIGHT, params.height_px),
+            "rate_hz": (cv2.CAP_PROP_FPS, params.rate_hz),
+        }
+        self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        for name, (key, value) in wanted.items():
+            self._capture.set(key, value)
+            if name != "rate_hz" and self._capture.get(key) != value:
+                got = self._capture.get(key)
+                self._capture.release()
+                raise LuxloopError(
+                    f"camera.{name}: {params.device} gives {got:g} where {value:g} is asked for; `v4l2-ctl --list-formats-ext`"
+                )
+        if params.exposure is not None:
+            self._capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, LOCKED)
+            self._capture.set(cv2.CAP_PROP_EXPOSURE, params.exposure)
+        if params.gain is not None:
+            self._capture.set(cv2.CAP_PROP_GAIN, params.gain)
+        self._capture.set(cv2.CAP_PROP_AUTO_WB, 0)
+
+    def read(self, timeout_s: float) -> CameraPicture | None:
+        """Raises LuxloopError where the device is gone."""
+        asked_s = time.monotonic()
+        if not self._capture.grab():
+            raise LuxloopError("camera: the device gives no picture; check its cable")
+        arrived_s = time.monotonic()
+        done, picture = self._capture.retrieve()
+        return CameraPicture(arrived_s, arrived_s - asked_s > WAITED_S, picture) if done else None
+
+    def close(self) -> None:
+        self._capture.release()
+
+
+class StreamCamera:
+    """A stream whose frames are decoded as they come."""
+
+    def __init__(self, params: StreamParams) -> None:
+        """Raises an OSError of PyAV's where nobody answers in time."""
+        import av
+
+        self._container: Any = av.open(params.url, options=dict(params.options), timeout=(LOST_S, LOST_S))
+        if not self._container.streams.video:
+            self._container.close()
+            raise LuxloopError(f"camera.url: {params.url} has no video")
+        stream = self._container.streams.video[0]
+        stream.thread_type = "SLICE"  # threads that share frames keep some back
+        stream.codec_context.flags |= av.codec.context.Flags.low_delay
+        self._packets, self._frames = self._container.demux(stream), list[Any]()
+
+    def read(self, timeout_s: float) -> CameraPicture | None:
+        """Raises LuxloopError where the stream ends."""
+        asked_s = time.monotonic()
+        packet = next(self._packets, None)
+        if packet is None or packet.dts is None:
+            raise LuxloopError("camera: has ended the stream")
+        arrived_s = time.monotonic()
+        frames = packet.decode()
+        if not frames:
+            return None
+        deep = "16" in frames[-1].format.name or "12" in frames[-1].format.name or "10" in frames[-1].format.name
+        picture = frames[-1].to_ndarray(format="gray16le" if deep else "gray")
+        return CameraPicture(arrived_s, arrived_s - asked_s > WAITED_S, picture)
+
+    def close(self) -> None:
+        self._container.close()
+
+
+class FolderCamera:
+    """Files of a folder by ascending name, from those on that come after the start."""
+
+    def __init__(self, params: FolderParams) -> None:
+        """Raises LuxloopError where there is no such folder."""
+        self._folder = params.folder
+        if not self._folder.is_dir():
+            raise LuxloopError(f"camera.folder: there is no folder {self._folder}; make it, or correct the path")
+        self._last = max(self._names(), default="")
+
+    def read(self, timeout_s: float) -> CameraPicture | None:
+        """Raises LuxloopError where a file cannot be read."""
+        until_s, waited = time.monotonic() + timeout_s, False
+        while not (fresh := sorted(name for name in self._names() if name > self._last)):
+            if time.monotonic() > until_s:
+                return None
+            waited = True
+            time.sleep(POLL_S)
+        self._last = fresh[-1]
+        arrived_s = time.monotonic()
+        return CameraPicture(arrived_s, waited and len(fresh) == 1, content(self._folder / fresh[-1]))
+
+    def close(self) -> None:
+        return None
+
+    def _names(self) -> list[str]:
+        return [name for name in os.listdir(self._folder) if name.lower().endswith(ENDINGS) and not name.startswith(".")]

@@ -1,0 +1,197 @@
+"""Light as DDP, the Distributed Display Protocol: the pixels of one frame in UDP packets, and back.
+
+A packet has a header of 14 bytes, big endian, and at most 1440 bytes of data:
+
+| byte | value |
+| --- | --- |
+| 0 | 0x50: version 1 with time code; 0x51 in the last packet of a frame (push) |
+| 1 | number of the packet, 1 to 15 and again from 1 |
+| 2 | 0x23: grey, 8 bits; 0x24: grey, 16 bits, big endian |
+| 3 | 1: pixels; 246: commands of modules as JSON, which go before the pixels |
+| 4-7 | place of the data in the frame in bytes, a multiple of 1440 |
+| 8-9 | length of the data in bytes |
+| 10-13 | time code of the frame |
+
+One time code stands for one content. So a frame that is sent again repairs what was lost of it.
+"""
+
+import json
+import socket
+import struct
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from world.errors import LuxloopError
+
+PORT: Final = 4048
+DATA_BYTES: Final = 1440  # of a packet at most, so that it fits into an Ethernet frame
+LARGEST_PACKET: Final = 14 + DATA_BYTES
+VERSION, TIMECODE, PUSH = 0x40, 0x10, 0x01
+VERSION_BITS: Final = 0xC0
+GREY8, GREY16 = 0x23, 0x24
+PIXELS, COMMANDS = 1, 246
+BURST: Final = 64  # packets that any receiver's buffer holds
+TIMECODES: Final = 2**32
+
+Codes = NDArray[np.uint8] | NDArray[np.uint16]
+_HEADER: Final = struct.Struct(">BBBBIHI")
+
+
+@dataclass(frozen=True)
+class WireCommand:
+    """Turn of a module from its rest in deg, to the left and nose down positive, and the limit of its intensity, 0..1."""
+
+    swivel_deg: float = 0.0
+    level_deg: float = 0.0
+    intensity: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class LightFrame:
+    """A frame of light as it came. codes: `[n]` of all modules one after another. commands: one a module, None where none were sent.
+
+    timecodes: its own, and in a mixed frame those of the older frames of which it shows a part.
+    """
+
+    codes: Codes
+    timecodes: tuple[int, ...]
+    commands: tuple[WireCommand, ...] | None = None
+
+
+def codes_of(u: NDArray[np.floating], bits: int, gamma: float = 1.0) -> Codes:
+    """Codes `[n]` of utilisations `[n]` in 0..1: `round((2^bits - 1) u^(1/gamma))`. bits: 8 or 16."""
+    shares = np.clip(u, 0, 1)
+    most = 2**bits - 1
+    codes = np.rint((shares if gamma == 1 else shares ** (1 / gamma)) * most)
+    return codes.astype(np.uint8 if bits == 8 else np.uint16)
+
+
+def utilisations_of(codes: Codes, gamma: float = 1.0) -> NDArray[np.float32]:
+    """Utilisations `[n]` of codes `[n]`, the inverse of `codes_of`."""
+    shares = codes.astype(np.float32) / np.float32(np.iinfo(codes.dtype).max)
+    return shares if gamma == 1 else shares ** np.float32(gamma)
+
+
+def packets(codes: Codes, timecode: int, commands: Sequence[WireCommand] | None = None) -> Iterator[bytes]:
+    """The packets of a frame, in the order in which they go out. Raises LuxloopError where the commands do not fit into one packet."""
+    kind = GREY8 if codes.dtype == np.uint8 else GREY16
+    number, flags = 0, VERSION | TIMECODE
+    timecode %= TIMECODES
+    if commands is not None:
+        text = json.dumps({"modules": [vars(each) for each in commands]}, separators=(",", ":")).encode()
+        if len(text) > DATA_BYTES:
+            raise LuxloopError(f"commands of {len(commands)} modules take {len(text)} bytes, more than the {DATA_BYTES} of a packet")
+        yield _HEADER.pack(flags, 1, kind, COMMANDS, 0, len(text), timecode) + text
+        number = 1
+    data = memoryview(codes.tobytes() if kind == GREY8 else codes.astype(">u2").tobytes())
+    for offset in range(0, len(data), DATA_BYTES):
+        part = data[offset : offset + DATA_BYTES]
+        last = offset + DATA_BYTES >= len(data)
+        yield _HEADER.pack(flags | PUSH * last, 1 + number % 15, kind, PIXELS, offset, len(part), timecode) + part
+        number += 1
+
+
+def send(sock: socket.socket, frame: Sequence[bytes], pause_s: float = 0.0002) -> None:
+    """Send the packets of a frame over a connected UDP socket, with a pause after each 64, in which the receiver empties its buffer.
+
+    Raises OSError as sockets do, such as ConnectionRefusedError where nobody listened at the packet before.
+    """
+    for first in range(0, len(frame), BURST):
+        if first and pause_s:
+            time.sleep(pause_s)
+        for packet in frame[first : first + BURST]:
+            sock.send(packet)
+
+
+class Assembler:
+    """Puts packets together to frames of a given number of pixels; keeps one frame at most.
+
+    A frame is complete with its last missing packet. A sender that has commanded modules does so with every frame, so that one without its
+    commands lacks something. incomplete: frames that were given up since a newer one began. refused: packets that are none of such a frame.
+    """
+
+    def __init__(self, pixels: int, mixed: bool = False) -> None:
+        """mixed: whether an incomplete frame comes at its push, its holes filled with older light, as simple lamps do."""
+        self.pixels, self.mixed = pixels, mixed
+        self.incomplete = self.refused = 0
+        self._given_out = False
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew: the next frame may have any time code."""
+        self._timecode: int | None = None
+        self._kind = 0
+        self._buffer = bytearray()
+        self._origins = dict[int, int]()  # of a packet's place: the time code of what is there
+        self._missing = 0
+        self._commands: tuple[WireCommand, ...] | None = None
+        self._commanding = self._given = False
+
+    def take(self, packet: bytes | memoryview) -> LightFrame | None:
+        """A packet, as it came in; the frame that it completes."""
+        if len(packet) < _HEADER.size:
+            self.refused += 1
+            return None
+        flags, _, kind, id_, offset, length, timecode = _HEADER.unpack_from(packet)
+        data = packet[_HEADER.size :]
+        if flags & VERSION_BITS != VERSION or not flags & TIMECODE or kind not in (GREY8, GREY16) or length != len(data):
+            self.refused += 1
+            return None
+        whole = self.pixels * (1 if kind == GREY8 else 2)
+        commands = None
+        if id_ == COMMANDS:
+            commands = _commands(bytes(data))
+        if commands is None and (id_ != PIXELS or offset % DATA_BYTES or offset >= whole or length != min(DATA_BYTES, whole - offset)):
+            self.refused += 1
+            return None
+        if timecode != self._timecode or kind != self._kind:
+            if self._timecode is not None and 0 < (self._timecode - timecode) % TIMECODES < TIMECODES // 2:
+                return None  # late, of a frame that a newer one has replaced
+            self._begin(timecode, kind, whole)
+        if commands is not None:
+            self._commands, self._given, self._commanding = commands, True, True
+        elif self._origins.get(offset) != timecode:
+            self._buffer[offset : offset + length] = data
+            self._origins[offset] = timecode
+            self._missing -= 1
+        elif self._given_out:
+            return self._frame() if flags & PUSH else None  # sent again, whole: word that the sender is alive
+        if self._given_out:
+            return None
+        complete = not self._missing and (self._given or not self._commanding)
+        if complete or (self.mixed and id_ == PIXELS and flags & PUSH):
+            self._given_out = complete
+            return self._frame()
+        return None
+
+    def _begin(self, timecode: int, kind: int, whole: int) -> None:
+        if self._timecode is not None and not self._given_out:
+            self.incomplete += 1
+        if kind != self._kind or len(self._buffer) != whole:
+            self._buffer, self._origins = bytearray(whole), {}
+        self._timecode, self._kind = timecode, kind
+        self._missing = -(-whole // DATA_BYTES)
+        self._given = self._given_out = False
+
+    def _frame(self) -> LightFrame:
+        data = bytes(self._buffer)
+        codes: Codes = np.frombuffer(data, np.uint8) if self._kind == GREY8 else np.frombuffer(data, ">u2").astype(np.uint16)
+        assert self._timecode is not None
+        older = set(self._origins.values()) - {self._timecode}
+        return LightFrame(codes, (self._timecode, *sorted(older)), self._commands)
+
+
+def _commands(text: bytes) -> tuple[WireCommand, ...] | None:
+    """Commands of modules, None where the text has none."""
+    try:
+        modules = json.loads(text)["modules"]
+        commands = tuple(WireCommand(**{key: float(value) for key, value in each.items()}) for each in modules)
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return None
+    fine = all(abs(each.swivel_deg) <= 180 and abs(each.level_deg) <= 180 and 0 <= each.intensity <= 1 for each in commands)
+    return commands if fine else None

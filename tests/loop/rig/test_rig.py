@@ -1,0 +1,148 @@
+"""An open rig shows light and gets frames of it, each of its own exposure or none; when something stops, it is dark."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from loop.rig.blink import blink
+from loop.rig.light import Shine
+from loop.rig.rig import Rig, await_camera, opened
+from perception.camera import CameraParams
+from tests.loop.rig.conftest import Process, eventually
+
+GRID = (12, 16)
+CAMERA = CameraParams(width_px=64, height_px=48, bits=8)
+
+
+def shine(number: int, share: float | None = None) -> Shine:
+    """Even numbers are lit, odd ones are half as bright."""
+    share = (0.8 if number % 2 == 0 else 0.4) if share is None else share
+    return Shine(number, (np.full(GRID, share, np.float32),))
+
+
+@contextmanager
+def rig_of(process: Process, **tables: object) -> Iterator[Rig]:
+    with opened(process.params(**tables), (GRID,), CAMERA, armed=True) as rig:
+        assert await_camera(rig)
+        yield rig
+
+
+def said(image: np.ndarray) -> set[int]:
+    """Time codes plus 1 that a picture says it shows, 0 for the dark."""
+    return set(np.frombuffer(image[0, :8].astype(np.uint8).tobytes(), "<u4").tolist())
+
+
+def camera_sees(rig: Rig, level: float) -> bool:
+    picture = rig.camera.next(time.monotonic() + 0.2)
+    return picture is not None and rig.rectifier is not None and abs(float(rig.rectifier.image(picture.data)[10:].mean()) - level) < 2
+
+
+def test_each_frame_shows_its_own_exposure_alone(small_rig: Callable[..., Process]) -> None:
+    with rig_of(small_rig()) as rig:
+        for number in range(30):
+            given, taken = rig.expose(shine(number), 0.001)
+            assert given.whole and taken.image is not None, taken.reason
+            assert said(taken.image) == {number + 1}
+            assert taken.sent_s < taken.arrived_s <= time.monotonic()
+        assert rig.statistics.lateness.quantile_s(0.5) < 0.07  # latency, jitter and two periods of the camera
+
+
+def test_with_jitter_and_lost_packets_a_frame_is_right_or_lost(small_rig: Callable[..., Process]) -> None:
+    process = small_rig(20_000, jitter_s=0.02, loss=0.01)  # 14 packets a frame, of which one is lost in every seventh
+    timing = {"latency_s": 0.02, "jitter_s": 0.03, "rolling_s": 0.03, "wait_s": 0.6}
+    light = {"kind": "ddp", "host": "127.0.0.1", "port": process.light, "repeats": 4}
+    with opened(process.params(timing=timing, light=light), ((100, 200),), CAMERA, armed=True) as rig:
+        assert await_camera(rig)
+        came = 0
+        for number in range(40):
+            pictures = (np.full((100, 200), 0.8 if number % 2 else 0.3, np.float32),)
+            _, taken = rig.expose(Shine(number, pictures), 0.001)
+            came += taken.image is not None
+            assert taken.image is None or said(taken.image) == {number + 1}
+        assert came > 30
+
+
+def test_a_camera_that_stops_darkens_the_lamp_and_comes_back(small_rig: Callable[..., Process]) -> None:
+    with rig_of(small_rig(mute_after_s=1.5, mute_for_s=1.2)) as rig:
+        reasons, number, until_s = [], 0, time.monotonic() + 4.5
+        while time.monotonic() < until_s:
+            _, taken = rig.expose(shine(number), 0.001)
+            reasons.append(taken.reason)
+            assert taken.image is None or said(taken.image) == {number + 1 + rig.keeper.darkened}
+            number += 1
+        assert rig.keeper.darkened == 1 and any("no picture" in each for each in reasons)
+        assert reasons[-1] == "" == reasons[0]
+
+
+def test_a_loop_that_says_nothing_leaves_the_lamp_dark(small_rig: Callable[..., Process]) -> None:
+    with rig_of(small_rig(), limits={"loop_s": 0.2}) as rig:
+        rig.expose(shine(0), 0.001)
+        assert eventually(lambda: camera_sees(rig, 20), 1.0)  # of a picture in the dark
+        assert rig.keeper.darkened == 1
+        _, taken = rig.expose(shine(1), 0.001)
+        assert taken.image is not None and said(taken.image) == {3}  # lit again; the darkness between had a time code of its own
+
+
+def test_a_rig_that_is_killed_and_started_again(small_rig: Callable[..., Process]) -> None:
+    process = small_rig()
+    with rig_of(process) as rig:
+        assert rig.expose(shine(0), 0.001)[1].image is not None
+        process.kill()
+        _, taken = rig.expose(shine(1), 0.001)
+        assert taken.image is None and ("camera" in taken.reason or "nobody listens" in taken.reason)
+        process.start()
+        assert eventually(lambda: rig.camera.alive, 5)
+        for number in range(2, 8):
+            _, taken = rig.expose(shine(number), 0.001)
+        assert taken.image is not None and max(said(taken.image)) == min(said(taken.image)) > 0
+
+
+def test_pictures_of_a_wrong_size_are_lost_with_the_reason(small_rig: Callable[..., Process]) -> None:
+    with rig_of(small_rig(width=80)) as rig:
+        _, taken = rig.expose(shine(0), 0.001)
+        assert taken.image is None and "80 x 48 px, where the scenario's image has 64 x 48" in taken.reason
+
+
+def test_at_the_end_the_lamp_is_dark_at_once(small_rig: Callable[..., Process]) -> None:
+    process = small_rig(dark_s=60.0)  # so that it does not darken by itself
+    with pytest.raises(KeyboardInterrupt), rig_of(process) as rig:
+        rig.expose(shine(0), 0.001)
+        raise KeyboardInterrupt
+    with opened(process.params(), (GRID,), CAMERA, armed=False) as rig:
+        assert await_camera(rig) and eventually(lambda: camera_sees(rig, 20), 1.0)
+
+
+def test_a_dry_run_lights_nothing(small_rig: Callable[..., Process]) -> None:
+    with opened(small_rig().params(), (GRID,), CAMERA, armed=False) as rig:
+        assert await_camera(rig)
+        _, taken = rig.expose(shine(0), 0.001)
+        assert taken.image is not None and said(taken.image) == {0}
+
+
+def test_power_and_change_are_limited_and_told(small_rig: Callable[..., Process]) -> None:
+    with rig_of(small_rig(), limits={"power": 0.5, "change_per_s": 4.0}) as rig:
+        rig.expose(shine(0, 0.0), 0.2)
+        given, _ = rig.expose(shine(1, 1.0), 0.001)
+        assert given.dimmed == 0.5
+        time.sleep(0.2)
+        given, taken = rig.expose(shine(2, 0.5), 0.001)
+        assert given.whole and taken.image is not None
+        given, _ = rig.expose(shine(3, 0.0), 0.001)
+        assert 0 < given.slowed < 1 and 0.1 < given.shine.share < 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("keys", [{"latency_s": 0.01}, {"latency_s": 0.04, "light_s": 0.02, "exposure_s": 0.015}])
+def test_blinks_find_latency_and_exposure(small_rig: Callable[..., Process], keys: dict[str, float]) -> None:
+    process = small_rig(**keys)
+    with opened(process.params(), (GRID,), None, armed=True) as rig:
+        assert await_camera(rig)
+        found = blink(rig, (GRID,), 24, 1.0)
+    exposure_s = keys.get("exposure_s", 0.005)
+    true_s = keys.get("light_s", 0.0) + exposure_s + keys["latency_s"]
+    assert abs(found.latency_s - true_s) < 0.004  # a quarter of the camera's period: 24 blinks meet its phases every 0.8 ms
+    assert abs(found.rolling_s - exposure_s) < 0.004
+    assert found.jitter_s < 0.02 and abs(found.interval_s[0] - 0.02) < 0.002

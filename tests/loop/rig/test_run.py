@@ -1,0 +1,105 @@
+"""`luxloop run --rig`: a scenario on a rig process, from the command line."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from loop.rig.params import load_rig
+from tests.loop.conftest import Lux, assert_one_sentence
+from tests.loop.rig.conftest import ROOT, Process, eventually
+
+PIXELS = 332 * 1024
+
+
+def rig_file(process: Process, folder: Path, more: str = "") -> Path:
+    file = folder / "rig.toml"
+    file.write_text(
+        f'[light]\nkind = "ddp"\nhost = "127.0.0.1"\nport = {process.light}\n\n[camera]\nkind = "http"\n'
+        f'url = "http://127.0.0.1:{process.camera}/camera"\n\n[timing]\nlatency_s = 0.03\njitter_s = 0.02  # measured\n{more}'
+    )
+    return file
+
+
+def test_a_scenario_runs_on_a_rig_and_is_recorded(small_rig: Callable[..., Process], lux: Lux, tmp_path: Path) -> None:
+    file = rig_file(small_rig(PIXELS, width=320, height=180), tmp_path)
+    code, out, error = lux("run", "small.toml", "--rig", str(file), "--arm", "--out", "runs/rig", "--set", "camera.bits=8", "--frames")
+    assert code == 0, error
+    assert "control rate" in out and "light to frame" in out and "the rig's own camera" in out and "6 of 6 exposures" in out
+    told = json.loads((tmp_path / "runs/rig/rig.json").read_text())
+    assert told["armed"] and not told["lost"] and told["rig"]["light"]["kind"] == "ddp"
+    assert 20 < told["light_to_frame_ms"]["median"] < 150 and 1 < told["control_rate_hz"] < 20
+    summary = json.loads((tmp_path / "runs/rig/summary.json").read_text())
+    assert summary["frames"] == {"asked": 6, "came": 6, "unknown": 0}
+
+    code, out, error = lux("run", "small.toml", "--plant", "runs/rig", "--out", "runs/again", "--set", "camera.bits=8", "--no-report")
+    assert code == 0, error
+    code, out, error = lux("replay", "runs/rig")
+    assert code == 2 and "no rig is connected" in error
+
+
+def test_without_arm_nothing_is_lit(small_rig: Callable[..., Process], lux: Lux, tmp_path: Path) -> None:
+    process = small_rig(PIXELS, width=320, height=180)
+    file = rig_file(process, tmp_path)
+    code, out, _ = lux("run", "small.toml", "--rig", str(file), "--out", "runs/dry", "--set", "camera.bits=8", "--no-report", "--no-video")
+    assert code == 0 and "dry run: the lamp stays dark" in out
+    assert not json.loads((tmp_path / "runs/dry/rig.json").read_text())["armed"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("run", "small.toml", "--arm"), "give --rig FILE as well"),
+        (("run", "small.toml", "--rig", "rig.toml", "--plant", "runs/a"), "give one of the two"),
+        (("run", "small.toml", "--rig", "none.toml"), "none.toml: cannot be read"),
+        (("run", "small.toml", "--set", "plant.kind=rig"), "no rig is connected; run it with `luxloop run NAME --rig FILE`"),
+        (("run", "small.toml", "--rig", "rig.toml", "--arm"), "Connection refused"),
+    ],
+)
+def test_what_cannot_run_says_so(lux: Lux, tmp_path: Path, arguments: tuple[str, ...], words: str) -> None:
+    (tmp_path / "rig.toml").write_text(
+        '[light]\nkind = "ddp"\nhost = "127.0.0.1"\n[camera]\nkind = "http"\nurl = "http://127.0.0.1:9/camera"\n'
+    )
+    code, _, error = lux(*arguments)
+    assert code == 2 and words in error
+    assert_one_sentence(error)
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_scenario_on_a_rig_is_checked_without_one(lux: Lux) -> None:
+    code, out, error = lux("check", "small.toml", "--set", "plant.kind=rig")
+    assert code == 0 and "small.toml: ok" in out, error
+
+
+@pytest.mark.slow
+def test_a_killed_loop_leaves_the_lamp_dark_within_200_ms(small_rig: Callable[..., Process], lux: Lux, tmp_path: Path) -> None:
+    process = small_rig(PIXELS, width=320, height=180)
+    file = rig_file(process, tmp_path)
+    command = [sys.executable, "-m", "loop.commands.cli", "run", "small.toml", "--rig", str(file), "--arm", "--steps", "2000"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    loop = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    from loop.rig.camera import Camera, opener
+    from loop.rig.rectified import grey
+
+    camera = Camera(opener(load_rig(file).camera), 1.0)
+
+    def lit() -> bool:
+        picture = camera.next(time.monotonic() + 0.5)
+        return picture is not None and bool(grey(picture.data)[0, :8].any())
+
+    try:
+        assert eventually(lit, 60)
+        loop.send_signal(signal.SIGKILL)
+        killed_s = time.monotonic()
+        camera.forget()
+        assert eventually(lambda: not lit(), 2)
+        assert time.monotonic() - killed_s < 0.2 + 0.05  # with a period and the latency of the camera, by which it sees it
+    finally:
+        loop.kill()
+        camera.close()

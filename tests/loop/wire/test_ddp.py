@@ -1,0 +1,113 @@
+"""Light arrives as it was sent, whole or not at all, and what is no light does no harm."""
+
+import random
+import socket
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from loop.wire import ddp
+from loop.wire.ddp import Assembler, LightFrame, WireCommand, packets
+from world.errors import LuxloopError
+
+N = 4000  # pixels, three packets of 8 bits
+
+
+def frame(seed: int, dtype: type = np.uint8) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, np.iinfo(dtype).max, N, dtype, endpoint=True)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_a_frame_comes_as_it_was_sent_in_any_order_of_packets(dtype: type) -> None:
+    sent, assembler = frame(0, dtype), Assembler(N)
+    order = list(packets(sent, 7, (WireCommand(1.5, -0.25, 0.5),)))
+    assert len(order) == 1 + -(-sent.nbytes // 1440)
+    random.Random(0).shuffle(order)
+    *none, came = [assembler.take(packet) for packet in order]
+    assert none == [None] * len(none)
+    assert came.codes.dtype == dtype and (came.codes == sent).all()
+    assert came.timecodes == (7,) and came.commands == (WireCommand(1.5, -0.25, 0.5),)
+
+
+def lit(assembler: Assembler, sent: Iterable[bytes]) -> list[LightFrame]:
+    return [each for packet in sent if (each := assembler.take(packet))]
+
+
+def test_the_header_is_that_of_the_protocol() -> None:
+    *_, last = packets(np.arange(2000).astype(np.uint16), 2**32 + 3)
+    assert last[:14] == bytes([0x51, 3, 0x24, 1, 0, 0, 0x0B, 0x40, 0x04, 0x60, 0, 0, 0, 3])
+    assert last[14:16] == (2880 // 2).to_bytes(2, "big")
+
+
+def test_utilisations_survive_their_codes() -> None:
+    u = np.linspace(-0.1, 1.1, 50, dtype=np.float32)
+    for bits, gamma in ((8, 1.0), (16, 2.2)):
+        back = ddp.utilisations_of(ddp.codes_of(u, bits, gamma), gamma)
+        assert abs(back - u.clip(0, 1)).max() < 0.51 * gamma / (2**bits - 1)  # half a level
+
+
+def test_an_incomplete_frame_is_not_lit_and_repaired_by_the_next_sending() -> None:
+    assembler, first = Assembler(N), list(packets(frame(1), 1))
+    assert [assembler.take(packet) for packet in (first[0], first[2])] == [None, None]
+    again = [assembler.take(packet) for packet in first]
+    assert (again[1].codes == frame(1)).all() and again[0] is None
+    assert again[2] is not None, "and comes again with its last packet, as word of life"
+    second = list(packets(frame(2), 2))
+    assert assembler.take(second[0]) is None
+    (come,) = lit(assembler, packets(frame(3), 3))
+    assert (come.codes == frame(3)).all() and assembler.incomplete == 1
+    assert assembler.take(second[1]) is None and assembler.take(second[2]) is None, "late packets disturb nothing"
+    assembler.forget()
+    assert lit(assembler, packets(frame(0), 0)), "after a time-out numbers may begin anew"
+
+
+def test_a_mixing_lamp_lights_what_came_and_says_so() -> None:
+    assembler = Assembler(N, mixed=True)
+    for packet in packets(frame(1), 1):
+        assembler.take(packet)
+    second = list(packets(frame(2), 2))
+    assembler.take(second[0])
+    mixed = assembler.take(second[2])
+    assert mixed.timecodes == (2, 1)
+    assert (mixed.codes[:1440] == frame(2)[:1440]).all() and (mixed.codes[1440:2880] == frame(1)[1440:2880]).all()
+
+
+def test_a_frame_without_its_commands_is_incomplete_where_modules_are_commanded() -> None:
+    assembler, command = Assembler(N), (WireCommand(intensity=0.2),)
+    assert lit(assembler, packets(frame(1), 1))[0].commands is None
+    assert lit(assembler, packets(frame(2), 2, command))[0].commands == command
+    assert not lit(assembler, packets(frame(3), 3))
+
+
+def test_anything_else_is_refused() -> None:
+    good, noise = next(packets(frame(0), 1)), random.Random(1)
+    bad = [b"", good[:13], good[:-1], good + b"x", good[:4] + b"\xff\xff\xff\xf0" + good[8:], good[:2] + b"\x01" + good[3:]]
+    bad += [good[:4] + b"\0\0\0\1" + good[8:], *(noise.randbytes(noise.randrange(1500)) for _ in range(2000))]
+    commanding = bytearray(next(packets(frame(0), 1, (WireCommand(),))))
+    bad += [bytes(commanding).replace(b"1.0", text) for text in (b"NaN", b"2.5", b"[[]", b'"a"')]
+    assembler = Assembler(N)
+    assert not any(assembler.take(packet) for packet in bad)
+    assert assembler.refused == len(bad)
+    with pytest.raises(LuxloopError, match="99 modules take"):
+        list(packets(frame(0), 1, (WireCommand(),) * 99))
+
+
+def test_a_large_lamp_goes_through_a_socket() -> None:
+    sent = np.random.default_rng(0).integers(0, 256, 332 * 1024, np.uint8)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2**21)
+        receiver.settimeout(1)
+        receiver.bind(("127.0.0.1", 0))
+        sender.connect(receiver.getsockname())
+        assembler, came = Assembler(sent.size), None
+        for _ in range(3):  # a frame that loses packets is sent again
+            ddp.send(sender, list(packets(sent, 5)))
+            while came is None:
+                try:
+                    came = assembler.take(receiver.recv(2048))
+                except TimeoutError:
+                    break
+            if came is not None:
+                break
+        assert came is not None and (came.codes == sent).all()
