@@ -1,9 +1,8 @@
 """A rig whose every value is known, with effects that its calibration does not model."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -17,6 +16,8 @@ from loop.lighting.lamps import lamp_modules, shining_modules
 from loop.scenario.model import Scenario, validate
 from perception.camera import camera_view
 from world.headlight import Headlight
+from world.headlight.lamp import Lamp, Module
+from world.lampfiles import archive
 
 SCREEN_M = 5.95  # of the screen before the lamp
 ALBEDO = 0.8
@@ -43,7 +44,6 @@ class Rig:
     truth: Geometry
     known: Geometry
     lens_of: Callable[[Array, Array], tuple[Array, Array]]
-    extra: Any = field(default=None)
 
 
 def wall(model: str, width: int, height: int, hfov_deg: float, **camera: float) -> Scenario:
@@ -129,7 +129,8 @@ def _views(camera: CameraModel, lens_of: Callable[[Array, Array], tuple[Array, A
     for _ in range(20):
         tilt, way = rng.uniform(0.4, 0.8), rng.uniform(0, 2 * np.pi)
         pose = Pose(tilt * np.array([np.cos(way), np.sin(way), 0.0]), np.array([0.0, 0.0, distance]) * rng.uniform(0.9, 1.4))
-        at = camera.project(pose.points(np.concatenate([board, np.zeros((len(board), 1))], 1)) + [*rng.uniform(-0.1, 0.1, 2), 0.0])
+        aside = np.array([*rng.uniform(-0.1, 0.1, 2), 0.0])
+        at = camera.project(aside + pose.points(np.concatenate([board, np.zeros((len(board), 1))], 1)))
         u, v = seen_at(at, lens_of)
         seen = (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
         if seen.sum() >= 12:
@@ -172,8 +173,5 @@ def _gloss(
 
 def model(path: Path, light: Headlight) -> str:
     """A lamp file of one module."""
-    from world.headlight.lamp import Lamp, Module
-    from world.lampfiles import archive
-
     archive.save(path, Lamp(path.stem, (Module("matrix", light),)))
     return str(path)

@@ -16,7 +16,7 @@ import torch
 from rig_bench import ALBEDO, Effects, Rig, model, rig, seen_at, wall
 
 from loop.calibration.bench import Array
-from loop.calibration.digitise import Digitised, Nominal, Reading, Settings, digitised, scaled, take
+from loop.calibration.digitise import Digitised, Nominal, Reading, Settings, digitised, lux, scaled, take
 from loop.calibration.geometry import Geometry, candela_factor
 from loop.calibration.response import Response
 from loop.calibration.shots import Shots
@@ -66,19 +66,18 @@ def flux(light: Headlight) -> Array:
 
 def readings(of: Rig, n: int) -> list[Reading]:
     """What a luxmeter shows at n places of the screen, one or nine."""
-    texture = of.light.light_texture(torch.ones(of.light.n_pixels))
-    found = []
+    rng, found = np.random.default_rng(0), []
     for a in np.linspace(0.1, 0.9, 3) if n > 1 else [0.5]:
         for b in np.linspace(0.1, 0.9, 3) if n > 1 else [0.5]:
             y, z = of.light.left + a * (of.light.right - of.light.left), of.light.top + b * (of.light.bottom - of.light.top)
             ray = of.truth.lamp.rotation @ np.array([1.0, y, z])
             normal, screen = of.truth.screens[0].rotation[:, 2], of.truth.screens[0].place
             point = of.truth.lamp.place + ray * (normal @ (screen - of.truth.lamp.place) / (normal @ ray))
-            away = of.truth.lamp.place - point
-            distance = float(np.linalg.norm(away))
-            cd = float(of.light.intensity(texture, torch.tensor([[1.0], [y], [z]], dtype=torch.float64)))
             u, v = seen_at(of.truth.camera.project(point[None]), of.lens_of)
-            found.append(Reading(cd * abs(float(away @ normal)) / distance**3, float(u[0]), float(v[0])))
+            reading = Reading(1.0, float(u[0]), float(v[0]))
+            offsets = rng.uniform(-0.005, 0.005, (4000, 2))
+            sensor = point + offsets[np.hypot(*offsets.T) < 0.005] @ of.truth.screens[0].rotation[:, :2].T
+            found.append(replace(reading, lux=lux(of.light, of.truth, sensor, reading)))
     return found
 
 
@@ -95,7 +94,7 @@ def measured(of: Rig, folder: Path | None = None, settings: Settings | None = No
     """The rig's lamp, digitised, in the camera's unit."""
     settings = settings or Settings()
     shots = Shots(of.bench, Response.linear(of.bench.levels), folder, "benchmark")
-    nominal = Nominal.of(0, "matrix", of.light if not folder else of.light)
+    nominal = Nominal.of(0, "matrix", of.light)
     taken = take(shots, nominal, [of.light.n_pixels], settings)
 
     def factor(geometry: Geometry) -> Array:

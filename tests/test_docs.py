@@ -40,6 +40,7 @@ EXEMPT = {
     r"python3 -m venv|pip install": "tests/test_packaging.py installs",
     r"(\.venv/bin/)?python benchmarks/": "takes minutes, and has tests of its own",
     r"python train_ppo\.py\b": "takes minutes, and has a test of its own",
+    r"luxloop rig (calibrate|digitise|fit)\b": "takes minutes, and has tests of its own",
     r"luxloop rig simulate\b": "serves until it is ended, and has tests of its own",
     r"luxloop studio\b": "serves until it is ended, and has tests in a browser",
     r"luxloop run .*--checks": "holds for all steps of a run, and has a test of its own",

@@ -17,7 +17,8 @@ from perception.camera import CameraParams, expose
 from world.errors import LuxloopError
 from world.light.illumination import Transport
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
+Indices = NDArray[np.intp]
 Image = NDArray[Any]
 Lens = Callable[[Array, Array], tuple[Array, Array]]
 

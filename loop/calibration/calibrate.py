@@ -1,7 +1,7 @@
 """Calibrate a rig: response, lens, and camera, screen and modules to each other."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -69,9 +69,7 @@ def measured_response(shots: Shots, sizes: Sequence[int]) -> Response:
     return response_curve(frames, LADDER, shots.bench.levels)
 
 
-def calibrated(
-    shots: Shots, modules: Sequence[LampModule], known: Known, settings: Settings, vignetting: Array, on_module: Callable[[], None]
-) -> Calibrated:
+def calibrated(shots: Shots, modules: Sequence[LampModule], known: Known, settings: Settings, vignetting: Array) -> Calibrated:
     """Locate the pixels of all modules, and adjust everything to what was seen. Raises LuxloopError where too little is."""
     camera = CameraModel.of(known.camera) if known.lens is None else known.lens.camera
     if (camera.height, camera.width) != shots.bench.shape:
@@ -88,7 +86,6 @@ def calibrated(
         lamp = Pose.of(T_camera_world @ module.T_world_headlight.double().cpu().numpy())
         geometry[module.name] = adjusted(camera, (start,), lamp, [seen], fixed=("scale",))
         found[module.name] = float(np.isfinite(places.u).mean())
-        on_module()
     last = next(iter(geometry.values()))
     poses = {name: each.lamp for name, each in geometry.items()}
     rms = {f"module {name}": each.rms["lamp"][0] for name, each in geometry.items()}
@@ -117,10 +114,10 @@ def _seen(nominal: Nominal, places: Places, board: Corners | None) -> Seen:
     """Lamp pixels that were found, but for the outermost, and the corners of a board on the screen."""
     inner = np.isfinite(places.u)
     for axis, n in enumerate(inner.shape):
-        edge = np.arange(n)
-        keep = (edge > 1) & (edge < n - 2) if n > 6 else edge >= 0
-        inner &= keep[:, None] if axis == 0 else keep
-    row, col = (each[inner] + 0.5 for each in np.indices(inner.shape))
+        if n > 6:
+            edge = np.asarray(np.indices(inner.shape)[axis])
+            inner &= (edge > 1) & (edge < n - 2)
+    row, col = (np.asarray(each)[inner] + 0.5 for each in np.indices(inner.shape))
     tangents = np.stack([nominal.y[inner], nominal.z[inner]], -1)
     finite = np.isfinite(tangents).all(1)
     pixels = np.stack(places.chart(row, col), -1)
@@ -136,7 +133,7 @@ def _screen(camera: CameraModel, known: Known) -> Pose:
         good, turn, move = cv2.solvePnP(points, rays, np.eye(3), None)
         if not good:
             raise LuxloopError("the board on the screen does not tell where that is; take a sharper picture of it")
-        return Pose(turn.ravel(), move.ravel())
+        return Pose(np.asarray(turn, float).ravel(), np.asarray(move, float).ravel())
     assert known.screen_m is not None
     T_world_screen = np.eye(4)
     T_world_screen[:3, :3], T_world_screen[:3, 3] = SCREEN, (known.screen_m, 0.0, 0.0)

@@ -6,10 +6,10 @@ from typing import Final
 
 import numpy as np
 
-from loop.calibration.bench import Array
+from loop.calibration.bench import Array, Indices
 from loop.calibration.charts import Chart
 
-SPACING: Final = 4  # pixels between those of a comb, in either direction: the light of a pixel reaches REACH
+SPACING: Final = 5  # pixels between those of a comb, in either direction: the light of a pixel reaches REACH
 REACH: Final = 1.5  # pixels from its centre, to all sides
 SUBSAMPLES: Final = 3  # points over a camera pixel's width and height, at which a shape is read
 
@@ -28,16 +28,17 @@ class Windows:
     """What is seen around some pixels while each is lit, n pixels and m camera pixels around each.
 
     seen: `[n, m]`. inside: `[n, m]` bool, camera pixels that are in the image and nearer to this pixel than to others of its comb. dr, dc:
-    `[n, m, s]`, places of points of each camera pixel, in lamp pixels from this one's centre.
+    `[n, m, s]`, places of points of each camera pixel, in lamp pixels from this one's centre. area: `[n]`, lamp pixels a camera pixel.
     """
 
     seen: Array
     inside: np.ndarray
     dr: Array
     dc: Array
+    area: Array
 
 
-def windows(images: Array, row: Array, col: Array, places: tuple[Array, Array], lamp_of: Chart, spacing: int = SPACING) -> Windows:
+def windows(images: Array, row: Indices, col: Indices, places: tuple[Array, Array], lamp_of: Chart, spacing: int = SPACING) -> Windows:
     """The windows of pixels at row and col `[n]`, whole numbers.
 
     images: `[spacing^2, height, width]`, of the combs. places: (u, v) `[n]` px, about where they are seen.
@@ -50,14 +51,15 @@ def windows(images: Array, row: Array, col: Array, places: tuple[Array, Array], 
     image = (row % spacing * spacing + col % spacing)[:, None]
     seen = images[image, y.clip(0, height - 1), x.clip(0, width - 1)]
     centre_r, centre_c = lamp_of(x + 0.5, y + 0.5)
+    area = np.abs(jacobian[0, 0] * jacobian[1, 1] - jacobian[0, 1] * jacobian[1, 0])
     part = (np.arange(SUBSAMPLES) + 0.5) / SUBSAMPLES - 0.5
-    du, dv = (each.ravel() for each in np.meshgrid(part, part))
+    du_s, dv_s = (each.ravel() for each in np.meshgrid(part, part))
     dr, dc = (
-        (centre - at[:, None] - 0.5)[..., None] + along[0][:, None, None] * du + along[1][:, None, None] * dv
+        (centre - at[:, None] - 0.5)[..., None] + along[0][:, None, None] * du_s + along[1][:, None, None] * dv_s
         for centre, at, along in ((centre_r, row, jacobian[0]), (centre_c, col, jacobian[1]))
     )
     near = (np.abs(dr.mean(-1)) <= spacing / 2) & (np.abs(dc.mean(-1)) <= spacing / 2)
-    return Windows(seen, near & (x >= 0) & (x < width) & (y >= 0) & (y < height), dr, dc)
+    return Windows(seen, near & (x >= 0) & (x < width) & (y >= 0) & (y < height), dr, dc, area)
 
 
 def _halves(jacobian: Array, reach: float) -> tuple[int, int]:

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from scipy.ndimage import median_filter
 
-from loop.calibration.bench import Array
+from loop.calibration.bench import Array, Indices
 from loop.calibration.charts import Chart, Places, places
 from loop.calibration.codes import decode, patterns
 from loop.calibration.combs import Windows, combs, windows
@@ -25,6 +25,8 @@ DEAD: Final = 0.05  # share of the light of pixels around, below which one is de
 STUCK: Final = 0.05  # the same of one that shines while all are off
 AROUND: Final = 7  # pixels, whose median that is
 PLACED: Final = 0.2  # pixels: a place without a shift beyond that is used for the charts
+SENSOR_M: Final = 0.01  # diameter of a luxmeter's sensor
+SENSOR_POINTS: Final = 15  # along that
 LINEAR_FROM, SQUARE_FROM = 4, 9  # luxmeter readings, from which on the scale may change over the field
 
 
@@ -153,8 +155,8 @@ def digitised(
     texels = settings.texels
     row, col = np.indices((nominal.rows, nominal.cols)) + 0.5
 
-    def window_of(images: Array, chart: Chart, lamp_of: Chart) -> Callable[[Array, Array], Windows]:
-        def at(r: Array, c: Array) -> Windows:
+    def window_of(images: Array, chart: Chart, lamp_of: Chart) -> Callable[[Indices, Indices], Windows]:
+        def at(r: Indices, c: Indices) -> Windows:
             return windows(images, r, c, chart(r + 0.5, c + 0.5), lamp_of)
 
         return at
@@ -176,7 +178,7 @@ def digitised(
     light = headlight(nominal.name, grid, measured, Chart.fitted((y.ravel(), z.ravel()), (row.ravel(), col.ravel())))
     u, v = chart(*measured.centres())
     made = Digitised(nominal.name, light, geometry, measured, u, v, dead, stuck, {})
-    lights = {"full": (np.ones(nominal.rows * nominal.cols), taken.full)}
+    lights: dict[str, tuple[Array, Array]] = {"full": (np.ones(nominal.rows * nominal.cols), taken.full)}
     for pattern, image in zip(patterns(nominal.rows, nominal.cols), taken.located, strict=True):
         if pattern.name.endswith("phase_0"):
             lights[pattern.name] = pattern.u, image - taken.located[0]
@@ -218,18 +220,27 @@ def _terms(at: Array, readings: int, size: tuple[int, int]) -> Array:
 
 
 def _lux(module: Digitised, reading: Reading) -> float:
-    """Illuminance of the screen at a reading's place with all pixels on."""
-    geometry = module.geometry
-    point = geometry.on_screen(np.array(reading.u), np.array(reading.v))
-    texture = module.light.light_texture(torch.ones(module.light.n_pixels))
-    away = geometry.lamp.place - point
-    distance = float(np.linalg.norm(away))
-    cos = abs(float(away @ geometry.screens[0].rotation[:, 2])) / distance
-    direction = torch.from_numpy(geometry.lamp.rotation.T @ -away)
-    lux = float(module.light.intensity(texture, direction[:, None])) * cos / distance**2
-    if lux <= 0:
-        raise LuxloopError(f"module {module.name!r} gives no light at {reading.u:g}, {reading.v:g} px; give a reading inside its field")
-    return lux
+    """Mean illuminance of the screen over a luxmeter's sensor at a reading's place, with all pixels on."""
+    geometry, screen = module.geometry, module.geometry.screens[0]
+    line = np.linspace(-0.5, 0.5, SENSOR_POINTS)
+    across, along = (each.ravel() for each in np.meshgrid(line, line))
+    disc = np.hypot(across, along) <= 0.5
+    offsets = SENSOR_M * np.stack([across[disc], along[disc]], -1) @ screen.rotation[:, :2].T
+    points = geometry.on_screen(np.array(reading.u), np.array(reading.v)) + offsets
+    return lux(module.light, geometry, points, reading)
+
+
+def lux(light: Headlight, geometry: Geometry, points: Array, reading: Reading) -> float:
+    """Mean illuminance at points `[n, 3]` m of the screen, in the camera's frame. Raises LuxloopError where it is dark."""
+    texture = light.light_texture(torch.ones(light.n_pixels))
+    away = geometry.lamp.place - points
+    distance = np.linalg.norm(away, axis=1)
+    cos = np.abs(away @ geometry.screens[0].rotation[:, 2]) / distance
+    intensity = light.intensity(texture, torch.from_numpy((-away @ geometry.lamp.rotation).T.copy())).numpy()
+    found = float((intensity * cos / distance**2).mean())
+    if found <= 0:
+        raise LuxloopError(f"the lamp gives no light at {reading.u:g}, {reading.v:g} px; give a reading inside its field")
+    return found
 
 
 def _lamp_placed(geometry: Geometry, nominal: Nominal, chart: Chart) -> Geometry:
@@ -253,7 +264,7 @@ def _refined(measured: Measured, chart: Chart) -> tuple[Chart, Chart]:
     return Chart.fitted(lamp, camera), Chart.fitted(camera, lamp)
 
 
-def _faulty(measured: Measured, dark_at: Callable[[Array, Array], Windows]) -> tuple[np.ndarray, np.ndarray]:
+def _faulty(measured: Measured, dark_at: Callable[[Indices, Indices], Windows]) -> tuple[np.ndarray, np.ndarray]:
     """Dead and stuck pixels; the light of a stuck one is there in the dark, and does not change."""
     around = median_filter(measured.intensity, AROUND)
     low = measured.intensity < np.maximum(DEAD * around, 3 * measured.noise)

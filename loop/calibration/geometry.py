@@ -21,6 +21,7 @@ ISO: Final = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])  # 
 MOST_PIXELS: Final = 2000  # of a lamp, in the adjustment
 MOST_STEPS: Final = 60  # of a fixed-point iteration that inverts the distortion
 CLOSE: Final = 1e-10  # of tangents
+PLACED_M: Final = 0.1  # standard deviation of the lamp's place to begin with, which decides where its field is narrow
 UNSURE_PX: Final = 0.05  # standard deviation of a place that is given none
 
 
@@ -58,7 +59,8 @@ class CameraModel:
 
     def project(self, points: Array) -> Array:
         """Image places `[n, 2]` px of points `[n, 3]` m."""
-        return cv2.projectPoints(np.ascontiguousarray(points)[:, None], np.zeros(3), np.zeros(3), self.matrix, self.distortion)[0][:, 0]
+        found = cv2.projectPoints(np.ascontiguousarray(points)[:, None], np.zeros(3), np.zeros(3), self.matrix, self.distortion)
+        return np.asarray(found[0][:, 0], float)
 
     @property
     def values(self) -> Array:
@@ -112,9 +114,11 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """camera: with what the adjustment made of it. screens: T_camera_screen, one of each; the screen is their plane z = 0. lamp:
-    T_camera_lamp, whose frame is OpenCV's for the camera and ISO 8855 for the lamp. scale: `[2]`, factors of the data sheet's tangents y and
-    z. std: standard deviations by name. rms: root mean squares in px of the residuals of lamp pixels and of board corners, one a screen.
+    """camera: with what the adjustment made of it. screens: T_camera_screen, one of each; the screen is its plane z = 0.
+
+    lamp: T_camera_lamp, whose frame is OpenCV's for the camera and ISO 8855 for the lamp. scale: `[2]`, factors of the data sheet's
+    tangents y and z. std: standard deviations by name. rms: root mean squares in px of the residuals of lamp pixels and of board corners,
+    one a screen.
     """
 
     camera: CameraModel
@@ -149,8 +153,9 @@ def adjusted(
 ) -> Geometry:
     """Bundle adjustment: camera, screens, lamp and the scale of its field, from start values.
 
-    The camera stays where its covariance lets it; one without a covariance is fixed, and so is a screen without a board. fixed: what else
-    is: lamp, place, scale. With one screen the scale cannot be told from the distance; with two that are well apart it can.
+    The lamp's place is known to a tenth of a metre before. The camera stays where its covariance lets it; one without a covariance is
+    fixed, and so is a screen without a board. fixed: what else is: camera, lamp, scale. With one screen the scale cannot be told from the
+    distance; with two that are well apart it can.
     """
     given = [_thinned(each) for each in seen]
     free = [name for name in ("camera", "lamp", "scale") if name not in fixed and not (name == "camera" and camera.covariance is None)]
@@ -175,6 +180,8 @@ def adjusted(
     def residuals(x: Array) -> Array:
         eye, poses, there, scale = unpacked(x)
         left = [each.ravel() / UNSURE_PX for pair in _residuals(eye, poses, there, scale, given) for each in pair]
+        if "lamp" in free:
+            left.append((there.place - lamp.place) / PLACED_M)
         if "camera" in free and root is not None:
             left.append(root @ x[:9])
         return np.concatenate(left)
@@ -194,7 +201,7 @@ def adjusted(
 
 def _residuals(camera: CameraModel, screens: Sequence[Pose], lamp: Pose, scale: Array, seen: Sequence[Seen]) -> list[tuple[Array, Array]]:
     """Of lamp pixels `[n, 2]` and of board corners `[k, 2]` in px, of each screen."""
-    found = []
+    found: list[tuple[Array, Array]] = []
     for screen, each in zip(screens, seen, strict=True):
         rays = np.concatenate([np.ones((len(each.tangents), 1)), each.tangents * scale], 1) @ lamp.rotation.T
         pixels = camera.project(on_plane(rays, lamp.place, screen)) - each.pixels if len(rays) else np.zeros((0, 2))

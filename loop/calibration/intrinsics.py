@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -37,9 +37,11 @@ def lens(views: Sequence[Corners], width: int, height: int) -> Lens:
         raise LuxloopError(
             f"{len(views)} views show the board; take at least {FEWEST}, tilted by 20 to 45 deg to all sides, and into corners"
         )
-    points = [np.concatenate([each.board, np.zeros((len(each.board), 1))], 1).astype(np.float32) for each in views]
+    points = [np.concatenate([each.board, np.zeros((len(each.board), 1))], 1).astype(np.float32) for each in views]  # [n, 3]
     places = [(each.pixels - 0.5).astype(np.float32)[:, None] for each in views]
-    matrix, distortion, guess = np.eye(3), np.zeros(5), 0
+    matrix: Any = np.eye(3)
+    distortion: Any = np.zeros(5)
+    guess = 0
     try:
         for fixed in STAGES:
             found = cv2.calibrateCameraExtended(

@@ -48,7 +48,7 @@ class LiveBench:
             given, taken = self.rig.expose(Shine(next(self.numbers), pictures), 0.0)
             if given.dimmed < 1:
                 raise LuxloopError(
-                    f"limits: dim this light to {given.dimmed:.0%}, which would falsify the measurement; raise power, and dim the lamp itself"
+                    f"limits: dim this light to {given.dimmed:.0%}, which would falsify it; raise power, and dim the lamp itself"
                 )
             if given.slowed < 1 or taken.image is None:
                 reason = taken.reason or "limits.change_per_s is too low for the light to get there"

@@ -52,8 +52,7 @@ def response_curve(frames: Sequence[Image], ratios: Sequence[float], levels: int
         raise LuxloopError("the series says too little of the response; take at least three exposures, from dark to nearly saturated")
     by_brightness = useful[np.argsort(flat[:, useful].mean(0))]
     chosen = by_brightness[np.linspace(0, len(by_brightness) - 1, min(SAMPLES, len(by_brightness))).astype(int)]
-    knots = np.log(np.linspace(low - black, high - black, 2))
-    knots = np.linspace(*knots, KNOTS)
+    knots = np.linspace(np.log(low - black), np.log(high - black), KNOTS)
     log_light, covariance = _solved(np.log((flat[:, chosen] - black).clip(min=1e-3)), good[:, chosen], np.log(by), knots)
     numbers = np.arange(levels + 1.0)
     step = np.maximum(numbers - black, 1e-3)

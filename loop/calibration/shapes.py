@@ -3,8 +3,8 @@
 Around pixel j a camera pixel sees `a_j sum_k S_k w_k + b_j`: S is the light distribution on the lamp's texels, the same for all pixels of a
 block, w how much of each texel's tent lies in the camera pixel, a_j the pixel's intensity and b_j what the lens scatters. S is found over
 a block by least squares, with a weak penalty on its roughness, as the camera resolves texels only over many pixels that fall on its raster
-in different ways (the effective point spread function of Anderson and King, 2000). Then a_j, b_j and the shift of each pixel follow by
-least squares in its window alone.
+in different ways (the effective point spread function of Anderson and King, 2000). The shift
+of each pixel follows by least squares in its window alone, and a_j from the sum of the light there, on which the shape has no influence.
 """
 
 from collections.abc import Callable, Iterator
@@ -14,14 +14,15 @@ from typing import Final, Self
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from loop.calibration.bench import Array
+from loop.calibration.bench import Array, Indices
 from loop.calibration.combs import REACH, Windows
 
 BLOCK: Final = 16  # pixels along a side that have one shape, together with the blocks around them
 ROUGHNESS: Final = 1e-3  # weight of the second differences, relative to the mean of the normal matrix' diagonal
-BEYOND: Final = 1.45  # pixels from the centre, where a first background is taken
+WINGS: Final = 3e-3  # weight of light beyond a pixel from the centre, which camera pixels can hardly tell from what is scattered
+BEYOND: Final = 1.7  # pixels from the centre, where a first background is taken
 SHAPED: Final = 3  # one of so many pixels of a block is looked at for its shape
-FEWEST: Final = 16  # pixels of a block that are measured at least
+FEWEST: Final = 24  # pixels of a block that are measured at least
 SHIFT: Final = 0.05  # pixels, by which those of a lamp stray: shifts are drawn to zero where they are less certain
 
 
@@ -73,11 +74,11 @@ class Blocks:
     def shape(self) -> tuple[int, int]:
         return len(self.rows) - 1, len(self.cols) - 1
 
-    def __iter__(self) -> Iterator[tuple[tuple[int, int], Array, Array]]:
+    def __iter__(self) -> Iterator[tuple[tuple[int, int], Indices, Indices]]:
         """Number of each block, and rows and columns `[n]` of its pixels."""
         for i, j in np.ndindex(self.shape):
             r, c = np.meshgrid(np.arange(*self.rows[i : i + 2]), np.arange(*self.cols[j : j + 2]), indexing="ij")
-            yield (i, j), r.ravel(), c.ravel()
+            yield (int(i), int(j)), r.ravel(), c.ravel()
 
 
 def _divided(n: int) -> tuple[int, ...]:
@@ -85,7 +86,7 @@ def _divided(n: int) -> tuple[int, ...]:
     return tuple(dict.fromkeys([0, *inner, n]))
 
 
-def measure(window_of: Callable[[Array, Array], Windows], rows: int, cols: int, texels: tuple[int, int], every: int = 1) -> Measured:
+def measure(window_of: Callable[[Indices, Indices], Windows], rows: int, cols: int, texels: tuple[int, int], every: int = 1) -> Measured:
     """Fit shapes, to some pixels of each block, then pixels. window_of: windows of pixels at rows and columns `[n]`. texels: rows and
     columns of texels a pixel. every: measures one of so many pixels of a block, the others are NaN.
     """
@@ -104,12 +105,14 @@ def measure(window_of: Callable[[Array, Array], Windows], rows: int, cols: int, 
         r, c = r[some], c[some]
         each = window_of(r, c)
         found[:, r, c] = _fitted(each, _weights(each, texels, shape), shapes[block], texels)
-    return Measured(*found, shapes)
+    intensity, background, shift_row, shift_col, noise, residual = found
+    return Measured(intensity, background, shift_row, shift_col, noise, residual, shapes)
 
 
-def _some(n: int, every: int) -> slice:
-    """One of so many pixels of a block's n, but enough of them."""
-    return slice(None, None, max(1, min(every, n // FEWEST)))
+def _some(n: int, every: int) -> Indices:
+    """One of so many of a block's n pixels, but enough of them, drawn at random so that they lie in all ways to its rows and columns."""
+    count = n if every == 1 else min(n, max(n // every, FEWEST))
+    return np.sort(np.random.default_rng(n).permutation(n)[:count])
 
 
 def _weights(at: Windows, texels: tuple[int, int], shape: tuple[int, int]) -> Array:
@@ -131,14 +134,22 @@ def _weights(at: Windows, texels: tuple[int, int], shape: tuple[int, int]) -> Ar
 
 def _normal(at: Windows, weights: Array) -> tuple[Array, Array]:
     """Normal equations `[k, k]`, `[k]` of a block's shape, each pixel scaled to a sum of one."""
-    reach = np.maximum(np.abs(at.dr.mean(-1)), np.abs(at.dc.mean(-1)))
-    around, core = at.inside & (reach > BEYOND), at.inside & (reach <= REACH)
-    light = at.seen - _mean(at.seen, around)[:, None]
-    flux = (light * core).sum(1) / np.maximum((weights.sum(-1) * core).sum(1), 1e-9)
-    good = (core.sum(1) > 0) & (flux > 0.2 * np.median(flux)) & at.inside.any(1)
-    light = np.where(at.inside, light / np.where(good, flux, 1)[:, None], 0)[good]
+    flux, background = _flux(at)
+    good = flux > 0.2 * np.median(flux)
+    light = np.where(at.inside, (at.seen - background[:, None]) / np.where(good, flux, 1)[:, None], 0)[good]
     w = (weights * at.inside[..., None])[good].reshape(-1, weights.shape[-1])
     return w.T.astype(float) @ w, w.T.astype(float) @ light.ravel()
+
+
+def _flux(at: Windows) -> tuple[Array, Array]:
+    """Light of each pixel over its area, and what is beside it, both `[n]`.
+
+    The sum over whole camera pixels depends neither on how the pixel falls on their raster nor on its shape.
+    """
+    reach = np.maximum(np.abs(at.dr.mean(-1)), np.abs(at.dc.mean(-1)))
+    background = _mean(at.seen, at.inside & (reach > BEYOND))
+    core = at.inside & (reach <= BEYOND)
+    return ((at.seen - background[:, None]) * core).sum(1) * at.area, background
 
 
 def _mean(values: Array, where: np.ndarray) -> Array:
@@ -151,8 +162,12 @@ def _solved(normal: Array, right: Array, shape: tuple[int, int]) -> Array:
     normal, right = _gathered(normal), _gathered(right)
     lines = [_second(n) for n in shape]
     rough = np.kron(lines[0], np.eye(shape[1])) + np.kron(np.eye(shape[0]), lines[1])
+    far = [np.maximum(np.abs((np.arange(n) + 0.5) * (2 * REACH / n) - REACH) - 1, 0) / (REACH - 1) for n in shape]
+    wings = WINGS * np.maximum(far[0][:, None], far[1]).ravel()
     scale = np.trace(normal, axis1=-2, axis2=-1)[..., None, None] / normal.shape[-1]
-    solved = np.linalg.solve(normal + scale * (ROUGHNESS * rough + 1e-6 * np.eye(len(rough))), right[..., None])[..., 0]
+    solved = np.linalg.solve(
+        normal + scale * (ROUGHNESS * rough + np.diag(wings) + 1e-6 * np.eye(len(rough))) + 1e-30 * np.eye(len(rough)), right[..., None]
+    )[..., 0]
     solved = np.maximum(solved, 0)
     total = solved.sum(-1, keepdims=True) * (4 * REACH**2) / solved.shape[-1]
     return (solved / np.maximum(total, 1e-12)).reshape(*around, *shape)
@@ -187,11 +202,13 @@ def _fitted(at: Windows, weights: Array, shape: Array, texels: tuple[int, int]) 
     solved = (inverse @ (design.transpose(0, 2, 1) @ seen[..., None]))[..., 0]
     left = (design @ solved[..., None])[..., 0] - seen
     variance = (left**2).sum(1) / np.maximum(at.inside.sum(1) - 4, 1)
-    intensity = solved[:, 0]
-    noise = np.sqrt(np.maximum(inverse[:, 0, 0] * variance, 0))
+    intensity, background = _flux(at)
+    reach = np.maximum(np.abs(at.dr.mean(-1)), np.abs(at.dc.mean(-1)))
+    core, beside = ((at.inside & where).sum(1) for where in (reach <= BEYOND, reach > BEYOND))
+    noise = at.area * np.sqrt(variance * core * (1 + core / np.maximum(beside, 1)))
     bright = np.maximum(intensity, 3 * noise + 1e-30)
     shift = solved[:, 1:3] / bright[:, None]
     shift_noise = np.sqrt(np.maximum(variance[:, None] * inverse[:, [1, 2], [1, 2]], 0)) / bright[:, None]
     shift *= 1 / (1 + (shift_noise / SHIFT) ** 2)
     peak = np.maximum(intensity * shape.max(), 1e-30)
-    return np.stack([intensity, solved[:, 3], shift[:, 0].clip(-1, 1), shift[:, 1].clip(-1, 1), noise, np.sqrt(variance) / peak])
+    return np.stack([intensity, background, shift[:, 0].clip(-1, 1), shift[:, 1].clip(-1, 1), noise, np.sqrt(variance) / peak])

@@ -2,10 +2,10 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
@@ -33,8 +33,6 @@ class Shots:
     response: Response
     folder: Path | None = None
     what: str = ""
-    on_shot: Any = None
-    _seen: dict[tuple[str, float], Image] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.folder is None:
@@ -62,8 +60,6 @@ class Shots:
         for path, frame in zip(paths, frames, strict=False):
             with whole(path) as part:
                 part.write_bytes(cv2.imencode(".png", frame, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
-        if self.on_shot:
-            self.on_shot()
         return frames
 
     def light(self, name: str, lights: Sequence[Array], count: int, exposures_s: Sequence[float]) -> Array:

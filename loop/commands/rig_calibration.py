@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from loop.commands.given import scenario_of
 from loop.terminal import tables
-from loop.terminal.options import AllowCode, Keys
+from loop.terminal.options import AllowCode, Flag, Keys
 from world.errors import LuxloopError
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def calibrate(
     out
         File to write, .npz.
     boards
-        Folder of pictures of a board (see `luxloop rig board`) in at least five poses, for the lens; without it, the lens is the scenario's.
+        Folder of pictures of a board (see `luxloop rig board`) in at least five poses; without it, the lens is the scenario's.
     on_screen
         Picture of the board on the screen, which tells where that is.
     screen_m
@@ -114,11 +114,10 @@ def calibrate(
         kept = frames or out.with_name(f"{out.stem}_frames")
         shots = _shots(bench, Response.linear(bench.levels), kept, scenario)
         response = steps.measured_response(shots, [each.headlight.n_pixels for each in modules])
-        darkening, left = np.zeros(3), 0.0
-        if flats is not None:
-            darkening, left = vignetting([response.light(each.clip(0, bench.levels)) for each in _pictures(flats)])
+        even = [] if flats is None else [response.light(each.clip(0, bench.levels)) for each in _pictures(flats)]
+        darkening, left = vignetting(even) if even else (np.zeros(3), 0.0)
         shots = _shots(bench, response, kept, scenario)
-        done = steps.calibrated(shots, modules, known, Settings(), darkening, lambda: None)
+        done = steps.calibrated(shots, modules, known, Settings(), darkening)
     files.save(out, done.calibration)
     camera = done.calibration.camera
     std = np.zeros(9) if camera.covariance is None else np.sqrt(np.diag(camera.covariance))
@@ -226,12 +225,12 @@ def digitise(
     notes = f"Digitised on a rig with {calibration.name}, {tables.counted(len(readings), 'luxmeter reading')}."
     archive.save(out, measured_lamp(scenario, [each.light for each in found], out.stem, notes))
     written = report.write(out.with_suffix(""), found)
-    for each in found:
-        told = report.facts(each)
+    for module in found:
+        told = report.facts(module)
         tables.show(
             tables.facts(
                 {
-                    each.name: f"{told['pixels']:,} pixels, {told['dead_count']} dead, {told['stuck_count']} stuck",
+                    module.name: f"{told['pixels']:,} pixels, {told['dead_count']} dead, {told['stuck_count']} stuck",
                     "intensity": f"{100 * told['intensity_noise']:.2g} % noise of a pixel, {100 * told['residual_rms']:.2g} % residual rms",
                     "place": f"{told['place_rms_px']:.3f} px rms from the data sheet's, shifts {told['shift_rms_pixels']:.3f} pixels rms",
                     "not fitted": ", ".join(f"{what} {100 * value:.2g} %" for what, value in told["checked"].items()),
@@ -318,9 +317,12 @@ def _refuse_unarmed(rig: Path | None, arm: bool) -> None:
 
 
 def _shots(bench: "Bench", response: "Response", folder: Path, scenario: "Scenario") -> "Shots":
+    from loop.calibration import codes
+    from loop.calibration.combs import SPACING
     from loop.calibration.shots import Shots, plan_digest
 
-    return Shots(bench, response, folder, plan_digest(scenario.headlight.model_dump(mode="json"), bench.shape))
+    plan = codes.PERIOD, codes.STEPS, SPACING
+    return Shots(bench, response, folder, plan_digest(scenario.headlight.model_dump(mode="json"), bench.shape, plan))
 
 
 def _board(columns: int, rows: int, square_mm: float) -> Any:
@@ -341,9 +343,10 @@ def _pictures(path: Path) -> list[Any]:
     for file in files_at(path):
         if file.suffix.lower() in PICTURES:
             with reading(file, "no picture", "take it out of the folder"):
-                found.append(decoded(content(file), str(file), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH))
-                if found[-1] is None:
+                picture = decoded(content(file), str(file), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+                if picture is None:
                     raise ValueError("damaged")
+                found.append(picture)
     if not found:
         raise LuxloopError(f"{path}: holds no pictures ({', '.join(PICTURES)}); check the path")
     if len({each.shape for each in found}) > 1:
