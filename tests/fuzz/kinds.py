@@ -18,6 +18,9 @@ from controllers.pixels.ssc import Utilisation
 from controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from loop.bench import faults
 from loop.bench.lens import Lens
+from loop.calibration import files as calibrations
+from loop.calibration.geometry import CameraModel, Pose
+from loop.calibration.response import Response
 from loop.dataset import drawn
 from loop.jobs.runner import run as run_jobs
 from loop.plant import frames
@@ -372,6 +375,14 @@ CORNERS = [f"v {x} {y} {z}" for x in (0, 1) for y in (0, 1) for z in (0, 1)]
 OBJ = "\n".join([*CORNERS, "mtllib a.mtl", "usemtl m", "f 1 2 4 3", "f 5 6 8 7"]).encode()
 
 
+def _calibration(folder: Path) -> dict[str, bytes]:
+    camera = CameraModel(64, 48, np.array([[90.0, 0, 32], [0, 90, 24], [0, 0, 1]]), covariance=np.eye(9))
+    pose = Pose(np.array([0.1, 0.2, 0.3]), np.ones(3))
+    found = calibrations.Calibration(camera, Response.linear(255), np.zeros(3), pose, {"left matrix": pose}, {"boards": 0.1})
+    calibrations.save(folder / "rig.npz", found)
+    return {"rig.npz": (folder / "rig.npz").read_bytes()}
+
+
 def _meshes(folder: Path) -> dict[str, bytes]:
     import trimesh
 
@@ -404,6 +415,7 @@ ALL: dict[str, Kind] = {
     "recording": Kind(_parquet, mutations.of_bytes, _read_recording, 6),
     "frames": Kind(_frames, _damaged_frames, _read_frames, 6),
     "jobs": Kind(lambda folder: {"jobs.jsonl": JOBS}, _either, lambda path: run_jobs(dict, [], path, version=""), 4),
+    "calibration": Kind(_calibration, _either, calibrations.load, 4),
     "mesh": Kind(_meshes, _either, _read_mesh, 8),
 }
 BUILT = Kind(_overrides, _override, _overridden)  # what `luxloop check` does, a second or two each

@@ -1,0 +1,91 @@
+"""The ChArUco board: printed at its size, and its corners found in a frame."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from PIL import Image as Picture
+from pydantic import Field
+
+from loop.calibration.bench import Array, Image
+from world.errors import LuxloopError
+from world.files import whole
+from world.params import Params
+
+PAPERS: Final = {"a4": (210.0, 297.0), "a3": (297.0, 420.0), "letter": (215.9, 279.4)}  # mm
+DPI: Final = 300
+INCH_MM: Final = 25.4
+MARGIN_MM: Final = 10.0  # that printers leave white
+MARKER: Final = 0.75  # of a square's side
+FEWEST: Final = 6  # corners of a view
+
+
+class BoardParams(Params):
+    """Squares of a ChArUco board with markers of 5 x 5 bits."""
+
+    columns: int = Field(8, ge=3, le=30, description="squares in a row")
+    rows: int = Field(11, ge=3, le=30, description="squares in a column")
+    square_mm: float = Field(23.0, gt=1, le=500, description="side of a square as printed; measure it on the paper")
+
+
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """What was found of a board. board: `[n, 2]` m on the board. pixels: `[n, 2]` px, pixel centres at integer + 0.5."""
+
+    board: Array
+    pixels: Array
+
+
+def _board(params: BoardParams) -> Any:
+    side = params.square_mm / 1000
+    words = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000)
+    return cv2.aruco.CharucoBoard((params.columns, params.rows), side, MARKER * side, words)
+
+
+def picture(params: BoardParams, dpi: float) -> Image:
+    """The board alone, grey `[height, width]`, at about so many px an inch."""
+    px = round(params.square_mm / INCH_MM * dpi)
+    drawn: Image = _board(params).generateImage((px * params.columns, px * params.rows), marginSize=0, borderBits=1)
+    return drawn
+
+
+def print_board(path: Path, params: BoardParams, paper: str) -> None:
+    """Write a page of .pdf or .png with the board in its middle, at its size if printed without scaling.
+
+    Raises LuxloopError where the board is larger than the paper.
+    """
+    if path.suffix not in (".pdf", ".png"):
+        raise LuxloopError(f"{path}: a board is a .pdf or a .png; name one of them")
+    size_mm = PAPERS[paper]
+    needed = params.columns * params.square_mm, params.rows * params.square_mm
+    if any(need + 2 * MARGIN_MM > has for need, has in zip(needed, size_mm, strict=True)):
+        raise LuxloopError(
+            f"the board has {needed[0]:g} x {needed[1]:g} mm, but {paper} has {size_mm[0]:g} x {size_mm[1]:g} mm with 10 mm of margin; "
+            "take smaller or fewer squares, or --paper a3"
+        )
+    drawn = picture(params, DPI)
+    dpi = drawn.shape[1] / needed[0] * INCH_MM  # of whole pixels a square
+    page = np.full([round(each / INCH_MM * dpi) for each in size_mm[::-1]], 255, np.uint8)
+    top, left = ((a - b) // 2 for a, b in zip(page.shape, drawn.shape, strict=True))
+    page[top : top + drawn.shape[0], left : left + drawn.shape[1]] = drawn
+    note = f"{params.columns} x {params.rows} squares of {params.square_mm:g} mm, DICT_5X5_1000; print at 100 %, measure a square"
+    cv2.putText(page, note, (left, top + drawn.shape[0] + 60), cv2.FONT_HERSHEY_SIMPLEX, 1.0, 0, 2, cv2.LINE_AA)
+    with whole(path) as part:
+        Picture.fromarray(page).save(part, format=path.suffix[1:].upper(), resolution=dpi, dpi=(dpi, dpi))
+
+
+def corners(frame: Image, params: BoardParams) -> Corners | None:
+    """The corners that a frame `[height, width]` shows, None for fewer than six."""
+    peak = max(float(np.percentile(frame, 99.5)), 1.0)
+    grey = np.clip(frame * (255 / peak), 0, 255).astype(np.uint8)
+    board = _board(params)
+    found, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
+    if ids is None or len(ids) < FEWEST:
+        return None
+    sharp = cv2.cornerSubPix(
+        grey, found.astype(np.float32), (5, 5), (-1, -1), (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-3)
+    )
+    places = board.getChessboardCorners()[ids.ravel(), :2]
+    return Corners(places.astype(float), sharp.reshape(-1, 2).astype(float) + 0.5)

@@ -1,0 +1,167 @@
+"""Fit values of a scenario to recorded frames: least squares of digital numbers, with the uncertainty of each value."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import torch
+from scipy.ndimage import gaussian_filter
+from scipy.optimize import least_squares
+from torch import Tensor
+
+from controllers.pixels.ssc import Utilisation
+from loop.assembly.made import Made
+from loop.calibration.bench import Array
+from loop.lighting.lamps import lamp_modules, shining_modules
+from loop.plant.frames import image_file, light_file, read_image, read_light
+from loop.plant.recorded import inside, recorded_rows
+from loop.plant.simulated import simulated_plant
+from loop.scenario.model import Scenario
+from perception.camera import expose
+from perception.metrics import ssim
+from world.errors import LuxloopError
+from world.headlight.lamp import Commands
+
+BLUR: Final = "blur_px"  # a value of the fit that no scenario has: standard deviation of the picture's blur
+MOST_PIXELS: Final = 200_000  # of all frames, that are compared in a fit
+SSIM_RADIUS: Final = 1.5
+STEP: Final = 0.05  # of a value, relative to its span, in differences
+MOST_STEPS: Final = 20
+BLURRED: Final = 0.3  # px, to begin with: at zero it has no slope
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """One recorded exposure. image: digital numbers `[height, width]`."""
+
+    time_s: float
+    lights: tuple[Utilisation, ...]
+    commands: Commands
+    image: Tensor
+
+
+@dataclass(frozen=True)
+class Varied:
+    """A value that is fitted: the scenario's key, and about how far it may be off."""
+
+    key: str
+    span: float
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """values, stds: by key. before, after: MAE and RMSE in digital numbers and SSIM. correlation: `[n, n]`. steps: pictures made."""
+
+    values: Mapping[str, float]
+    stds: Mapping[str, float]
+    before: Mapping[str, float]
+    after: Mapping[str, float]
+    correlation: Array
+    steps: int
+
+
+def recorded(folder: Path, scenario: Scenario, most: int) -> list[Shown]:
+    """Up to `most` exposures of a recording with frames, evenly over it. Raises LuxloopError where it has none."""
+    rows = [row for row in recorded_rows(folder)[:-1] if row["lost"] is False]
+    if not rows:
+        raise LuxloopError(f"{folder}: all frames are lost; record another run with --frames")
+    modules = lamp_modules(shining_modules(scenario, torch.device("cpu")))
+    pixels, like = [each.headlight.n_pixels for each in modules], modules[0].headlight.matrix.values
+    shown = []
+    for k in np.unique(np.linspace(0, len(rows) - 1, most).astype(int)):
+        row = rows[int(k)]
+        lights, _, commands = read_light(inside(light_file(folder, row["light"]), folder), pixels, like.device)
+        image = read_image(inside(image_file(folder, row["number"]), folder), scenario.camera, like)
+        shown.append(Shown(row["time_s"], lights, commands, image))
+    return shown
+
+
+def fit(
+    scenario_of: Callable[[Mapping[str, float]], Scenario],
+    shown: Sequence[Shown],
+    varied: Sequence[Varied],
+    on_step: Callable[[], None] = lambda: None,
+) -> Fitted:
+    """Adjust values until simulated frames are nearest to the recorded ones. scenario_of: the scenario with values by key.
+
+    Frames are compared as digital numbers before rounding, without noise; those that are saturated in the recording are left out.
+    Raises LuxloopError where a value is none of the scenario's, or has no effect.
+    """
+    scenario = scenario_of({})
+    start = np.array([0.0 if each.key == BLUR else _value(scenario, each.key) for each in varied])
+    span = np.array([each.span for each in varied])
+    levels = 2**scenario.camera.bits - 1
+    some = max(1, sum(each.image.numel() for each in shown) // MOST_PIXELS)
+    wanted = [each.image.double().numpy() for each in shown]
+    used = [(each < levels).ravel() & (np.arange(each.size) % some == 0) for each in wanted]
+    made, count = Made(), 0
+
+    def pictures(x: Array) -> list[Array]:
+        nonlocal made, count
+        made, count = Made(made), count + 1
+        values = dict(zip((each.key for each in varied), (start + span * (x - 1)).tolist(), strict=True))
+        blur = abs(values.pop(BLUR, 0.0))
+        on_step()
+        return _pictures(scenario_of(values), shown, made, blur)
+
+    def residuals(x: Array) -> Array:
+        return np.concatenate([(a - b).ravel()[use] for a, b, use in zip(pictures(x), wanted, used, strict=True)])
+
+    at = np.ones(len(varied))  # so that steps, which are relative, are shares of the spans
+    before = _scores(pictures(at), wanted, levels)
+    at += [BLURRED / each.span if each.key == BLUR else 0.0 for each in varied]
+    solved: Any = least_squares(
+        residuals, at, loss="soft_l1", f_scale=_scale(residuals(at)), diff_step=STEP, x_scale=1.0, xtol=1e-4, ftol=1e-6, max_nfev=MOST_STEPS
+    )
+    after = _scores(pictures(solved.x), wanted, levels)
+    length = np.linalg.norm(solved.jac, axis=0)
+    if dead := [each.key for each, size in zip(varied, length, strict=True) if not size > 0]:
+        raise LuxloopError(f"{dead[0]}: has no effect on the recorded frames; leave it out, or record others")
+    plain = residuals(solved.x)
+    variance = float(plain @ plain) / max(len(plain) - len(varied), 1)
+    covariance = np.linalg.pinv(solved.jac.T @ solved.jac) * variance
+    std = np.sqrt(np.diag(covariance))
+    keys = [each.key for each in varied]
+    values = dict(zip(keys, (start + span * (solved.x - 1)).tolist(), strict=True))
+    if BLUR in values:
+        values[BLUR] = abs(values[BLUR])
+    stds = dict(zip(keys, (span * std).tolist(), strict=True))
+    return Fitted(values, stds, before, after, covariance / np.outer(std, std), count)
+
+
+def _pictures(scenario: Scenario, shown: Sequence[Shown], made: Made, blur: float) -> list[Array]:
+    """Digital numbers before rounding of what a scenario's camera would see, blurred by so many px."""
+    modules = made("modules", scenario.headlight, lambda: lamp_modules(shining_modules(scenario, torch.device("cpu"))))
+    world = simulated_plant(scenario, modules, made).world
+    found = [world.luminance(each.time_s, each.lights, each.commands)[0].double().numpy() for each in shown]
+    seen = [gaussian_filter(each, blur) if blur else each.copy() for each in found]
+    return [expose(torch.from_numpy(each), world.camera, quantise=False).numpy() for each in seen]
+
+
+def _scale(residuals: Array) -> float:
+    return max(1.48 * float(np.median(np.abs(residuals))), 1.0)
+
+
+def _scores(pictures: Sequence[Array], wanted: Sequence[Array], levels: int) -> dict[str, float]:
+    left = [a - b for a, b in zip(pictures, wanted, strict=True)]
+    alike = [float(ssim(torch.from_numpy(a), torch.from_numpy(b), SSIM_RADIUS, levels)) for a, b in zip(pictures, wanted, strict=True)]
+    return {
+        "mae": float(np.mean([np.abs(each).mean() for each in left])),
+        "rmse": float(np.sqrt(np.mean([(each**2).mean() for each in left]))),
+        "ssim": float(np.mean(alike)),
+    }
+
+
+def _value(scenario: Scenario, key: str) -> float:
+    """The number at a key such as `disturbances.aim[0].pitch_deg`. Raises LuxloopError where there is none."""
+    at: Any = scenario.model_dump()
+    for name in key.replace("]", "").replace("[", ".").split("."):
+        try:
+            at = at[int(name)] if isinstance(at, list | tuple) else at[name]
+        except (KeyError, IndexError, ValueError, TypeError) as error:
+            raise LuxloopError(f"{key}: the scenario has no such key; see `luxloop schema`, and give tables first with --set") from error
+    if isinstance(at, bool) or not isinstance(at, int | float):
+        raise LuxloopError(f"{key}: is {at!r}, not a number; give its value first with --set, or vary another key")
+    return float(at)

@@ -1,0 +1,107 @@
+"""The camera by itself: lens from views of a board, and vignetting from frames of an even surface."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from loop.calibration.bench import Array
+from loop.calibration.board import Corners
+from loop.calibration.geometry import CameraModel, Pose, rms_of
+from world.errors import LuxloopError
+
+FEWEST: Final = 5  # views
+_CENTRED: Final = cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_ZERO_TANGENT_DIST
+# From few unknowns to all: with all at once, the long lens of a barrel distortion ends in another minimum.
+STAGES: Final = (_CENTRED | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2, _CENTRED | cv2.CALIB_FIX_K2, _CENTRED, 0)
+PRECISE: Final = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 500, 1e-14)  # focal length and distance converge slowly together
+
+
+@dataclass(frozen=True, eq=False)
+class Lens:
+    """camera: with the covariance of its values. poses: T_camera_board of each view. rms: of the residuals of each view, px."""
+
+    camera: CameraModel
+    poses: tuple[Pose, ...]
+    rms: tuple[float, ...]
+
+
+def lens(views: Sequence[Corners], width: int, height: int) -> Lens:
+    """Focal lengths, principal point and distortion with the least squares of corners.
+
+    Raises LuxloopError for fewer than five views, or where they say too little.
+    """
+    if len(views) < FEWEST:
+        raise LuxloopError(
+            f"{len(views)} views show the board; take at least {FEWEST}, tilted by 20 to 45 deg to all sides, and into corners"
+        )
+    points = [np.concatenate([each.board, np.zeros((len(each.board), 1))], 1).astype(np.float32) for each in views]  # [n, 3]
+    places = [(each.pixels - 0.5).astype(np.float32)[:, None] for each in views]
+    matrix: Any = np.eye(3)
+    distortion: Any = np.zeros(5)
+    guess = 0
+    try:
+        for fixed in STAGES:
+            found = cv2.calibrateCameraExtended(
+                points, places, (width, height), matrix, distortion, flags=fixed | guess | cv2.CALIB_FIX_K3, criteria=PRECISE
+            )
+            _, matrix, distortion, turns, moves, *_ = found
+            guess = cv2.CALIB_USE_INTRINSIC_GUESS
+    except cv2.error as error:
+        raise LuxloopError(f"the views do not determine the lens ({error.err}); take more, tilted to all sides") from error
+    matrix = matrix + np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+    camera = CameraModel(width, height, matrix, np.ravel(distortion)[:5])
+    poses = [Pose(np.ravel(turn), np.ravel(move)) for turn, move in zip(turns, moves, strict=True)]
+    left = [camera.project(pose.points(each)) - view.pixels for pose, each, view in zip(poses, points, views, strict=True)]
+    covariance = _covariance(camera, poses, points, np.concatenate(left))
+    camera = CameraModel(width, height, matrix, np.ravel(distortion)[:5], covariance)
+    return Lens(camera, tuple(poses), tuple(rms_of(each) for each in left))
+
+
+def _covariance(camera: CameraModel, poses: Sequence[Pose], points: Sequence[Array], left: Array) -> Array:
+    """Of fx, fy, cx, cy and the distortion `[9, 9]`, all poses being unknown as well."""
+    inner = np.zeros((8, 8))
+    for pose, each in zip(poses, points, strict=True):
+        _, by = cv2.projectPoints(each.astype(float), pose.turn, pose.place, camera.matrix, camera.distortion)
+        by_pose, by_lens = by[:, :6], by[:, 6:14]  # k3 stays 0
+        cross = by_lens.T @ by_pose
+        inner += by_lens.T @ by_lens - cross @ np.linalg.pinv(by_pose.T @ by_pose) @ cross.T
+    freedom = max(left.size - 8 - 6 * len(poses), 1)
+    scale = 1 / np.sqrt(np.maximum(np.diag(inner), 1e-30))
+    covariance = scale[:, None] * np.linalg.pinv(inner * np.outer(scale, scale)) * scale * float((left**2).sum() / freedom)
+    return np.pad(covariance, (0, 1))
+
+
+def vignetting(flats: Sequence[Array]) -> tuple[Array, float]:
+    """How the lens darkens to the corners, from light `[height, width]` of surfaces that are evenly bright, such as a diffuser before it.
+
+    Returns coefficients `[3]` of r^2, r^4 and r^6, r being 1 in the corner, and the relative root mean square that they leave.
+    """
+    rows, right = [], []
+    for flat in flats:
+        height, width = flat.shape
+        r2 = radius(height, width).ravel() ** 2
+        some = slice(None, None, max(1, flat.size // 50_000))
+        mean = float(
+            np.median(flat[height // 2 - height // 10 : height // 2 + height // 10, width // 2 - width // 10 : width // 2 + width // 10])
+        )
+        rows.append(np.stack([np.ones_like(r2), r2, r2**2, r2**3], -1)[some])
+        right.append(flat.ravel()[some] / mean)
+    design, values = np.concatenate(rows), np.concatenate(right)
+    solved, *_ = np.linalg.lstsq(design, values, rcond=None)
+    left = float(np.sqrt(((design @ solved - values) ** 2).mean()))
+    return solved[1:] / solved[0], left
+
+
+def radius(height: int, width: int) -> Array:
+    """Distance of each pixel from the image's centre, 1 in the corners."""
+    v, u = np.indices((height, width)) + 0.5
+    return np.asarray(np.hypot(u - width / 2, v - height / 2) / np.hypot(width / 2, height / 2))
+
+
+def brightness(coefficients: Array, height: int, width: int) -> Array:
+    """Share of the light that reaches each pixel, `[height, width]`, 1 in the centre."""
+    r2 = radius(height, width) ** 2
+    return np.asarray(1 + r2 * (coefficients[0] + r2 * (coefficients[1] + r2 * coefficients[2])))

@@ -1,0 +1,82 @@
+"""The bench of a real rig: its lamp and camera, with pictures as the camera sends them."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import count as counted
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loop.calibration.bench import Array, Image
+from loop.rig.light import Shine
+from loop.rig.params import RigParams
+from loop.rig.rectified import Rectifier, grey
+from loop.rig.rig import Rig, await_camera, opened
+from perception.camera import CameraParams
+from world.errors import LuxloopError, located
+
+TRIES: Final = 20  # of one frame, or of light that a limit slows down
+
+
+@dataclass(frozen=True, eq=False)
+class Codes(Rectifier):
+    """Pictures as they come, in the camera's own numbers."""
+
+    def image(self, data: bytes | NDArray[np.generic]) -> NDArray[np.float32]:
+        return grey(data).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class LiveBench:
+    """A rig that is open and armed. Its camera has one exposure, which counts as 1 s: the time is not known, and cancels out."""
+
+    rig: Rig
+    grids: tuple[tuple[int, int], ...]
+    shape: tuple[int, int]
+    levels: int
+    numbers: Iterator[int]
+    exposures_s: tuple[float, ...] = (1.0,)
+
+    def frames(self, lights: Sequence[Array], count: int, exposure_s: float) -> Image:
+        """As a bench does. Raises LuxloopError where a limit dims the light, or frames do not come."""
+        pictures = tuple(u.reshape(grid).astype(np.float32) for u, grid in zip(lights, self.grids, strict=True))
+        found: list[Image] = []
+        for _ in range(TRIES * count):
+            given, taken = self.rig.expose(Shine(next(self.numbers), pictures), 0.0)
+            if given.dimmed < 1:
+                raise LuxloopError(
+                    f"limits: dim this light to {given.dimmed:.0%}, which would falsify it; raise power, and dim the lamp itself"
+                )
+            if given.slowed < 1 or taken.image is None:
+                reason = taken.reason or "limits.change_per_s is too low for the light to get there"
+                continue
+            if taken.image.shape != self.shape:
+                raise LuxloopError("the camera's pictures have changed their size; let it run with one setting")
+            found.append(taken.image.astype(np.uint16))
+            if len(found) == count:
+                return np.stack(found)
+        raise LuxloopError(f"{len(found)} of {count} frames came in {TRIES * count} tries: {reason}; see `luxloop rig check`")
+
+
+@contextmanager
+def live_bench(file: Path, params: RigParams, camera: CameraParams, grids: Sequence[tuple[int, int]]) -> Iterator[LiveBench]:
+    """Open a rig and light its lamp. Raises LuxloopError where a device cannot be had, or no picture comes."""
+    if params.mark is not None:
+        raise LuxloopError(f"{file}: mark: lies in the light that is to be measured; take it out to calibrate")
+    with located(str(file)), opened(params, grids, None, armed=True) as rig:
+        if not await_camera(rig):
+            raise LuxloopError(rig.camera.reason)
+        picture = None
+        for _ in range(TRIES):
+            if (picture := rig.camera.next(np.inf if picture is None else 0.0)) is not None:
+                break
+        if picture is None:
+            raise LuxloopError("camera: sends no picture; see `luxloop rig check`")
+        first = grey(picture.data)
+        rig.rectifier = Codes(params.camera, camera, None, None)
+        bits = params.camera.bits or 8 * first.dtype.itemsize
+        height, width = first.shape
+        yield LiveBench(rig, tuple(grids), (height, width), 2**bits - 1, counted(1))

@@ -1,0 +1,406 @@
+"""The commands `luxloop rig board|calibrate|digitise|fit`: a rig's camera, its geometry, its lamp, and a scenario's values to it."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from loop.commands.given import scenario_of
+from loop.terminal import tables
+from loop.terminal.options import AllowCode, Flag, Keys
+from world.errors import LuxloopError
+
+if TYPE_CHECKING:
+    from loop.assembly.truth import LampModule
+    from loop.calibration.bench import Bench
+    from loop.calibration.digitise import Reading
+    from loop.calibration.response import Response
+    from loop.calibration.shots import Shots
+    from loop.scenario.model import Scenario
+
+PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+
+
+def board(
+    *, out: Path = Path("board.pdf"), columns: int = 8, rows: int = 11, square_mm: float = 23.0, paper: Literal["a4", "a3", "letter"] = "a4"
+) -> None:
+    """Write a ChArUco board to print at 100 %.
+
+    Parameters
+    ----------
+    out
+        File to write, .pdf or .png.
+    columns
+        Squares in a row.
+    rows
+        Squares in a column.
+    square_mm
+        Side of a square.
+    paper
+        Size of the page.
+    """
+    from loop.calibration.board import print_board
+
+    print_board(out, _board(columns, rows, square_mm), paper)
+    print(f"{out} written: {columns} x {rows} squares of {square_mm:g} mm; print it at 100 %, and measure a square")
+
+
+def calibrate(
+    name: str,
+    /,
+    *,
+    out: Path = Path("rig.npz"),
+    boards: Path | None = None,
+    on_screen: Path | None = None,
+    screen_m: float | None = None,
+    flats: Path | None = None,
+    columns: int = 8,
+    rows: int = 11,
+    square_mm: float = 23.0,
+    frames: Path | None = None,
+    rig: Path | None = None,
+    arm: Flag = False,
+    set: Keys = None,
+    allow_code: AllowCode = False,
+) -> None:
+    """Calibrate a rig: response and lens of its camera, and where camera, screen and lamp are to each other.
+
+    Parameters
+    ----------
+    name
+        Scenario whose lamp and camera the rig has, about where they are.
+    out
+        File to write, .npz.
+    boards
+        Folder of pictures of a board (see `luxloop rig board`) in at least five poses; without it, the lens is the scenario's.
+    on_screen
+        Picture of the board on the screen, which tells where that is.
+    screen_m
+        Without it: distance of a screen that stands square to the vehicle, ahead of the lamps in m.
+    flats
+        Folder of pictures of an even surface, such as a diffuser before the lens, for the vignetting.
+    columns
+        Squares in a row of the board.
+    rows
+        Squares in a column of the board.
+    square_mm
+        Side of a square of the board as printed.
+    frames
+        Folder that keeps what is taken, so that a calibration that was interrupted goes on; by default named after `out`.
+    rig
+        Rig file (see docs/rig.md); without it, the scenario's simulated world stands for the rig.
+    arm
+        With --rig: light the lamp.
+    set
+        Keys of the scenario to change, as key=value in TOML syntax.
+    """
+    import numpy as np
+
+    from loop.calibration import calibrate as steps
+    from loop.calibration import files
+    from loop.calibration.digitise import Settings
+    from loop.calibration.intrinsics import lens, vignetting
+    from loop.calibration.response import Response
+
+    files.refuse_name(out)
+    _refuse_unarmed(rig, arm)
+    printed = _board(columns, rows, square_mm)
+    scenario = scenario_of(name, set, allow_code=allow_code)
+    views, size = _views(boards, printed) if boards is not None else ([], (0, 0))
+    found_lens = lens(views, *size) if boards is not None else None
+    seen = _views(on_screen, printed)[0][0] if on_screen is not None else None
+    known = steps.Known(scenario.camera, found_lens, seen, screen_m)
+    with _bench(scenario, rig, allow_code) as (bench, modules):
+        kept = frames or out.with_name(f"{out.stem}_frames")
+        shots = _shots(bench, Response.linear(bench.levels), kept, scenario)
+        response = steps.measured_response(shots, [each.headlight.n_pixels for each in modules])
+        even = [] if flats is None else [response.light(each.clip(0, bench.levels)) for each in _pictures(flats)]
+        darkening, left = vignetting(even) if even else (np.zeros(3), 0.0)
+        shots = _shots(bench, response, kept, scenario)
+        done = steps.calibrated(shots, modules, known, Settings(), darkening)
+    files.save(out, done.calibration)
+    camera = done.calibration.camera
+    std = np.zeros(9) if camera.covariance is None else np.sqrt(np.diag(camera.covariance))
+    rows_shown = {
+        "lens": ", ".join(
+            f"{what} {value:.5g} ± {by:.2g}"
+            for what, value, by in zip(("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"), camera.values, std, strict=True)
+        ),
+        "vignetting": "not measured" if flats is None else f"{100 * darkening.sum():.1f} % in the corners, {100 * left:.2g} % rms left",
+        **{f"residual, {what}": f"{value:.3f} px rms" for what, value in done.calibration.rms.items()},
+        **{f"located, {what}": f"{100 * share:.1f} % of the pixels" for what, share in done.found.items()},
+    }
+    for what, geometry in done.geometry.items():
+        place, by = geometry.lamp.place, geometry.std["lamp"][3:]
+        rows_shown[f"place, {what}"] = ", ".join(f"{a:.4f} ± {b:.1g}" for a, b in zip(place, by, strict=True)) + " m from the camera"
+    tables.show(tables.facts(rows_shown))
+    values = steps.overrides(done.calibration, modules[0])
+    print(f"--set {' '.join(f'{key}={value:g}' for key, value in values.items())}")
+    print(f"{out} written; digitise the lamp with: luxloop rig digitise {name} --calibration {out}")
+
+
+def digitise(
+    name: str,
+    /,
+    *,
+    calibration: Path,
+    out: Path = Path("digitised.npz"),
+    lux: list[str] | None = None,
+    reflectance: float = 0.8,
+    by_angle: Path | None = None,
+    comb_frames: int = 4,
+    texels: tuple[int, int] = (4, 2),
+    frames: Path | None = None,
+    rig: Path | None = None,
+    arm: Flag = False,
+    set: Keys = None,
+    allow_code: AllowCode = False,
+) -> None:
+    """Measure the light of each of a lamp's pixels on a screen, and write a lamp file that every command reads.
+
+    Parameters
+    ----------
+    name
+        Scenario whose lamp the rig has.
+    calibration
+        File that `luxloop rig calibrate` wrote.
+    out
+        Lamp file to write, .npz; a report is written beside it.
+    lux
+        Readings of a luxmeter on the screen with all pixels on, each as LUX@U,V with the place of its sensor in the camera's picture in px.
+        One gives the scale; four or more correct a screen that is not as it was taken for.
+    reflectance
+        Reflectance of the screen, which matters only without a reading.
+    by_angle
+        CSV of two columns: angle of view from the screen's normal in deg, and luminance factor there; by default the screen is Lambertian.
+    comb_frames
+        Frames of each comb of pixels, whose mean is taken.
+    texels
+        Rows and columns of texels a pixel.
+    frames
+        Folder that keeps what is taken, so that a measurement that was interrupted goes on; by default named after `out`.
+    rig
+        Rig file (see docs/rig.md); without it, the scenario's simulated world stands for the rig.
+    arm
+        With --rig: light the lamp.
+    set
+        Keys of the scenario to change, as key=value in TOML syntax.
+    """
+    from loop.calibration import digitise as steps
+    from loop.calibration import files, report
+    from loop.calibration.geometry import candela_factor
+    from loop.calibration.intrinsics import brightness
+    from loop.calibration.lamp import digitised_side, measured_lamp
+    from world.lampfiles import archive
+
+    if not 0 < reflectance <= 1 or comb_frames < 1 or not all(1 <= each <= 8 for each in texels):
+        raise LuxloopError("--reflectance is above 0, up to 1; --comb-frames at least 1; --texels from 1 to 8")
+    readings = [_reading(each) for each in lux or ()]
+    files.refuse_name(out)
+    _refuse_unarmed(rig, arm)
+    scenario = scenario_of(name, set, allow_code=allow_code)
+    digitised_side(scenario)
+    known = files.load(calibration)
+    settings = steps.Settings(comb_frames=comb_frames, texels=texels)
+    with _bench(scenario, rig, allow_code) as (bench, modules):
+        if bench.shape != (known.camera.height, known.camera.width):
+            height, width = bench.shape
+            raise LuxloopError(
+                f"{calibration}: is of {known.camera.width} x {known.camera.height} px, but the camera has {width} x {height} px"
+            )
+        factor = _factor(reflectance, by_angle)
+        shade = brightness(known.vignetting, *bench.shape)
+        shots = _shots(bench, known.response, frames or out.with_name(f"{out.stem}_frames"), scenario)
+        nominal = [steps.Nominal.of(k, each.name, each.headlight) for k, each in enumerate(modules)]
+        sizes = [each.headlight.n_pixels for each in modules]
+        found = []
+        for each in nominal:
+            taken = steps.take(shots, each, sizes, settings)
+            start = known.geometry(each.name)
+            found.append(steps.digitised(taken, each, start, settings, lambda at: candela_factor(at, bench.shape, factor) / shade))
+    scatter = None
+    if readings:
+        scaled, scatter = steps.scaled(found, readings)
+        found = list(scaled)
+    notes = f"Digitised on a rig with {calibration.name}, {tables.counted(len(readings), 'luxmeter reading')}."
+    archive.save(out, measured_lamp(scenario, [each.light for each in found], out.stem, notes))
+    written = report.write(out.with_suffix(""), found)
+    for module in found:
+        told = report.facts(module)
+        tables.show(
+            tables.facts(
+                {
+                    module.name: f"{told['pixels']:,} pixels, {told['dead_count']} dead, {told['stuck_count']} stuck",
+                    "intensity": f"{100 * told['intensity_noise']:.2g} % noise of a pixel, {100 * told['residual_rms']:.2g} % residual rms",
+                    "place": f"{told['place_rms_px']:.3f} px rms from the data sheet's, shifts {told['shift_rms_pixels']:.3f} pixels rms",
+                    "not fitted": ", ".join(f"{what} {100 * value:.2g} %" for what, value in told["checked"].items()),
+                }
+            )
+        )
+    if scatter is None:
+        print("no --lux: intensities are in the camera's own unit; give a reading for candela")
+    elif len(readings) > 1:
+        print(f"the luxmeter's readings differ by {100 * scatter:.2g} % from the digitised light")
+    print(f"{out} written, with {', '.join(each.name for each in written)}; look at it with: luxloop headlight show {out}")
+
+
+def fit(
+    name: str,
+    recording: Path,
+    /,
+    *,
+    vary: list[str],
+    exposures: int = 6,
+    set: Keys = None,
+    allow_code: AllowCode = False,
+) -> None:
+    """Fit values of a scenario to the frames of a recording, and print them with their uncertainties.
+
+    Parameters
+    ----------
+    name
+        Scenario that was recorded.
+    recording
+        Folder of `luxloop run --frames`.
+    vary
+        Keys to fit, each as KEY=SPAN, about how far its value may be off, such as camera.pitch_deg=0.2; blur_px is the picture's blur.
+    exposures
+        Exposures to compare, evenly over the recording.
+    set
+        Keys of the scenario to change first, as key=value in TOML syntax.
+    """
+    from loop.calibration.fit import Varied, recorded
+    from loop.calibration.fit import fit as fitted
+    from loop.terminal.progress import progress
+
+    varied = [Varied(*_span(each)) for each in vary]
+    keys = list(set or ())
+
+    def scenario_with(values: Any) -> "Scenario":
+        return scenario_of(name, [*keys, *(f"{key}={value!r}" for key, value in values.items())], allow_code=allow_code)
+
+    shown = recorded(recording, scenario_with({}), exposures)
+    with progress("pictures", 1) as advance:
+        found = fitted(scenario_with, shown, varied, lambda: advance(0))
+    rows = ((key, f"{value:.6g}", f"{found.stds[key]:.2g}") for key, value in found.values.items())
+    tables.show(tables.plain(("key", "value", "standard deviation"), rows, "lrr"))
+    scores = ((what, f"{found.before[what]:.4g}", f"{found.after[what]:.4g}") for what in found.before)
+    tables.show(tables.plain(("of frames", "before", "after"), scores, "lrr"))
+    print(f"--set {' '.join(f'{key}={value:.6g}' for key, value in found.values.items() if key != 'blur_px')}")
+
+
+@contextmanager
+def _bench(scenario: "Scenario", rig: Path | None, allow_code: bool) -> Iterator[tuple["Bench", list["LampModule"]]]:
+    """A rig that is lit, or without one the scenario's simulated world, and the modules that shine."""
+    import torch
+
+    from loop.calibration.bench import simulated_bench
+    from loop.lighting.lamps import lamp_modules, shining_modules
+
+    modules = lamp_modules(shining_modules(scenario, torch.device("cpu")))
+    if rig is None:
+        yield simulated_bench(scenario, modules), modules
+        return
+    from loop.calibration.live import live_bench
+    from loop.rig.params import load_rig
+    from loop.rig.plant import grids_of
+
+    with live_bench(rig, load_rig(rig, allow_code=allow_code), scenario.camera, grids_of(modules)) as bench:
+        yield bench, modules
+
+
+def _refuse_unarmed(rig: Path | None, arm: bool) -> None:
+    if rig is not None and not arm:
+        raise LuxloopError(f"--rig {rig}: its lamp would be lit, with all pixels at times; give --arm as well")
+    if arm and rig is None:
+        raise LuxloopError("--arm lights the lamp of a rig file; give --rig FILE as well")
+
+
+def _shots(bench: "Bench", response: "Response", folder: Path, scenario: "Scenario") -> "Shots":
+    from loop.calibration import codes
+    from loop.calibration.combs import SPACING
+    from loop.calibration.shots import Shots, plan_digest
+
+    plan = codes.PERIOD, codes.STEPS, SPACING
+    return Shots(bench, response, folder, plan_digest(scenario.headlight.model_dump(mode="json"), bench.shape, plan))
+
+
+def _board(columns: int, rows: int, square_mm: float) -> Any:
+    from loop.calibration.board import BoardParams
+    from world.validation import validated
+
+    return validated(BoardParams, {"columns": columns, "rows": rows, "square_mm": square_mm}, "see `luxloop rig board --help`")
+
+
+def _pictures(path: Path) -> list[Any]:
+    """Grey pictures `[height, width]` of a folder or a file. Raises LuxloopError where there are none, or they differ in size."""
+    import cv2
+
+    from world.files import content, files_at, reading
+    from world.images import decoded
+
+    found = []
+    for file in files_at(path):
+        if file.suffix.lower() in PICTURES:
+            with reading(file, "no picture", "take it out of the folder"):
+                picture = decoded(content(file), str(file), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+                if picture is None:
+                    raise ValueError("damaged")
+                found.append(picture)
+    if not found:
+        raise LuxloopError(f"{path}: holds no pictures ({', '.join(PICTURES)}); check the path")
+    if len({each.shape for each in found}) > 1:
+        raise LuxloopError(f"{path}: its pictures differ in size; take all with the same camera")
+    return found
+
+
+def _views(path: Path, printed: Any) -> tuple[list[Any], tuple[int, int]]:
+    """Corners of the boards in pictures, and their width and height. Raises LuxloopError where no picture shows a board."""
+    from loop.calibration.board import corners
+
+    pictures = _pictures(path)
+    found = [view for view in (corners(each, printed) for each in pictures) if view is not None]
+    if not found:
+        raise LuxloopError(f"{path}: no picture shows the board; check --columns, --rows, sharpness and light")
+    return found, (pictures[0].shape[1], pictures[0].shape[0])
+
+
+def _reading(text: str) -> "Reading":
+    from loop.calibration.digitise import Reading
+
+    try:
+        value, at = text.split("@")
+        u, v = at.split(",")
+        found = Reading(float(value), float(u), float(v))
+    except ValueError as error:
+        raise LuxloopError(f"--lux {text}: is not of the form LUX@U,V, such as 820@640,360") from error
+    if not found.lux > 0:
+        raise LuxloopError(f"--lux {text}: is no light; give a reading above 0")
+    return found
+
+
+def _span(text: str) -> tuple[str, float]:
+    key, _, span = text.partition("=")
+    try:
+        value = float(span)
+    except ValueError as error:
+        raise LuxloopError(f"--vary {text}: is not of the form KEY=SPAN, such as camera.pitch_deg=0.2") from error
+    if not value > 0:
+        raise LuxloopError(f"--vary {text}: a span is above 0")
+    return key.strip(), value
+
+
+def _factor(reflectance: float, by_angle: Path | None) -> Any:
+    """Luminance factor of the screen by the cosine of the angle of view."""
+    import numpy as np
+
+    from world.files import content, reading
+
+    if by_angle is None:
+        return lambda cos: np.full_like(cos, reflectance)
+    with reading(by_angle, "no table of angle and luminance factor", "write a line `angle_deg,factor` for each angle, ascending from 0"):
+        lines: Sequence[str] = content(by_angle).decode("utf-8").splitlines()
+        table = np.array([[float(each) for each in line.split(",")] for line in lines if line.strip() and line[0] in "0123456789."])
+        if table.shape[1] != 2 or not (np.diff(table[:, 0]) > 0).all() or not (table[:, 1] > 0).all():
+            raise ValueError("angles ascend, factors are above 0")
+    return lambda cos: np.interp(np.degrees(np.arccos(cos.clip(0, 1))), table[:, 0], table[:, 1])

@@ -1,0 +1,71 @@
+"""Values of a scenario are found again in the frames of another one."""
+
+from collections.abc import Mapping
+
+import pytest
+import torch
+from scipy.ndimage import gaussian_filter
+
+from controllers.pixels.ssc import Utilisation
+from loop.calibration.fit import BLUR, Shown, Varied, fit
+from loop.lighting.lamps import lamp_modules, shining_modules
+from loop.plant.simulated import simulated_plant
+from loop.scenario.model import Scenario, validate
+from loop.scenario.overrides import overridden
+from perception.camera import expose
+from perception.noise import FrameNoise
+from world.errors import LuxloopError
+
+
+def scenario_with(values: Mapping[str, float]) -> Scenario:
+    """A lamp of 3 x 28 pixels before a screen, seen in 160 x 90 px."""
+    screen = {"kind": "box", "name": "screen", "size_m": [0.1, 9.0, 6.0], "track": [{"position_m": [6.0, 0.0, -2.0]}]}
+    scenario = {
+        "name": "wall",
+        "steps": 1,
+        "renderer": "raycast",
+        "surface": {"grain": 0.0},
+        "headlight": {"model": "hd84", "lamps": ["left"]},
+        "camera": {"width_px": 160, "height_px": 90, "exposure_s": 1e-3, "oversampling": 2},
+        "objects": [screen],
+    }
+    data = overridden(validate(scenario, "wall").model_dump(mode="json"), [f"{key}={value!r}" for key, value in values.items()])
+    return validate(data, "wall")
+
+
+def shown(values: Mapping[str, float], blur_px: float = 0.0) -> list[Shown]:
+    """Frames of a rig with these values, of two lights."""
+    scenario = scenario_with(values)
+    modules = lamp_modules(shining_modules(scenario, torch.device("cpu")))
+    world = simulated_plant(scenario, modules).world
+    found = []
+    for number in range(2):
+        n = [each.headlight.n_pixels for each in modules]
+        lights = tuple(Utilisation((torch.arange(k) // 3 % 2 == number).float()) for k in n)
+        luminance = world.luminance(0.0, lights)[0].double().numpy()
+        luminance = gaussian_filter(luminance, blur_px) if blur_px else luminance
+        image = expose(torch.from_numpy(luminance).float(), world.camera, FrameNoise.of(1, number, 0))
+        found.append(Shown(0.0, lights, (), image))
+    return found
+
+
+def test_values_are_found_with_their_uncertainty() -> None:
+    true = {"camera.pitch_deg": 3.2, "objects[0].albedo": 0.23}
+    found = fit(
+        scenario_with, shown(true, blur_px=0.8), [Varied("camera.pitch_deg", 0.3), Varied("objects[0].albedo", 0.05), Varied(BLUR, 1.0)]
+    )
+    for key, value in {**true, BLUR: 0.8}.items():
+        assert found.stds[key] > 0
+        # Noise that is cut off at black makes dark pixels a little brighter than the fit has them.
+        assert found.values[key] == pytest.approx(value, abs=max(5 * found.stds[key], 0.02 * value))
+    assert found.after["rmse"] < 0.3 * found.before["rmse"]
+    assert found.after["ssim"] > found.before["ssim"]
+
+
+@pytest.mark.parametrize(
+    ("key", "told"),
+    [("camera.pich_deg", "no such key"), ("headlight.model", "not a number")],
+)
+def test_what_cannot_be_fitted_is_named(key: str, told: str) -> None:
+    with pytest.raises(LuxloopError, match=told):
+        fit(scenario_with, shown({}), [Varied(key, 0.1)])

@@ -1,0 +1,108 @@
+"""From the command line: a board, a calibration from nothing but a distance, a lamp file that a scenario takes, values fitted to frames."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from loop.calibration.files import load
+from tests.loop.conftest import Lux, assert_one_sentence
+from world.headlight.lamp import Lamp, Module
+from world.lampfiles import archive
+from world.presets.ideal import idealised
+
+WALL = """
+name = "wall"
+steps = 2
+renderer = "raycast"
+[headlight]
+model = "nominal.npz"
+lamps = ["left"]
+distance_m = 0.0
+[surface]
+grain = 0.0
+[camera]
+x_m = -0.3
+y_m = 0.25
+z_m = 1.0
+pitch_deg = 3.0
+yaw_deg = -1.0
+width_px = 160
+height_px = 120
+hfov_deg = 12.0
+exposure_s = 0.004
+sensitivity_e_per_cd_s_m2 = 5e3
+saturation_e = 10_000.0
+[[objects]]
+kind = "box"
+name = "screen"
+albedo = 0.8
+size_m = [0.1, 6.0, 4.0]
+track = [{ position_m = [6.0, 0.0, -1.0] }]
+"""
+
+
+@pytest.fixture
+def wall(lux: Lux) -> Lux:
+    light = idealised(12, 24, (4, 2), 3.5, 1.8, -1.8)
+    archive.save(Path("nominal.npz"), Lamp("nominal", (Module("matrix", light),)))
+    Path("wall.toml").write_text(WALL)
+    return lux
+
+
+def test_rig_is_calibrated_and_its_lamp_digitised(wall: Lux) -> None:
+    code, out, err = wall("rig", "calibrate", "wall.toml", "--screen-m", "5.95", "--set", "camera.yaw_deg=-1.3")
+    assert (code, err) == (0, "")
+    assert "camera.hfov_deg=12" in out and "located, left matrix" in out
+    assert load(Path("rig.npz")).rms["module left matrix"] < 0.1
+    # E = I / d^2 of 50,000 cd, ahead of the lamp.
+    code, out, err = wall("rig", "digitise", "wall.toml", "--calibration", "rig.npz", "--lux", "1412@82,53")
+    assert (code, err) == (0, "")
+    light = archive.load(Path("digitised.npz")).module("matrix").headlight
+    texture = light.light_texture(torch.ones(light.n_pixels))
+    assert float(texture[20:28, 20:28].mean()) == pytest.approx(50_000, rel=0.05)
+    told = json.loads(Path("digitised.json").read_text())["left matrix"]
+    assert told["dead_count"] == told["stuck_count"] == 0 and told["checked"]["full"] < 0.1
+    with np.load("digitised_pixels.npz") as pixels:
+        assert pixels["0_intensity"].shape == (12, 24)
+    assert Path("digitised.png").read_bytes().startswith(b"\x89PNG")
+    assert wall("check", "wall.toml", "--set", "headlight.model=digitised.npz")[0] == 0
+
+
+def test_values_are_fitted_to_a_recording(wall: Lux) -> None:
+    fewer = ["--set", "camera.oversampling=1", "headlight.model=hd84", "camera.hfov_deg=40", "camera.exposure_s=0.02"]
+    code, *_ = wall("run", "wall.toml", "--frames", "--no-video", "--no-report", "--out", "taken", *fewer, "objects[0].albedo=0.7")
+    assert code == 0
+    code, out, err = wall("rig", "fit", "wall.toml", "taken", "--vary", "objects[0].albedo=0.1", *fewer)
+    assert (code, err) == (0, "")
+    found = float(out.split("--set objects[0].albedo=")[1].split()[0])
+    assert found == pytest.approx(0.7, rel=0.02)
+
+
+def test_board_is_written(lux: Lux) -> None:
+    assert lux("rig", "board")[0] == 0
+    assert Path("board.pdf").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["board", "--columns", "2"], "columns"),
+        (["board", "--square-mm", "60"], "--paper"),
+        (["calibrate", "wall.toml"], "--screen-m"),
+        (["calibrate", "wall.toml", "--boards", "nowhere"], "nowhere"),
+        (["calibrate", "wall.toml", "--screen-m", "5.95", "--out", "rig.toml"], "ends in .npz"),
+        (["digitise", "wall.toml", "--calibration", "nowhere.npz"], "nowhere.npz"),
+        (["digitise", "wall.toml", "--calibration", "rig.npz", "--lux", "much"], "LUX@U,V"),
+        (["digitise", "wall.toml", "--calibration", "rig.npz", "--set", 'headlight.lamps=["left","right"]'], "one lamp"),
+        (["fit", "wall.toml", "nowhere", "--vary", "camera.pitch_deg"], "KEY=SPAN"),
+        (["fit", "wall.toml", "nowhere", "--vary", "camera.pitch_deg=0.1"], "nowhere"),
+    ],
+)
+def test_mistakes_are_told_in_a_sentence(wall: Lux, arguments: list[str], told: str) -> None:
+    code, _, err = wall("rig", *arguments)
+    assert code == 2 and told in err
+    assert_one_sentence(err)
+    assert not list(Path().glob("rig*")) and not list(Path().glob("board*")) and not list(Path().glob("digitised*"))
