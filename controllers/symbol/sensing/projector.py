@@ -1,11 +1,10 @@
 """The projector (T 9.4.1) draws one symbol with one or several lamp modules: a pose in, utilisations out."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal, Self
-from weakref import WeakKeyDictionary
 
 import torch
 from kornia.geometry.transform import remap
@@ -107,19 +106,17 @@ class Projector:
         return road_symbol(pose, 0.0, width_m, length_m, image, value, p.quantity)
 
     @cached_property
-    def _rectangles(self) -> WeakKeyDictionary[ProjectionCommand, Primitives]:
-        return WeakKeyDictionary()
+    def _kept(self) -> Callable[[ProjectionCommand], Primitives]:
+        return lru_cache(2)(self._rectangle_of)  # of what is drawn now and of what is seen
 
     def rectangle(self, projection: ProjectionCommand) -> Primitives:
-        """The primitive that a projection's symbol lies on, not warped; made once for each projection without a gradient."""
-        known = self._rectangles.get(projection)
-        if known is None:
-            shown = self.on_road(projection)
-            size = (self.params.length_m, self.params.width_m) if shown.warp is None else shown.warp.size_m
-            known = _raised(self._rectangle(shown.pose, *size, self.symbol), shown.z)
-            if not known.origin.requires_grad:
-                self._rectangles[projection] = known
-        return known
+        """The primitive that a projection's symbol lies on, not warped; made once for the newest projections, if they have no gradient."""
+        return (self._rectangle_of if projection.pose.requires_grad else self._kept)(projection)
+
+    def _rectangle_of(self, projection: ProjectionCommand) -> Primitives:
+        projection = self.on_road(projection)
+        size = (self.params.length_m, self.params.width_m) if projection.warp is None else projection.warp.size_m
+        return _raised(self._rectangle(projection.pose, *size, self.symbol), projection.z)
 
     def light(self, pose: Tensor) -> tuple[Utilisation, ...]:
         """Utilisations `[..., n_p]`, one a module, that draw the symbol as it is at a pose `[..., 4]`."""
