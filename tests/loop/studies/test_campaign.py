@@ -165,7 +165,7 @@ def test_runs_that_differ_in_numbers_are_done_together(tmp_path: Path, capsys: p
         if run.params.variant == "lit":
             continue
         expected = figures(run.scenario, "cpu")
-        for key in ("iou_final", "residual_percent", "flux_lm_mean", "energy_j", "utilisation_mean"):
+        for key in ("iou_final", "residual_percent", "flux_lm_mean", "lamps.left.power_share_max", "utilisation_mean"):
             assert row[key] == pytest.approx(expected[key], rel=1e-3, abs=1e-3)
     again = run_campaign(file, tmp_path / "out", executor=local(1))
     assert again.rows == found.rows and "2 of 2 runs" in capsys.readouterr().err, "what failed is tried again, and nothing else"
