@@ -80,11 +80,12 @@ class BenchCamera:
         params, next_s = self.faults.camera, time.monotonic()
         while not end.asked:
             if params.trigger == "light":
-                lit_s = self.timeline.newer(next_s, WAIT_S)
+                late_s = time.monotonic() - 1 / params.rate_hz  # light from before triggers nothing any more
+                lit_s = self.timeline.newer(max(next_s, late_s), WAIT_S)
                 if lit_s is None:
                     continue
                 from_s = lit_s + params.trigger_delay_s
-                next_s = max(from_s + self.window_s, lit_s)  # what triggers while a frame is exposed is ignored
+                next_s = from_s + self.window_s  # what triggers while a frame is exposed is ignored
             else:
                 period_s = max(1 / params.rate_hz, self.window_s)
                 behind = max(math.floor((time.monotonic() - next_s) / period_s), 0)
@@ -115,10 +116,9 @@ class BenchCamera:
         """
         exposure_s = self.sensor.exposure_s
         lights = [(each.light, share) for each in segments if each.light and (share := shares(each, starts_s, exposure_s)).any()]
-        images = [(self.bench.light(light, drive_s), share) for light, share in lights]  # before the base: commands choose the scene
         mixed = self.bench.base(drive_s) * flicker(self.faults.flicker, starts_s, exposure_s)[:, None]
-        for image, share in images:
-            mixed += image * share[:, None]
+        for light, share in lights:
+            mixed += self.bench.light(light, drive_s) * share[:, None]
         return mixed
 
     def close(self) -> None:

@@ -85,6 +85,9 @@ class CameraErrorParams(Params):
     loss: float = Field(0.0, ge=0, le=1, description="probability that a frame is not sent")
     gamma: float | None = Field(None, ge=1, le=3, description="true gamma of the response; left out: that of [camera]")
     black_level: float = Field(0.0, ge=0, le=0.5, description="digital number without light, as a share of the largest")
+    columns: int = Field(
+        2, ge=1, le=8, description="samples over a pixel's width, beside the scenario's camera.oversampling over its height"
+    )
     encoding: Literal["png", "jpeg"] = Field("png", description="of frames; JPEG is lossy and for cameras of 8 bits")
     quality: int = Field(95, ge=10, le=100, description="of JPEG")
 

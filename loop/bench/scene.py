@@ -22,6 +22,7 @@ from loop.wire.ddp import LightFrame, WireCommand, utilisations_of
 from perception.camera import CameraParams
 from world.frames import unit
 from world.headlight.lamp import REST, Commands, ModuleCommand
+from world.view import View
 
 KEPT: Final = 8  # images of lights, of which an on and an off frame alternate
 STUCK_KEY: Final = 1  # of the generator of stuck pixels, beside that of dead ones
@@ -40,10 +41,11 @@ class LitBench:
         world = simulated_plant(scenario, given).world
         self.modules = _true(world.modules, faults)
         self.camera, self.gamma, self.screen = world.camera, faults.light.gamma, faults.screen
-        self.lens = Lens.of(faults.lens, world.camera)
+        self.lens, self.columns = Lens.of(faults.lens, world.camera), faults.camera.columns
         self.world = World(world.scene, self.modules, self.lens.camera, world.source, world.motion, False, world.given)
+        self.world.view = _finer(self.world.view, self.columns)
         self._stuck = tuple(_stuck(each, faults.lamp, faults.seed, k) for k, each in enumerate(self.modules))
-        self._lit: _Lit | None = None
+        self._lit = dict[bool, _Lit]()  # by whether modules are turned
 
     @property
     def pixels(self) -> int:
@@ -61,9 +63,9 @@ class LitBench:
 
     def _at(self, time_s: float, turned: bool) -> "_Lit":
         scene = self.world.lit(time_s, direct=turned)
-        if self._lit is None or self._lit.scene is not scene:
-            self._lit = _Lit(scene, self.lens, self._gloss(scene))
-        return self._lit
+        if turned not in self._lit or self._lit[turned].scene is not scene:
+            self._lit[turned] = _Lit(scene, self.lens, self.columns, self._gloss(scene))
+        return self._lit[turned]
 
     def _utilisations(self, light: LightFrame) -> tuple[Utilisation, ...]:
         parts = torch.from_numpy(utilisations_of(light.codes, self.gamma)).split([each.headlight.n_pixels for each in self.modules])
@@ -83,26 +85,39 @@ class LitBench:
 
 @dataclass(eq=False)
 class _Lit:
-    """A scene in which nothing moves, and the images of the last lights in it."""
+    """A scene in which nothing moves, and the images of the last lights in it. columns: samples over a pixel's width. factor: luminance
+    factor of each sample `[height, columns * width]`, None where they are 1.
+    """
 
     scene: LitScene
     lens: Lens
+    columns: int
     factor: Tensor | None
 
     def __post_init__(self) -> None:
-        self.base = self.lens.image(self.scene.base.float().numpy())
+        self.shape = self.lens.camera.height_px, self.lens.camera.width_px
+        base = self.scene.base.float().unflatten(1, (-1, self.columns)).mean(2)
+        self.base = self.lens.image(base.numpy())
         self._images: OrderedDict[tuple[bytes, Commands], Image] = OrderedDict()
 
     def image(self, lights: tuple[Utilisation, ...], codes: bytes, commands: Commands) -> Image:
         key = codes, commands
         if key not in self._images:
-            luminance = self.scene.shown(lights, commands).sub_(self.scene.base)
-            luminance = luminance if self.factor is None else luminance.mul_(self.factor)
-            self._images[key] = self.lens.image(luminance.numpy())
+            self._images[key] = self.lens.image(self._luminance(lights, commands).numpy())
             if len(self._images) > KEPT:
                 self._images.popitem(last=False)
         self._images.move_to_end(key)
         return self._images[key]
+
+    def _luminance(self, lights: tuple[Utilisation, ...], commands: Commands) -> Tensor:
+        """What the lamps add to the pinhole's picture `[height, width]` in cd/m^2."""
+        luminance = torch.zeros(self.shape).flatten()
+        for number, (light, command) in enumerate(zip(lights, commands or [REST] * len(lights), strict=True)):
+            added, sample = self.scene.transported(number, command).luminance(light.u)
+            if self.factor is not None:
+                added = added * self.factor.flatten()[sample]
+            luminance.index_add_(0, sample // self.columns, added, alpha=command.intensity / self.columns)
+        return luminance.view(self.shape)
 
 
 def gloss(params: ScreenParams, position: Tensor, normal: Tensor, lamp: Tensor, eye: Tensor) -> Tensor:
@@ -134,6 +149,11 @@ def _stuck(module: LampModule, error: LampErrorParams, seed: int, number: int) -
     n = module.headlight.n_pixels
     order = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, STUCK_KEY))).permutation(n)
     return torch.from_numpy(np.sort(order[: round(error.stuck * n)]))
+
+
+def _finer(view: View, columns: int) -> View:
+    """The same view with so many columns for each of its own."""
+    return replace(view, width=columns * view.width, fx=columns * view.fx, cx=columns * view.cx)
 
 
 def sensor_of(camera: CameraParams, gamma: float | None) -> CameraParams:

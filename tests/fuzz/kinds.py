@@ -16,6 +16,8 @@ import torch
 
 from controllers.pixels.ssc import Utilisation
 from controllers.symbol.sensing.projection import ProjectionCommand, Warp
+from loop.bench import faults
+from loop.bench.lens import Lens
 from loop.dataset import drawn
 from loop.jobs.runner import run as run_jobs
 from loop.plant import frames
@@ -24,7 +26,7 @@ from loop.recording.manifest import Manifest
 from loop.replay import replay
 from loop.run import check
 from loop.scenario.model import load, validate
-from loop.scenario.shipped import shipped
+from loop.scenario.shipped import examples, shipped
 from loop.studies import campaign
 from perception.camera import CameraParams
 from perception.detection import network
@@ -106,6 +108,10 @@ def _plain(name: str) -> dict[str, Any]:
 
 def _resolved(folder: Path) -> dict[str, bytes]:
     return {f"{name}.json": json.dumps(_plain(name)).encode() for name in scenarios()}
+
+
+def _faults(folder: Path) -> dict[str, bytes]:
+    return {"rig_faults.toml": examples()["rig_faults.toml"].read_bytes()}
 
 
 def _manifests(folder: Path) -> dict[str, bytes]:
@@ -383,6 +389,7 @@ ALL: dict[str, Kind] = {
     "override": Kind(_overrides, _override, lambda path: load(path.stem, [path.read_text()]), 12),
     "manifest": Kind(_manifests, _json, _read_manifest, 8),
     "campaign": Kind(lambda folder: {"c.toml": CAMPAIGN}, _text, campaign.read, 1),
+    "faults": Kind(_faults, _text, lambda path: Lens.of(faults.read(path).lens, CameraParams(width_px=64, height_px=48)), 2),
     "data set": Kind(lambda folder: {"d.toml": DATASET}, _text, lambda path: drawn.read(path, 1), 1),
     "lamp description": Kind(lambda folder: {"lamp.toml": LAMP}, _text, description.build, 6),
     "lamp file": Kind(_lamp_files, mutations.of_archive, _read_lamp, 12),

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -22,7 +23,7 @@ Images = Callable[..., np.ndarray]
 
 def test_without_faults_its_frames_are_the_plants(pattern: np.ndarray) -> None:
     scenario = scenario_of("camera.noise=false")
-    bench = LitBench(scenario, faults_of())
+    bench = LitBench(scenario, faults_of("camera.columns=1"))
     given = tuple(LampModule(each.name, each.headlight, each.T_world_headlight) for each in bench.modules)
     plant = simulated_plant(scenario, given)
     lights = (Utilisation(torch.from_numpy(pattern).float() / 255, None),)
@@ -79,3 +80,29 @@ def test_a_bench_may_be_a_wall() -> None:
     assert lit[58:62, 20:140].all() and not lit[:30].any() and not lit[90:].any() and not lit[:, [0, -1]].any()
     nearest_m = 4.0  # 2000 cd on an albedo of 0.8
     assert image.max() == pytest.approx(0.8 * 2000 / nearest_m**2 / np.pi, rel=0.01)
+
+
+def test_a_lamp_pixel_is_seen_where_the_truth_says() -> None:
+    """The rig's matrix, coefficients and poses as OpenCV takes them, pixel centres at integer + 0.5."""
+    keys = ["camera.width_px=320", "camera.height_px=240", "light.ambient_lx=0"]
+    faults = faults_of(
+        "lens.coefficients=[-0.3, 0.1, 0.002, -0.003, 0.05]", "lens.centre_px=[5, -8]", "lamp.yaw_deg=0.4", "camera.columns=4"
+    )
+    bench = LitBench(load(str(examples()["rig_wall.toml"]), keys), faults)
+    (module,) = bench.modules
+    head, T = module.headlight, module.T_world_headlight
+    T_camera = bench.world.view.T_world_view.numpy()
+    for row, column in ((20, 60), (166, 512), (300, 980)):
+        codes = np.zeros((head.pixel_rows, head.pixel_cols), np.uint8)
+        codes[row - 8 : row + 8, column - 8 : column + 8] = 255
+        image = bench.light(light(codes.ravel()), 0.0)
+        v, u = np.mgrid[:240, :320] + 0.5
+        seen = np.array([(image * u).sum(), (image * v).sum()]) / image.sum()
+        y = head.left + (head.right - head.left) * column / head.pixel_cols
+        z = head.top + (head.bottom - head.top) * row / head.pixel_rows
+        ray = T[:3, :3] @ torch.tensor([1.0, y, z], dtype=torch.float64)
+        on_wall = (T[:3, 3] + ray * ((4.0 - T[0, 3]) / ray[0])).numpy()
+        in_camera = T_camera[:3, :3].T @ (on_wall - T_camera[:3, 3])
+        k = np.array(faults.lens.coefficients)
+        expected = cv2.projectPoints(in_camera[None], np.zeros(3), np.zeros(3), bench.lens.matrix, k)[0].ravel()
+        assert abs(seen - expected).max() < 0.1, (row, column)  # px; with one sample over a pixel's width it can be 0.3
