@@ -5,7 +5,7 @@ What it offers to `luxloop` and the command line: `run.run` and `run.prepare`; t
 `replay` of recordings and their edits; `recording`, its `report` and the `labels` beside its frames; `studies` such as tuning and campaigns
 on `jobs`; `evaluation` of pixel controllers, `training` of detectors, a `dataset` for those of others, `beams` found for a detector;
 `contracts`, checks of what users write; `pictures`, and what to `export`; the `studio` in the browser, and `client`, for other programs;
-`wire`, the bytes between a loop and a rig of real light, `bench`, a simulated rig as a process of its own, and
-`calibration` of a rig;
+`rig`, a real lamp and camera as a plant; `wire`, the bytes between a loop and a rig, `bench`, a simulated rig as a process of its own,
+and `calibration` of a rig and digitising of its lamp;
 `commands` and their `terminal`.
 """

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from loop.pictures.headlight import show as show_headlight
     from loop.plant.protocol import Arrivals, Exposure, Frame
     from loop.plant.simulated import simulated_plant
+    from loop.rig.camera import CameraPicture
     from loop.run import RunResult, prepare, run
     from loop.scenario.model import Scenario
     from loop.scenario.model import load as load
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Arrivals",
+    "CameraPicture",
     "Client",
     "Detections",
     "Ego",
@@ -132,6 +134,7 @@ _MODULES = {
     "loop.pictures.headlight": ("show as show_headlight",),
     "loop.plant.protocol": ("Arrivals", "Exposure", "Frame"),
     "loop.plant.simulated": ("simulated_plant",),
+    "loop.rig.camera": ("CameraPicture",),
     "loop.run": ("RunResult", "prepare", "run"),
     "loop.scenario.model": ("Scenario", "load as load", "validate as validate"),
     "loop.lighting.simulation": ("Simulation",),

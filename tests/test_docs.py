@@ -1,6 +1,6 @@
 """The documentation tells the truth: commands run, Python runs, TOML is valid, tables are those of the models, links lead somewhere.
 
-`python -m tests.test_docs` writes the tables of docs/scenarios.md, docs/lampfiles.md and docs/rig.md anew from the models.
+`python -m tests.test_docs` writes the tables of docs/scenarios.md, docs/lampfiles.md, docs/rig.md, docs/rig_file.md anew from the models.
 """
 
 import json
@@ -19,6 +19,7 @@ from pydantic import BaseModel
 
 from loop.bench.faults import FaultParams
 from loop.commands import cli
+from loop.rig.params import RigParams
 from loop.run import prepare
 from loop.scenario.model import Scenario, load, validate
 from loop.scenario.overrides import TAGS
@@ -28,6 +29,7 @@ from loop.studio.page import PAGE
 from loop.terminal.tables import markdown
 from world.lampfiles import description
 from world.lampfiles.description import LampDescription
+from world.validation import validated
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -42,6 +44,7 @@ EXEMPT = {
     r"python train_ppo\.py\b": "takes minutes, and has a test of its own",
     r"luxloop rig (calibrate|digitise|fit)\b": "takes minutes, and has tests of its own",
     r"luxloop rig simulate\b": "serves until it is ended, and has tests of its own",
+    r"luxloop (rig (check|blink)|run .*--rig)\b": "needs a rig; tests/loop/rig/test_page.py runs these with one",
     r"luxloop studio\b": "serves until it is ended, and has tests in a browser",
     r"luxloop run .*--checks": "holds for all steps of a run, and has a test of its own",
     r"luxloop (evaluate|campaign|dataset|optimise-beam|train-detector)\b": "takes minutes, and has tests of its own",
@@ -144,6 +147,12 @@ def test_lamp_snippets_are_valid(page: Path) -> None:
         description.validate(tomllib.loads(block), str(page))
 
 
+@pytest.mark.parametrize("page", with_blocks("toml rig"))
+def test_rig_snippets_are_valid(page: Path) -> None:
+    for block in blocks(page, "toml rig"):
+        validated(RigParams, tomllib.loads(block), str(page))
+
+
 @pytest.mark.parametrize("page", with_blocks("toml"))
 def test_scenario_snippets_are_valid(page: Path) -> None:
     held = {"symbol": {"kind": "symbol", "image": "snowflake", "controller": "thesis_pid"}}  # of which checks may speak
@@ -190,6 +199,7 @@ TABLES: dict[Path, tuple[type[BaseModel], ...]] = {
     SCENARIOS: (Scenario,),
     ROOT / "docs" / "lampfiles.md": (LampDescription,),
     ROOT / "docs" / "rig.md": (FaultParams,),
+    ROOT / "docs" / "rig_file.md": (RigParams,),
 }
 
 

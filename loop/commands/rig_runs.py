@@ -231,7 +231,7 @@ def _in_words(found: Mapping[str, Any]) -> dict[str, str]:
     }
     for name, each in found["judged"].items():
         off = each["centroid_error_percent"]
-        told = f"IoU {each['iou_final']:.3f} at the last of {each['steps']} steps, {each['iou_mean']:.3f} on average in the second half"
+        told = f"IoU {each['iou_final']:.3f} at the last step, {each['iou_mean']:.3f} on average in the last {each['pairs']}"
         where = "nothing is lit" if off is None else f"centroid {off[0]:.1f} % along, {off[1]:.1f} % across"
         rows[f"{name}, as the camera sees it"] = f"{told}; {where}"
     if found["dimmed"] or found["slowed"]:

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from loop.rig.camera import CameraPicture
 from loop.rig.light import Shine
 from loop.rig.rectified import WrongPicture, grey
 from loop.rig.rig import Rig
@@ -29,12 +30,13 @@ FEWEST: Final = 10  # blinks
 @dataclass(frozen=True, eq=False)
 class Looks:
     """Pictures of a blink test. lag_s: `[n]`, from sending the light that stands to the picture's arrival. at_s: `[n]`, when that was sent.
-    least, most: `[n]`, share of the change that is seen in the row of pixels that shows least and most of it. seen: share that is more than
-    scatter.
+    late_s: `[n]`, by how much they came later than the camera's rhythm lets expect. least, most: `[n]`, share of the change that is seen in
+    the row of pixels that shows least and most of it. seen: share that is more than scatter.
     """
 
     lag_s: NDArray[np.float64]
     at_s: NDArray[np.float64]
+    late_s: NDArray[np.float64]
     least: NDArray[np.float64]
     most: NDArray[np.float64]
     seen: float
@@ -76,7 +78,7 @@ def blink(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: float,
     lit = Shine(0, tuple(u * factor for u in lit.pictures))
     black = Shine(1, tuple(np.zeros(grid, np.float32) for grid in grids))
     drawn = np.random.default_rng(0)
-    switches, pictures = list[tuple[float, bool]](), list[tuple[float, NDArray[Any]]]()
+    switches, pictures = list[tuple[float, bool]](), list[tuple[float, float, NDArray[Any]]]()
     settled: list[NDArray[np.float32]] = []
     came = late = void = 0
     arrivals: list[float] = []
@@ -91,14 +93,14 @@ def blink(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: float,
         switches.append((sent_s, on))
         hold_s = LEARN_S if number < LEARNT else HOLD_S + SPREAD_S * drawn.random()
         kept, begun = [], len(pictures)
-        for arrived_s, awaited, image in _pictures(rig, sent_s + hold_s):
-            arrivals.append(arrived_s)
-            came, late = came + 1, late + (not awaited)
+        for picture, image in _pictures(rig, sent_s + hold_s):
+            arrivals.append(picture.arrived_s)
+            came, late = came + 1, late + (not picture.awaited)
             if mask is None:
                 kept.append(image)
-            elif awaited:
+            elif picture.awaited:
                 assert rows is not None
-                pictures.append((arrived_s, (image * mask).sum(1)[rows]))
+                pictures.append((picture.arrived_s, picture.late_s, (image * mask).sum(1)[rows]))
         if rig.keeper.since_s != sent_s:  # in doubt
             if number < LEARNT or (void := void + 1) > blinks / 2:
                 raise LuxloopError(f"blink: {rig.keeper.reason}")
@@ -120,7 +122,8 @@ def found(looks: Looks, intervals_s: NDArray[np.float64], late: float, blinks: i
     if whole.sum() < blinks / 2 or len(looks.lag_s) < 2 * blinks:
         raise LuxloopError("blink: too few pictures came, or the light is not steady; check the camera's rate, its exposure, and the lamp")
     latency_s, begins_s = _between(looks.lag_s, whole), _between(looks.lag_s, begun)
-    worst_s = float(looks.lag_s[~whole].max(initial=latency_s))
+    in_time = looks.lag_s > latency_s + looks.late_s  # others are told in a run as well, by the camera's rhythm
+    worst_s = float(looks.lag_s[~whole & in_time].max(initial=latency_s))
     first = np.array([looks.lag_s[(looks.at_s == at_s) & whole].min() for at_s in np.unique(looks.at_s[whole])])
     half = np.median(looks.at_s)
     early, later = (_between(looks.lag_s[part], whole[part]) for part in (looks.at_s <= half, looks.at_s > half))
@@ -146,7 +149,7 @@ def _shown(rig: Rig, shine: Shine) -> None:
     rig.show(given.shine)
 
 
-def _pictures(rig: Rig, until_s: float) -> Iterator[tuple[float, bool, NDArray[np.float32]]]:
+def _pictures(rig: Rig, until_s: float) -> Iterator[tuple[CameraPicture, NDArray[np.float32]]]:
     """Pictures as they come. Raises LuxloopError where the camera fails."""
     while time.monotonic() < until_s:
         rig.keeper.beat()
@@ -155,7 +158,7 @@ def _pictures(rig: Rig, until_s: float) -> Iterator[tuple[float, bool, NDArray[n
         picture = rig.camera.next(min(until_s, time.monotonic() + 0.1))
         if picture is not None:
             try:
-                yield picture.arrived_s, picture.awaited, grey(picture.data).astype(np.float32)
+                yield picture, grey(picture.data).astype(np.float32)
             except WrongPicture:
                 continue
 
@@ -181,23 +184,25 @@ def _region(dark: NDArray[np.float32], bright: NDArray[np.float32]) -> tuple[NDA
     return mask, counts > 0.2 * counts.max()
 
 
-def _looks(switches: Sequence[tuple[float, bool]], pictures: Sequence[tuple[float, NDArray[Any]]], steady: Sequence[NDArray[Any]]) -> Looks:
+def _looks(
+    switches: Sequence[tuple[float, bool]], pictures: Sequence[tuple[float, float, NDArray[Any]]], steady: Sequence[NDArray[Any]]
+) -> Looks:
     """steady: dark and bright rows of pixels, both `[n, rows]`."""
     dark, bright = (np.median(each, axis=0) for each in steady)
     scatter = max(float((each.std(0) / (bright - dark)).max()) for each in steady)
     seen = min(max(SIGMAS * scatter, SEEN[0]), SEEN[1])
     starts_s = np.array([at_s for at_s, _ in switches])
     values = []
-    for arrived_s, rows in pictures:
+    for arrived_s, late_s, rows in pictures:
         k = int(np.searchsorted(starts_s, arrived_s, "right")) - 1
         if k < LEARNT:
             continue
         at_s, on = switches[k]
         share = (rows - dark) / (bright - dark)
         share = share if on else 1 - share
-        values.append((arrived_s - at_s, at_s, share.min(), share.max()))
-    columns = np.array(values).T if values else np.zeros((4, 0))
-    return Looks(columns[0], columns[1], columns[2], columns[3], seen)
+        values.append((arrived_s - at_s, at_s, late_s, share.min(), share.max()))
+    columns = np.array(values).T if values else np.zeros((5, 0))
+    return Looks(columns[0], columns[1], columns[2], columns[3], columns[4], seen)
 
 
 def _between(lag_s: NDArray[np.float64], after: NDArray[np.bool_]) -> float:

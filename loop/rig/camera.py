@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loop.rig.matching import Regularity
-from loop.rig.params import Cameras, DeviceParams, FolderParams, HttpParams, StreamParams
+from loop.rig.params import Cameras, DeviceCameraParams, FolderCameraParams, HttpCameraParams, StreamCameraParams
 from world import plugin
 from world.errors import LuxloopError
 
@@ -57,13 +57,13 @@ def opener(params: Cameras) -> Callable[[], CameraSource]:
     from loop.rig.video_camera import DeviceCamera, FolderCamera, StreamCamera
 
     match params:
-        case HttpParams():
+        case HttpCameraParams():
             return lambda: HttpCamera(params)
-        case DeviceParams():
+        case DeviceCameraParams():
             return lambda: DeviceCamera(params)
-        case StreamParams():
+        case StreamCameraParams():
             return lambda: StreamCamera(params)
-        case FolderParams():
+        case FolderCameraParams():
             return lambda: FolderCamera(params)
     methods = (*METHODS, "trigger") if params.triggered else METHODS
     plugin.load(params.kind, KEY, methods)

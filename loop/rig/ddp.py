@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from loop.rig.light import Shine, places
-from loop.rig.params import DdpParams
+from loop.rig.params import DdpLightParams
 from loop.wire.ddp import Codes, WireCommand, codes_of, packets, send
 from world.errors import LuxloopError
 
@@ -16,7 +16,7 @@ FAREWELLS = 3  # times that darkness is sent, since a packet may be lost
 class DdpLight:
     """A lamp on the network. The time code of an exposure is its number, plus one for each time that the lamp was darkened between."""
 
-    def __init__(self, params: DdpParams, grids: Sequence[tuple[int, int]]) -> None:
+    def __init__(self, params: DdpLightParams, grids: Sequence[tuple[int, int]]) -> None:
         """Raises LuxloopError where the host has no address."""
         self._params = params
         self._order = [places(params.scan, *grid) for grid in grids]

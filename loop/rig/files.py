@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loop.rig.light import Picture, Shine
-from loop.rig.params import FilesParams
+from loop.rig.params import FilesLightParams
 from loop.wire.ddp import Codes, codes_of
 from world.errors import LuxloopError
 from world.files import whole
@@ -21,7 +21,7 @@ PICTURE, ABOUT = "light.png", "light.json"
 class FilesLight:
     """Each light replaces `light.png`, and then `light.json`, which says the number and the commands; both whole or not at all."""
 
-    def __init__(self, params: FilesParams) -> None:
+    def __init__(self, params: FilesLightParams) -> None:
         """Raises LuxloopError where there is no such folder, or it cannot be written."""
         self._params, self._number, self._shape = params, -1, (1, 1)
         if not params.folder.is_dir() or not os.access(params.folder, os.W_OK):

@@ -8,7 +8,7 @@ from typing import Final
 from urllib.parse import unquote, urlsplit
 
 from loop.rig.camera import CameraPicture
-from loop.rig.params import HttpParams
+from loop.rig.params import HttpCameraParams
 from loop.wire.mjpeg import parts
 from world.errors import LuxloopError
 
@@ -20,8 +20,9 @@ SLOW_S: Final = 2.0  # without a byte within a picture or a head
 class HttpCamera:
     """One connection."""
 
-    def __init__(self, params: HttpParams) -> None:
+    def __init__(self, params: HttpCameraParams) -> None:
         """Raises LuxloopError where the address is none, or nobody answers there with pictures."""
+        self._url = params.url
         url = urlsplit(params.url)
         if not url.hostname:
             raise LuxloopError(f"camera.url: {params.url} names no host; write it as http://192.168.1.21:8080/camera")
@@ -61,7 +62,7 @@ class HttpCamera:
         status = self._stream.readline(MOST_HEAD).split(None, 2)
         if len(status) < 2 or status[1] != b"200":
             told = status[1].decode("latin-1") if len(status) > 1 else "no HTTP"
-            raise LuxloopError(f"camera.url: http://{host}{path} answers with {told}, not with pictures; check the path, and the login")
+            raise LuxloopError(f"camera.url: {self._url} answers with {told}, not with pictures; check the path, and the login")
         left, kind = MOST_HEAD, b""
         while (line := self._stream.readline(left)).strip():
             left -= len(line)
@@ -71,9 +72,7 @@ class HttpCamera:
             kind = value.strip().lower() if name.lower() == b"content-type" else kind
         if not kind.startswith(b"multipart/"):
             said = kind.decode("latin-1") or "no type"
-            raise LuxloopError(
-                f"camera.url: http://{host}{path} answers with {said}, not with multipart pictures; give the MJPEG stream's path"
-            )
+            raise LuxloopError(f"camera.url: {self._url} answers with {said}, not with multipart pictures; give the MJPEG stream's path")
 
 
 class _Stream:

@@ -5,6 +5,7 @@ lies elsewhere.
 """
 
 import math
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
@@ -18,6 +19,7 @@ from perception.birdseye import BirdsEye, birds_eye, region_around
 from perception.camera import CameraParams, camera_view, luminance_of
 from perception.judge import CELL_M, Target, Verdict, judge, target
 
+LAST = 10  # pairs of frames
 AROUND = 0.5  # of a mark's width and height, by which its light may reach beyond it
 
 
@@ -44,14 +46,14 @@ class CameraJudge:
 
 
 class Judged:
-    """Verdicts of a run so far."""
+    """The last steps of a run, judged when it has ended, for that takes longer than a step should."""
 
     def __init__(self, symbols: Mapping[str, ControlledSymbol], camera: CameraParams, mark: MarkParams | None = None) -> None:
         """mark: in the light, which is not looked at."""
         self._mark = mark
         self._judges = {name: CameraJudge.of(each, camera) for name, each in symbols.items()}
         self._on: tuple[Exposure, Tensor] | None = None
-        self._found = dict[str, list[tuple[float, float, float]]]()
+        self._pairs = {name: deque[tuple[Tensor, Tensor]](maxlen=LAST) for name in symbols}
 
     def look(self, exposure: Exposure, image: Tensor | None) -> None:
         """Take a frame, None where it is lost. Those of an exposure and of the next one are held against each other."""
@@ -59,9 +61,20 @@ class Judged:
         if before is None or image is None or before[0].number + 1 != exposure.number:
             return
         for name in before[0].projections.keys() - exposure.projections.keys():
-            verdict = self._judges[name].verdict(self._unmarked(before[1]), self._unmarked(image))
-            along, across = verdict.centroid_percent.tolist()
-            self._found.setdefault(name, []).append((float(verdict.iou), along, across))
+            self._pairs[name].append((before[1], image))
+
+    def summary(self) -> dict[str, Any]:
+        """By name: IoU and centroid error (None where nothing is lit) of the last pair of frames, and the mean IoU of the last ten."""
+        found = {}
+        for name, pairs in self._pairs.items():
+            verdicts = [self._judges[name].verdict(self._unmarked(on), self._unmarked(off)) for on, off in pairs]
+            if verdicts:
+                off = verdicts[-1].centroid_percent.tolist()
+                ious = [float(each.iou) for each in verdicts]
+                lit = all(map(math.isfinite, off))
+                mean = sum(ious) / len(ious)
+                found[name] = {"iou_final": ious[-1], "iou_mean": mean, "centroid_error_percent": off if lit else None, "pairs": len(ious)}
+        return found
 
     def _unmarked(self, image: Tensor) -> Tensor:
         if (mark := self._mark) is None:
@@ -70,21 +83,6 @@ class Judged:
         image = image.clone()
         image[v, u] = 0
         return image
-
-    def summary(self) -> dict[str, Any]:
-        """By name: IoU and centroid error (None where nothing is lit) at the last step judged, and the mean IoU of the second half."""
-        found = {}
-        for name, verdicts in self._found.items():
-            iou, *off = verdicts[-1]
-            lit = all(map(math.isfinite, off))
-            late = [each[0] for each in verdicts[len(verdicts) // 2 :]]
-            found[name] = {
-                "iou_final": iou,
-                "iou_mean": sum(late) / len(late),
-                "centroid_error_percent": off if lit else None,
-                "steps": len(verdicts),
-            }
-        return found
 
 
 def _sides(mark: MarkParams) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -7,7 +7,7 @@ from typing import Any, Final, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from loop.rig.params import DdpParams, FilesParams, Lights, ScanParams, ScreenParams
+from loop.rig.params import DdpLightParams, FilesLightParams, Lights, ScanParams, ScreenLightParams
 from world import plugin
 from world.errors import LuxloopError
 from world.headlight.lamp import REST, Commands
@@ -73,11 +73,11 @@ def open_light(params: Lights, grids: Sequence[tuple[int, int]]) -> Light:
     from loop.rig.screen import ScreenLight
 
     match params:
-        case DdpParams():
+        case DdpLightParams():
             return DdpLight(params, grids)
-        case ScreenParams():
+        case ScreenLightParams():
             return ScreenLight(params, grids)
-        case FilesParams():
+        case FilesLightParams():
             return FilesLight(params)
     return cast(Light, plugin.make(params.kind, KEY, {"grids": tuple(grids)}, params.options, METHODS))
 

@@ -36,7 +36,7 @@ class LightParams(Params):
     dark_after_s: float = Field(0.1, ge=0.02, le=60, description="time without light from here after which the lamp darkens by itself")
 
 
-class DdpParams(LightParams):
+class DdpLightParams(LightParams):
     """A lamp behind a network of pixels, by DDP over UDP."""
 
     kind: Literal["ddp"]
@@ -52,7 +52,7 @@ class DdpParams(LightParams):
         return _refuse_gaps(self)
 
 
-class ScreenParams(LightParams):
+class ScreenLightParams(LightParams):
     """A page on a second display or a projector, opened in full screen."""
 
     kind: Literal["screen"]
@@ -65,7 +65,7 @@ class ScreenParams(LightParams):
         return _refuse_gaps(self)
 
 
-class FilesParams(LightParams):
+class FilesLightParams(LightParams):
     """A folder of PNG files for a laboratory's own player."""
 
     kind: Literal["files"]
@@ -81,7 +81,7 @@ class OwnLightParams(LightParams):
 
 
 Lights = Annotated[
-    Annotated[DdpParams, Tag("ddp")] | Annotated[ScreenParams, Tag("screen")] | Annotated[FilesParams, Tag("files")]
+    Annotated[DdpLightParams, Tag("ddp")] | Annotated[ScreenLightParams, Tag("screen")] | Annotated[FilesLightParams, Tag("files")]
     | Annotated[OwnLightParams, Tag(OWN)],
     known_or_own("kind"),
 ]  # fmt: skip
@@ -107,7 +107,7 @@ class CameraSourceParams(Params):
     triggered: bool = Field(False, description="whether each frame is asked for, with the method trigger of a camera of one's own")
 
 
-class HttpParams(CameraSourceParams):
+class HttpCameraParams(CameraSourceParams):
     """A network camera that serves JPEG or PNG pictures, one after another in one answer (MJPEG)."""
 
     kind: Literal["http"]
@@ -115,7 +115,7 @@ class HttpParams(CameraSourceParams):
     largest_bytes: int = Field(16_000_000, ge=1000, le=200_000_000, description="bytes of a picture at most")
 
 
-class DeviceParams(CameraSourceParams):
+class DeviceCameraParams(CameraSourceParams):
     """A V4L2 device, by OpenCV."""
 
     kind: Literal["device"]
@@ -129,7 +129,7 @@ class DeviceParams(CameraSourceParams):
     gain: float | None = Field(None, description="gain to lock, in the driver's unit; left out: as it is")
 
 
-class StreamParams(CameraSourceParams):
+class StreamCameraParams(CameraSourceParams):
     """An RTSP or other video stream, by PyAV."""
 
     kind: Literal["stream"]
@@ -139,7 +139,7 @@ class StreamParams(CameraSourceParams):
     )
 
 
-class FolderParams(CameraSourceParams):
+class FolderCameraParams(CameraSourceParams):
     """A folder into which another program writes pictures, each whole, with names in ascending order."""
 
     kind: Literal["folder"]
@@ -154,8 +154,8 @@ class OwnCameraParams(CameraSourceParams):
 
 
 Cameras = Annotated[
-    Annotated[HttpParams, Tag("http")] | Annotated[DeviceParams, Tag("device")] | Annotated[StreamParams, Tag("stream")]
-    | Annotated[FolderParams, Tag("folder")] | Annotated[OwnCameraParams, Tag(OWN)],
+    Annotated[HttpCameraParams, Tag("http")] | Annotated[DeviceCameraParams, Tag("device")] | Annotated[StreamCameraParams, Tag("stream")]
+    | Annotated[FolderCameraParams, Tag("folder")] | Annotated[OwnCameraParams, Tag(OWN)],
     known_or_own("kind"),
 ]  # fmt: skip
 
@@ -250,7 +250,7 @@ class MarkParams(Params):
     )
 
 
-class CalibrationParams(Params):
+class RigCalibrationParams(Params):
     """What `luxloop rig calibrate` has found."""
 
     file: Path = Field(examples=["rig.npz"], description="its file, from which the camera's pictures are rectified")
@@ -265,7 +265,7 @@ class RigParams(Params):
     limits: LimitParams = Field(LimitParams(), description="limits")
     timing: TimingParams = Field(TimingParams(), description="from light to frame")
     mark: MarkParams | None = Field(None, description="a mark in the light that says which exposure a frame shows")
-    calibration: CalibrationParams | None = Field(None, description="the camera's calibration")
+    calibration: RigCalibrationParams | None = Field(None, description="the camera's calibration")
 
     @property
     def digest(self) -> str:

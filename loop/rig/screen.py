@@ -22,7 +22,7 @@ from websockets.http11 import Request, Response
 
 from loop.rig.files import stacked
 from loop.rig.light import Shine, places
-from loop.rig.params import ScreenParams
+from loop.rig.params import ScreenLightParams
 from loop.wire.ddp import codes_of
 from world.errors import LuxloopError
 
@@ -38,7 +38,7 @@ class ScreenLight:
     A frame is 4 bytes of its number, 2 of its width and 2 of its height, big endian, and a byte a pixel, row by row from the top.
     """
 
-    def __init__(self, params: ScreenParams, grids: Sequence[tuple[int, int]]) -> None:
+    def __init__(self, params: ScreenLightParams, grids: Sequence[tuple[int, int]]) -> None:
         """Listen, in a thread of its own. Raises LuxloopError where the port cannot be had."""
         self._params = params
         self._order = [places(params.scan.model_copy(update={"columns_first": False}), *grid) for grid in grids]

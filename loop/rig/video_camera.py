@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from loop.rig.camera import CameraPicture
-from loop.rig.params import DeviceParams, FolderParams, StreamParams
+from loop.rig.params import DeviceCameraParams, FolderCameraParams, StreamCameraParams
 from world.errors import LuxloopError
 from world.files import content
 
@@ -20,7 +20,7 @@ LOST_S: Final = 5.0  # without an answer of a stream's server
 class DeviceCamera:
     """A webcam. A read that its driver does not answer blocks the camera's thread alone."""
 
-    def __init__(self, params: DeviceParams) -> None:
+    def __init__(self, params: DeviceCameraParams) -> None:
         """Raises LuxloopError where there is no such device, or it does not do what it is asked for."""
         import cv2
 
@@ -68,7 +68,7 @@ class DeviceCamera:
 class StreamCamera:
     """A stream whose frames are decoded as they come."""
 
-    def __init__(self, params: StreamParams) -> None:
+    def __init__(self, params: StreamCameraParams) -> None:
         """Raises an OSError of PyAV's where nobody answers in time."""
         import av
 
@@ -102,7 +102,7 @@ class StreamCamera:
 class FolderCamera:
     """Files of a folder by ascending name, from those on that come after the start."""
 
-    def __init__(self, params: FolderParams) -> None:
+    def __init__(self, params: FolderCameraParams) -> None:
         """Raises LuxloopError where there is no such folder."""
         self._folder = params.folder
         if not self._folder.is_dir():

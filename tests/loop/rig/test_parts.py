@@ -19,7 +19,7 @@ from loop.rig.files import FilesLight
 from loop.rig.light import Shine, open_light, places
 from loop.rig.limits import limited
 from loop.rig.matching import Regularity, shows
-from loop.rig.params import FilesParams, LimitParams, MarkParams, RigParams, ScanParams, TimingParams, UdpEgoParams, load_rig
+from loop.rig.params import FilesLightParams, LimitParams, MarkParams, RigParams, ScanParams, TimingParams, UdpEgoParams, load_rig
 from loop.rig.rectified import Rectifier, WrongPicture
 from loop.wire.datagrams import encoded
 from perception.camera import CameraParams
@@ -254,7 +254,7 @@ def test_a_camera_of_ones_own_is_read_and_looked_at(tmp_path: Path) -> None:
 
 
 def test_light_goes_into_files_whole_with_commands_and_dark(tmp_path: Path) -> None:
-    light = FilesLight(FilesParams(kind="files", folder=tmp_path, bits=16))
+    light = FilesLight(FilesLightParams(kind="files", folder=tmp_path, bits=16))
     pictures = (np.linspace(0, 1, 12, dtype=np.float32).reshape(3, 4), np.ones((1, 2), np.float32))
     assert light.show(Shine(7, pictures, (ModuleCommand(swivel_deg=3.0), ModuleCommand()))) is None
     codes = cv2.imread(str(tmp_path / "light.png"), cv2.IMREAD_UNCHANGED)
@@ -265,7 +265,7 @@ def test_light_goes_into_files_whole_with_commands_and_dark(tmp_path: Path) -> N
     assert not cv2.imread(str(tmp_path / "light.png"), cv2.IMREAD_UNCHANGED).any()
     assert sorted(each.name for each in tmp_path.iterdir()) == ["light.json", "light.png"]
     with pytest.raises(LuxloopError, match="make it"):
-        FilesLight(FilesParams(kind="files", folder=tmp_path / "none"))
+        FilesLight(FilesLightParams(kind="files", folder=tmp_path / "none"))
 
 
 def test_samples_come_with_the_plants_time_and_others_are_refused() -> None:

@@ -1,5 +1,7 @@
 """An open rig shows light and gets frames of it, each of its own exposure or none; when something stops, it is dark."""
 
+import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -11,7 +13,7 @@ from loop.rig.blink import blink
 from loop.rig.light import Shine
 from loop.rig.rig import Rig, await_camera, opened
 from perception.camera import CameraParams
-from tests.loop.rig.conftest import Process, eventually
+from tests.loop.rig.conftest import Process, eventually, free_port
 
 GRID = (12, 16)
 CAMERA = CameraParams(width_px=64, height_px=48, bits=8)
@@ -98,6 +100,44 @@ def test_a_rig_that_is_killed_and_started_again(small_rig: Callable[..., Process
         for number in range(2, 8):
             _, taken = rig.expose(shine(number), 0.001)
         assert taken.image is not None and max(said(taken.image)) == min(said(taken.image)) > 0
+
+
+class Relay:
+    """Passes datagrams on until it is cut."""
+
+    def __init__(self, to: int) -> None:
+        self.port, self.cut = free_port(socket.SOCK_DGRAM), False
+        self._in, self._out = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+        self._in.bind(("127.0.0.1", self.port))
+        self._out.connect(("127.0.0.1", to))
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def _run(self) -> None:
+        while packet := self._in.recv(2000):
+            if not self.cut:
+                self._out.send(packet)
+
+
+def test_a_network_that_is_cut_leaves_the_lamp_dark_and_comes_back(small_rig: Callable[..., Process]) -> None:
+    process = small_rig()
+    relay = Relay(process.light)
+    with rig_of(process, light={"kind": "ddp", "host": "127.0.0.1", "port": relay.port}) as rig:
+        assert rig.expose(shine(0), 0.001)[1].image is not None
+        relay.cut = True
+        assert eventually(lambda: camera_sees(rig, 20), 0.25)
+        _, taken = rig.expose(shine(1), 0.001)
+        assert taken.image is None or said(taken.image) == {0}  # in the dark no symbol is seen, and none is measured
+        relay.cut = False
+        _, taken = rig.expose(shine(2), 0.001)
+        assert taken.image is not None and said(taken.image) == {3}
+
+
+def test_pictures_that_nobody_reads_are_dropped(small_rig: Callable[..., Process]) -> None:
+    with rig_of(small_rig()) as rig:
+        time.sleep(0.5)
+        assert rig.camera.dropped > 5
+        _, taken = rig.expose(shine(0), 0.001)
+        assert taken.image is not None and said(taken.image) == {1}
 
 
 def test_pictures_of_a_wrong_size_are_lost_with_the_reason(small_rig: Callable[..., Process]) -> None:

@@ -11,7 +11,7 @@ from PIL import Image
 from selenium import webdriver
 
 from loop.rig.light import Shine
-from loop.rig.params import ScreenParams
+from loop.rig.params import ScreenLightParams
 from loop.rig.screen import ScreenLight
 
 CHROMIUM, DRIVER = (shutil.which(name) for name in ("chromium", "chromedriver"))
@@ -41,7 +41,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[webdriver.Chro
 
 @pytest.fixture
 def light(browser: webdriver.Chrome) -> Iterator[ScreenLight]:
-    light = ScreenLight(ScreenParams(kind="screen", port=0, dark_after_s=1.0), GRIDS)
+    light = ScreenLight(ScreenLightParams(kind="screen", port=0, dark_after_s=1.0), GRIDS)
     browser.get(f"http://127.0.0.1:{light.port}/")
     light.await_page(lambda address: None, 30)
     yield light
