@@ -1,5 +1,6 @@
 """The bench of a real rig: its lamp and camera, with pictures as the camera sends them."""
 
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from loop.calibration.bench import Array, Image
 from loop.rig.light import Shine
 from loop.rig.params import RigParams
 from loop.rig.rectified import Rectifier, grey
-from loop.rig.rig import Rig, await_camera, opened
+from loop.rig.rig import CAMERA_S, Rig, await_camera, opened
 from perception.camera import CameraParams
 from world.errors import LuxloopError, located
 
@@ -69,10 +70,7 @@ def live_bench(file: Path, params: RigParams, camera: CameraParams, grids: Seque
     with located(str(file)), opened(params, grids, None, armed=True) as rig:
         if not await_camera(rig):
             raise LuxloopError(rig.camera.reason)
-        picture = None
-        for _ in range(TRIES):
-            if (picture := rig.camera.next(np.inf if picture is None else 0.0)) is not None:
-                break
+        picture = rig.camera.next(time.monotonic() + CAMERA_S)
         if picture is None:
             raise LuxloopError("camera: sends no picture; see `luxloop rig check`")
         first = grey(picture.data)
