@@ -106,8 +106,8 @@ def understand(command: str) -> None:
     if program != "luxloop":
         return
     function, given, _ = cli.app.parse_args(arguments, exit_on_error=False, print_error=False)
-    if function in (cli.run, cli.check):
-        told = given.arguments
+    told = given.arguments
+    if function in (cli.run, cli.check) and str(told.get("plant")) != "recording":  # whose scenario is in the recording
         values = {key: told[key] for key in ("seed", "steps") if told.get(key) is not None}
         scenario_of(told["name"], told.get("set"), told.get("controller"), allow_code=bool(told.get("allow_code")), **values)
 

@@ -10,7 +10,7 @@ Result = TypeVar("Result")
 
 
 def keeping(most: int, method: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """A bound method with its last `most` results, to be kept by its object. Arguments must be hashable.
+    """A bound method with its last `most` results, to be kept by its object, whose other methods call it. Arguments must be hashable.
 
     Unlike `lru_cache` of the bound method it holds no reference to the object, whose memory, often hundreds of megabytes, is so free as
     soon as nobody uses it, and not at some later collection of cycles.

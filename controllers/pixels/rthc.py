@@ -7,7 +7,7 @@ as much as sums, so hits are images of zeros and ones, and painting is blending.
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import groupby
 
 import torch
@@ -19,6 +19,7 @@ from controllers.pixels.primitives import E_V, HEAVIEST, U_ABS, U_REL, Primitive
 from controllers.pixels.secondary import SecondaryRays
 from controllers.pixels.windows import NOWHERE, SLACK, Window, union, whole
 from world.errors import LuxloopError
+from world.kept import keeping
 from world.texels import TexelGrid
 
 PARALLEL = 1e-6  # tolerance of the cosine between a given normal and that of the edges
@@ -280,7 +281,10 @@ class _Rays:
     @cached_property
     def at(self) -> Callable[[int, Window], tuple[Tensor, Tensor]]:
         """n and uv on a window, for one primitive after the other: `[..., rows, cols]`, `[..., 2, rows, cols]`."""
-        return lru_cache(1)(lambda p, window: (self.n.on(p, window), self.uv.on(p, window)))
+        return keeping(1, self._at)
+
+    def _at(self, p: int, window: Window) -> tuple[Tensor, Tensor]:
+        return self.n.on(p, window), self.uv.on(p, window)
 
     @cached_property
     def sight(self) -> tuple[_Product, _Product] | None:

@@ -78,9 +78,12 @@ class PoseTrack:
     def visible_at(self, t_s: float) -> bool:
         return self.appears_s <= t_s < self.vanishes_s
 
-    @cached_property
-    def pose_at(self) -> Callable[[float], Tensor]:
+    def pose_at(self, t_s: float) -> Tensor:
         """`T_world_body` `[4, 4]` float64 at a time in s; the last ones are kept, since a step asks for the same again and again."""
+        return self._known(t_s)
+
+    @cached_property
+    def _known(self) -> Callable[[float], Tensor]:
         return keeping(4, self._pose)
 
     def _pose(self, t_s: float) -> Tensor:

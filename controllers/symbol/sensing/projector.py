@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Literal, Self
 
 import torch
@@ -17,6 +17,7 @@ from controllers.symbol.sensing.lift import lifted
 from controllers.symbol.sensing.projection import ProjectionCommand
 from controllers.symbol.sensing.shape import reached
 from perception.extraction import Crop
+from world.kept import keeping
 from world.params import Params
 from world.view import View
 
@@ -107,7 +108,7 @@ class Projector:
 
     @cached_property
     def _kept(self) -> Callable[[ProjectionCommand], Primitives]:
-        return lru_cache(2)(self._rectangle_of)  # of what is drawn now and of what is seen
+        return keeping(2, self._rectangle_of)  # of what is drawn now and of what is seen
 
     def rectangle(self, projection: ProjectionCommand) -> Primitives:
         """The primitive that a projection's symbol lies on, not warped; made once for the newest projections, if they have no gradient."""

@@ -122,7 +122,7 @@ def test_what_is_found_in_the_image_is_placed_as_the_body_was_measured() -> None
     gaps = {}
     for bias, moving in cases.items():
         last = list(moving.run())[-1]
-        (true,) = moving._all_objects(last.time_s)
+        (true,) = moving._all_objects(last.time_s, None)
         (found,) = last.now.objects
         gaps[bias] = abs(float(found.T_world_object[0, 3] - true.T_world_object[0, 3]))
     # a row is 1.4 m there, and the box is where the tracker expects it after a period in which the car drives 4 m
