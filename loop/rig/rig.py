@@ -16,7 +16,7 @@ from loop.rig.keeper import Keeper
 from loop.rig.light import Light, NoLight, Picture, Shine, open_light
 from loop.rig.limits import Limited, limited
 from loop.rig.matching import shows
-from loop.rig.params import RigParams, refuse_module
+from loop.rig.params import LimitParams, RigParams, refuse_module
 from loop.rig.rectified import Rectifier, WrongPicture
 from loop.rig.statistics import Statistics
 from perception.camera import CameraParams
@@ -41,7 +41,10 @@ class Taken:
 
 @dataclass
 class Rig:
-    """An open rig. armed: whether the lamp is lit; else it is a dry run. light: the device, for tests and for what it has to tell."""
+    """An open rig. armed: whether the lamp is lit; else it is a dry run. light: the device, for tests and for what it has to tell.
+
+    limits: of the light beside the mark.
+    """
 
     params: RigParams
     armed: bool
@@ -50,6 +53,7 @@ class Rig:
     camera: Camera
     ego: Ego
     rectifier: Rectifier | None
+    limits: LimitParams
     statistics: Statistics = field(default_factory=Statistics)
     _stands: tuple[Picture, ...] | None = None
     _changed_s: float = 0.0
@@ -79,7 +83,7 @@ class Rig:
         """Light within limits, since what stands now, or since the lamp was darkened."""
         dark_s = self.keeper.dark_since_s
         before, changed_s = (self._stands, self._changed_s) if dark_s is None else (None, dark_s)
-        given = limited(shine, before, now_s - changed_s, self.params.limits)
+        given = limited(shine, before, now_s - changed_s, self.limits)
         self.statistics.dimmed += given.dimmed < 1
         self.statistics.slowed += given.slowed < 1
         return given
@@ -173,8 +177,10 @@ def opened(params: RigParams, grids: Sequence[tuple[int, int]], camera: CameraPa
     grids: rows and columns of the modules' pixels. camera: the scenario's, None where images are not looked at. armed: whether the lamp
     is lit. Raises LuxloopError where a device cannot be had.
     """
+    limits = params.limits
     if params.mark is not None:
         refuse_module(params.mark, grids)
+        limits = mark.spared(limits, params.mark, grids)
     with ExitStack() as stack:
         rectifier = None if camera is None else Rectifier.of(params, camera)
         ego = open_ego(params.ego)
@@ -184,7 +190,7 @@ def opened(params: RigParams, grids: Sequence[tuple[int, int]], camera: CameraPa
         light: Light = open_light(params.light, grids) if armed else NoLight()
         keeper = Keeper(light, params.light, params.limits.loop_s, lambda: None if watched.alive else watched.reason)
         stack.callback(keeper.close)
-        yield Rig(params, armed, light, keeper, watched, ego, rectifier)
+        yield Rig(params, armed, light, keeper, watched, ego, rectifier, limits)
 
 
 def await_camera(rig: Rig, seconds: float = CAMERA_S) -> bool:

@@ -134,6 +134,17 @@ def test_a_mark_names_the_exposure_modulo_four_or_none() -> None:
         assert mark.shown((before + after) / 2, where) is None
 
 
+def test_a_mark_is_within_the_limit_of_power() -> None:
+    where = MarkParams(row=2, column=4, rows=4, columns=16, u_px=40, v_px=20, width_px=160, height_px=40)
+    limits = mark.spared(LimitParams(power_w=20.0, full_w=80.0), where, ((20, 30),))
+    given = limited(Shine(1, (np.ones((20, 30), np.float32),)), None, 1.0, limits)
+    assert 0.2 < Shine(1, mark.drawn(given.shine.pictures, where, 1)).share < 0.25
+    bare = limited(Shine(1, (np.pad(np.ones((4, 30), np.float32), ((16, 0), (0, 0))),)), None, 1.0, limits)  # beside the mark alone
+    assert Shine(1, mark.drawn(bare.shine.pictures, where, 1)).share == pytest.approx(0.25)
+    with pytest.raises(LuxloopError, match=r"mark: takes 5.3% of the lamp's power, where limits allow 1.0%; make it smaller"):
+        mark.spared(LimitParams(power=0.01), where, ((20, 30),))
+
+
 def test_pictures_are_cut_scaled_and_straightened(rig_file: Path, tmp_path: Path) -> None:
     camera = CameraParams(width_px=64, height_px=48, bits=12, hfov_deg=40.0)
     rig_file.write_text(WHOLE + "crop = { u_px = 3, v_px = 2, width_px = 64, height_px = 48 }\n")
