@@ -3,14 +3,17 @@
 import random
 import socket
 import threading
+import time
 from typing import Final
 
 from loop.bench.faults import LightInputParams
 from loop.bench.timeline import Timeline
+from loop.wire.addresses import REFUSED, reason_of
 from loop.wire.ddp import LARGEST_PACKET, Assembler
 from world.errors import LuxloopError
 
 BUFFER_BYTES: Final = 2**22  # of the socket; systems may give less
+LOOK_S: Final = 0.2  # between two looks at whether the end has come
 
 
 class DdpInput:
@@ -23,12 +26,13 @@ class DdpInput:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind(address)
-        except (OSError, OverflowError) as error:
+        except REFUSED as error:
             self._socket.close()
-            reason = getattr(error, "strerror", None) or error
-            raise LuxloopError(f"--light-port {port}: cannot listen on {host}:{port} ({reason}); give another, 0 for a free one") from error
+            raise LuxloopError(
+                f"--light-port {port}: cannot listen on {host}:{port} ({reason_of(error)}); give another, 0 for a free one"
+            ) from error
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
-        self._socket.settimeout(params.timeout_ms / 1000)
+        self._socket.settimeout(min(LOOK_S, params.timeout_ms / 1000))
         self.port: int = self._socket.getsockname()[1]
         self.assembler, self.frames, self._open = Assembler(pixels, params.mixed), 0, True
         self._thread = threading.Thread(target=self._receive, name="light", daemon=True)
@@ -42,15 +46,17 @@ class DdpInput:
 
     def _receive(self) -> None:
         buffer = bytearray(LARGEST_PACKET + 1)  # a longer packet is seen to be too long
-        view, loss = memoryview(buffer), self._params.packet_loss
+        view, loss, heard_s = memoryview(buffer), self._params.packet_loss, time.monotonic()
         while self._open:
             try:
                 size = self._socket.recv_into(buffer)
             except TimeoutError:
-                self.assembler.forget()  # whoever comes next counts from anew
+                if time.monotonic() - heard_s >= self._params.timeout_ms / 1000:
+                    self.assembler.forget()  # whoever comes next counts from anew
                 continue
             except OSError:
                 continue  # the system tells of a sender that has gone
+            heard_s = time.monotonic()
             if loss and self._random.random() < loss:
                 continue
             if (light := self.assembler.take(view[:size])) is not None:

@@ -10,6 +10,7 @@ import torch
 
 from loop.bench.timeline import Timeline
 from loop.wire import datagrams
+from loop.wire.addresses import REFUSED, reason_of
 from perception.egomotion import Sample
 from perception.sensors import Sensors
 from world.errors import LuxloopError
@@ -27,9 +28,11 @@ class SensorSender:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.connect(address)
-        except (OSError, OverflowError) as error:
+        except REFUSED as error:
             self._socket.close()
-            raise LuxloopError(f"--ego {address[0]}:{address[1]}: no such address ({error}); give HOST:PORT of the loop") from error
+            raise LuxloopError(
+                f"--ego {address[0]}:{address[1]}: no such address ({reason_of(error)}); give HOST:PORT of the loop"
+            ) from error
         self._thread = threading.Thread(target=self._keep_sending, name="sensors", daemon=True)
         self._thread.start()
 

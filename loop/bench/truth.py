@@ -54,7 +54,7 @@ class TruthServer:
             body = self._rig
         elif asked.path == "/truth":
             given = parse_qs(asked.query).get("since", ["0"])[0]
-            since = int(given) if given.isdigit() and len(given) < 16 else 0
+            since = int(given) if given.isdecimal() and len(given) < 16 else 0
             with self._lock:
                 frames = [asdict(each) for each in self._frames if each.index >= since]
             body = json.dumps({"frames": frames, **self._state()}).encode()

@@ -1,7 +1,7 @@
 """The bench of a real rig: its lamp and camera, with pictures as the camera sends them."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import count as counted
@@ -15,7 +15,7 @@ from loop.calibration.bench import Array, Image
 from loop.rig.light import Shine
 from loop.rig.params import RigParams
 from loop.rig.rectified import Rectifier, grey
-from loop.rig.rig import CAMERA_S, Rig, await_camera, opened
+from loop.rig.rig import CAMERA_S, Rig, opened
 from perception.camera import CameraParams
 from world.errors import LuxloopError, located
 
@@ -56,6 +56,11 @@ class LiveBench:
                 continue
             if taken.image.shape != self.shape:
                 raise LuxloopError("the camera's pictures have changed their size; let it run with one setting")
+            if taken.image.max() > self.levels:
+                raise LuxloopError(
+                    f"camera.bits: a picture has the number {taken.image.max():.0f}, more than the largest, {self.levels}; correct it, "
+                    "or leave it out"
+                )
             found.append(taken.image.astype(np.uint16))
             if len(found) == count:
                 return np.stack(found)
@@ -63,13 +68,16 @@ class LiveBench:
 
 
 @contextmanager
-def live_bench(file: Path, params: RigParams, camera: CameraParams, grids: Sequence[tuple[int, int]]) -> Iterator[LiveBench]:
-    """Open a rig and light its lamp. Raises LuxloopError where a device cannot be had, or no picture comes."""
+def live_bench(
+    file: Path, params: RigParams, camera: CameraParams, grids: Sequence[tuple[int, int]], ready: Callable[[Rig], None]
+) -> Iterator[LiveBench]:
+    """Open a rig whose lamp is to be lit. ready: waits for it. Raises LuxloopError where a device cannot be had, or no picture comes."""
     if params.mark is not None:
         raise LuxloopError(f"{file}: mark: lies in the light that is to be measured; take it out to calibrate")
     with located(str(file)), opened(params, grids, None, armed=True) as rig:
-        if not await_camera(rig):
-            raise LuxloopError(rig.camera.reason)
+        ready(rig)
+        if params.triggered:
+            rig.camera.trigger()
         picture = rig.camera.next(time.monotonic() + CAMERA_S)
         if picture is None:
             raise LuxloopError("camera: sends no picture; see `luxloop rig check`")

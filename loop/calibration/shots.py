@@ -13,7 +13,8 @@ import numpy as np
 from loop.calibration.bench import Array, Bench, Image
 from loop.calibration.response import Response
 from world.errors import LuxloopError
-from world.files import reading, whole
+from world.files import content, reading, whole
+from world.images import decoded
 
 NOTE: Final = "bench.json"
 SATURATED: Final = 0.98  # of the largest digital number
@@ -41,7 +42,7 @@ class Shots:
         path = self.folder / NOTE
         if path.is_file():
             with reading(path, "no note of kept frames", "name another folder"):
-                if json.loads(path.read_text("utf-8")) != note:
+                if json.loads(content(path)) != note:
                     raise LuxloopError(f"{self.folder}: holds frames of another lamp, camera or plan; name another folder")
             return
         try:
@@ -92,9 +93,9 @@ class Shots:
 
     def _read(self, path: Path) -> Image:
         with reading(path, "no frame of this bench", "remove it, to have it taken again"):
-            frame = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
-            if frame is None or frame.shape != self.bench.shape:
-                raise ValueError("another size")
+            frame = decoded(content(path), str(path))
+            if frame is None or frame.shape != self.bench.shape or frame.max() > self.bench.levels:
+                raise ValueError("another size or depth")
             return frame
 
 

@@ -90,6 +90,6 @@ def _ending(end: "End") -> Iterator[None]:
 
 def _address(text: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
-    if not (host and port.isdigit() and 0 < int(port) < 65536):
+    if not (host and port.isdecimal() and 0 < int(port) < 65536):
         raise LuxloopError(f"--ego {text}: is no address; write HOST:PORT, such as 127.0.0.1:4049")
     return host, int(port)

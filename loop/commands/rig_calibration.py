@@ -1,11 +1,13 @@
 """The commands `luxloop rig board|calibrate|digitise|fit`: a rig's camera, its geometry, its lamp, and a scenario's values to it."""
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from loop.commands.given import scenario_of
+from loop.commands.rig_runs import await_rig
 from loop.terminal import tables
 from loop.terminal.options import AllowCode, Flag, Keys
 from world.errors import LuxloopError
@@ -104,6 +106,8 @@ def calibrate(
 
     files.refuse_name(out)
     _refuse_unarmed(rig, arm)
+    if screen_m is not None and not 0 < screen_m < math.inf:
+        raise LuxloopError(f"--screen-m {screen_m:g}: is no distance; give metres above 0")
     printed = _board(columns, rows, square_mm)
     scenario = scenario_of(name, set, allow_code=allow_code)
     views, size = _views(boards, printed) if boards is not None else ([], (0, 0))
@@ -273,6 +277,8 @@ def fit(
     from loop.calibration.fit import fit as fitted
     from loop.terminal.progress import progress
 
+    if exposures < 1:
+        raise LuxloopError(f"--exposures {exposures}: compares nothing; give 1 at least")
     varied = [Varied(*_span(each)) for each in vary]
     keys = list(set or ())
 
@@ -305,7 +311,7 @@ def _bench(scenario: "Scenario", rig: Path | None, allow_code: bool) -> Iterator
     from loop.rig.params import load_rig
     from loop.rig.plant import grids_of
 
-    with live_bench(rig, load_rig(rig, allow_code=allow_code), scenario.camera, grids_of(modules)) as bench:
+    with live_bench(rig, load_rig(rig, allow_code=allow_code), scenario.camera, grids_of(modules), await_rig) as bench:
         yield bench, modules
 
 
@@ -374,8 +380,8 @@ def _reading(text: str) -> "Reading":
         found = Reading(float(value), float(u), float(v))
     except ValueError as error:
         raise LuxloopError(f"--lux {text}: is not of the form LUX@U,V, such as 820@640,360") from error
-    if not found.lux > 0:
-        raise LuxloopError(f"--lux {text}: is no light; give a reading above 0")
+    if not (found.lux > 0 and all(map(math.isfinite, (found.lux, found.u, found.v)))):
+        raise LuxloopError(f"--lux {text}: is no light; give a finite reading above 0, and finite places")
     return found
 
 
@@ -400,7 +406,7 @@ def _factor(reflectance: float, by_angle: Path | None) -> Any:
         return lambda cos: np.full_like(cos, reflectance)
     with reading(by_angle, "no table of angle and luminance factor", "write a line `angle_deg,factor` for each angle, ascending from 0"):
         lines: Sequence[str] = content(by_angle).decode("utf-8").splitlines()
-        table = np.array([[float(each) for each in line.split(",")] for line in lines if line.strip() and line[0] in "0123456789."])
+        table = np.array([[float(each) for each in line.split(",")] for line in lines if line.strip()[:1] in tuple("0123456789.")])
         if table.shape[1] != 2 or not (np.diff(table[:, 0]) > 0).all() or not (table[:, 1] > 0).all():
             raise ValueError("angles ascend, factors are above 0")
     return lambda cos: np.interp(np.degrees(np.arccos(cos.clip(0, 1))), table[:, 0], table[:, 1])

@@ -1,6 +1,7 @@
 """Runs on a rig, and looks at one: `luxloop run --rig`, `luxloop rig check` and `luxloop rig blink`."""
 
 import re
+import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -45,7 +46,7 @@ def run_on_rig(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool
     if left_out:
         tables.console().print(f"checks that need the truth are left out: {', '.join(left_out)}", markup=False)
     with located(str(file)), opened(params, _grids(scenario), scenario.camera, armed=armed) as rig:
-        _await(rig)
+        await_rig(rig)
         if not armed:
             tables.console().print("dry run: the lamp stays dark; give --arm to light it", markup=False)
 
@@ -93,7 +94,7 @@ def check(file: Path, /, *, scenario: Named = "snowflake", set: Keys = None, all
         light = open_light(params.light, grids)
         light.close()
         with opened(params, grids, given.camera, armed=False) as rig:
-            _await(rig)
+            await_rig(rig)
             found = look(rig)
     rows = {
         "light": f"{params.light.kind}, {sum(rows * columns for rows, columns in grids):,} pixels of {scenario}; not lit",
@@ -152,7 +153,7 @@ def blink(
         print(f"{file}: all {sum(rows * columns for rows, columns in grids):,} pixels would blink {blinks} times; give --arm to light them")
         return
     with located(str(file)), opened(params, grids, None, armed=True) as rig, progress("blink", blinks + 2) as advance:
-        _await(rig)
+        await_rig(rig)
         found = measure(rig, grids, blinks, level, advance)
     tables.show(tables.facts(_blinked(found)))
     text = "[timing]\n" + "".join(f"{name} = {value:g}\n" for name, value in found.timing.items())
@@ -175,8 +176,15 @@ def written(file: Path, timing: Mapping[str, float]) -> None:
             new = re.sub(pattern, line, new, flags=re.M)
         else:
             new = re.sub(r"(\[timing\][^\n]*\n)", rf"\1{line}\n", new)
+    made = text.replace(old, new) if table else f"{text.rstrip()}\n{new}"
+    try:
+        understood = tomllib.loads(made)["timing"].items() >= {name: float(f"{value:g}") for name, value in timing.items()}.items()
+    except tomllib.TOMLDecodeError:
+        understood = False
+    if not understood:  # [timing] is there in another notation
+        raise LuxloopError(f"{file}: timing: is not written as a table [timing] of its own, with a line for each key; rewrite it so")
     with whole(file) as part:
-        part.write_text(text.replace(old, new) if table else f"{text.rstrip()}\n{new}", "utf-8")
+        part.write_text(made, "utf-8")
 
 
 def _grids(scenario: "Scenario") -> tuple[tuple[int, int], ...]:
@@ -190,7 +198,7 @@ def _grids(scenario: "Scenario") -> tuple[tuple[int, int], ...]:
         return grids_of(tuple(mounted(scenario.headlight, torch.device("cpu"), lambda lamp: lamp.modules)))
 
 
-def _await(rig: "Rig") -> None:
+def await_rig(rig: "Rig") -> None:
     """Wait for camera, and for a screen's page. Raises LuxloopError where no picture comes."""
     from loop.rig.rig import await_camera
     from loop.rig.screen import ScreenLight

@@ -129,8 +129,10 @@ class Link:
                 max_queue=2,
                 family=socket.AF_INET6 if ":" in host else socket.AF_INET,
             )
-        except OSError as error:
-            raise LuxloopError(f"cannot listen on {self.address} ({error.strerror or error}); set plant.address to another port") from error
+        except (OSError, OverflowError, UnicodeError) as error:
+            raise LuxloopError(
+                f"cannot listen on {self.address} ({getattr(error, 'strerror', None) or error}); set plant.address to another port"
+            ) from error
         self._ending, self._over = ending, over
         self._opened.callback(server.shutdown)
         threading.Thread(target=server.serve_forever, name="remote plant", daemon=True).start()

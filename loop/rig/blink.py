@@ -74,7 +74,7 @@ def blink(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: float,
     if blinks < FEWEST:
         raise LuxloopError(f"--blinks {blinks}: is too few for a worst case; give {FEWEST} at least")
     lit = Shine(0, tuple(np.full(grid, level, np.float32) for grid in grids))
-    factor = np.float32(min(1.0, rig.params.limits.share / lit.share))
+    factor = np.float32(min(1.0, rig.limits.share / lit.share))
     lit = Shine(0, tuple(u * factor for u in lit.pictures))
     black = Shine(1, tuple(np.zeros(grid, np.float32) for grid in grids))
     drawn = np.random.default_rng(0)

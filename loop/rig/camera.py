@@ -3,7 +3,7 @@
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Final, Protocol, cast
 
@@ -95,11 +95,6 @@ class Camera:
             return f"camera: no picture for {self._timeout_s:g} s"
         return self._failure
 
-    @property
-    def last_s(self) -> float:
-        """When the newest picture arrived, minus infinity before the first."""
-        return self._last_s
-
     def next(self, until_s: float) -> CameraPicture | None:
         """The oldest picture that nobody has taken, waited for until a time of `time.monotonic` at most; None where none comes."""
         with self._changed:
@@ -181,21 +176,15 @@ def checked_picture(given: Any) -> CameraPicture:
     """A picture that a camera of the user's own gave. Raises LuxloopError where it is none."""
     if not isinstance(given, CameraPicture):
         raise LuxloopError(f"{KEY}: read gives a {type(given).__name__}; return a luxloop.CameraPicture, or None where none has come")
-    if isinstance(given.data, bytes):
-        return given
-    if not isinstance(given.data, np.ndarray) or not _is_picture(given.data):
+    if not isinstance(given.arrived_s, int | float) or not -np.inf < given.arrived_s <= time.monotonic() + 1e-3:
+        raise LuxloopError(f"{KEY}: read gives the time {given.arrived_s!r}; give time.monotonic() when the picture had come")
+    if not isinstance(given.data, bytes) and not _is_picture(given.data):
         what = f"{given.data.dtype} {list(given.data.shape)}" if isinstance(given.data, np.ndarray) else type(given.data).__name__
         raise LuxloopError(f"{KEY}: read gives a picture of {what}; give uint8 or uint16 [height, width] or [height, width, 3], or bytes")
-    if not -np.inf < given.arrived_s <= time.monotonic() + 1e-3:
-        raise LuxloopError(f"{KEY}: read gives the time {given.arrived_s!r}; give time.monotonic() when the picture had come")
     return given
 
 
-def _is_picture(data: NDArray[np.generic]) -> bool:
-    shaped = data.ndim == 2 or (data.ndim == 3 and data.shape[2] in CHANNELS)
-    return shaped and data.dtype in (np.uint8, np.uint16) and data.size > 0
-
-
-def described(camera: Camera) -> Mapping[str, Any]:
-    """What the thread has counted."""
-    return {"pictures": camera.count, "dropped": camera.dropped, "connections": camera.connections}
+def _is_picture(data: Any) -> bool:
+    if not isinstance(data, np.ndarray) or data.dtype not in (np.uint8, np.uint16) or data.size == 0:
+        return False
+    return data.ndim == 2 or (data.ndim == 3 and data.shape[2] in CHANNELS)

@@ -7,6 +7,7 @@ import numpy as np
 
 from loop.rig.light import Shine, places
 from loop.rig.params import DdpLightParams
+from loop.wire.addresses import REFUSED, reason_of
 from loop.wire.ddp import Codes, WireCommand, codes_of, packets, send
 from world.errors import LuxloopError
 
@@ -26,8 +27,10 @@ class DdpLight:
             self._socket = socket.socket(where[0], socket.SOCK_DGRAM)
             self._socket.settimeout(1.0)
             self._socket.connect(where[4])
-        except (OSError, UnicodeError) as error:
-            raise LuxloopError(f"light.host: {params.host} cannot be reached ({error}); check the name, and the network") from error
+        except REFUSED as error:
+            raise LuxloopError(
+                f"light.host: {params.host} cannot be reached ({reason_of(error)}); check the name, and the network"
+            ) from error
         self._number, self._timecode, self._darkened = -1, -1, 0
         self._packets: list[bytes] = []
 
@@ -68,12 +71,12 @@ class DdpLight:
         return given or [WireCommand()] * len(self._order)
 
     def _sent(self, frame: list[bytes], times: int) -> str | None:
-        refused = 0
+        where, reason = f"{self._params.host}:{self._params.port}", None
         for _ in range(times):
             try:
                 send(self._socket, frame)
             except ConnectionRefusedError:  # word of an earlier packet
-                refused += 1
-            except OSError as error:
-                return f"light: sending to {self._params.host}:{self._params.port} fails ({error.strerror or error})"
-        return f"light: nobody listens at {self._params.host}:{self._params.port}" if refused else None
+                reason = f"light: nobody listens at {where}"
+            except OSError as error:  # a full buffer, say; the next time may go out
+                reason = f"light: sending to {where} fails ({reason_of(error)})"
+        return reason

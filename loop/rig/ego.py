@@ -9,6 +9,7 @@ from typing import Any, Final, Protocol, cast
 from torch import Tensor
 
 from loop.rig.params import Egos, NoEgoParams, UdpEgoParams
+from loop.wire.addresses import REFUSED, reason_of
 from loop.wire.datagrams import LARGEST, SensorDatagram, decoded
 from perception.egomotion import VALUES, Sample
 from world import plugin
@@ -50,10 +51,10 @@ class UdpEgo:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((params.host, params.port))
-        except OSError as error:
+        except REFUSED as error:
             self._socket.close()
             raise LuxloopError(
-                f"ego.port: cannot listen on {params.host}:{params.port} ({error.strerror}); give another port, or end what holds it"
+                f"ego.port: cannot listen on {params.host}:{params.port} ({reason_of(error)}); give another port, or end what holds it"
             ) from error
         self._socket.settimeout(0.1)
         self._open = True

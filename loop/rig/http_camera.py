@@ -9,11 +9,13 @@ from urllib.parse import unquote, urlsplit
 
 from loop.rig.camera import CameraPicture
 from loop.rig.params import HttpCameraParams
-from loop.wire.mjpeg import parts
+from loop.wire.addresses import REFUSED, reason_of
+from loop.wire.mjpeg import LONGEST_LINE, parts
 from world.errors import LuxloopError
 
 MOST_HEAD: Final = 16_384  # bytes of the answer's head
 CHUNK: Final = 65_536
+EXAMPLE: Final = "write it as http://192.168.1.21:8080/camera"
 SLOW_S: Final = 2.0  # without a byte within a picture or a head
 
 
@@ -23,22 +25,24 @@ class HttpCamera:
     def __init__(self, params: HttpCameraParams) -> None:
         """Raises LuxloopError where the address is none, or nobody answers there with pictures."""
         self._url = params.url
-        url = urlsplit(params.url)
-        if not url.hostname:
-            raise LuxloopError(f"camera.url: {params.url} names no host; write it as http://192.168.1.21:8080/camera")
         try:
-            self._socket = socket.create_connection((url.hostname, url.port or 80), SLOW_S)
-        except OSError as error:
-            raise LuxloopError(
-                f"camera.url: {params.url} cannot be reached ({error.strerror or error}); check it, and the network"
-            ) from error
+            url = urlsplit(params.url)
+            host, port = url.hostname, url.port or 80
+        except ValueError as error:
+            raise LuxloopError(f"camera.url: {params.url} is no address ({error}); {EXAMPLE}") from error
+        if not host:
+            raise LuxloopError(f"camera.url: {params.url} names no host; {EXAMPLE}")
+        try:
+            self._socket = socket.create_connection((host, port), SLOW_S)
+        except REFUSED as error:
+            raise LuxloopError(f"camera.url: {params.url} cannot be reached ({reason_of(error)}); check it, and the network") from error
         self._stream = _Stream(self._socket)
         try:
-            self._ask(url.hostname, url.path or "/", url.query, (url.username, url.password))
+            self._ask(host, url.path or "/", url.query, (url.username, url.password))
         except BaseException:
             self._socket.close()
             raise
-        self._parts = parts(self._stream, params.largest_bytes)  # type: ignore[arg-type]
+        self._parts = parts(self._stream, params.largest_bytes)
 
     def read(self, timeout_s: float) -> CameraPicture | None:
         """Raises OSError where nothing more comes within a picture, and LuxloopError where the answer ends or is no such answer."""
@@ -70,6 +74,8 @@ class HttpCamera:
                 raise LuxloopError("camera: the head of its answer does not end; check the address")
             name, _, value = line.partition(b":")
             kind = value.strip().lower() if name.lower() == b"content-type" else kind
+            if name.lower() == b"transfer-encoding" and b"chunked" in value.lower():
+                raise LuxloopError(f'camera.url: {self._url} answers in chunks, which kind = "http" cannot read; give kind = "stream"')
         if not kind.startswith(b"multipart/"):
             said = kind.decode("latin-1") or "no type"
             raise LuxloopError(f"camera.url: {self._url} answers with {said}, not with multipart pictures; give the MJPEG stream's path")
@@ -110,9 +116,15 @@ class _Stream:
         return self._taken(size)
 
     def _strip(self) -> None:
-        """The line's end that follows a picture belongs to it."""
-        while self._buffer[:1] in (b"\r", b"\n"):
-            del self._buffer[:1]
+        """The end of the line that follows a picture belongs to it, and so does the boundary, which many cameras send at once."""
+        while size := 1 if self._buffer[:1] in (b"\r", b"\n") else self._boundary():
+            del self._buffer[:size]
+
+    def _boundary(self) -> int:
+        """Bytes of the boundary that comes next, 0 where none does, or the last one, or a part of one."""
+        size = self._buffer.find(b"\n", 0, LONGEST_LINE) + 1
+        line = self._buffer[:size].rstrip()
+        return size if line.startswith(b"--") and not line.endswith(b"--") else 0
 
     def _ready(self, timeout_s: float) -> bool:
         return bool(select.select([self._socket], [], [], timeout_s)[0])

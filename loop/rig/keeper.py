@@ -1,5 +1,6 @@
 """Keeps the lamp alive while the loop and the camera are, and darkens it otherwise."""
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -9,6 +10,7 @@ from loop.rig.light import Light, Shine, checked_reason
 from loop.rig.params import LightParams
 
 STILL: Final = 0.8  # of the lamp's own time-out, within which light that was sent surely stands
+CLOSE_S: Final = 2.0  # for which the end waits for a device or a thread that hangs
 
 
 class Keeper:
@@ -25,6 +27,8 @@ class Keeper:
         self._standing: Shine | None = None
         self._beat_s = self._sent_s = time.monotonic()
         self._since_s: float | None = None
+        self._dark_s: float | None = -math.inf
+        self._broken: str | None = None  # what the light's own code raised since new light was shown
         self.darkened, self.reason, self.interruptions = 0, "light: is dark", 0
         self._thread = threading.Thread(target=self._run, name="keeper", daemon=True)
         self._thread.start()
@@ -33,7 +37,13 @@ class Keeper:
     def since_s(self) -> float | None:
         """Time by which all of the light that stands had left here, without a gap since; None where it may not shine, for `reason`."""
         with self._lock:
+            self._notice_gap()
             return None if self._standing is None else self._since_s
+
+    @property
+    def dark_since_s(self) -> float | None:
+        """Time at which the lamp was darkened, minus infinity before the first light; None while light stands."""
+        return self._dark_s
 
     def beat(self) -> None:
         """The loop lives."""
@@ -44,45 +54,63 @@ class Keeper:
         with self._lock:
             self.beat()
             reason = checked_reason(self._light.show(shine))
-            self._standing, self._sent_s = shine, time.monotonic()
+            self._standing, self._sent_s, self._broken, self._dark_s = shine, time.monotonic(), None, None
             self._since_s, self.reason = (self._sent_s, "") if reason is None else (None, reason)
             return reason
 
     def dark(self, reason: str) -> None:
         """Darken, until light is shown again. reason: in words."""
         with self._lock:
-            self.reason = reason
+            self.reason, self._since_s = reason, None
             if self._standing is not None:
-                self._standing = None
                 self._light.dark()
+                self._standing, self._dark_s = None, time.monotonic()
 
     def close(self) -> None:
-        """Dark for good."""
+        """Dark for good, also where a device hangs in `show`."""
         self._open = False
         self._wake.set()
-        with self._lock:
+        held = self._lock.acquire(timeout=CLOSE_S)
+        try:
             self._standing = None
             self._light.dark()
+        finally:
             self._light.close()
-        self._thread.join(2)
+            if held:
+                self._lock.release()
+        self._thread.join(CLOSE_S)
 
     def _run(self) -> None:
         while not self._wake.wait(self._params.keep_alive_s):
             with self._lock:
-                if self._standing is None or not self._open:
-                    continue
-                now_s = time.monotonic()
-                dead = f"the loop has said nothing for {self._loop_s:g} s" if now_s - self._beat_s > self._loop_s else self._fault()
-                if dead is not None:
-                    self.darkened += 1
-                    self.dark(dead)
-                    continue
-                if now_s - self._sent_s < self._params.keep_alive_s / 2:
-                    continue
-                gap_s = now_s - self._sent_s
-                reason = self._light.show(self._standing)
-                self._sent_s = time.monotonic()
-                if gap_s > STILL * self._params.dark_after_s:
-                    reason = f"the lamp may have been dark: nothing was sent to it for more than {STILL * self._params.dark_after_s:.2g} s"
-                if reason is not None:
-                    self.interruptions, self.reason, self._since_s = self.interruptions + 1, reason, None
+                try:
+                    self._watch()
+                except Exception as error:  # of a device's code; the lamp is darkened, again and again where that fails
+                    self._broken, self._since_s = str(error) or type(error).__name__, None
+
+    def _watch(self) -> None:
+        """Send the light that stands again, or darken it."""
+        if self._standing is None or not self._open:
+            return
+        silent = time.monotonic() - self._beat_s > self._loop_s
+        dead = self._broken or (f"the loop has said nothing for {self._loop_s:g} s" if silent else self._fault())
+        if dead is not None:
+            self.dark(dead)
+            self.darkened += 1
+            return
+        if time.monotonic() - self._sent_s < self._params.keep_alive_s / 2:
+            return
+        reason = checked_reason(self._light.show(self._standing))
+        self._notice_gap()
+        self._sent_s = time.monotonic()
+        if reason is not None:
+            self._doubt(reason)
+
+    def _notice_gap(self) -> None:
+        """Whoever takes a frame may come before the thread."""
+        longest_s = STILL * self._params.dark_after_s
+        if self._standing is not None and self._since_s is not None and time.monotonic() - self._sent_s > longest_s:
+            self._doubt(f"the lamp may have been dark: nothing was sent to it for more than {longest_s:.2g} s")
+
+    def _doubt(self, reason: str) -> None:
+        self.interruptions, self.reason, self._since_s = self.interruptions + 1, reason, None

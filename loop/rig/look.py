@@ -13,13 +13,17 @@ LOOK_S: Final = 3.0
 
 
 def look(rig: Rig, seconds: float = LOOK_S) -> dict[str, Any]:
-    """What comes from a rig's camera and sensors in some seconds. Raises LuxloopError where no picture comes."""
+    """What comes from a rig's camera in some seconds. Raises LuxloopError where no picture comes."""
     if not await_camera(rig):
         raise LuxloopError(rig.camera.reason)
     rig.camera.forget()
     arrivals, late, sizes, brightest, refused = [], 0, set[tuple[int, int]](), 0.0, ""
     until_s = time.monotonic() + seconds
-    while (picture := rig.camera.next(until_s)) is not None:
+    while time.monotonic() < until_s:
+        if rig.params.triggered:
+            rig.camera.trigger()
+        if (picture := rig.camera.next(until_s)) is None:
+            break
         arrivals.append(picture.arrived_s)
         late += not picture.awaited
         try:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loop.rig.light import Picture
-from loop.rig.params import MarkParams
+from loop.rig.params import LimitParams, MarkParams
+from world.errors import LuxloopError
 
 CODES = 4
 INNER = 0.25  # of a cell's width and height, left out at each border
@@ -33,6 +34,17 @@ def cells(number: int) -> tuple[bool, bool, bool, bool]:
     gray = (number % CODES) ^ (number % CODES >> 1)
     high, low = bool(gray & 2), bool(gray & 1)
     return high, not high, low, not low
+
+
+def spared(limits: LimitParams, mark: MarkParams, grids: Sequence[tuple[int, int]]) -> LimitParams:
+    """Limits of the light beside a mark, half of whose cells are always lit. grids: rows and columns of the modules' pixels.
+
+    Raises LuxloopError where the mark alone takes all power.
+    """
+    share = 2 * (mark.columns // 4) * mark.rows / sum(rows * columns for rows, columns in grids)
+    if share >= limits.share:
+        raise LuxloopError(f"mark: takes {share:.1%} of the lamp's power, where limits allow {limits.share:.1%}; make it smaller")
+    return limits.model_copy(update={"power": limits.share - share, "power_w": None})
 
 
 def shown(image: NDArray[np.float32], mark: MarkParams) -> int | None:

@@ -1,7 +1,5 @@
 """The rig file: addresses, devices and limits of one laboratory, which no scenario names."""
 
-import hashlib
-import json
 from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
@@ -104,7 +102,6 @@ class CameraSourceParams(Params):
     )
     crop: CropParams | None = Field(None, description="part of the rectified picture that is the scenario's image; left out: all of it")
     bits: int | None = Field(None, ge=8, le=16, description="bits of a digital number; left out: those of the file, 8 or 16")
-    triggered: bool = Field(False, description="whether each frame is asked for, with the method trigger of a camera of one's own")
 
 
 class HttpCameraParams(CameraSourceParams):
@@ -151,6 +148,7 @@ class OwnCameraParams(CameraSourceParams):
 
     kind: OwnName
     options: dict[str, Any] = Field({}, description="keyword arguments of Name")
+    triggered: bool = Field(False, description="whether each frame is asked for, with the method trigger")
 
 
 Cameras = Annotated[
@@ -268,12 +266,12 @@ class RigParams(Params):
     calibration: RigCalibrationParams | None = Field(None, description="the camera's calibration")
 
     @property
-    def digest(self) -> str:
-        """SHA-256 of all keys, hexadecimal."""
-        return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
+    def triggered(self) -> bool:
+        """Whether each frame of the camera is asked for."""
+        return isinstance(self.camera, OwnCameraParams) and self.camera.triggered
 
 
-def load_rig(file: Path, *, allow_code: bool = False, typed: Collection[str] = ()) -> RigParams:
+def load_rig(file: Path, *, allow_code: bool = False) -> RigParams:
     """Read a rig file; its paths are relative to it. Opens nothing.
 
     allow_code: whether modules that it names may run. Raises LuxloopError that names file, key and remedy.
@@ -282,7 +280,7 @@ def load_rig(file: Path, *, allow_code: bool = False, typed: Collection[str] = (
     with located(str(file)):
         rig = validated(RigParams, _beside(data, file.parent), EXAMPLE)
     if not allow_code:
-        refuse_code(rig, str(file), typed)
+        refuse_code(rig, str(file))
     return rig
 
 

@@ -71,4 +71,5 @@ def grids_of(modules: Sequence[Any]) -> tuple[tuple[int, int], ...]:
 
 
 def _picture(light: Utilisation, grid: tuple[int, int]) -> np.ndarray:
-    return light.u.detach().to("cpu", torch.float32).numpy().reshape(grid)
+    """What can be shown of it: the limits would count light below 0 against that of other pixels."""
+    return light.u.detach().to("cpu", torch.float32).nan_to_num(0.0).clamp(0, 1).numpy().reshape(grid)

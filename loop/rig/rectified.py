@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from loop.rig.params import CameraSourceParams, RigParams
 from perception.camera import CameraParams, camera_view
+from world.arrays import read_npz
 from world.errors import LuxloopError
-from world.files import content, reading
+from world.files import reading, regular
 from world.images import decoded
 
 GREY: Final = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
@@ -92,7 +93,9 @@ class Rectifier:
         response = None if self.lens is None else self.lens.response
         if response is None:
             return np.minimum(picture.astype(np.float32) / np.float32(2**bits - 1), 1)
-        light = response[np.minimum(picture.astype(np.int64), len(response) - 1)]
+        if len(response) != 2**bits:
+            raise WrongPicture(f"camera: pictures of {bits} bits, where the calibration's response has {len(response)} numbers; {AGAIN}")
+        light = response[np.minimum(picture, len(response) - 1)]
         return light if self.camera.gamma == 1 else light ** np.float32(1 / self.camera.gamma)
 
 
@@ -116,11 +119,10 @@ def load_lens(file: Path) -> Lens:
     was measured. Raises LuxloopError where it cannot be read.
     """
     with reading(file, "no calibration of a rig", AGAIN):
-        content(file)
-        with np.load(file, allow_pickle=False) as arrays:
-            width, height = (int(value) for value in arrays["size_px"])
-            matrix, distortion = (np.asarray(arrays[key], np.float64) for key in ("camera_matrix", "distortion"))
-            response = np.asarray(arrays["response"], np.float32) if "response" in arrays else None
+        arrays = read_npz(regular(file))
+        width, height = (int(value) for value in arrays["size_px"])
+        matrix, distortion = (np.asarray(arrays[key], np.float64) for key in ("camera_matrix", "distortion"))
+        response = np.asarray(arrays["response"], np.float32) if "response" in arrays else None
         if matrix.shape != (3, 3) or distortion.size not in (4, 5, 8, 12, 14) or not (0 < width <= 16384 and 0 < height <= 16384):
             raise ValueError("camera_matrix is no [3, 3], distortion has no 4, 5, 8, 12 or 14 numbers, or size_px is none")
         if not all(np.isfinite(each).all() for each in (matrix, distortion, *(() if response is None else (response,)))):

@@ -16,12 +16,13 @@ from loop.rig.keeper import Keeper
 from loop.rig.light import Light, NoLight, Picture, Shine, open_light
 from loop.rig.limits import Limited, limited
 from loop.rig.matching import shows
-from loop.rig.params import RigParams, refuse_module
+from loop.rig.params import LimitParams, RigParams, refuse_module
 from loop.rig.rectified import Rectifier, WrongPicture
 from loop.rig.statistics import Statistics
 from perception.camera import CameraParams
 
 CAMERA_S = 5.0  # for a camera's first picture
+BEAT_S = 0.05  # between two beats at most, half of the least limits.loop_s
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,10 @@ class Taken:
 
 @dataclass
 class Rig:
-    """An open rig. armed: whether the lamp is lit; else it is a dry run. light: the device, for tests and for what it has to tell."""
+    """An open rig. armed: whether the lamp is lit; else it is a dry run. light: the device, for tests and for what it has to tell.
+
+    limits: of the light beside the mark.
+    """
 
     params: RigParams
     armed: bool
@@ -49,6 +53,7 @@ class Rig:
     camera: Camera
     ego: Ego
     rectifier: Rectifier | None
+    limits: LimitParams
     statistics: Statistics = field(default_factory=Statistics)
     _stands: tuple[Picture, ...] | None = None
     _changed_s: float = 0.0
@@ -61,23 +66,24 @@ class Rig:
         self.statistics.began_s = self.statistics.began_s or began_s
         self.keeper.beat()
         if not self.camera.alive:  # nobody would see it
-            self._stands = None
             self.keeper.dark(self.camera.reason)
+            if self.params.triggered:  # without that it would never come back
+                self.camera.trigger()
             self.camera.next(began_s + self.params.timing.wait_s)
             self._done(began_s)
             return Limited(shine), self._lost(shine.number, began_s, self.camera.reason)
         given = self.limited(shine, began_s)
         self.show(given.shine)
         taken = self._frame(given.shine.number, began_s)
-        while (left_s := began_s + least_s - time.monotonic()) > 0:
-            self.keeper.beat()
-            time.sleep(min(left_s, self.params.light.keep_alive_s))
+        self._hold(began_s + least_s)
         self._done(began_s)
         return given, taken
 
     def limited(self, shine: Shine, now_s: float) -> Limited:
-        """Light within limits, since what stands now."""
-        given = limited(shine, self._stands, now_s - self._changed_s, self.params.limits)
+        """Light within limits, since what stands now, or since the lamp was darkened."""
+        dark_s = self.keeper.dark_since_s
+        before, changed_s = (self._stands, self._changed_s) if dark_s is None else (None, dark_s)
+        given = limited(shine, before, now_s - changed_s, self.limits)
         self.statistics.dimmed += given.dimmed < 1
         self.statistics.slowed += given.slowed < 1
         return given
@@ -90,8 +96,12 @@ class Rig:
 
     def dark(self, reason: str) -> None:
         """No light until some is shown again."""
-        self._stands = None
         self.keeper.dark(reason)
+
+    def _hold(self, until_s: float) -> None:
+        while (left_s := until_s - time.monotonic()) > 0:
+            self.keeper.beat()
+            time.sleep(min(left_s, BEAT_S))
 
     def _done(self, began_s: float) -> None:
         self.statistics.ended_s = time.monotonic()
@@ -107,11 +117,12 @@ class Rig:
         timing, statistics = self.params.timing, self.statistics
         until_s = began_s + timing.wait_s
         last = "no picture came"
-        if self.params.camera.triggered and (since_s := self.keeper.since_s) is not None:
-            time.sleep(max(since_s + timing.clear_s - time.monotonic(), 0))
+        if self.params.triggered and (since_s := self.keeper.since_s) is not None:
+            self._hold(since_s + timing.clear_s)
             statistics.seen["old"] += self.camera.forget()
             self.camera.trigger()
-        while (picture := self.camera.next(min(until_s, time.monotonic() + timing.wait_s / 8))) is not None or time.monotonic() < until_s:
+        while (now_s := time.monotonic()) < until_s:
+            picture = self.camera.next(min(until_s, now_s + BEAT_S))
             self.keeper.beat()
             if (since_s := self.keeper.since_s) is None:
                 return self._lost(number, began_s, self.keeper.reason)
@@ -132,7 +143,7 @@ class Rig:
     def _refused(self, picture: CameraPicture, since_s: float) -> str | None:
         """Why a picture may not be of light that stands since a time: old, mixed, or late, which lay in a buffer for an unknown time."""
         lag_s = picture.arrived_s - since_s
-        if self.params.camera.triggered:  # which has no rhythm
+        if self.params.triggered:  # which has no rhythm
             return None if lag_s > self.params.timing.clear_s else "old"
         verdict = shows(lag_s, self.params.timing, picture.late_s)
         return verdict if verdict != "clear" else None if picture.awaited else "late"
@@ -166,8 +177,10 @@ def opened(params: RigParams, grids: Sequence[tuple[int, int]], camera: CameraPa
     grids: rows and columns of the modules' pixels. camera: the scenario's, None where images are not looked at. armed: whether the lamp
     is lit. Raises LuxloopError where a device cannot be had.
     """
+    limits = params.limits
     if params.mark is not None:
         refuse_module(params.mark, grids)
+        limits = mark.spared(limits, params.mark, grids)
     with ExitStack() as stack:
         rectifier = None if camera is None else Rectifier.of(params, camera)
         ego = open_ego(params.ego)
@@ -177,13 +190,18 @@ def opened(params: RigParams, grids: Sequence[tuple[int, int]], camera: CameraPa
         light: Light = open_light(params.light, grids) if armed else NoLight()
         keeper = Keeper(light, params.light, params.limits.loop_s, lambda: None if watched.alive else watched.reason)
         stack.callback(keeper.close)
-        yield Rig(params, armed, light, keeper, watched, ego, rectifier)
+        yield Rig(params, armed, light, keeper, watched, ego, rectifier, limits)
 
 
 def await_camera(rig: Rig, seconds: float = CAMERA_S) -> bool:
     """Wait for the camera's first pictures, until its rhythm is known; whether some have come."""
     until_s = time.monotonic() + seconds
     while time.monotonic() < until_s:
+        if rig.params.triggered:
+            rig.camera.trigger()
+            if rig.camera.next(time.monotonic() + rig.params.timing.wait_s) is not None:
+                break
+            continue
         picture = rig.camera.next(time.monotonic() + 0.05)
         if picture is not None and math.isfinite(picture.late_s):
             break

@@ -23,6 +23,7 @@ from websockets.http11 import Request, Response
 from loop.rig.files import stacked
 from loop.rig.light import Shine, places
 from loop.rig.params import ScreenLightParams
+from loop.wire.addresses import REFUSED, reason_of
 from loop.wire.ddp import codes_of
 from world.errors import LuxloopError
 
@@ -44,6 +45,7 @@ class ScreenLight:
         self._order = [places(params.scan.model_copy(update={"columns_first": False}), *grid) for grid in grids]
         self._changed = threading.Condition()
         self._page: ServerConnection | None = None
+        self._shown_on: ServerConnection | None = None  # None where the page has darkened by itself since
         self._number, self._answer, self._failed = -1, dict[str, Any](), ""
         self.port = 0
         self._ready, self._loop = threading.Event(), asyncio.new_event_loop()
@@ -78,17 +80,23 @@ class ScreenLight:
             return f"light: no page shows it; open http://{self._params.host}:{self.port}/ on the projector"
         if shine.number == self._number:
             self._send(page, '{"alive": true}')
-            return None
+            return (
+                None if self._shown_on is page else self._undone("light: the page darkened by itself, or another one has taken its place")
+            )
         picture = stacked([u.ravel()[order].reshape(u.shape) for u, order in zip(shine.dimmed, self._order, strict=True)])
         codes = codes_of(picture, 8, self._params.gamma)
-        self._number = shine.number
+        self._number, self._shown_on = shine.number, page
         self._send(page, HEAD.pack(shine.number % 2**32, codes.shape[1], codes.shape[0]) + codes.astype(np.uint8).tobytes())
         with self._changed:
             done = self._changed.wait_for(lambda: self._answer.get("number") == shine.number % 2**32 or self._page is not page, CONFIRMED_S)
-        if not done or self._page is not page:
-            self._number = -1
-            return "light: the page has not shown it in time" if done is False else "light: the page was closed"
-        return None
+        if self._page is not page:
+            return self._undone("light: the page was closed")
+        return None if done else self._undone("light: the page has not shown it in time")
+
+    def _undone(self, reason: str) -> str:
+        """The next light is sent whole."""
+        self._number = -1
+        return reason
 
     def dark(self) -> None:
         self._number = -1
@@ -110,8 +118,11 @@ class ScreenLight:
             asyncio.run_coroutine_threadsafe(send(), self._loop).result(CONFIRMED_S)
 
     def _run(self) -> None:
-        asyncio.set_event_loop(self._loop)
-        self._loop.run_until_complete(self._serve())
+        try:
+            self._loop.run_until_complete(self._serve())
+        finally:
+            self._ready.set()
+            self._loop.close()
 
     async def _serve(self) -> None:
         self._stop = asyncio.Event()
@@ -120,9 +131,8 @@ class ScreenLight:
             server = await serve(
                 self._client, host, port, process_request=self._file, max_size=LARGEST_ANSWER, compression=None, ping_timeout=5
             )
-        except OSError as error:
-            self._failed = f"light.port: cannot listen on {host}:{port} ({error.strerror}); give another port, 0 for a free one"
-            self._ready.set()
+        except REFUSED as error:
+            self._failed = f"light.port: cannot listen on {host}:{port} ({reason_of(error)}); give another port, 0 for a free one"
             return
         self.port = server.sockets[0].getsockname()[1]
         self._ready.set()
@@ -150,7 +160,7 @@ class ScreenLight:
         try:
             await page.send(json.dumps({"dark_after_ms": 1000 * self._params.dark_after_s}))
             async for text in page:
-                self._take(text)
+                self._take(page, text)
         except ConnectionClosed:
             pass
         finally:
@@ -158,13 +168,16 @@ class ScreenLight:
                 self._page = None if self._page is page else self._page
                 self._changed.notify_all()
 
-    def _take(self, text: str | bytes) -> None:
+    def _take(self, page: ServerConnection, text: str | bytes) -> None:
         try:
             answer = json.loads(text)
-            number = answer["number"]
-        except (ValueError, TypeError, KeyError, RecursionError):
+        except (ValueError, RecursionError):
             return
-        if isinstance(number, int):
+        if not isinstance(answer, dict) or page is not self._page:
+            return
+        if answer.get("darkened"):
+            self._shown_on = None
+        if isinstance(answer.get("number"), int):
             with self._changed:
                 self._answer = {**answer, "arrived_s": time.monotonic()}
                 self._changed.notify_all()

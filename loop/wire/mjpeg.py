@@ -7,8 +7,9 @@ import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import BinaryIO, Final
+from typing import Final, Protocol
 
+from loop.wire.addresses import REFUSED, reason_of
 from world.errors import LuxloopError
 
 BOUNDARY: Final = b"--frame"
@@ -34,9 +35,8 @@ def server_of(handler: type[BaseHTTPRequestHandler], host: str, port: int, key: 
     """
     try:
         server = ThreadingHTTPServer((host, port), handler)
-    except (OSError, OverflowError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise LuxloopError(f"{key} {port}: cannot listen on {host}:{port} ({reason}); give another, 0 for a free one") from error
+    except REFUSED as error:
+        raise LuxloopError(f"{key} {port}: cannot listen on {host}:{port} ({reason_of(error)}); give another, 0 for a free one") from error
     server.daemon_threads = True
     threading.Thread(target=server.serve_forever, args=(0.1,), name=f"{key} {port}", daemon=True).start()
     return server
@@ -113,7 +113,15 @@ class PictureServer:
                 self._clients -= 1
 
 
-def parts(stream: BinaryIO, largest: int) -> Iterator[Part]:
+class Stream(Protocol):
+    """Bytes as they come; fewer than asked for at the end alone."""
+
+    def read(self, size: int, /) -> bytes: ...
+
+    def readline(self, limit: int, /) -> bytes: ...
+
+
+def parts(stream: Stream, largest: int) -> Iterator[Part]:
     """The parts of an answer's body as they come, until it ends. largest: bytes of a picture that are taken at most.
 
     Raises LuxloopError where this is no such answer, and OSError as streams do.
@@ -128,7 +136,7 @@ def parts(stream: BinaryIO, largest: int) -> Iterator[Part]:
         yield Part(body, kind)
 
 
-def _head(stream: BinaryIO) -> tuple[int, str] | None:
+def _head(stream: Stream) -> tuple[int, str] | None:
     """Bytes and media type of the next part, None at the end."""
     size, kind, begun = None, JPEG, False
     for _ in range(MOST_LINES):
@@ -140,7 +148,7 @@ def _head(stream: BinaryIO) -> tuple[int, str] | None:
             if size is None:
                 break
             return size, kind
-        begun = begun or text.startswith(b"--")
+        begun = begun or bool(text)  # with the boundary, or without it where a reader has taken that already
         name, _, value = text.partition(b":")
         if name.lower() == b"content-length" and value.strip().isdigit() and len(value) < 12:
             size = int(value)

@@ -27,6 +27,8 @@ from loop.plant import frames
 from loop.plant.protocol import Exposure
 from loop.recording.manifest import Manifest
 from loop.replay import replay
+from loop.rig.params import load_rig
+from loop.rig.rectified import load_lens
 from loop.run import check
 from loop.scenario.model import load, validate
 from loop.scenario.shipped import examples, shipped
@@ -115,6 +117,10 @@ def _resolved(folder: Path) -> dict[str, bytes]:
 
 def _faults(folder: Path) -> dict[str, bytes]:
     return {"rig_faults.toml": examples()["rig_faults.toml"].read_bytes()}
+
+
+def _rigs(folder: Path) -> dict[str, bytes]:
+    return {"rig.toml": examples()["rig.toml"].read_bytes()}
 
 
 def _manifests(folder: Path) -> dict[str, bytes]:
@@ -416,6 +422,8 @@ ALL: dict[str, Kind] = {
     "frames": Kind(_frames, _damaged_frames, _read_frames, 6),
     "jobs": Kind(lambda folder: {"jobs.jsonl": JOBS}, _either, lambda path: run_jobs(dict, [], path, version=""), 4),
     "calibration": Kind(_calibration, _either, calibrations.load, 4),
+    "lens": Kind(_calibration, _either, load_lens, 2),
+    "rig": Kind(_rigs, _text, load_rig, 2),
     "mesh": Kind(_meshes, _either, _read_mesh, 8),
 }
 BUILT = Kind(_overrides, _override, _overridden)  # what `luxloop check` does, a second or two each

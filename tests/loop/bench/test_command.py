@@ -83,6 +83,8 @@ def test_documented_commands_start_a_rig(command: str, tmp_path: Path) -> None:
         ("rig simulate flat --set faults.lens.blurr_px=1", "--set faults.lens.blurr_px=1: lens.blurr_px: unknown key"),
         ("rig simulate flat --faults none.toml", "none.toml: cannot be read"),
         ("rig simulate flat --ego here", "--ego here: is no address; write HOST:PORT"),
+        ("rig simulate flat --ego here:²", "--ego here:²: is no address; write HOST:PORT"),
+        (f"rig simulate flat {FREE} --set {SMALL} --host {'a' * 100}", "--camera-port 0: cannot listen on"),
         (f"rig simulate flat {FREE} --set {SMALL} faults.camera.encoding=jpeg", "JPEG has 8 bits and the camera 12"),
         (f"rig simulate flat {FREE} --set {SMALL} faults.lens.coefficients=[-9]", "lens.coefficients: [-9.0] fold the picture"),
     ],

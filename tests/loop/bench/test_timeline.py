@@ -6,6 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from loop.bench.faults import LightInputParams
+from loop.bench.light_input import DdpInput
 from loop.bench.timeline import Timeline
 from tests.loop.bench.conftest import light
 
@@ -65,3 +67,10 @@ def test_it_keeps_no_more_than_an_exposure_needs() -> None:
     for k in range(1000):
         timeline.show(light(ON, k))
     assert len(timeline.between(0, time.monotonic())) <= 129
+
+
+def test_a_lamp_with_a_long_time_out_ends_at_once() -> None:
+    light = DdpInput(Timeline(60.0), 4, LightInputParams(timeout_ms=60_000), ("127.0.0.1", 0), 0)
+    began_s = time.monotonic()
+    light.close()
+    assert time.monotonic() - began_s < 2

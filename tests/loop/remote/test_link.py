@@ -232,6 +232,8 @@ def test_one_simulator_is_the_plant_and_another_is_told_so() -> None:
             assert unpacked(second.recv())[0] == {"type": "error", "text": "another simulator is the plant of this run"}
         assert link.ask(START)[0].time_s == 1.5
         other = Link(link.address, 1.0, SIZE)
+        with pytest.raises(LuxloopError, match=r"cannot listen on 127.0.0.1:99999 \(.*\); set plant.address to another port"):
+            Link("127.0.0.1:99999", 1.0, SIZE).meet({})
         with pytest.raises(LuxloopError, match=rf"cannot listen on {link.address} \(.*\); set plant.address to another port"):
             other.meet({})
 

@@ -1,9 +1,11 @@
 """Parts of a rig one by one: its file, order of pixels, limits, frames that count, mark, pictures as they come, files of light."""
 
+import io
 import json
 import socket
 import threading
 import time
+import zipfile
 from itertools import pairwise
 from pathlib import Path
 
@@ -132,6 +134,17 @@ def test_a_mark_names_the_exposure_modulo_four_or_none() -> None:
         assert mark.shown((before + after) / 2, where) is None
 
 
+def test_a_mark_is_within_the_limit_of_power() -> None:
+    where = MarkParams(row=2, column=4, rows=4, columns=16, u_px=40, v_px=20, width_px=160, height_px=40)
+    limits = mark.spared(LimitParams(power_w=20.0, full_w=80.0), where, ((20, 30),))
+    given = limited(Shine(1, (np.ones((20, 30), np.float32),)), None, 1.0, limits)
+    assert 0.2 < Shine(1, mark.drawn(given.shine.pictures, where, 1)).share < 0.25
+    bare = limited(Shine(1, (np.pad(np.ones((4, 30), np.float32), ((16, 0), (0, 0))),)), None, 1.0, limits)  # beside the mark alone
+    assert Shine(1, mark.drawn(bare.shine.pictures, where, 1)).share == pytest.approx(0.25)
+    with pytest.raises(LuxloopError, match=r"mark: takes 5.3% of the lamp's power, where limits allow 1.0%; make it smaller"):
+        mark.spared(LimitParams(power=0.01), where, ((20, 30),))
+
+
 def test_pictures_are_cut_scaled_and_straightened(rig_file: Path, tmp_path: Path) -> None:
     camera = CameraParams(width_px=64, height_px=48, bits=12, hfov_deg=40.0)
     rig_file.write_text(WHOLE + "crop = { u_px = 3, v_px = 2, width_px = 64, height_px = 48 }\n")
@@ -155,6 +168,22 @@ def test_pictures_are_cut_scaled_and_straightened(rig_file: Path, tmp_path: Path
     rows, columns = np.indices(image.shape) + 0.5
     centre = (columns * weight).sum() / weight.sum(), (rows * weight).sum() / weight.sum()
     assert centre == pytest.approx((32 + focal_px * 0.2, 24 - focal_px * 0.1), abs=0.1)  # of a straight pinhole camera
+
+
+def test_a_calibration_of_another_depth_or_beyond_all_memory_is_refused(rig_file: Path, tmp_path: Path) -> None:
+    rig_file.write_text(WHOLE + '[calibration]\nfile = "rig.npz"\n')
+    camera, matrix = CameraParams(width_px=64, height_px=48), np.array([[90.0, 0, 32], [0, 90, 24], [0, 0, 1]])
+    good = {"size_px": [64, 48], "camera_matrix": matrix, "distortion": np.zeros(5)}
+    np.savez(tmp_path / "rig.npz", **good, response=np.linspace(0, 1, 4096))
+    with pytest.raises(WrongPicture, match="pictures of 8 bits, where the calibration's response has 4096 numbers"):
+        Rectifier.of(load_rig(rig_file), camera).image(np.zeros((48, 64), np.uint8))
+    huge = io.BytesIO()
+    np.lib.format.write_array_header_1_0(huge, {"descr": "|u1", "fortran_order": False, "shape": (10**13,)})
+    np.savez(tmp_path / "rig.npz", **good)
+    with zipfile.ZipFile(tmp_path / "rig.npz", "a") as archive:
+        archive.writestr("response.npy", huge.getvalue())
+    with pytest.raises(LuxloopError, match="longer than its file"):
+        Rectifier.of(load_rig(rig_file), camera)
 
 
 @pytest.mark.parametrize(("data", "words"), [(b"no picture", "damaged"), (np.zeros((10, 10), np.uint8), "10 x 10 px, where the scenario")])
@@ -191,6 +220,7 @@ HEAD = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=fr
         (b"SSH-2.0-OpenSSH\r\n", "no HTTP"),
         (HEAD + b"--frame\r\nContent-Length: 9999999999\r\n\r\n", "a picture of 9999999999 bytes"),
         (HEAD + b"--frame\r\nContent-Type: image/jpeg\r\n\r\n", "no parts with Content-Length"),
+        (HEAD[:-2] + b"Transfer-Encoding: chunked\r\n\r\n", "answers in chunks"),
         (HEAD, "no picture for 0.3 s"),
     ],
 )
@@ -216,6 +246,32 @@ def test_pictures_from_a_queue_are_told_from_those_that_were_awaited() -> None:
     time.sleep(0.2)
     pictures = [source.read(0.2) for _ in range(4)]
     assert [each and (each.data, each.awaited) for each in pictures] == [(b"abc", False)] * 3 + [None]
+    source.close()
+
+
+def test_a_boundary_that_follows_the_picture_before_is_not_the_next_one(tmp_path: Path) -> None:
+    head, body = b"Content-Type: image/png\r\nContent-Length: 3\r\n\r\n", b"abc\r\n--boundary\r\n"
+    server = socket.create_server(("127.0.0.1", 0))
+    sent_s = list[float]()
+
+    def serve() -> None:
+        connection, _ = server.accept()
+        connection.recv(4096)
+        connection.sendall(HEAD + b"--boundary\r\n")
+        for _ in range(3):
+            time.sleep(0.1)
+            sent_s.append(time.monotonic())
+            connection.sendall(head + body)
+        time.sleep(20)
+
+    threading.Thread(target=serve, daemon=True).start()
+    url = f"http://127.0.0.1:{server.getsockname()[1]}/"
+    source = opener(validated(RigParams, {"light": {"kind": "ddp", "host": "a"}, "camera": {"kind": "http", "url": url}}, "").camera)()
+    for k in range(3):
+        picture = source.read(1.0)
+        assert picture is not None and picture.data == b"abc" and picture.awaited
+        assert 0 <= picture.arrived_s - sent_s[k] < 0.05
+    assert source.read(0.05) is None
     source.close()
 
 

@@ -16,6 +16,7 @@ from perception.camera import CameraParams
 from tests.loop.rig.conftest import Process, eventually, free_port
 
 GRID = (12, 16)
+PATIENT_S = 0.5  # time-out of a lamp that stays lit also where a busy machine lets the keeper come late
 CAMERA = CameraParams(width_px=64, height_px=48, bits=8)
 
 
@@ -43,7 +44,7 @@ def camera_sees(rig: Rig, level: float) -> bool:
 
 
 def test_each_frame_shows_its_own_exposure_alone(small_rig: Callable[..., Process]) -> None:
-    with rig_of(small_rig()) as rig:
+    with rig_of(small_rig(dark_s=PATIENT_S)) as rig:
         for number in range(30):
             given, taken = rig.expose(shine(number), 0.001)
             assert given.whole and taken.image is not None, taken.reason
@@ -68,19 +69,21 @@ def test_with_jitter_and_lost_packets_a_frame_is_right_or_lost(small_rig: Callab
 
 
 def test_a_camera_that_stops_darkens_the_lamp_and_comes_back(small_rig: Callable[..., Process]) -> None:
-    with rig_of(small_rig(mute_after_s=1.5, mute_for_s=1.2)) as rig:
+    with rig_of(small_rig(dark_s=PATIENT_S, mute_after_s=1.5, mute_for_s=1.2)) as rig:
         reasons, number, until_s = [], 0, time.monotonic() + 4.5
         while time.monotonic() < until_s:
+            before = rig.keeper.darkened
             _, taken = rig.expose(shine(number), 0.001)
             reasons.append(taken.reason)
-            assert taken.image is None or said(taken.image) == {number + 1 + rig.keeper.darkened}
+            allowed = [{number + 1 + darkened} for darkened in (before, rig.keeper.darkened)]  # which it may be just after the frame
+            assert taken.image is None or said(taken.image) in allowed
             number += 1
         assert rig.keeper.darkened == 1 and any("no picture" in each for each in reasons)
         assert reasons[-1] == "" == reasons[0]
 
 
 def test_a_loop_that_says_nothing_leaves_the_lamp_dark(small_rig: Callable[..., Process]) -> None:
-    with rig_of(small_rig(), limits={"loop_s": 0.2}) as rig:
+    with rig_of(small_rig(dark_s=PATIENT_S), limits={"loop_s": 0.2}) as rig:
         rig.expose(shine(0), 0.001)
         assert eventually(lambda: camera_sees(rig, 20), 1.0)  # of a picture in the dark
         assert rig.keeper.darkened == 1
@@ -89,7 +92,7 @@ def test_a_loop_that_says_nothing_leaves_the_lamp_dark(small_rig: Callable[..., 
 
 
 def test_a_rig_that_is_killed_and_started_again(small_rig: Callable[..., Process]) -> None:
-    process = small_rig()
+    process = small_rig(dark_s=PATIENT_S)
     with rig_of(process) as rig:
         assert rig.expose(shine(0), 0.001)[1].image is not None
         process.kill()
@@ -133,7 +136,7 @@ def test_a_network_that_is_cut_leaves_the_lamp_dark_and_comes_back(small_rig: Ca
 
 
 def test_pictures_that_nobody_reads_are_dropped(small_rig: Callable[..., Process]) -> None:
-    with rig_of(small_rig()) as rig:
+    with rig_of(small_rig(dark_s=PATIENT_S)) as rig:
         time.sleep(0.5)
         assert rig.camera.dropped > 5
         _, taken = rig.expose(shine(0), 0.001)
@@ -141,7 +144,7 @@ def test_pictures_that_nobody_reads_are_dropped(small_rig: Callable[..., Process
 
 
 def test_pictures_of_a_wrong_size_are_lost_with_the_reason(small_rig: Callable[..., Process]) -> None:
-    with rig_of(small_rig(width=80)) as rig:
+    with rig_of(small_rig(width=80, dark_s=PATIENT_S)) as rig:
         _, taken = rig.expose(shine(0), 0.001)
         assert taken.image is None and "80 x 48 px, where the scenario's image has 64 x 48" in taken.reason
 
@@ -156,14 +159,14 @@ def test_at_the_end_the_lamp_is_dark_at_once(small_rig: Callable[..., Process]) 
 
 
 def test_a_dry_run_lights_nothing(small_rig: Callable[..., Process]) -> None:
-    with opened(small_rig().params(), (GRID,), CAMERA, armed=False) as rig:
+    with opened(small_rig(dark_s=PATIENT_S).params(), (GRID,), CAMERA, armed=False) as rig:
         assert await_camera(rig)
         _, taken = rig.expose(shine(0), 0.001)
         assert taken.image is not None and said(taken.image) == {0}
 
 
 def test_power_and_change_are_limited_and_told(small_rig: Callable[..., Process]) -> None:
-    with rig_of(small_rig(), limits={"power": 0.5, "change_per_s": 4.0}) as rig:
+    with rig_of(small_rig(dark_s=PATIENT_S), limits={"power": 0.5, "change_per_s": 4.0}) as rig:
         rig.expose(shine(0, 0.0), 0.2)
         given, _ = rig.expose(shine(1, 1.0), 0.001)
         assert given.dimmed == 0.5
@@ -174,10 +177,18 @@ def test_power_and_change_are_limited_and_told(small_rig: Callable[..., Process]
         assert 0 < given.slowed < 1 and 0.1 < given.shine.share < 0.5
 
 
+def test_after_a_darkness_light_comes_back_as_fast_as_the_limit_lets_it(small_rig: Callable[..., Process]) -> None:
+    with rig_of(small_rig(dark_s=PATIENT_S), limits={"loop_s": 0.2, "change_per_s": 0.5}) as rig:
+        rig.expose(shine(0, 0.8), 0.001)
+        assert eventually(lambda: rig.keeper.darkened == 1, 2)
+        given, _ = rig.expose(shine(1, 0.8), 0.001)
+        assert given.slowed < 0.5 and given.shine.share < 0.4
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("keys", [{"latency_s": 0.01}, {"latency_s": 0.04, "light_s": 0.02, "exposure_s": 0.015}])
 def test_blinks_find_latency_and_exposure(small_rig: Callable[..., Process], keys: dict[str, float]) -> None:
-    process = small_rig(**keys)
+    process = small_rig(dark_s=PATIENT_S, **keys)
     with opened(process.params(), (GRID,), None, armed=True) as rig:
         assert await_camera(rig)
         found = blink(rig, (GRID,), 24, 1.0)

@@ -11,9 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from loop.commands.rig_runs import written
 from loop.rig.params import load_rig
 from tests.loop.conftest import Lux, assert_one_sentence
 from tests.loop.rig.conftest import ROOT, Process, eventually
+from world.errors import LuxloopError
 
 PIXELS = 332 * 1024
 
@@ -75,6 +77,20 @@ def test_what_cannot_run_says_so(lux: Lux, tmp_path: Path, arguments: tuple[str,
 def test_a_scenario_on_a_rig_is_checked_without_one(lux: Lux) -> None:
     code, out, error = lux("check", "small.toml", "--set", "plant.kind=rig")
     assert code == 0 and "small.toml: ok" in out, error
+
+
+@pytest.mark.parametrize(
+    "wrong", ["[light]\nx = 1\n  [timing]\nwait_s = 2\n", "timing = { wait_s = 2 }\n[light]\nx = 1\n", "timing.wait_s = 2\n"]
+)
+def test_values_are_put_into_a_table_timing_or_nowhere(tmp_path: Path, wrong: str) -> None:
+    file = tmp_path / "rig.toml"
+    file.write_text("[timing]  # mine\nwait_s = 2\njitter_s = 0.5  # measured\n\n[light]\nx = 1\n")
+    written(file, {"latency_s": 0.03, "jitter_s": 0.02})
+    assert file.read_text() == "[timing]  # mine\nlatency_s = 0.03\nwait_s = 2\njitter_s = 0.02\n\n[light]\nx = 1\n"
+    file.write_text(wrong)
+    with pytest.raises(LuxloopError, match=r"timing: is not written as a table"):
+        written(file, {"latency_s": 0.03})
+    assert file.read_text() == wrong
 
 
 @pytest.mark.slow
