@@ -110,12 +110,12 @@ def fit(
         return np.concatenate([(a - b).ravel()[use] for a, b, use in zip(pictures(x), wanted, used, strict=True)])
 
     at = np.ones(len(varied))  # so that steps, which are relative, are shares of the spans
-    before = _scores(pictures(at), wanted, levels)
+    before = scores(pictures(at), wanted, levels)
     at += [BLURRED / each.span if each.key == BLUR else 0.0 for each in varied]
     solved: Any = least_squares(
         residuals, at, loss="soft_l1", f_scale=_scale(residuals(at)), diff_step=STEP, x_scale=1.0, xtol=1e-4, ftol=1e-6, max_nfev=MOST_STEPS
     )
-    after = _scores(pictures(solved.x), wanted, levels)
+    after = scores(pictures(solved.x), wanted, levels)
     length = np.linalg.norm(solved.jac, axis=0)
     if dead := [each.key for each, size in zip(varied, length, strict=True) if not size > 0]:
         raise LuxloopError(f"{dead[0]}: has no effect on the recorded frames; leave it out, or record others")
@@ -144,7 +144,8 @@ def _scale(residuals: Array) -> float:
     return max(1.48 * float(np.median(np.abs(residuals))), 1.0)
 
 
-def _scores(pictures: Sequence[Array], wanted: Sequence[Array], levels: int) -> dict[str, float]:
+def scores(pictures: Sequence[Array], wanted: Sequence[Array], levels: int) -> dict[str, float]:
+    """MAE and RMSE in digital numbers and SSIM of pictures `[height, width]`, over all of them. levels: the largest digital number."""
     left = [a - b for a, b in zip(pictures, wanted, strict=True)]
     alike = [float(ssim(torch.from_numpy(a), torch.from_numpy(b), SSIM_RADIUS, levels)) for a, b in zip(pictures, wanted, strict=True)]
     return {

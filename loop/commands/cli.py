@@ -190,6 +190,7 @@ def run(
     plant: Path | None = None,
     rig: Path | None = None,
     arm: Flag = False,
+    twin: Flag = False,
     device: Device = "auto",
     video: bool = True,
     report: bool = True,
@@ -224,6 +225,8 @@ def run(
         Rig file of a lamp and a camera on which the scenario runs in place of the simulated world.
     arm
         With --rig: light the lamp. Without it, a dry run shows nothing.
+    twin
+        With --rig and --arm: simulate the rig's exposures when the run has ended, and compare the frames (see docs/rig.md).
     device
         Device to compute on; auto takes CUDA if available.
     video
@@ -250,6 +253,8 @@ def run(
         raise LuxloopError("--rig lights a lamp and --plant plays a recording; give one of the two")
     if arm and rig is None:
         raise LuxloopError("--arm lights the lamp of a rig file; give --rig FILE as well")
+    if twin and not arm:
+        raise LuxloopError("--twin compares what a lit rig shows with the simulation; give --rig FILE and --arm as well")
     given |= {} if rig is None else {"plant": {"kind": "rig"}}
     scenario = (recorded_scenario_of if itself else scenario_of)(name, set, controller, allow_code=allow_code, **given)
     from loop.commands.runs import run_scenario
@@ -263,7 +268,7 @@ def run(
     if rig is not None:
         from loop.commands.rig_runs import run_on_rig
 
-        passed = run_on_rig(scenario, folder, (rig, arm, allow_code), device, kept)
+        passed = run_on_rig(scenario, folder, (rig, arm, allow_code), device, kept, twin)
     else:
         passed = run_scenario(scenario, folder, device, checks, kept)
     return OK if passed or not checks else FAILED

@@ -17,7 +17,9 @@ from world.errors import LuxloopError, located
 from world.files import whole
 
 if TYPE_CHECKING:
+    from loop.plant.simulated import SimulatedPlant
     from loop.rig.blink import Blinked
+    from loop.rig.params import MarkParams
     from loop.rig.rig import Rig
     from loop.scenario.model import Scenario
 
@@ -25,11 +27,14 @@ Named = Annotated[str, Parameter(name="--scenario")]
 JUDGED = "the rig's own camera, by its view of the plane that it is calibrated to; the truth is not known, and its columns are empty"
 
 
-def run_on_rig(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool], device: str, kept: Mapping[str, Any]) -> bool:
+def run_on_rig(
+    scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool], device: str, kept: Mapping[str, Any], twin: bool = False
+) -> bool:
     """Run a scenario on a rig and record it; returns whether all evaluated checks passed.
 
-    rig_file: its path, whether the lamp is lit, and whether modules that it names may run. kept: as of `run`. Checks that need the truth
-    are left out. Raises LuxloopError where the rig cannot be had, and KeyboardInterrupt with what was kept; the lamp is dark then.
+    rig_file: its path, whether the lamp is lit, and whether modules that it names may run. kept: as of `run`. twin: whether the
+    simulated plant's frames of the same exposures are put beside the rig's, which are kept then. Checks that need the truth are left out.
+    Raises LuxloopError where the rig cannot be had, and KeyboardInterrupt with what was kept; the lamp is dark then.
     """
     from loop.commands.runs import run_scenario
     from loop.plant.build import from_zero
@@ -51,23 +56,34 @@ def run_on_rig(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool
             tables.console().print("dry run: the lamp stays dark; give --arm to light it", markup=False)
 
         judged: Judged | None = None
+        simulated: SimulatedPlant | None = None
 
         def plant(simulation: Any) -> Any:
             from loop.lighting.lamps import lamp_modules
 
-            nonlocal judged
+            nonlocal judged, simulated
             modules, judged = lamp_modules(simulation.modules), Judged(simulation.controlled, scenario.camera, params.mark)
+            if twin:
+                from loop.calibration.twin import twin_plant
+
+                simulated = twin_plant(scenario, modules)
             own = RigPlant.of(rig, modules, scenario.steps * len(scenario.shares))
             return from_zero(replace(own, look=judged.look), scenario, modules)
 
         try:
-            return run_scenario(scenario, out, device, False, {**kept, "plant": plant})
+            passed = run_scenario(scenario, out, device, False, {**kept, "plant": plant, "frames": kept["frames"] or twin})
         finally:
             rig.dark("the run has ended")
             found = _of_run(rig, len(scenario.shares)) | {"judged": {} if judged is None else judged.summary()}
+            told = {"rig": params.model_dump(mode="json"), "armed": armed, **found}
             if out.is_dir() and rig.statistics.exposures:
-                write_json(out / RIG, {"rig": params.model_dump(mode="json"), "armed": armed, **found})
+                write_json(out / RIG, told)
             tables.show(tables.facts(_in_words(found)))
+    if simulated is not None:
+        compared = _twin(out, simulated, params.mark, scenario.steps * len(scenario.shares))
+        write_json(out / RIG, told | {"twin": compared})
+        tables.show(tables.facts(_twin_in_words(compared)))
+    return passed
 
 
 def check(file: Path, /, *, scenario: Named = "snowflake", set: Keys = None, allow_code: AllowCode = False) -> None:
@@ -216,6 +232,26 @@ def _without_truth(scenario: "Scenario") -> tuple["Scenario", list[str]]:
     left_out = [name for name, each in scenario.checks.items() if of_truth(each.metric) or each.compare is not None]
     kept = {name: each for name, each in scenario.checks.items() if name not in left_out}
     return scenario.model_copy(update={"checks": kept}), left_out
+
+
+def _twin(out: Path, simulated: "SimulatedPlant", mark: "MarkParams | None", exposures: int) -> dict[str, Any]:
+    """Simulate what the rig has shown. exposures: how many at most. Raises KeyboardInterrupt with a message that says what was kept."""
+    from loop.calibration.twin import write_twin
+
+    try:
+        with progress("twin", exposures) as advance:
+            return write_twin(out, simulated, mark, advance)
+    except KeyboardInterrupt as error:
+        raise KeyboardInterrupt(f"the run is kept in {out}, without its twin") from error
+
+
+def _twin_in_words(found: Mapping[str, Any]) -> dict[str, str]:
+    return {
+        f"twin, {name} frames": f"mean digital number {each['mean_rig']:.1f} on the rig, {each['mean_simulated']:.1f} simulated; "
+        f"MAE {each['mae']:.1f}, RMSE {each['rmse']:.1f}, SSIM {each['ssim']:.3f}"
+        for name in ("on", "off")
+        if (each := found.get(name)) is not None
+    } or {"twin": "no frame came"}
 
 
 def _of_run(rig: "Rig", per_step: int) -> dict[str, Any]:

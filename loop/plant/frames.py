@@ -63,6 +63,11 @@ def image_file(directory: Path, number: int) -> Path:
     return directory / FOLDER / f"frame_{number:08d}.png"
 
 
+def twin_file(directory: Path, number: int) -> Path:
+    """Where the simulated frame of an exposure of a rig lies."""
+    return directory / FOLDER / f"twin_{number:08d}.png"
+
+
 def light_file(directory: Path, number: int) -> Path:
     """Where a light lies."""
     return directory / FOLDER / f"light_{number:08d}.npz"
@@ -73,7 +78,7 @@ def remove(directory: Path) -> None:
     folder = directory / FOLDER
     if folder.is_symlink():
         folder.unlink()
-    for pattern in ("frame_*.png", "light_*.npz", Path(TABLE).name):
+    for pattern in ("frame_*.png", "twin_*.png", "light_*.npz", Path(TABLE).name):
         for file in folder.glob(pattern):
             file.unlink()
     if folder.is_dir() and not any(folder.iterdir()):

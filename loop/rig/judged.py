@@ -14,13 +14,13 @@ from torch import Tensor
 
 from loop.lighting.controlled import ControlledSymbol
 from loop.plant.protocol import Exposure
+from loop.rig.mark import surroundings
 from loop.rig.params import MarkParams
 from perception.birdseye import BirdsEye, birds_eye, region_around
 from perception.camera import CameraParams, camera_view, luminance_of
 from perception.judge import CELL_M, Target, Verdict, judge, target
 
 LAST = 10  # pairs of frames
-AROUND = 0.5  # of a mark's width and height, by which its light may reach beyond it
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,12 +79,6 @@ class Judged:
     def _unmarked(self, image: Tensor) -> Tensor:
         if (mark := self._mark) is None:
             return image
-        u, v = (slice(max(int(at - AROUND * n), 0), int(at + (1 + AROUND) * n) + 1) for at, n in _sides(mark))
         image = image.clone()
-        image[v, u] = 0
+        image[surroundings(mark)] = 0
         return image
-
-
-def _sides(mark: MarkParams) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Begin and length along u and along v."""
-    return (mark.u_px, mark.width_px), (mark.v_px, mark.height_px)

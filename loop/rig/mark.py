@@ -15,6 +15,7 @@ from world.errors import LuxloopError
 
 CODES = 4
 INNER = 0.25  # of a cell's width and height, left out at each border
+AROUND = 0.5  # of the mark's width and height, by which its light may reach beyond it
 
 
 def drawn(pictures: Sequence[Picture], mark: MarkParams, number: int) -> tuple[Picture, ...]:
@@ -56,6 +57,13 @@ def shown(image: NDArray[np.float32], mark: MarkParams) -> int | None:
             return None
         bits.append(a > b)
     return next(number for number in range(CODES) if cells(number)[::2] == tuple(bits))
+
+
+def surroundings(mark: MarkParams) -> tuple[slice, slice]:
+    """Rows and columns of an image that a mark's light may reach."""
+    sides = (mark.v_px, mark.height_px), (mark.u_px, mark.width_px)
+    rows, columns = (slice(max(int(at - AROUND * n), 0), int(at + (1 + AROUND) * n) + 1) for at, n in sides)
+    return rows, columns
 
 
 def _level(image: NDArray[np.float32], mark: MarkParams, cell: int) -> float:

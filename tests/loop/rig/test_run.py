@@ -9,13 +9,22 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
+import torch
 
 from loop.commands.rig_runs import written
+from loop.lighting.lamps import lamp_modules, shining_modules
+from loop.plant.frames import image_file, read_light, twin_file
+from loop.plant.protocol import Exposure
+from loop.plant.simulated import simulated_plant
 from loop.rig.params import load_rig
+from loop.scenario.model import load
 from tests.loop.conftest import Lux, assert_one_sentence
 from tests.loop.rig.conftest import ROOT, Process, eventually
 from world.errors import LuxloopError
+from world.parquet import read_parquet
 
 PIXELS = 332 * 1024
 
@@ -54,9 +63,39 @@ def test_without_arm_nothing_is_lit(small_rig: Callable[..., Process], lux: Lux,
     assert not json.loads((tmp_path / "runs/dry/rig.json").read_text())["armed"]
 
 
+def test_the_twin_of_a_rig_is_put_beside_its_frames(small_rig: Callable[..., Process], lux: Lux, tmp_path: Path) -> None:
+    file = rig_file(small_rig(PIXELS, width=320, height=180), tmp_path)
+    given = ("--rig", str(file), "--arm", "--out", "runs/rig", "--set", "camera.bits=8", "--no-report", "--no-video")
+    code, out, error = lux("run", "small.toml", *given, "--twin")
+    assert code == 0, error
+    assert "twin, on frames" in out and "twin, off frames" in out
+    folder = tmp_path / "runs/rig"
+    told = json.loads((folder / "rig.json").read_text())["twin"]
+    rows = read_parquet(folder / "twin.parquet").to_pylist()
+    assert told["exposures"] == 6 and [row["number"] for row in rows] == list(range(6))
+    assert (folder / "twin.png").is_file()
+    scenario = load("small.toml", overrides=["camera.bits=8", "camera.noise=false"])
+    for row in rows:  # figures are those of the frames that are kept, and these are the simulated plant's
+        rig, simulated = (cv2.imread(str(each(folder, row["number"])), -1).astype(float) for each in (image_file, twin_file))
+        assert row["mae"] == pytest.approx(np.abs(rig - simulated).mean())
+        assert row["rmse"] == pytest.approx(np.sqrt(np.square(rig - simulated).mean()))
+        assert (row["mean_rig"], row["mean_simulated"]) == pytest.approx((rig.mean(), simulated.mean()))
+        assert -1 <= row["ssim"] <= 1
+    assert told["on"]["mean_simulated"] > told["off"]["mean_simulated"]
+    modules = lamp_modules(shining_modules(scenario, torch.device("cpu")))
+    light = read_light(folder / "frames/light_00000000.npz", [each.headlight.n_pixels for each in modules], torch.device("cpu"))[0]
+    shown = simulated_plant(scenario, modules).show((), Exposure(0, 0.0, 1 / scenario.rate_hz / 2, light))[1].frames[0].image
+    assert shown is not None
+    assert np.array_equal(shown[:, :].numpy(), cv2.imread(str(twin_file(folder, 0)), -1))
+
+    assert lux("run", "small.toml", *given)[0] == 0
+    assert not list(folder.glob("**/*twin*"))
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (("run", "small.toml", "--rig", "rig.toml", "--twin"), "give --rig FILE and --arm as well"),
         (("run", "small.toml", "--arm"), "give --rig FILE as well"),
         (("run", "small.toml", "--rig", "rig.toml", "--plant", "runs/a"), "give one of the two"),
         (("run", "small.toml", "--rig", "none.toml"), "none.toml: cannot be read"),
