@@ -97,7 +97,7 @@ def test_pictures_that_never_end_do_not_hold_an_exposure_up(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("data", [b"picture", np.zeros((48, 64), np.uint8)])
-@pytest.mark.parametrize("clock_s", [time.time(), float("nan"), float("inf"), "now"])
+@pytest.mark.parametrize("clock_s", [time.time(), float("nan"), float("inf"), "now"], ids=["of the day", "nan", "inf", "text"])
 def test_a_picture_of_another_clock_is_refused(data: bytes | np.ndarray, clock_s: float) -> None:
     with pytest.raises(LuxloopError, match=r"read gives the time .*; give time.monotonic\(\)"):
         checked_picture(CameraPicture(clock_s, True, data))
