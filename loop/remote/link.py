@@ -11,7 +11,6 @@ from typing import Any, Final
 
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import ServerConnection, serve
-from websockets.typing import Origin
 
 from loop.remote.answers import PROTOCOL, Answer, Failed, Hello, Message, largest, read
 from world.errors import LuxloopError
@@ -120,7 +119,7 @@ class Link:
                 greet,
                 host.strip("[]"),
                 int(port),
-                origins=[None, Origin("null"), HERE],
+                origins=[None, HERE],
                 compression=None,
                 open_timeout=GREET_S,
                 ping_interval=None,  # a simulator may be at work for longer
