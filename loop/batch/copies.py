@@ -245,12 +245,10 @@ class _Kept:
 
 def _luminance(transports: Any, lights: list[Lights], base: Tensor, crop: Crop) -> Tensor:
     """Luminance `[B, h, w]` in cd/m^2 at a crop, of lights on top of a base `[height, width]`."""
-    width = base.shape[-1]
-    parts = [each.within(crop.v_start * width, crop.v_stop * width) for each in transports]
     rows, columns = crop.slices
-    return torch.stack([added_light(parts, light, base[rows])[:, columns] for light in lights])
+    return torch.stack([added_light(transports, light, base, rows)[:, columns] for light in lights])
 
 
 def _parts(count: int) -> list[slice]:
-    """Of so many copies, those that are computed at once."""
+    """Groups of count copies that are computed at once."""
     return [slice(k, k + TOGETHER) for k in range(0, count, TOGETHER)]

@@ -50,8 +50,8 @@ def refuse(scenario: Scenario) -> None:
 def runs(scenarios: Sequence[Scenario], device: str = "cpu") -> list[Run]:
     """Figures and trace of each of some scenarios of one kind, those of `loop.metrics.traced` to the rounding of single precision.
 
-    Where a symbol is not seen where it is expected, a single run searches the whole image and may then draw for another road: such a
-    scenario is run again by itself. So are all where more than a window of the lamps' light counts, which is no faster at once. Raises
+    A scenario whose symbol is lost in a step is run again by itself, since a single run then searches the whole image and may draw for
+    another road. So is every scenario that needs more than a window of the lamps' light, as a batch of these is no faster. Raises
     LuxloopError where a scenario cannot run, or not in a batch.
     """
     if len(scenarios) < LEAST:

@@ -16,7 +16,7 @@ EMPTY = Crop(0, 0, 0, 0)
 
 @dataclass(frozen=True)
 class Windows:
-    """Windows of height x width px around crops of an image of so many rows and columns; all are empty where all crops are.
+    """Windows of height x width px around crops; all are empty where all crops are. image: its rows and columns in px.
 
     A window begins where its crop does, or a column before so that the column is even, unless the image ends too soon for that.
     """

@@ -1,4 +1,4 @@
-"""What is wrong with a simulated rig and unknown to whoever uses it: its light, its lamp, its screen, its lens and its camera."""
+"""Faults of a simulated rig, which its user does not know: of its light, lamp, screen, lens and camera."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -52,7 +52,7 @@ class DdpInput:
                 size = self._socket.recv_into(buffer)
             except TimeoutError:
                 if time.monotonic() - heard_s >= self._params.timeout_ms / 1000:
-                    self.assembler.forget()  # whoever comes next counts from anew
+                    self.assembler.forget()  # the next sender may begin with any time code
                 continue
             except OSError:
                 continue  # the system tells of a sender that has gone

@@ -239,10 +239,10 @@ class World:
         """
         if part is not None and (self.metered or not self.moving or (self._key(time_s), None, True) in self._lit):
             lit = self.lit(time_s)
-            if self.metered or self._known(lit, lights, commands) is not None:
-                everything, base = self.luminance(time_s, lights, commands)
-                return everything[..., *part], base[part]
-            return lit.shown(lights, commands, part[0])[..., part[1]], lit.base[part]
+            if not (self.metered or self.moving or self._known(lit, lights, commands)):
+                return lit.shown(lights, commands, part[0])[..., part[1]], lit.base[part]
+            everything, base = self.luminance(time_s, lights, commands)
+            return everything[..., *part], base[part]
         lit = self.lit(time_s, part)
         if self.metered:
             return self.meter(time_s, lights, commands).luminance, lit.base
@@ -260,16 +260,15 @@ class World:
 
     def _once(self, lit: LitScene, lights: tuple[Utilisation, ...], commands: Commands, make: Callable[[], Made]) -> Made:
         """What a light does to a scene, made anew only where it is not one of the last two."""
-        if (known := self._known(lit, lights, commands)) is not None:
-            return cast(Made, known)
+        if known := self._known(lit, lights, commands):
+            return cast(Made, known[0])
         made = make()
         self._made.append((lit, lights, commands, made))
         return made
 
-    def _known(self, lit: LitScene, lights: tuple[Utilisation, ...], commands: Commands) -> Any:
-        """What was made of a light, None where that is not one of the last two."""
-        of_it = (made for scene, shown, commanded, made in self._made if scene is lit and shown is lights and commanded == commands)
-        return next(of_it, None)
+    def _known(self, lit: LitScene, lights: tuple[Utilisation, ...], commands: Commands) -> list[Any]:
+        """What was made of a light, as a list that is empty where it is not one of the last two."""
+        return [made for scene, shown, commanded, made in self._made if scene is lit and shown is lights and commanded == commands]
 
     def added(self, time_s: float, lights: tuple[Utilisation, ...], others: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
         """Luminance `[height, width]` in cd/m^2 at a time of what lights have beyond others."""

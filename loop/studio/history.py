@@ -1,5 +1,6 @@
 """What edits can be taken back."""
 
+import math
 import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final, Literal
@@ -22,11 +23,12 @@ class History:
         self._kept: dict[Literal["undo", "redo"], list[Scenarios]] = {"undo": [], "redo": []}
         self._last: tuple[frozenset[str], float] = frozenset(), 0.0
 
-    def add(self, before: "Scenarios", overrides: Sequence[str]) -> None:
-        """An edit was made. before: the scenarios before it."""
-        keys, now_s = frozenset(each.partition("=")[0].strip() for each in overrides), time.monotonic()
+    def add(self, before: "Scenarios", overrides: Sequence[str], stroke: int = 0) -> None:
+        """An edit was made. before: the scenarios before it. stroke: number, above 0, of what it is part of, however long that takes."""
+        keys = frozenset({f"stroke {stroke}"} if stroke else (each.partition("=")[0].strip() for each in overrides))
+        now_s, together_s = time.monotonic(), math.inf if stroke else TOGETHER_S
         (same, then_s), self._last = self._last, (keys, now_s)
-        if keys != same or now_s - then_s > TOGETHER_S:
+        if keys != same or now_s - then_s > together_s:
             self._kept["undo"] = [*self._kept["undo"], before][-MOST:]
         self._kept["redo"] = []
 

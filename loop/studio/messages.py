@@ -137,8 +137,8 @@ class Paint(Told):
     """Pixels of a module of the first run are painted.
 
     box: first row, end row, first column, end column. Its arrays `[rows, columns]` take the place of what was painted there: value, 255 for
-    full utilisation; painted, 255 where the value holds, 0 where nothing is painted, and shares between. stroke: messages of the same one
-    are taken back together.
+    full utilisation; painted, 255 where the value holds, 0 where nothing is painted, and shares between. stroke: messages of the same one,
+    above 0, are taken back together.
     """
 
     type: Literal["paint"]

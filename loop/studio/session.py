@@ -226,7 +226,7 @@ class Session:
             case Paint() as paint:
                 from loop.studio.painting import painted
 
-                self._edit((painted(self._run(0).simulation, paint, asked.arrays),), f"stroke {paint.stroke}")
+                self._edit((painted(self._run(0).simulation, paint, asked.arrays),), paint.stroke)
             case Drive(throttle=float(throttle), steering=float(steering)):
                 self._driven = replace(self._driven or self._taken_over(), throttle=throttle, steering=steering)
             case Drive():
@@ -251,7 +251,7 @@ class Session:
             self._publish(progress="finding the pixels for the light wanted")
         head, override = placed(self._run(0), asks) if isinstance(asks, Place) else wished(self._run(0), asks, asked.arrays)
         if override is not None:
-            self._edit((override,), f"stroke {asks.stroke}" if isinstance(asks, Place) else None)
+            self._edit((override,), asks.stroke if isinstance(asks, Place) else 0)
         asked.reply(head)
 
     def _look_again(self) -> None:
@@ -336,14 +336,14 @@ class Session:
             raise LuxloopError("nothing is prepared; open a scenario first")
         return tuple(run.simulation.scenario for run in self.published.runs)
 
-    def _edit(self, overrides: tuple[str, ...], stroke: str | None = None) -> None:
-        """Other values of keys in all runs. stroke: that they are part of. Raises LuxloopError where one cannot have them."""
+    def _edit(self, overrides: tuple[str, ...], stroke: int = 0) -> None:
+        """Other values of keys in all runs. stroke: as of `History.add`. Raises LuxloopError where one cannot have them."""
         from loop.scenario.edits import changed
 
         before = self._scenarios()
         told = [(*overrides, *source.apart) for source in self._sources]
         self._become(tuple(changed(*pair) for pair in zip(before, told, strict=True)), told)
-        self._history.add(before, overrides if stroke is None else (stroke,))
+        self._history.add(before, overrides, stroke)
 
     def _become(self, scenarios: tuple["Scenario", ...], overrides: Sequence[tuple[str, ...]] | None = None) -> None:
         """Other values of keys: while the runs go on, as far as that can be, else in runs that start anew. overrides: that make each of

@@ -117,9 +117,7 @@ class Transport:
         """
         if band is not None and band.stop <= band.start:
             return utilisation.new_zeros(*utilisation.shape[:-1], 0), self.index[:0]
-        start, stop = 0, self.matrix.n_rows
-        if within is not None:
-            start, stop = torch.searchsorted(self.index, self.index.new_tensor([within.start, within.stop])).tolist()
+        start, stop = (0, self.matrix.n_rows) if within is None else self._rows(within)
         if band is not None:
             start, stop = max(start, int(self.first[band].min())), min(stop, int(self.last[band].max()) + 1)
         start = min(start, self.matrix.n_rows)
@@ -128,18 +126,17 @@ class Transport:
 
     def onto(self, crop: tuple[slice, slice], width: int, pixels: Tensor) -> Csr:
         """The part `[h * w, m]` from pixellights `[m]` int64, ascending, to a crop `[h, w]` of an image of this width, in px."""
-        (v, u), part = crop, self.within(crop[0].start * width, crop[0].stop * width)
-        row, column = part.index // width, part.index % width - u.start
+        (v, u), (low, high) = crop, self._rows(slice(crop[0].start * width, crop[0].stop * width))
+        row, column = self.index[low:high] // width - v.start, self.index[low:high] % width - u.start
         inside = (column >= 0) & (column < u.stop - u.start)
         place = torch.where(inside, row * (u.stop - u.start) + column, -1).int()
         shape = ((v.stop - v.start) * (u.stop - u.start), len(pixels))
-        return part.matrix.part(place, numbers(pixels, part.matrix.n_cols), shape)
+        return self.matrix.band(low, high).part(place, numbers(pixels, self.matrix.n_cols), shape)
 
-    def within(self, start: int, stop: int) -> "Transport":
-        """The part to the camera pixels of flat image index start to stop, which count from start."""
-        low, high = torch.searchsorted(self.index, self.index.new_tensor([start, stop])).tolist()
-        first, last = (self.first - low).clamp(min=0), (self.last - low).clamp(max=high - low - 1)
-        return Transport(self.matrix.band(low, high), self.index[low:high] - start, first, last)
+    def _rows(self, within: slice) -> tuple[int, int]:
+        """First row of the matrix and the row after the last whose camera pixels lie within a part of the flat image."""
+        low, high = torch.searchsorted(self.index, self.index.new_tensor([within.start, within.stop])).tolist()
+        return low, high
 
 
 def transport(surface: LitSurface, headlight: Headlight, width: int, oversampling: int = 1) -> Transport:

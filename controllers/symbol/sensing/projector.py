@@ -112,7 +112,8 @@ class Projector:
 
     def rectangle(self, projection: ProjectionCommand) -> Primitives:
         """The primitive that a projection's symbol lies on, not warped; made once for the newest projections, if they have no gradient."""
-        return (self._rectangle_of if projection.pose.requires_grad else self._kept)(projection)
+        learns = projection.pose.requires_grad or (projection.z is not None and projection.z.requires_grad)
+        return (self._rectangle_of if learns else self._kept)(projection)
 
     def _rectangle_of(self, projection: ProjectionCommand) -> Primitives:
         projection = self.on_road(projection)

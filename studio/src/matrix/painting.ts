@@ -27,8 +27,8 @@ export class Painting {
   value = 255;
   words = "";
   over = true;
-  /** How many strokes were begun: each is taken back as one. */
-  strokes = 0;
+  /** The number of the stroke that was begun last, which is taken back as one; other pages have other numbers. */
+  stroke = 1 + Math.floor(Math.random() * 2 ** 30);
   /** The module that was painted or pointed at last. */
   module = 0;
   layers: Layer[] = [];
@@ -70,7 +70,7 @@ export class Painting {
   }
 
   begin(module: number, at: Place): void {
-    this.strokes++;
+    this.stroke++;
     const layer = this.layers[module];
     this.module = module;
     const seed = Math.floor(at.row) * layer.cols + Math.floor(at.col);
@@ -112,14 +112,14 @@ export class Painting {
     if (rows !== layer.rows || cols !== layer.cols) {
       throw new Error(`${file}: has ${rows} x ${cols} pixels, but ${name} has ${layer.rows} x ${layer.cols}; bring it to this size`);
     }
-    this.strokes++;
+    this.stroke++;
     layer.replace(value, painted);
     this.#touch(module, layer.all);
   }
 
   /** Paint over what the functions give, or in its place, in all modules. */
   setOver(over: boolean): void {
-    this.strokes++;
+    this.stroke++;
     this.over = over;
     for (const [module, layer] of this.layers.entries()) this.#touch(module, { ...layer.all, bottom: 1, right: 1 });
     this.changed(null);
@@ -147,7 +147,7 @@ export class Painting {
     const layer = this.layers[module];
     const shape = [box.bottom - box.top, box.right - box.left];
     const arrays = new Map((["value", "painted"] as const).map((name) => [name, { shape, values: layer.cut(layer[name], box) }] as const));
-    this.send({ type: "paint", stroke: this.strokes, module, box: [box.top, box.bottom, box.left, box.right], over: this.over }, arrays);
+    this.send({ type: "paint", stroke: this.stroke, module, box: [box.top, box.bottom, box.left, box.right], over: this.over }, arrays);
     return true;
   }
 

@@ -129,7 +129,7 @@ export function worldLight(
     if (!waiting || !asks()) return false;
     session.send({
       type: "place",
-      stroke: painting.strokes,
+      stroke: painting.stroke,
       point_m: waiting,
       value: mode === "light" ? Math.round(2.55 * numberOf(utilisation)) : null,
       over: painting.over,
@@ -166,7 +166,7 @@ export function worldLight(
       view.canvas.setPointerCapture(event.pointerId);
       stroke = view;
       before = null;
-      painting.strokes++;
+      painting.stroke++;
       under(event);
     },
     { capture: true },

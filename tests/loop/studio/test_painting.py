@@ -115,7 +115,8 @@ def test_boxes_add_up_and_what_is_rubbed_out_is_as_before(lamp: Painted) -> None
         assert again.at(1).lights[0].equal(published.runs[0].snapshots[1].lights[0])
 
 
-def test_strokes_are_taken_back_and_saved(lamp: Painted, tmp_path: Path) -> None:
+def test_strokes_are_taken_back_and_saved(lamp: Painted, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("loop.studio.history.TOGETHER_S", 0.0)  # a stroke may rest while it is drawn
     served, model = lamp
     expected = np.zeros(LAMPS[model], np.uint8)
     expected[2, 0:4] = 255

@@ -240,6 +240,17 @@ def test_banded_light_equals_whole_light(folded: tuple, band: slice) -> None:
     torch.testing.assert_close(image, expected, rtol=1e-6, atol=0)
 
 
+@pytest.mark.parametrize("rows", [slice(0, 90), slice(40, 60), slice(0, 1), slice(89, 90), slice(50, 50)])
+def test_light_of_some_rows_is_that_part_of_all_light(folded: tuple, rows: slice) -> None:
+    _, folded_transport = folded
+    u, base = torch.rand(LAMP.n_pixels, generator=torch.Generator().manual_seed(7)), torch.rand(90, 160)
+    for band in (None, slice(300, 420)):
+        light = [Light(u, band)]
+        whole, part = added_light([folded_transport], light, base), added_light([folded_transport], light, base, rows)
+        assert part.shape == (rows.stop - rows.start, 160) and part.equal(whole[rows])
+    assert added_light([folded_transport], light, base, slice(40, 60)).ne(base[40:60]).any(), "the lamp lights some of these"
+
+
 def test_transport_passes_gradients(folded: tuple) -> None:
     lit, folded_transport = folded
     u = torch.full((2, LAMP.n_pixels), 0.5, requires_grad=True)
@@ -307,6 +318,7 @@ def test_the_direct_way_gives_what_the_matrix_gives(device, oversampling):
     image = added_light([direct], [Light(u)], base)
     assert len(lit.index) < len(direct.surface.index), "nothing is in shadow"
     assert expected.max() > 0
+    assert added_light([direct], [Light(u)], base, slice(40, 60)).equal(image[..., 40:60, :])
     assert torch.allclose(image, expected, rtol=1e-5, atol=1e-6 * float(expected.max()))  # sums of float32 in another order
     dark = direct.luminance(torch.zeros_like(u), slice(0, 0))
     assert dark[0].shape == (3, 0) and len(dark[1]) == 0
