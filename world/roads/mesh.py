@@ -34,7 +34,7 @@ def road_mesh(road: Road) -> "trimesh.Trimesh":
 
 
 def grid_mesh(x: Floats, y: Floats, z: Floats, normals: Floats | None = None) -> "trimesh.Trimesh":
-    """Mesh of the vertices `[n_x, n_y]` m of a grid, with the directions of their normals `[n_x, n_y, 3]`, those of the faces where None."""
+    """Mesh of a grid of vertices `[n_x, n_y]` m. normals: their directions `[n_x, n_y, 3]`, None for those of the faces."""
     import trimesh  # which takes a seventh of a command's start, and only what is looked at needs it
 
     if normals is not None:
