@@ -68,7 +68,9 @@ def measure(scenarios: tuple[str, ...], rounds: int, before: Path | None) -> dic
 
 def goals(found: dict[str, dict[str, float]]) -> list[Goal]:
     limits = {NEW: 1.0, MISTYPED: 1.0}
-    return [(f"{name}, s", each["now"], limits.get(name, 3.0), False) for name, each in found.items() if name not in (TORCH, "luxloop --help")]
+    return [
+        (f"{name}, s", each["now"], limits.get(name, 3.0), False) for name, each in found.items() if name not in (TORCH, "luxloop --help")
+    ]
 
 
 def main() -> None:

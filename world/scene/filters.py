@@ -20,8 +20,8 @@ def discrete(numerator: tuple[float, float], denominator: tuple[float, float], d
     whole = expm(step)
     A, now, slope = whole[:2, :2], whole[:2, 2:3], whole[:2, 3:]
     B, D = now - slope + A @ slope, C @ slope
-    a = np.poly(A)
-    return np.poly(A - B @ C) + (D[0] - 1) * a, a
+    a: Floats = np.asarray(np.poly(A), np.float64)
+    return np.asarray(np.poly(A - B @ C) + (D[0] - 1) * a, np.float64), a
 
 
 def filtered(b: Floats, a: Floats, values: Floats, known: Floats | None = None) -> Floats:
