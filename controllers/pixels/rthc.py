@@ -88,7 +88,7 @@ def paint_classes(primitives: Primitives) -> list[list[int]]:
 
 def masks(primitives: Primitives) -> list[bool]:
     """Which primitives of a single scene are masks: zero setpoint of infinite weight."""
-    return [value == 0 and weight == torch.inf for value, weight in zip(primitives.value.tolist(), primitives.weight.tolist(), strict=True)]
+    return [value == 0 and weight == math.inf for value, weight in zip(primitives.value.tolist(), primitives.weight.tolist(), strict=True)]
 
 
 def trace(
@@ -162,8 +162,8 @@ class Casting:
         front, is_mask = (nobody, nobody) if windows is None else (_from_the_front(seen), [*masks(primitives)])
         windows = [whole(grid)] * len(primitives) if windows is None else windows
         windows = [NOWHERE if seen_from is False else window for window, seen_from in zip(windows, front, strict=True)]
-        infinite = primitives.weight.isinf()
-        unit, finite = known and bool(((primitives.weight == 1) | infinite).all()), known and not bool(infinite.any())
+        weights = set(primitives.weight.flatten().tolist()) if known else {math.nan}
+        unit, finite = weights <= {1.0, math.inf}, known and math.inf not in weights
         of_each = (tuple(windows), union(windows), tuple(is_mask), tuple(front))
         return cls(primitives, grid, T_world_headlight, secondary, seen, *of_each, unit, finite)
 
@@ -191,8 +191,10 @@ class Casting:
     def strokes(self) -> Iterator[Stroke]:
         """The primitives in painting order."""
         weight, windows = self.primitives.weight[..., None, None], self.windows  # [..., P, 1, 1]
-        infinite = weight.isinf()
-        finite, forced = torch.where(infinite, 0.0, weight.clamp(max=HEAVIEST)), infinite.to(weight)
+        finite, forced = weight, torch.zeros_like(weight)
+        if not (self.unit and self.finite):
+            infinite = weight.isinf()
+            finite, forced = torch.where(infinite, 0.0, weight.clamp(max=HEAVIEST)), infinite.to(weight)
         rays = _Rays(self.seen, *self.grid.tangents(weight.dtype, weight.device), any(mask is not False for mask in self.is_mask))
         nearest: Tensor | None = None  # 1/x of a class's nearest hits, rounded down, [..., rows, cols]
         for painted in paint_classes(self.primitives):
