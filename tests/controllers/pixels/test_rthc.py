@@ -274,10 +274,10 @@ def test_projected_window_holds_every_hit(pose: tuple[float, float, float, float
         torch.testing.assert_close(banded.value, value, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("y_m", [-2.5, -3.5])
-def test_parts_of_a_primitive_hold_all_of_its_rays(y_m: float) -> None:
+@pytest.mark.parametrize("roll", [-0.03, 0.05])
+def test_parts_of_a_primitive_hold_all_of_its_rays(roll: float) -> None:
     grid = idealised(200, 320)  # 512,000 texels
-    one = road_symbol(torch.tensor([17.0, y_m, 0.05, 0.0]), 0.0, 2.0, 9.0, torch.rand(8, 8), 1.0, "u_abs")
+    one = road_symbol(torch.tensor([17.0, -2.5, roll, 0.0]), 0.0, 2.0, 9.0, torch.rand(8, 8), 1.0, "u_abs")
     casting = Casting.prepare(one, grid, T_LEFT, projected_windows(one, grid, T_LEFT))
     (whole_stroke,), parts = casting.strokes(), list(casting.strokes(in_parts=True))
     image = torch.zeros_like(whole_stroke.hit)
