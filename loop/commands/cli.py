@@ -258,6 +258,10 @@ def run(
         raise LuxloopError("--twin compares what a lit rig shows with the simulation; give --rig FILE and --arm as well")
     given |= {} if rig is None else {"plant": {"kind": "rig"}}
     scenario = (recorded_scenario_of if itself else scenario_of)(name, set, controller, allow_code=allow_code, **given)
+    if scenario.digitised is not None and rig is None and plant is None:
+        from loop.plant.digitised import needs_rig
+
+        raise LuxloopError(f"{scenario.source}: {needs_rig(f'modules.{scenario.digitised}')}")
     from loop.commands.runs import run_scenario
 
     if plant is not None and steps is None:

@@ -15,8 +15,7 @@ from loop.recording.style import SHARES, STYLE
 from world.files import whole
 from world.headlight import Headlight
 
-WIDE_IN, DPI, TITLES_IN = 13.0, 130, 1.1
-BAR: Final = 0.06  # height of the scale, of a texture's
+WIDE_IN, DPI, TITLE_IN = 8.0, 130, 0.45
 BRIGHT: Final = 0.998  # quantile of the textures that is shown as white, and of their difference that has the full colour
 
 
@@ -31,19 +30,17 @@ def draw_beam(file: Path, digitised: Tensor, headlight: Headlight, utilisation: 
     difference = intensity - simulated
     most = max(float(np.quantile(np.abs(difference), BRIGHT)), 1.0)
     rms = float(np.sqrt(np.square(difference).mean() / max(np.square(simulated).mean(), 1e-30)))
-    height, width = (headlight.top - headlight.bottom), (headlight.left - headlight.right)
+    height, width = headlight.top - headlight.bottom, headlight.left - headlight.right
     aspect = height / width * headlight.cols / headlight.rows
     with rc_context(STYLE):
-        figure = Figure((WIDE_IN, WIDE_IN / 3 * height / width + TITLES_IN), DPI, layout="constrained")
-        (ours, theirs, apart), below = figure.subplots(2, 3, height_ratios=(1, BAR))
-        for axes, name, texture in ((ours, "Digitised", seen), (theirs, "Simulated", simulated)):
+        figure = Figure((WIDE_IN, 3 * (WIDE_IN * height / width + TITLE_IN)), DPI, layout="constrained")
+        ours, theirs, apart = figure.subplots(3)
+        for axes, name, texture, peak in ((ours, "Digitised", seen, intensity.max()), (theirs, "Simulated", simulated, simulated.max())):
             axes.imshow(_shown(texture / white), aspect=aspect, **SHARES)
-            _titled(axes, f"{name}: {intensity.max() if axes is ours else simulated.max():,.0f} cd at most")
+            _titled(axes, f"{name}: {peak:,.0f} cd at most")
         shown = apart.imshow(difference, aspect=aspect, cmap="RdBu_r", vmin=-most, vmax=most, interpolation="antialiased")
-        _titled(apart, f"Difference in cd, {100 * rms:.2g} % rms of the simulated light")
-        figure.colorbar(shown, cax=below[2], orientation="horizontal", extend="both")
-        for axes in below[:2]:
-            axes.set_axis_off()
+        _titled(apart, f"Digitised minus simulated in cd, {100 * rms:.2g} % rms")
+        figure.colorbar(shown, ax=[ours, theirs, apart], location="bottom", extend="both", aspect=60, fraction=0.03)
         with whole(file) as part:
             figure.savefig(part, format="png")
 

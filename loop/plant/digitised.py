@@ -60,14 +60,16 @@ class DigitisedPlant:
 
     def start(self) -> tuple[Any, Arrivals]:
         """Raises LuxloopError."""
-        raise LuxloopError(
-            f"{self.key}: the module is digitised from a real lamp, and no rig is connected; run it with `luxloop run NAME --rig FILE`, "
-            "or play a recording of it with --plant"
-        )
+        raise LuxloopError(needs_rig(self.key))
 
     def show(self, state: Any, exposure: Exposure) -> tuple[Any, Arrivals]:
         """Raises LuxloopError."""
         return self.start()
+
+
+def needs_rig(key: str) -> str:
+    """That a scenario needs a rig, as its key says which names the module."""
+    return f"{key}: is digitised from a real lamp; run it with `luxloop run NAME --rig FILE`, or play a recording of it with --plant"
 
 
 def digitised_plant(scenario: Scenario, modules: Sequence[LampModule], made: Made | None = None) -> DigitisedPlant:
