@@ -153,9 +153,7 @@ def _dark_frames(lab: RigPlant) -> NDArray[np.float32]:
             found.append(frame.image.cpu().numpy())
         if len(found) == DARKS:
             return np.stack(found)
-    raise LuxloopError(
-        f"{len(found)} of {DARKS} dark frames came in {FIRST} tries; measure [timing] with `luxloop rig blink`"
-    )
+    raise LuxloopError(f"{len(found)} of {DARKS} dark frames came in {FIRST} tries; measure [timing] with `luxloop rig blink`")
 
 
 def _changed(queue: UnderWay, arrivals: Arrivals, number: int, **changes: Any) -> tuple[UnderWay, Arrivals]:

@@ -74,5 +74,5 @@ def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(LuxloopError, match="knows the modules left matrix, not 'right matrix'"):
         Digitiser.of(known, "right matrix", LAMP)
     aside = wall(yaw_deg=4.0).camera
-    with pytest.raises(LuxloopError, match="sees [1-4]?[0-9]% of the light of 'left matrix' on the screen"):
+    with pytest.raises(LuxloopError, match=r"sees [1-4]?[0-9]% of the light of 'left matrix' on the screen"):
         Digitiser.of(calibration(aside, lamp), lamp.name, LAMP)

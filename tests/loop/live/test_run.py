@@ -71,9 +71,9 @@ def test_a_real_lamp_lights_the_simulated_world(small_rig: Callable[..., Process
 
 
 def test_the_night_is_as_bright_as_the_picture(small_rig: Callable[..., Process], lux: Lux, tmp_path: Path) -> None:
-    """All pixels of the lamp on at a tenth: the picture is a tenth of the saturation, 10 lx on the screen, 10 lx d^2 / cos in cd."""
+    """All pixels of the lamp on: 200 of 255 digital numbers more than in the dark, of which 255 are 100 lx; `I = E d^2 / cos`."""
     save(tmp_path / "rig.npz", of_lamp())
-    keys = ("lighting.base={beam='full', share=0.1}", "functions={}", "steps=2")
+    keys = ("lighting.base={beam='full'}", "functions={}", "steps=2")
     given = ("--rig", rig_file(small_rig(PIXELS), tmp_path), "--out", "runs/live", *GIVEN, *keys, "--frames")
     code, _, error = lux("run", "small.toml", *given, "--arm")
     assert code == 0, error
@@ -81,8 +81,8 @@ def test_the_night_is_as_bright_as_the_picture(small_rig: Callable[..., Process]
     plant, light = simulation.plant, simulation.modules[0].headlight
     assert isinstance(plant, DigitisedPlant)
     y, z = light.tangents(torch.float64, torch.device("cpu"))
-    cd = 26 / 255 * 100 * 5.95**2 * (1 + y**2 + z[:, None] ** 2) ** 1.5  # a tenth is the code 26; d^2 / cos of a screen square to the axis
-    u = torch.full((light.n_pixels,), 0.1)
+    cd = 200 / 255 * 100 * 5.95**2 * (1 + y**2 + z[:, None] ** 2) ** 1.5  # of a screen square to the lamp's axis
+    u = torch.ones(light.n_pixels)
     plant.measured.keep(u, cd)
     wanted = plant.night.show((), Exposure(0, 0.0, 1 / 30, (Utilisation(u),)))[1].frames[0].image
     assert wanted is not None

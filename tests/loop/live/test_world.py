@@ -77,7 +77,10 @@ def test_without_a_rig_it_is_checked_and_not_run(lux: Lux) -> None:
         (["modules.left={source='digitised', delay_body=true}"], "the vehicle stands"),
         (["modules.left.source=digitised", "modules.right.source=digitised"], "a camera cannot tell two beams apart"),
         (["modules.left.source=digitised", "plant.kind=remote"], "lights the simulated world, but the plant is remote"),
-        (["modules.left.source=digitised", "checks.a={metric='functions.symbol.iou', compare='open_loop', at_least=1.0}"], "is digitised; take"),
+        (
+            ["modules.left.source=digitised", "checks.a={metric='functions.symbol.iou', compare='open_loop', at_least=1.0}"],
+            "is digitised; take",
+        ),
     ],
 )
 def test_mistakes_are_told_in_a_sentence(lux: Lux, keys: list[str], told: str) -> None:
