@@ -17,7 +17,7 @@ from controllers.jpo.controller import JpoParams
 from controllers.pixels.mrpc import MrpcParams
 from loop.scenario.checks import CheckParams, Light, refuse_lights
 from loop.scenario.disturbances import DisturbanceParams
-from loop.scenario.modules import ModuleParams
+from loop.scenario.modules import ModuleSourceParams
 from loop.scenario.overrides import Override, is_file, overridden, resolve_paths, tables, texts
 from loop.scenario.plant import PlantParams, SimulatedPlantParams, refuse_long_exposures
 from loop.scenario.shipped import find
@@ -103,7 +103,7 @@ class Scenario(Params):
     traffic: TrafficParams | None = Field(None, description="objects besides, made from a seed; left out: none")
     light: LightParams = Field(LightParams(), description="ambient light and street lamps")
     headlight: HeadlightParams = Field(HeadlightParams(), description="the lamps")
-    modules: Mapping[str, ModuleParams] = Field({}, description="where the light of modules comes from, by their names")
+    modules: Mapping[str, ModuleSourceParams] = Field({}, description="where the light of modules comes from, by their names")
     camera: CameraParams = Field(CameraParams(), description="the camera")
     pixel_controller: str = Field("ssc", description="what drives the pixels: ssc, jpo, or your own as package.module:Name")
     ssc: MrpcParams = Field(MrpcParams(), description="SuperSampling Control, which joint pixel optimisation starts from")
@@ -155,7 +155,7 @@ class Scenario(Params):
                 raise ValueError(
                     f"modules.{name}.source: {self.digitised} is digitised, too, and a camera cannot tell two beams apart; simulate one"
                 )
-            if each.source == "simulated" and each != ModuleParams():
+            if each.source == "simulated" and each != ModuleSourceParams():
                 raise ValueError(f'modules.{name}: latency_s and delay_body are for source = "digitised"; set that, or leave them out')
             if each.delay_body and self.vehicle is None:
                 raise ValueError(f"modules.{name}.delay_body: the vehicle stands, there is no [vehicle]; leave it out")

@@ -7,7 +7,7 @@ from pydantic import Field
 from world.params import Params
 
 
-class ModuleParams(Params):
+class ModuleSourceParams(Params):
     """One module of the lamps, by its name, or its lamp's side where that has a single one."""
 
     source: Literal["simulated", "digitised"] = Field(
