@@ -34,6 +34,7 @@ def simulate(
     camera_port: int = 8080,
     truth_port: int = 8081,
     ego: str = "127.0.0.1:4049",
+    screen: str | None = None,
     allow_code: AllowCode = False,
 ) -> None:
     """Be a rig until Ctrl-C: take light over the network, light the scenario's road or objects, and serve the camera's pictures.
@@ -57,6 +58,9 @@ def simulate(
         HTTP port of the truth for tests, 0 for a free one.
     ego
         Address HOST:PORT that gets samples of the vehicle's sensors where the scenario has a vehicle.
+    screen
+        Address HOST:PORT of the page of a loop whose light is `screen`: the rig is then the projector that shows this page, and takes no
+        light over the network.
     """
     from loop.bench.faults import read, split
 
@@ -65,8 +69,9 @@ def simulate(
     from loop.bench.camera import End
     from loop.bench.rig import Ports, Rig
 
+    addresses = _address("--ego", ego), None if screen is None else _address("--screen", screen)
     end = End()
-    with Rig(scenario, wrong, Ports(host, light_port, camera_port, truth_port, _address(ego))) as rig:
+    with Rig(scenario, wrong, Ports(host, light_port, camera_port, truth_port, *addresses)) as rig:
 
         def ready() -> None:
             print("\n".join([*rig.addresses(), "End it with Ctrl-C."]), flush=True)
@@ -88,8 +93,8 @@ def _ending(end: "End") -> Iterator[None]:
             signal.signal(each, handler)
 
 
-def _address(text: str) -> tuple[str, int]:
+def _address(option: str, text: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     if not (host and port.isdecimal() and 0 < int(port) < 65536):
-        raise LuxloopError(f"--ego {text}: is no address; write HOST:PORT, such as 127.0.0.1:4049")
+        raise LuxloopError(f"{option} {text}: is no address; write HOST:PORT, such as 127.0.0.1:4049")
     return host, int(port)

@@ -8,8 +8,6 @@ from loop.assembly.truth import LampModule
 from loop.plant.clock import FromZero
 from loop.plant.digitised import digitised_plant
 from loop.plant.protocol import Plant
-from loop.plant.recorded import recorded_plant
-from loop.plant.remote import remote_plant
 from loop.plant.simulated import simulated_plant
 from loop.plant.unconnected import Unconnected
 from loop.scenario.model import Scenario
@@ -32,10 +30,14 @@ def build_plant(scenario: Scenario, modules: Sequence[LampModule], made: Made | 
     if isinstance(params, SimulatedPlantParams):
         return simulated_plant(scenario, modules, made) if scenario.digitised is None else digitised_plant(scenario, modules, made)
     if isinstance(params, RecordedPlantParams):
+        from loop.plant.recorded import recorded_plant
+
         return recorded_plant(scenario, params, modules)
     if isinstance(params, RigPlantParams):
         return Unconnected()
     if isinstance(params, RemotePlantParams):
+        from loop.plant.remote import remote_plant
+
         return from_zero(remote_plant(scenario, params, modules), scenario, modules)
     given = {"scenario": scenario, "modules": modules}
     plant = cast(Plant, plugin.make(params.kind, KEY, given, params.options, METHODS))

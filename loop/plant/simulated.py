@@ -21,7 +21,7 @@ from perception.noise import FrameNoise
 from perception.sensors import EXACT, SensorParams, Sensors
 from world.errors import LuxloopError
 from world.partial import Part, PartialImage
-from world.rendering.face_source import face_source
+from world.rendering.face_source import FirstFound, face_source
 from world.scene.late_body import LateBody
 from world.scene.vehicle import STANDING, Motion
 
@@ -131,7 +131,7 @@ def simulated_plant(scenario: Scenario, modules: Sequence[LampModule], made: Mad
     missing or broken.
     """
     made, wrong, given = made or Made(), scenario.disturbances, scenario.all_objects
-    source = made("face source", scenario.renderer, lambda: face_source(scenario.renderer))
+    source = made("face source", scenario.renderer, lambda: FirstFound() if scenario.renderer == "auto" else face_source(scenario.renderer))
     motion = _motion(scenario, made)
     scene, camera = build_scene(scenario, motion, made), true_camera(scenario)
     true = made("true modules", (tuple(modules), wrong.aim, wrong.wear), lambda: true_modules(wrong, modules))

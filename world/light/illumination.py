@@ -17,7 +17,7 @@ from world.materials.brdf import luminance_factor
 from world.rendering.gbuffer import GBuffer
 from world.rendering.raycast import sees
 from world.scene.triangles import Triangles
-from world.spmv import Csr, multiply, numbers, row_of_entries, segment_bounds
+from world.spmv import Csr, multiply, numbers, row_of_entries, segment_bounds, span_of
 from world.texels import bilinear
 
 
@@ -119,7 +119,8 @@ class Transport:
             return utilisation.new_zeros(*utilisation.shape[:-1], 0), self.index[:0]
         start, stop = (0, self.matrix.n_rows) if within is None else self._rows(within)
         if band is not None:
-            start, stop = max(start, int(self.first[band].min())), min(stop, int(self.last[band].max()) + 1)
+            low, high = span_of(self.first, self.last, band)
+            start, stop = max(start, low), min(stop, high + 1)
         start = min(start, self.matrix.n_rows)
         stop = max(start, stop)
         return multiply(self.matrix.band(start, stop), utilisation), self.index[start:stop]
