@@ -74,11 +74,11 @@ def run_on_rig(
             passed = run_scenario(scenario, out, device, False, {**kept, "plant": plant, "frames": kept["frames"] or twin})
         finally:
             rig.dark("the run has ended")
-            found = _of_run(rig, len(scenario.shares)) | {"judged": {} if judged is None else judged.summary()}
+            found = of_run(rig, len(scenario.shares)) | {"judged": {} if judged is None else judged.summary()}
             told = {"rig": params.model_dump(mode="json"), "armed": armed, **found}
             if out.is_dir() and rig.statistics.exposures:
                 write_json(out / RIG, told)
-            tables.show(tables.facts(_in_words(found)))
+            tables.show(tables.facts(in_words(found) | {"judge": JUDGED}))
     if simulated is not None:
         compared = _twin(out, simulated, params.mark, scenario.steps * len(scenario.shares))
         write_json(out / RIG, told | {"twin": compared})
@@ -254,14 +254,16 @@ def _twin_in_words(found: Mapping[str, Any]) -> dict[str, str]:
     } or {"twin": "no frame came"}
 
 
-def _of_run(rig: "Rig", per_step: int) -> dict[str, Any]:
+def of_run(rig: "Rig", per_step: int) -> dict[str, Any]:
+    """How a run on a rig was, as plain data. per_step: exposures a control step."""
     told = rig.keeper
     watched = {"darkened": told.darkened, "interruptions": told.interruptions}
     camera = {"pictures": rig.camera.count, "dropped": rig.camera.dropped, "connections": rig.camera.connections}
     return {**rig.statistics.summary(per_step), "watchdog": watched, "camera": camera}
 
 
-def _in_words(found: Mapping[str, Any]) -> dict[str, str]:
+def in_words(found: Mapping[str, Any]) -> dict[str, str]:
+    """What `of_run` gives, and `judged`, in rows of a table."""
     lost, late = sum(found["lost"].values()), found["light_to_frame_ms"]
     rows = {
         "control rate": f"{tables.number(found['control_rate_hz'], '.2f')} Hz",
@@ -271,7 +273,6 @@ def _in_words(found: Mapping[str, Any]) -> dict[str, str]:
         "frames": f"{found['exposures'] - lost} of {found['exposures']} exposures"
         + "".join(f"\n{count} lost: {reason}" for reason, count in sorted(found["lost"].items(), key=lambda each: -each[1])[:5]),
         "pictures": ", ".join(f"{count} {what}" for what, count in sorted(found["pictures"].items())) or "none",
-        "judge": JUDGED,
     }
     for name, each in found["judged"].items():
         off = each["centroid_error_percent"]
