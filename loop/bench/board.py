@@ -58,7 +58,9 @@ class ShownBoard:
         surfaces = bench.world.lit(0.0).surfaces
         row, column = (n // 2 for n in surfaces.object_id.shape)
         if int(surfaces.object_id[row, column]) < 0:
-            raise LuxloopError("board: the camera's middle looks at nothing that it could lie on; turn the camera, or set board.shown = false")
+            raise LuxloopError(
+                "board: the camera's middle looks at nothing that it could lie on; turn the camera, or set board.shown = false"
+            )
         point, normal = (each[:, row, column].double().numpy() for each in (surfaces.position, surfaces.normal))
         turn = T_world_view[:3, :3].T
         return cls(board, bench.lens, _lying(turn @ (point - T_world_view[:3, 3]), turn @ normal, _size_m(board)), paper, room)
@@ -90,7 +92,7 @@ class ShownBoard:
         shown, there = (cv2.warpPerspective(each, homography, size, flags=cv2.INTER_LINEAR) for each in (drawn, 255 * white))
         ink, covered = (cv2.resize(each, (camera.width_px, camera.height_px), interpolation=cv2.INTER_AREA) for each in (shown, there))
         share = (covered.astype(np.float32) * BLACK + ink.astype(np.float32) * (1 - BLACK)) / 255
-        return self.lens.image(self.paper * share + self.room * (1 - covered.astype(np.float32) / 255))
+        return self.lens.image((self.paper * share + self.room * (1 - covered.astype(np.float32) / 255)).astype(np.float32))
 
 
 def held(board: BoardParams, camera: CameraParams, pose: int) -> Floats:
@@ -108,7 +110,7 @@ def held(board: BoardParams, camera: CameraParams, pose: int) -> Floats:
 
 
 def readings(bench: LitBench) -> list[tuple[float, float, float]]:
-    """What a luxmeter shows on the screen at nine places of the light, with all pixels on: lx, and where the camera sees its sensor (u, v) px.
+    """What a luxmeter shows at nine places of the light on the screen, all pixels on: lx, and where the camera sees it (u, v) px.
 
     Raises LuxloopError where the camera sees no light.
     """

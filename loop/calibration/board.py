@@ -98,4 +98,4 @@ def _detected(grey: Image, board: Any, scale: int) -> tuple[Array, Indices]:
     found, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(large)
     if ids is None:
         return np.zeros((0, 1, 2)), np.zeros(0, int)
-    return (found + 0.5) / scale - 0.5, ids.ravel()
+    return (np.asarray(found, float) + 0.5) / scale - 0.5, np.asarray(ids, np.intp).ravel()

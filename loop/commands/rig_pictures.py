@@ -1,7 +1,8 @@
-"""What a calibration needs besides: `luxloop rig take`, pictures of the rig's camera, and `luxloop rig light`, all pixels on for a luxmeter."""
+"""What a calibration needs besides: `luxloop rig take`, pictures of the camera, and `luxloop rig light`, all pixels on for a luxmeter."""
 
 import time
 from pathlib import Path
+from typing import Any
 
 from loop.commands.given import scenario_of
 from loop.commands.rig_runs import Named, await_rig, pixel_grids
@@ -48,7 +49,8 @@ def take(file: Path, /, *, out: Path = Path("boards"), count: int = 20, every_s:
             picture = rig.camera.next(time.monotonic() + CAMERA_S)
             if picture is None:
                 raise LuxloopError(f"camera: {rig.camera.reason}")
-            encoded = cv2.imencode(".png", grey(picture.data))[1].tobytes()
+            codes: Any = grey(picture.data)
+            encoded = cv2.imencode(".png", codes)[1].tobytes()
             path.parent.mkdir(parents=True, exist_ok=True)
             with whole(path) as part:
                 part.write_bytes(encoded)
@@ -95,7 +97,9 @@ def light(
     params = load_rig(file, allow_code=allow_code).model_copy(update={"mark": None})
     grids = pixel_grids(scenario_of(scenario, set, allow_code=allow_code))
     if not arm:
-        print(f"{file}: all {sum(rows * columns for rows, columns in grids):,} pixels would be lit for {seconds:g} s; give --arm to light them")
+        print(
+            f"{file}: all {sum(rows * columns for rows, columns in grids):,} pixels would be lit for {seconds:g} s; give --arm to light them"
+        )
         return
     on = tuple(np.full(grid, level, np.float32) for grid in grids)
     with located(str(file)), opened(params, grids, None, armed=True) as rig, progress("light", max(round(seconds), 1)) as advance:

@@ -1,4 +1,4 @@
-"""The half day of docs/rig.md, word for word, against rig processes: calibrated from nothing, digitised, and a symbol by the digitised lamp."""
+"""The half day of docs/rig.md, word for word, against rig processes: calibration from nothing, a digitised lamp, and a symbol by it."""
 
 import os
 import re
@@ -48,7 +48,7 @@ def test_half_a_day_on_a_rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
                 while "End it" not in (line := rig.stdout.readline()):
                     assert line, command
                 continue
-            if "rig_floor.toml" in command and "[calibration]" not in (file := Path("rig.toml")).read_text():
+            if "luxloop run rig_floor.toml" in command and "[calibration]" not in (file := Path("rig.toml")).read_text():
                 file.write_text(file.read_text() + '\n[calibration]\nfile = "rig.npz"\n')  # as the page says
             done = subprocess.run([*PROGRAM, *arguments], env=environment, capture_output=True, text=True)
             assert done.returncode == 0, f"{command}\n{done.stderr}"
