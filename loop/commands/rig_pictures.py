@@ -97,9 +97,8 @@ def light(
     params = load_rig(file, allow_code=allow_code).model_copy(update={"mark": None})
     grids = pixel_grids(scenario_of(scenario, set, allow_code=allow_code))
     if not arm:
-        print(
-            f"{file}: all {sum(rows * columns for rows, columns in grids):,} pixels would be lit for {seconds:g} s; give --arm to light them"
-        )
+        count = sum(rows * columns for rows, columns in grids)
+        print(f"{file}: all {count:,} pixels would be lit for {seconds:g} s; give --arm to light them")
         return
     on = tuple(np.full(grid, level, np.float32) for grid in grids)
     with located(str(file)), opened(params, grids, None, armed=True) as rig, progress("light", max(round(seconds), 1)) as advance:
@@ -109,6 +108,6 @@ def light(
             given, _ = rig.expose(Shine(number, on), 1.0)
             number += 1
             if given.dimmed < 1:
-                raise LuxloopError(f"limits: let {given.dimmed:.0%} of this light through; give a lower --level, or raise power")
+                raise LuxloopError(f"limits: let {given.dimmed:.0%} of it through; give a lower --level, or raise power")
             advance()
     print("dark again")
