@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import torch
 
+from loop.bench.board import readings
 from loop.bench.camera import BenchCamera, End, Exposed
 from loop.bench.faults import FaultParams
 from loop.bench.light_input import DdpInput
@@ -97,6 +98,9 @@ class Rig:
         lines += [f"camera: http://{host}:{self.pictures.port}{self.pictures.path} ({camera})"]
         if self.bench.world.motion is not STANDING:
             lines += [f"ego:    samples go to udp://{self.ports.ego[0]}:{self.ports.ego[1]} from the first light on"]
+        if self.camera.board is not None:
+            read = " ".join(f"{lux:.5g}@{u:.1f},{v:.1f}" for lux, u, v in readings(self.bench))
+            lines += [f"luxmeter: {read} (lx at px of the camera, all pixels on)"]
         if self.truth is not None:
             lines += [f"truth:  http://{host}:{self.truth.port}/truth (for tests)"]
         return lines

@@ -150,7 +150,7 @@ def _screen(camera: CameraModel, known: Known) -> Pose:
     """T_camera_screen to begin with. Raises LuxloopError where the board does not tell it."""
     if known.board is not None:
         points = np.concatenate([known.board.board, np.zeros((len(known.board.board), 1))], 1)
-        rays = camera.rays(*known.board.pixels.T)[:, :2]
+        rays = np.ascontiguousarray(camera.rays(*known.board.pixels.T)[:, :2])  # as OpenCV takes them
         good, turn, move = cv2.solvePnP(points, rays, np.eye(3), None)
         if not good:
             raise LuxloopError("the board on the screen does not tell where that is; take a sharper picture of it")

@@ -10,6 +10,7 @@ from cyclopts import App
 
 from loop.commands.given import scenario_of
 from loop.commands.rig_calibration import board, calibrate, digitise, fit
+from loop.commands.rig_pictures import light, take
 from loop.commands.rig_runs import blink, check
 from loop.terminal.options import AllowCode, Keys
 from world.errors import LuxloopError
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from loop.bench.camera import End
 
 rig_app = App(name="rig", help="A rig: a real lamp and a real camera in the loop, or a process that stands for both.")
-for command in (check, blink, board, calibrate, digitise, fit):
+for command in (check, light, take, blink, board, calibrate, digitise, fit):
     rig_app.command(command)
 
 
