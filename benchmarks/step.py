@@ -1,8 +1,9 @@
 """How long a control step takes on one core, beside the same step in NumPy, SciPy and pyrender: `python benchmarks/step.py`.
 
-Both close the loop of the shipped scenario `snowflake`, step by step in turn, in one process with one thread, in process time. Each takes
-every step four times and the fastest counts, so that neither pays for what the other left in the caches. Luxloop exposes frames only where
-the symbol is looked for, the baseline whole. Before that, without noise, both must see the same errors.
+Both close the loop of the shipped scenario `snowflake`, step by step in turn, in one process with one thread, in process time; so does
+luxloop with its default controller, whose steps are divided by those of the same loop with `thesis_pid`. Each takes every step four times
+and the fastest counts, so that neither pays for what the other left in the caches. Luxloop exposes frames only where the symbol is looked
+for, the baseline whole. Before that, without noise, both must see the same errors.
 """
 
 import argparse
@@ -37,10 +38,14 @@ QUICK_SIZES = ((320, 180),)
 TAKES = 4
 PARTS = ("render", "light", "luminance", "camera", "perceive", "control")
 WHOLE = "step of a run"
+DEFAULT = "step of a run, default controller"
 PACKAGES = ("torch", "numpy", "scipy", "pyrender")
 CHECKED_STEPS = 4
 TOLERANCE_PX = 0.01  # sums of float32 in another order turn a few of the rounded digital numbers by one
-GOALS = "goals: a step of a run at 640 x 480 at least 24 times as fast as the baseline without rendering, better 40 times"
+GOALS = (
+    "goals: a step of a run at 640 x 480 at least 24 times as fast as the baseline without rendering, better 40 times; "
+    "with the default controller at most 2.5 times as long, better 2 times"
+)
 
 
 class Stopwatch:
@@ -126,17 +131,22 @@ def measure(width: int, height: int, overrides: list[str], repeats: int) -> dict
     simulation = prepared(width, height, [*overrides, "judge_every=0"])
     picture = _picture(simulation)
     baseline = Baseline(simulation, picture)
-    state, running, pids = simulation.start(), simulation.start(), baseline.start
+    default = prepared(width, height, [*overrides, "judge_every=0", "functions.symbol.controller={name='luxloop'}"])
+    state, running, pids, learning = simulation.start(), simulation.start(), baseline.start, default.start()
     laps: dict[str, list[dict[str, float]]] = defaultdict(list)
     for _ in range(repeats):
         laps["numpy"].append(fastest(partial(baseline.step, pids)))
         laps["luxloop"].append(fastest(partial(luxloop_step, simulation, state)))
         laps[WHOLE].append(fastest(partial(whole_step, simulation, running)))
+        laps[DEFAULT].append(fastest(partial(whole_step, default, learning)))
         pids, _ = baseline.step(pids, lambda part: None)
         state, _ = luxloop_step(simulation, state, lambda part: None)
         running = whole_step(simulation, running, lambda part: None)
+        learning = whole_step(default, learning, lambda part: None)
     result: dict[str, Any] = {"width": width, "height": height, "repeats": repeats, "rendered": picture is not None}
-    result[WHOLE] = median(step[WHOLE] for step in laps.pop(WHOLE))
+    for whole in (WHOLE, DEFAULT):
+        result[whole] = median(step[WHOLE] for step in laps.pop(whole))
+    result[f"{DEFAULT}, times thesis_pid"] = result[DEFAULT] / result[WHOLE]
     for name, steps in laps.items():
         result[name] = {part: median(step[part] for step in steps) for part in PARTS}
         result[name]["step"] = median(sum(step.values()) for step in steps)
@@ -165,6 +175,7 @@ def table(result: dict[str, Any]) -> Table:
         ratio = "" if part == "render" else f"{theirs / ours:.0f}"
         rows.append((part, f"{theirs:.1f}", f"{ours:.2f}", ratio))
     rows.append((WHOLE, "", f"{result[WHOLE]:.2f}", f"{result[f'{WHOLE}, ratio']:.0f}"))  # beside the baseline without render
+    rows.append((DEFAULT, "", f"{result[DEFAULT]:.2f}", ""))
     columns = ("ms a step", "NumPy, SciPy, pyrender", "luxloop", "ratio")
     return tables.plain(columns, rows, "lr", title=f"{result['width']} x {result['height']} px")
 
@@ -189,6 +200,7 @@ def main() -> None:
             sys.exit(f"not the same work: at {size[0]} x {size[1]} px the errors differ by {apart:.3g} px, more than {TOLERANCE_PX} px")
         results.append({**measure(*size, arguments.overrides, 2 if arguments.quick else arguments.repeats), "errors differ by px": apart})
         console.print(table(results[-1]))
+        console.print(f"with the default controller a step takes {results[-1][f'{DEFAULT}, times thesis_pid']:.2f} times as long")
         console.print(f"without noise the errors differ by {apart:.1g} px at most")
     console.print(GOALS)
     if arguments.json:

@@ -1,6 +1,7 @@
 """The symbol's appearance: raw moments, five centroids and the four errors (T 9.4.2)."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -13,12 +14,20 @@ class Axes:
     u: Tensor
     v: Tensor
 
+    @cached_property
+    def steps(self) -> tuple[Tensor, Tensor]:
+        """Distance of the columns and of the rows, `[..., 1]` each; zero where there are not two."""
+        return _step(self.u), _step(self.v)
+
 
 def image_axes(height: int, width: int, u_start: int = 0, v_start: int = 0, like: Tensor | None = None) -> Axes:
     """Pixel centres at integer + 0.5 of an image, or of a crop of it that starts at (u_start, v_start)."""
     like = torch.zeros(()) if like is None else like
-    count = torch.arange(max(height, width), dtype=like.dtype, device=like.device) + 0.5
-    return Axes(count[:width] + u_start, count[:height] + v_start)
+
+    def centres(start: int, n: int) -> Tensor:
+        return torch.arange(start + 0.5, start + n, dtype=like.dtype, device=like.device)
+
+    return Axes(centres(u_start, width), centres(v_start, height))
 
 
 @dataclass(frozen=True)
@@ -37,7 +46,7 @@ class Appearance:
 
 def _step(axis: Tensor) -> Tensor:
     """Distance of the pixels of an axis `[..., n]`, `[..., 1]`; zero where there are not two."""
-    return (axis[..., 1:2] - axis[..., :1]).sum(-1, keepdim=True)
+    return axis[..., 1:2] - axis[..., :1] if axis.shape[-1] > 1 else axis.new_zeros(*axis.shape[:-1], 1)
 
 
 def _halves(axis: Tensor, step: Tensor, split: Tensor) -> tuple[Tensor, Tensor]:
@@ -51,8 +60,8 @@ def _halves(axis: Tensor, step: Tensor, split: Tensor) -> tuple[Tensor, Tensor]:
 
 def area(image: Tensor, axes: Axes) -> Tensor:
     """Zeroth moment of a symbol image `[..., h, w]`, in units of the axes squared: `[...]` (T eq. 9.4.1)."""
-    pixel = (_step(axes.u) * _step(axes.v))[..., 0]
-    return image.sum((-2, -1)) * pixel.abs().to(image)
+    step_u, step_v = axes.steps
+    return image.sum((-2, -1)) * (step_u * step_v)[..., 0].abs().to(image)
 
 
 def appearance(image: Tensor, axes: Axes) -> Appearance:
@@ -70,7 +79,7 @@ def appearance(image: Tensor, axes: Axes) -> Appearance:
     mu02 = (rows * dv * dv).sum(-1) / m00
     mu11 = ((image @ du[..., None])[..., 0] * dv).sum(-1) / m00
 
-    step_u, step_v = _step(u), _step(v)
+    step_u, step_v = (step.to(image) for step in axes.steps)
     (across, across_u), (along, along_v) = _halves(u, step_u, cu), _halves(v, step_v, cv)
     across_image = image @ across.transpose(-1, -2)
     q00 = along @ across_image

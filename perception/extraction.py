@@ -155,6 +155,15 @@ def symbol_image(contrast: Tensor, limit: Tensor, params: Extraction) -> Tensor:
     return ((contrast - limit) / torch.maximum(WHOLLY_LIT * brightest - limit, limit / 2)).clamp(0, 1)
 
 
+def symbol_images(a: tuple[Tensor, Tensor], b: tuple[Tensor, Tensor], params: Extraction) -> tuple[Tensor, Tensor]:
+    """Symbol images `[..., h, w]` of two pairs of contrast and threshold, `[..., h, w]` each in cd/m^2, made together where that can be."""
+    if isinstance(params, OwnExtractionParams):
+        return symbol_image(*a, params), symbol_image(*b, params)
+    contrast, limit = (torch.stack(torch.broadcast_tensors(*pair)) for pair in zip(a, b, strict=True))
+    first, second = symbol_image(contrast, limit, params)
+    return first, second
+
+
 def _largest_around(image: Tensor) -> Tensor:
     """Maximum of an image `[..., h, w]` over each pixel's neighbourhood. Doubling windows are far faster than max_pool2d."""
     rows, columns = NEIGHBOURHOOD

@@ -20,6 +20,7 @@ GOLDEN: Final = 0x9E3779B97F4A7C15 - 2**64
 FIRST: Final = 0xBF58476D1CE4E5B9 - 2**64
 SECOND: Final = 0x94D049BB133111EB - 2**64
 PARTS: Final = 2**16
+_30, _27, _31, _FIRST, _SECOND = (np.uint64(each % 2**64) for each in (30, 27, 31, FIRST, SECOND))
 STEP: Final = 2.0**-20  # of tabled numbers: far coarser than errors of the function that gives them, so that they are the same everywhere
 
 
@@ -47,11 +48,31 @@ class FrameNoise:
 
     def part(self, part: Part, like: Tensor) -> Tensor:
         """Standard normal numbers `[height, width]` of a part of the frame, in the dtype and on the device of like."""
+        if like.device.type == "cpu" and like.dtype in (torch.float32, torch.float64):
+            return torch.from_numpy(self._on_host(part, like.dtype))
         bits = self.integers(part, like.device)
         middle, sign, tail = tables(like.dtype, like.device)
         place, further = (each.flatten() for each in (bits >> 16 & PARTS - 1, bits & PARTS - 1))
         drawn = middle.index_select(0, place).addcmul_(sign.index_select(0, place), tail.index_select(0, further))
         return drawn.view_as(bits)
+
+    def _on_host(self, part: Part, dtype: torch.dtype) -> np.ndarray:
+        """The same in NumPy, which takes half the time: shifts without signs, and tails only where there are some."""
+        rows, columns = part
+        height, width, odd = rows.stop - rows.start, columns.stop - columns.start, columns.start % 2
+        mixed = _counted_on_host(rows.start, rows.stop, columns.start // 2, (columns.stop + 1) // 2) + np.uint64(self.key)
+        mixed ^= mixed >> _30
+        mixed *= _FIRST
+        mixed ^= mixed >> _27
+        mixed *= _SECOND
+        mixed ^= mixed >> _31
+        halves = mixed.view(np.uint32)[:, odd : odd + width].ravel()
+        place, further = (halves >> np.uint32(16)).astype(np.intp), halves.astype(np.uint16)
+        middle, sign, tail = (each.numpy() for each in tables(dtype, torch.device("cpu")))
+        drawn: np.ndarray = middle.take(place)
+        ends = np.flatnonzero((place == 0) | (place == PARTS - 1))
+        drawn[ends] = sign[place[ends]] * tail[further[ends]]
+        return drawn.reshape(height, width)
 
 
 @lru_cache(2)  # both frames of a step are read in the same part
@@ -59,6 +80,13 @@ def _counted(top: int, bottom: int, left: int, right: int, device: torch.device)
     """The counter of each pair of pixels, multiplied as SplitMix64 does, `[rows, pairs]` int64."""
     v, u = torch.arange(top, bottom, device=device), torch.arange(left, right, device=device)
     return ((v[:, None] << 32) + u + 1).mul_(GOLDEN)
+
+
+@lru_cache(2)
+def _counted_on_host(top: int, bottom: int, left: int, right: int) -> np.ndarray:
+    """`_counted` in numbers without signs."""
+    v, u = np.arange(top, bottom, dtype=np.uint64), np.arange(left, right, dtype=np.uint64)
+    return ((v[:, None] << np.uint64(32)) + u + np.uint64(1)) * np.uint64(GOLDEN % 2**64)
 
 
 @cache

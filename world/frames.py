@@ -8,16 +8,19 @@ from torch import Tensor
 R_ISO_OPENCV = torch.tensor([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]], dtype=torch.float64)
 
 
-def rotation(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
+def rotation(roll: Tensor, pitch: Tensor, yaw: Tensor | None = None) -> Tensor:
     """Rotation matrix `Rz(yaw) Ry(pitch) Rx(roll)`.
 
-    Parameters: angles in rad, broadcastable `[...]`; positive pitch is nose down (ISO 8855).
+    Parameters: angles in rad, broadcastable `[...]`; positive pitch is nose down (ISO 8855); without yaw it is zero.
     Returns `[..., 3, 3]`.
     """
-    roll, pitch, yaw = torch.broadcast_tensors(roll, pitch, yaw)
+    roll, pitch, *turned = torch.broadcast_tensors(roll, pitch, *([] if yaw is None else [yaw]))
     cr, sr = roll.cos(), roll.sin()
     cp, sp = pitch.cos(), pitch.sin()
-    cy, sy = yaw.cos(), yaw.sin()
+    if not turned:
+        flat = torch.stack([cp, sp * sr, sp * cr, torch.zeros_like(cr), cr, -sr, -sp, cp * sr, cp * cr], -1)
+        return flat.unflatten(-1, (3, 3))
+    cy, sy = turned[0].cos(), turned[0].sin()
     rows = [
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
         [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],

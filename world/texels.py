@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -50,15 +51,19 @@ class TexelGrid:
 
     def tangents(self, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
         """Tangents of the texel centres: y `[cols]` (left positive) and z `[rows]` (up positive); rays are [1, y, z] (T eq. 7.3.1)."""
-        c = (torch.arange(self.cols, dtype=dtype, device=device) + 0.5) / self.cols
-        r = (torch.arange(self.rows, dtype=dtype, device=device) + 0.5) / self.rows
-        return self.left + c * (self.right - self.left), self.top + r * (self.bottom - self.top)
+        return _centres(self.cols, self.left, self.right, dtype, device), _centres(self.rows, self.top, self.bottom, dtype, device)
 
     def view(self, T_world_headlight: Tensor, width: int, height: int) -> View:
         """The light texture as a pinhole view of width x height px, for a shadow map."""
         fx, fy = width / (self.left - self.right), height / (self.top - self.bottom)
         T_headlight_view = pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
         return View(width, height, fx, fy, fx * self.left, fy * self.top, T_world_headlight.double().cpu() @ T_headlight_view)
+
+
+@lru_cache(64)  # every step asks for those of its lamps
+def _centres(n: int, first: float, last: float, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Tangents `[n]` in the middle of n texels between two borders."""
+    return first + (torch.arange(n, dtype=dtype, device=device) + 0.5) / n * (last - first)
 
 
 def bilinear(grid: TexelGrid, row: Tensor, col: Tensor) -> tuple[Tensor, Tensor]:

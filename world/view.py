@@ -2,7 +2,9 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 
@@ -50,3 +52,10 @@ class View:
         u = self.fx * p[..., 0, :] / depth + self.cx
         v = self.fy * p[..., 1, :] / depth + self.cy
         return torch.stack([u, v], -2), depth
+
+    def project_few(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """`project` of points `[3, N]` on the host, without gradients: of a few in a fifth of the time."""
+        T = self.T_world_view.detach().cpu().numpy()
+        x, y, depth = T[:3, :3].T @ (points - T[:3, 3:])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.stack([self.fx * x / depth + self.cx, self.fy * y / depth + self.cy]), depth

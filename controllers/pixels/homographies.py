@@ -26,7 +26,7 @@ class Homographies:
 
     n, uv `[..., P, 2, 3]`: d.n, and twice u d.n and v d.n, with signs such that `qn` = q.n is positive; where it is zero, no ray hits.
     position: `[3]` m, of the headlight in the world. middle: q. normal: as given. mask: whether the primitive is one (zero setpoint of
-    infinite weight). corners: `[..., P, 4, 3]` m. sight: as n and uv, from a ray to the point of the flying symbol in which the observer
+    infinite weight). d1, d2: edges `[..., P, 3]` m. sight: as n and uv, from a ray to the point of the flying symbol in which the observer
     sees its hit; None without observers. Properties that only masks and overlapping primitives need are computed on first use.
     """
 
@@ -38,8 +38,15 @@ class Homographies:
     middle: Tensor
     normal: Tensor
     mask: Tensor
-    corners: Tensor
+    d1: Tensor
+    d2: Tensor
     sight: tuple[Tensor, Tensor] | None
+
+    @cached_property
+    def corners(self) -> Tensor:
+        """`[..., P, 4, 3]` m."""
+        origin = self.middle - (self.d1 + self.d2) / 2
+        return torch.stack([origin, origin + self.d1, origin + self.d2, origin + self.d1 + self.d2], -2).detach()
 
     @cached_property
     def toward(self) -> Tensor:
@@ -91,8 +98,8 @@ def homographies(primitives: Primitives, grid: TexelGrid, T_world_headlight: Ten
     q = origin + (d1 + d2) / 2
     n = torch.linalg.cross(d1, d2)
     qn = (q * n).sum(-1)
-    sign = torch.where(qn < 0, -1.0, 1.0).to(qn)[..., None]
-    n, uv = n * sign, torch.stack([2 * torch.linalg.cross(d2, q) * sign, 2 * torch.linalg.cross(q, d1) * sign], -2)
+    sign = torch.ones_like(qn).copysign(qn.detach())[..., None]
+    n, uv = n * sign, torch.stack([torch.linalg.cross(d2, q), torch.linalg.cross(q, d1)], -2) * (2 * sign[..., None])
     edge_on = (qn == 0)[..., None]  # or without area: no ray hits it
     n, uv = torch.where(edge_on, n.new_tensor([-1.0, 0.0, 0.0]), n), uv.masked_fill(edge_on[..., None], 0.0)
     qn = torch.where(edge_on[..., 0], 1.0, qn.abs())
@@ -101,5 +108,4 @@ def homographies(primitives: Primitives, grid: TexelGrid, T_world_headlight: Ten
         across, *edges = sight((who.eye - position) @ R, (who.origin - position) @ R, who.d1 @ R, who.d2 @ R, n, qn)
         eyes = (across, torch.stack(edges, -2))
     mask = (primitives.value == 0) & primitives.weight.isinf()
-    corners = torch.stack([origin, origin + d1, origin + d2, origin + d1 + d2], -2).detach()
-    return Homographies(grid, position, n, uv, qn, q, normal, mask, corners, eyes)
+    return Homographies(grid, position, n, uv, qn, q, normal, mask, d1, d2, eyes)

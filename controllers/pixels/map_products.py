@@ -44,7 +44,7 @@ def _pieces(asked: Setpoints | Casting) -> Iterator[_Piece]:
         yield _Piece(asked.window, None, asked.value, asked.finite, asked.forced, 1 - asked.cover, in_cd, relative)
         return
     weights = asked.primitives.weight.tolist() if None not in asked.is_mask else []
-    for stroke in asked.strokes():
+    for stroke in asked.strokes(in_parts=True):
         finite: Image = stroke.finite
         forced: Image = stroke.forced
         if weights and not stroke.finite.requires_grad:  # a number saves a pass over the window

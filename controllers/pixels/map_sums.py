@@ -6,6 +6,7 @@ from torch import Tensor
 
 from controllers.pixels.pixel_major import PixelMajor
 from controllers.pixels.windows import Window
+from world.spmv import span_of
 from world.texels import TexelGrid
 
 MOST = 0.7  # share of all pixels from which on a part of the matrix costs more than it saves
@@ -42,14 +43,15 @@ class Band:
             return cls(slice(0, 0), slice(0, 0))
         if (w.row_start, w.row_stop) == (0, grid.rows):
             return cls(slice(0, grid.n_pixels), slice(0, grid.rows))
-        first = min(int(pixels.pixel_first[w.row_start : w.row_stop].min()), grid.n_pixels)
-        band = slice(first, max(int(pixels.pixel_last[w.row_start : w.row_stop].max()) + 1, first))
+        low, high = span_of(pixels.pixel_first, pixels.pixel_last, slice(w.row_start, w.row_stop))
+        first = min(low, grid.n_pixels)
+        band = slice(first, max(high + 1, first))
         if band.stop - band.start > MOST * grid.n_pixels:
             return cls(slice(0, grid.n_pixels), slice(0, grid.rows))
         if band.stop == band.start:
             return cls(band, slice(w.row_start, w.row_stop))
-        low = min(int(pixels.row_first[band].min()), w.row_start)
-        return cls(band, slice(low, max(int(pixels.row_last[band].max()) + 1, w.row_stop)))
+        low, high = span_of(pixels.row_first, pixels.row_last, band)
+        return cls(band, slice(min(low, w.row_start), max(high + 1, w.row_stop)))
 
     def blank(self, like: Tensor, batch: tuple[int, ...], grid: TexelGrid, filled: float) -> Tensor:
         """An image `[..., rows, cols]` of the texture, filled in the band's rows; the other rows are undefined and never read."""

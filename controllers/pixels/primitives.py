@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
@@ -78,6 +79,10 @@ class Primitives:
 
     def corners(self) -> Tensor:
         """The four corners, `[..., P, 4, 3]` m."""
+        return self._corners
+
+    @cached_property
+    def _corners(self) -> Tensor:
         return torch.stack([self.origin, self.origin + self.d1, self.origin + self.d2, self.origin + self.d1 + self.d2], -2)
 
     def select(self, mask: Tensor) -> "Primitives":
@@ -143,7 +148,7 @@ def rectangle(
     symbol = torch.ones(1, 1) if symbol is None else symbol
     if symbol.shape[:-2] not in ((), (2,)) or symbol.ndim < 2 or not symbol.numel():
         raise LuxloopError(f"a primitive's symbol is an image [rows, columns], or two with its opacity, not of shape {list(symbol.shape)}")
-    if (not isinstance(weight, Tensor) or weight.device.type == "cpu") and not bool((torch.as_tensor(weight) >= 0).all()):
+    if not (weight >= 0 if not isinstance(weight, Tensor) else weight.device.type != "cpu" or bool((weight >= 0).all())):
         raise LuxloopError("a primitive's weight is below zero or not a number; give 0 to infinity")
     like = next((each for each in (origin, d1, d2) if isinstance(each, Tensor)), torch.empty(0))
     vectors = (
@@ -228,7 +233,7 @@ def road_symbol(pose: Tensor, z_m: float, width_m: float, length_m: float, symbo
     `[h, w]` in 0..1. value, quantity: as for `rectangle`. Returns Primitives with P = 1; raises LuxloopError as `rectangle` does.
     """
     pose = pose[..., None, :]
-    R = rotation(pose[..., 2], pose[..., 3], torch.zeros_like(pose[..., 3]))
+    R = rotation(pose[..., 2], pose[..., 3])
     centre = torch.cat([pose[..., :2], torch.full_like(pose[..., :1], z_m)], -1)
     forward, left, up = R.unbind(-1)
     d1, d2 = -width_m * left, -length_m * forward

@@ -6,7 +6,7 @@ as much as sums, so hits are images of zeros and ones, and painting is blending.
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
 
@@ -17,13 +17,14 @@ from torch.nn.functional import grid_sample
 from controllers.pixels.homographies import Homographies, homographies
 from controllers.pixels.primitives import E_V, HEAVIEST, U_ABS, U_REL, Primitives
 from controllers.pixels.secondary import SecondaryRays
-from controllers.pixels.windows import NOWHERE, SLACK, Window, union, whole
+from controllers.pixels.windows import NOWHERE, SLACK, Window, banded, union, whole
 from world.errors import LuxloopError
 from world.kept import keeping
 from world.texels import TexelGrid
 
 PARALLEL = 1e-6  # tolerance of the cosine between a given normal and that of the edges
 GRAZING = 1e-12  # least d.n for sampling a symbol, m^2: every hit has more, and samples of other rays stay finite
+LARGE, WORTH = 2**15, 0.75  # texels of a window that may be cast in parts, and most of them that these may hold together
 OPAQUE = 0.5  # least opacity that stops a ray
 
 
@@ -88,7 +89,7 @@ def paint_classes(primitives: Primitives) -> list[list[int]]:
 
 def masks(primitives: Primitives) -> list[bool]:
     """Which primitives of a single scene are masks: zero setpoint of infinite weight."""
-    return [value == 0 and weight == torch.inf for value, weight in zip(primitives.value.tolist(), primitives.weight.tolist(), strict=True)]
+    return [value == 0 and weight == math.inf for value, weight in zip(primitives.value.tolist(), primitives.weight.tolist(), strict=True)]
 
 
 def trace(
@@ -162,8 +163,8 @@ class Casting:
         front, is_mask = (nobody, nobody) if windows is None else (_from_the_front(seen), [*masks(primitives)])
         windows = [whole(grid)] * len(primitives) if windows is None else windows
         windows = [NOWHERE if seen_from is False else window for window, seen_from in zip(windows, front, strict=True)]
-        infinite = primitives.weight.isinf()
-        unit, finite = known and bool(((primitives.weight == 1) | infinite).all()), known and not bool(infinite.any())
+        weights = set(primitives.weight.flatten().tolist()) if known else {math.nan}
+        unit, finite = weights <= {1.0, math.inf}, known and math.inf not in weights
         of_each = (tuple(windows), union(windows), tuple(is_mask), tuple(front))
         return cls(primitives, grid, T_world_headlight, secondary, seen, *of_each, unit, finite)
 
@@ -188,11 +189,23 @@ class Casting:
         w, origin = self.window, self.primitives.origin
         return origin.new_full((*origin.shape[:-2], max(w.row_stop - w.row_start, 0), max(w.col_stop - w.col_start, 0)), filled)
 
-    def strokes(self) -> Iterator[Stroke]:
-        """The primitives in painting order."""
+    def _parts(self, p: int) -> list[Window]:
+        """The window of the p-th primitive in parts, where these spare enough rays to be worth their operations."""
+        window, batched = self.windows[p], self.primitives.origin.ndim > 2
+        if batched or self.is_mask[p] is not False or window.texels < LARGE:
+            return [window]
+        only = slice(p, p + 1)
+        one = replace(self.primitives, origin=self.primitives.origin[only], d1=self.primitives.d1[only], d2=self.primitives.d2[only])
+        (parts,) = banded(one, self.grid, self.T_world_headlight, [window])
+        return parts if sum(part.texels for part in parts) < WORTH * window.texels else [window]
+
+    def strokes(self, in_parts: bool = False) -> Iterator[Stroke]:
+        """The primitives in painting order; in_parts: a large one may be several strokes, which together hold all rays that hit it."""
         weight, windows = self.primitives.weight[..., None, None], self.windows  # [..., P, 1, 1]
-        infinite = weight.isinf()
-        finite, forced = torch.where(infinite, 0.0, weight.clamp(max=HEAVIEST)), infinite.to(weight)
+        finite, forced = weight, torch.zeros_like(weight)
+        if not (self.unit and self.finite):
+            infinite = weight.isinf()
+            finite, forced = torch.where(infinite, 0.0, weight.clamp(max=HEAVIEST)), infinite.to(weight)
         rays = _Rays(self.seen, *self.grid.tangents(weight.dtype, weight.device), any(mask is not False for mask in self.is_mask))
         nearest: Tensor | None = None  # 1/x of a class's nearest hits, rounded down, [..., rows, cols]
         for painted in paint_classes(self.primitives):
@@ -206,16 +219,17 @@ class Casting:
             for p in painted:
                 if windows[p].empty:
                     continue
-                hit = _hit(rays, self.seen, p, self.is_mask[p], self.front[p], windows[p])
-                if not self.is_mask[p] and self.primitives.image_of(p).ndim == 3:
-                    hit = hit * _opaque(p, rays, self.primitives, self.seen, windows[p])
-                if rivals[p] and nearest is not None:
-                    hit = _won(hit, rays, self.seen, p, self.is_mask[p], windows[p], nearest[(..., *windows[p].within(self.window))])
-                value = _setpoint(p, hit, rays, self.primitives, self.seen, windows[p])
-                if self.secondary is not None and not self.is_mask[p] and self.secondary.ask(self.primitives, p):
-                    points = _points(rays, self.seen, p, windows[p], self.T_world_headlight)
-                    value = self.secondary.adjusted(expanded(value, hit), points, hit > 0, self.primitives, p)
-                yield Stroke(windows[p], hit, value, finite[..., p, :, :], forced[..., p, :, :], int(self.primitives.quantity[p]), p)
+                for window in self._parts(p) if in_parts else [windows[p]]:
+                    hit = _hit(rays, self.seen, p, self.is_mask[p], self.front[p], window)
+                    if not self.is_mask[p] and self.primitives.image_of(p).ndim == 3:
+                        hit = hit * _opaque(p, rays, self.primitives, self.seen, window)
+                    if rivals[p] and nearest is not None:
+                        hit = _won(hit, rays, self.seen, p, self.is_mask[p], window, nearest[(..., *window.within(self.window))])
+                    value = _setpoint(p, hit, rays, self.primitives, self.seen, window)
+                    if self.secondary is not None and not self.is_mask[p] and self.secondary.ask(self.primitives, p):
+                        points = _points(rays, self.seen, p, window, self.T_world_headlight)
+                        value = self.secondary.adjusted(expanded(value, hit), points, hit > 0, self.primitives, p)
+                    yield Stroke(window, hit, value, finite[..., p, :, :], forced[..., p, :, :], int(self.primitives.quantity[p]), p)
 
     def setpoints(self) -> Setpoints:
         """The setpoints after all strokes."""

@@ -15,6 +15,8 @@ from world.texels import TexelGrid
 
 NEAREST_M = 1e-3  # distance ahead of the photometric centre at which primitives that reach behind the lamp are clipped
 SLACK = 0.01  # texels, margin for rounding
+BANDS = 4  # of rows: what lies beside a slanting outline need not be computed
+BANDS_SLACK = 0.05  # texels, margin for rounding
 Point = tuple[float, float, float]
 
 
@@ -31,6 +33,11 @@ class Window:
     def slices(self) -> tuple[slice, slice]:
         """Row and column slices of a light texture."""
         return slice(self.row_start, self.row_stop), slice(self.col_start, self.col_stop)
+
+    @property
+    def texels(self) -> int:
+        """How many it holds, if it is not empty."""
+        return (self.row_stop - self.row_start) * (self.col_stop - self.col_start)
 
     @property
     def empty(self) -> bool:
@@ -119,3 +126,45 @@ def _before_the_lamp(outline: list[Point]) -> list[Point]:
             t = (NEAREST_M - p[0]) / (q[0] - p[0])
             kept.append((NEAREST_M, p[1] + t * (q[1] - p[1]), p[2] + t * (q[2] - p[2])))
     return kept
+
+
+def banded(primitives: Primitives, grid: TexelGrid, T_world_headlight: Tensor, windows: Sequence[Window]) -> list[list[Window]]:
+    """The window of each primitive of a single scene in a few bands of rows, each as wide as its outline there."""
+    corners = primitives.corners().detach() - T_world_headlight[:3, 3].to(primitives.origin)
+    corners = corners @ T_world_headlight[:3, :3].to(primitives.origin)
+    return [_bands_of(outline, window, grid) for outline, window in zip(corners.tolist(), windows, strict=True)]
+
+
+def _bands_of(corners: list[list[float]], window: Window, grid: TexelGrid) -> list[Window]:
+    if window.empty:
+        return []
+    if min(x for x, _, _ in corners) < NEAREST_M:
+        return [window]
+    a, b, c, d = (
+        ((grid.top - z / x) / (grid.top - grid.bottom) * grid.rows - 0.5, (grid.left - y / x) / (grid.left - grid.right) * grid.cols - 0.5)
+        for x, y, z in corners
+    )  # row and column, whole at texels' centres
+    edges, found = ((a, b), (b, d), (d, c), (c, a)), []
+    height = -(-(window.row_stop - window.row_start) // BANDS)
+    for top in range(window.row_start, window.row_stop, height):
+        bottom = min(top + height, window.row_stop)
+        across = [at for edge in edges for at in _columns(*edge, top - BANDS_SLACK, bottom - 1 + BANDS_SLACK)]
+        if across:
+            left, right = (
+                max(math.ceil(min(across) - BANDS_SLACK), window.col_start),
+                min(math.floor(max(across) + BANDS_SLACK) + 1, window.col_stop),
+            )
+            if left < right:
+                found.append(Window(top, bottom, left, right))
+    return found
+
+
+def _columns(p: tuple[float, float], q: tuple[float, float], top: float, bottom: float) -> list[float]:
+    """Columns of the ends of the part of an edge that lies between two rows."""
+    (r0, c0), (r1, c1) = sorted((p, q))
+    if r1 < top or r0 > bottom:
+        return []
+    if r1 == r0:
+        return [c0, c1]
+    slope = (c1 - c0) / (r1 - r0)
+    return [c0 + slope * (min(max(r, top), bottom) - r0) for r in (r0, r1)]

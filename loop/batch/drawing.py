@@ -1,6 +1,5 @@
 """One symbol drawn many times by a module: on a window of its light texture, and on the pixels and part of the image that this reaches."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -13,15 +12,12 @@ from controllers.pixels.primitives import U_ABS, Primitives
 from controllers.pixels.rthc import GRAZING, Casting
 from controllers.pixels.ssc import Ssc
 from controllers.pixels.windowed import WindowedSsc
-from controllers.pixels.windows import NEAREST_M, Window
+from controllers.pixels.windows import Window, banded
 from perception.extraction import Crop
 from world.light.illumination import Transport
 from world.spmv import Csr, multiply, numbers, row_of_entries
-from world.texels import TexelGrid
 
 AROUND_TEXELS = 32  # by which a window that is kept reaches beyond what was asked for, since poses move on
-BANDS = 4  # of rows: what lies beside a slanting outline need not be computed
-SLACK = 0.05  # texels, margin for rounding
 
 
 def casting(controller: Ssc, primitives: Primitives, T_world_headlight: Tensor) -> Casting:
@@ -107,7 +103,7 @@ def _sampled(drawn: WindowedSsc, rays: Casting) -> Iterator[Tensor]:
     rows, cols = products[:, :, 0] + products[:, :, 2] * z, products[:, :, 1] * y  # [B, 3, R], [B, 3, C]
     symbol, value = primitives.image_of(0)[None, None], float(primitives.value[0])  # the same of all
     image = drawn.ssc.default.new_zeros(*(each.stop - each.start for each in window.slices))
-    for k, bands in enumerate(_bands(rays)):
+    for k, bands in enumerate(banded(primitives, grid, rays.T_world_headlight, rays.windows)):
         for band in bands:
             r, c = band.slices
             rays_ = rows[k, :, r, None] + cols[k, :, None, c]  # [3, rows, cols]
@@ -120,42 +116,3 @@ def _sampled(drawn: WindowedSsc, rays: Casting) -> Iterator[Tensor]:
         yield image
         for band in bands:
             image[band.within(window)].zero_()
-
-
-def _bands(rays: Casting) -> list[list[Window]]:
-    """The window of each primitive in BANDS of rows, each as wide as its outline there."""
-    T, grid = rays.T_world_headlight, rays.grid
-    corners = (rays.primitives.corners() - T[:3, 3].to(rays.primitives.origin)) @ T[:3, :3].to(rays.primitives.origin)
-    return [_of_one(outline, window, grid) for outline, window in zip(corners.tolist(), rays.windows, strict=True)]
-
-
-def _of_one(corners: list[list[float]], window: Window, grid: TexelGrid) -> list[Window]:
-    if window.empty:
-        return []
-    if min(x for x, _, _ in corners) < NEAREST_M:
-        return [window]
-    a, b, c, d = (
-        ((grid.top - z / x) / (grid.top - grid.bottom) * grid.rows - 0.5, (grid.left - y / x) / (grid.left - grid.right) * grid.cols - 0.5)
-        for x, y, z in corners
-    )  # row and column, whole at texels' centres
-    edges, found = ((a, b), (b, d), (d, c), (c, a)), []
-    height = -(-(window.row_stop - window.row_start) // BANDS)
-    for top in range(window.row_start, window.row_stop, height):
-        bottom = min(top + height, window.row_stop)
-        across = [at for edge in edges for at in _columns(*edge, top - SLACK, bottom - 1 + SLACK)]
-        if across:
-            left, right = max(math.ceil(min(across) - SLACK), window.col_start), min(math.floor(max(across) + SLACK) + 1, window.col_stop)
-            if left < right:
-                found.append(Window(top, bottom, left, right))
-    return found
-
-
-def _columns(p: tuple[float, float], q: tuple[float, float], top: float, bottom: float) -> list[float]:
-    """Columns of the ends of the part of an edge that lies between two rows."""
-    (r0, c0), (r1, c1) = sorted((p, q))
-    if r1 < top or r0 > bottom:
-        return []
-    if r1 == r0:
-        return [c0, c1]
-    slope = (c1 - c0) / (r1 - r0)
-    return [c0 + slope * (min(max(r, top), bottom) - r0) for r in (r0, r1)]

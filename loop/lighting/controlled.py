@@ -181,8 +181,11 @@ class ControlledSymbol:
         """Before anything is seen."""
         return HeldState(self.controller.start(self.function.start_pose.pose.to(self.projector.target)))
 
-    def command(self, projection: ProjectionCommand, T_ground_body: Tensor) -> tuple[Primitives, ...]:
-        """What a projection asks of the modules, in the ground frame; nothing of one that is all pixels."""
+    def command(self, projection: ProjectionCommand, T_ground_body: Tensor | None) -> tuple[Primitives, ...]:
+        """What a projection asks of the modules, in the ground frame; nothing of one that is all pixels.
+
+        T_ground_body: `[4, 4]`, None of a body that stands level.
+        """
         if projection.raw is not None:
             return ()
         function, parts = self.function, []
@@ -195,7 +198,7 @@ class ControlledSymbol:
                 modules=((module.name,),),
                 shared=torch.zeros_like(primitive.shared),
             )
-            parts.append(drawn.moved(T_ground_body))
+            parts.append(drawn if T_ground_body is None else drawn.moved(T_ground_body))
         return (concatenate(*parts),)
 
     def light(self, on: Sequence[Utilisation], off: Sequence[Utilisation]) -> tuple[Utilisation, ...]:

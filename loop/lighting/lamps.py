@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -30,7 +30,7 @@ from world.lampfiles.utilisations import RawUtilisation, read_sequence
 
 @dataclass(frozen=True, eq=False)
 class ShiningModule(MountedModule):
-    """A module with its pixel controller. flux: `[n_p]` lm at full utilisation, which stands for power as well.
+    """A module with its pixel controller. flux: `[n_p]` lm at full utilisation, which stands for power as well; flux_lm: of all its pixels.
 
     beams: the base beams that the scenario may ask for, by name; empty where the module shows raw utilisations. intensity: its maximum
     now, as a share.
@@ -38,6 +38,7 @@ class ShiningModule(MountedModule):
 
     controller: PixelController
     flux: Tensor
+    flux_lm: float
     beams: Mapping[str, Morphing]
     raw: RawUtilisation | None = None
     intensity: float = 1.0
@@ -45,11 +46,6 @@ class ShiningModule(MountedModule):
     def under(self, command: ModuleCommand) -> "ShiningModule":
         """The module as it is commanded."""
         return replace(self, T_world_module=command.turned(self.T_world_module), intensity=command.intensity)
-
-    @cached_property
-    def flux_lm(self) -> float:
-        """Of all its pixels."""
-        return float(self.flux.sum())
 
     def beam(self, name: str) -> Tensor:
         """Utilisation `[n_p]` of a beam of the lamp. Raises LuxloopError where it has none of that name."""
@@ -129,7 +125,7 @@ def _shining(scenario: Scenario, mount: MountedModule, made: Made) -> ShiningMod
 
     def module() -> ShiningModule:
         where = mount.T_world_module, mount.swivel_deg, mount.level_deg
-        return ShiningModule(mount.side, mount.lamp, mount.number, light, *where, controller, flux, beams, raw)
+        return ShiningModule(mount.side, mount.lamp, mount.number, light, *where, controller, flux, float(flux.sum()), beams, raw)
 
     return made(f"{name}: module", (mount, controller, flux, beams, raw), module)
 

@@ -336,7 +336,7 @@ class Simulation:
         commands = {}
         for name, projection in projections.items():
             with located(f"functions.{name}"):
-                commands[name] = shown[name].command(projection, attitude(ego))
+                commands[name] = shown[name].command(projection, None if ego is None else attitude(ego))
         return projections, self.planner.drawn(now, state.functions) | commands
 
     def at(self, step: int) -> StepResult:

@@ -340,11 +340,12 @@ class World:
 
         @lru_cache(maxsize=KEPT_VIEWS * len(modules))
         def turned(number: int, command: ModuleCommand) -> LightTransport:
-            headlight, T_body_headlight = modules[number].headlight, command.turned(modules[number].T_world_headlight)
+            module = modules[number]
+            headlight, T_body_headlight = module.headlight, command.turned(module.T_world_headlight)
             T_world_headlight = T_world_body.to(T_body_headlight) @ T_body_headlight
             if direct:
                 cast = shadows(*T_world_headlight[:3, 3].tolist())
-                return DirectTransport(surfaces, headlight, T_world_headlight, cast, view.width, samples)
+                return DirectTransport(surfaces, headlight, T_world_headlight, cast, view.width, samples, module.measured)
             return transport(reach(surfaces, headlight, T_world_headlight, triangles), headlight, view.width, samples)
 
         def transported(number: int, command: ModuleCommand) -> LightTransport:

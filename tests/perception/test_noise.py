@@ -9,7 +9,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from perception.noise import GOLDEN, FrameNoise
+from perception.noise import GOLDEN, PARTS, FrameNoise, tables
 
 HEIGHT, WIDTH = 1000, 1000
 N = HEIGHT * WIDTH
@@ -48,6 +48,16 @@ def test_a_part_has_the_bits_of_the_whole(top: int, left: int, height: int, widt
     part = slice(top, top + height), slice(left, left + width)
     noise, like = FrameNoise.of(3, 5, 1), torch.empty(0)
     assert torch.equal(noise.part(part, like), noise.part((slice(0, HEIGHT), slice(0, WIDTH)), like)[part])
+
+
+def test_the_hosts_form_has_the_bits_of_the_table() -> None:
+    """In a part with both tails: one pixel in 32,768 lies in them."""
+    noise, part = FrameNoise.of(2, 7, 0), (slice(3, 700), slice(5, 1000))
+    middle, sign, tail = tables(torch.float32, torch.device("cpu"))
+    bits = noise.integers(part).long()
+    place, further = bits >> 16 & PARTS - 1, bits & PARTS - 1
+    assert {0, PARTS - 1} <= set(place.flatten().tolist())
+    assert torch.equal(noise.part(part, torch.empty(0)), middle[place] + sign[place] * tail[further])
 
 
 def test_devices_and_types_give_the_same_numbers(device: torch.device) -> None:

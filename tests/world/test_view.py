@@ -40,3 +40,10 @@ def test_depth_tells_what_lies_behind(device: torch.device) -> None:
     assert uv.shape == (2, 2, 1)
     assert depth.tolist() == [[-1.0], [-1.0]]
     assert (depth.dtype, depth.device.type) == (torch.float32, device.type)
+
+
+def test_a_few_points_are_projected_as_many() -> None:
+    points = torch.rand(3, 9, dtype=torch.float64) * 10 - 3
+    (uv, depth), few = view().project(points), view().project_few(points.numpy())
+    np.testing.assert_allclose(few[0], uv, rtol=1e-12)
+    np.testing.assert_allclose(few[1], depth, rtol=1e-12, atol=1e-12)

@@ -17,7 +17,7 @@ from world.materials.brdf import luminance_factor
 from world.rendering.gbuffer import GBuffer
 from world.rendering.raycast import sees
 from world.scene.triangles import Triangles
-from world.spmv import Csr, multiply, numbers, row_of_entries, segment_bounds
+from world.spmv import Csr, multiply, numbers, row_of_entries, segment_bounds, span_of
 from world.texels import bilinear
 
 
@@ -119,7 +119,8 @@ class Transport:
             return utilisation.new_zeros(*utilisation.shape[:-1], 0), self.index[:0]
         start, stop = (0, self.matrix.n_rows) if within is None else self._rows(within)
         if band is not None:
-            start, stop = max(start, int(self.first[band].min())), min(stop, int(self.last[band].max()) + 1)
+            low, high = span_of(self.first, self.last, band)
+            start, stop = max(start, low), min(stop, high + 1)
         start = min(start, self.matrix.n_rows)
         stop = max(start, stop)
         return multiply(self.matrix.band(start, stop), utilisation), self.index[start:stop]
@@ -155,6 +156,14 @@ def transport(surface: LitSurface, headlight: Headlight, width: int, oversamplin
     return Transport(matrix, torch.from_numpy(index).to(device), first, last)
 
 
+class TextureSource(Protocol):
+    """What makes a module's light texture of its utilisation: its headlight matrix, or a lamp elsewhere whose light was measured."""
+
+    def light_texture(self, utilisation: Tensor, band: slice | None = None) -> Tensor:
+        """Luminous intensity `[..., rows, cols]` in cd of a utilisation `[..., n_p]` in 0..1; band: as of `Headlight.light_texture`."""
+        ...
+
+
 class Shadows:
     """Which points `[3, N]` m a lamp at `[3]` m lights past all triangles: a ray is cast to each when it is first asked for."""
 
@@ -177,6 +186,7 @@ class DirectTransport:
     illuminance is asked for.
 
     gbuffer: with `oversampling` rows for each of the image. shadows: from where the headlight is, on all of it. width: of the image in px.
+    measured: what makes light textures on the headlight's texels in place of its matrix, None for the matrix.
     """
 
     gbuffer: GBuffer
@@ -185,6 +195,7 @@ class DirectTransport:
     shadows: Shadows
     width: int
     oversampling: int = 1
+    measured: TextureSource | None = None
 
     @cached_property
     def surface(self) -> LitSurface:
@@ -197,8 +208,9 @@ class DirectTransport:
         utilisation: `[..., n_p]`. band: all pixels outside of it are dark.
         Shadows are looked for only where the light texture is not dark, and everywhere if it has a gradient.
         """
-        texture = self.headlight.light_texture(utilisation, band)
-        surface = self.surface if band is None or texture.requires_grad else self._reached(texture, self.headlight.rows_of(band))
+        texture = (self.measured or self.headlight).light_texture(utilisation, band)
+        everywhere = band is None or self.measured is not None or texture.requires_grad
+        surface = self.surface if everywhere else self._reached(texture, self.headlight.rows_of(band))
         lx = illuminance(surface, texture)
         lit = torch.arange(len(surface.index), device=lx.device)
         if not lx.requires_grad:

@@ -23,7 +23,6 @@ from world.frames import pose, rotation
 from world.kept import keeping
 from world.params import Params
 from world.roads.base import Floats, Road, smoothstep
-from world.scene.filters import discrete, filtered
 
 COLUMNS: Final = (
     *("x_m", "y_m", "yaw_rad", "speed_m_s", "yaw_rate_rad_s", "acceleration_m_s2", "lateral_m_s2", "ground_m", "slope_rad"),
@@ -348,19 +347,31 @@ class _Mode:
     def follows(self, base: Floats, known: Floats | None) -> Floats:
         """Its place where its other ends move as `base` `[N]`."""
         omega = 2 * math.pi * self.rate_hz
-        return self._filtered((2 * self.damping * omega, omega**2), base, known)
+        return self._filtered([2 * self.damping * omega, omega**2], base, known)
 
     def answers(self, base: Floats, load: Floats, known: Floats | None) -> Floats:
         """The same, and a load `[N]` that deflects it by its own value in the end; both add up."""
         omega = 2 * math.pi * self.rate_hz
-        return self.follows(base, known) + self._filtered((0.0, omega**2), load, None if known is None else 0 * known)
+        return self.follows(base, known) + self._filtered([omega**2], load, None if known is None else 0 * known)
 
-    def _filtered(self, numerator: tuple[float, float], values: Floats, known: Floats | None) -> Floats:
+    def _filtered(self, numerator: list[float], values: Floats, known: Floats | None) -> Floats:
+        from scipy.signal import lfilter, lfilter_zi, lfiltic  # takes a fifth of a command's start, and only vehicles that move need it
+
         omega = 2 * math.pi * self.rate_hz
-        return filtered(*_filter(numerator, (2 * self.damping * omega, omega**2), self.dt), values, known)
+        b, a = _filter(tuple(numerator), (1.0, 2 * self.damping * omega, omega**2), self.dt)
+        if known is None:
+            return np.asarray(lfilter(b, a, values, zi=lfilter_zi(b, a) * values[0])[0], np.float64)
+        went_on = lfilter(b, a, values[2:], zi=lfiltic(b, a, known[::-1], values[1::-1]))[0]
+        return np.concatenate([known, np.asarray(went_on, np.float64)])
 
 
-_filter = lru_cache(maxsize=16)(discrete)
+@lru_cache(maxsize=16)
+def _filter(numerator: tuple[float, ...], denominator: tuple[float, ...], dt: float) -> tuple[Floats, Floats]:
+    """Coefficients of a linear system whose input changes linearly from value to value."""
+    from scipy.signal import cont2discrete
+
+    b, a, _ = cont2discrete((numerator, denominator), dt, method="foh")
+    return np.ravel(b), a
 
 
 def _integral(values: Floats, dt: float) -> Floats:

@@ -6,7 +6,7 @@ on such products.
 """
 
 from world.spmv.auto import fastest
-from world.spmv.csr import Csr, multiply, numbers, row_of_entries, segment_bounds
+from world.spmv.csr import Csr, multiply, numbers, row_of_entries, segment_bounds, span_of
 from world.spmv.formats import FORMATS, build
 from world.spmv.graph import CapturedProduct
 from world.spmv.incremental import Bands, ChangedPixels
@@ -26,4 +26,5 @@ __all__ = [
     "numbers",
     "row_of_entries",
     "segment_bounds",
+    "span_of",
 ]

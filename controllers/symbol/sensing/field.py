@@ -19,6 +19,8 @@ def cut(projector: Projector, projection: ProjectionCommand) -> Tensor:
     it is furthest beyond. NaN where no symbol is drawn.
     """
     projection = projector.on_road(projection)
+    if projection.raw is None and _wholly_lit(projector, projection):
+        return projector.symbol.new_zeros(*projection.pose.shape[:-1], len(SIDES))
     rows, cols = (n // EVERY for n in CELLS)
     v, u = ((torch.arange(n).to(projector.symbol) + 0.5) / n for n in (rows, cols))
     rectangle = projector.rectangle(projection)
@@ -32,11 +34,16 @@ def cut(projector: Projector, projection: ProjectionCommand) -> Tensor:
     return lost.sum((-2, -1)) / white.sum()
 
 
+def _wholly_lit(projector: Projector, projection: ProjectionCommand) -> bool:
+    """Whether one module's field holds the corners of all symbols; false on a device, which would have to be waited for."""
+    corners = projector.rectangle(projection).corners()[..., 0, :, :].mT[..., None]  # [..., 3, 4, 1]
+    return corners.device.type == "cpu" and any(bool((beyond(module, corners) <= 0).all()) for module in projector.modules)
+
+
 def beyond(module: DrawingModule, places: Tensor) -> Tensor:
     """How far places `[..., 3, rows, cols]` m lie beyond the four borders of a module's field `[..., 4, rows, cols]` m, negative within."""
-    light, T = module.pixel_controller.headlight, module.T_world_headlight.to(places)
-    x, y, z = torch.einsum("ji,...jrc->...irc", T[:3, :3], places - T[:3, 3, None, None]).unbind(-3)
-    return torch.stack([y - light.left * x, light.right * x - y, z - light.top * x, light.bottom * x - z], -3)
+    normals, offsets = module.borders.to(places).split([3, 1], 1)
+    return (normals @ places.flatten(-2) + offsets).unflatten(-1, places.shape[-2:])
 
 
 def _white(symbol: Tensor, projection: ProjectionCommand, rows: int, cols: int) -> Tensor:

@@ -47,17 +47,19 @@ class Eye:
 
     def look(self, symbol: Tensor, crop: Crop) -> Appearance:
         """Appearance of a symbol image `[..., h, w]` that was cut from the camera's image at crop."""
-        return appearance(*self._in_axes(symbol, crop))
+        return appearance(self._seen(symbol, crop), self._axes(symbol, crop))
 
-    def area(self, symbol: Tensor, crop: Crop) -> Tensor:
-        """The appearance's area alone, `[...]`."""
-        return area(*self._in_axes(symbol, crop))
+    def look_beside(self, symbol: Tensor, expected: Tensor, crop: Crop) -> tuple[Appearance, Tensor]:
+        """The same, and the area `[...]` of another symbol image `[..., h, w]` that is expected there."""
+        axes = self._axes(symbol, crop)
+        return appearance(self._seen(symbol, crop), axes), area(self._seen(expected, crop), axes)
 
-    def _in_axes(self, symbol: Tensor, crop: Crop) -> tuple[Tensor, Axes]:
-        if self.plane is None:
-            height, width = symbol.shape[-2:]
-            return symbol, image_axes(height, width, crop.u_start, crop.v_start, symbol)
-        return rectify(self.plane, symbol, crop.u_start, crop.v_start), self.plane.axes
+    def _seen(self, symbol: Tensor, crop: Crop) -> Tensor:
+        return symbol if self.plane is None else rectify(self.plane, symbol, crop.u_start, crop.v_start)
+
+    def _axes(self, symbol: Tensor, crop: Crop) -> Axes:
+        height, width = symbol.shape[-2:]
+        return image_axes(height, width, crop.u_start, crop.v_start, symbol) if self.plane is None else self.plane.axes
 
     def features(self, seen: Appearance) -> Tensor:
         """Features `[..., 4]`: centre u, centre v, roll, pitch."""
@@ -90,10 +92,14 @@ class FlatModel:
     def _without_beams(self) -> Tensor:
         return -self.beams
 
+    def contrast(self, lights: Sequence[Utilisation], crop: Crop) -> tuple[Tensor, Tensor]:
+        """Luminance `[..., h, w]` that the lamps add to their base beams, and the threshold `[h, w]` there, in cd/m^2."""
+        rows, columns = crop.slices
+        return self.luminance(lights, rows)[..., columns], self.limit[crop.slices]
+
     def symbol(self, lights: Sequence[Utilisation], crop: Crop) -> Tensor:
         """Symbol image `[..., h, w]` that extraction would find without noise."""
-        rows, columns = crop.slices
-        return symbol_image(self.luminance(lights, rows)[..., columns], self.limit[crop.slices], self.params)
+        return symbol_image(*self.contrast(lights, crop), self.params)
 
 
 def flat_model(

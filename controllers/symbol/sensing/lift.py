@@ -51,7 +51,7 @@ def _rectangle(projection: ProjectionCommand) -> Tensor:
     """Pose `[4, 4]` of a projection's rectangle."""
     x, y, roll, pitch = projection.pose
     z = torch.zeros_like(x) if projection.z is None else projection.z
-    return pose(torch.stack([x, y, z]), rotation(roll, pitch, torch.zeros_like(x)))
+    return pose(torch.stack([x, y, z]), rotation(roll, pitch))
 
 
 def _crossed(origin: Tensor, points: Tensor) -> Tensor:

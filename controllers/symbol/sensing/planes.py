@@ -15,7 +15,7 @@ MARGIN = 0.1  # of the length and width of the light, by which a rectangle is la
 def inclined(at: Tensor, slope_x: Tensor, slope_y: Tensor) -> Tensor:
     """Pose `[..., 4, 4]` of a plane through places `[..., 3]` m that rises by slopes `[...]` along x and y; its x axis points along x."""
     pitch = -slope_x.atan()
-    return pose(at, rotation((slope_y * pitch.cos()).atan(), pitch, torch.zeros_like(pitch)))
+    return pose(at, rotation((slope_y * pitch.cos()).atan(), pitch))
 
 
 def touching(at: Tensor, slope_x: Tensor, slope_y: Tensor, x_m: float, y_m: float) -> Tensor:

@@ -6,7 +6,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, Self
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from torch import Tensor
 
@@ -72,6 +74,14 @@ class DrawingModule:
     name: str
     pixel_controller: PixelController
     T_world_headlight: Tensor
+
+    @cached_property
+    def borders(self) -> Tensor:
+        """Planes `[4, 4]` through the left, right, top and bottom borders of its field: normals outwards, and their distances in m."""
+        light, T = self.pixel_controller.headlight, self.T_world_headlight.double()
+        sides = [[-light.left, 1, 0], [light.right, -1, 0], [-light.top, 0, 1], [light.bottom, 0, -1]]
+        normals = T.new_tensor(sides) @ T[:3, :3].T
+        return torch.cat([normals, -normals @ T[:3, 3:]], 1)
 
 
 @dataclass(frozen=True)
@@ -183,37 +193,37 @@ class Projector:
         """
         uv, there = self._ends(projection, view, margin_m, shape)
         uv = uv[:, there]
-        if not uv.shape[1]:
-            return NOWHERE
-        low, high = uv.aminmax(dim=1)
-        return _crop(low.tolist(), high.tolist(), view)
+        return _crop(uv.min(1), uv.max(1), view) if uv.shape[1] else NOWHERE
 
     def footprints(self, projection: ProjectionCommand, view: View, margin_m: float) -> list[Crop]:
         """The footprint of each projection of a batch `[B]`, for the plane z = 0."""
         uv, there = self._ends(projection, view, margin_m, None)
-        uv, there = (each.unflatten(-1, (-1, CORNERS)) for each in (uv, there))  # [2, n, B, 4], [n, B, 4]
-        low, high = (each.T.tolist() for each in (uv.where(there, torch.inf).amin((1, 3)), uv.where(there, -torch.inf).amax((1, 3))))
-        seen = there.any(-1).any(0).tolist()
+        uv, there = uv.reshape(*uv.shape[:-1], -1, CORNERS), there.reshape(len(there), -1, CORNERS)  # [2, n, B, 4], [n, B, 4]
+        low, high = np.where(there, uv, np.inf).min((1, 3)).T, np.where(there, uv, -np.inf).max((1, 3)).T
+        seen: list[bool] = np.any(there, (0, 2)).tolist()
         return [_crop(*ends, view) if some else NOWHERE for ends, some in zip(zip(low, high, strict=True), seen, strict=True)]
 
-    def _ends(self, projection: ProjectionCommand, view: View, margin_m: float, shape: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Image coordinates `[2, n, N]` px where light to N corners ends, n times each, and whether they lie ahead `[n, N]` bool."""
-        corners = self.rectangle(projection).corners().detach().reshape(-1, 3).T.cpu().double()
-        origins = torch.stack([module.T_world_headlight[:3, 3:] for module in self.modules]).to(corners)
-        rays = corners - origins
-        heights = corners.new_tensor([-margin_m, margin_m])[:, None, None]
+    def _ends(
+        self, projection: ProjectionCommand, view: View, margin_m: float, shape: Tensor | None
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Image coordinates `[2, n, N]` px where light to N corners ends, n times each, and whether they lie ahead `[n, N]`."""
+        corners = self.rectangle(projection).corners().detach().reshape(-1, 3).T.cpu().double().numpy()
+        origins = np.stack([module.T_world_headlight[:3, 3:].double().cpu().numpy() for module in self.modules])
+        rays, heights = corners - origins, np.array([-margin_m, margin_m])  # [m, 3, N], [2]
         if shape is None:
-            reach = (heights - origins[:, 2]) / rays[:, 2]  # [2, m, N]
-            reach = torch.where((rays[:, 2] < 0) & (reach > 0), reach, torch.inf)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                reach = (heights[:, None, None] - origins[:, 2]) / rays[:, 2]  # [2, m, N]
+            reach = np.where((rays[:, 2] < 0) & (reach > 0), reach, np.inf)
         else:
-            bounds = shape.detach().to(corners) + torch.nn.functional.pad(heights[:, 0], (0, 3))
-            reach = torch.stack([reached(bounds, self.params.x_m, *each) for each in zip(origins[..., 0], rays, strict=True)], 1)
-        ends = origins + rays * reach.minimum(200 / rays.norm(dim=1))[:, :, None]  # [2, m, 3, N]
-        uv, depth = view.project(ends.movedim(2, 0).reshape(3, -1))
-        return uv.view(2, -1, corners.shape[1]), (depth > AHEAD_M).view(-1, corners.shape[1])
+            bounds = shape.detach().cpu().double() + torch.nn.functional.pad(torch.from_numpy(heights)[:, None], (0, 3))
+            both = zip(torch.from_numpy(origins[..., 0]), torch.from_numpy(rays), strict=True)
+            reach = torch.stack([reached(bounds, self.params.x_m, *each) for each in both], 1).numpy()
+        ends = origins + rays * np.minimum(reach, 200 / np.linalg.norm(rays, axis=1))[:, :, None]  # [2, m, 3, N]
+        uv, depth = view.project_few(np.moveaxis(ends, 2, 0).reshape(3, -1))
+        return uv.reshape(2, -1, corners.shape[1]), (depth > AHEAD_M).reshape(-1, corners.shape[1])
 
 
-def _crop(low: Sequence[float], high: Sequence[float], view: View) -> Crop:
+def _crop(low: Iterable[float], high: Iterable[float], view: View) -> Crop:
     """All pixels from (u, v) to (u, v) px within an image."""
     whole = (view.width, view.height)
     u0, v0 = (min(max(math.floor(end), 0), n) for end, n in zip(low, whole, strict=True))

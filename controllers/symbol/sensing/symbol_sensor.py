@@ -14,7 +14,7 @@ from controllers.symbol.sensing.projection import ProjectionCommand
 from controllers.symbol.sensing.projector import Projector
 from perception.appearance import Appearance, errors
 from perception.camera import CameraParams
-from perception.extraction import Crop, Extraction, Loss, difference, gate, symbol_image, threshold
+from perception.extraction import Crop, Extraction, Loss, difference, gate, symbol_image, symbol_images, threshold
 
 LIT = 0.5  # of a pixel, that counts as the symbol's
 ENDS = 0.1  # of a footprint's rows, at its near and its far end
@@ -108,7 +108,7 @@ class SymbolSensor:
         if crop.v_stop - crop.v_start < 2 or crop.u_stop - crop.u_start < 2:
             return replace(self.lost(projection.pose, Loss.NOTHING), shape=shape)
         on, off = (frame[..., *crop.slices] for frame in frames)
-        seen = self.compare(on, off, self.model.symbol(lights, crop), crop)
+        seen = self.compare(on, off, self.model.contrast(lights, crop), crop)
         if shape is None:
             return seen
         area, expected = seen.symbol.sum((-2, -1)), self.acquisition.area(shape, self.projector.textures(lights))
@@ -120,14 +120,13 @@ class SymbolSensor:
         top, bottom = (bool((end > LIT).any()) for end in (seen.symbol[:rows], seen.symbol[-rows:]))
         return (top and seen.crop.v_start > 0) or (bottom and seen.crop.v_stop < self.model.eye.view.height)
 
-    def compare(self, on: Tensor, off: Tensor, expected_symbol: Tensor, crop: Crop) -> Measurement:
-        """Look at frames `[..., h, w]` (digital numbers) cut at crop, beside the symbol image that the flat road would show there."""
-        contrast, limit = difference(on, off, self.camera), threshold(off, self.camera, self.params)
-        symbol = symbol_image(contrast, limit, self.params)
-        seen = self.model.eye.look(symbol, crop)
-        expected = self.model.eye.area(expected_symbol, crop)
+    def compare(self, on: Tensor, off: Tensor, expected: tuple[Tensor, Tensor], crop: Crop) -> Measurement:
+        """Look at frames `[..., h, w]` (digital numbers) cut at crop, beside the contrast and threshold of the flat road's light there."""
+        found = difference(on, off, self.camera), threshold(off, self.camera, self.params)
+        symbol, expected_symbol = symbol_images(found, expected, self.params)
+        seen, area = self.model.eye.look_beside(symbol, expected_symbol, crop)
         error = errors(self.model.eye.features(seen), self.model.target)
-        return Measurement(gate(seen.area, expected, self.params), error, self.pose_error(error), seen.area / expected, seen, symbol, crop)
+        return Measurement(gate(seen.area, area, self.params), error, self.pose_error(error), seen.area / area, seen, symbol, crop)
 
     def pose_error(self, error: Tensor) -> Tensor:
         """Errors of features `[..., 4]` in m and rad of x, y, roll, pitch."""

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from controllers.pixels.primitives import Primitives, concatenate, rectangle, road_symbol
-from controllers.pixels.rthc import Setpoints, trace
+from controllers.pixels.rthc import Casting, Setpoints, trace
 from controllers.pixels.windows import NOWHERE, Window, projected_windows, whole
 from tests.reference import ssc as reference
 from world.frames import pose_from_degrees
@@ -272,6 +272,19 @@ def test_projected_window_holds_every_hit(pose: tuple[float, float, float, float
         assert banded.window == window
         assert torch.equal(banded.hit, hit)
         torch.testing.assert_close(banded.value, value, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("roll", [-0.03, 0.05])
+def test_parts_of_a_primitive_hold_all_of_its_rays(roll: float) -> None:
+    grid = idealised(200, 320)  # 512,000 texels
+    one = road_symbol(torch.tensor([17.0, -2.5, roll, 0.0]), 0.0, 2.0, 9.0, torch.rand(8, 8), 1.0, "u_abs")
+    casting = Casting.prepare(one, grid, T_LEFT, projected_windows(one, grid, T_LEFT))
+    (whole_stroke,), parts = casting.strokes(), list(casting.strokes(in_parts=True))
+    image = torch.zeros_like(whole_stroke.hit)
+    for part in parts:
+        image[part.window.within(casting.window)] = part.hit * part.value
+    assert torch.equal(image, whole_stroke.hit * whole_stroke.value)
+    assert len(parts) > 1, "it slants, as seen from beside"
 
 
 def test_window_is_tight_and_cut_where_it_reaches_behind() -> None:

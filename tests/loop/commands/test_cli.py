@@ -128,7 +128,7 @@ def test_lists_that_need_no_model_import_no_torch() -> None:
         (["new", "my.toml"], ("numpy", "torch", "pydantic")),
         (["check", "snowflak"], ("numpy", "torch", "pydantic")),
         (["check", "snowflake"], LOOKING),
-        (["check", "driving"], LOOKING),  # whose vehicle moves on its springs
+        (["check", "driving"], [each for each in LOOKING if "scipy" not in each]),  # whose vehicle moves on filters of SciPy
     ],
     ids=" ".join,
 )
