@@ -6,6 +6,6 @@ What it offers to `luxloop` and the command line: `run.run` and `run.prepare`; t
 on `jobs`; `evaluation` of pixel controllers, `training` of detectors, a `dataset` for those of others, `beams` found for a detector;
 `contracts`, checks of what users write; `pictures`, and what to `export`; the `studio` in the browser, and `client`, for other programs;
 `remote`, another simulator as the plant; `rig`, a real lamp and camera as a plant; `wire`, the bytes between a loop and a rig, `bench`, a
-simulated rig as a process of its own, and `calibration` of a rig;
+simulated rig as a process of its own, `calibration` of a rig, and `live`, the beam of its lamp as light of the simulated world;
 `commands` and their `terminal`.
 """

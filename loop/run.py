@@ -22,6 +22,7 @@ from loop.lighting.record import refuse_unknown_columns, row
 from loop.lighting.recorder import Recorder, refuse_foreign
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
+from loop.plant.digitised import DigitisedPlant, needs_rig
 from loop.plant.protocol import Plant
 from loop.recording.checks import Checks
 from loop.recording.files import REPORT, TRAJECTORY, VIDEO
@@ -159,6 +160,9 @@ def check(scenario: Scenario, device: str = "auto") -> dict[str, Any]:
     most light on objects there (None where none is in sight), and `known`, whether the plant knows the truth.
     """
     simulation = prepare(scenario, device)
+    notes = [*unmoved(scenario), *chain.from_iterable(_cut(name, each) for name, each in simulation.controlled.items())]
+    if isinstance(waiting := simulation.plant, DigitisedPlant):
+        simulation, notes = replace(simulation, plant=waiting.night), [needs_rig(waiting.key), *notes]
     return {
         "steps": scenario.steps,
         "road": scenario.road.kind,
@@ -168,7 +172,7 @@ def check(scenario: Scenario, device: str = "auto") -> dict[str, Any]:
         "controllers": {name: each.params.name for name, each in simulation.controlled.items()},
         "objects": len(scenario.all_objects),
         "detector": None if scenario.detector is None else scenario.detector.kind,
-        "notes": [*unmoved(scenario), *chain.from_iterable(_cut(name, each) for name, each in simulation.controlled.items())],
+        "notes": notes,
     }
 
 

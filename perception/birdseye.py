@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from kornia.geometry.transform import remap
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, pad
 
 from perception.appearance import Axes
+from world.resampling import resampled
 from world.view import View
 
 NOWHERE_PX = -1e6
@@ -109,5 +109,5 @@ def rectify(view: BirdsEye, image: Tensor, u_start: int = 0, v_start: int = 0) -
     height, width = flat.shape[-2:]
     u = (2 * (view.map_u.to(image) - u_start + half) / width - 1)[None].expand(flat.shape[0], -1, -1)
     v = (2 * (view.map_v.to(image) - v_start) / height - 1)[None].expand(flat.shape[0], -1, -1)
-    plane = remap(flat, u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)
+    plane = resampled(flat, u, v)
     return plane.reshape(*image.shape[:-2], *plane.shape[-2:])

@@ -12,7 +12,6 @@ from typing import Any, Literal
 
 import torch
 from pydantic import Field
-from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 from torch.nn.functional import one_hot
 
@@ -143,6 +142,8 @@ class Tracker:
         """Indices `[k]` of tracks and `[k]` of the detections assigned to them."""
         if not len(tracks) or not len(found):
             return torch.zeros(0, dtype=torch.int64), torch.zeros(0, dtype=torch.int64)
+        from scipy.optimize import linear_sum_assignment
+
         expected, px = self.whole(tracks), self._px(tracks)[:, None]
         boxes = uncut(found.boxes[None], expected[:, None], self.view.width)
         off = _foot(completed(boxes, expected[:, None])) - tracks.mean[:, None, :, 0]

@@ -10,6 +10,7 @@ import shlex
 import subprocess
 import sys
 import tomllib
+from collections.abc import Collection
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,7 @@ EXEMPT = {
     r"python game_engine\.py\b|luxloop run (.*plant\.kind=remote|runs/engine)\b": "needs two programs at once, and has a test of its own",
     r"luxloop rig (calibrate|digitise|fit)\b": "takes minutes, and has tests of its own",
     r"luxloop rig simulate\b": "serves until it is ended, and has tests of its own",
-    r"luxloop (rig (check|blink)|run .*--rig)\b": "needs a rig; tests/loop/rig/test_page.py runs these with one",
+    r"luxloop (rig (check|blink|take|light)|run .*--rig)\b": "needs a rig; tests/loop/rig/test_page.py, test_chain.py have one",
     r"luxloop studio\b": "serves until it is ended, and has tests in a browser",
     r"luxloop run .*--checks": "holds for all steps of a run, and has a test of its own",
     r"luxloop (evaluate|campaign|dataset|optimise-beam|train-detector)\b": "takes minutes, and has tests of its own",
@@ -118,11 +119,12 @@ def recording_of(command: str) -> str:
     return out[1] if out else f"runs/{Path(command.split()[2]).stem}"
 
 
-def runs_in_a_page(marks: Any) -> list[Any]:
-    return [pytest.param(*each.values, id=each.id, marks=() if each.id in FULLY_RUN else marks) for each in with_blocks("sh")]
+def run_slowly(language: str, fast: Collection[str] = FULLY_RUN) -> list[Any]:
+    """Pages with blocks of a language, of which but a few run in the slow tests alone."""
+    return [pytest.param(*each.values, id=each.id, marks=() if each.id in fast else pytest.mark.slow) for each in with_blocks(language)]
 
 
-@pytest.mark.parametrize("page", runs_in_a_page(pytest.mark.slow))
+@pytest.mark.parametrize("page", run_slowly("sh"))
 def test_commands_run_in_the_order_in_which_they_are_read(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for command in commands(page):
@@ -152,7 +154,7 @@ def test_commands_on_measured_roads_run(page: Path, data_dir: Path, tmp_path: Pa
             execute(command)
 
 
-@pytest.mark.parametrize("page", with_blocks("python"))
+@pytest.mark.parametrize("page", run_slowly("python", ("README", "light", "python")))
 def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     code = "\n".join(blocks(page, "python"))

@@ -27,7 +27,7 @@ PlainName = Annotated[str, AfterValidator(_plain), WithJsonSchema({"type": "stri
 class Params(BaseModel):
     """A frozen, validated value; unknown keys and non-finite numbers are errors. SI units, degrees only where a name ends in `_deg`."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True, defer_build=True)
 
     @field_validator("*")
     @classmethod

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Final
 
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from world.budget import afford
@@ -19,6 +18,8 @@ TYPES: Final = (pa.int64(), pa.float64(), pa.bool_(), pa.string())
 
 def read_parquet(file: Path) -> pa.Table:
     """Read a recording's table of steps. Raises LuxloopError where it is missing or damaged."""
+    import pyarrow.compute as pc
+
     if not os.path.isfile(file):
         raise LuxloopError(f"{file}: is missing, no step was recorded; record the run again")
     with reading(file, "damaged, not readable as Parquet", "record the run again"):

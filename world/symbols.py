@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-import av
 import cv2
 import numpy as np
 import resvg_py
@@ -127,6 +126,8 @@ def _sequence(folder: Path) -> Tensor:
 
 def video(path: Path, largest_px: int | None = DRAWN_PX) -> tuple[Tensor, float]:
     """All frames of a video `[n, h, w]` uint8, shrunk to a largest side unless that is None, and their rate in Hz."""
+    import av
+
     frames: list[Tensor] = []
     sound = reading(path, "is no video that can be read", "convert it to H.264 in an .mp4 file")
     with sound, av.open(str(path), options=CONTAINERS) as container:

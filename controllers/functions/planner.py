@@ -132,7 +132,8 @@ class Planner:
         Raises pydantic's ValidationError for a bad table, and LuxloopError that names the key of a bad symbol or of a user-defined function
         that cannot be made.
         """
-        ordered, symbols = TypeAdapter(Functions).validate_python(functions), dict[str, SymbolSource]()
+        valid = all(isinstance(each, Params) for each in functions.values())
+        ordered, symbols = in_order(functions) if valid else TypeAdapter(Functions).validate_python(functions), dict[str, SymbolSource]()
         made: dict[str, LightingFunction | AdaptiveFunction] = {}
         for name, function in ordered.items():
             with located(f"functions.{name}"):

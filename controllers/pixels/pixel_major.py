@@ -14,7 +14,7 @@ from world.headlight import Headlight
 from world.spmv import Csr, row_of_entries, segment_bounds
 
 LEAST = 1e-16  # of a pixel's greatest I_m^a_r: smaller weights vanish in sums, but a mask must act wherever there is any light
-Reduce = Callable[[Tensor, str], Tensor]  # values `[nnz]` of entries, and sum, amin or amax
+Reduce = Callable[[Tensor, str], Tensor]  # values `[nnz]` of entries, not below zero, and sum or amax
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
     pixel, texel, I_m = row_of_entries(entries), entries.indices.long(), entries.values
 
     def of_pixels(values: Tensor, reduction: str) -> Tensor:
-        return values.new_zeros(headlight.n_pixels).scatter_reduce(0, pixel, values, reduction, include_self=False)
+        return torch.segment_reduce(values, reduction.removeprefix("a"), offsets=entries.indptr, initial=0)  # 0 of a pixel without any
 
     def of_texels(values: Tensor, reduction: str) -> Tensor:
         return values.new_zeros(entries.n_cols).scatter_reduce(0, texel, values, reduction, include_self=False)

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import torch
-from kornia.filters import gaussian_blur2d
 from torch import Tensor
 
 from controllers.pixels.pixel_major import PixelMajor
@@ -42,6 +41,8 @@ def sharpened(setpoints: Setpoints, pixels: PixelMajor, strength: float, dark: b
     Darkness is the relative difference of a setpoint in cd to the greatest one in the window. Rays without a hit are dark if the base
     pattern is.
     """
+    from kornia.filters import gaussian_blur2d
+
     grid, w = pixels.grid, setpoints.window
     total = pixels.total.view(grid.rows, grid.cols)[w.slices]
     in_cd = setpoints.portion(setpoints.in_cd, I_V, E_V)

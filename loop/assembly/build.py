@@ -15,13 +15,13 @@ from loop.scenario.shipped import named
 from world.errors import located
 from world.materials.spots import SpottedTexture
 from world.roads.base import Road
-from world.roads.mesh import road_mesh
 from world.roads.scan import OpenCrgRoad
 from world.scene.body import Body
 from world.scene.figure import Figure
 from world.scene.road_patches import RoadPatches
 from world.scene.road_tiles import AROUND_M, SIGHT_M, RoadTiles
-from world.scene.scene import Scene
+from world.scene.scene import Ground, Scene
+from world.scene.standing_road import StandingRoad
 from world.scene.vehicle import STANDING, Motion, drive
 from world.traffic.objects import ObjectParams
 
@@ -48,9 +48,9 @@ def build_scene(scenario: Scenario, motion: Motion = STANDING, made: Made | None
     texture = made("texture", (surface, spots), lambda: SpottedTexture(surface, spots) if spots else surface.texture())
     objects = tuple(made(f"object {item.name}", (item, road), partial(_built, item, road)) for item in scenario.all_objects)
     sight_m = SIGHT_M if scenario.traffic is None else max(SIGHT_M, scenario.traffic.sight_m + AROUND_M)
-    ground: Body | RoadTiles | RoadPatches
+    ground: Ground
     if motion is STANDING:
-        ground = made("ground", (road, texture), lambda: Body("road", road_mesh(road), surface.albedo, texture, smooth=True))
+        ground = made("ground", (road, texture), lambda: StandingRoad(road, surface.albedo, texture))
     elif vehicle is not None and vehicle.roams:
         ground = made("ground", (road, texture, sight_m), lambda: RoadPatches(road, surface.albedo, texture, sight_m=sight_m))
     else:

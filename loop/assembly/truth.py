@@ -14,15 +14,20 @@ from perception.camera import CameraParams
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
 from world.headlight import Headlight
+from world.light.illumination import TextureSource
 
 
 @dataclass(frozen=True, eq=False)
 class LampModule:
-    """A module as it shines. T_world_headlight: `[4, 4]`, where the vehicle stands at its start."""
+    """A module as it shines. T_world_headlight: `[4, 4]`, where the vehicle stands at its start.
+
+    measured: where its light textures come from if not from the headlight's matrix.
+    """
 
     name: str
     headlight: Headlight
     T_world_headlight: Tensor
+    measured: TextureSource | None = None
 
 
 def true_camera(scenario: Scenario) -> CameraParams:

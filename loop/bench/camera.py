@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from loop.bench.board import ShownBoard
 from loop.bench.faults import CameraErrorParams, FaultParams, FlickerParams
 from loop.bench.lens import Image
 from loop.bench.scene import LitBench, sensor_of
@@ -64,6 +65,7 @@ class BenchCamera:
         self.sensor = sensor_of(bench.camera, faults.camera.gamma)
         if faults.camera.encoding == "jpeg" and self.sensor.bits > 8:
             raise LuxloopError(f"camera.encoding: JPEG has 8 bits and the camera {self.sensor.bits}; set camera.bits=8 in the scenario")
+        self.board = ShownBoard.of(faults.board, bench) if faults.board.shown else None
         self.exposures = self.skipped = self.lost = 0
         self._random, self._send, self._open = random.Random(faults.seed + 1), send, True
         self._unsent: queue.Queue[tuple[float, Part, Exposed] | None] = queue.Queue(UNSENT)
@@ -103,7 +105,8 @@ class BenchCamera:
         begun_s = self.timeline.begun_s
         drive_s = 0.0 if begun_s is None else max(from_s + self.window_s / 2 - begun_s, 0.0)
         starts_s = from_s + self.faults.camera.readout_s * (np.arange(self.bench.lens.height) / self.bench.lens.height)
-        luminance = self.luminance(segments, starts_s, drive_s)
+        shown = None if self.board is None or any(each.light for each in segments) else self.board.at(from_s, self.timeline.heard_s)
+        luminance = self.luminance(segments, starts_s, drive_s) if shown is None else shown
         codes = digitised(luminance, self.sensor, self.faults, number)
         part = encoded(codes, self.sensor.bits, self.faults.camera)
         lit = dict.fromkeys(code for each in segments for code in ((None,) if each.light is None else each.light.timecodes))

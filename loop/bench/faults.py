@@ -99,6 +99,15 @@ class FlickerParams(Params):
     rate_hz: float = Field(100.0, gt=0, le=1000, description="frequency, twice that of the mains")
 
 
+class ShownBoardParams(Params):
+    """A ChArUco board that somebody shows to the camera in room light, while nobody sends light."""
+
+    shown: bool = Field(False, description="whether there is one")
+    columns: int = Field(8, ge=3, le=30, description="squares in a row")
+    rows: int = Field(11, ge=3, le=30, description="squares in a column")
+    square_mm: float = Field(23.0, gt=1, le=500, description="side of a square")
+
+
 class FaultParams(Params):
     """All that is wrong with a rig; without it, it is the scenario's."""
 
@@ -108,6 +117,7 @@ class FaultParams(Params):
     lens: LensParams = Field(LensParams(), description="distortion and errors of the lens")
     camera: CameraErrorParams = Field(CameraErrorParams(), description="shutter, response, delay and loss")
     flicker: FlickerParams = Field(FlickerParams(), description="flicker of the ambient light")
+    board: ShownBoardParams = Field(ShownBoardParams(), description="no fault: a board to calibrate the lens with")
     seed: int = Field(0, ge=0, lt=2**63, description="seed of losses, jitter and faulty pixels")
 
 

@@ -4,7 +4,7 @@ import random
 import socket
 import threading
 import time
-from typing import Final
+from typing import Final, NamedTuple
 
 from loop.bench.faults import LightInputParams
 from loop.bench.timeline import Timeline
@@ -14,6 +14,14 @@ from world.errors import LuxloopError
 
 BUFFER_BYTES: Final = 2**22  # of the socket; systems may give less
 LOOK_S: Final = 0.2  # between two looks at whether the end has come
+
+
+class Counts(NamedTuple):
+    """Frames of light that were shown, that lacked packets, and what was refused."""
+
+    frames: int = 0
+    incomplete: int = 0
+    refused: int = 0
 
 
 class DdpInput:
@@ -34,9 +42,19 @@ class DdpInput:
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
         self._socket.settimeout(min(LOOK_S, params.timeout_ms / 1000))
         self.port: int = self._socket.getsockname()[1]
-        self.assembler, self.frames, self._open = Assembler(pixels, params.mixed), 0, True
+        self._where, self._assembler = f"udp://{host}:{self.port} (DDP)", Assembler(pixels, params.mixed)
+        self._frames, self._open = 0, True
         self._thread = threading.Thread(target=self._receive, name="light", daemon=True)
         self._thread.start()
+
+    @property
+    def where(self) -> str:
+        """From where the light comes, in words."""
+        return self._where
+
+    def counts(self) -> Counts:
+        """What has come so far."""
+        return Counts(self._frames, self._assembler.incomplete, self._assembler.refused)
 
     def close(self) -> None:
         """Stop to listen."""
@@ -52,13 +70,13 @@ class DdpInput:
                 size = self._socket.recv_into(buffer)
             except TimeoutError:
                 if time.monotonic() - heard_s >= self._params.timeout_ms / 1000:
-                    self.assembler.forget()  # the next sender may begin with any time code
+                    self._assembler.forget()  # the next sender may begin with any time code
                 continue
             except OSError:
                 continue  # the system tells of a sender that has gone
             heard_s = time.monotonic()
             if loss and self._random.random() < loss:
                 continue
-            if (light := self.assembler.take(view[:size])) is not None:
-                self.frames += 1
+            if (light := self._assembler.take(view[:size])) is not None:
+                self._frames += 1
                 self._timeline.show(light)

@@ -11,10 +11,12 @@ import cv2
 import numpy as np
 import torch
 
+from loop.bench.board import readings
 from loop.bench.camera import BenchCamera, End, Exposed
 from loop.bench.faults import FaultParams
 from loop.bench.light_input import DdpInput
 from loop.bench.scene import LitBench
+from loop.bench.screen_input import ScreenInput
 from loop.bench.sensors import SensorSender
 from loop.bench.timeline import Timeline
 from loop.bench.truth import TruthServer
@@ -29,13 +31,17 @@ SWITCH_S: Final = 0.0005  # after which a thread that waits for Python gets it, 
 
 @dataclass(frozen=True)
 class Ports:
-    """Where a rig listens, 0 for a free port, and the address to which it sends the sensors' samples. truth: None for no truth."""
+    """Where a rig listens, 0 for a free port, and the address to which it sends the sensors' samples.
+
+    truth: None for no truth. screen: address of a loop's page, from which light comes in place of the network.
+    """
 
     host: str = "127.0.0.1"
     light: int = 4048
     camera: int = 8080
     truth: int | None = 8081
     ego: tuple[str, int] = ("127.0.0.1", 4049)
+    screen: tuple[str, int] | None = None
 
 
 class Rig:
@@ -54,8 +60,7 @@ class Rig:
 
             self.pictures: PictureServer = open_(PictureServer(ports.host, ports.camera))
             self.camera: BenchCamera = open_(BenchCamera(self.bench, self.timeline, faults, self._send))
-            address = ports.host, ports.light
-            self.light: DdpInput = open_(DdpInput(self.timeline, self.bench.pixels, faults.light, address, faults.seed))
+            self.light: DdpInput | ScreenInput = open_(self._input())
             self.truth: TruthServer | None = None
             if ports.truth is not None:
                 self.truth = open_(TruthServer(ports.host, ports.truth, self._state, self.description()))
@@ -89,10 +94,13 @@ class Rig:
         host, lens, modules = self.ports.host, self.bench.lens, self.bench.modules
         shown = ", ".join(f"{each.name} {each.headlight.pixel_rows} x {each.headlight.pixel_cols}" for each in modules)
         camera = f"{lens.width} x {lens.height} px, {self.bench.camera.bits} bits"
-        lines = [f"light:  udp://{host}:{self.light.port} (DDP, {self.bench.pixels:,} pixels: {shown})"]
+        lines = [f"light:  {self.light.where}, {self.bench.pixels:,} pixels: {shown}"]
         lines += [f"camera: http://{host}:{self.pictures.port}{self.pictures.path} ({camera})"]
         if self.bench.world.motion is not STANDING:
             lines += [f"ego:    samples go to udp://{self.ports.ego[0]}:{self.ports.ego[1]} from the first light on"]
+        if self.camera.board is not None:
+            read = " ".join(f"{lux:.5g}@{u:.1f},{v:.1f}" for lux, u, v in readings(self.bench))
+            lines += [f"luxmeter: {read} (lx at px of the camera, all pixels on)"]
         if self.truth is not None:
             lines += [f"truth:  http://{host}:{self.truth.port}/truth (for tests)"]
         return lines
@@ -113,11 +121,18 @@ class Rig:
         ]
         return {"scenario": self.scenario.name, "camera": camera, "modules": modules, "faults": self.faults.model_dump(mode="json")}
 
+    def _input(self) -> DdpInput | ScreenInput:
+        if self.ports.screen is None:
+            address = self.ports.host, self.ports.light
+            return DdpInput(self.timeline, self.bench.pixels, self.faults.light, address, self.faults.seed)
+        grids = [(each.headlight.pixel_rows, each.headlight.pixel_cols) for each in self.bench.modules]
+        return ScreenInput(self.timeline, grids, self.ports.screen)
+
     def summary(self) -> str:
         """What it has done, in a line."""
-        camera, light = self.camera, self.light
+        camera, light = self.camera, self.light.counts()
         lost = f"{camera.lost} lost, {camera.skipped} skipped"
-        return f"{camera.exposures} frames exposed ({lost}), {light.frames} frames of light ({light.assembler.incomplete} incomplete)"
+        return f"{camera.exposures} frames exposed ({lost}), {light.frames} frames of light ({light.incomplete} incomplete)"
 
     def _send(self, part: Part, exposed: Exposed) -> None:
         if self.truth is not None:
@@ -125,6 +140,5 @@ class Rig:
         self.pictures.publish(part)
 
     def _state(self) -> dict[str, Any]:
-        light = self.light
-        counts = {"frames": light.frames, "incomplete": light.assembler.incomplete, "refused": light.assembler.refused}
-        return {**asdict(self.timeline.state()), "light": counts, "skipped": self.camera.skipped, "lost": self.camera.lost}
+        counts, camera = self.light.counts()._asdict(), self.camera
+        return {**asdict(self.timeline.state()), "light": counts, "skipped": camera.skipped, "lost": camera.lost}

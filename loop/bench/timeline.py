@@ -77,6 +77,12 @@ class Timeline:
                     at_s = end_s
             return [*found, Segment(at_s, to_s, None)] if at_s < to_s else found
 
+    @property
+    def heard_s(self) -> float | None:
+        """When light came last, be it dark; None for never."""
+        with self._changed:
+            return self._entries[-1].until_s - self.timeout_s if self._entries else None
+
     def newer(self, than_s: float, timeout_s: float) -> float | None:
         """When the first light after a time begins, waiting for it; None where none comes."""
 

@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image as Picture
 from pydantic import Field
 
-from loop.calibration.bench import Array, Image
+from loop.calibration.bench import Array, Image, Indices
 from world.errors import LuxloopError
 from world.files import whole
 from world.params import Params
@@ -20,6 +20,7 @@ INCH_MM: Final = 25.4
 MARGIN_MM: Final = 10.0  # that printers leave white
 MARKER: Final = 0.75  # of a square's side
 FEWEST: Final = 6  # corners of a view
+SCALES: Final = (1, 2)  # of the picture: a far board's markers have too few pixels a bit in the first
 
 
 class BoardParams(Params):
@@ -81,11 +82,20 @@ def corners(frame: Image, params: BoardParams) -> Corners | None:
     peak = max(float(np.percentile(frame, 99.5)), 1.0)
     grey = np.clip(frame * (255 / peak), 0, 255).astype(np.uint8)
     board = _board(params)
-    found, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
-    if ids is None or len(ids) < FEWEST:
+    places = board.getChessboardCorners()[:, :2].astype(float)
+    found, ids = max((_detected(grey, board, scale) for scale in SCALES), key=lambda each: len(each[1]))
+    if len(ids) < FEWEST:
         return None
     sharp = cv2.cornerSubPix(
         grey, found.astype(np.float32), (5, 5), (-1, -1), (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-3)
     )
-    places = board.getChessboardCorners()[ids.ravel(), :2]
-    return Corners(places.astype(float), sharp.reshape(-1, 2).astype(float) + 0.5)
+    return Corners(places[ids], sharp.reshape(-1, 2).astype(float) + 0.5)
+
+
+def _detected(grey: Image, board: Any, scale: int) -> tuple[Array, Indices]:
+    """Corners `[n, 1, 2]` px, from the centre of the first pixel, and their numbers `[n]`, seen in a picture that many times as large."""
+    large = grey if scale == 1 else cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    found, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(large)
+    if ids is None:
+        return np.zeros((0, 1, 2)), np.zeros(0, int)
+    return (np.asarray(found, float) + 0.5) / scale - 0.5, np.asarray(ids, np.intp).ravel()

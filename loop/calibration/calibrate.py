@@ -13,10 +13,10 @@ from loop.calibration.bench import Array
 from loop.calibration.board import Corners
 from loop.calibration.charts import Places
 from loop.calibration.codes import patterns
-from loop.calibration.digitise import Nominal, Settings, located
+from loop.calibration.digitise import Nominal, Reading, Settings, located
 from loop.calibration.files import Calibration
 from loop.calibration.geometry import ISO, CameraModel, Geometry, Pose, Seen, adjusted
-from loop.calibration.intrinsics import Lens
+from loop.calibration.intrinsics import Lens, brightness
 from loop.calibration.response import Response, response_curve
 from loop.calibration.shots import Shots
 from perception.camera import CameraParams, camera_view
@@ -24,6 +24,7 @@ from world.errors import LuxloopError
 
 LADDER: Final = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 0.75, 1.0)  # utilisations, for a camera with one exposure
 AVERAGED: Final = 8  # frames of each rung
+SENSOR_PX: Final = 3  # width and height of a luxmeter's sensor, whose light is the mean over them
 SCREEN: Final = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]]).T  # of a screen ahead: x to the right, y up, z towards the lamp
 
 
@@ -97,6 +98,26 @@ def calibrated(shots: Shots, modules: Sequence[LampModule], known: Known, settin
     return Calibrated(Calibration(kept, shots.response, vignetting, last.screens[0], poses, rms), geometry, found)
 
 
+def lux_scale(shots: Shots, sizes: Sequence[int], readings: Sequence[Reading], vignetting: Array) -> float:
+    """Illuminance of the screen in lx that saturates the camera at its longest exposure: the mean of what readings with all pixels on say.
+
+    The screen is Lambertian. Raises LuxloopError where the camera sees no light at a reading's place.
+    """
+    on, off = ([np.full(n, u) for n in sizes] for u in (1.0, 0.0))
+    main = shots.exposures("lux_brightest", on)[:1]
+    light = shots.light("lux", on, AVERAGED, main) - shots.light("lux_off", off, AVERAGED, main)
+    light = (light / brightness(vignetting, *shots.bench.shape)).astype(np.float32)
+    found = []
+    for each in readings:
+        there = float(cv2.getRectSubPix(light, (SENSOR_PX, SENSOR_PX), (each.u - 0.5, each.v - 0.5)).mean())
+        if there <= 0:
+            raise LuxloopError(
+                f"the camera sees no light at {each.u:g}, {each.v:g} px; give the place of the luxmeter's sensor in its picture"
+            )
+        found.append(each.lux / there)
+    return float(np.mean(found)) / shots.bench.exposures_s[-1]
+
+
 def _places(shots: Shots, nominal: Nominal, sizes: Sequence[int], settings: Settings) -> Places:
     def lit(u: Array) -> list[Array]:
         return [u if k == nominal.number else np.zeros(n) for k, n in enumerate(sizes)]
@@ -129,7 +150,7 @@ def _screen(camera: CameraModel, known: Known) -> Pose:
     """T_camera_screen to begin with. Raises LuxloopError where the board does not tell it."""
     if known.board is not None:
         points = np.concatenate([known.board.board, np.zeros((len(known.board.board), 1))], 1)
-        rays = camera.rays(*known.board.pixels.T)[:, :2]
+        rays = np.ascontiguousarray(camera.rays(*known.board.pixels.T)[:, :2])  # as OpenCV takes them
         good, turn, move = cv2.solvePnP(points, rays, np.eye(3), None)
         if not good:
             raise LuxloopError("the board on the screen does not tell where that is; take a sharper picture of it")

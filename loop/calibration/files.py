@@ -23,7 +23,8 @@ LARGEST_PX: Final = 16384
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """camera: the lens. response: from digital numbers to light. vignetting: `[3]`, as `brightness` takes it. screen: T_camera_screen.
-    modules: T_camera_lamp of each, by name. rms: in px, by what was seen.
+    modules: T_camera_lamp of each, by name. rms: in px, by what was seen. lux: illuminance of the screen in lx that saturates the camera,
+    None where no luxmeter has told it.
     """
 
     camera: CameraModel
@@ -32,6 +33,7 @@ class Calibration:
     screen: Pose
     modules: dict[str, Pose]
     rms: dict[str, float]
+    lux: float | None = None
 
     def geometry(self, module: str) -> Geometry:
         """Of one module. Raises LuxloopError where it was not calibrated."""
@@ -65,6 +67,8 @@ def save(path: Path, calibration: Calibration) -> None:
     }
     if camera.covariance is not None:
         arrays["covariance"] = camera.covariance
+    if calibration.lux is not None:
+        arrays["lux"] = np.array([calibration.lux])
     with whole(path) as part:
         write_npz(part, arrays.items())
 
@@ -92,7 +96,11 @@ def load(path: Path) -> Calibration:
         poses = _array(arrays, "T_camera_modules", (len(names), 4, 4))
         screen, *modules = (_pose(each) for each in (_array(arrays, "T_camera_screen", (4, 4)), *poses))
         vignetting = _array(arrays, "vignetting", (3,))
-        return Calibration(camera, Response(curve.astype(np.float32)), vignetting, screen, dict(zip(names, modules, strict=True)), rms)
+        lux = float(_array(arrays, "lux", (1,))[0]) if "lux" in arrays else None
+        if lux is not None and lux <= 0:
+            raise ValueError("lux is none")
+        placed = dict(zip(names, modules, strict=True))
+        return Calibration(camera, Response(curve.astype(np.float32)), vignetting, screen, placed, rms, lux)
 
 
 def _array(arrays: dict[str, Any], name: str, shape: tuple[int, ...]) -> Array:

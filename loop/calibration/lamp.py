@@ -1,5 +1,6 @@
 """A measured lamp: from intensities, shapes and places to a sparse headlight matrix over a light texture."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
@@ -21,21 +22,26 @@ from world.spmv import Csr
 from world.texels import TexelGrid
 
 LEAST: Final = 3e-3  # share of a pixel's peak, below which its light is left out
+MARGIN: Final = math.ceil(REACH - 0.5)  # pixels beyond the outermost, whose light may reach there
 NEAR: Final = 0.25  # pixels, by which a shape reaches further where its pixel is shifted
 AT_ONCE: Final = 64  # rows of texels
 
 
 def grid_over(y: Array, z: Array, texels: tuple[int, int]) -> TexelGrid:
-    """A light texture over tangents y and z `[rows, cols]` of the pixels' places, and half a pixel more to all sides."""
+    """A light texture over tangents y and z `[rows, cols]` of the pixels' places, and as far beyond as a pixel's light reaches.
+
+    What a lens blurs over the border of the field is light of its outermost pixels, too.
+    """
     rows, cols = y.shape
-    half_y, half_z = (float(each.max() - each.min()) / max(n - 1, 1) / 2 for each, n in ((y, cols), (z, rows)))
+    pitch_y, pitch_z = (float(each.max() - each.min()) / max(n - 1, 1) for each, n in ((y, cols), (z, rows)))
+    margin_y, margin_z = (0.5 + MARGIN) * pitch_y, (0.5 + MARGIN) * pitch_z
     return TexelGrid(
-        rows=texels[0] * rows,
-        cols=texels[1] * cols,
-        left=float(y.max()) + half_y,
-        right=float(y.min()) - half_y,
-        bottom=float(z.min()) - half_z,
-        top=float(z.max()) + half_z,
+        rows=texels[0] * (rows + 2 * MARGIN),
+        cols=texels[1] * (cols + 2 * MARGIN),
+        left=float(y.max()) + margin_y,
+        right=float(y.min()) - margin_y,
+        bottom=float(z.min()) - margin_z,
+        top=float(z.max()) + margin_z,
     )
 
 

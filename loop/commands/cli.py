@@ -222,7 +222,8 @@ def run(
         Recording with frames to play back: controllers and functions run on its frames, and their output is not shown. `recording`: that
         of NAME, which is then a recording's folder, with the scenario in it.
     rig
-        Rig file of a lamp and a camera on which the scenario runs in place of the simulated world.
+        Rig file of a lamp and a camera on which the scenario runs in place of the simulated world, or whose lamp lights that world if the
+        scenario digitises a module (see docs/live_beam.md).
     arm
         With --rig: light the lamp. Without it, a dry run shows nothing.
     twin
@@ -257,6 +258,10 @@ def run(
         raise LuxloopError("--twin compares what a lit rig shows with the simulation; give --rig FILE and --arm as well")
     given |= {} if rig is None else {"plant": {"kind": "rig"}}
     scenario = (recorded_scenario_of if itself else scenario_of)(name, set, controller, allow_code=allow_code, **given)
+    if scenario.digitised is not None and rig is None and plant is None:
+        from loop.plant.digitised import needs_rig
+
+        raise LuxloopError(f"{scenario.source}: {needs_rig(f'modules.{scenario.digitised}')}")
     from loop.commands.runs import run_scenario
 
     if plant is not None and steps is None:
@@ -265,7 +270,13 @@ def run(
         scenario = to_the_end(scenario)
     kept = {"video": video, "report": report, "frames": frames, "labels": labels, "masks": masks, "depth": depth, "lux": lux}
     folder = out or Path("runs") / Path(name).stem
-    if rig is not None:
+    if rig is not None and scenario.digitised is not None:
+        from loop.commands.rig_live import run_live
+
+        if twin:
+            raise LuxloopError("--twin compares a rig's frames with simulated ones, but here all frames are simulated; leave it out")
+        passed = run_live(scenario, folder, (rig, arm, allow_code), device, kept)
+    elif rig is not None:
         from loop.commands.rig_runs import run_on_rig
 
         passed = run_on_rig(scenario, folder, (rig, arm, allow_code), device, kept, twin)

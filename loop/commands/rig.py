@@ -10,6 +10,7 @@ from cyclopts import App
 
 from loop.commands.given import scenario_of
 from loop.commands.rig_calibration import board, calibrate, digitise, fit
+from loop.commands.rig_pictures import light, take
 from loop.commands.rig_runs import blink, check
 from loop.terminal.options import AllowCode, Keys
 from world.errors import LuxloopError
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from loop.bench.camera import End
 
 rig_app = App(name="rig", help="A rig: a real lamp and a real camera in the loop, or a process that stands for both.")
-for command in (check, blink, board, calibrate, digitise, fit):
+for command in (check, light, take, blink, board, calibrate, digitise, fit):
     rig_app.command(command)
 
 
@@ -34,6 +35,7 @@ def simulate(
     camera_port: int = 8080,
     truth_port: int = 8081,
     ego: str = "127.0.0.1:4049",
+    screen: str | None = None,
     allow_code: AllowCode = False,
 ) -> None:
     """Be a rig until Ctrl-C: take light over the network, light the scenario's road or objects, and serve the camera's pictures.
@@ -57,6 +59,9 @@ def simulate(
         HTTP port of the truth for tests, 0 for a free one.
     ego
         Address HOST:PORT that gets samples of the vehicle's sensors where the scenario has a vehicle.
+    screen
+        Address HOST:PORT of the page of a loop whose light is `screen`: the rig is then the projector that shows this page, and takes no
+        light over the network.
     """
     from loop.bench.faults import read, split
 
@@ -65,8 +70,9 @@ def simulate(
     from loop.bench.camera import End
     from loop.bench.rig import Ports, Rig
 
+    addresses = _address("--ego", ego), None if screen is None else _address("--screen", screen)
     end = End()
-    with Rig(scenario, wrong, Ports(host, light_port, camera_port, truth_port, _address(ego))) as rig:
+    with Rig(scenario, wrong, Ports(host, light_port, camera_port, truth_port, *addresses)) as rig:
 
         def ready() -> None:
             print("\n".join([*rig.addresses(), "End it with Ctrl-C."]), flush=True)
@@ -88,8 +94,8 @@ def _ending(end: "End") -> Iterator[None]:
             signal.signal(each, handler)
 
 
-def _address(text: str) -> tuple[str, int]:
+def _address(option: str, text: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     if not (host and port.isdecimal() and 0 < int(port) < 65536):
-        raise LuxloopError(f"--ego {text}: is no address; write HOST:PORT, such as 127.0.0.1:4049")
+        raise LuxloopError(f"{option} {text}: is no address; write HOST:PORT, such as 127.0.0.1:4049")
     return host, int(port)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -56,6 +57,7 @@ def calibrate(
     on_screen: Path | None = None,
     screen_m: float | None = None,
     flats: Path | None = None,
+    lux: list[str] | None = None,
     columns: int = 8,
     rows: int = 11,
     square_mm: float = 23.0,
@@ -81,6 +83,9 @@ def calibrate(
         Without it: distance of a screen that stands square to the vehicle, ahead of the lamps in m.
     flats
         Folder of pictures of an even surface, such as a diffuser before the lens, for the vignetting.
+    lux
+        Readings of a luxmeter on the screen with all pixels on, each as LUX@U,V with the place of its sensor in the camera's picture in px,
+        for the absolute scale, which a beam that is digitised live needs.
     columns
         Squares in a row of the board.
     rows
@@ -105,6 +110,7 @@ def calibrate(
     from loop.calibration.response import Response
 
     files.refuse_name(out)
+    readings = [_reading(each) for each in lux or ()]
     _refuse_unarmed(rig, arm)
     if screen_m is not None and not 0 < screen_m < math.inf:
         raise LuxloopError(f"--screen-m {screen_m:g}: is no distance; give metres above 0")
@@ -122,7 +128,8 @@ def calibrate(
         darkening, left = vignetting(even) if even else (np.zeros(3), 0.0)
         shots = _shots(bench, response, kept, scenario)
         done = steps.calibrated(shots, modules, known, Settings(), darkening)
-    files.save(out, done.calibration)
+        scale = steps.lux_scale(shots, [each.headlight.n_pixels for each in modules], readings, darkening) if readings else None
+    files.save(out, replace(done.calibration, lux=scale))
     camera = done.calibration.camera
     std = np.zeros(9) if camera.covariance is None else np.sqrt(np.diag(camera.covariance))
     rows_shown = {
@@ -130,6 +137,7 @@ def calibrate(
             f"{what} {value:.5g} ± {by:.2g}"
             for what, value, by in zip(("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"), camera.values, std, strict=True)
         ),
+        "scale": "not measured" if scale is None else f"{scale:.4g} lx on the screen saturate the camera",
         "vignetting": "not measured" if flats is None else f"{100 * darkening.sum():.1f} % in the corners, {100 * left:.2g} % rms left",
         **{f"residual, {what}": f"{value:.3f} px rms" for what, value in done.calibration.rms.items()},
         **{f"located, {what}": f"{100 * share:.1f} % of the pixels" for what, share in done.found.items()},

@@ -50,7 +50,7 @@ def run_on_rig(
     scenario, left_out = _without_truth(scenario)
     if left_out:
         tables.console().print(f"checks that need the truth are left out: {', '.join(left_out)}", markup=False)
-    with located(str(file)), opened(params, _grids(scenario), scenario.camera, armed=armed) as rig:
+    with located(str(file)), opened(params, pixel_grids(scenario), scenario.camera, armed=armed) as rig:
         await_rig(rig)
         if not armed:
             tables.console().print("dry run: the lamp stays dark; give --arm to light it", markup=False)
@@ -74,11 +74,11 @@ def run_on_rig(
             passed = run_scenario(scenario, out, device, False, {**kept, "plant": plant, "frames": kept["frames"] or twin})
         finally:
             rig.dark("the run has ended")
-            found = _of_run(rig, len(scenario.shares)) | {"judged": {} if judged is None else judged.summary()}
+            found = of_run(rig, len(scenario.shares)) | {"judged": {} if judged is None else judged.summary()}
             told = {"rig": params.model_dump(mode="json"), "armed": armed, **found}
             if out.is_dir() and rig.statistics.exposures:
                 write_json(out / RIG, told)
-            tables.show(tables.facts(_in_words(found)))
+            tables.show(tables.facts(in_words(found) | {"judge": JUDGED}))
     if simulated is not None:
         compared = _twin(out, simulated, params.mark, scenario.steps * len(scenario.shares))
         write_json(out / RIG, told | {"twin": compared})
@@ -106,7 +106,7 @@ def check(file: Path, /, *, scenario: Named = "snowflake", set: Keys = None, all
     params = load_rig(file, allow_code=allow_code)
     given = scenario_of(scenario, set, allow_code=allow_code)
     with located(str(file)):
-        grids = _grids(given)
+        grids = pixel_grids(given)
         light = open_light(params.light, grids)
         light.close()
         with opened(params, grids, given.camera, armed=False) as rig:
@@ -164,7 +164,7 @@ def blink(
     if not 0 < level <= 1:
         raise LuxloopError(f"--level {level:g}: is no utilisation; give a number above 0, to 1")
     given = scenario_of(scenario, set, allow_code=allow_code)
-    grids = _grids(given)
+    grids = pixel_grids(given)
     if not arm:
         print(f"{file}: all {sum(rows * columns for rows, columns in grids):,} pixels would blink {blinks} times; give --arm to light them")
         return
@@ -203,7 +203,7 @@ def written(file: Path, timing: Mapping[str, float]) -> None:
         part.write_text(made, "utf-8")
 
 
-def _grids(scenario: "Scenario") -> tuple[tuple[int, int], ...]:
+def pixel_grids(scenario: "Scenario") -> tuple[tuple[int, int], ...]:
     """Rows and columns of the pixels of the scenario's modules."""
     import torch
 
@@ -254,14 +254,16 @@ def _twin_in_words(found: Mapping[str, Any]) -> dict[str, str]:
     } or {"twin": "no frame came"}
 
 
-def _of_run(rig: "Rig", per_step: int) -> dict[str, Any]:
+def of_run(rig: "Rig", per_step: int) -> dict[str, Any]:
+    """How a run on a rig was, as plain data. per_step: exposures a control step."""
     told = rig.keeper
     watched = {"darkened": told.darkened, "interruptions": told.interruptions}
     camera = {"pictures": rig.camera.count, "dropped": rig.camera.dropped, "connections": rig.camera.connections}
     return {**rig.statistics.summary(per_step), "watchdog": watched, "camera": camera}
 
 
-def _in_words(found: Mapping[str, Any]) -> dict[str, str]:
+def in_words(found: Mapping[str, Any]) -> dict[str, str]:
+    """What `of_run` gives, and `judged`, in rows of a table."""
     lost, late = sum(found["lost"].values()), found["light_to_frame_ms"]
     rows = {
         "control rate": f"{tables.number(found['control_rate_hz'], '.2f')} Hz",
@@ -271,7 +273,6 @@ def _in_words(found: Mapping[str, Any]) -> dict[str, str]:
         "frames": f"{found['exposures'] - lost} of {found['exposures']} exposures"
         + "".join(f"\n{count} lost: {reason}" for reason, count in sorted(found["lost"].items(), key=lambda each: -each[1])[:5]),
         "pictures": ", ".join(f"{count} {what}" for what, count in sorted(found["pictures"].items())) or "none",
-        "judge": JUDGED,
     }
     for name, each in found["judged"].items():
         off = each["centroid_error_percent"]
@@ -290,7 +291,7 @@ def _blinked(found: "Blinked") -> dict[str, str]:
     return {
         "light to frame": f"{median:.0f} ms (median), {most:.0f} ms (95 %), {worst:.0f} ms (worst), in {found.blinks} blinks",
         "latency": f"{1e3 * found.latency_s:.1f} ms to a frame that begins with the light",
-        "jitter": f"{1e3 * found.jitter_s:.1f} ms, the worst that was measured with a quarter and 3 ms on it",
+        "jitter": f"{1e3 * found.jitter_s:.1f} ms, the worst that was measured with a quarter and 8 ms on it",
         "exposure and readout": f"{1e3 * found.rolling_s:.1f} ms",
         "drift": f"{1e3 * found.drift_s_per_min:+.1f} ms a minute",
         "pictures": f"every {1e3 * found.interval_s[0]:.1f} ms (median), {1e3 * found.interval_s[1]:.0f} ms (worst), {found.late:.0%} late",

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import Any, get_args
 
 import torch
-from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from controllers.situation import TrackedObject
@@ -119,5 +118,7 @@ def false_positives(view: LitScene, found: Detections, least: float) -> int:
 
 def pairs(objects: Tensor, boxes: Tensor) -> list[tuple[int, int]]:
     """Indices of objects and of their boxes, each once, so that they overlap most in all."""
+    from scipy.optimize import linear_sum_assignment
+
     shares = overlaps(objects, boxes)
     return [(i, j) for i, j in zip(*(each.tolist() for each in linear_sum_assignment(-shares)), strict=True) if shares[i, j] >= SAME]

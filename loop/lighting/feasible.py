@@ -3,15 +3,20 @@
 import math
 
 import torch
+from torch import Tensor
 
+from controllers.symbol.sensing.projection import ProjectionCommand
 from controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
 from controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from loop.assembly.truth import true_camera
 from loop.lighting.judging import Judge
+from loop.plant.world import World
 from loop.scenario.model import Scenario
 from perception.camera import CameraParams, camera_view, saturation_luminance
 from perception.judge import THRESHOLD
 from world.errors import LuxloopError
+from world.light.ambient import ambient_luminance
+from world.rendering.flat_road import flat_road
 
 LEAST_PX = 4  # of the target in either direction; quadrants need two pixels each
 
@@ -47,7 +52,7 @@ def refuse_undrawable(sensor: SymbolSensor, judge: Judge | None, beam: str) -> N
         )
     brightest = float(brightness(sensor, judge) + model.beams.median())
     if judge is not None:
-        brightest += float(judge.world.lit(0.0).base.median())
+        brightest += float(_without_headlamps(sensor, judge.world).median())
     if brightest > saturation_luminance(camera):
         raise LuxloopError(
             f"the symbol on the road has {brightest:.3g} cd/m^2, but the camera saturates at "
@@ -55,12 +60,20 @@ def refuse_undrawable(sensor: SymbolSensor, judge: Judge | None, beam: str) -> N
         )
 
 
-def brightness(sensor: SymbolSensor, judge: Judge | None) -> torch.Tensor:
+def brightness(sensor: SymbolSensor, judge: Judge | None) -> Tensor:
     """Median luminance `[]` in cd/m^2 of the symbol at its target on a flat road."""
     if judge is not None:
         return judge.goal.median
     flat = sensor.model.luminance(sensor.projector.light(sensor.projector.target))
     return flat[flat > THRESHOLD * flat.max()].median()
+
+
+def _without_headlamps(sensor: SymbolSensor, world: World) -> Tensor:
+    """Luminance `[h, w]` in cd/m^2 of a flat road where the symbol's target lies, in the light of all but the vehicle's headlamps."""
+    target = ProjectionCommand(sensor.projector.target)
+    crop = sensor.projector.footprint(target, world.view, sensor.params.footprint_margin_m)
+    road, scene = flat_road(world.view.within(*crop.slices), sensor.model.albedo), world.scene
+    return ambient_luminance(road, scene.ambient_lx, scene.street_lamps, scene.spotlights_at(0.0))
 
 
 def _target(symbol: SymbolParams) -> str:

@@ -66,7 +66,8 @@ def refuse_unknown(scenario: Scenario, known: bool) -> None:
         remedy = f"take it out with --set checks.{name}={{}}"
         if not known and of_truth(check.metric):
             wrong.append(f"checks.{name}.metric: {truth}; {remedy}")
-        elif check.compare is not None and kind != "simulated":
-            wrong.append(f"checks.{name}.compare: needs the simulated world to run another light in, but the plant is {kind}; {remedy}")
+        elif check.compare is not None and (kind != "simulated" or scenario.digitised):
+            but = f"modules.{scenario.digitised} is digitised" if kind == "simulated" else f"the plant is {kind}"
+            wrong.append(f"checks.{name}.compare: needs the simulated world to run another light in, but {but}; {remedy}")
     if wrong:
         raise all_of(wrong)

@@ -6,14 +6,14 @@ from typing import cast
 from loop.assembly.made import Made
 from loop.assembly.truth import LampModule
 from loop.plant.clock import FromZero
+from loop.plant.digitised import digitised_plant
 from loop.plant.protocol import Plant
-from loop.plant.recorded import recorded_plant
-from loop.plant.remote import remote_plant
 from loop.plant.simulated import simulated_plant
 from loop.plant.unconnected import Unconnected
 from loop.scenario.model import Scenario
 from loop.scenario.plant import RecordedPlantParams, RemotePlantParams, RigPlantParams, SimulatedPlantParams
 from world import plugin
+from world.errors import LuxloopError
 
 KEY = "plant.kind"
 METHODS = ("start", "show")
@@ -22,13 +22,22 @@ METHODS = ("start", "show")
 def build_plant(scenario: Scenario, modules: Sequence[LampModule], made: Made | None = None) -> Plant:
     """A plant whose time begins at 0. Raises LuxloopError where a file is missing or broken, or a plant of one's own cannot be made."""
     params = scenario.plant
+    if scenario.digitised is not None and not isinstance(params, SimulatedPlantParams | RecordedPlantParams):
+        raise LuxloopError(
+            f"modules.{scenario.digitised}.source: a digitised beam lights the simulated world, but the plant is {params.kind}; "
+            'set plant.kind = "simulated"'
+        )
     if isinstance(params, SimulatedPlantParams):
-        return simulated_plant(scenario, modules, made)
+        return simulated_plant(scenario, modules, made) if scenario.digitised is None else digitised_plant(scenario, modules, made)
     if isinstance(params, RecordedPlantParams):
+        from loop.plant.recorded import recorded_plant
+
         return recorded_plant(scenario, params, modules)
     if isinstance(params, RigPlantParams):
         return Unconnected()
     if isinstance(params, RemotePlantParams):
+        from loop.plant.remote import remote_plant
+
         return from_zero(remote_plant(scenario, params, modules), scenario, modules)
     given = {"scenario": scenario, "modules": modules}
     plant = cast(Plant, plugin.make(params.kind, KEY, given, params.options, METHODS))

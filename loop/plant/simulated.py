@@ -21,7 +21,8 @@ from perception.noise import FrameNoise
 from perception.sensors import EXACT, SensorParams, Sensors
 from world.errors import LuxloopError
 from world.partial import Part, PartialImage
-from world.rendering.face_source import face_source
+from world.rendering.face_source import FirstFound, face_source
+from world.scene.late_body import LateBody
 from world.scene.vehicle import STANDING, Motion
 
 LOSS_KEY, LATENCY_KEY = 2, 4  # of what is drawn for a step, beside its frames' noise and the sensors'
@@ -52,6 +53,12 @@ class SimulatedPlant:
         """What is true."""
         return self.world
 
+    @property
+    def dynamics(self) -> Motion:
+        """How the vehicle moves, whose sensors feel that, also where its body is shown late."""
+        motion = self.world.motion
+        return motion.dynamics if isinstance(motion, LateBody) else motion
+
     def start(self) -> tuple[UnderWay, Arrivals]:
         """Nothing is under way."""
         return (), Arrivals(0.0, samples=self.samples(0.0))
@@ -71,7 +78,7 @@ class SimulatedPlant:
         """What the sensors of a vehicle that moves have told by one time and after another; left out: the newest of each."""
         if self.world.motion is STANDING:
             return ()
-        sensors, like = Sensors(self.world.motion, self.sensors, self.period_s, self.seed), torch.empty(0, device=self.world.device)
+        sensors, like = Sensors(self.dynamics, self.sensors, self.period_s, self.seed), torch.empty(0, device=self.world.device)
         return sensors.newest(by_s, like) if after_s is None else sensors.arriving(after_s, by_s, like)
 
     def _frame(self, exposure: Exposure, step: int, frame: int) -> Tensor:
@@ -124,7 +131,7 @@ def simulated_plant(scenario: Scenario, modules: Sequence[LampModule], made: Mad
     missing or broken.
     """
     made, wrong, given = made or Made(), scenario.disturbances, scenario.all_objects
-    source = made("face source", scenario.renderer, lambda: face_source(scenario.renderer))
+    source = made("face source", scenario.renderer, lambda: FirstFound() if scenario.renderer == "auto" else face_source(scenario.renderer))
     motion = _motion(scenario, made)
     scene, camera = build_scene(scenario, motion, made), true_camera(scenario)
     true = made("true modules", (tuple(modules), wrong.aim, wrong.wear), lambda: true_modules(wrong, modules))
@@ -142,11 +149,13 @@ def driven_plant(plant: SimulatedPlant, scenario: Scenario, made: Made) -> Simul
 
 def _motion(scenario: Scenario, made: Made) -> Motion:
     lasts = scenario.vehicle and (scenario.steps, scenario.rate_hz)
-    return made("motion", (scenario.vehicle, scenario.road, lasts), lambda: build_motion(scenario, made.before("motion", STANDING)))
+    motion = made("motion", (scenario.vehicle, scenario.road, lasts), lambda: build_motion(scenario, made.before("motion", STANDING)))
+    late_s = max((each.latency_s for each in scenario.modules.values() if each.delay_body), default=0.0)
+    return LateBody.behind(motion, late_s) if late_s else motion
 
 
 def as_simulated(plant: Plant, asked: str) -> SimulatedPlant:
     """A plant that must be the simulated world. Raises LuxloopError, which begins with what asks for that, where it is another."""
     if not isinstance(plant, SimulatedPlant):
-        raise LuxloopError(f'{asked}: needs the simulated world; set plant.kind = "simulated"')
+        raise LuxloopError(f'{asked}: needs the simulated world; set plant.kind = "simulated", and digitise no module')
     return plant

@@ -25,7 +25,7 @@ from world.materials.library import MaterialName
 from world.partial import Part, PartialImage
 from world.rendering.face_source import FaceSource
 from world.rendering.gbuffer import GBuffer
-from world.rendering.surfaces import surface_source
+from world.rendering.surfaces import SurfaceSource, surface_source
 from world.scene.scene import Scene
 from world.scene.triangles import NOTHING, Triangles
 from world.scene.vehicle import STANDING, Motion, VehicleState
@@ -207,13 +207,17 @@ class World:
         self.scene, self.modules, self.camera, self.source = scene, tuple(modules), camera, source
         self.motion, self.metered, self.given = motion, metered, given
         self.moving = motion is not STANDING or scene.moves
-        self.surfaces = surface_source(source, self.moving)
         self.view = camera_view(camera)
         self.device = self.modules[0].T_world_headlight.device
         self._lit: OrderedDict[Any, LitScene] = OrderedDict()
         self._made: deque[tuple[LitScene, tuple[Utilisation, ...], Commands, Any]] = deque(maxlen=2)  # of an on and an off exposure
         self._asked: tuple[float, Any] = (math.nan, None)
         self._triangles: Triangles = NOTHING
+
+    @cached_property
+    def surfaces(self) -> SurfaceSource:
+        """Tells what a view sees."""
+        return surface_source(self.source, self.moving)
 
     def after(self, before: "World | None") -> Self:
         """This world; its bodies that were in another one as well keep what was derived from them there."""
@@ -336,11 +340,12 @@ class World:
 
         @lru_cache(maxsize=KEPT_VIEWS * len(modules))
         def turned(number: int, command: ModuleCommand) -> LightTransport:
-            headlight, T_body_headlight = modules[number].headlight, command.turned(modules[number].T_world_headlight)
+            module = modules[number]
+            headlight, T_body_headlight = module.headlight, command.turned(module.T_world_headlight)
             T_world_headlight = T_world_body.to(T_body_headlight) @ T_body_headlight
             if direct:
                 cast = shadows(*T_world_headlight[:3, 3].tolist())
-                return DirectTransport(surfaces, headlight, T_world_headlight, cast, view.width, samples)
+                return DirectTransport(surfaces, headlight, T_world_headlight, cast, view.width, samples, module.measured)
             return transport(reach(surfaces, headlight, T_world_headlight, triangles), headlight, view.width, samples)
 
         def transported(number: int, command: ModuleCommand) -> LightTransport:

@@ -12,7 +12,8 @@ from world.files import whole
 TRAJECTORY, SUMMARY, REPORT, VIDEO, EDITS = "trajectory.parquet", "summary.json", "report.png", "video.mp4", "edits.json"
 RIG = "rig.json"  # of a run on a rig: its file, and how frames came
 TWIN, TWIN_PICTURE = "twin.parquet", "twin.png"  # of a rig's frames held against the simulated plant's
-FILES = (TRAJECTORY, SUMMARY, REPORT, VIDEO, EDITS, RIG, TWIN, TWIN_PICTURE, MANIFEST)
+BEAM = "beam.png"  # of the last light that was digitised live
+FILES = (TRAJECTORY, SUMMARY, REPORT, VIDEO, EDITS, RIG, TWIN, TWIN_PICTURE, BEAM, MANIFEST)
 
 
 def table_of(rows: list[dict[str, Any]], schema: pa.Schema) -> pa.Table:

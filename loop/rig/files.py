@@ -2,16 +2,15 @@
 
 import json
 import os
-from collections.abc import Sequence
 from contextlib import suppress
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from loop.rig.light import Picture, Shine
+from loop.rig.light import Shine
 from loop.rig.params import FilesLightParams
 from loop.wire.ddp import Codes, codes_of
+from loop.wire.screen import stacked
 from world.errors import LuxloopError
 from world.files import whole
 
@@ -56,9 +55,3 @@ class FilesLight:
             part.write_bytes(coded.tobytes())
         with whole(self._params.folder / ABOUT) as part:
             part.write_text(json.dumps(about), "utf-8")
-
-
-def stacked(pictures: Sequence[NDArray] | Sequence[Picture]) -> NDArray:
-    """Pictures of all modules below each other, the first on top, each at the left: `[sum of rows, most columns]`, black beside them."""
-    width = max(each.shape[1] for each in pictures)
-    return np.concatenate([np.pad(each, ((0, 0), (0, width - each.shape[1]))) for each in pictures])

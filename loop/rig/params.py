@@ -251,7 +251,16 @@ class MarkParams(Params):
 class RigCalibrationParams(Params):
     """What `luxloop rig calibrate` has found."""
 
-    file: Path = Field(examples=["rig.npz"], description="its file, from which the camera's pictures are rectified")
+    file: Path = Field(
+        examples=["rig.npz"], description="its file, from which the camera's pictures are rectified, and beams are digitised"
+    )
+
+
+class PlatformParams(Params):
+    """A motion platform, which gets the pose of the vehicle's body at each exposure of a beam that is digitised live."""
+
+    host: Host = Field(examples=["192.168.1.30"], description="name or address of the platform")
+    port: Port = Field(4050, description="UDP port")
 
 
 class RigParams(Params):
@@ -264,6 +273,7 @@ class RigParams(Params):
     timing: TimingParams = Field(TimingParams(), description="from light to frame")
     mark: MarkParams | None = Field(None, description="a mark in the light that says which exposure a frame shows")
     calibration: RigCalibrationParams | None = Field(None, description="the camera's calibration")
+    platform: PlatformParams | None = Field(None, description="a motion platform")
 
     @property
     def triggered(self) -> bool:

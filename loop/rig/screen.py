@@ -3,7 +3,6 @@
 import asyncio
 import json
 import socket
-import struct
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -20,24 +19,20 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from loop.rig.files import stacked
 from loop.rig.light import Shine, places
 from loop.rig.params import ScreenLightParams
 from loop.wire.addresses import REFUSED, reason_of
 from loop.wire.ddp import codes_of
+from loop.wire.screen import message_of, stacked
 from world.errors import LuxloopError
 
 PAGE: Final = Path(__file__).parent / "page" / "screen.html"
 LARGEST_ANSWER: Final = 1000  # bytes
 CONFIRMED_S: Final = 0.5  # in which a page has to say that it shows a frame
-HEAD: Final = struct.Struct(">IHH")
 
 
 class ScreenLight:
-    """Serves the page. One page shows the light: the newest that has connected. A frame is shown once the page has said so.
-
-    A frame is 4 bytes of its number, 2 of its width and 2 of its height, big endian, and a byte a pixel, row by row from the top.
-    """
+    """Serves the page. One page shows the light: the newest that has connected. A frame is shown once the page has said so."""
 
     def __init__(self, params: ScreenLightParams, grids: Sequence[tuple[int, int]]) -> None:
         """Listen, in a thread of its own. Raises LuxloopError where the port cannot be had."""
@@ -86,7 +81,7 @@ class ScreenLight:
         picture = stacked([u.ravel()[order].reshape(u.shape) for u, order in zip(shine.dimmed, self._order, strict=True)])
         codes = codes_of(picture, 8, self._params.gamma)
         self._number, self._shown_on = shine.number, page
-        self._send(page, HEAD.pack(shine.number % 2**32, codes.shape[1], codes.shape[0]) + codes.astype(np.uint8).tobytes())
+        self._send(page, message_of(shine.number, codes.astype(np.uint8)))
         with self._changed:
             done = self._changed.wait_for(lambda: self._answer.get("number") == shine.number % 2**32 or self._page is not page, CONFIRMED_S)
         if self._page is not page:

@@ -17,6 +17,7 @@ from controllers.jpo.controller import JpoParams
 from controllers.pixels.mrpc import MrpcParams
 from loop.scenario.checks import CheckParams, Light, refuse_lights
 from loop.scenario.disturbances import DisturbanceParams
+from loop.scenario.modules import ModuleSourceParams
 from loop.scenario.overrides import Override, is_file, overridden, resolve_paths, tables, texts
 from loop.scenario.plant import PlantParams, SimulatedPlantParams, refuse_long_exposures
 from loop.scenario.shipped import find
@@ -102,6 +103,7 @@ class Scenario(Params):
     traffic: TrafficParams | None = Field(None, description="objects besides, made from a seed; left out: none")
     light: LightParams = Field(LightParams(), description="ambient light and street lamps")
     headlight: HeadlightParams = Field(HeadlightParams(), description="the lamps")
+    modules: Mapping[str, ModuleSourceParams] = Field({}, description="where the light of modules comes from, by their names")
     camera: CameraParams = Field(CameraParams(), description="the camera")
     pixel_controller: str = Field("ssc", description="what drives the pixels: ssc, jpo, or your own as package.module:Name")
     ssc: MrpcParams = Field(MrpcParams(), description="SuperSampling Control, which joint pixel optimisation starts from")
@@ -144,6 +146,19 @@ class Scenario(Params):
     @model_validator(mode="after")
     def _compared_with_what_there_is(self) -> Self:
         refuse_lights(self.checks, self.lights)
+        return self
+
+    @model_validator(mode="after")
+    def _one_beam_on_the_screen(self) -> Self:
+        for name, each in self.modules.items():
+            if each.source == "digitised" and name != self.digitised:
+                raise ValueError(
+                    f"modules.{name}.source: {self.digitised} is digitised, too, and a camera cannot tell two beams apart; simulate one"
+                )
+            if each.source == "simulated" and each != ModuleSourceParams():
+                raise ValueError(f'modules.{name}: latency_s and delay_body are for source = "digitised"; set that, or leave them out')
+            if each.delay_body and self.vehicle is None:
+                raise ValueError(f"modules.{name}.delay_body: the vehicle stands, there is no [vehicle]; leave it out")
         return self
 
     @model_validator(mode="after")
@@ -217,8 +232,13 @@ class Scenario(Params):
     @property
     def metered(self) -> bool:
         """Whether the light on objects or for functions is asked for, beside what the camera sees."""
-        told = any(each.category for each in self.all_objects)
+        told = any(each.category for each in self.all_objects) or self.digitised is not None
         return told or self.detector is not None or len(self.functions) > len(self.controlled)
+
+    @property
+    def digitised(self) -> str | None:
+        """Name of the module whose light is digitised, None where all are simulated."""
+        return next((name for name, each in self.modules.items() if each.source == "digitised"), None)
 
     @property
     def controlled(self) -> tuple[str, ...]:

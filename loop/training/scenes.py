@@ -24,9 +24,7 @@ from world.light.illumination import luminance, reach
 from world.rendering.face_source import face_source
 from world.rendering.gbuffer import GBuffer
 from world.rendering.surfaces import SurfaceSource, surface_source
-from world.scene.body import Body
-from world.scene.road_tiles import RoadTiles
-from world.scene.scene import Scene
+from world.scene.scene import Ground, Scene
 from world.scene.triangles import Triangles
 from world.spmv import Csr
 from world.traffic.generator import varied
@@ -185,10 +183,10 @@ def _road_seed(seed: int) -> int:
 
 
 @lru_cache(ROADS)
-def _road(seed: int) -> tuple[Body | RoadTiles, SurfaceSource]:
+def _road(seed: int) -> tuple[Ground, SurfaceSource]:
     scenario = _scenario(seed).model_copy(update={"objects": (), "traffic": None})
     ground = build_scene(scenario).bodies[0]
-    assert isinstance(ground, Body | RoadTiles)
+    assert isinstance(ground, Ground)
     return ground, surface_source(face_source(), moving=True)
 
 

@@ -32,6 +32,18 @@ def test_the_step_benchmark_compares_the_same_work(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_the_startup_benchmark_measures_each_command(tmp_path: Path) -> None:
+    file = tmp_path / "startup.json"
+    command = [sys.executable, "benchmarks/startup.py", "--quick", "--json", str(file)]
+    done = subprocess.run(command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    content = json.loads(file.read_text())
+    seconds = {name: each["now"] for name, each in content["seconds"].items()}
+    assert seconds["luxloop new"] < seconds["import torch alone"] < seconds["luxloop check snowflake"]
+    assert {goal["limit"] for goal in content["goals"]} == {1.0, 3.0}
+
+
+@pytest.mark.slow
 def test_a_baseline_that_does_other_work_is_refused(tmp_path: Path) -> None:
     """With another tolerance the check must fail, or it would not be one."""
     code = "import sys; sys.argv = ['step.py', '--quick']; import step; step.TOLERANCE_PX = -1.0; step.main()"

@@ -121,6 +121,7 @@ def test_scenes_are_others_than_those_of_training_and_newcomers_have_room() -> N
     assert len(others) > 2 and all(float((newcomer - other).norm()) > object_based_cases.FREE_M for other in others)
 
 
+@pytest.mark.slow
 def test_the_jobs_run_through_the_whole_chain(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a few steps each, which judge nothing."""
     for name, value in {"STEPS": 4, "COMES": 2, "END": range(1, 2), "LATE": range(3, 4)}.items():

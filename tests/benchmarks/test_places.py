@@ -114,6 +114,7 @@ def test_grades_on_the_road_itself_are_held_to_085_or_the_bound() -> None:
     assert GOALS[-1].of([kept, steep, {**kept, "iou": 0.84}, {**steep, "iou": 0.39}]) == (2, 4)
 
 
+@pytest.mark.slow
 def test_the_page_is_written_and_a_second_run_does_nothing_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drop = place("step", "functions.symbol.x_m=13", steps=7)
     monkeypatch.setattr(places, "places", lambda quick: iter([drop]))

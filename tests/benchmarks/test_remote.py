@@ -6,9 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.slow
 def test_the_quick_benchmark_writes_what_both_plants_take(tmp_path: Path) -> None:
     command = [sys.executable, "benchmarks/remote.py", "--quick", "--json", str(tmp_path / "remote.json")]
     done = subprocess.run(command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=300)

@@ -19,13 +19,13 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Rig]:
     return {name: replace(rig(scenario, CASES[name], 3), light=light) for name in ("nothing", "all four")}
 
 
-@pytest.mark.parametrize(("case", "percent"), [("nothing", 2.0), ("all four", 4.5)])
-def test_small_lamp(small: dict[str, Rig], case: str, percent: float) -> None:
-    """Of 20 x 40 pixels, every sixth lies at the border, where blur takes light out of the field; a larger lamp has few of these."""
+@pytest.mark.parametrize("case", ["nothing", "all four"])
+def test_small_lamp(small: dict[str, Rig], case: str) -> None:
+    """Of 20 x 40 pixels, every seventh lies at the border, where blur takes light out of the field."""
     found = measured(small[case])
     px, one, _, turned, *_ = figures(small[case], found)
     assert px < 0.1
-    assert one < percent
+    assert one < 2.0
     assert turned < 0.05
     assert np.argwhere(found.dead.ravel()).ravel().tolist() == [266, 405]
     assert not found.stuck.any()

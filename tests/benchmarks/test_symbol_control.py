@@ -90,6 +90,7 @@ def test_a_symbol_that_is_never_seen_overshoots() -> None:
     assert measured("standing", judged([0.9] * 20))["overshoot"] is None, "it began in its place"
 
 
+@pytest.mark.slow
 def test_controllers_side_by_side_run_as_each_does_alone() -> None:
     """Rendered views are shared, noise and states are not."""
     scenario = uncontrolled(load("snowflake", (*TINY, "camera.latency_steps=1"), steps=5))

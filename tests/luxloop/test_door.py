@@ -63,6 +63,7 @@ def test_a_run_shows_its_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert not folder.exists() and not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_run_of_lighting_functions_goes_where_it_is_sent(tmp_path: Path) -> None:
     scenario = luxloop.load("path_projection", [*SMALL, "steps=1"])
     result = luxloop.run(scenario, tmp_path / "path", video=False, report=False)

@@ -34,11 +34,13 @@ def test_controllers_keep_the_contract(name: str) -> None:
     check_controller(getattr(__import__(module), controller))
 
 
+@pytest.mark.slow
 def test_what_is_drawn_for_the_body_s_motion_lies_better_than_a_correction_of_the_past() -> None:
     moving, late = (ious("driving", each, 16) for each in ("motion_compensation:MotionCompensation", "model_reference"))
     assert sum(moving[SETTLED:]) > 2 * sum(late[SETTLED:]), "0.73 to 0.26 over the whole drive"
 
 
+@pytest.mark.slow
 def test_the_interaction_matrix_is_learnt_in_five_steps() -> None:
     assert min(ious("snowflake", "visual_servo:VisualServo", 9)[5:]) > 0.88, "0.91 over three seeds; a frame of noise costs 0.01"
 
@@ -68,6 +70,7 @@ def test_what_the_body_s_motion_explains_of_a_pose_error_is_taken_out_as_interfa
     assert off[0] < 0.04 and off[1] > 3 * off[0], f"share of the symbol's length: its own motion is left out, {off}"
 
 
+@pytest.mark.slow
 def test_the_tracker_keeps_whom_the_detector_finds() -> None:
     scenario = load("obl", ["steps=12", "tracker.kind=alpha_beta:AlphaBeta", "detector={kind='truth'}"])
     *_, last = prepare(scenario, "cpu").run()

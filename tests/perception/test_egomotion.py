@@ -79,7 +79,7 @@ def test_errors_have_the_sizes_that_were_asked_for():
         "gyro": {"yaw_bias_deg_s": 0.3, "yaw_noise_deg_s": 0.1, "noise_deg_s": 0.5},
         "attitude": {"heave_noise_m": 0.002, "pitch_bias_deg": 0.1, "noise_deg": 0.02},
     }
-    like, n = torch.zeros(1), 100
+    like, n = torch.zeros(1), 40
     motion = motion_of(10, duration_s=n * PERIOD_S)
     seen = [(look(motion, k, like, **errors), look(motion, k, like)) for k in range(n)]
     speed, yaw_rate = (torch.stack([getattr(a, key) - getattr(b, key) for a, b in seen]) for key in ("speed_m_s", "yaw_rate_rad_s"))

@@ -42,6 +42,7 @@ FIRST_STEPS, FIRST_ROWS = 8, 2
 LIKE_OTHERS = (
     *("belgian_block", "black_box_static", "chevrons", "conditional_animation", "crest", "crossing_symbols", "curb", "distance_warning"),
     *("flat", "half_round_bar", "night_drive", "rough_course", "speed_bump", "torsion_track", "warning_triangle"),
+    *("black_box_dynamic", "held_on_the_move", "misaimed", "path_projection", "raw_utilisations", "snowflake_birdseye", "two_symbols"),
 )
 
 

@@ -156,6 +156,14 @@ def transport(surface: LitSurface, headlight: Headlight, width: int, oversamplin
     return Transport(matrix, torch.from_numpy(index).to(device), first, last)
 
 
+class TextureSource(Protocol):
+    """What makes a module's light texture of its utilisation: its headlight matrix, or a lamp elsewhere whose light was measured."""
+
+    def light_texture(self, utilisation: Tensor, band: slice | None = None) -> Tensor:
+        """Luminous intensity `[..., rows, cols]` in cd of a utilisation `[..., n_p]` in 0..1; band: as of `Headlight.light_texture`."""
+        ...
+
+
 class Shadows:
     """Which points `[3, N]` m a lamp at `[3]` m lights past all triangles: a ray is cast to each when it is first asked for."""
 
@@ -178,6 +186,7 @@ class DirectTransport:
     illuminance is asked for.
 
     gbuffer: with `oversampling` rows for each of the image. shadows: from where the headlight is, on all of it. width: of the image in px.
+    measured: what makes light textures on the headlight's texels in place of its matrix, None for the matrix.
     """
 
     gbuffer: GBuffer
@@ -186,6 +195,7 @@ class DirectTransport:
     shadows: Shadows
     width: int
     oversampling: int = 1
+    measured: TextureSource | None = None
 
     @cached_property
     def surface(self) -> LitSurface:
@@ -198,8 +208,9 @@ class DirectTransport:
         utilisation: `[..., n_p]`. band: all pixels outside of it are dark.
         Shadows are looked for only where the light texture is not dark, and everywhere if it has a gradient.
         """
-        texture = self.headlight.light_texture(utilisation, band)
-        surface = self.surface if band is None or texture.requires_grad else self._reached(texture, self.headlight.rows_of(band))
+        texture = (self.measured or self.headlight).light_texture(utilisation, band)
+        everywhere = band is None or self.measured is not None or texture.requires_grad
+        surface = self.surface if everywhere else self._reached(texture, self.headlight.rows_of(band))
         lx = illuminance(surface, texture)
         lit = torch.arange(len(surface.index), device=lx.device)
         if not lx.requires_grad:

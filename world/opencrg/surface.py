@@ -1,13 +1,15 @@
 """Evaluate a curved regular grid: z(u, v), (u, v) -> (x, y) and back."""
 
 from functools import cached_property
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from world.opencrg.crg import FINEST_M, Crg, CrgError
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 Floats = NDArray[np.float64]
 NO_VALUE, ZERO, KEEP, REPEAT, MIRROR = range(5)
@@ -139,8 +141,10 @@ class CrgSurface:
         return np.where(u <= self.u_start, self._phi_ends[0], inside)
 
     @cached_property
-    def _coarse(self) -> tuple[NDArray[np.intp], cKDTree]:
+    def _coarse(self) -> tuple[NDArray[np.intp], "cKDTree"]:
         rows = np.unique(np.append(np.arange(0, len(self.points), 10), len(self.points) - 1))
+        from scipy.spatial import cKDTree
+
         return rows, cKDTree(self.points[rows])
 
     def uv(self, x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:

@@ -1,6 +1,7 @@
 """Where face ids come from: OpenGL if there is any, else rays."""
 
 import warnings
+from functools import cached_property
 from typing import Literal, Protocol
 
 from torch import Tensor
@@ -14,11 +15,29 @@ from world.view import View
 class FaceSource(Protocol):
     """Tells which triangle each pixel of a view sees; `name` says by what means."""
 
-    name: str
+    @property
+    def name(self) -> str: ...
 
     def face_ids(self, triangles: Triangles, view: View) -> Tensor:
         """Id of the nearest face through each pixel's centre, `[height, width]` int64, -1 where there is none."""
         ...
+
+
+class FirstFound:
+    """OpenGL if there is any, else rays, which is found out when something is first looked at: a context takes half a second to make."""
+
+    @cached_property
+    def found(self) -> FaceSource:
+        """What it is. Warns where there is no OpenGL."""
+        return face_source("auto")
+
+    @property
+    def name(self) -> str:
+        return self.found.name
+
+    def face_ids(self, triangles: Triangles, view: View) -> Tensor:
+        """As of what it is."""
+        return self.found.face_ids(triangles, view)
 
 
 def face_source(name: Literal["auto", "opengl", "raycast"] = "auto") -> FaceSource:

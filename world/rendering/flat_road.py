@@ -12,9 +12,9 @@ def flat_road(view: View, albedo: float, dtype: torch.dtype = torch.float32, mat
     rays, origin = view.rays(), view.origin[:, None, None]
     down = rays[2] < -1e-9
     distance = torch.where(down, -origin[2] / rays[2].where(down, -1.0), 0.0)
-    position = (origin + distance * rays) * down
+    position = rays.mul_(distance).add_(origin).mul_(down).to(dtype)
     normal = torch.zeros_like(position)
     normal[2] = down
     object_id = torch.where(down, 0, -1).to(torch.int32)
     finish = None if material.lambertian else Finish((LAMBERTIAN, material), down.to(torch.int64), view.origin)
-    return GBuffer(position.to(dtype), normal.to(dtype), albedo * down.to(dtype), object_id, finish)
+    return GBuffer(position, normal, albedo * down.to(dtype), object_id, finish)

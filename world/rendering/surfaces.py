@@ -8,7 +8,7 @@ import torch
 from world.materials.brdf import LAMBERTIAN, Material
 from world.partial import Part
 from world.rendering.deferred import DeferredRenderer
-from world.rendering.face_source import FaceSource
+from world.rendering.face_source import FaceSource, FirstFound
 from world.rendering.gbuffer import Finish, GBuffer, gbuffer, reflection
 from world.rendering.rasterise import Rasteriser
 from world.scene.triangles import Placed, Triangles
@@ -69,4 +69,5 @@ def _one_an_object(triangles: Triangles) -> tuple[Placed, ...]:
 
 def surface_source(source: FaceSource, moving: bool) -> SurfaceSource:
     """The quick way where the world moves and faces come from OpenGL, else the exact one."""
+    source = source.found if isinstance(source, FirstFound) else source
     return QuickSurfaces(DeferredRenderer()) if moving and isinstance(source, Rasteriser) else ExactSurfaces(source)

@@ -1,17 +1,27 @@
 """Triangles of a road: a tensor-product grid, fine where the light falls and growing coarser around."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from world.roads.base import Floats, Road
+
+if TYPE_CHECKING:
+    import trimesh
 
 SCENE_X_M = (-6.0, 120.0)
 SCENE_Y_M = (-25.0, 25.0)
 GROWTH = 1.15  # of the spacing from one row to the next outside the fine part
 
 
-def road_mesh(road: Road) -> trimesh.Trimesh:
+def refuse_broken(road: Road) -> None:
+    """Look at a road where its mesh will end. Raises LuxloopError where it has no heights there, of a broken file, say."""
+    road.grid()
+    road.z(np.array(SCENE_X_M)[:, None], np.array(SCENE_Y_M))
+
+
+def road_mesh(road: Road) -> "trimesh.Trimesh":
     """Mesh of a road in the vehicle frame: vertices in m (float64) on the surface, counter-clockwise seen from above, so normals point up.
 
     Between 150,000 and 400,000 faces over x = -6 to 120 m, y = -25 to 25 m.
@@ -20,11 +30,19 @@ def road_mesh(road: Road) -> trimesh.Trimesh:
     x = axis(SCENE_X_M, grid.x_m, grid.spacing_m[0], grid.x_lines_m)
     y = axis(SCENE_Y_M, grid.y_m, grid.spacing_m[1], grid.y_lines_m)
     X, Y = np.meshgrid(x, y, indexing="ij")
-    vertices = np.stack([X, Y, road.z(X, Y)], axis=-1).reshape(-1, 3)
-    return trimesh.Trimesh(vertices, grid_faces(len(x), len(y)), process=False)
+    return grid_mesh(X, Y, road.z(X, Y))
 
 
-def grid_faces(n_x: int, n_y: int) -> NDArray[np.int64]:
+def grid_mesh(x: Floats, y: Floats, z: Floats, normals: Floats | None = None) -> "trimesh.Trimesh":
+    """Mesh of a grid of vertices `[n_x, n_y]` m. normals: their directions `[n_x, n_y, 3]`, None for those of the faces."""
+    import trimesh  # which takes a seventh of a command's start, and only what is looked at needs it
+
+    if normals is not None:
+        normals = (normals / np.linalg.norm(normals, axis=-1, keepdims=True)).reshape(-1, 3)
+    return trimesh.Trimesh(np.stack([x, y, z], axis=-1).reshape(-1, 3), _grid_faces(*x.shape), vertex_normals=normals, process=False)
+
+
+def _grid_faces(n_x: int, n_y: int) -> NDArray[np.int64]:
     """Corners `[F, 3]` of the triangles between `n_x` rows of `n_y` vertices, counter-clockwise seen from above."""
     corner = (np.arange(n_x - 1)[:, None] * n_y + np.arange(n_y - 1)).ravel()
     ahead, left = corner + n_y, corner + 1

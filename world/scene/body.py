@@ -3,13 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-import trimesh
-from scipy.spatial.transform import Rotation, Slerp
 from torch import Tensor
-from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from world.frames import pose, rotation
 from world.kept import keeping
@@ -17,6 +15,10 @@ from world.materials.brdf import LAMBERTIAN, Material
 from world.materials.library import MaterialName, Texture
 from world.materials.spots import SpottedTexture
 from world.roads.base import Road
+
+if TYPE_CHECKING:
+    import trimesh
+    from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 # ahead and to the left: front left, front right, rear left, rear right
 WHEELS = torch.tensor([[1.0, 1.0, -1.0, -1.0], [1.0, -1.0, 1.0, -1.0]], dtype=torch.float64)
@@ -102,6 +104,8 @@ class PoseTrack:
         return pose(T[:3, 3] + torch.stack([z.new_zeros(()), z.new_zeros(()), z.mean()]), R @ rotation(roll, pitch, z.new_zeros(())))
 
     def _interpolated(self, t_s: float) -> Tensor:
+        from scipy.spatial.transform import Rotation, Slerp
+
         t = min(max(t_s, self.times_s[0]), self.times_s[-1])
         after = int(np.searchsorted(self.times_s, t))
         if self.times_s[after] == t:
@@ -124,7 +128,7 @@ class Body:
     """
 
     name: str
-    mesh: trimesh.Trimesh
+    mesh: "trimesh.Trimesh"
     albedo: float = 0.2
     texture: Texture | SpottedTexture | None = None
     material: Material = LAMBERTIAN
@@ -161,8 +165,10 @@ class Body:
         return torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=-1)[:, None].expand(-1, 3, -1).contiguous()
 
     @cached_property
-    def intersector(self) -> RayMeshIntersector:
+    def intersector(self) -> "RayMeshIntersector":
         """Embree's copy of the mesh. It ends with the body: the mesh's own waits for the garbage collector, and embree ends in a crash with
         about 1,000 of them at once.
         """
+        from trimesh.ray.ray_pyembree import RayMeshIntersector
+
         return RayMeshIntersector(self.mesh)

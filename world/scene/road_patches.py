@@ -8,14 +8,13 @@ from typing import Final
 
 import numpy as np
 import torch
-import trimesh
 from torch import Tensor
 
 from world.kept import keeping
 from world.materials.library import Texture
 from world.materials.spots import SpottedTexture
 from world.roads.base import Floats, Road
-from world.roads.mesh import grid_faces
+from world.roads.mesh import grid_mesh
 from world.scene.body import Body, PoseTrack
 from world.scene.triangles import Placed
 
@@ -65,13 +64,7 @@ class RoadPatches:
         grids = (*np.meshgrid(x, y, indexing="ij"), *height_and_slopes)
         X, Y, Z, dx, dy = (np.pad(each, 1, mode="edge") for each in grids)
         Z = Z - np.pad(np.zeros((len(x), len(y))), 1, constant_values=SKIRT_M)
-        normals = np.stack([-dx, -dy, np.ones_like(dx)], axis=-1).reshape(-1, 3)
-        mesh = trimesh.Trimesh(
-            np.stack([X, Y, Z], axis=-1).reshape(-1, 3),
-            grid_faces(*X.shape),
-            vertex_normals=normals / np.linalg.norm(normals, axis=1, keepdims=True),
-            process=False,
-        )
+        mesh = grid_mesh(X, Y, Z, np.stack([-dx, -dy, np.ones_like(dx)], axis=-1))
         return Placed(object_id, Body(self.name, mesh, self.albedo, self.texture, smooth=True), torch.eye(4, dtype=torch.float64))
 
 

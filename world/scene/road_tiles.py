@@ -8,14 +8,13 @@ from typing import Final
 
 import numpy as np
 import torch
-import trimesh
 from torch import Tensor
 
 from world.kept import keeping
 from world.materials.library import Texture
 from world.materials.spots import SpottedTexture
 from world.roads.base import Road
-from world.roads.mesh import axis, grid_faces
+from world.roads.mesh import axis, grid_mesh
 from world.scene.body import Body, PoseTrack
 from world.scene.triangles import Placed
 
@@ -81,12 +80,6 @@ class RoadTiles:
         around = np.concatenate([[x[0] - margin], x, [x[-1] + margin]])
         z = self.road.z(around[:, None], y)
         dx, dy = np.gradient(z, around, y)
-        normals = np.stack([-dx, -dy, np.ones_like(z)], axis=-1)[1:-1].reshape(-1, 3)
-        X, Y = np.meshgrid(x, y, indexing="ij")
-        mesh = trimesh.Trimesh(
-            np.stack([X, Y, z[1:-1]], axis=-1).reshape(-1, 3),
-            grid_faces(len(x), len(y)),
-            vertex_normals=normals / np.linalg.norm(normals, axis=1, keepdims=True),
-            process=False,
-        )
+        normals = np.stack([-dx, -dy, np.ones_like(z)], axis=-1)
+        mesh = grid_mesh(*np.meshgrid(x, y, indexing="ij"), z[1:-1], normals[1:-1])
         return Placed(object_id, Body(self.name, mesh, self.albedo, self.texture, smooth=True), torch.eye(4, dtype=torch.float64))

@@ -12,10 +12,12 @@ from world.scene.body import Body, PoseTrack, Spotlight
 from world.scene.figure import Figure
 from world.scene.road_patches import RoadPatches
 from world.scene.road_tiles import RoadTiles
+from world.scene.standing_road import StandingRoad
 from world.scene.triangles import NOTHING, Placed, Triangles
 
-__all__ = ["Body", "PoseTrack", "Scene", "StreetLamp"]
+__all__ = ["Body", "Ground", "PoseTrack", "Scene", "StreetLamp"]
 
+Ground = StandingRoad | RoadTiles | RoadPatches  # roads that are meshed when somebody looks at them
 # (object id, the 16 numbers of T_world_body and the share of its cycle that a figure is at) of every body that is there
 Key = tuple[tuple[int, tuple[float, ...]], ...]
 
@@ -35,14 +37,14 @@ class Scene:
     sky.
     """
 
-    bodies: tuple[Body | RoadTiles | RoadPatches | Figure, ...]
+    bodies: tuple[Body | Ground | Figure, ...]
     ambient_lx: float = 0.0
     street_lamps: tuple[StreetLamp, ...] = ()
 
     @property
     def objects(self) -> tuple[Body | Figure, ...]:
         """All but the road."""
-        return tuple(body for body in self.bodies[1:] if not isinstance(body, RoadTiles | RoadPatches))
+        return tuple(body for body in self.bodies[1:] if not isinstance(body, Ground))
 
     @property
     def moves(self) -> bool:
@@ -69,7 +71,7 @@ class Scene:
 
     def _place(self, i: int, t_s: float, T_world_ground: Tensor, before: Placed | None) -> tuple[Placed, ...]:
         body = self.bodies[i]
-        if isinstance(body, RoadTiles | RoadPatches):
+        if isinstance(body, Ground):
             return body.near(i, T_world_ground)
         T, shape = body.track.pose_at(t_s), body.at(t_s) if isinstance(body, Figure) else body
         rests = before is not None and before.body is shape and before.T_world_body.equal(T)

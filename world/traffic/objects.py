@@ -1,18 +1,13 @@
 """Objects for scenarios: boxes, meshes from files, and random objects."""
 
-import io
-import os
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal, Self, cast
+from typing import Annotated, Literal, Self
 
 import numpy as np
 import torch
-import trimesh
 from pydantic import Field, model_validator
 
 from world.errors import LuxloopError
-from world.files import content
 from world.materials.library import MATERIALS, MaterialName
 from world.scene.body import Body, Part
 from world.traffic.animal import AnimalParams
@@ -24,7 +19,6 @@ from world.traffic.tracked import TrackedParams
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 AXES = np.eye(3)
-MESHES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 FARTHEST_M = 10_000
 Side = Annotated[float, Field(gt=0, le=1000)]
 
@@ -50,6 +44,8 @@ class BoxParams(SolidParams):
     size_m: tuple[Side, Side, Side] = Field(examples=[[0.4, 0.4, 0.3]], description="length (x), width (y), height (z)")
 
     def build(self) -> Body:
+        import trimesh
+
         box = trimesh.creation.box(self.size_m)
         box.apply_translation((0, 0, self.size_m[2] / 2))
         return Body(self.name, box, track=self.pose_track(), parts=(self.part("surface"),))
@@ -76,9 +72,11 @@ class MeshParams(SolidParams):
 
     def build(self) -> Body:
         """Read the file. Raises LuxloopError where it is missing, unreadable or has no triangles, or has no such part."""
-        nodes = _read_nodes(self.file)
+        from world.traffic.mesh_files import joined, read_nodes
+
+        nodes = read_nodes(self.file)
         check_parts(self.name, self.parts, list(nodes))
-        mesh = cast(trimesh.Trimesh, trimesh.util.concatenate(list(nodes.values())))
+        mesh = joined(nodes.values())
         ahead, up = (AXES["xyz".index(axis[-1])] * (-1 if axis[0] == "-" else 1) for axis in (self.forward, self.up))
         turn = np.eye(4)
         turn[:3, :3] = [ahead, np.cross(up, ahead), up]
@@ -101,31 +99,3 @@ ObjectParams = Annotated[
     BoxParams | MeshParams | PedestrianParams | CyclistParams | CarParams | AnimalParams | TrafficSignParams | ClutterParams,
     Field(discriminator="kind"),
 ]
-
-
-def _read_nodes(file: Path) -> Mapping[str, trimesh.Trimesh]:
-    """The meshes of a file in its frame, by the names of its nodes."""
-    if not os.path.isfile(file):
-        raise LuxloopError(f"{file}: there is no such mesh file; correct the object's key 'file'")
-    if file.suffix.lower() not in MESHES:  # archives and documents that trimesh reads as well may hold anything
-        raise LuxloopError(f"{file}: meshes are {', '.join(MESHES)} files; export it as one of them")
-    try:
-        data = io.BytesIO(content(file))  # which gives no more bytes than there are, whatever the file declares
-        resolver = trimesh.resolvers.FilePathResolver(str(file))
-        found = trimesh.load_scene(data, file_type=file.suffix[1:].lower(), resolver=resolver, split_objects=True).dump()
-    except Exception as error:  # trimesh's readers raise whatever their formats provoke
-        raise LuxloopError(f"{file}: not readable as a mesh ({error}); export it again as .obj, .ply, .stl or .glb") from error
-    meshes = [mesh for mesh in found if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
-    if not meshes:
-        raise LuxloopError(f"{file}: holds no triangles; export it with its faces")
-    if not all(np.isfinite(mesh.vertices).all() and mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.vertices) for mesh in meshes):
-        raise LuxloopError(f"{file}: has corners that are not numbers or not there; export it again")
-    return dict(zip(_names(meshes), meshes, strict=True))
-
-
-def _names(meshes: Sequence[trimesh.Trimesh]) -> list[str]:
-    """Of the nodes, without the material that a reader puts behind them where each is of one material alone."""
-    nodes = [str(mesh.metadata["node"]) for mesh in meshes]
-    materials = [getattr(getattr(mesh.visual, "material", None), "name", None) for mesh in meshes]
-    alone = [node.removesuffix(f"_{material}") for node, material in zip(nodes, materials, strict=True)]
-    return [short if alone.count(short) == 1 else node for short, node in zip(alone, nodes, strict=True)]

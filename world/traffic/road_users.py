@@ -3,7 +3,6 @@
 from typing import ClassVar, Literal
 
 import numpy as np
-import trimesh
 from pydantic import Field
 
 from world.materials.library import MaterialName
@@ -123,6 +122,8 @@ def riding(who: Person, phase: float, lean: float) -> Joints:
 
 def bicycle(who: Person, phase: float) -> list[Piece]:
     """Wheels, frame, cranks and lamps under a rider."""
+    import trimesh
+
     saddle, grips, pedals = _saddle(who), _grips(who), _pedals(phase)
     rear, front, crank = np.array([-0.48, 0, WHEEL_M]), np.array([0.58, 0, WHEEL_M]), np.array([-0.03, 0, 0.28])
     stem = grips.mean(0) * [0.92, 1, 1]

@@ -2,10 +2,13 @@
 
 from dataclasses import dataclass
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    import trimesh
 
 Floats = NDArray[np.float64]
 
@@ -84,6 +87,8 @@ def ellipsoid(part: str, centre: ArrayLike, radii: ArrayLike, sides: int = 12, r
 
 def block(part: str, centre: ArrayLike, size: ArrayLike) -> Piece:
     """A box along the axes, with corners of its own for each face, so that smooth normals leave its edges sharp."""
+    import trimesh
+
     mesh = trimesh.creation.box(np.asarray(size, float))
     return Piece(part, mesh.triangles.reshape(-1, 3) + np.asarray(centre, float), np.arange(len(mesh.faces) * 3).reshape(-1, 3))
 
@@ -103,13 +108,17 @@ def polygon(centre: ArrayLike, normal_x: float, radius: float, corners: int, tur
 
 def blob(part: str, centre: ArrayLike, radii: ArrayLike, rng: np.random.Generator, roughness: float = 0.15) -> Piece:
     """A ball of 320 faces whose corners are moved in and out at random, as crowns of trees are."""
+    import trimesh
+
     ball = trimesh.creation.icosphere(subdivisions=2)
     away = ball.vertices * (1 + roughness * rng.standard_normal((len(ball.vertices), 1)).clip(-2, 2))
     return Piece(part, away * np.asarray(radii, float) + np.asarray(centre, float), np.asarray(ball.faces, dtype=np.int64))
 
 
-def joined(pieces: list[Piece]) -> tuple[trimesh.Trimesh, tuple[str, ...], NDArray[np.int64]]:
+def joined(pieces: list[Piece]) -> tuple["trimesh.Trimesh", tuple[str, ...], NDArray[np.int64]]:
     """One mesh, the names of its parts in the order in which they come, and which of them each face belongs to `[F]`."""
+    import trimesh
+
     names = tuple(dict.fromkeys(piece.part for piece in pieces))
     firsts = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
     faces = np.concatenate([piece.faces + first for piece, first in zip(pieces, firsts[:-1], strict=True)])

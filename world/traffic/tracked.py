@@ -7,7 +7,6 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 import torch
 from pydantic import Field, model_validator
-from scipy.interpolate import CubicHermiteSpline
 
 from world.frames import pose_from_degrees
 from world.params import Metres, Params, PlainName
@@ -53,6 +52,8 @@ class WayParams(Params):
 
     def poses(self) -> tuple[tuple[float, ...], torch.Tensor]:
         """Times `K` in s and poses `[K, 4, 4]`, on a cubic Hermite curve with the slopes of central differences."""
+        from scipy.interpolate import CubicHermiteSpline
+
         points = np.array(self.points_m)
         chord = np.cumsum([0.0, *np.linalg.norm(np.diff(points, axis=0), axis=1)])
         curve = CubicHermiteSpline(chord, points, np.gradient(points, chord, axis=0))

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from kornia.geometry.transform import remap
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, grid_sample
 
@@ -16,6 +15,7 @@ from perception.camera import CameraParams, average_rows, camera_view, luminance
 from perception.extraction import Crop, Extraction, difference, symbol_image, threshold
 from world.frames import inverse
 from world.headlight import Headlight
+from world.resampling import resampled
 from world.view import View
 
 SIGMAS = 1.4826  # of a normal distribution, in its median deviations
@@ -175,7 +175,7 @@ class ForwardModel:
             for low, high in [((place.aminmax().min + 1) * size / 2 - BESIDE_PX, (place.max() + 1) * size / 2 + BESIDE_PX)]
         )
         seen[read] = off[read]
-        return remap(seen[None, None], u, v, padding_mode="border", align_corners=False, normalized_coordinates=True)[0, 0]
+        return resampled(seen[None, None], u, v, "border")[0, 0]
 
     def on_pixels(self, nodes: Tensor) -> Tensor:
         """Values of nodes `[..., n]` at the pixels, `[..., h, w]`."""

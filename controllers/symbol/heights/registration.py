@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import torch
-from kornia.filters import get_gaussian_kernel1d
 from torch import Tensor
 from torch.nn.functional import conv2d
 
@@ -148,4 +147,6 @@ class Registration:
 @lru_cache(maxsize=8)
 def _gaussian(sigma: float, device: torch.device) -> Tensor:
     """Its kernel `[1, 1, n]`, to two and a half deviations."""
+    from kornia.filters import get_gaussian_kernel1d
+
     return get_gaussian_kernel1d(2 * math.ceil(2.5 * sigma) + 1, sigma, device=device)[None]

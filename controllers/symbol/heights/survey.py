@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import torch
-from kornia.filters import gaussian_blur2d
 from torch import Tensor
 
 from controllers.symbol.heights.forward_model import ForwardModel
@@ -85,6 +84,8 @@ class Survey:
 
     def _smooth(self, values: Tensor, weights: Tensor) -> Tensor:
         """Sum of values over sum of weights, both `[h, w]`, around each node: `[rows, cols]`."""
+        from kornia.filters import gaussian_blur2d
+
         found = self.forward_model.on_nodes(torch.stack([values, weights])).view(1, 2, self.forward_model.rows, self.forward_model.cols)
         parts = [
             share * gaussian_blur2d(found, (2 * int(3 * sigma) + 1,) * 2, (sigma, sigma), border_type="replicate")[0]

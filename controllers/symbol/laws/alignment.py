@@ -7,15 +7,13 @@ import cv2
 import numpy as np
 import torch
 from cv2.typing import MatLike
-from kornia.filters import gaussian_blur2d, spatial_gradient
-from kornia.geometry.linalg import transform_points
-from kornia.geometry.transform import remap
 from torch import Tensor
 from torch.nn.functional import interpolate
 
 from controllers.symbol.sensing.symbol_sensor import Measurement, SymbolSensor
 from perception.birdseye import BirdsEye, Region, birds_eye, rectify
 from perception.extraction import Crop
+from world.resampling import resampled
 
 CELL_M = 0.04
 BEYOND = (0.5, 0.4)  # of the symbol's length and width, on every side
@@ -44,13 +42,15 @@ class Placement:
 
     def of(self, points: Tensor) -> Tensor:
         """Points `[2, h, w]` moved."""
+        from kornia.geometry.linalg import transform_points
+
         moved = transform_points(self.homography[None], points.flatten(1).T[None])[0].T.view_as(points)
         per_m, heights = (self._at(values, points) for values in (self.per_m, self.heights[None]))
         return moved + per_m * heights
 
     def _at(self, values: Tensor, points: Tensor) -> Tensor:
         u, v = (axis[None] / end for axis, end in zip(points, self.extent, strict=True))
-        return remap(values[None], u, v, padding_mode="border", align_corners=True, normalized_coordinates=True)[0]
+        return resampled(values[None], u, v, "border", corners=True)[0]
 
 
 @dataclass(frozen=True)
@@ -126,6 +126,8 @@ class Alignment:
 
     def _mesh(self, image: Tensor, start: Placement) -> Placement:
         """Gauss-Newton on heights, which are smooth."""
+        from kornia.filters import gaussian_blur2d, spatial_gradient
+
         n = self.still.heights.numel()
         k = torch.arange(n, device=image.device).view(NODES)
         pairs = torch.cat([torch.stack([k[1:], k[:-1]]).flatten(1), torch.stack([k[:, 1:], k[:, :-1]]).flatten(1)], 1)
@@ -152,4 +154,4 @@ class Alignment:
 
     def _sampled(self, image: Tensor, where: Tensor) -> Tensor:
         u, v = (axis[None] / end for axis, end in zip(where, self.still.extent, strict=True))
-        return remap(image[None, None], u, v, padding_mode="zeros", align_corners=True, normalized_coordinates=True)[0, 0]
+        return resampled(image[None, None], u, v, corners=True)[0, 0]

@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from typing import Self
 
 import torch
-from kornia.filters import gaussian_blur2d
-from kornia.geometry.transform import remap
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, pad
 
 from controllers.symbol.sensing.projector import DrawingModule, Projector
 from controllers.symbol.sensing.shape import reached
 from perception.camera import CameraParams, camera_view
+from world.resampling import resampled
 from world.texels import TexelGrid
 from world.view import View
 
@@ -111,6 +110,8 @@ class Acquisition:
         patterns = self._patterns(textures)
         if not patterns or float(symbol.sum()) < FAINT_PX:
             return Acquired(symbol.new_zeros(4), 0.0, 0.0)
+        from kornia.filters import gaussian_blur2d
+
         image = gaussian_blur2d(symbol[None, None], BLURRED_OVER, BLUR)
         shapes = self._tried(patterns[0])
         matches = self._matches(shapes, image, patterns)
@@ -151,7 +152,7 @@ class Acquisition:
     def _match(self, shapes: Tensor, image: Tensor, pattern: Pattern) -> Tensor:
         size = image.new_tensor([[image.shape[-1]], [image.shape[-2]]])
         u, v = (2 * self._seen_at(shapes, pattern) / size - 1).unbind(1)
-        seen = remap(image, u[None], v[None], padding_mode="zeros", align_corners=False, normalized_coordinates=True)[0, 0]
+        seen = resampled(image, u[None], v[None])[0, 0]
         seen, values = seen - seen.mean(-1, keepdim=True), (pattern.values - pattern.values.mean()).flatten()
         return seen @ values / (seen.norm(dim=-1) * values.norm()).clamp(min=1e-6)
 

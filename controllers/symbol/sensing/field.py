@@ -1,12 +1,12 @@
 """The part of a symbol that lies outside of the field of the lamp modules that draw it, where they have no light."""
 
 import torch
-from kornia.geometry.transform import remap
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 
 from controllers.symbol.sensing.projection import CELLS, ProjectionCommand
 from controllers.symbol.sensing.projector import DrawingModule, Projector
+from world.resampling import resampled
 
 SIDES = ("left", "right", "top", "bottom")  # of a module's light texture
 EVERY = 8  # every eighth cell of a rectangle along and across is tested
@@ -55,4 +55,4 @@ def _white(symbol: Tensor, projection: ProjectionCommand, rows: int, cols: int) 
         return coarse[0, 0]
     u, v = projection.warp.source[..., EVERY // 2 :: EVERY, EVERY // 2 :: EVERY].unbind(1)
     coarse = coarse.expand(len(u), -1, -1, -1)
-    return remap(coarse, u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)[:, 0].mean(0)
+    return resampled(coarse, u, v)[:, 0].mean(0)

@@ -6,7 +6,6 @@ seen as far as it does on the plane.
 """
 
 import torch
-from kornia.geometry.transform import remap
 from torch import Tensor
 from torch.nn.functional import interpolate
 
@@ -14,6 +13,7 @@ from controllers.symbol.sensing.planes import below_lamps, holding, placed
 from controllers.symbol.sensing.projection import CELLS, ProjectionCommand, Warp
 from controllers.symbol.sensing.shape import reached
 from world.frames import inverse, pose, rotation, transform
+from world.resampling import resampled
 
 FOLLOWED = 4  # light is followed for every fourth cell along and across, and interpolated between them
 FARTHEST, NOWHERE = 3.0, 1e3  # of the way to the plane z = 0 and to the patch: where lines of sight and light end that meet no road
@@ -80,6 +80,6 @@ def _warped(warp: Warp | None, source: Tensor, size_m: tuple[float, float]) -> W
         return Warp(source, torch.ones_like(source[:, 0]), size_m)
     u, v = source.unbind(1)
     of, dimming = (each.expand(len(u), -1, -1, -1) for each in (warp.source, warp.dimming[:, None]))
-    taken = remap(of, u, v, padding_mode="border", align_corners=False, normalized_coordinates=True)
-    dimmed = remap(dimming, u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)
+    taken = resampled(of, u, v, "border")
+    dimmed = resampled(dimming, u, v)
     return Warp(taken, dimmed[:, 0], size_m)

@@ -8,7 +8,6 @@ from typing import Literal, Self
 
 import numpy as np
 import torch
-from kornia.geometry.transform import remap
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from torch import Tensor
@@ -21,6 +20,7 @@ from controllers.symbol.sensing.shape import reached
 from perception.extraction import Crop
 from world.kept import keeping
 from world.params import Params
+from world.resampling import resampled
 from world.view import View
 
 CORNERS = 4  # of a rectangle
@@ -158,7 +158,7 @@ class Projector:
             return [self.rectangle(projection)] * len(self.modules)
         u, v = projection.warp.source.unbind(1)
         symbol = self.symbol.expand(len(u), 1, -1, -1)
-        warped = remap(symbol, u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)[:, 0] * projection.warp.dimming
+        warped = resampled(symbol, u, v)[:, 0] * projection.warp.dimming
         if clear:
             warped = torch.stack([warped, (projection.warp.source.abs().amax(1) <= 1).to(warped)], 1)
         images = warped.expand(len(self.modules), *warped.shape[1:])

@@ -50,7 +50,7 @@ def close(a: Any, b: Any) -> bool:
     return a == b
 
 
-@pytest.mark.parametrize("law", DIFFERENT)
+@pytest.mark.parametrize("law", [pytest.param(law, marks=() if law in ("thesis_pid", "open") else pytest.mark.slow) for law in DIFFERENT])
 def test_each_of_a_batch_is_the_single_run(law: str) -> None:
     given = [scenario(f"functions.symbol.controller.name={law}", *changes, seed=k) for k, changes in enumerate(DIFFERENT[law])]
     assert len({batch.kind(each) for each in given}) == 1 and batch.kind(given[0])
@@ -92,6 +92,7 @@ def test_what_searches_for_its_symbol_is_run_alone() -> None:
     assert figures == expected and rollout is not None and alone is not None and torch.equal(rollout.poses, alone.poses)
 
 
+@pytest.mark.slow
 def test_light_of_whole_lamps_is_run_one_by_one() -> None:
     given = [scenario("lighting.base.beam=low", seed=k) for k in (0, 1)]
     assert [figures for figures, _ in batch.runs(given)] == [traced(each, "cpu")[0] for each in given]

@@ -18,7 +18,7 @@ def test_a_file_and_changes_make_faults(tmp_path: Path) -> None:
 
 def test_the_shipped_example_has_a_little_of_everything() -> None:
     faults = read(examples()["rig_faults.toml"])
-    assert all(getattr(faults, table) != getattr(FaultParams(), table) for table in FaultParams.model_fields)
+    assert all(getattr(faults, table) != getattr(FaultParams(), table) for table in FaultParams.model_fields if table != "board")
 
 
 def test_keys_of_scenario_and_faults_are_told_apart() -> None:

@@ -127,7 +127,7 @@ def test_lost_packets_never_light_a_part() -> None:
             loop.show(255 * (k % 2), k)
             time.sleep(0.01)
         light = loop.rig.light
-        assert 0 < light.frames < 40 and light.assembler.incomplete > 20
+        assert 0 < light.counts().frames < 40 and light.counts().incomplete > 20
         dark_or_full = {len(each["timecodes"]) for each in loop.truth()["frames"]}
         assert dark_or_full
         loop.hold(255, 60, 0.5)

@@ -15,17 +15,17 @@ ON, OFF = np.full(4, 255, np.uint8), np.zeros(4, np.uint8)
 
 
 def test_it_goes_out_when_nothing_comes() -> None:
-    timeline, before_s = Timeline(0.05), time.monotonic()
+    timeline, before_s = Timeline(0.25), time.monotonic()  # a busy machine sleeps some tens of milliseconds longer
     assert timeline.state().dark_since_s <= before_s
     timeline.show(light(ON, 1))
     assert timeline.state().lit and timeline.state().light_sum == 4
-    time.sleep(0.03)
+    time.sleep(0.15)
     timeline.show(light(ON, 1))  # sent again
-    time.sleep(0.03)
+    time.sleep(0.15)
     assert timeline.state().lit
-    time.sleep(0.05)
+    time.sleep(0.25)
     state, now_s = timeline.state(), time.monotonic()
-    assert not state.lit and 0.01 < now_s - state.dark_since_s < 0.05
+    assert not state.lit and 0.05 < now_s - state.dark_since_s < 0.25
     segments = timeline.between(before_s, now_s)
     assert [each.light and each.light.timecodes for each in segments] == [None, (1,), None]
     assert all(a.to_s == b.from_s for a, b in pairwise(segments))
@@ -48,10 +48,10 @@ def test_light_is_as_late_as_its_lamp() -> None:
     timeline = Timeline(1.0, latency_s=0.02)
     asked_s = time.monotonic()
     timeline.show(light(ON, 1))
-    assert not timeline.state().lit
+    shown_s = time.monotonic()
     time.sleep(0.025)
     dark, lit = timeline.between(asked_s, time.monotonic())
-    assert dark.light is None and 0.02 <= lit.from_s - asked_s < 0.025
+    assert dark.light is None and asked_s + 0.02 <= lit.from_s <= shown_s + 0.02
 
 
 def test_new_light_is_waited_for() -> None:

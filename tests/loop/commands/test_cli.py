@@ -23,6 +23,11 @@ from tests.world.opencrg.writer import write_crg
 from world.opencrg import Crg
 
 ROOT = Path(__file__).parents[3]
+# What only a picture, a report, an object or a detector needs: each takes a tenth of a second or more.
+LOOKING = (
+    "kornia", "matplotlib", "networkx", "onnxruntime", "optuna", "pandas", "pyglet", "pyrender", "trimesh",
+    "scipy.interpolate", "scipy.optimize", "scipy.signal", "scipy.spatial", "scipy.stats",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -114,6 +119,24 @@ def test_lists_that_need_no_model_import_no_torch() -> None:
     listing = "for kind in ('scenarios', 'symbols', 'examples'): cli.main(['list', kind])"
     program = f"import sys\nfrom loop.commands import cli\n{listing}\nassert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", program], check=True, stdout=subprocess.DEVNULL)
+
+
+@pytest.mark.parametrize(
+    ("command", "heavy"),
+    [
+        (["--help"], ("numpy", "torch", "pydantic")),
+        (["new", "my.toml"], ("numpy", "torch", "pydantic")),
+        (["check", "snowflak"], ("numpy", "torch", "pydantic")),
+        (["check", "snowflake"], LOOKING),
+        (["check", "driving"], [each for each in LOOKING if "scipy" not in each]),  # whose vehicle moves on filters of SciPy
+    ],
+    ids=" ".join,
+)
+def test_command_imports_nothing_heavy_that_it_does_not_use(command: list[str], heavy: tuple[str, ...], tmp_path: Path) -> None:
+    program = f"import sys\nfrom loop.commands import cli\ncli.main({command})\nprint(sorted({set(heavy)} & set(sys.modules)))"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
 
 
 def test_help_and_version(lux: Lux) -> None:

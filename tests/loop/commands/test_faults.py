@@ -185,6 +185,7 @@ def study(folder: Path) -> optuna.Study:
     return optuna.load_study(study_name="tune", storage=storage)
 
 
+@pytest.mark.slow
 def test_two_tunes_share_the_trials_asked_for(folder: Path) -> None:
     both = [Command(folder, *TUNE, "--trials", "5", *QUICK) for _ in range(2)]
     assert [each.ended()[0] for each in both] == [0, 0]
@@ -194,6 +195,7 @@ def test_two_tunes_share_the_trials_asked_for(folder: Path) -> None:
     assert "5 trials" in (folder / "out" / "report.md").read_text()
 
 
+@pytest.mark.slow
 def test_a_tune_that_was_killed_goes_on_at_once(folder: Path) -> None:
     """From a journal that is locked, a trial that never ends and a line that was cut off."""
     journal = folder / "out" / STUDY

@@ -98,6 +98,7 @@ def test_what_a_plant_cannot_mean_is_told_in_a_sentence(broken: str, tmp_path: P
     assert "plant.kind: own:Clock: " in str(caught.value) and words in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("own")
 def test_a_car_that_drives_differs_by_the_rounding_of_its_clock() -> None:
     zero, epoch = (results(begins_s, vehicle=DRIVES) for begins_s in (0.0, EPOCH_S))

@@ -232,6 +232,7 @@ compare = "open_loop"
 """
 
 
+@pytest.mark.slow
 def test_the_command_says_what_passed_and_fails_where_a_check_does(lux: Lux) -> None:
     with Path("small.toml").open("a") as file:
         file.write(CHECKS)

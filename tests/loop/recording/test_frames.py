@@ -60,7 +60,7 @@ def same(given: tuple[Sample, ...], others: tuple[Sample, ...]) -> bool:
     return told(given) == told(others)
 
 
-@pytest.mark.parametrize("changes", [{"steps": 4}, DRIVES], ids=["stands", "drives"])
+@pytest.mark.parametrize("changes", [{"steps": 4}, pytest.param(DRIVES, marks=pytest.mark.slow)], ids=["stands", "drives"])
 def test_all_that_was_shown_and_came_is_kept_bit_for_bit(changes: dict[str, Any], tmp_path: Path) -> None:
     simulation = Simulation.prepare(validate({**SMALL, **changes}, "small"))
     with Recorder(tmp_path, simulation, frames=True) as recorder:

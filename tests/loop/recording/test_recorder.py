@@ -192,6 +192,7 @@ def test_kill_leaves_all_but_the_last_few_steps(tmp_path: Path, small_scenario: 
     assert len(steps) > last - 20  # eleven times the duration of a write, 4 ms, at 5 ms a step, and twice that where the machine is busy
 
 
+@pytest.mark.slow
 def test_one_seed_gives_the_same_bits_in_two_processes(tmp_path: Path, small_scenario: Scenario) -> None:
     processes = [start(tmp_path / name, small_scenario, steps=5) for name in ("a", "b")]
     for process in processes:

@@ -74,6 +74,7 @@ def test_page_of_an_unlucky_run(which: str, tmp_path: Path, small_simulation: Si
     assert drawn(tmp_path / "report.png", small_simulation, results).shape == size(HIGH_IN)
 
 
+@pytest.mark.slow
 def test_page_of_two_lamps_seen_from_above(tmp_path: Path) -> None:
     lamps = {"model": "idealised-332x1024", "lamps": ["left", "right"]}
     symbol = SYMBOL | {"modules": ["left", "right"], "features": {"view": "birdseye", "shape": "moments"}}
@@ -82,6 +83,7 @@ def test_page_of_two_lamps_seen_from_above(tmp_path: Path) -> None:
     assert drawn(tmp_path / "report.png", simulation, list(simulation.run())).shape == size(HIGH_IN)
 
 
+@pytest.mark.slow
 def test_page_has_all_light_and_then_each_symbol(tmp_path: Path) -> None:
     box = {"kind": "box", "name": "box", "category": "car", "size_m": [1.0, 0.5, 0.6], "track": [{"position_m": [25, 0, 0]}]}
     functions = {name: SYMBOL | {"y_m": y_m, "start": {"x_m": 17.0, "y_m": y_m}} for name, y_m in (("left", 1.6), ("right", -1.6))}
@@ -153,6 +155,7 @@ def test_light_from_above_is_looked_at_closely_where_it_is() -> None:
     assert left < 20 and right > 24 and low < 0 and high > 2
 
 
+@pytest.mark.slow
 def test_long_run_keeps_few_images(small_results: list[StepResult]) -> None:
     gathered = Gathered("symbol", 10_000)
     for step in range(10_000):

@@ -79,6 +79,7 @@ def commanded(table: pa.Table) -> dict[str, list[Any]]:
     return {name: table[name].to_pylist() for name in names}
 
 
+@pytest.mark.slow
 def test_a_run_on_another_process_is_the_same_bit_for_bit(tmp_path: Path) -> None:
     remote = run_on("", tmp_path / "remote", DRIVES)
     here = run(validate(DRIVES, "here"), tmp_path / "here", frames=True, video=False, report=False, device="cpu")

@@ -38,6 +38,7 @@ def test_a_simulation_is_shown_and_steered_and_ends_with_its_memory() -> None:
     assert shown._process.returncode is not None
 
 
+@pytest.mark.slow
 def test_a_program_beside_the_loop_holds_the_brightness_of_the_road() -> None:
     road = ("functions={}", "checks={}", "lighting.base.beam=off", "headlight.model=ssl-hd", "steps=10")
     with show("flat", *SMALL, *road) as shown:

@@ -141,6 +141,7 @@ def test_a_campaign_whose_runs_all_fail_says_why(
     assert pq.read_table(tmp_path / "new" / "folder" / TABLE).num_rows == 1
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unshared")
 def test_runs_that_share_a_simulation_are_as_those_that_do_not() -> None:
     small = ["steps=3", "headlight.model=hd84", "camera={ width_px=160, height_px=90 }", "functions.symbol={ width_m=4.0, length_m=8.0 }"]
@@ -185,6 +186,7 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
         assert said in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_patterns_of_light_are_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     text = (ROOT / "scenarios" / "examples" / "patterns.toml").read_text("utf-8").replace("seeds = [0, 1]", "seeds = [0]")
     small = 'steps = 6\nrenderer = "raycast"\ndetector.kind = "truth"\ncamera = { width_px = 320, height_px = 180, oversampling = 1 }\n'

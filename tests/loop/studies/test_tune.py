@@ -165,6 +165,7 @@ def test_what_is_best_is_better_and_can_be_run(tuned: Tuned, scenario: Scenario,
     assert (tmp_path / PICTURE).stat().st_size > 5_000
 
 
+@pytest.mark.slow
 def test_what_is_held_beside_other_functions_is_tuned(tmp_path: Path) -> None:
     """One symbol that is shown late, and two, each beside a lane; keys of any function are tuned, but not by gradient."""
     lane = "functions.carpet={ kind='lane', value=0.3 }"

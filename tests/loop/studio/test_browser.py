@@ -115,6 +115,7 @@ def compared(browser: webdriver.Chrome, run: Run) -> np.ndarray:
     return np.stack([shader, lx.ravel()[index], open_.ravel()[index]])
 
 
+@pytest.mark.slow
 def test_light_in_the_shader_is_that_of_the_library(browser: webdriver.Chrome, objects: Served) -> None:
     opened(browser, objects)
     shader, lx, _ = compared(browser, objects.studio.session.published.runs[0])

@@ -60,6 +60,7 @@ def test_keys_drive_the_car_and_switch_its_light(browser: webdriver.Chrome, car:
     assert scenario.steps > 12  # of six that the scenario has
 
 
+@pytest.mark.slow
 def test_a_car_that_stands_is_put_on_wheels(browser: webdriver.Chrome, car: Served) -> None:
     browser.get("about:blank")
     with watching(car.port, car.tokens.edit) as other:

@@ -37,6 +37,7 @@ def editor(served: Served) -> Iterator[Watcher]:
         yield watcher
 
 
+@pytest.mark.slow
 def test_functions_come_and_go_in_a_recording(editor: Watcher, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     editor.of("step", step=0)

@@ -1,6 +1,5 @@
 """Painted pixels reach the light, where the library says that they shine; what is painted is an edit like any other."""
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,7 +16,6 @@ from world.frames import inverse, transform
 
 BARE = ("renderer=raycast", "camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "steps=40", "functions={}", "checks={}")
 LAMPS = {"hd84": (3, 28), "idealised-332x1024": (332, 1024)}
-QUICK_S = 1.0  # a tenth of it is what it takes; a busy machine may need more
 
 
 Painted = tuple[Served, str]
@@ -55,10 +53,8 @@ def test_the_place_that_lights_up_is_that_of_the_pixels(lamp: Painted) -> None:
         published = served.studio.session.published
         light = published.runs[0].simulation.modules[0].headlight
         texture = np.zeros((light.rows, light.cols), np.float32)
-        began_s = time.monotonic()
         watcher.say(spot(box[1] - box[0], box[3] - box[2]), type="paint", module=0, box=box, over=False)
         head, arrays = watcher.until(lambda head: head["type"] == "step" and "0" in head["light_windows"])
-        assert time.monotonic() - began_s < QUICK_S
         assert served.studio.session.published.number == published.number  # nothing starts anew
         u = np.zeros((rows, cols), np.uint8)
         u[box[0] : box[1], box[2] : box[3]] = 255

@@ -154,6 +154,7 @@ def test_files_are_taken_where_they_fit_and_saved_as_shown(page: webdriver.Chrom
         assert np.array_equal((255 * read_utilisation(tmp_path / name, ROWS, COLUMNS)).round(), picture.ravel())
 
 
+@pytest.mark.slow
 def test_what_another_client_paints_is_shown(page: webdriver.Chrome, plain: Served) -> None:
     from tests.loop.studio.clients import watching
 

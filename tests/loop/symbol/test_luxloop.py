@@ -209,6 +209,7 @@ def opened(prepared: Simulation) -> float:
     return float(symbol.judge.verdict(prepared.of_all(symbol, symbol.projector.light(symbol.projector.target)), 0.0).iou)
 
 
+@pytest.mark.slow
 def test_other_light_that_changes_between_the_frames_is_not_taken_for_the_symbol() -> None:
     brighter = disturbed(simulation('{kind="bumps"}'), ambient=[{"factor": 4.0, "frames": "on", "from_step": 2, "until_step": 5}])
     _, seen = course(brighter, on_bumps()[0][2], 4)
@@ -307,6 +308,7 @@ def test_noise_is_measured_where_the_camera_does_not_tell() -> None:
     assert 2 < limits[1] / limits[0] < 10
 
 
+@pytest.mark.slow
 def test_ten_times_the_noise_leaves_the_symbol_where_it_was() -> None:
     noisy, least = disturbed(simulation('{kind="bumps"}'), noise=[{"factor": 10.0, "from_step": 4, "until_step": 8}]), []
     for seed in range(3):

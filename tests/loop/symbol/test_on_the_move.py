@@ -367,6 +367,7 @@ def test_a_nodding_car_keeps_its_symbol_in_place() -> None:
             assert symbol.judge.verdict(still, result.time_s).iou < 0.5
 
 
+@pytest.mark.slow
 def test_a_car_that_stands_and_nods_is_not_at_rest_where_it_swings_through() -> None:
     changes = [*SMALL, *EXACT, "road.kind=flat", "vehicle={course=[{speed_m_s=0}], oscillation={pitch_deg=0.2}}", "steps=16"]
     simulation = Simulation.prepare(load("driving", [*changes, "functions.symbol.controller={name='luxloop'}"]))

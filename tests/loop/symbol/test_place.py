@@ -49,12 +49,14 @@ def test_a_symbol_that_is_nowhere_in_the_image_is_found_on_a_road_that_falls() -
     assert float(last.symbol.verdict.iou) > 0.8  # a ray a texel gives 0.88
 
 
+@pytest.mark.slow
 def test_a_road_that_was_believed_too_high_is_lowered_until_light_is_seen() -> None:
     # The flat road's symbol lies on the face of the step, which looks like a steep slope.
     last = ends("kind='step', x_m=12, height_m=0.3, ramp_m=0.5", 5)
     assert float(last.symbol.verdict.iou) > 0.8  # a ray a texel gives 0.90
 
 
+@pytest.mark.slow
 def test_an_uneven_road_is_left_to_heights_after_two_searches(data_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("LUXLOOP_DATA", str(data_dir))
     prepared = prepare(load("torsion_track", steps=6), "cpu")
@@ -66,6 +68,7 @@ def test_an_uneven_road_is_left_to_heights_after_two_searches(data_dir: Path, mo
     assert min(ious[3:]) > 0.92  # with shapes that are searched for again and again 0.80
 
 
+@pytest.mark.slow
 def test_the_nearest_place_that_is_lit_is_recorded() -> None:
     last = ends("kind='grade', grade_percent=-4, crossfall_percent=0, start_x_m=3", 5)
     assert 25 < float(last.symbol.aim[0]) < 33 and float(last.symbol.aim[1]) == pytest.approx(0.0, abs=0.1)

@@ -1,0 +1,113 @@
+"""What a calibration needs besides: `luxloop rig take`, pictures of the camera, and `luxloop rig light`, all pixels on for a luxmeter."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+from loop.commands.given import scenario_of
+from loop.commands.rig_runs import Named, await_rig, pixel_grids
+from loop.terminal.options import AllowCode, Flag, Keys
+from loop.terminal.progress import progress
+from world.errors import LuxloopError, located
+from world.files import whole
+
+
+def take(file: Path, /, *, out: Path = Path("boards"), count: int = 20, every_s: float = 1.0, allow_code: AllowCode = False) -> None:
+    """Take pictures with a rig's camera, of a board for instance, as they come; the lamp is not opened.
+
+    Parameters
+    ----------
+    file
+        Rig file.
+    out
+        Folder to write, or with a name that ends in .png a single picture.
+    count
+        How many.
+    every_s
+        Time between two of them in s, to hold the board in another way.
+    """
+    import cv2
+
+    from loop.rig.params import load_rig
+    from loop.rig.rectified import grey
+    from loop.rig.rig import CAMERA_S, opened
+
+    single = out.suffix == ".png"
+    if out.exists():
+        raise LuxloopError(f"{out}: is there already; name another, or remove it")
+    if count < 1 or not 0 <= every_s <= 60:
+        raise LuxloopError("--count is at least 1, --every-s from 0 to 60")
+    params = load_rig(file, allow_code=allow_code).model_copy(update={"mark": None})
+    paths = [out] if single else [out / f"{k:03d}.png" for k in range(count)]
+    with located(str(file)), opened(params, (), None, armed=False) as rig, progress("pictures", len(paths)) as advance:
+        await_rig(rig)
+        for k, path in enumerate(paths):
+            time.sleep(every_s if k else 0.0)
+            rig.camera.forget()
+            if params.triggered:
+                rig.camera.trigger()
+            picture = rig.camera.next(time.monotonic() + CAMERA_S)
+            if picture is None:
+                raise LuxloopError(f"camera: {rig.camera.reason}")
+            codes: Any = grey(picture.data)
+            encoded = cv2.imencode(".png", codes)[1].tobytes()
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with whole(path) as part:
+                part.write_bytes(encoded)
+            advance()
+    print(f"{out} written" if single else f"{out} written: {count} pictures")
+
+
+def light(
+    file: Path,
+    /,
+    *,
+    arm: Flag = False,
+    scenario: Named = "snowflake",
+    set: Keys = None,
+    level: float = 1.0,
+    seconds: float = 60.0,
+    allow_code: AllowCode = False,
+) -> None:
+    """Light all pixels for a while, or until Ctrl-C, to aim the lamp, to focus the camera or to read a luxmeter.
+
+    Parameters
+    ----------
+    file
+        Rig file.
+    arm
+        Light the lamp. Without it, nothing is opened.
+    scenario
+        Scenario whose lamp it is.
+    set
+        Keys of the scenario to change, as key=value in TOML syntax.
+    level
+        Utilisation of all pixels; light above the limits of the rig file is refused.
+    seconds
+        For how long.
+    """
+    import numpy as np
+
+    from loop.rig.light import Shine
+    from loop.rig.params import load_rig
+    from loop.rig.rig import opened
+
+    if not 0 < level <= 1 or not 0 < seconds <= 3600:
+        raise LuxloopError("--level is a utilisation above 0, up to 1; --seconds up to 3600")
+    params = load_rig(file, allow_code=allow_code).model_copy(update={"mark": None})
+    grids = pixel_grids(scenario_of(scenario, set, allow_code=allow_code))
+    if not arm:
+        count = sum(rows * columns for rows, columns in grids)
+        print(f"{file}: all {count:,} pixels would be lit for {seconds:g} s; give --arm to light them")
+        return
+    on = tuple(np.full(grid, level, np.float32) for grid in grids)
+    with located(str(file)), opened(params, grids, None, armed=True) as rig, progress("light", max(round(seconds), 1)) as advance:
+        await_rig(rig)
+        until_s, number = time.monotonic() + seconds, 0
+        while time.monotonic() < until_s:
+            given, _ = rig.expose(Shine(number, on), 1.0)
+            number += 1
+            if given.dimmed < 1:
+                raise LuxloopError(f"limits: let {given.dimmed:.0%} of it through; give a lower --level, or raise power")
+            advance()
+    print("dark again")

@@ -1,0 +1,21 @@
+"""Where the light of a module comes from: the scenario's lamp, or a real one whose beam is digitised live (T 4.3)."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from world.params import Params
+
+
+class ModuleSourceParams(Params):
+    """One module of the lamps, by its name, or its lamp's side where that has a single one."""
+
+    source: Literal["simulated", "digitised"] = Field(
+        "simulated", description="simulated, or digitised: a real lamp's light, as a camera sees it on a screen; needs `--rig FILE`"
+    )
+    latency_s: float = Field(
+        0.0, ge=0, le=10, description="age of digitised light when it shines in the simulated world; 0: that waits for the light"
+    )
+    delay_body: bool = Field(
+        False, description="whether the motion of the vehicle's body on its springs is delayed by latency_s, so that it fits to the light"
+    )
