@@ -160,7 +160,9 @@ class Luxloop:
                 road_map = road_map.levelled(now.level_rad - predicted, body.pivot_x_m)
         if body is not None and observation.ego is not None and road_map.T_ground_plane.equal(HERE):
             body = _previewed(body, road_map, body_poses, observation.ego)
-        projection, level_rad = self._drawn(road_map) if body_poses.still else None, 0.0 if now is None else now.level_rad
+        projection, level_rad = None, 0.0 if now is None else now.level_rad
+        if body_poses.still:
+            projection = state.projection if state.projection is not None and road_map.lies_as(state.road_map) else self._drawn(road_map)
         if projection is not None and projection.warp is not None:
             road_map = road_map.showing(projection, self.in_flight)
         if road_map.shape is not state.road_map.shape:

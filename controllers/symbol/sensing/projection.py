@@ -46,6 +46,8 @@ class ProjectionCommand:
 
     def shows(self, other: "ProjectionCommand") -> bool:
         """Whether another projection is the same; that of a state that was stored and read again is another object."""
+        if self is other:
+            return True
         mine, others = self._values(), other._values()
         return len(mine) == len(others) and all(a.shape == b.shape and bool((a == b).all()) for a, b in zip(mine, others, strict=True))
 

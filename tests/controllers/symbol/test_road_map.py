@@ -67,6 +67,14 @@ def test_after_looks_that_are_no_better_the_best_heights_are_kept_until_their_ow
         assert changed.kept is not None and not changed.kept.done
 
 
+def test_a_road_lies_as_before_until_its_heights_its_brightness_or_the_eye_are_others() -> None:
+    before = of_heights(NOTHING, 0.25)
+    assert looked(before, 0.25, 0.01).lies_as(before)
+    for other in (of_heights(before, 0.25), replace(before, brightness=torch.ones(4)), replace(before, eye=before.eye.clone())):
+        assert not other.lies_as(before)
+    assert not replace(before, T_ground_plane=pose(torch.tensor([0.0, 0.0, 0.1]), torch.eye(3))).lies_as(before)
+
+
 def test_looks_that_heights_explain_less_than_a_flat_road_do_not_count() -> None:
     road_map = of_heights(NOTHING, 0.25)
     assert looked(road_map, 0.25, math.inf).kept is None
