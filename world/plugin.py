@@ -220,6 +220,8 @@ def _place(error: Exception, name: Name) -> str:
 
 def _fitting(made_by: Callable[..., Any], name: str, table: str, given: Sequence[Any], options: Mapping[str, Any]) -> None:
     """Raises LuxloopError where options are not what `Name` takes beside what it is given, as far as it tells what that is."""
+    if isinstance(made_by, type) and issubclass(made_by, BaseModel):
+        made_by.model_rebuild()  # a model that is not built yet has no signature of its own
     try:
         takes = signature(made_by)
         filled = takes.bind_partial(*given).arguments

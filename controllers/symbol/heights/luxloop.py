@@ -162,7 +162,8 @@ class Luxloop:
             body = _previewed(body, road_map, body_poses, observation.ego)
         projection, level_rad = None, 0.0 if now is None else now.level_rad
         if body_poses.still:
-            projection = state.projection if state.projection is not None and road_map.lies_as(state.road_map) else self._drawn(road_map)
+            same = road_map.heights.informed and road_map.lies_as(state.road_map)  # the first pose is no drawing of a road
+            projection = state.projection if same and state.projection is not None else self._drawn(road_map)
         if projection is not None and projection.warp is not None:
             road_map = road_map.showing(projection, self.in_flight)
         if road_map.shape is not state.road_map.shape:
