@@ -42,7 +42,7 @@ THESIS_US["B.4"] = {"1k": 185, "30k": 175, "100k": 331, "1.05M": 1787}
 GOALS = {
     "symbol on 5 %, times one product": (1.5, False),
     "symbol on 5 %, times faster than plain torch": (15.0, True),
-    "36 primitives on 77 %, times one product": (6.0, False),
+    "36 primitives on 77 %, times one product": (5.0, False),
     "cost a ray of 36 primitives, 1.05 M pixels to 1 k": (1.2, False),
     "ms as a graph on a GPU, symbol on 5 %": (0.15, False),
 }
