@@ -25,7 +25,7 @@ def image_axes(height: int, width: int, u_start: int = 0, v_start: int = 0, like
     like = torch.zeros(()) if like is None else like
 
     def centres(start: int, n: int) -> Tensor:
-        return torch.arange(start + 0.5, start + n, dtype=like.dtype, device=like.device)
+        return torch.arange(n, dtype=like.dtype, device=like.device) + (start + 0.5)
 
     return Axes(centres(u_start, width), centres(v_start, height))
 

@@ -12,6 +12,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from loop.bench.light_input import LOOK_S, Counts
 from loop.bench.timeline import Timeline
+from loop.wire.addresses import REFUSED
 from loop.wire.ddp import LightFrame
 from loop.wire.screen import HEAD, understood, unstacked
 
@@ -53,7 +54,7 @@ class ScreenInput:
         host, port = self._address
         largest = HEAD.size + sum(rows for rows, _ in self._grids) * max(columns for _, columns in self._grids)
         while self._open:
-            with suppress(OSError, WebSocketException):
+            with suppress(*REFUSED, WebSocketException):
                 url, most = f"ws://{host}:{port}/light", max(largest, LARGEST_TEXT)
                 with connect(url, proxy=None, compression=None, max_size=most, open_timeout=PATIENCE_S, close_timeout=PATIENCE_S) as page:
                     self._follow(page)
@@ -96,8 +97,9 @@ class ScreenInput:
         page.send(json.dumps({"number": number, "drawn_ms": drawn_ms, "presented_ms": shown_ms, "now_ms": shown_ms}))
 
     def _darken(self) -> None:
-        self._shown = None
-        self._timeline.show(self._dark)
+        if self._shown is not None:
+            self._shown = None
+            self._timeline.show(self._dark)
 
 
 def _told(text: str) -> dict[str, Any]:

@@ -103,10 +103,14 @@ def lux_scale(shots: Shots, sizes: Sequence[int], readings: Sequence[Reading], v
 
     The screen is Lambertian. Raises LuxloopError where the camera sees no light at a reading's place.
     """
+    height, width = shots.bench.shape
+    for each in readings:
+        if not (0 <= each.u <= width and 0 <= each.v <= height):
+            raise LuxloopError(f"--lux: {each.u:g}, {each.v:g} px lies outside of the camera's picture of {width} x {height} px")
     on, off = ([np.full(n, u) for n in sizes] for u in (1.0, 0.0))
     main = shots.exposures("lux_brightest", on)[:1]
     light = shots.light("lux", on, AVERAGED, main) - shots.light("lux_off", off, AVERAGED, main)
-    light = (light / brightness(vignetting, *shots.bench.shape)).astype(np.float32)
+    light = (light / brightness(vignetting, height, width)).astype(np.float32)
     found = []
     for each in readings:
         there = float(cv2.getRectSubPix(light, (SENSOR_PX, SENSOR_PX), (each.u - 0.5, each.v - 0.5)).mean())

@@ -51,7 +51,10 @@ def take(file: Path, /, *, out: Path = Path("boards"), count: int = 20, every_s:
                 raise LuxloopError(f"camera: {rig.camera.reason}")
             codes: Any = grey(picture.data)
             encoded = cv2.imencode(".png", codes)[1].tobytes()
-            path.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise LuxloopError(f"{path.parent}: cannot be made ({error.strerror}); name another folder") from error
             with whole(path) as part:
                 part.write_bytes(encoded)
             advance()

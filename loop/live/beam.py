@@ -11,9 +11,9 @@ from loop.rig.statistics import Lateness
 class Beam:
     """Light textures of exposures, in their order. newest: of the last light that was digitised, with its utilisation `[n_p]`."""
 
-    def __init__(self, late: int) -> None:
-        """late: exposures by which the light is late in the simulated world."""
-        self._under_way = deque[Tensor | None](maxlen=late + 1)
+    def __init__(self, late: int, dark: Tensor) -> None:
+        """late: exposures by which the light is late in the simulated world. dark: the texture before any."""
+        self._under_way = deque[Tensor | None]([dark] * late, maxlen=late + 1)
         self._digitising, self._whole, self._saturated = Lateness(), Lateness(), 0.0
         self.newest: tuple[Tensor, Tensor] | None = None
 

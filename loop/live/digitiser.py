@@ -19,6 +19,7 @@ from world.texels import TexelGrid
 
 Picture = NDArray[Any]
 SEEN: Final = 0.5  # least share of the texels that the camera has to see
+ONE_FORMAT: Final = "camera: gives pictures in grey and in colour by turns; set it to one of them"
 SATURATED: Final = 0.98  # of the largest digital number, from which on a pixel counts as saturated
 
 
@@ -91,6 +92,8 @@ class Digitiser:
         """Light texture `[rows, cols]` in cd of a grey picture `[height, width]`, `[3, rows, cols]` in linear sRGB of a colour one
         `[height, width, 3]` (blue, green, red). Raises as `light`.
         """
+        if isinstance(self.dark, np.ndarray) and self.dark.ndim != picture.ndim:
+            raise LuxloopError(ONE_FORMAT)
         lit = cv2.remap(self.light(picture) - self.dark, *self._maps, cv2.INTER_LINEAR).clip(0)  # noise has no sign in the dark
         if lit.ndim == 2:
             return torch.from_numpy(lit * self.candela)

@@ -16,7 +16,7 @@ from torch import Tensor
 from controllers.pixels.ssc import Utilisation
 from loop.calibration.files import Calibration
 from loop.live.beam import Beam
-from loop.live.digitiser import Digitiser, luminous
+from loop.live.digitiser import ONE_FORMAT, Digitiser, luminous
 from loop.plant.digitised import DigitisedPlant
 from loop.plant.protocol import Arrivals, Exposure, Frame
 from loop.plant.simulated import UnderWay
@@ -43,7 +43,10 @@ class ScreenPictures(Rectifier):
 
     def image(self, data: bytes | NDArray[np.generic]) -> NDArray[np.float32]:
         """Codes `[height, width]`, or `[height, width, 3]` (blue, green, red). Raises WrongPicture where it has none or another size."""
-        picture = decoded(data, "camera: a picture") if isinstance(data, bytes) else data
+        try:
+            picture = decoded(data, "camera: a picture") if isinstance(data, bytes) else data
+        except LuxloopError as error:
+            raise WrongPicture(str(error)) from error
         if picture is None:
             raise WrongPicture("camera: a picture is damaged")
         if picture.shape[:2] != self.shape:
@@ -126,12 +129,19 @@ def live_plant(rig: Rig, own: DigitisedPlant, calibration: Calibration, camera: 
     rig.rectifier = ScreenPictures(rig.params.camera, camera, None, None, (calibration.camera.height, calibration.camera.width))
     lab = RigPlant.of(rig, [module], FIRST + exposures)
     digitiser = Digitiser.of(calibration, module.name, module.headlight)
+    dark = torch.zeros(module.headlight.rows, module.headlight.cols)
     with ExitStack() as stack:
         platform = None
         if (to := rig.params.platform) is not None:
             platform = PoseSender(to.host, to.port)
             stack.callback(platform.close)
-        yield LivePlant(own, lab, digitiser.without(_dark_frames(lab)), Beam(own.late), platform)
+        yield LivePlant(
+            own,
+            lab,
+            digitiser.without(_dark_frames(lab)),
+            Beam(own.late, dark),
+            platform,
+        )
 
 
 def refuse_unfit(params: RigParams) -> Path:
@@ -151,6 +161,8 @@ def _dark_frames(lab: RigPlant) -> NDArray[np.float32]:
         (frame,) = lab.show(None, Exposure(number, 0.0, 0.0, (dark,)))[1].frames
         if frame.image is not None:
             found.append(frame.image.cpu().numpy())
+            if found[0].ndim != found[-1].ndim:
+                raise LuxloopError(ONE_FORMAT)
         if len(found) == DARKS:
             return np.stack(found)
     raise LuxloopError(f"{len(found)} of {DARKS} dark frames came in {FIRST} tries; measure [timing] with `luxloop rig blink`")

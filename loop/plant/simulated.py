@@ -151,6 +151,7 @@ def _motion(scenario: Scenario, made: Made) -> Motion:
     lasts = scenario.vehicle and (scenario.steps, scenario.rate_hz)
     motion = made("motion", (scenario.vehicle, scenario.road, lasts), lambda: build_motion(scenario, made.before("motion", STANDING)))
     late_s = max((each.latency_s for each in scenario.modules.values() if each.delay_body), default=0.0)
+    late_s = round(late_s * scenario.rate_hz) / scenario.rate_hz  # whole steps, as the light
     return LateBody.behind(motion, late_s) if late_s else motion
 
 

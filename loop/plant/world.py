@@ -88,9 +88,9 @@ class LitScene:
         arriving = torch.zeros_like(self.base).flatten()
         leaving = torch.zeros_like(arriving)
         for number, (u, command) in enumerate(zip(lights, commands or (REST,) * len(lights), strict=True)):
-            if bool(u.any()):
-                each = self.transported(number, command)
-                assert isinstance(each, DirectTransport)
+            each = self.transported(number, command)
+            assert isinstance(each, DirectTransport)
+            if bool(u.any()) or each.measured is not None:
                 lx, samples, factor = each.illuminance(u if command.intensity == 1 else command.intensity * u)
                 pixels = each.pixel(samples)
                 leaving.index_add_(0, pixels, each.reflected(lx, factor))

@@ -86,6 +86,12 @@ def blink(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: float,
     mask: NDArray[np.float32] | None = None
     for number in range(LEARNT + blinks):
         on = number % 2 == 1
+        if not rig.camera.alive:
+            rig.dark(rig.camera.reason)
+            if number < LEARNT or (void := void + 1) > blinks / 2:
+                raise LuxloopError(f"blink: {rig.camera.reason}")
+            await_camera(rig)
+            continue
         _shown(rig, Shine(number, (lit if on else black).pictures))
         sent_s = rig.keeper.since_s
         if sent_s is None:
@@ -104,9 +110,9 @@ def blink(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: float,
             elif picture.awaited:
                 assert rows is not None
                 pictures.append((picture.arrived_s, picture.late_s, (image * mask).sum(1)[rows]))
-        if rig.keeper.since_s != sent_s:  # in doubt
+        if rig.keeper.since_s != sent_s or not rig.camera.alive:  # in doubt
             if number < LEARNT or (void := void + 1) > blinks / 2:
-                raise LuxloopError(f"blink: {rig.keeper.reason}")
+                raise LuxloopError(f"blink: {rig.keeper.reason or rig.camera.reason}")
             del pictures[begun:]
         if number < LEARNT:
             settled.append(_settled(kept))

@@ -97,6 +97,7 @@ class Luxloop:
         self.region = region_of(self.projector.params, *params.beyond_m)
         self.reach_m = self.projector.params.x_m - self.projector.params.length_m / 4
         self.standing = keeping(2, self._standing)
+        self.drawn = keeping(1, self._drawn)
         self.registration = self.over(HERE)[1]
         lamps = torch.stack([module.T_world_headlight[:3, 3].cpu().double() for module in self.projector.modules])
         self.ends = torch.stack([camera_view(sensor.camera).origin, *lamps], 1)  # of the ways of light, in the body
@@ -160,10 +161,7 @@ class Luxloop:
                 road_map = road_map.levelled(now.level_rad - predicted, body.pivot_x_m)
         if body is not None and observation.ego is not None and road_map.T_ground_plane.equal(HERE):
             body = _previewed(body, road_map, body_poses, observation.ego)
-        projection, level_rad = None, 0.0 if now is None else now.level_rad
-        if body_poses.still:
-            same = road_map.heights.informed and road_map.lies_as(state.road_map)  # the first pose is no drawing of a road
-            projection = state.projection if same and state.projection is not None else self._drawn(road_map)
+        projection, level_rad = self.drawn(road_map.bare()) if body_poses.still else None, 0.0 if now is None else now.level_rad
         if projection is not None and projection.warp is not None:
             road_map = road_map.showing(projection, self.in_flight)
         if road_map.shape is not state.road_map.shape:

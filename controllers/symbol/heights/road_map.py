@@ -66,10 +66,9 @@ class RoadMap:
         """The road as the eye sees it."""
         return Relief(self.region, self.eye, self.heights.mean.view(self.grid), self.brightness.view(self.grid))
 
-    def lies_as(self, other: "RoadMap") -> bool:
-        """Whether it is the very road of another map, and seen from where that one is."""
-        parts = (self.heights, other.heights), (self.brightness, other.brightness), (self.eye, other.eye)
-        return all(mine is its for mine, its in parts) and self.T_ground_plane.equal(other.T_ground_plane)
+    def bare(self) -> "RoadMap":
+        """The road alone, without what came of looking for it: equal to another one where all tensors are the same objects."""
+        return RoadMap(self.heights, self.brightness, self.region, self.grid, self.eye, self.T_ground_plane)
 
     def showing(self, projection: ProjectionCommand, most: int) -> "RoadMap":
         """With a projection of the symbol for these heights. most: projections of which observations may still come."""

@@ -10,6 +10,15 @@ from controllers.symbol.heights.road_map import CHANGED, PATIENCE, RoadMap
 from controllers.symbol.sensing.projection import ProjectionCommand
 from perception.birdseye import Region
 from world.frames import pose
+from world.kept import keeping
+
+
+class Drawing:
+    """Something new for each road."""
+
+    def of(self, road_map: RoadMap) -> object:
+        return object()
+
 
 IN_FLIGHT = 4  # projections of which observations may still come
 
@@ -69,10 +78,16 @@ def test_after_looks_that_are_no_better_the_best_heights_are_kept_until_their_ow
 
 def test_a_road_lies_as_before_until_its_heights_its_brightness_or_the_eye_are_others() -> None:
     before = of_heights(NOTHING, 0.25)
-    assert looked(before, 0.25, 0.01).lies_as(before)
-    for other in (of_heights(before, 0.25), replace(before, brightness=torch.ones(4)), replace(before, eye=before.eye.clone())):
-        assert not other.lies_as(before)
-    assert not replace(before, T_ground_plane=pose(torch.tensor([0.0, 0.0, 0.1]), torch.eye(3))).lies_as(before)
+    drawing = Drawing()
+    drawn = keeping(1, drawing.of)
+    assert drawn(looked(before, 0.25, 0.01).bare()) is drawn(before.bare())
+    others = (
+        replace(before, brightness=torch.ones(4)),
+        replace(before, eye=before.eye.clone()),
+        replace(before, T_ground_plane=torch.eye(4)),
+    )
+    for other in (of_heights(before, 0.25), *others):
+        assert drawn(other.bare()) is not drawn(before.bare())
 
 
 def test_looks_that_heights_explain_less_than_a_flat_road_do_not_count() -> None:

@@ -9,6 +9,7 @@ import torch
 from loop.calibration.bench import simulated_bench
 from loop.calibration.geometry import CameraModel
 from loop.calibration.intrinsics import brightness
+from loop.live.beam import Beam
 from loop.live.digitiser import Digitiser, luminous
 from tests.loop.live.walls import LAMP, blob, calibration, module, off_by, wall
 from world.errors import LuxloopError
@@ -76,3 +77,11 @@ def test_what_does_not_fit_is_refused() -> None:
     aside = wall(yaw_deg=4.0).camera
     with pytest.raises(LuxloopError, match=r"sees [1-4]?[0-9]% of the light of 'left matrix' on the screen"):
         Digitiser.of(calibration(aside, lamp), lamp.name, LAMP)
+
+
+def test_late_light_follows_darkness_in_its_order() -> None:
+    dark, first, second = (torch.full((2, 3), float(k)) for k in range(3))
+    beam = Beam(2, dark)
+    came = [beam.take(each) for each in (first, None, second)]
+    assert all(a is b for a, b in zip(came, (dark, dark, first), strict=True))
+    assert beam.take(second) is None, "of the lost frame"
