@@ -19,7 +19,7 @@ os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 os.environ.setdefault("PYGLET_HEADLESS", "true")
 import pyrender
 import trimesh
-from websockets.exceptions import ConnectionClosed
+from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
 SPEED_M_S, PITCH_RAD, PITCH_HZ = 8.0, 0.004, 1.2
@@ -147,7 +147,7 @@ def main(address: str = "ws://127.0.0.1:4060") -> None:
         try:
             with connect(address, max_size=None, compression=None, proxy=None) as socket:
                 play(socket)
-        except (OSError, ConnectionClosed):
+        except (OSError, WebSocketException):
             time.sleep(0.2)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from websockets.exceptions import ConnectionClosed
+from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
 from loop.scenario.edits import changed
@@ -37,7 +37,7 @@ def dark(address: str, over: threading.Event, said: list[Any]) -> None:
                         frames = [] if number is None else [{"number": number, "taken_s": head["start_s"], "arrived_s": end_s}]
                         arrays = {f"frame.{each['number']}": np.full((180, 320), 9, np.uint16) for each in frames}
                         there.send(message(arrays, "raw", type="arrivals", number=number, time_s=end_s, frames=frames))
-        except (OSError, ConnectionClosed):
+        except (OSError, WebSocketException):  # also of a server that is about to go
             time.sleep(0.02)
 
 
