@@ -22,7 +22,7 @@ LARGEST_TEXT: Final = 1000  # bytes
 
 
 class ScreenInput:
-    """Shows the page of a loop's light `screen` as its browser would, in a thread of its own, whenever there is such a loop.
+    """Shows the page of a loop's light `screen` as a browser does, in a thread of its own; without a loop it tries again.
 
     It says when it shows a frame, and that it has darkened where no word of the loop has come for the timeline's time-out.
     """

@@ -1,6 +1,5 @@
 """The scenario that a command line names."""
 
-import gc
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,11 +17,7 @@ def scenario_of(name: str, set: Sequence[str] | None, controller: str | None = N
     Raises LuxloopError, for an unknown name at once: the import of the model, which takes seconds, comes after.
     """
     find(name)
-    gc.disable()  # modules stay: to look for cycles among what they make takes a tenth of the time
     from loop.scenario.model import load
-
-    gc.enable()
-    gc.freeze()
 
     if controller is not None:
         given["controller"] = {"name": controller}

@@ -32,7 +32,7 @@ from world.headlight.lamp import REST
 from world.images import decoded
 
 DARKS: Final = 8  # frames without light before the run, whose mean is subtracted
-FIRST: Final = 40  # number of the run's first exposure on the rig: so many attempts have the dark frames
+FIRST: Final = 40  # number of the run's first exposure on the rig; the numbers below it are for the dark frames, which may be lost
 
 
 @dataclass(frozen=True, eq=False)

@@ -86,13 +86,10 @@ def blink(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: float,
     mask: NDArray[np.float32] | None = None
     for number in range(LEARNT + blinks):
         on = number % 2 == 1
-        if not rig.camera.alive:
+        if rig.camera.alive:
+            _shown(rig, Shine(number, (lit if on else black).pictures))
+        else:
             rig.dark(rig.camera.reason)
-            if number < LEARNT or (void := void + 1) > blinks / 2:
-                raise LuxloopError(f"blink: {rig.camera.reason}")
-            await_camera(rig)
-            continue
-        _shown(rig, Shine(number, (lit if on else black).pictures))
         sent_s = rig.keeper.since_s
         if sent_s is None:
             if number < LEARNT or (void := void + 1) > blinks / 2:
