@@ -77,8 +77,7 @@ def digitised_plant(scenario: Scenario, modules: Sequence[LampModule], made: Mad
     number = digitised_number(scenario, [each.name for each in modules])
     measured = MeasuredTextures(modules[number].headlight)
     shining = [replace(each, measured=measured) if k == number else each for k, each in enumerate(modules)]
-    latency_s = max(each.latency_s for each in scenario.modules.values())
-    late = round(latency_s * scenario.rate_hz) * len(scenario.shares)
+    late = max(each.late_steps(scenario.rate_hz) for each in scenario.modules.values()) * len(scenario.shares)
     return DigitisedPlant(simulated_plant(scenario, shining, made), f"modules.{scenario.digitised}", number, measured, late)
 
 

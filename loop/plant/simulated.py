@@ -150,9 +150,8 @@ def driven_plant(plant: SimulatedPlant, scenario: Scenario, made: Made) -> Simul
 def _motion(scenario: Scenario, made: Made) -> Motion:
     lasts = scenario.vehicle and (scenario.steps, scenario.rate_hz)
     motion = made("motion", (scenario.vehicle, scenario.road, lasts), lambda: build_motion(scenario, made.before("motion", STANDING)))
-    late_s = max((each.latency_s for each in scenario.modules.values() if each.delay_body), default=0.0)
-    late_s = round(late_s * scenario.rate_hz) / scenario.rate_hz  # whole steps, as the light
-    return LateBody.behind(motion, late_s) if late_s else motion
+    late = max((each.late_steps(scenario.rate_hz) for each in scenario.modules.values() if each.delay_body), default=0)
+    return LateBody.behind(motion, late / scenario.rate_hz) if late else motion
 
 
 def as_simulated(plant: Plant, asked: str) -> SimulatedPlant:

@@ -19,3 +19,7 @@ class ModuleSourceParams(Params):
     delay_body: bool = Field(
         False, description="whether the motion of the vehicle's body on its springs is delayed by latency_s, so that it fits to the light"
     )
+
+    def late_steps(self, rate_hz: float) -> int:
+        """Control steps, rate_hz of them a second, by which its light is late, and its body as well where that is delayed."""
+        return round(self.latency_s * rate_hz)
