@@ -10,7 +10,7 @@ from torch import Tensor
 from controllers.situation import Situation
 from controllers.zones.material import MaterialLightParams, MaterialParams, MaterialState, Quantity
 from controllers.zones.zone import ZoneParams, region_of
-from loop.plant.world import LitScene
+from loop.plant.world import LitScene, World
 from world.frames import inverse, transform
 from world.view import View
 
@@ -63,7 +63,7 @@ def on_materials(
     states: Mapping[str, Any],
     now: Situation,
     told: Mapping[str, int],
-    view: LitScene,
+    world: World,
     illuminance: Tensor,
     luminance: Tensor,
 ) -> Mapping[str, OnMaterial]:
@@ -71,12 +71,13 @@ def on_materials(
 
     Of several lights of one label the first is recorded, as in `quantities`.
     states: None of a function that has seen nothing yet. told: ids of objects by their names in the situation. illuminance, luminance:
-    `[height, width]`.
+    `[height, width]` now.
     """
     found: dict[str, OnMaterial] = {}
     for called, function in functions.items():
         if isinstance(function, MaterialParams):
-            state, (picture, names) = states[called], view.materials
+            state, view = states[called], world.lit(now.time_s)
+            picture, names = view.materials
             asked = torch.zeros_like(picture, dtype=torch.bool) if state is None else _asked(function, state, now, told, view)
             for number, light in enumerate(function.lights):
                 arriving = illuminance if light.quantity == "lx" else luminance

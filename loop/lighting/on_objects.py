@@ -1,7 +1,7 @@
 """The lamps' light on each object that the camera sees."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,7 +11,7 @@ from controllers.functions.glare_free import GlareFreeParams
 from controllers.pixels.rthc import masks
 from controllers.situation import Situation, TrackedObject
 from loop.lighting.detection import LEAST_PX, Recognised, name_of
-from loop.plant.world import LitScene, Metered
+from loop.plant.world import LightOnObjects, LitScene
 from world.traffic.tracked import ROAD_USERS
 
 DRIVEN = ROAD_USERS - {"pedestrian"}
@@ -42,12 +42,12 @@ def told_as(watched: Mapping[str, int], recognised: Mapping[str, Recognised] | N
 
 
 def on_objects(
-    watched: Mapping[str, int], dark: frozenset[int], metered: Sequence[Metered], shares: Sequence[float]
+    watched: Mapping[str, int], dark: frozenset[int], metered: Sequence[LightOnObjects], shares: Sequence[float]
 ) -> Mapping[str, OnObject]:
     """By name. watched: ids of those that are meant. dark: ids of those that must be. metered: of each exposure, with its share of time."""
     found = {}
     for name, number in watched.items():
-        lights = [each.illuminance.flatten()[each.seen.pixels[number - 1]] for each in metered]
+        lights = [each.on(number) for each in metered]
         low = mean = high = peak = math.nan
         if all(map(len, lights)):
             each = ([float(what(lx)) for lx in lights] for what in (Tensor.min, Tensor.mean, Tensor.max))
@@ -74,9 +74,9 @@ def near_enough(seen: LitScene, since_s: Mapping[str, float], now_s: float) -> M
     return {name: since_s.get(name, now_s) for name in near}
 
 
-def most_on(where: Sequence[Tensor], metered: Sequence[Metered], shares: Sequence[float]) -> tuple[float | None, float | None]:
-    """Most light in lx at pixels `[height, width]` of each exposure, mean over time and highest; None where none is meant in any."""
-    lights = [each.illuminance[mask] for mask, each in zip(where, metered, strict=True)]
+def most_on_eyes(numbers: Collection[int], metered: Sequence[LightOnObjects], shares: Sequence[float]) -> tuple[float | None, float | None]:
+    """Most light in lx on heads and windscreens of objects, mean over the exposures and highest; None where none is seen in any."""
+    lights = [each.on_eyes(numbers) for each in metered]
     if not any(map(len, lights)):
         return None, None
     most = [float(lx.max()) if len(lx) else 0.0 for lx in lights]

@@ -28,13 +28,13 @@ from loop.lighting.judging import over_setpoint
 from loop.lighting.lamps import LampPower, ShiningModule, driven, in_reach, mean_powers
 from loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
 from loop.lighting.on_materials import OnMaterial, in_zones, on_materials
-from loop.lighting.on_objects import DUE_S, OnObject, most_on, must_be_dark, near_enough, on_objects, told_as
+from loop.lighting.on_objects import DUE_S, OnObject, most_on_eyes, must_be_dark, near_enough, on_objects, told_as
 from loop.lighting.parts import parts
 from loop.lighting.result import Clock, FrameDetections, SimulationState, StepResult
 from loop.plant.pairing import paired
 from loop.plant.protocol import Arrivals, Exposure, Objects, Plant, Showing, closed
 from loop.plant.simulated import as_simulated
-from loop.plant.world import LitScene, Metered, World, categories
+from loop.plant.world import LightOnObjects, LitScene, World, categories
 from loop.scenario.checks import Light as OtherLight
 from loop.scenario.model import Scenario, only
 from loop.scenario.shown import Shown
@@ -46,6 +46,7 @@ from world.errors import LuxloopError, located
 from world.frames import inverse
 from world.headlight.lamp import REST, Commands
 from world.scene.scene import StreetLamp
+from world.traffic.tracked import ROAD_USERS
 from world.view import View
 
 Lights = tuple[Utilisation, ...]  # of all modules
@@ -212,16 +213,12 @@ class Simulation:
         asked = [projections, *[{name: each for name, each in projections.items() if name not in measured}] * (per_step - 1)]
         clock.lap("light")
         plant, arrivals, samples, frames, showings = state.plant, state.arrivals, state.samples, state.frames, list[Showing]()
-        metered: list[Metered] = []
         for part, (share, shown, projection) in enumerate(zip(shares, exposures, asked, strict=True)):
             number, duration_s = per_step * state.step + part, share / self.scenario.rate_hz
             before, exposure = arrivals, Exposure(number, arrivals.time_s, duration_s, shown, projection, now.commands)
             plant, arrivals = self.plant.show(plant, exposure)
-            if world is not None and world.metered:  # what the simulated plant has just metered
-                metered.append(world.meter(before.time_s, shown, now.commands))
             showings.append(Showing(before, exposure, arrivals))
             frames, samples = frames + arrivals.frames, newest(samples, arrivals.samples)
-        lit = metered[0] if metered else None
         clock.lap("plant")
         watched = {"on": (0,), "off": (per_step - 1,), "both": range(per_step)}[self.scenario.detector_frames]
         believed = {**state.believed, **{per_step * state.step + part: view for part in watched}}
@@ -239,7 +236,9 @@ class Simulation:
                 if self.planner.learns:
                     functions = self.planner.step(functions, self._learnt(now, then, then_s, image, then_view, tracks))
         clock.lap("find")
-        oncoming_s = near_enough(metered[0].seen, state.oncoming_s, time_s) if metered and self.pipeline is not None else {}
+        meters = world is not None and world.metered
+        metered = [world.on_objects(each.before.time_s, each.exposure.lights, now.commands) for each in showings] if meters else []
+        oncoming_s = near_enough(world.lit(time_s), state.oncoming_s, time_s) if meters and self.pipeline is not None else {}
         due = [name for name, since_s in oncoming_s.items() if time_s - since_s >= DUE_S]
         detected = None if self.pipeline is None else self._look(self.pipeline, tracks, found, then_s, metered, due)
         clock.lap("look")
@@ -256,22 +255,24 @@ class Simulation:
         clock.lap("control")
         masked = frozenset(each.name for each in now.objects if must_be_dark(self.scenario.functions, each, now))
         told = told_as(self.watched, None if detected is None else detected.recognised)
-        luminance = None if world is None else world.image(time_s, exposures[0], now.commands)
+        shown = time_s, exposures[0], now.commands
+        luminance = None if world is None else world.image(*shown)
+        illuminance = world.illuminance_image(*shown) if world is not None and world.metered else None
         zones = in_zones(self.planner.functions, state.functions, luminance, view if world is None else world.view_from_ground(time_s))
         objects: Mapping[str, OnObject] = {}
         materials: Mapping[str, OnMaterial] = {}
         symbols: tuple[ObservedSymbol, ...] = ()
         verdicts: Mapping[str, Verdict] = {}
         road_ratio = None
-        if world is not None and lit is not None:
+        if world is not None and illuminance is not None and luminance is not None:
             objects = on_objects(self.watched, frozenset(told[name] for name in masked & told.keys()), metered, shares)
-            materials = on_materials(self.planner.functions, functions, now, told, lit.seen, lit.illuminance, lit.luminance)
+            materials = on_materials(self.planner.functions, functions, now, told, world, illuminance, luminance)
             if (white := in_white(plan)) is not None:
                 whitened = [light.u for light in self._driven(white, now)[0]]
                 symbols = observed_symbols(plan, [light.u for light in exposures[0]], whitened, world, now)
         judges = world is not None and bool(every := self.scenario.judge_every) and state.step % every == 0
-        if judges and lit is not None and self.pipeline is not None and self.planner.functions:
-            road_ratio = over_setpoint(self._turned(now), plan, exposures[0], lit.seen)
+        if judges and metered and self.pipeline is not None and self.planner.functions:
+            road_ratio = over_setpoint(self._turned(now), plan, exposures[0], world.lit(time_s))
         if judges and measured:
             verdicts = self._judged(state, now, drawn, measured, exposures)
         results = {name: self.controlled[name].held(each, looked.get(name), verdicts.get(name)) for name, each in projections.items()}
@@ -286,7 +287,7 @@ class Simulation:
             plan,
             tuple(light.u for light in exposures[0]),
             mean_powers([powers for _, powers in driven], shares),
-            None if lit is None else lit.illuminance,
+            illuminance,
             luminance,
             image,
             looks[-1].images if looks else None,
@@ -405,7 +406,13 @@ class Simulation:
         return replace(self.view, T_world_view=T_ground_body @ self.view.T_world_view)
 
     def _look(
-        self, pipeline: DetectionPipeline, tracks: Any, found: Detections | None, then_s: float, metered: Sequence[Metered], due: list[str]
+        self,
+        pipeline: DetectionPipeline,
+        tracks: Any,
+        found: Detections | None,
+        then_s: float,
+        metered: Sequence[LightOnObjects],
+        due: list[str],
     ) -> FrameDetections:
         """Of a time. found: in its frame, None without one. metered: in each exposure of now. due: who must not be dazzled any more."""
         found = found or Detections(torch.zeros(0, 4), torch.zeros(0, len(pipeline.classes)))
@@ -414,8 +421,9 @@ class Simulation:
             return FrameDetections(found, present, {}, None, None, None, None)
         then, shares = self.world.lit(then_s), self.scenario.shares
         false = false_positives(then, found, self.scenario.tracker.start_score)
-        eyes = most_on([each.seen.eyes for each in metered], metered, shares)
-        oncoming, _ = most_on([each.seen.eyes_of(due) for each in metered], metered, shares)
+        users = {number: each.name for number, each in enumerate(self.world.given, 1) if each.category in ROAD_USERS}
+        eyes = most_on_eyes(users, metered, shares)
+        oncoming, _ = most_on_eyes([number for number, name in users.items() if name in due], metered, shares)
         return FrameDetections(found, present, recognised(then, present, found, pipeline.classes), false, *eyes, oncoming)
 
     def _learnt(self, now: Situation, then: LitScene | None, then_s: float, image: Tensor, view: View, tracks: Any) -> Situation:

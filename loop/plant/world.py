@@ -20,7 +20,7 @@ from perception.ground_truth import Box, GroundTruth, ground_truth, part_mask, p
 from perception.materials import material_picture
 from world.headlight.lamp import REST, Commands, ModuleCommand
 from world.light.ambient import ambient_luminance
-from world.light.illumination import DirectTransport, LightTransport, Shadows, added_light, reach, transport
+from world.light.illumination import DirectTransport, LastTextures, LightTransport, Shadows, added_light, reach, transport
 from world.materials.library import MaterialName
 from world.partial import Part, PartialImage
 from world.rendering.face_source import FaceSource
@@ -36,6 +36,7 @@ from world.view import View
 
 Made = TypeVar("Made")
 KEPT_VIEWS = 4  # on and off frame, before and after a change
+MARGIN_PX = 1  # around objects, whose corners OpenGL rounds
 
 
 def categories(objects: Sequence[ObjectParams]) -> tuple[Category | None, ...]:
@@ -47,19 +48,23 @@ def categories(objects: Sequence[ObjectParams]) -> tuple[Category | None, ...]:
 class LitScene:
     """A scene in a view at one time, and what the lamps do to it.
 
-    surfaces: at the centres of the view's pixels. base: luminance `[height, width]` in cd/m^2 without the lamps. modules: how many they
-    have. transported: makes a module's light transport as it is turned, which is needed only where it shines. given: parameters of the
-    objects 1, 2, ...
+    surfaces: at the centres of the view's pixels. ambient: computes `base`. modules: how many the lamps have. transported: makes a module's
+    light transport as it is turned, which is needed only where it shines. given: parameters of the objects 1, 2, ...
     """
 
     view: View
     vehicle: VehicleState
     triangles: Triangles
     surfaces: GBuffer
-    base: Tensor
+    ambient: Callable[[], Tensor]
     modules: int
     transported: Callable[[int, ModuleCommand], LightTransport]
     given: tuple[ObjectParams, ...]
+
+    @cached_property
+    def base(self) -> Tensor:
+        """Luminance `[height, width]` in cd/m^2 without the lamps."""
+        return self.ambient()
 
     @cached_property
     def transports(self) -> tuple[LightTransport, ...]:
@@ -85,31 +90,22 @@ class LitScene:
 
         lights: utilisations `[n_p]`, one a module. Of a direct view only.
         """
-        arriving = torch.zeros_like(self.base).flatten()
+        arriving = torch.zeros_like(self.surfaces.albedo).flatten()
         leaving = torch.zeros_like(arriving)
         for number, (u, command) in enumerate(zip(lights, commands or (REST,) * len(lights), strict=True)):
             each = self.transported(number, command)
             assert isinstance(each, DirectTransport)
-            if bool(u.any()) or each.measured is not None:
-                lx, samples, factor = each.illuminance(u if command.intensity == 1 else command.intensity * u)
-                pixels = each.pixel(samples)
-                leaving.index_add_(0, pixels, each.reflected(lx, factor))
-                arriving.index_add_(0, pixels, lx * each.central(samples))
-        return arriving.view_as(self.base), leaving.view_as(self.base)
+            lx, samples, factor = each.illuminance(u if command.intensity == 1 else command.intensity * u)
+            pixels = each.pixel(samples)
+            leaving.index_add_(0, pixels, each.reflected(lx, factor))
+            arriving.index_add_(0, pixels, lx * each.central(samples))
+        return arriving.view_as(self.surfaces.albedo), leaving.view_as(self.surfaces.albedo)
 
     @cached_property
     def objects(self) -> tuple[GroundTruth, ...]:
         """Those with a class, of which a pixel is seen at least."""
         found = ground_truth(self.surfaces, self.triangles, self.view, categories(self.given))
         return tuple(each for each in found if each.category is not None)
-
-    @cached_property
-    def pixels(self) -> tuple[Tensor, ...]:
-        """Flat indices of those at which each of the objects 1, 2, ... is seen."""
-        ids = self.surfaces.object_id.flatten()
-        seen = torch.nonzero(ids > 0)[:, 0]
-        of_each = torch.bincount(ids[seen] - 1, minlength=len(self.given)).tolist()
-        return seen[ids[seen].argsort(stable=True)].split(of_each)
 
     @cached_property
     def boxes(self) -> Tensor:
@@ -119,11 +115,7 @@ class LitScene:
     @cached_property
     def eyes(self) -> Tensor:
         """Where the view sees heads and windscreens of road users, `[height, width]` bool."""
-        return self.eyes_of([each.name for each in self.given if each.category in ROAD_USERS])
-
-    def eyes_of(self, names: Collection[str]) -> Tensor:
-        """The same of those alone."""
-        users = torch.tensor([number for number, each in enumerate(self.given, 1) if each.name in names], dtype=torch.int32)
+        users = torch.tensor([number for number, each in enumerate(self.given, 1) if each.category in ROAD_USERS], dtype=torch.int32)
         ids = self.surfaces.object_id
         return part_mask(self.surfaces, self.triangles, EYES) & torch.isin(ids, users.to(ids))
 
@@ -160,17 +152,23 @@ class LitScene:
 
 
 @dataclass(frozen=True, eq=False)
-class Metered:
-    """A scene as the camera sees it, and the lamps' light there: illuminance in lx and luminance in cd/m^2 `[height, width]`."""
+class LightOnObjects:
+    """The lamps' light at the centres of the m pixels that see objects.
 
-    seen: LitScene
-    illuminance: Tensor
-    leaving: Tensor
+    numbers: `[m]`, which of the objects 1, 2, ... each sees. eyes: `[m]` bool, whether it sees a head or a windscreen. lx: `[m]`.
+    """
 
-    @cached_property
-    def luminance(self) -> Tensor:
-        """In cd/m^2 `[height, width]` with all other light."""
-        return self.leaving + self.seen.base
+    numbers: Tensor
+    eyes: Tensor
+    lx: Tensor
+
+    def on(self, number: int) -> Tensor:
+        """At the pixels that see an object."""
+        return self.lx[self.numbers == number]
+
+    def on_eyes(self, numbers: Collection[int]) -> Tensor:
+        """At the heads and windscreens of these objects."""
+        return self.lx[self.eyes & torch.isin(self.numbers, torch.tensor([*numbers]).to(self.numbers))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +189,7 @@ class TrueObject:
 class World:
     """A scene, lamps and a camera on a vehicle; what has been rendered serves until something moves.
 
-    metered: whether illuminance is asked for beside luminance. given: parameters of the scene's objects.
+    metered: whether the light on objects or its illuminance is asked for. given: parameters of the scene's objects.
     """
 
     def __init__(
@@ -212,7 +210,8 @@ class World:
         self._lit: OrderedDict[Any, LitScene] = OrderedDict()
         self._made: deque[tuple[LitScene, tuple[Utilisation, ...], Commands, Any]] = deque(maxlen=2)  # of an on and an off exposure
         self._asked: tuple[float, Any] = (math.nan, None)
-        self._triangles: Triangles = NOTHING
+        self._triangles: tuple[float, Triangles] = (math.nan, NOTHING)  # those looked at last, and when they were there
+        self._textures = tuple(each.measured or LastTextures(each.headlight) for each in self.modules)
 
     @cached_property
     def surfaces(self) -> SurfaceSource:
@@ -222,7 +221,7 @@ class World:
     def after(self, before: "World | None") -> Self:
         """This world; its bodies that were in another one as well keep what was derived from them there."""
         if before is not None:
-            self._triangles = before._triangles
+            self._triangles = math.nan, before._triangles[1]
             if (before.source, before.moving) == (self.source, self.moving):
                 self.surfaces = before.surfaces
         return self
@@ -241,7 +240,7 @@ class World:
         """Luminances in cd/m^2 at a time, of a part of the image if there is one: `[..., height, width]` of all light, and
         `[height, width]` without the lamps.
         """
-        if part is not None and (self.metered or not self.moving or (self._key(time_s), None, True) in self._lit):
+        if part is not None and self._whole(time_s):
             lit = self.lit(time_s)
             if not (self.metered or self.moving or self._known(lit, lights, commands)):
                 return lit.shown(lights, commands, part[0])[..., part[1]], lit.base[part]
@@ -249,7 +248,7 @@ class World:
             return everything[..., *part], base[part]
         lit = self.lit(time_s, part)
         if self.metered:
-            return self.meter(time_s, lights, commands).luminance, lit.base
+            return self._metered(lit, lights, commands)[1], lit.base
         return self._once(lit, lights, commands, lambda: lit.shown(lights, commands)), lit.base
 
     def image(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
@@ -257,10 +256,42 @@ class World:
         like = lights[0].u.new_empty(0)
         return PartialImage.of(self.view.height, self.view.width, like, lambda part: self.luminance(time_s, lights, commands, part)[0])
 
-    def meter(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> Metered:
-        """The lamps' light at a time. Of a metered world only."""
-        lit = self.lit(time_s)
-        return self._once(lit, lights, commands, lambda: Metered(lit, *lit.light([light.u for light in lights], commands)))
+    def _metered(self, lit: LitScene, lights: tuple[Utilisation, ...], commands: Commands) -> tuple[Tensor, Tensor]:
+        """Illuminance from the lamps alone and luminance of all light, `[height, width]` of a scene."""
+
+        def metered() -> tuple[Tensor, Tensor]:
+            arriving, leaving = lit.light([light.u for light in lights], commands)
+            return arriving, leaving + lit.base
+
+        return self._once(lit, lights, commands, metered)
+
+    def on_objects(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> LightOnObjects:
+        """The lamps' light on all objects at a time, from the lamps alone: at the pixels that see them and nowhere else."""
+        part = None if self._whole(time_s) else self._around_objects(time_s)
+        seen = self.lit(time_s, part)
+        pixels = torch.nonzero(seen.surfaces.object_id.flatten() > 0)[:, 0]
+        surfaces = seen.surfaces.at(pixels)
+        transported = self._transported(surfaces, seen.vehicle, seen.triangles, len(pixels), 1, direct=True)
+        lx = replace(seen, surfaces=surfaces, transported=transported).light([light.u for light in lights], commands)[0]
+        return LightOnObjects(surfaces.object_id[0], part_mask(surfaces, seen.triangles, EYES)[0], lx[0])
+
+    def _around_objects(self, t_s: float) -> Part:
+        """A part of the image outside of which no object is seen, at least a pixel; all of it where one reaches behind the camera."""
+        boxes = [placed.box.T for placed in self._triangles_at(t_s).placed if placed.object_id > 0]
+        corners, depth = self.view_at(t_s).project(torch.stack([self.view.origin.expand(8, 3).T, *boxes]))  # [n, 2, 8], [n, 8]
+        ahead, size = (depth > 0)[:, None], corners.new_tensor([self.view.width, self.view.height])
+        crossing = ahead.any(-1) & ~ahead.all(-1)
+        low = torch.where(crossing, 0.0, corners.amin(-1).floor() - MARGIN_PX).clamp(min=0)  # [n, 2]
+        high = torch.where(crossing, size, corners.amax(-1).ceil() + MARGIN_PX).minimum(size)
+        seen = ahead.any(-1)[:, 0] & (low < high).all(-1)
+        if not bool(seen.any()):
+            return slice(0, 1), slice(0, 1)
+        (left, top), (right, bottom) = low[seen].amin(0).int().tolist(), high[seen].amax(0).int().tolist()
+        return slice(top, bottom), slice(left, right)
+
+    def _whole(self, t_s: float) -> bool:
+        """Whether the whole image is at hand at a time, or serves for others as well."""
+        return not self.moving or (self._key(t_s), None, True) in self._lit
 
     def _once(self, lit: LitScene, lights: tuple[Utilisation, ...], commands: Commands, make: Callable[[], Made]) -> Made:
         """What a light does to a scene, made anew only where it is not one of the last two."""
@@ -278,10 +309,15 @@ class World:
         """Luminance `[height, width]` in cd/m^2 at a time of what lights have beyond others."""
         return self.luminance(time_s, lights, commands)[0] - self.luminance(time_s, others, commands)[0]
 
+    def illuminance_image(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
+        """`illuminance`, computed where it is read, which is all of it."""
+        like = lights[0].u.new_empty(0)
+        return PartialImage.of(self.view.height, self.view.width, like, lambda part: self.illuminance(time_s, lights, commands)[part])
+
     def illuminance(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
         """`[height, width]` lx from the lamps alone at a time, at the pixels' centres; also where the world is not metered."""
         if self.metered:
-            return self.meter(time_s, lights, commands).illuminance
+            return self._metered(self.lit(time_s), lights, commands)[0]
         return self.lit(time_s, direct=True).light([light.u for light in lights], commands)[0]
 
     def lit(self, t_s: float, part: Part | None = None, direct: bool = False) -> LitScene:
@@ -290,6 +326,7 @@ class World:
         direct: whether illuminance is asked for.
         """
         direct = direct or self.moving or self.metered
+        part = None if part == (slice(0, self.view.height), slice(0, self.view.width)) else part
         key = self._key(t_s), part and tuple((each.start, each.stop) for each in part), direct
         if key not in self._lit:
             self._lit[key] = self._render(t_s, self.view_at(t_s), self.camera.oversampling, direct, part)
@@ -325,14 +362,29 @@ class World:
         return self._render(t_s, replace(view, T_world_view=self.motion.at(t_s).T_world_ground @ view.T_world_view), 1, direct=True)
 
     def _render(self, t_s: float, view: View, samples: int, direct: bool, part: Part | None = None) -> LitScene:
-        vehicle, scene = self.motion.at(t_s), self.scene
-        self._triangles = triangles = scene.at(t_s, vehicle.T_world_ground, self._triangles)
+        vehicle, scene, triangles = self.motion.at(t_s), self.scene, self._triangles_at(t_s)
         sampled = part and (slice(samples * part[0].start, samples * part[0].stop), part[1])
         surfaces = self.surfaces.gbuffer(triangles, view.with_rows(samples), sampled).to(self.device)
         view = view.within(*part) if part else view
-        base = average_rows(ambient_luminance(surfaces, scene.ambient_lx, scene.street_lamps, scene.spotlights_at(t_s)), samples)
 
-        modules, T_world_body = self.modules, vehicle.T_world_body
+        def ambient() -> Tensor:
+            lit = ambient_luminance(surfaces, scene.ambient_lx, scene.street_lamps, scene.spotlights_at(t_s))
+            return average_rows(lit, samples)
+
+        transported = self._transported(surfaces, vehicle, triangles, view.width, samples, direct)
+        return LitScene(view, vehicle, triangles, surfaces.one_row_of(samples), ambient, len(self.modules), transported, self.given)
+
+    def _triangles_at(self, t_s: float) -> Triangles:
+        """The scene's triangles at a time, kept until another one is asked for."""
+        if self._triangles[0] != t_s:
+            self._triangles = t_s, self.scene.at(t_s, self.motion.at(t_s).T_world_ground, self._triangles[1])
+        return self._triangles[1]
+
+    def _transported(
+        self, surfaces: GBuffer, vehicle: VehicleState, triangles: Triangles, width: int, samples: int, direct: bool
+    ) -> Callable[[int, ModuleCommand], LightTransport]:
+        """Makes a module's light transport to surfaces as it is turned. width: of their image, which has samples rows a pixel."""
+        modules, textures, T_world_body = self.modules, self._textures, vehicle.T_world_body
 
         @cache
         def shadows(*lamp_m: float) -> Shadows:
@@ -345,10 +397,10 @@ class World:
             T_world_headlight = T_world_body.to(T_body_headlight) @ T_body_headlight
             if direct:
                 cast = shadows(*T_world_headlight[:3, 3].tolist())
-                return DirectTransport(surfaces, headlight, T_world_headlight, cast, view.width, samples, module.measured)
-            return transport(reach(surfaces, headlight, T_world_headlight, triangles), headlight, view.width, samples)
+                return DirectTransport(surfaces, headlight, T_world_headlight, cast, width, samples, textures[number])
+            return transport(reach(surfaces, headlight, T_world_headlight, triangles), headlight, width, samples)
 
         def transported(number: int, command: ModuleCommand) -> LightTransport:
             return turned(number, replace(command, intensity=1.0))  # which does not dim the way of light
 
-        return LitScene(view, vehicle, triangles, surfaces.one_row_of(samples), base, len(modules), transported, self.given)
+        return transported

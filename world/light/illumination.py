@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,12 +13,15 @@ from torch import Tensor
 
 from world.frames import inverse, transform, unit
 from world.headlight import Headlight
+from world.kept import keeping
 from world.materials.brdf import luminance_factor
 from world.rendering.gbuffer import GBuffer
 from world.rendering.raycast import sees
 from world.scene.triangles import Triangles
 from world.spmv import Csr, multiply, numbers, row_of_entries, segment_bounds, span_of
 from world.texels import bilinear
+
+KEPT_TEXTURES: Final = 2  # of an on and an off exposure
 
 
 @dataclass(frozen=True)
@@ -164,6 +167,24 @@ class TextureSource(Protocol):
         ...
 
 
+class LastTextures:
+    """A headlight's light textures, of which the last are kept: an exposure is looked at in several places."""
+
+    def __init__(self, headlight: Headlight) -> None:
+        self._headlight = headlight
+        self._kept = keeping(KEPT_TEXTURES, self._made)
+
+    def light_texture(self, utilisation: Tensor, band: slice | None = None) -> Tensor:
+        """As `Headlight.light_texture`."""
+        if band is not None or utilisation.requires_grad:
+            return self._headlight.light_texture(utilisation, band)
+        return self._kept(utilisation)
+
+    def _made(self, utilisation: Tensor) -> Tensor:
+        rows, cols = self._headlight.rows, self._headlight.cols
+        return self._headlight.light_texture(utilisation) if bool(utilisation.any()) else utilisation.new_zeros(rows, cols)
+
+
 class Shadows:
     """Which points `[3, N]` m a lamp at `[3]` m lights past all triangles: a ray is cast to each when it is first asked for."""
 
@@ -186,7 +207,7 @@ class DirectTransport:
     illuminance is asked for.
 
     gbuffer: with `oversampling` rows for each of the image. shadows: from where the headlight is, on all of it. width: of the image in px.
-    measured: what makes light textures on the headlight's texels in place of its matrix, None for the matrix.
+    textures: what makes light textures on the headlight's texels, None for the headlight.
     """
 
     gbuffer: GBuffer
@@ -195,7 +216,7 @@ class DirectTransport:
     shadows: Shadows
     width: int
     oversampling: int = 1
-    measured: TextureSource | None = None
+    textures: TextureSource | None = None
 
     @cached_property
     def surface(self) -> LitSurface:
@@ -208,9 +229,8 @@ class DirectTransport:
         utilisation: `[..., n_p]`. band: all pixels outside of it are dark.
         Shadows are looked for only where the light texture is not dark, and everywhere if it has a gradient.
         """
-        texture = (self.measured or self.headlight).light_texture(utilisation, band)
-        everywhere = band is None or self.measured is not None or texture.requires_grad
-        surface = self.surface if everywhere else self._reached(texture, self.headlight.rows_of(band))
+        texture = (self.textures or self.headlight).light_texture(utilisation, band)
+        surface = self.surface if band is None or texture.requires_grad else self._reached(texture)
         lx = illuminance(surface, texture)
         lit = torch.arange(len(surface.index), device=lx.device)
         if not lx.requires_grad:
@@ -244,10 +264,12 @@ class DirectTransport:
         """Which samples `[m]` stand for their pixel's centre, `[m]` bool."""
         return samples // self.width % self.oversampling == self.oversampling // 2
 
-    def _reached(self, texture: Tensor, rows: slice) -> LitSurface:
-        """What a light texture `[..., rows, cols]` reaches that is dark but in some rows."""
-        cols = torch.nonzero(texture[..., rows, :].detach().flatten(0, -2).any(0))[:, 0].tolist() or [0]
-        return reach(self.gbuffer, self.headlight, self.T_world_headlight, texels=(rows, slice(cols[0], cols[-1] + 1)))
+    def _reached(self, texture: Tensor) -> LitSurface:
+        """What a light texture `[..., rows, cols]` reaches of which a part is lit."""
+        lit = (texture != 0).view(-1, *texture.shape[-2:]).any(0)
+        ends = (torch.nonzero(lit.any(dim))[:, 0].tolist() or [0] for dim in (1, 0))
+        rows, cols = (slice(each[0], each[-1] + 1) for each in ends)
+        return reach(self.gbuffer, self.headlight, self.T_world_headlight, texels=(rows, cols))
 
 
 def _camera_pixel(index: Tensor, width: int, oversampling: int) -> Tensor:

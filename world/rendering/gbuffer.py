@@ -49,6 +49,13 @@ class GBuffer:
         part = None if self.part is None else self.part.to(device)
         return GBuffer(self.position.to(device), self.normal.to(device), self.albedo.to(device), self.object_id.to(device), finish, part)
 
+    def at(self, pixels: Tensor) -> "GBuffer":
+        """The surfaces at flat pixels `[m]`, as an image of one row."""
+        finish = None if self.finish is None else replace(self.finish, material=self.finish.material.flatten()[None, pixels])
+        part = None if self.part is None else self.part.flatten()[None, pixels]
+        position, normal = (each.flatten(1)[:, None, pixels] for each in (self.position, self.normal))
+        return GBuffer(position, normal, self.albedo.flatten()[None, pixels], self.object_id.flatten()[None, pixels], finish, part)
+
     def one_row_of(self, rows: int) -> "GBuffer":
         """The middle one of every so many rows."""
         if rows == 1:
