@@ -271,9 +271,12 @@ class World:
         seen = self.lit(time_s, part)
         pixels = torch.nonzero(seen.surfaces.object_id.flatten() > 0)[:, 0]
         surfaces = seen.surfaces.at(pixels)
-        transported = self._transported(surfaces, seen.vehicle, seen.triangles, len(pixels), 1, direct=True)
-        lx = replace(seen, surfaces=surfaces, transported=transported).light([light.u for light in lights], commands)[0]
-        return LightOnObjects(surfaces.object_id[0], part_mask(surfaces, seen.triangles, EYES)[0], lx[0])
+        if known := self._known(seen, lights, commands):
+            lx = known[0][0].flatten()[pixels]
+        else:
+            transported = self._transported(surfaces, seen.vehicle, seen.triangles, len(pixels), 1, direct=True)
+            lx = replace(seen, surfaces=surfaces, transported=transported).light([light.u for light in lights], commands)[0][0]
+        return LightOnObjects(surfaces.object_id[0], part_mask(surfaces, seen.triangles, EYES)[0], lx)
 
     def _around_objects(self, t_s: float) -> Part:
         """A part of the image outside of which no object is seen, at least a pixel; all of it where one reaches behind the camera."""

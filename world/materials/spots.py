@@ -13,6 +13,8 @@ from world.materials.brdf import Material
 from world.materials.library import MATERIALS, MaterialName, RoadSurfaceParams, Texture
 from world.params import Params
 
+SPARE_M = 0.01  # beyond a spot, for rounding in float32 some hundred metres ahead
+
 
 class SpotParams(Params):
     """A region of the road with a different albedo or material; where spots overlap, the last one is on top."""
@@ -25,6 +27,12 @@ class SpotParams(Params):
     yaw_deg: float = Field(0.0, ge=-180, le=180, description="rotation to the left")
     albedo_factor: float = Field(1.0, ge=0, le=10, description="dry albedo as a multiple of that of the dry road there")
     material: MaterialName | None = Field(None, description="material by name; left out: that of the road around it")
+
+    def covered(self, x: Tensor, y: Tensor) -> tuple[Tensor, ...]:
+        """Indices of the points (x, y), m in the world, that lie on it, one tensor a dimension of theirs; most lie farther along x."""
+        near = torch.nonzero((x - self.x_m).abs() <= math.hypot(self.length_m, self.width_m) / 2 + SPARE_M, as_tuple=True)
+        on = self.covers(x[near], y[near])
+        return tuple(each[on] for each in near)
 
     def covers(self, x: Tensor, y: Tensor) -> Tensor:
         """Whether points (x, y), m in the world, lie on it; bool in their shape."""
@@ -63,7 +71,7 @@ class SpottedTexture:
         """Albedo, float32 in the shape of x and y (m, body frame)."""
         albedo = self._around.at(x, y)
         for spot in self.spots:
-            there = spot.covers(x, y)
+            there = spot.covered(x, y)
             dry = self._dry.at(x[there], y[there]) * spot.albedo_factor
             albedo[there] = self._material(spot).darkened(dry.clamp(max=1))
         return albedo
@@ -73,7 +81,7 @@ class SpottedTexture:
         number = self._around.material_at(x, y)
         for k, spot in enumerate(self.spots, len(self._around.materials)):
             if spot.material is not None:
-                number[spot.covers(x, y)] = k
+                number[spot.covered(x, y)] = k
         return number
 
     def _material(self, spot: SpotParams) -> Material:

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
-from world.frames import inverse
 from world.scene.triangles import Placed, Triangles
 from world.view import View
 
@@ -15,6 +15,8 @@ MARGIN_M = 1e-3  # around a body, which may be flat
 NEAREST_M = 1e-6  # to the origin of rays
 STEEPEST = 1e3  # slope beside the axis that most rays follow; steeper ones are compared with every box
 ROUNDING = 1e-5  # of products in float32, as a share of them
+FARTHEST = 1e30  # lengths of a ray's direction, of which no product is infinite
+TOGETHER = 64  # neighbouring rays that are first compared with a box together
 
 
 class RayCaster:
@@ -58,7 +60,7 @@ def _cast(triangles: Triangles, origin: Tensor, directions: Tensor, farthest: Te
     for (first, placed), rays in zip(triangles.parts(), _towards(triangles.placed, origin, directions.float(), farthest), strict=True):
         if not len(rays):
             continue
-        T_body_world, body = inverse(placed.T_world_body), placed.body
+        T_body_world, body = placed.T_body_world, placed.body
         local_origin = T_body_world[:3, :3] @ origin + T_body_world[:3, 3]  # o [3]
         local = T_body_world[:3, :3] @ directions.index_select(1, rays)  # d [3, rays]
         near = torch.nonzero(_near(body.bounds, local_origin, local, farthest[rays]))[:, 0]
@@ -78,38 +80,45 @@ def _cast(triangles: Triangles, origin: Tensor, directions: Tensor, farthest: Te
 
 
 def _towards(placed: Sequence[Placed], origin: Tensor, ways: Tensor, farthest: Tensor) -> Iterator[Tensor]:
-    """Indices of the rays `[3, N]` that may meet each body: cheap tests, which most do not pass.
+    """Indices of the rays `[3, N]` that may meet each body: cheap tests, which most do not pass, first of several rays at once.
 
     Of how far they go towards the sides of the box around it in the world; and of where this box is to a camera at the origin that looks
     along the axis which most rays follow.
     """
-    if not placed:
+    if not placed or not ways.shape[1]:
+        yield from (torch.empty(0, dtype=torch.int64) for _ in placed)
         return
     along = ways.mean(1)
     axis = int(along.abs().argmax())
     sides, sign = [each for each in range(3) if each != axis], math.copysign(1.0, along[axis])
     ahead = sign * ways[axis]
-    slopes, ends = ways[sides] / ahead, ways * farthest  # [2, N], [3, N]
-    aside = torch.nonzero((ahead <= 0).logical_or_((slopes.abs() > STEEPEST).any(0)))[:, 0]
+    told = torch.cat([ways[sides] / ahead, ways * farthest.clamp(max=FARTHEST)])  # slopes and ends of the rays, [5, N]
+    aside = torch.nonzero((ahead <= 0).logical_or_((told[:2].abs() > STEEPEST).any(0)))[:, 0]
+    told[:, aside] = torch.inf  # no slope that a body admits
+    low, high = _admitted(placed, origin, axis, sides, sign)  # [n, 5] each
+    padded = pad(told, (0, -told.shape[1] % TOGETHER), value=torch.inf).unflatten(1, (-1, TOGETHER))  # [5, m, TOGETHER]
+    least, most = padded.amin(-1), padded.amax(-1)  # [5, m] each
+    near = ((most >= low[:, :, None]) & (least <= high[:, :, None])).all(1)  # [n, m]
+    place = torch.arange(padded[0].numel()).view(-1, TOGETHER)
+    for some, lowest, highest in zip(near, low, high, strict=True):
+        rays = place[some].flatten()
+        of_these = padded[:, some].flatten(1)
+        met = rays[((of_these >= lowest[:, None]) & (of_these <= highest[:, None])).all(0)]
+        yield torch.cat([met, aside]) if len(aside) else met
+
+
+def _admitted(placed: Sequence[Placed], origin: Tensor, axis: int, sides: list[int], sign: float) -> tuple[Tensor, Tensor]:
+    """Least and most `[n, 5]` float32 of the two slopes and three ends of rays that may meet each body's box."""
     corners = torch.stack([each.box for each in placed]) - origin  # [n, 8, 3]
     low, high = corners.amin(1), corners.amax(1)  # [n, 3] each
     depths = sign * torch.stack([low, high], 1)[:, :, axis]  # [n, 2]
     edges = (torch.stack([low, high], 1)[:, :, None, sides] / depths.clamp(min=NEAREST_M)[:, None, :, None]).flatten(1, 2)  # [n, 4, 2]
     spare = ROUNDING * (1 + edges.abs())
-    least, most = (edges - spare).amin(1).tolist(), (edges + spare).amax(1).tolist()  # [n, 2] each
-    for bottom, top, (l0, l1), (m0, m1), far in zip(low.tolist(), high.tolist(), least, most, depths.amax(1).tolist(), strict=True):
-        met = aside
-        if far > 0:
-            towards = (slopes[0] >= l0).logical_and_(slopes[0] <= m0).logical_and_(slopes[1] >= l1).logical_and_(slopes[1] <= m1)
-            towards.logical_and_(ahead > 0)
-            for end, least_m, most_m in zip(ends, bottom, top, strict=True):
-                if least_m > 0:
-                    towards.logical_and_(end >= least_m * (1 - ROUNDING))
-                elif most_m < 0:
-                    towards.logical_and_(end <= most_m * (1 - ROUNDING))
-            met = torch.nonzero(towards)[:, 0]
-            met = torch.cat([met, aside]) if len(aside) else met
-        yield met
+    ends_low = torch.where(low > 0, low * (1 - ROUNDING), -torch.inf)
+    ends_high = torch.where(high < 0, high * (1 - ROUNDING), torch.inf)
+    least, most = torch.cat([(edges - spare).amin(1), ends_low], 1), torch.cat([(edges + spare).amax(1), ends_high], 1)
+    least[depths.amax(1) <= 0] = torch.inf
+    return least.float(), most.float()
 
 
 def _near(bounds: Tensor, origin: Tensor, directions: Tensor, farthest: Tensor) -> Tensor:

@@ -8,6 +8,7 @@ from typing import Final
 import torch
 from torch import Tensor
 
+from world.frames import inverse
 from world.scene.body import Body
 
 CHUNK: Final = 2**15  # rays at a time, whose numbers stay in the processor's cache
@@ -20,6 +21,11 @@ class Placed:
     object_id: int
     body: Body
     T_world_body: Tensor
+
+    @cached_property
+    def T_body_world(self) -> Tensor:
+        """Inverse of `T_world_body`."""
+        return inverse(self.T_world_body)
 
     @cached_property
     def corners(self) -> Tensor:
