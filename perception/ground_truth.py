@@ -43,9 +43,11 @@ def ground_truth(surfaces: GBuffer, triangles: Triangles, view: View, categories
     """
     found = []
     parts = dict((placed.object_id, placed) for placed in triangles.placed if placed.object_id > 0)
+    on_any = torch.nonzero(surfaces.object_id > 0)  # rows and columns, [m, 2]
+    ids = surfaces.object_id[on_any.unbind(1)]
     for object_id, placed in sorted(parts.items()):
-        seen = surfaces.object_id == object_id
-        pixels = int(seen.sum())
+        seen = on_any[ids == object_id]
+        pixels = len(seen)
         if not pixels:
             continue
         whole = _whole(placed, view)
@@ -80,9 +82,10 @@ def part_mask(surfaces: GBuffer, triangles: Triangles, names: Collection[str]) -
     return part_picture(surfaces, triangles, tuple(names)) >= 0
 
 
-def _seen(mask: Tensor) -> Box:
-    rows, columns = (torch.nonzero(mask.any(dim))[:, 0] for dim in (1, 0))
-    return float(columns[0]), float(rows[0]), float(columns[-1] + 1), float(rows[-1] + 1)
+def _seen(pixels: Tensor) -> Box:
+    """Around rows and columns `[m, 2]`."""
+    (top, left), (bottom, right) = pixels.amin(0).tolist(), pixels.amax(0).tolist()
+    return float(left), float(top), float(right + 1), float(bottom + 1)
 
 
 def _whole(placed: Placed, view: View) -> Box:
@@ -109,7 +112,7 @@ def _pixels_alone(placed: Placed, view: View, whole: Box) -> int:
 def _materials(surfaces: GBuffer, seen: Tensor, placed: Placed) -> dict[str, int]:
     if surfaces.part is None or not placed.body.parts:
         return {}
-    counts = torch.bincount(surfaces.part[seen].long(), minlength=len(placed.body.parts)).tolist()
+    counts = torch.bincount(surfaces.part[seen.unbind(1)].long(), minlength=len(placed.body.parts)).tolist()
     found: dict[str, int] = {}
     for part, count in zip(placed.body.parts, counts, strict=True):
         if count:

@@ -187,22 +187,38 @@ def _flux_lm(light: Utilisation, flux: Tensor) -> float:
     return float(light.u[lit] @ flux[lit])
 
 
+def asked(
+    modules: Sequence[ShiningModule], plan: Plan, secondary: Sequence[SecondaryRays], more: tuple[Plan, Sequence[Utilisation]] | None = None
+) -> list[Utilisation]:
+    """Utilisations that a plan asks for, one a module, whatever power they take.
+
+    secondary: of each module. more: a plan that draws all this one does and maybe more, and what it asks for, which is the same where a
+    module draws nothing of that.
+    """
+
+    def drawn(by: Plan, module: ShiningModule) -> int:
+        return len(by.for_module(module.name) or ())
+
+    if more is None:
+        return [module.utilisation(plan, rays) for module, rays in zip(modules, secondary, strict=True)]
+    return [
+        known if drawn(more[0], module) == drawn(plan, module) else module.utilisation(plan, rays)
+        for module, rays, known in zip(modules, secondary, more[1], strict=True)
+    ]
+
+
 def driven(
-    modules: Sequence[ShiningModule],
-    plan: Plan,
-    secondary: Sequence[SecondaryRays],
-    power_limit: float | None,
-    power_w: Callable[[float], float],
+    modules: Sequence[ShiningModule], lights: Sequence[Utilisation], power_limit: float | None, power_w: Callable[[float], float]
 ) -> tuple[tuple[Utilisation, ...], Mapping[str, LampPower]]:
     """Utilisations, one a module, and the power of each lamp by its side, within the limit if there is one.
 
-    secondary: of each module. power_w: electrical power of a lamp that gives so many lm.
+    lights: what is asked for, one a module. power_w: electrical power of a lamp that gives so many lm.
     """
-    asks = dict(zip((module.name for module in modules), secondary, strict=True))
-    lights, powers = [], {}
+    wanted = dict(zip((module.name for module in modules), lights, strict=True))
+    limited, powers = [], {}
     for side in dict.fromkeys(module.side for module in modules):
         mine = [module for module in modules if module.side == side]
-        shown, factor, most = [module.utilisation(plan, asks[module.name]) for module in mine], 1.0, sum(each.flux_lm for each in mine)
+        shown, factor, most = [wanted[module.name] for module in mine], 1.0, sum(each.flux_lm for each in mine)
         if power_limit is not None:
             flux = torch.cat([module.intensity * module.flux for module in mine])
             u, least = limit_power(torch.cat([each.u for each in shown]), flux, most * power_limit)
@@ -210,5 +226,5 @@ def driven(
             shown = [Utilisation(part, each.band) for part, each in zip(parts, shown, strict=True)]
         total = sum(module.intensity * _flux_lm(each, module.flux) for each, module in zip(shown, mine, strict=True))
         powers[side] = LampPower(total, total / most, factor, power_w(total), total)
-        lights += shown
-    return tuple(lights), powers
+        limited += shown
+    return tuple(limited), powers

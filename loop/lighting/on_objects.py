@@ -11,7 +11,8 @@ from controllers.functions.glare_free import GlareFreeParams
 from controllers.pixels.rthc import masks
 from controllers.situation import Situation, TrackedObject
 from loop.lighting.detection import LEAST_PX, Recognised, name_of
-from loop.plant.world import LightOnObjects, LitScene
+from loop.plant.protocol import Showing
+from loop.plant.world import LightOnObjects, LitScene, World
 from world.traffic.tracked import ROAD_USERS
 
 DRIVEN = ROAD_USERS - {"pedestrian"}
@@ -31,6 +32,12 @@ class OnObject:
     lx_max: float
     lx_peak: float
     masked: bool
+
+
+def light_on_objects(world: World, showings: Sequence[Showing]) -> list[LightOnObjects]:
+    """In each exposure, if somebody asks for it."""
+    shown = ((each.before.time_s, each.exposure.lights, each.exposure.commands) for each in showings)
+    return [world.on_objects(*each) for each in shown] if world.metered else []
 
 
 def told_as(watched: Mapping[str, int], recognised: Mapping[str, Recognised] | None) -> Mapping[str, int]:

@@ -25,10 +25,10 @@ from loop.lighting.controlled import ControlledSymbol, Moment, turn
 from loop.lighting.detection import DetectionPipeline, false_positives, recognised
 from loop.lighting.ground import attitude, moved, seen_from
 from loop.lighting.judging import over_setpoint
-from loop.lighting.lamps import LampPower, ShiningModule, driven, in_reach, mean_powers
+from loop.lighting.lamps import LampPower, ShiningModule, asked, driven, in_reach, mean_powers
 from loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
 from loop.lighting.on_materials import OnMaterial, in_zones, on_materials
-from loop.lighting.on_objects import DUE_S, OnObject, most_on_eyes, must_be_dark, near_enough, on_objects, told_as
+from loop.lighting.on_objects import DUE_S, OnObject, light_on_objects, most_on_eyes, must_be_dark, near_enough, on_objects, told_as
 from loop.lighting.parts import parts
 from loop.lighting.result import Clock, FrameDetections, SimulationState, StepResult
 from loop.plant.pairing import paired
@@ -207,13 +207,14 @@ class Simulation:
         if measured:
             plans.append(self.planner.composed(now, state.functions, _without(drawn, measured)))
         clock.lap("plan")
-        driven = [self._driven(plan, now) for plan in plans]
+        driven = [self._driven(plans[0], now)]
+        driven += [self._driven(plan, now, (plans[0], driven[0][0])) for plan in plans[1:]]
         plan, exposures = plans[0], [lights for lights, _ in driven] * (per_step // len(driven))
         exposures[0] = self._raw(exposures[0], projections)
-        asked = [projections, *[{name: each for name, each in projections.items() if name not in measured}] * (per_step - 1)]
+        wanted = [projections, *[{name: each for name, each in projections.items() if name not in measured}] * (per_step - 1)]
         clock.lap("light")
         plant, arrivals, samples, frames, showings = state.plant, state.arrivals, state.samples, state.frames, list[Showing]()
-        for part, (share, shown, projection) in enumerate(zip(shares, exposures, asked, strict=True)):
+        for part, (share, shown, projection) in enumerate(zip(shares, exposures, wanted, strict=True)):
             number, duration_s = per_step * state.step + part, share / self.scenario.rate_hz
             before, exposure = arrivals, Exposure(number, arrivals.time_s, duration_s, shown, projection, now.commands)
             plant, arrivals = self.plant.show(plant, exposure)
@@ -236,9 +237,8 @@ class Simulation:
                 if self.planner.learns:
                     functions = self.planner.step(functions, self._learnt(now, then, then_s, image, then_view, tracks))
         clock.lap("find")
-        meters = world is not None and world.metered
-        metered = [world.on_objects(each.before.time_s, each.exposure.lights, now.commands) for each in showings] if meters else []
-        oncoming_s = near_enough(world.lit(time_s), state.oncoming_s, time_s) if meters and self.pipeline is not None else {}
+        metered = [] if world is None else light_on_objects(world, showings)
+        oncoming_s = near_enough(self.world.lit(time_s), state.oncoming_s, time_s) if metered and self.pipeline is not None else {}
         due = [name for name, since_s in oncoming_s.items() if time_s - since_s >= DUE_S]
         detected = None if self.pipeline is None else self._look(self.pipeline, tracks, found, then_s, metered, due)
         clock.lap("look")
@@ -255,9 +255,8 @@ class Simulation:
         clock.lap("control")
         masked = frozenset(each.name for each in now.objects if must_be_dark(self.scenario.functions, each, now))
         told = told_as(self.watched, None if detected is None else detected.recognised)
-        shown = time_s, exposures[0], now.commands
-        luminance = None if world is None else world.image(*shown)
-        illuminance = world.illuminance_image(*shown) if world is not None and world.metered else None
+        luminance = None if world is None else world.image(time_s, exposures[0], now.commands)
+        illuminance = world.illuminance_image(time_s, exposures[0], now.commands) if world is not None and metered else None
         zones = in_zones(self.planner.functions, state.functions, luminance, view if world is None else world.view_from_ground(time_s))
         objects: Mapping[str, OnObject] = {}
         materials: Mapping[str, OnMaterial] = {}
@@ -272,7 +271,7 @@ class Simulation:
                 symbols = observed_symbols(plan, [light.u for light in exposures[0]], whitened, world, now)
         judges = world is not None and bool(every := self.scenario.judge_every) and state.step % every == 0
         if judges and metered and self.pipeline is not None and self.planner.functions:
-            road_ratio = over_setpoint(self._turned(now), plan, exposures[0], world.lit(time_s))
+            road_ratio = over_setpoint(self._turned(now), plan, exposures[0], self.world.lit(time_s))
         if judges and measured:
             verdicts = self._judged(state, now, drawn, measured, exposures)
         results = {name: self.controlled[name].held(each, looked.get(name), verdicts.get(name)) for name, each in projections.items()}
@@ -421,9 +420,8 @@ class Simulation:
             return FrameDetections(found, present, {}, None, None, None, None)
         then, shares = self.world.lit(then_s), self.scenario.shares
         false = false_positives(then, found, self.scenario.tracker.start_score)
-        users = {number: each.name for number, each in enumerate(self.world.given, 1) if each.category in ROAD_USERS}
-        eyes = most_on_eyes(users, metered, shares)
-        oncoming, _ = most_on_eyes([number for number, name in users.items() if name in due], metered, shares)
+        users = {each.name: number for number, each in enumerate(self.world.given, 1) if each.category in ROAD_USERS}
+        eyes, (oncoming, _) = (most_on_eyes(numbers, metered, shares) for numbers in ([*users.values()], [users[name] for name in due]))
         return FrameDetections(found, present, recognised(then, present, found, pipeline.classes), false, *eyes, oncoming)
 
     def _learnt(self, now: Situation, then: LitScene | None, then_s: float, image: Tensor, view: View, tracks: Any) -> Situation:
@@ -442,8 +440,9 @@ class Simulation:
             for module, (_, light) in zip(self.modules, now.lights, strict=True)
         ]
 
-    def _driven(self, plan: Plan, now: Situation) -> tuple[Lights, Mapping[str, LampPower]]:
-        params = self.scenario.lighting
+    def _driven(self, plan: Plan, now: Situation, more: tuple[Plan, Lights] | None = None) -> tuple[Lights, Mapping[str, LampPower]]:
+        """more: a plan that draws all this one does and maybe more, and its light."""
+        params, modules = self.scenario.lighting, self._turned(now)
         street_lamps: tuple[StreetLamp, ...] = ()
         occluded = None
         if params.street_lamps or params.shadow_rays:
@@ -451,7 +450,8 @@ class Simulation:
             street_lamps = tuple(seen_from(T_world_ground, lamp) for lamp in self.world.scene.street_lamps) if params.street_lamps else ()
             occluded = scene_caster(self.world.lit(now.time_s).triangles, T_world_ground) if params.shadow_rays else None
         secondary = [SecondaryRays(now.lights, own, street_lamps, occluded) for own in range(len(self.modules))]
-        return driven(self._turned(now), plan, secondary, params.power_limit, self.scenario.headlight.power_w)
+        lights = asked(modules, plan, secondary, more if params.power_limit is None else None)
+        return driven(modules, lights, params.power_limit, self.scenario.headlight.power_w)
 
 
 def _without(drawn: Parts, names: Collection[str]) -> dict[str, Sequence[Primitives]]:
