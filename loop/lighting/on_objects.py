@@ -12,7 +12,8 @@ from controllers.pixels.rthc import masks
 from controllers.situation import Situation, TrackedObject
 from loop.lighting.detection import LEAST_PX, Recognised, name_of
 from loop.plant.protocol import Showing
-from loop.plant.world import LightOnObjects, LitScene, World
+from loop.plant.world import LitScene, ObjectLight, World
+from world.traffic.objects import ObjectParams
 from world.traffic.tracked import ROAD_USERS
 
 DRIVEN = ROAD_USERS - {"pedestrian"}
@@ -34,7 +35,7 @@ class OnObject:
     masked: bool
 
 
-def light_on_objects(world: World, showings: Sequence[Showing]) -> list[LightOnObjects]:
+def light_on_objects(world: World, showings: Sequence[Showing]) -> list[ObjectLight]:
     """In each exposure, if somebody asks for it."""
     shown = ((each.before.time_s, each.exposure.lights, each.exposure.commands) for each in showings)
     return [world.on_objects(*each) for each in shown] if world.metered else []
@@ -49,7 +50,7 @@ def told_as(watched: Mapping[str, int], recognised: Mapping[str, Recognised] | N
 
 
 def on_objects(
-    watched: Mapping[str, int], dark: frozenset[int], metered: Sequence[LightOnObjects], shares: Sequence[float]
+    watched: Mapping[str, int], dark: frozenset[int], metered: Sequence[ObjectLight], shares: Sequence[float]
 ) -> Mapping[str, OnObject]:
     """By name. watched: ids of those that are meant. dark: ids of those that must be. metered: of each exposure, with its share of time."""
     found = {}
@@ -81,7 +82,19 @@ def near_enough(seen: LitScene, since_s: Mapping[str, float], now_s: float) -> M
     return {name: since_s.get(name, now_s) for name in near}
 
 
-def most_on_eyes(numbers: Collection[int], metered: Sequence[LightOnObjects], shares: Sequence[float]) -> tuple[float | None, float | None]:
+def on_eyes(
+    given: Sequence[ObjectParams], due: Collection[str], metered: Sequence[ObjectLight], shares: Sequence[float]
+) -> tuple[float | None, float | None, float | None]:
+    """Most light in lx on heads and windscreens of road users, mean over the exposures and highest, and the mean on those that are due.
+
+    None where none is seen in any exposure. given: parameters of the objects 1, 2, ... due: names of some.
+    """
+    users = {each.name: number for number, each in enumerate(given, 1) if each.category in ROAD_USERS}
+    mean, highest = _most(users.values(), metered, shares)
+    return mean, highest, _most([users[name] for name in due], metered, shares)[0]
+
+
+def _most(numbers: Collection[int], metered: Sequence[ObjectLight], shares: Sequence[float]) -> tuple[float | None, float | None]:
     """Most light in lx on heads and windscreens of objects, mean over the exposures and highest; None where none is seen in any."""
     lights = [each.on_eyes(numbers) for each in metered]
     if not any(map(len, lights)):

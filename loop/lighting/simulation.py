@@ -28,13 +28,13 @@ from loop.lighting.judging import over_setpoint
 from loop.lighting.lamps import LampPower, ShiningModule, asked, driven, in_reach, mean_powers
 from loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
 from loop.lighting.on_materials import OnMaterial, in_zones, on_materials
-from loop.lighting.on_objects import DUE_S, OnObject, light_on_objects, most_on_eyes, must_be_dark, near_enough, on_objects, told_as
+from loop.lighting.on_objects import DUE_S, OnObject, light_on_objects, must_be_dark, near_enough, on_eyes, on_objects, told_as
 from loop.lighting.parts import parts
 from loop.lighting.result import Clock, FrameDetections, SimulationState, StepResult
 from loop.plant.pairing import paired
 from loop.plant.protocol import Arrivals, Exposure, Objects, Plant, Showing, closed
 from loop.plant.simulated import as_simulated
-from loop.plant.world import LightOnObjects, LitScene, World, categories
+from loop.plant.world import LitScene, ObjectLight, World, categories
 from loop.scenario.checks import Light as OtherLight
 from loop.scenario.model import Scenario, only
 from loop.scenario.shown import Shown
@@ -46,7 +46,6 @@ from world.errors import LuxloopError, located
 from world.frames import inverse
 from world.headlight.lamp import REST, Commands
 from world.scene.scene import StreetLamp
-from world.traffic.tracked import ROAD_USERS
 from world.view import View
 
 Lights = tuple[Utilisation, ...]  # of all modules
@@ -405,13 +404,7 @@ class Simulation:
         return replace(self.view, T_world_view=T_ground_body @ self.view.T_world_view)
 
     def _look(
-        self,
-        pipeline: DetectionPipeline,
-        tracks: Any,
-        found: Detections | None,
-        then_s: float,
-        metered: Sequence[LightOnObjects],
-        due: list[str],
+        self, pipeline: DetectionPipeline, tracks: Any, found: Detections | None, then_s: float, metered: list[ObjectLight], due: list[str]
     ) -> FrameDetections:
         """Of a time. found: in its frame, None without one. metered: in each exposure of now. due: who must not be dazzled any more."""
         found = found or Detections(torch.zeros(0, 4), torch.zeros(0, len(pipeline.classes)))
@@ -420,9 +413,8 @@ class Simulation:
             return FrameDetections(found, present, {}, None, None, None, None)
         then, shares = self.world.lit(then_s), self.scenario.shares
         false = false_positives(then, found, self.scenario.tracker.start_score)
-        users = {each.name: number for number, each in enumerate(self.world.given, 1) if each.category in ROAD_USERS}
-        eyes, (oncoming, _) = (most_on_eyes(numbers, metered, shares) for numbers in ([*users.values()], [users[name] for name in due]))
-        return FrameDetections(found, present, recognised(then, present, found, pipeline.classes), false, *eyes, oncoming)
+        eyes = on_eyes(self.world.given, due, metered, shares)
+        return FrameDetections(found, present, recognised(then, present, found, pipeline.classes), false, *eyes)
 
     def _learnt(self, now: Situation, then: LitScene | None, then_s: float, image: Tensor, view: View, tracks: Any) -> Situation:
         """The situation once a frame is there, which was taken at then_s of the scene then, in a view that the car believes."""

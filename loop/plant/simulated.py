@@ -82,13 +82,14 @@ class SimulatedPlant:
         return sensors.newest(by_s, like) if after_s is None else sensors.arriving(after_s, by_s, like)
 
     def _frame(self, exposure: Exposure, step: int, frame: int) -> Tensor:
-        """Digital numbers `[height, width]`, computed where they are read."""
+        """Digital numbers `[height, width]`, computed where they are read; at once of measured light, which is not kept for long."""
         view, shown = self.world.view, (exposure.start_s, exposure.lights, exposure.commands)
 
         def part_of(part: Part) -> Tensor:
             return self.exposed(*self.world.luminance(*shown, part), step, frame, part)
 
-        return PartialImage.of(view.height, view.width, exposure.lights[0].u.new_empty(0), part_of)
+        image = PartialImage.of(view.height, view.width, exposure.lights[0].u.new_empty(0), part_of)
+        return image if all(module.measured is None for module in self.world.modules) else image[:, :]
 
     def exposed(self, luminance: Tensor, base: Tensor, step: int, frame: int, part: Part | None = None) -> Tensor:
         """Digital numbers of a step's on frame (0) or off frame (1) of luminance `[..., height, width]` in cd/m^2, with what disturbs it.

@@ -152,7 +152,7 @@ class LitScene:
 
 
 @dataclass(frozen=True, eq=False)
-class LightOnObjects:
+class ObjectLight:
     """The lamps' light at the centres of the m pixels that see objects.
 
     numbers: `[m]`, which of the objects 1, 2, ... each sees. eyes: `[m]` bool, whether it sees a head or a windscreen. lx: `[m]`.
@@ -265,7 +265,7 @@ class World:
 
         return self._once(lit, lights, commands, metered)
 
-    def on_objects(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> LightOnObjects:
+    def on_objects(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> ObjectLight:
         """The lamps' light on all objects at a time, from the lamps alone: at the pixels that see them and nowhere else."""
         part = None if self._whole(time_s) else self._around_objects(time_s)
         seen = self.lit(time_s, part)
@@ -276,7 +276,7 @@ class World:
         else:
             transported = self._transported(surfaces, seen.vehicle, seen.triangles, len(pixels), 1, direct=True)
             lx = replace(seen, surfaces=surfaces, transported=transported).light([light.u for light in lights], commands)[0][0]
-        return LightOnObjects(surfaces.object_id[0], part_mask(surfaces, seen.triangles, EYES)[0], lx)
+        return ObjectLight(surfaces.object_id[0], part_mask(surfaces, seen.triangles, EYES)[0], lx)
 
     def _around_objects(self, t_s: float) -> Part:
         """A part of the image outside of which no object is seen, at least a pixel; all of it where one reaches behind the camera."""

@@ -1,6 +1,7 @@
 """Unexpected spots on the road: paint, patches, puddles."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -8,12 +9,15 @@ from typing import Literal
 import torch
 from pydantic import Field
 from torch import Tensor
+from torch.nn.functional import pad
 
+from world.kept import keeping
 from world.materials.brdf import Material
 from world.materials.library import MATERIALS, MaterialName, RoadSurfaceParams, Texture
 from world.params import Params
 
 SPARE_M = 0.01  # beyond a spot, for rounding in float32 some hundred metres ahead
+TOGETHER = 64  # neighbouring points
 
 
 class SpotParams(Params):
@@ -27,12 +31,6 @@ class SpotParams(Params):
     yaw_deg: float = Field(0.0, ge=-180, le=180, description="rotation to the left")
     albedo_factor: float = Field(1.0, ge=0, le=10, description="dry albedo as a multiple of that of the dry road there")
     material: MaterialName | None = Field(None, description="material by name; left out: that of the road around it")
-
-    def covered(self, x: Tensor, y: Tensor) -> tuple[Tensor, ...]:
-        """Indices of the points (x, y), m in the world, that lie on it, one tensor a dimension of theirs; most lie farther along x."""
-        near = torch.nonzero((x - self.x_m).abs() <= math.hypot(self.length_m, self.width_m) / 2 + SPARE_M, as_tuple=True)
-        on = self.covers(x[near], y[near])
-        return tuple(each[on] for each in near)
 
     def covers(self, x: Tensor, y: Tensor) -> Tensor:
         """Whether points (x, y), m in the world, lie on it; bool in their shape."""
@@ -69,20 +67,37 @@ class SpottedTexture:
 
     def at(self, x: Tensor, y: Tensor) -> Tensor:
         """Albedo, float32 in the shape of x and y (m, body frame)."""
+        shape, x, y = x.shape, x.flatten(), y.flatten()
         albedo = self._around.at(x, y)
-        for spot in self.spots:
-            there = spot.covered(x, y)
+        for spot, there in zip(self.spots, self._covered(x, y), strict=True):
             dry = self._dry.at(x[there], y[there]) * spot.albedo_factor
             albedo[there] = self._material(spot).darkened(dry.clamp(max=1))
-        return albedo
+        return albedo.view(shape)
 
     def material_at(self, x: Tensor, y: Tensor) -> Tensor:
         """Which of the materials is there, int64 in the shape of x and y (m, body frame)."""
+        shape, x, y = x.shape, x.flatten(), y.flatten()
         number = self._around.material_at(x, y)
-        for k, spot in enumerate(self.spots, len(self._around.materials)):
+        for k, (spot, there) in enumerate(zip(self.spots, self._covered(x, y), strict=True), len(self._around.materials)):
             if spot.material is not None:
-                number[spot.covered(x, y)] = k
-        return number
+                number[there] = k
+        return number.view(shape)
+
+    @cached_property
+    def _covered(self) -> Callable[[Tensor, Tensor], tuple[Tensor, ...]]:
+        return keeping(1, self._covered_of)  # for albedo and material of the same points
+
+    def _covered_of(self, x: Tensor, y: Tensor) -> tuple[Tensor, ...]:
+        """Indices of the points (x, y) `[N]` that lie on each spot; first of neighbours together, most of which lie farther along x."""
+        x, y = (pad(each, (0, -len(each) % TOGETHER), value=torch.inf).view(-1, TOGETHER) for each in (x, y))
+        place, least, most = torch.arange(x.numel()).view_as(x), x.amin(1), x.amax(1)
+
+        def on(spot: SpotParams) -> Tensor:
+            reach_m = math.hypot(spot.length_m, spot.width_m) / 2 + SPARE_M
+            near = torch.nonzero((least <= spot.x_m + reach_m) & (most >= spot.x_m - reach_m))[:, 0]
+            return place[near][spot.covers(x[near], y[near])]
+
+        return tuple(map(on, self.spots))
 
     def _material(self, spot: SpotParams) -> Material:
         return MATERIALS[spot.material] if spot.material else self.surface.ground
