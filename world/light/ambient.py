@@ -20,27 +20,30 @@ def ambient_luminance(
     ambient_lx: illuminance of a surface that faces up; others see the share (1 + n_z) / 2 of a uniform sky. Street lamps and spotlights (of
     the world, `[3]` vectors) throw no shadows.
     """
-    illuminance = ambient_lx * (1 + gbuffer.normal[2]) / 2
+    albedo = gbuffer.albedo.flatten()
+    there = torch.nonzero(albedo)[:, 0]  # what reflects, of M pixels
+    position, normal = (each.flatten(1).index_select(1, there) for each in (gbuffer.position, gbuffer.normal))  # [3, M]
+    illuminance = ambient_lx * (1 + normal[2]) / 2
     for lamp in street_lamps:
-        away = torch.tensor(lamp.position_m).to(gbuffer.position)[:, None, None] - gbuffer.position
-        illuminance = illuminance + lamp.intensity_cd * _cos_per_d2(gbuffer, away)
+        away = torch.tensor(lamp.position_m).to(position)[:, None] - position
+        illuminance = illuminance + lamp.intensity_cd * _cos_per_d2(normal, away)
     for spot in spotlights:
-        away = spot.position.to(gbuffer.position)[:, None, None] - gbuffer.position
-        factor = _cos_per_d2(gbuffer, away)
-        lit = torch.nonzero((factor * gbuffer.albedo).flatten())[:, 0]  # what faces the lamp and reflects
-        ray = away.flatten(1).index_select(1, lit).neg_()
-        illuminance.view(-1).index_add_(0, lit, _intensity(spot, ray) * factor.flatten()[lit])
-    luminance = gbuffer.albedo * illuminance / math.pi
+        away = spot.position.to(position)[:, None] - position
+        factor = _cos_per_d2(normal, away)
+        lit = torch.nonzero(factor)[:, 0]  # what faces the lamp
+        illuminance.index_add_(0, lit, _intensity(spot, away.index_select(1, lit).neg_()) * factor[lit])
+    reflected = albedo[there] * illuminance / math.pi
+    luminance = torch.zeros_like(albedo).index_copy(0, there, reflected).view_as(gbuffer.albedo)
     if gbuffer.finish is None:
         return luminance
     own = torch.tensor([each.luminance_cd_m2 for each in gbuffer.finish.materials]).to(luminance)
     return luminance + own[gbuffer.finish.material]
 
 
-def _cos_per_d2(gbuffer: GBuffer, away: Tensor) -> Tensor:
-    """`cos / d^2` in 1/m^2 `[height, width]` of light from `away` `[3, height, width]` m (T eq. 2.1.5)."""
+def _cos_per_d2(normal: Tensor, away: Tensor) -> Tensor:
+    """`cos / d^2` in 1/m^2 `[M]` of light from `away` `[3, M]` m (T eq. 2.1.5)."""
     d2 = (away * away).sum(0)
-    return (gbuffer.normal * away).sum(0).clamp(min=0) / (d2 * d2.sqrt())
+    return (normal * away).sum(0).clamp(min=0) / (d2 * d2.sqrt())
 
 
 def _intensity(spot: Spotlight, ray: Tensor) -> Tensor:
