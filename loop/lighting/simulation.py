@@ -228,8 +228,9 @@ class Simulation:
                 continue
             believed = {number: each for number, each in believed.items() if number > frame.number}  # those before it never come
             if frame.image is not None:
-                image, then_s = frame.image, frame.taken_s
-                then = None if world is None or not (self.pipeline or self.planner.learns) else world.lit(then_s)
+                reads = self.planner.learns or self.pipeline is not None
+                image, then_s = frame.image[:, :] if reads else frame.image, frame.taken_s
+                then = world.lit(then_s) if reads and world is not None else None
                 if self.pipeline is not None:
                     found = self.pipeline.find(share := image / (2**self.scenario.camera.bits - 1), then)
                     tracks = self.pipeline.tracker.follow(tracks, found, share, then_s)
@@ -261,7 +262,6 @@ class Simulation:
         materials: Mapping[str, OnMaterial] = {}
         symbols: tuple[ObservedSymbol, ...] = ()
         verdicts: Mapping[str, Verdict] = {}
-        road_ratio = None
         if world is not None and illuminance is not None and luminance is not None:
             objects = on_objects(self.watched, frozenset(told[name] for name in masked & told.keys()), metered, shares)
             materials = on_materials(self.planner.functions, functions, now, told, world, illuminance, luminance)
@@ -269,8 +269,8 @@ class Simulation:
                 whitened = [light.u for light in self._driven(white, now)[0]]
                 symbols = observed_symbols(plan, [light.u for light in exposures[0]], whitened, world, now)
         judges = world is not None and bool(every := self.scenario.judge_every) and state.step % every == 0
-        if judges and metered and self.pipeline is not None and self.planner.functions:
-            road_ratio = over_setpoint(self._turned(now), plan, exposures[0], self.world.lit(time_s))
+        compares = judges and metered and self.pipeline is not None and self.planner.functions
+        road_ratio = over_setpoint(self._turned(now), plan, exposures[0], self.world.lit(time_s)) if compares else None
         if judges and measured:
             verdicts = self._judged(state, now, drawn, measured, exposures)
         results = {name: self.controlled[name].held(each, looked.get(name), verdicts.get(name)) for name, each in projections.items()}
