@@ -263,8 +263,8 @@ def dazzled(result: StepResult, view: LitScene) -> list[tuple[int, str, float, b
     assert result.look is not None
     found = []
     for each in view.objects:
-        pixels = view.pixels[each.object_id - 1]
-        most = float(result.illuminance.flatten()[pixels].where(view.eyes.flatten()[pixels], 0.0).max())
+        lx = result.illuminance[view.eyes & (view.surfaces.object_id == each.object_id)]
+        most = float(lx.max()) if len(lx) else 0.0
         if most > DAZZLING_LX:
             its_track = result.look.recognised[each.name].track
             found.append((result.step, each.name, round(most, 3), its_track is not None))
