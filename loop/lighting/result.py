@@ -76,8 +76,8 @@ class StepResult:
 
     now: what was known, and functions: what they had learnt, when the light was planned. view: of the camera from the ground frame then, as
     the car believed. masked: names of objects that must be dark. lights: utilisations `[n_p]`, one a module. powers: by the lamps' sides.
-    illuminance: `[height, width]` lx from the lamps alone, and luminance: in cd/m^2 with all other light, as the camera sees them; None
-    where the plant does not know the truth, and the illuminance where nobody asks for it.
+    illuminance: `[height, width]` lx from the lamps alone, and luminance: in cd/m^2 with all other light, as the camera sees them, computed
+    where they are read; None where the plant does not know the truth, and the illuminance where nobody asks for it.
     frame: digital numbers of the newest frame that came in this step, None where none came. frames: the newest on and off frame that
     controllers got, taken at taken_s, NaN where none came. objects: by name, those that are there and have
     a category. look: None without a detector. symbols: those that are meant for an observer, from their eyes. held: those that controllers
