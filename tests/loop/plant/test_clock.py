@@ -75,7 +75,7 @@ BROKEN = {  # what is replaced in OWN by what, and words of the sentence that te
         "frame 0: has an image that is not finite",
     ),
     "no time": ("taken_s=each.taken_s + by", "taken_s=None", "frame 0: has the time None; give the plant's time in s"),
-    "an image as what is shown": ("replace(each, taken_s", "replace(each, shown=each.image, taken_s", "frame 0: has shown = Tensor"),
+    "an image as what is shown": ("replace(each, taken_s", "replace(each, shown=each.image, taken_s", "frame 0: has shown = PartialImage"),
     "a sample of no time": ("measured_s=each.measured_s + by", "measured_s=float('nan')", "sample of wheels: was measured at nan s"),
     "a sample of NumPy": ("replace(each, measured_s", "replace(each, values=each.values.numpy(), measured_s", "values that are a ndarray"),
     "objects that are none": ("tuple(samples))", "tuple(samples), (3,))", "gives objects that are no tuple of TrackedObject"),
