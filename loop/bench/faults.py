@@ -78,10 +78,10 @@ class CameraErrorParams(Params):
     readout_s: float = Field(
         0.0, ge=0, le=1, description="rolling shutter: time from the first row's exposure to the last one's; 0: global"
     )
-    latency_s: float = Field(
-        0.0, ge=0, le=5, description="delay from the end of an exposure to sending it; at least the rendering time"
+    latency_s: float = Field(0.0, ge=0, le=5, description="delay from the end of an exposure to sending it; at least the rendering time")
+    jitter_s: float = Field(
+        0.0, ge=0, le=1, description="largest additional delay, drawn uniformly for each frame; frames keep their order"
     )
-    jitter_s: float = Field(0.0, ge=0, le=1, description="largest additional delay, drawn uniformly for each frame; frames keep their order")
     loss: float = Field(0.0, ge=0, le=1, description="probability that a frame is not sent")
     gamma: float | None = Field(None, ge=1, le=3, description="true gamma of the response; left out: that of [camera]")
     black_level: float = Field(0.0, ge=0, le=0.5, description="digital number without light, as a share of the largest")

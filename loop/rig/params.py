@@ -100,7 +100,9 @@ class CameraSourceParams(Params):
     timeout_s: float = Field(
         1.0, gt=0, le=60, description="time without a picture after which the lamp is darkened and the camera connected again"
     )
-    crop: CropParams | None = Field(None, description="part of the picture that is the scenario's image, only without a calibration; left out: all of it")
+    crop: CropParams | None = Field(
+        None, description="part of the picture that is the scenario's image, only without a calibration; left out: all of it"
+    )
     bits: int | None = Field(None, ge=8, le=16, description="bits of a digital number; left out: those of the picture, 8 or 16")
 
 
@@ -192,7 +194,9 @@ class LimitParams(Params):
     power: float = Field(1.0, gt=0, le=1, description="largest mean utilisation of all pixels; light above it is dimmed")
     power_w: float | None = Field(None, gt=0, le=1e6, description="largest power in W; needs full_w")
     full_w: float | None = Field(None, gt=0, le=1e6, description="power in W with all pixels on")
-    change_per_s: float = Field(1000.0, gt=0, le=1e6, description="largest change of the mean utilisation per second; faster changes are made in steps")
+    change_per_s: float = Field(
+        1000.0, gt=0, le=1e6, description="largest change of the mean utilisation per second; faster changes are made in steps"
+    )
     loop_s: float = Field(1.0, ge=0.1, le=60, description="time without a call of the loop after which the lamp is darkened")
 
     @model_validator(mode="after")
@@ -251,9 +255,7 @@ class MarkParams(Params):
 class RigCalibrationParams(Params):
     """The result of `luxloop rig calibrate`."""
 
-    file: Path = Field(
-        examples=["rig.npz"], description="file by which the camera's pictures are rectified and beams digitised"
-    )
+    file: Path = Field(examples=["rig.npz"], description="file by which the camera's pictures are rectified and beams digitised")
 
 
 class PlatformParams(Params):
