@@ -80,7 +80,7 @@ def calibrate(
     on_screen
         Picture of the board flat on the screen, for the pose of the screen.
     screen_m
-        In place of on_screen: distance in m from the lamps to a screen perpendicular to the vehicle's x axis.
+        In place of --on-screen: distance in m from the lamps to a screen perpendicular to the vehicle's x axis.
     flats
         Folder of pictures of an evenly bright surface, such as a diffuser in front of the lens, for the vignetting.
     lux
