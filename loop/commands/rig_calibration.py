@@ -95,7 +95,7 @@ def calibrate(
     frames
         Folder for the frames, from which an interrupted calibration resumes; by default named after `out`.
     rig
-        Rig file (see docs/rig.md); without it, the scenario's simulated world stands for the rig.
+        Rig file (see docs/rig.md); without it, the scenario's simulated world is used.
     arm
         With --rig: light the lamp.
     set
@@ -192,7 +192,7 @@ def digitise(
     frames
         Folder for the frames, from which an interrupted measurement resumes; by default named after `out`.
     rig
-        Rig file (see docs/rig.md); without it, the scenario's simulated world stands for the rig.
+        Rig file (see docs/rig.md); without it, the scenario's simulated world is used.
     arm
         With --rig: light the lamp.
     set
