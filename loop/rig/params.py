@@ -33,6 +33,14 @@ class LightParams(Params):
     keep_alive_s: float = Field(0.03, ge=0.005, le=1, description="time after which the current light is sent again")
     dark_after_s: float = Field(0.1, ge=0.02, le=60, description="time-out of the lamp: time without data after which it darkens by itself")
 
+    @model_validator(mode="after")
+    def _alive(self) -> Self:
+        if self.keep_alive_s > self.dark_after_s / 2:
+            raise ValueError(
+                f"keep_alive_s: {self.keep_alive_s:g} s is more than half of dark_after_s, {self.dark_after_s:g} s; the lamp would flicker"
+            )
+        return self
+
 
 class DdpLightParams(LightParams):
     """A lamp behind a network of pixels, by DDP over UDP."""
@@ -45,10 +53,6 @@ class DdpLightParams(LightParams):
     commands: bool = Field(True, description="whether orientation and maximum intensity of the modules are sent")
     scan: ScanParams = Field(ScanParams(), description="order of the pixels")
 
-    @model_validator(mode="after")
-    def _alive(self) -> Self:
-        return _refuse_gaps(self)
-
 
 class ScreenLightParams(LightParams):
     """A page on a second display or a projector, opened in full screen."""
@@ -57,10 +61,6 @@ class ScreenLightParams(LightParams):
     host: Host = Field("127.0.0.1", description="address to listen on")
     port: Annotated[int, Field(ge=0, le=65535)] = Field(8766, description="port to listen on, 0 for a free one")
     scan: ScanParams = Field(ScanParams(), description="how the picture is mirrored")
-
-    @model_validator(mode="after")
-    def _alive(self) -> Self:
-        return _refuse_gaps(self)
 
 
 class FilesLightParams(LightParams):
@@ -310,15 +310,6 @@ def _beside(data: dict[str, Any], folder: Path) -> dict[str, Any]:
             elif key == "kind" and isinstance(value, str):
                 found[table][key] = beside(value, folder)
     return found
-
-
-def _refuse_gaps(light: Any) -> Any:
-    """Raises ValueError where the lamp would darken between two sendings."""
-    if light.keep_alive_s > light.dark_after_s / 2:
-        raise ValueError(
-            f"keep_alive_s: {light.keep_alive_s:g} s is more than half of dark_after_s, {light.dark_after_s:g} s; the lamp would flicker"
-        )
-    return light
 
 
 def refuse_module(mark: MarkParams, grids: Collection[tuple[int, int]]) -> None:
