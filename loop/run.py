@@ -19,7 +19,6 @@ from loop.labels.labelled import Labels, Layout
 from loop.lighting.commanded import unmoved
 from loop.lighting.controlled import ControlledSymbol
 from loop.lighting.record import refuse_unknown_columns, row
-from loop.lighting.recorder import Recorder, refuse_foreign
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.plant.digitised import DigitisedPlant, needs_rig
@@ -27,9 +26,6 @@ from loop.plant.protocol import Plant
 from loop.recording.checks import Checks
 from loop.recording.files import REPORT, TRAJECTORY, VIDEO
 from loop.recording.remedies import of_target
-from loop.recording.video import VideoWriter
-from loop.report.picture import frame_picture, white_of
-from loop.report.watched import Watched
 from loop.scenario.model import Scenario, load
 from loop.scenario.plant import shadow_of
 from world.errors import LuxloopError, located
@@ -94,7 +90,12 @@ def run(
     be read or run, another process writes into the folder, or the plant does not know what labels tell; nothing is written before the
     first step is done.
     """
-    from loop.report.page import write_report  # Matplotlib, for which a preparation alone does not wait
+    # What records, for which a preparation alone does not wait.
+    from loop.lighting.recorder import Recorder, refuse_foreign
+    from loop.recording.video import VideoWriter
+    from loop.report.page import write_report
+    from loop.report.picture import frame_picture, white_of
+    from loop.report.watched import Watched
 
     if folder is not None and not isinstance(folder, str | Path):
         raise LuxloopError(f"run: folder is a {type(folder).__name__}, not a path; give other values of keys as overrides=[...]")
