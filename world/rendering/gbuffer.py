@@ -72,7 +72,7 @@ def gbuffer(triangles: Triangles, view: View, face_ids: Tensor) -> GBuffer:
         placed, pixels = hits.placed, hits.pixels
         points = origin[:, None] + directions[:, pixels] * hits.depth
         position[:, pixels] = points.float()
-        normals = _normals(placed.corner_normals[hits.faces], hits.barycentric.float())
+        normals = _normals(placed.corner_normals.index_select(0, hits.faces), hits.barycentric.float())
         normal[:, pixels] = torch.where(hits.front, normals, -normals) if placed.body.two_sided else normals
         if part is not None and placed.body.part_of_face is not None:
             part[pixels] = placed.body.part_of_face[hits.faces].int()

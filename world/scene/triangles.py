@@ -113,7 +113,7 @@ def on_planes(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions
         volume = (a * edges[:, 0]).sum(-1)  # triple product a (b x c), [S]
         compact = torch.cumsum(seen, 0) - 1
         for some, on in zip(pixels.split(CHUNK), faces.split(CHUNK), strict=True):
-            edge, d = edges[compact[on]], directions[:, some]  # [M, 3 corners, 3], [3, M]
+            edge, d = edges.index_select(0, compact[on]), directions[:, some]  # [M, 3 corners, 3], [3, M]
             w = torch.stack([edge[:, i, 0] * d[0] + edge[:, i, 1] * d[1] + edge[:, i, 2] * d[2] for i in range(3)])  # w_i volume, [3, M]
             total = w[0] + w[1] + w[2]  # volume / depth, since barycentric coordinates add up to 1, [M]
             volumes = volume[compact[on]]
