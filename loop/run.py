@@ -4,7 +4,6 @@ import gc
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -93,7 +92,6 @@ def run(
     # What records, for which a preparation alone does not wait.
     from loop.lighting.recorder import Recorder, refuse_foreign
     from loop.recording.video import VideoWriter
-    from loop.report.page import write_report
     from loop.report.picture import frame_picture, white_of
     from loop.report.watched import Watched
 
@@ -119,8 +117,13 @@ def run(
             simulation = replace(simulation, plant=plant(simulation))
         camera, watched = scenario.camera, Watched(simulation)
         run_checks = Checks(scenario.checks, (lambda light: map(row, simulation.lit_by(light).run())) if checks else None)
-        page = partial(write_report, folder / REPORT, simulation, watched) if report else None
-        recorder = stack.enter_context(Recorder(folder, simulation, page, run_checks.outcomes, frames, wanted))
+
+        def page(table: pa.Table, summary: dict[str, Any]) -> None:
+            from loop.report.page import write_report  # Matplotlib, for which the first step does not wait
+
+            write_report(folder / REPORT, simulation, watched, table, summary)
+
+        recorder = stack.enter_context(Recorder(folder, simulation, page if report else None, run_checks.outcomes, frames, wanted))
         film = VideoWriter(folder / VIDEO, VIDEO_FPS, (camera.width_px, camera.height_px)) if video else None
         if film is not None:
             stack.enter_context(film)
