@@ -15,7 +15,7 @@ from world.frames import inverse, pose, transform
 CELLS = (256, 256)  # along and across: finer than the texels of a lamp
 FOLLOWED = 4  # light is followed for every fourth cell along and across, and interpolated between them
 SAMPLES = (33, 17)  # of the symbol, along and across, whose light the patch must hold
-BEYOND = (0.4, 0.15)  # of the symbol's length and width, by which a patch of the plane z = 0 is larger on every side
+BEYOND = (0.4, 0.15)  # of the symbol's length and width, how far light may cross the plane z = 0 beyond it for a patch of that plane
 HIGHEST_M = 0.2  # of a road: a higher one gets a patch that is fitted to it
 LEAST_DEPTH_M = 0.05  # above and below a fitted patch, where the road is looked for at least
 
