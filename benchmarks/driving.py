@@ -62,7 +62,7 @@ def rendered(world: World, exposures: tuple[float, float]) -> float:
     """ms to render a step's on and off view."""
     clock = Clock()
     on_s, off_s = exposures
-    _ = world.lit(on_s).transports, world.lit(off_s)
+    _ = world.lit(on_s).transports, world.lit(on_s).base, world.lit(off_s).base
     return clock.lap()
 
 
@@ -84,8 +84,9 @@ def parts(simulation: Simulation, result: StepResult) -> dict[str, float]:
     world.surfaces.gbuffer(triangles, view)
     found["G-buffer, one view"] = clock.lap()
     again = World(world.scene, world.modules, world.camera, world.source, world.motion).lit(result.time_s)
+    base = again.base
     clock.lap()
-    added_light(again.transports, result.showings[0].exposure.lights, again.base)
+    added_light(again.transports, result.showings[0].exposure.lights, base)
     found["light and shadows"] = clock.lap()
     return found
 
