@@ -37,6 +37,7 @@ from world.view import View
 Made = TypeVar("Made")
 KEPT_VIEWS = 4  # on and off frame, before and after a change
 MARGIN_PX = 1  # around objects, whose corners OpenGL rounds
+A_PIXEL: Part = (slice(0, 1), slice(0, 1))
 
 
 def categories(objects: Sequence[ObjectParams]) -> tuple[Category | None, ...]:
@@ -189,7 +190,7 @@ class TrueObject:
 class World:
     """A scene, lamps and a camera on a vehicle; what has been rendered serves until something moves.
 
-    metered: whether the light on objects or its illuminance is asked for. given: parameters of the scene's objects.
+    metered: whether illuminance is asked for, on objects or anywhere. given: parameters of the scene's objects.
     """
 
     def __init__(
@@ -281,14 +282,16 @@ class World:
     def _around_objects(self, t_s: float) -> Part:
         """A part of the image outside of which no object is seen, at least a pixel; all of it where one reaches behind the camera."""
         boxes = [placed.box.T for placed in self._triangles_at(t_s).placed if placed.object_id > 0]
-        corners, depth = self.view_at(t_s).project(torch.stack([self.view.origin.expand(8, 3).T, *boxes]))  # [n, 2, 8], [n, 8]
+        if not boxes:
+            return A_PIXEL
+        corners, depth = self.view_at(t_s).project(torch.stack(boxes))  # [n, 2, 8], [n, 8]
         ahead, size = (depth > 0)[:, None], corners.new_tensor([self.view.width, self.view.height])
         crossing = ahead.any(-1) & ~ahead.all(-1)
         low = torch.where(crossing, 0.0, corners.amin(-1).floor() - MARGIN_PX).clamp(min=0)  # [n, 2]
         high = torch.where(crossing, size, corners.amax(-1).ceil() + MARGIN_PX).minimum(size)
         seen = ahead.any(-1)[:, 0] & (low < high).all(-1)
         if not bool(seen.any()):
-            return slice(0, 1), slice(0, 1)
+            return A_PIXEL
         (left, top), (right, bottom) = low[seen].amin(0).int().tolist(), high[seen].amax(0).int().tolist()
         return slice(top, bottom), slice(left, right)
 

@@ -181,8 +181,9 @@ class LastTextures:
         return self._kept(utilisation)
 
     def _made(self, utilisation: Tensor) -> Tensor:
-        rows, cols = self._headlight.rows, self._headlight.cols
-        return self._headlight.light_texture(utilisation) if bool(utilisation.any()) else utilisation.new_zeros(rows, cols)
+        if bool(utilisation.any()):
+            return self._headlight.light_texture(utilisation)
+        return utilisation.new_zeros(*utilisation.shape[:-1], self._headlight.rows, self._headlight.cols)
 
 
 class Shadows:
@@ -230,6 +231,9 @@ class DirectTransport:
         Shadows are looked for only where the light texture is not dark, and everywhere if it has a gradient.
         """
         texture = (self.textures or self.headlight).light_texture(utilisation, band)
+        if not (texture.requires_grad or bool(texture.any())):
+            nothing = texture.new_empty(0)
+            return texture.new_empty(*texture.shape[:-2], 0), nothing.long(), nothing
         surface = self.surface if band is None or texture.requires_grad else self._reached(texture)
         lx = illuminance(surface, texture)
         lit = torch.arange(len(surface.index), device=lx.device)
