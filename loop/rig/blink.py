@@ -109,7 +109,7 @@ def watched(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: floa
                 queued += not picture.awaited
                 if mask is None:
                     kept.append(image)
-                elif picture.awaited:
+                elif picture.awaited and picture.arrived_s > sent_s:  # none of the blink before, which may be void
                     assert rows is not None
                     pictures.append((picture.arrived_s, picture.late_s, (image * mask).sum(1)[rows]))
             in_doubt = rig.keeper.since_s != sent_s or not rig.camera.alive

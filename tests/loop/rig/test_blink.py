@@ -12,7 +12,7 @@ from loop.rig import blink
 from loop.rig.matching import Regularity, shows
 from loop.rig.params import TimingParams
 from loop.rig.rig import Rig, await_camera, opened
-from tests.loop.rig.conftest import Process
+from tests.loop.rig.conftest import Process, eventually
 
 PERIOD_S, EXPOSURE_S, READOUT_S, LIGHT_S, REST_S = 1 / 30, 0.015, 0.003, 0.004, 0.03
 LEAST_S = LIGHT_S + EXPOSURE_S + READOUT_S + REST_S  # latency without jitter
@@ -111,7 +111,11 @@ def test_black_after_darkness_is_no_change_of_light(small_rig: Callable[..., Pro
     def advance(rig: Rig) -> None:
         reasons.append(rig.keeper.reason)
         if len(reasons) == 5:  # the next light is on, and goes out in its midst
-            threading.Timer(0.05, rig.dark, ["somebody darkened it"]).start()
+            threading.Thread(target=darken, args=(rig, rig.keeper.since_s)).start()
+
+    def darken(rig: Rig, before_s: float | None) -> None:
+        if eventually(lambda: rig.keeper.since_s != before_s):
+            rig.dark("somebody darkened it")
 
     looks = watched(small_rig(dark_s=0.5), 10, advance)
     assert [number for number, each in enumerate(reasons) if each] == [5]
