@@ -25,7 +25,7 @@ FINER: Final = 4  # steps of the rate within which a period more or less comes i
 BESIDE: Final = 1 / 8  # of a period, in which pictures are counted before and after a phase
 EARLY: Final = 1 / 4  # of a period, by which pictures may come before most do
 WITHIN: Final = 1 / 32  # of a period, in which pictures are counted after each
-DENSE: Final = 0.2  # of the largest such number, from which on pictures count as in time, and not as a whole period late
+DENSE: Final = 0.3  # of the largest such number: with fewer, pictures count as more than a period late
 FEWEST_TOGETHER: Final = 100  # pictures by which a rhythm is found
 
 
@@ -96,18 +96,23 @@ def _later_than_rhythm(at_s: NDArray[np.float64]) -> NDArray[np.float64]:
     within = (rates > RATES[0] / gap_s) & (rates < RATES[1] / gap_s)
     about_hz = rates[within][np.abs(np.fft.rfft(came, size))[within].argmax()]
     rates = about_hz + np.linspace(-1, 1, 2 * FINER**2 + 1) / FINER / at_s[-1]
-    lengths = np.abs(np.exp(2j * np.pi * rates[:, None] * at_s).mean(1))  # [rates]
-    if lengths.max() < STEADY:
+    if np.abs(np.exp(2j * np.pi * rates[:, None] * at_s).mean(1)).max() < STEADY:
         return np.zeros(len(at_s))
-    rate_hz = rates[lengths.argmax()]
-    phases = at_s * rate_hz % 1
+    _, begin, rate_hz = max((*_begin(at_s * rate % 1), rate) for rate in rates)
+    late_s = at_s - np.floor(at_s * rate_hz - begin + EARLY) / rate_hz
+    late_s -= begin / rate_hz
+    for _ in range(3):  # the line through the earlier half, so that those that are stuck count for nothing
+        early = (late_s >= -WITHIN / rate_hz) & (late_s <= np.median(late_s))
+        late_s -= np.polyval(np.polyfit(at_s[early], late_s[early], 1), at_s)
+        ordered = np.sort(late_s)
+        together = np.searchsorted(ordered, ordered + WITHIN / rate_hz) - np.arange(len(ordered))
+        late_s -= ordered[(together > DENSE * together.max()).argmax()]
+    return np.maximum(late_s, 0.0)
+
+
+def _begin(phases: NDArray[np.float64]) -> tuple[int, float]:
+    """How many more pictures come just after a phase than just before, and the phase where these are most. phases: `[n]`, 0 to 1."""
     around = np.sort(np.concatenate([phases - 1, phases, phases + 1]))
     before, at, after = (np.searchsorted(around, phases + by) for by in (-BESIDE, 0.0, BESIDE))
-    begin = phases[(after - 2 * at + before).argmax()]  # of most pictures: so many more come after it than before
-    late_s = at_s - np.floor(at_s * rate_hz - begin + EARLY) / rate_hz
-    for _ in range(3):  # the line through the earlier half, so that those that are stuck count for nothing
-        early = late_s <= np.median(late_s)
-        late_s = late_s - np.polyval(np.polyfit(at_s[early], late_s[early], 1), at_s)
-    ordered = np.sort(late_s)
-    together = np.searchsorted(ordered, ordered + WITHIN / rate_hz) - np.arange(len(ordered))
-    return np.maximum(late_s - ordered[(together > DENSE * together.max()).argmax()], 0.0)
+    rise = after - 2 * at + before
+    return int(rise.max()), float(phases[rise.argmax()])
