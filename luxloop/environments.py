@@ -1,4 +1,4 @@
-"""Environments that Gymnasium knows by id once this is imported: `gymnasium.make("luxloop/Snowflake-v0")`."""
+"""Importing this module registers luxloop's environments with Gymnasium: `gymnasium.make("luxloop/Snowflake-v0")`."""
 
 from loop.environment.registered import register
 

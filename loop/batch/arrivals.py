@@ -1,4 +1,4 @@
-"""When the frames of a simulated camera arrive, known beforehand for a whole run."""
+"""Arrival of the frames of a simulated camera, computed for a whole run in advance."""
 
 from collections.abc import Iterator
 

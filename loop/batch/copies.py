@@ -1,4 +1,4 @@
-"""Copies of one symbol in one standing world: many poses are drawn, seen and judged at once."""
+"""Copies of one symbol in one standing world: many poses are lit, measured and judged at once."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ TOGETHER = 16  # copies whose images are computed at once: more do not fit into 
 
 
 def check(simulation: Simulation, otherwise: str = "run it one by one") -> None:
-    """Raises LuxloopError where a scenario is no lone symbol in a standing world. otherwise: what is advised to keep it."""
+    """Raises LuxloopError unless a held symbol is the only function in a standing world. otherwise: the remedy in the message."""
     refuse_scenario(simulation.scenario, otherwise)
     name, world = simulation.scenario.name, simulation.world
     if simulation.planner.commanding:
@@ -44,7 +44,7 @@ def check(simulation: Simulation, otherwise: str = "run it one by one") -> None:
 
 
 def refuse_scenario(scenario: Scenario, otherwise: str = "run it one by one") -> None:
-    """The part of `check` that a scenario's file decides."""
+    """The part of `check` that needs only the scenario's keys. Raises LuxloopError as `check`."""
     only(scenario.controlled)
     if scenario.metered:
         others = "other functions, the detector and objects' categories"
@@ -69,7 +69,7 @@ def refuse_scenario(scenario: Scenario, otherwise: str = "run it one by one") ->
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """What the camera gets of B projections, without noise; luminances in cd/m^2.
+    """Luminances in cd/m^2 that the camera sees of B projections, without noise.
 
     projection: of poses `[B, 4]`, x, y in m, roll, pitch in rad. crop: the part of the image that has all light of the symbols. added:
     `[B, h, w]` at it, by the symbols. scene: the same and more in each one's own footprint; None where the camera sees none of them.
@@ -91,7 +91,7 @@ class Light:
 
 
 class Copies:
-    """Projections of a scenario's only symbol in its world at rest. Raises LuxloopError as `check`.
+    """Projections of a scenario's only symbol in its standing world. Raises LuxloopError as `check`.
 
     The parts of the matrices that one look needed are kept for the next.
     """
@@ -110,12 +110,12 @@ class Copies:
 
     @cached_property
     def rest(self) -> Tensor:
-        """Luminance `[height, width]` in cd/m^2 of all but the symbols."""
+        """Luminance `[height, width]` in cd/m^2 of everything but the symbols."""
         height, width = self.view.base.shape
         return _luminance(self.view.transports, [self.resting], self.view.base, Crop(0, height, 0, width))[0]
 
     def show(self, projection: ProjectionCommand | Tensor) -> Light:
-        """The light of projections `[B]` of the symbol as it is, or of poses `[B, 4]`."""
+        """The light of the symbol for B projections, or for poses `[B, 4]`: x, y in m, roll, pitch in rad."""
         if isinstance(projection, Tensor):
             projection = ProjectionCommand(projection)
         crops = self.projector.footprints(projection, self.sensor.model.eye.view, self.sensor.params.footprint_margin_m)
@@ -123,8 +123,8 @@ class Copies:
         return self._in_windows(projection, windows) if self.windowed else self._one_by_one(projection, windows)
 
     def measured(self, light: Light, frames: Sequence[Taken], *, quantise: bool = True) -> Measurement:
-        """What the symbol's sensor makes of it, `[B]`, each in its own footprint. quantise: false leaves digital numbers unrounded, for
-        gradients.
+        """Measurements `[B]` of the symbol's sensor, each in its own footprint. frames: of each copy. quantise: False leaves digital
+        numbers unrounded, for gradients.
         """
         if light.scene is None:
             return self.sensor.lost(light.poses, Loss.NOTHING)
@@ -132,13 +132,13 @@ class Copies:
         return joined([look(self.sensor, light.scene[part], camera, frames[part], quantise) for part in _parts(len(frames))])
 
     def rendered(self, light: Light) -> Tensor:
-        """Features `[B, 4]` that the flat road would show, without noise; NaN where it would show nothing."""
+        """Features `[B, 4]` that a flat road would show, without noise; NaN if it would show nothing."""
         if light.scene is None:
             return torch.full_like(light.poses, torch.nan)
         return torch.cat([rendered(self.sensor, light.scene[part]) for part in _parts(len(light.poses))])
 
     def judged(self, light: Light) -> Verdict:
-        """What the judge says of it, `[B]`."""
+        """Verdicts `[B]` of the judge."""
         made = self.symbol.judge
         assert made is not None
         corner = light.crop.u_start, light.crop.v_start

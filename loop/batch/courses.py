@@ -1,4 +1,4 @@
-"""The closed loop of many copies at once: what differs by copy is numbers, and what only some of them do is a mask."""
+"""The closed loop of many copies at once; copies differ in numbers, and masks select what only some of them do."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -57,7 +57,7 @@ class _Look:
 
 
 def course_of(copies: Copies, given: Sequence[Copy]) -> Courses:
-    """Run all copies. given: the scenario and the symbol of each, of one world, of equal steps, with laws of one shape (`shape_of`)."""
+    """Run all copies. given: scenario and symbol of each, of the same world and number of steps, with laws of one shape (`shape_of`)."""
     scenarios, symbols = [each for each, _ in given], [each for _, each in given]
     law, target, like = law_of([each.controller for each in symbols]), copies.projector.target, scenarios[0]
     lifted = any(isinstance(each.controller, Lifting) for each in symbols)

@@ -13,8 +13,8 @@ from perception.metrics import gaussian
 
 
 def judged(luminance: Tensor, view: BirdsEye, goal: Target, u_start: int, v_start: int) -> Verdict:
-    """Verdicts `[B]` on luminances `[B, h, w]` in cd/m^2, at a crop of the image that starts at (u_start, v_start) px and beyond which all
-    is dark.
+    """Verdicts `[B]` on luminances `[B, h, w]` in cd/m^2 of a crop of the image that starts at (u_start, v_start) px; the rest of the
+    image is dark.
     """
     lit = (luminance != 0).any(0)
     v, u = span(lit.any(1)), span(lit.any(0))

@@ -25,7 +25,7 @@ LAWS = ("open", "thesis_pid", "gauss_newton", "model_reference")
 
 @dataclass(frozen=True)
 class Rendered:
-    """What a law asks its sensor, known beforehand: features `[B, 4]` of what the newest frames show, on a flat road."""
+    """A sensor with features computed in advance: features `[B, 4]` that a flat road would show in the newest frames."""
 
     model: FlatModel
     features: Tensor
@@ -35,7 +35,7 @@ class Rendered:
 
 
 def refuse_controller(params: AnyParams | None, name: str, otherwise: str = "run it one by one") -> None:
-    """Raises LuxloopError for a controller that is no law over tensors alone, of a scenario of this name."""
+    """Raises LuxloopError for a controller that is not a law over tensors alone. name: of the scenario. otherwise: the remedy."""
     assert params is not None
     if params.name not in LAWS:
         raise LuxloopError(f"{name}: batches have no controller {params.name}, which is more than a law over tensors; {otherwise}")
@@ -44,7 +44,7 @@ def refuse_controller(params: AnyParams | None, name: str, otherwise: str = "run
 
 
 def shape_of(params: AnyParams | None) -> tuple[str, ...]:
-    """What copies must have in common for one law of all."""
+    """What copies must have in common for one law over all of them."""
     assert params is not None
     return (params.name, params.dof) if isinstance(params, FeedbackParams) else (params.name,)
 
@@ -68,17 +68,17 @@ def law_of(controllers: Sequence[SymbolController]) -> SymbolController:
 
 
 def asks(law: SymbolController) -> bool:
-    """Whether a law asks what a flat road would show."""
+    """Whether a law needs the features that a flat road would show."""
     return isinstance(law, Feedback) and isinstance(law.params, ModelReferenceParams)
 
 
 def asking(law: SymbolController, features: Tensor | None) -> SymbolController:
-    """The law as it steps on frames of which a flat road would show these features `[B, 4]`."""
+    """The law for frames of which a flat road would show these features `[B, 4]`."""
     return replace(law, sensor=Rendered(law.sensor.model, features)) if isinstance(law, Feedback) and features is not None else law
 
 
 def rows(chosen: Tensor, new: Any, old: Any) -> Any:
-    """The chosen rows `[B]` bool of one value of tensors `[B, ...]`, and the others of another."""
+    """Rows of two values with tensors `[B, ...]`: those of `new` where chosen `[B]` is True, else those of `old`."""
     if isinstance(new, Tensor):
         return torch.where(chosen.view(-1, *[1] * (new.dim() - 1)), new, old)
     if not is_dataclass(new) or isinstance(new, type):

@@ -1,4 +1,4 @@
-"""What the sensor of a symbol makes of frames of many copies, each in its own footprint, as `SymbolSensor` does of one."""
+"""Measurements of a symbol in the frames of many copies, each in its own footprint, as `SymbolSensor` does for one."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ DARK = -1e30  # contrast beside a crop: below every threshold, and finite, as in
 
 @dataclass(frozen=True)
 class Taken:
-    """Which frames of a copy: those of a seed and a step, with what disturbs its scenario."""
+    """The frames of a copy: their seed, step and the scenario's disturbances."""
 
     seed: int
     step: int
@@ -51,7 +51,7 @@ class Scene:
 
 
 def look(sensor: SymbolSensor, scene: Scene, camera: CameraParams, frames: Sequence[Taken], quantise: bool) -> Measurement:
-    """What the frames of all copies show, `[B]`. quantise: false leaves digital numbers unrounded, for gradients."""
+    """Measurements `[B]` of all copies. quantise: False leaves digital numbers unrounded, for gradients."""
     windows, eye = scene.windows, sensor.model.eye
     inside = windows.inside(scene.added.device)
     on, off = (
@@ -86,12 +86,12 @@ def joined(parts: Sequence[Measurement]) -> Measurement:
 
 
 def at_ends(seen: Measurement, windows: Windows) -> Tensor:
-    """Of which copies `[B]` bool the symbol reaches to where the footprint ends, as `SymbolSensor.at_ends`."""
+    """Copies `[B]` bool whose symbol reaches the end of the footprint, as `SymbolSensor.at_ends`."""
     return ((seen.symbol > LIT) & windows.ends(ENDS, seen.symbol.device)).flatten(1).any(1)
 
 
 def rendered(sensor: SymbolSensor, scene: Scene) -> Tensor:
-    """Features `[B, 4]` that the flat road would show, as `SymbolSensor.rendered`."""
+    """Features `[B, 4]` that a flat road would show, as `SymbolSensor.rendered`."""
     windows, eye = scene.windows, sensor.model.eye
     symbol = _symbols(scene.flat, scene.limit, windows.inside(scene.flat.device), windows, sensor.params)
     return eye.features(appearance(*_in_axes(eye, symbol, windows)))

@@ -8,7 +8,7 @@ from perception.noise import FIRST, GOLDEN, PARTS, SECOND, FrameNoise, tables
 
 
 def normal(frames: list[FrameNoise], windows: Windows, like: Tensor) -> Tensor:
-    """Standard normal numbers `[B, height, width]` of a window of each frame, in the dtype and on the device of like."""
+    """Standard normal numbers `[B, height, width]` of a window of each frame, with the dtype and device of `like`."""
     bits = _integers(frames, windows, like.device)
     middle, sign, tail = tables(like.dtype, like.device)
     place = (bits >> 16 & PARTS - 1).flatten()

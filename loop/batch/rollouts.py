@@ -37,7 +37,7 @@ GAINS: dict[str, tuple[str, tuple[int, ...], float]] = {
 
 
 def check(simulation: Simulation, keys: Any) -> None:
-    """Raises LuxloopError where a scenario cannot be rolled out in batches, or has no such gains."""
+    """Raises LuxloopError if a scenario cannot be rolled out in batches, or has no gains of these keys."""
     copies.check(simulation, "tune without --gradient")
     scenario, controller = simulation.scenario, simulation.symbol.params
     if not isinstance(controller, ThesisPidParams):
@@ -62,7 +62,7 @@ def _gain(key: str) -> str:
 def rollouts(simulation: Simulation, values: dict[str, Tensor], *, quantise: bool = True) -> Rollout:
     """Run a standing scenario with thesis_pid for B sets of gains. values: `[B]` by keys of GAINS, in their units.
 
-    The noise of all is that of a single run. quantise: false leaves digital numbers unrounded, for gradients; take edges = "soft" with it.
+    All have the noise of a single run. quantise: False leaves digital numbers unrounded, for gradients; use edges = "soft" with it.
     Raises LuxloopError as `check`.
     """
     check(simulation, values)
@@ -75,7 +75,7 @@ def rollouts(simulation: Simulation, values: dict[str, Tensor], *, quantise: boo
 
 
 def loops(simulation: Simulation, values: dict[str, Tensor], look: Callable[[Tensor, int], Measurement]) -> Rollout:
-    """The same around anything that looks at poses `[B, 4]` that are shown at a step."""
+    """The same with another measurement: `look` measures poses `[B, 4]` that are shown in a step."""
     assert isinstance(simulation.symbol.controller, Lifting)  # of which a batch needs nothing: nothing is searched for
     controller = with_values(simulation.symbol.controller.inner, values)
     (batch,) = {len(value) for value in values.values()}
@@ -93,7 +93,7 @@ def loops(simulation: Simulation, values: dict[str, Tensor], look: Callable[[Ten
 
 
 def with_values(controller: Any, values: dict[str, Tensor]) -> ThesisPid:
-    """thesis_pid with gains `[B, 4]`."""
+    """thesis_pid with gains `[B, 4]`, of `values` where they have the key."""
     gains = controller.gains
     for key, value in values.items():
         name, loops, unit = GAINS[_gain(key)]

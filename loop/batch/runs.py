@@ -1,4 +1,4 @@
-"""Whole runs of many scenarios at once that differ in numbers alone: the figures and traces of `loop.metrics.traced` for each."""
+"""Runs of many scenarios at once that differ in numbers alone: metrics and trace of `loop.metrics.traced` for each."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,7 +31,7 @@ Run = tuple[Figures, Rollout | None]
 
 
 def kind(scenario: Scenario) -> str | None:
-    """Scenarios of the same kind may run in one batch; None for one that runs alone (`refuse`)."""
+    """A string that is equal for scenarios that can run in one batch; None for a scenario that cannot (`refuse`)."""
     try:
         refuse(scenario)
     except LuxloopError:
@@ -42,17 +42,17 @@ def kind(scenario: Scenario) -> str | None:
 
 
 def refuse(scenario: Scenario) -> None:
-    """Raises LuxloopError with the reason why a scenario cannot run in a batch, as far as its file says."""
+    """Raises LuxloopError with the reason if a scenario's keys exclude it from batches."""
     refuse_scenario(scenario)
     refuse_controller(scenario.symbol.controller, scenario.name)
 
 
 def runs(scenarios: Sequence[Scenario], device: str = "cpu") -> list[Run]:
-    """Figures and trace of each of some scenarios of one kind, those of `loop.metrics.traced` to the rounding of single precision.
+    """Metrics and trace of each scenario, all of one `kind`, as of `loop.metrics.traced` up to single-precision rounding.
 
-    A scenario whose symbol is lost in a step is run again by itself, since a single run then searches the whole image and may draw for
-    another road. So is every scenario that needs more than a window of the lamps' light, as a batch of these is no faster. Raises
-    LuxloopError where a scenario cannot run, or not in a batch.
+    A scenario whose symbol is lost in a step is run again alone, since a single run then searches the whole image and may draw for
+    another road. Scenarios that need more than a window of the lamps' light also run alone, since a batch of them is no faster. device:
+    to compute on. Raises LuxloopError if a scenario cannot run, or cannot run in a batch.
     """
     if len(scenarios) < LEAST:
         return [traced(each, device) for each in scenarios]
@@ -96,7 +96,7 @@ class _Like:
         return cls(copies, simulation.step(simulation.start())[1])
 
     def steps(self, courses: Courses, k: int) -> Iterator[tuple[StepResult, float]]:
-        """The steps of the k-th copy as a single run gives them, each with the mean utilisation of all pixels."""
+        """The steps of the k-th copy as of a single run, each with the mean utilisation of all pixels."""
         (name,) = self.first.held
         for number, each in enumerate(courses.steps):
             time_s = number / self.copies.simulation.scenario.rate_hz

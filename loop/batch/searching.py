@@ -1,4 +1,4 @@
-"""Whether a single run, which sees its symbol reach to where the footprint ends, would find that the road is another than the plane z = 0.
+"""Whether a single run whose symbol reaches the end of the footprint would find a road other than the plane z = 0.
 
 It then draws for that road (`controllers.symbol.laws.lifting`), as no copy of a batch does.
 """
@@ -15,7 +15,7 @@ from perception.noise import FrameNoise
 
 
 def finds_another_road(copies: Copies, light: Light, k: int, taken: Taken) -> bool:
-    """Of the k-th copy and its frames, as `Lifting` decides it."""
+    """Whether the k-th copy finds another road in its frames, as `Lifting` decides."""
     sensor = copies.sensor
     found = sensor.acquire(_frames(copies, light, k, taken), _lights(copies, light, k))
     risen = found.shape[0].abs() > sensor.params.footprint_margin_m

@@ -1,4 +1,4 @@
-"""Crops of one image, one a copy, laid into windows of one size, so that what differs by copy is where they lie and what counts in them."""
+"""Crops of one image, one per copy, in windows of one size; copies differ only in position and valid pixels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,7 +28,7 @@ class Windows:
 
     @classmethod
     def around(cls, crops: Sequence[Crop], image: tuple[int, int]) -> "Windows":
-        """Crops in which nothing can be seen become empty."""
+        """Windows around crops, those without visible pixels empty. image: its rows and columns in px."""
         whole = tuple(each if _holds_any(each) else EMPTY for each in crops)
         width = max(each.u_stop - each.u_start // 2 * 2 for each in whole)
         return cls(whole, image, max(each.v_stop - each.v_start for each in whole), min(width + width % 2, image[1]))
@@ -42,7 +42,7 @@ class Windows:
 
     @cached_property
     def starts(self) -> tuple[tuple[int, int], ...]:
-        """First row and column of each; those of empty crops lie at others."""
+        """First row and column of each window; windows of empty crops take those of another."""
         rows, cols = self.image[0] - self.height, self.image[1] - self.width
         found = [(min(each.v_start, rows), min(each.u_start // 2 * 2, cols)) if _holds_any(each) else None for each in self.crops]
         first = next((each for each in found if each is not None), (0, 0))
@@ -50,13 +50,13 @@ class Windows:
 
     @cached_property
     def hull(self) -> Crop:
-        """The smallest crop that holds all windows."""
+        """The smallest crop that contains all windows."""
         v, u = (sorted(each) for each in zip(*self.starts, strict=True))
         return Crop(v[0], v[-1] + self.height, u[0], u[-1] + self.width)
 
     @cached_property
     def empty(self) -> tuple[bool, ...]:
-        """Of which copies there is no crop."""
+        """Whether the crop of each copy is empty."""
         return tuple(each == EMPTY for each in self.crops)
 
     def axes(self, like: Tensor) -> Axes:
@@ -66,7 +66,7 @@ class Windows:
         return Axes(count[: self.width] + u, count[: self.height] + v)
 
     def inside(self, device: torch.device) -> Tensor:
-        """Which pixels `[B, height, width]` bool belong to the crops."""
+        """Pixels `[B, height, width]` bool that belong to the crops."""
         return self._between([(each.v_start, each.v_stop, each.u_start, each.u_stop) for each in self.crops], device)
 
     def ends(self, share: float, device: torch.device) -> Tensor:
@@ -102,7 +102,7 @@ def _holds_any(crop: Crop) -> bool:
 
 
 def hull(crops: Sequence[Crop]) -> Crop:
-    """The smallest crop that holds all, of at least one."""
+    """The smallest crop that contains all of one or more crops."""
     low = min(each.v_start for each in crops), min(each.u_start for each in crops)
     high = max(each.v_stop for each in crops), max(each.u_stop for each in crops)
     return Crop(low[0], high[0], low[1], high[1])

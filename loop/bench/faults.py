@@ -1,4 +1,4 @@
-"""Faults of a simulated rig, which its user does not know: of its light, lamp, screen, lens and camera."""
+"""Faults of the rig process, unknown to its user: of light input, lamp, screen, lens and camera."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,21 +16,21 @@ PREFIX: Final = "faults"
 
 
 class LightInputParams(Params):
-    """The way of light from the network to the lamp."""
+    """Transmission of light from the network to the lamp."""
 
-    gamma: float = Field(1.0, ge=0.2, le=5, description="utilisation is the code's share to this power; 1 is linear")
+    gamma: float = Field(1.0, ge=0.2, le=5, description="utilisation is the code, as a share of the largest, to this power; 1 is linear")
     latency_s: float = Field(0.0, ge=0, le=1, description="delay from the last packet of a frame to its light")
     packet_loss: float = Field(0.0, ge=0, le=1, description="probability that a packet is lost")
-    mixed: bool = Field(False, description="whether a frame that lacks packets is lit with older light in its holes; else the lamp waits")
-    timeout_ms: float = Field(100.0, ge=1, le=60_000, description="time without a whole frame after which the lamp darkens")
+    mixed: bool = Field(False, description="whether an incomplete frame is lit, with older light in its gaps; else the lamp waits")
+    timeout_ms: float = Field(100.0, ge=1, le=60_000, description="time without a complete frame after which the lamp darkens")
 
 
 class LampErrorParams(PoseErrorParams):
-    """What is true of the lamp beyond what the scenario says: its mounting, its intensity, its pixels."""
+    """Differences of the lamp from the scenario: its pose, its intensity, its pixels."""
 
     scale: float = Field(1.0, gt=0, le=10, description="intensity as a multiple of the scenario's")
     dead: float = Field(0.0, ge=0, le=1, description="share of pixels that never shine, in each module")
-    stuck: float = Field(0.0, ge=0, le=1, description="share of pixels that shine fully whenever the lamp is powered, in each module")
+    stuck: float = Field(0.0, ge=0, le=1, description="share of pixels that are always fully on while the lamp is powered, in each module")
 
 
 class ScreenParams(Params):
@@ -49,7 +49,7 @@ class LensParams(Params):
         "opencv",
         description="opencv: k1, k2, p1, p2, k3; fisheye: k1 to k4 of an equidistant lens; division: one, radii shrink by 1 + k r^2",
     )
-    coefficients: tuple[float, ...] = Field((), max_length=5, description="of the model; left out: no distortion")
+    coefficients: tuple[float, ...] = Field((), max_length=5, description="coefficients of the model; left out: no distortion")
     centre_px: tuple[float, float] = Field((0.0, 0.0), description="offset of the principal point to the right and down")
     chromatic_percent: float = Field(
         0.0, ge=-2, le=2, description="lateral chromatic aberration: by how much red is magnified more, and blue less, than green"
@@ -72,46 +72,46 @@ class LensParams(Params):
 class CameraErrorParams(Params):
     """How the camera exposes, responds and sends, beyond the scenario's [camera]."""
 
-    rate_hz: float = Field(30.0, ge=0.1, le=1000, description="frame rate; as many frames as one core can render come in any case")
+    rate_hz: float = Field(30.0, ge=0.1, le=1000, description="frame rate; frames that cannot be rendered in time are skipped")
     trigger: Literal["free", "light"] = Field("free", description="free-running, or one frame of each new frame of light")
     trigger_delay_s: float = Field(0.0, ge=0, le=1, description="delay from light to the exposure that it triggers")
     readout_s: float = Field(
         0.0, ge=0, le=1, description="rolling shutter: time from the first row's exposure to the last one's; 0: global"
     )
-    latency_s: float = Field(
-        0.0, ge=0, le=5, description="delay from the end of an exposure to its sending, at least the time to render it"
+    latency_s: float = Field(0.0, ge=0, le=5, description="delay from the end of an exposure to sending it; at least the rendering time")
+    jitter_s: float = Field(
+        0.0, ge=0, le=1, description="largest additional delay, drawn uniformly for each frame; frames keep their order"
     )
-    jitter_s: float = Field(0.0, ge=0, le=1, description="largest additional delay, drawn uniformly for each frame; the order is kept")
     loss: float = Field(0.0, ge=0, le=1, description="probability that a frame is not sent")
     gamma: float | None = Field(None, ge=1, le=3, description="true gamma of the response; left out: that of [camera]")
     black_level: float = Field(0.0, ge=0, le=0.5, description="digital number without light, as a share of the largest")
     columns: int = Field(
         2, ge=1, le=8, description="samples over a pixel's width, beside the scenario's camera.oversampling over its height"
     )
-    encoding: Literal["png", "jpeg"] = Field("png", description="of frames; JPEG is lossy and for cameras of 8 bits")
-    quality: int = Field(95, ge=10, le=100, description="of JPEG")
+    encoding: Literal["png", "jpeg"] = Field("png", description="encoding of frames; JPEG is lossy and for cameras of 8 bits")
+    quality: int = Field(95, ge=10, le=100, description="quality of JPEG")
 
 
 class FlickerParams(Params):
-    """Flicker of all light beside the lamps'."""
+    """Flicker of the ambient light."""
 
     depth: float = Field(0.0, ge=0, le=1, description="amplitude as a share of the mean")
     rate_hz: float = Field(100.0, gt=0, le=1000, description="frequency, twice that of the mains")
 
 
 class ShownBoardParams(Params):
-    """A ChArUco board that somebody shows to the camera in room light, while nobody sends light."""
+    """A ChArUco board before the camera in room light, while no light is sent."""
 
-    shown: bool = Field(False, description="whether there is one")
+    shown: bool = Field(False, description="whether the camera sees a board")
     columns: int = Field(8, ge=3, le=30, description="squares in a row")
     rows: int = Field(11, ge=3, le=30, description="squares in a column")
     square_mm: float = Field(23.0, gt=1, le=500, description="side of a square")
 
 
 class FaultParams(Params):
-    """All that is wrong with a rig; without it, it is the scenario's."""
+    """All faults of a rig process; without them it is as its scenario says."""
 
-    light: LightInputParams = Field(LightInputParams(), description="the way of the light to the lamp")
+    light: LightInputParams = Field(LightInputParams(), description="transmission of the light")
     lamp: LampErrorParams = Field(LampErrorParams(), description="errors of the lamp")
     screen: ScreenParams = Field(ScreenParams(), description="reflectance of all surfaces")
     lens: LensParams = Field(LensParams(), description="distortion and errors of the lens")

@@ -1,4 +1,4 @@
-"""What calibration needs of a rig: to show a light and to get frames of it. One is the simulated world of a scenario."""
+"""Benches, which show a light and return frames of it, for calibration; here that of a scenario's simulated world."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ SAMPLES: Final = 4  # a camera pixel's width and height, at which the fine pictu
 
 
 class Bench(Protocol):
-    """Shows light to a camera that stands still.
+    """Shows light to a camera at rest.
 
     shape: height and width of a frame in px. levels: largest digital number. exposures_s: exposure times that the camera can be set to,
     ascending; a single one where it is locked.
@@ -43,13 +43,13 @@ class Bench(Protocol):
     def exposures_s(self) -> tuple[float, ...]: ...
 
     def frames(self, lights: Sequence[Array], count: int, exposure_s: float) -> Image:
-        """Digital numbers `[count, height, width]` of frames in which these utilisations alone are lit: one `[n_p]` a module, in 0..1."""
+        """Digital numbers `[count, height, width]` of frames in the light of these utilisations alone, one `[n_p]` in 0..1 per module."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedBench:
-    """A scenario's lamps before what they light, with everything between pixel and camera pixel in one sparse matrix a module.
+    """The simulated world of a scenario, with the light transport from lamp pixels to camera pixels in one sparse matrix per module.
 
     transports: `[height * width, n_p]`, cd/m^2 at full utilisation. base: `[height, width]` cd/m^2 of other light. optics: what the lens
     adds to a luminance image, such as blur. gain: `[height, width]`, factor of the light that arrives.
@@ -84,9 +84,8 @@ class SimulatedBench:
 def simulated_bench(scenario: Scenario, modules: Sequence[LampModule], lens: Lens | None = None, fine: int = 2) -> SimulatedBench:
     """The bench of a scenario's world.
 
-    lens: from places `[n]` px (u, v) in the camera to those of a pinhole camera's image of the same size; none: it is one. fine: pixels of
-    the picture that the lens sees, for each of the camera's along a side.
-    Raises LuxloopError where something in it moves.
+    lens: from positions `[n]` px (u, v) in the camera to those in a pinhole camera's image of the same size; None for a pinhole camera.
+    fine: rendered pixels per camera pixel along a side. Raises LuxloopError if something in the world moves.
     """
     plant = simulated_plant(scenario, modules)
     camera = plant.world.camera

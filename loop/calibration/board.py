@@ -33,7 +33,7 @@ class BoardParams(Params):
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """What was found of a board. board: `[n, 2]` m on the board. pixels: `[n, 2]` px, pixel centres at integer + 0.5."""
+    """The detected corners of a board. board: `[n, 2]` m on the board. pixels: `[n, 2]` px, pixel centres at integer + 0.5."""
 
     board: Array
     pixels: Array
@@ -46,16 +46,16 @@ def _board(params: BoardParams) -> Any:
 
 
 def picture(params: BoardParams, dpi: float) -> Image:
-    """The board alone, grey `[height, width]`, at about so many px an inch."""
+    """A picture of the board without margin, grey `[height, width]`. dpi: approximate resolution in px per inch."""
     px = round(params.square_mm / INCH_MM * dpi)
     drawn: Image = _board(params).generateImage((px * params.columns, px * params.rows), marginSize=0, borderBits=1)
     return drawn
 
 
 def print_board(path: Path, params: BoardParams, paper: str) -> None:
-    """Write a page of .pdf or .png with the board in its middle, at its size if printed without scaling.
+    """Write a page, .pdf or .png, with the board in its middle, to scale if printed at 100 %.
 
-    Raises LuxloopError where the board is larger than the paper.
+    Raises LuxloopError if the board is larger than the paper.
     """
     if path.suffix not in (".pdf", ".png"):
         raise LuxloopError(f"{path}: a board is a .pdf or a .png; name one of them")
@@ -78,7 +78,7 @@ def print_board(path: Path, params: BoardParams, paper: str) -> None:
 
 
 def corners(frame: Image, params: BoardParams) -> Corners | None:
-    """The corners that a frame `[height, width]` shows, None for fewer than six."""
+    """The corners detected in a frame `[height, width]`, None for fewer than six."""
     peak = max(float(np.percentile(frame, 99.5)), 1.0)
     grey = np.clip(frame * (255 / peak), 0, 255).astype(np.uint8)
     board = _board(params)

@@ -1,4 +1,4 @@
-"""Calibrate a rig: response, lens, and camera, screen and modules to each other."""
+"""Calibrate a rig: response, lens, and the relative poses of camera, screen and modules."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -30,7 +30,7 @@ SCREEN: Final = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]]).T  # of a screen
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What is known of a rig before. camera: the scenario's. lens: from a board, None for the scenario's pinhole camera. board: the board
+    """Prior knowledge of a rig. camera: the scenario's. lens: from a board, None for the scenario's pinhole camera. board: the board
     that lies on the screen, None where the screen stands square to the x axis, `screen_m` m ahead of the lamps.
     """
 
@@ -56,9 +56,9 @@ class Calibrated:
 
 
 def measured_response(shots: Shots, sizes: Sequence[int]) -> Response:
-    """The camera's response: from exposure times where it has three or more, else from utilisations, which takes a dark room.
+    """The camera's response: from exposure times if it has three or more, else from utilisations, which needs a dark room.
 
-    Raises LuxloopError where the frames say too little.
+    sizes: number of pixels of each module. Raises LuxloopError if the frames do not suffice.
     """
     on, off = ([np.full(n, u) for n in sizes] for u in (1.0, 0.0))
     times = shots.bench.exposures_s
@@ -71,7 +71,7 @@ def measured_response(shots: Shots, sizes: Sequence[int]) -> Response:
 
 
 def calibrated(shots: Shots, modules: Sequence[LampModule], known: Known, settings: Settings, vignetting: Array) -> Calibrated:
-    """Locate the pixels of all modules, and adjust everything to what was seen. Raises LuxloopError where too little is."""
+    """Locate the pixels of all modules, and adjust all poses to them. Raises LuxloopError if too few pixels are located."""
     camera = CameraModel.of(known.camera) if known.lens is None else known.lens.camera
     if (camera.height, camera.width) != shots.bench.shape:
         height, width = shots.bench.shape
@@ -99,9 +99,9 @@ def calibrated(shots: Shots, modules: Sequence[LampModule], known: Known, settin
 
 
 def lux_scale(shots: Shots, sizes: Sequence[int], readings: Sequence[Reading], vignetting: Array) -> float:
-    """Illuminance of the screen in lx that saturates the camera at its longest exposure: the mean of what readings with all pixels on say.
+    """Illuminance of the screen in lx that saturates the camera at its longest exposure: the mean over readings with all pixels on.
 
-    The screen is Lambertian. Raises LuxloopError where the camera sees no light at a reading's place.
+    The screen is Lambertian. Raises LuxloopError if the camera sees no light at the position of a reading.
     """
     height, width = shots.bench.shape
     for each in readings:
@@ -166,7 +166,7 @@ def _screen(camera: CameraModel, known: Known) -> Pose:
 
 
 def overrides(calibration: Calibration, module: LampModule) -> dict[str, float]:
-    """Keys of a scenario's camera that say what was measured, its lamp being where the scenario has it."""
+    """Keys of the scenario's camera with the calibrated values, relative to the scenario's lamp pose. module: of that lamp."""
     T = module.T_world_headlight.double().cpu().numpy() @ np.linalg.inv(calibration.modules[module.name].matrix)
     R = T[:3, :3] @ ISO
     angles = math.atan2(R[2, 1], R[2, 2]), math.asin(max(-1.0, min(1.0, -R[2, 0]))), math.atan2(R[1, 0], R[0, 0])

@@ -1,4 +1,4 @@
-"""Smooth maps between two planes, as Chebyshev polynomials, and the places of a lamp's pixels in the camera by local regression."""
+"""Smooth maps between two planes as Chebyshev polynomials, and positions of lamp pixels in the camera by local regression."""
 
 from dataclasses import dataclass
 from typing import Final, Self
@@ -30,7 +30,7 @@ class Chart:
 
     @classmethod
     def fitted(cls, a: tuple[Array, Array], b: tuple[Array, Array]) -> Self:
-        """The map that takes points a to points b with the least squares, strays left out."""
+        """The least-squares map from points a to points b, without outliers."""
         low, high = (np.array([each.min() for each in a]), np.array([each.max() for each in a]))
         thin = max(1, len(a[0]) // FITTED)
         most = int(np.sqrt(len(a[0]) / thin / 4))  # four points a coefficient at least
@@ -54,14 +54,14 @@ class Chart:
         return mapped[:, 0].reshape(x.shape), mapped[:, 1].reshape(x.shape)
 
     def jacobian(self, x: Array, y: Array, step: float = 0.05) -> Array:
-        """Derivatives `[2, 2, ...]` of the map's result (first index) by its argument, from differences of a step."""
+        """Derivatives `[2, 2, ...]` of the map's result (first index) by its argument, by finite differences of this step."""
         along = [np.stack(self(x + dx, y + dy)) - np.stack(self(x - dx, y - dy)) for dx, dy in ((step, 0.0), (0.0, step))]
         return np.stack(along, 1) / (2 * step)
 
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Where the light of each of a module's pixels is centred in the camera.
+    """Centres of the light of each pixel of a module in the camera's picture.
 
     u, v: `[rows, cols]` px, NaN where it was not found. chart: from lamp coordinates (row, column) to the camera's (u, v). lamp_of: the
     other way round.
@@ -74,7 +74,7 @@ class Places:
 
 
 def places(decoded: Decoded, rows: int, cols: int) -> Places:
-    """Invert what each camera pixel has read, by a linear regression over the pixels around each."""
+    """Centres of all pixels of a module, by inverting the readings of camera pixels with a linear regression around each lamp pixel."""
     v, u = (each[decoded.valid] + 0.5 for each in np.indices(decoded.valid.shape, dtype=float))
     r, c = decoded.row[decoded.valid], decoded.col[decoded.valid]
     cell = r.astype(int).clip(0, rows - 1) * cols + c.astype(int).clip(0, cols - 1)

@@ -1,7 +1,7 @@
 """Structured light: Gray codes and phase steps along the rows and columns of a lamp's pixels, read at each camera pixel.
 
-A cosine of `PERIOD` pixels is shifted in `STEPS` steps; its phase is the place within a period. Gray codes of half a period number the
-periods. Both are read against the mean of the phase steps, so that no camera pixel is compared with another.
+A cosine with a period of `PERIOD` pixels is shifted in `STEPS` steps; its phase is the position within a period. Gray codes of half a
+period number the periods. Both are compared with the mean of the phase steps at the same camera pixel.
 """
 
 from collections.abc import Iterator, Sequence
@@ -32,9 +32,9 @@ class Pattern:
 
 @dataclass(frozen=True, eq=False)
 class Decoded:
-    """Where a lamp's pixels are seen: continuous lamp coordinates, pixel (r, c) having its centre at (r + 0.5, c + 0.5).
+    """Lamp coordinates read at each camera pixel; lamp pixel (r, c) has its centre at (r + 0.5, c + 0.5).
 
-    row, col: `[height, width]`. valid: `[height, width]` bool, where they were read.
+    row, col: `[height, width]`. valid: `[height, width]` bool, where they could be read.
     """
 
     row: Array
@@ -43,7 +43,7 @@ class Decoded:
 
 
 def patterns(rows: int, cols: int) -> list[Pattern]:
-    """All lights that locate a module of rows x cols pixels, a dark one first."""
+    """All patterns to locate the pixels of a module of rows x cols pixels, the first one dark."""
     found = [Pattern("dark", np.zeros(rows * cols))]
     for axis, n in (("row", rows), ("column", cols)):
         for name, line in _lines(n):
@@ -71,8 +71,8 @@ def bits(n: int) -> int:
 def decode(light: Sequence[Array], rows: int, cols: int, noise: Array) -> Decoded:
     """Read the frames of `patterns`, `[height, width]` each in a linear unit. noise: `[height, width]`, standard deviation of one.
 
-    Where the light of several pixels meets, the place is the mean of theirs, weighted with it. Beyond the outermost pixels' edges nothing
-    is read, since their light alone reaches there.
+    Where the light of several pixels overlaps, the position is their weighted mean. Nothing is read beyond the outer edges of the field,
+    where only the outermost pixels' light arrives.
     """
     dark, coded = light[0], light[1:]
     valid = np.ones(dark.shape, bool)

@@ -1,4 +1,4 @@
-"""Every pixel by itself: combs of far pixels that are lit together, and what is seen around each of them."""
+"""Measure pixels separately: combs of distant pixels that are lit together, and the picture around each of them."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ SUBSAMPLES: Final = 3  # points over a camera pixel's width and height, at which
 
 
 def combs(rows: int, cols: int, spacing: int = SPACING) -> Iterator[tuple[str, Array]]:
-    """Names and utilisations `[n_p]` of combs that light each pixel once."""
+    """Names and utilisations `[n_p]` of combs, which together light each pixel once. spacing: in pixels."""
     for i in range(spacing):
         for j in range(spacing):
             u = np.zeros((rows, cols))
@@ -25,7 +25,7 @@ def combs(rows: int, cols: int, spacing: int = SPACING) -> Iterator[tuple[str, A
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """What is seen around some pixels while each is lit, n pixels and m camera pixels around each.
+    """The picture around n lit pixels, m camera pixels around each.
 
     seen: `[n, m]`. inside: `[n, m]` bool, camera pixels that are in the image and nearer to this pixel than to others of its comb. dr, dc:
     `[n, m, s]`, places of points of each camera pixel, in lamp pixels from this one's centre. area: `[n]`, lamp pixels a camera pixel.

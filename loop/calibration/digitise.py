@@ -1,4 +1,4 @@
-"""Digitise a lamp: its pixels one comb after another on a screen, and from that a lamp file."""
+"""Digitise a lamp: measure its pixels on a screen, one comb after another."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -41,8 +41,8 @@ class Settings:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """A luxmeter's reading on the screen, facing along its normal, with all pixels of all modules on. u, v: px, where the camera sees its
-    sensor.
+    """A luxmeter's reading on the screen, facing along its normal, with all pixels of all modules on. u, v: position of its sensor in the
+    camera's picture in px.
     """
 
     lux: float
@@ -52,7 +52,7 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class Digitised:
-    """A module as measured.
+    """A measured module.
 
     light: in cd, or in the camera's unit without a luxmeter reading. geometry: camera, screen and module to each other. measured: of each
     pixel. u, v: `[rows, cols]` px, where its light is centred. dead, stuck: `[rows, cols]` bool. checked: relative root mean square
@@ -85,7 +85,7 @@ class Taken:
 
 @dataclass(frozen=True, eq=False)
 class Nominal:
-    """What is known of a module before: its place among the others, name, pixels, and tangents (y, z) `[rows, cols]` of their light."""
+    """Data sheet of a module: its number, name, pixels, and tangents (y, z) `[rows, cols]` of their light."""
 
     number: int
     name: str
@@ -105,7 +105,7 @@ class Nominal:
 
 
 def take(shots: Shots, nominal: Nominal, sizes: Sequence[int], settings: Settings) -> Taken:
-    """Take all frames of one module, the others dark. sizes: numbers of pixels of all modules. Raises LuxloopError as `Shots.exposures`."""
+    """Take all frames of one module, the others dark. sizes: number of pixels of each module. Raises LuxloopError as `Shots.exposures`."""
 
     def lit(u: Array) -> list[Array]:
         return [u if k == nominal.number else np.zeros(n) for k, n in enumerate(sizes)]
@@ -127,7 +127,7 @@ def take(shots: Shots, nominal: Nominal, sizes: Sequence[int], settings: Setting
 
 
 def located(light: Sequence[Array], noise: float, nominal: Nominal) -> Places:
-    """Where the pixels are seen in the light `[height, width]` of `patterns`, with this noise. Raises LuxloopError where too few are."""
+    """Locate the pixels in the light `[height, width]` of `patterns`. noise: standard deviation of it. Raises LuxloopError for too few."""
     decoded = decode(light, nominal.rows, nominal.cols, np.full(light[0].shape, noise))
     if not decoded.valid.any():
         raise LuxloopError(f"module {nominal.name!r}: the camera sees none of its pixels; look at lamp, screen, camera and exposure")
@@ -148,7 +148,7 @@ def digitised(
     settings: Settings,
     factor_of: Callable[[Geometry], Array],
 ) -> Digitised:
-    """Measure a module in its frames. start: camera and screen, and about where the lamp is. factor_of: cd for each unit of light at each
+    """Measure a module in its frames. start: camera, screen and the approximate pose of the lamp. factor_of: cd per unit of light at each
     camera pixel, `[height, width]`.
     """
     found = located(taken.located, taken.noise, nominal)
@@ -186,10 +186,10 @@ def digitised(
 
 
 def scaled(modules: Sequence[Digitised], readings: Sequence[Reading]) -> tuple[tuple[Digitised, ...], float]:
-    """The modules with their intensities in cd, by a luxmeter's readings, and the relative standard deviation of these from what they say.
+    """The modules with intensities in cd by luxmeter readings, and the relative standard deviation of the readings from the result.
 
-    One reading gives the scale; from four on it may change linearly over the picture, from nine on as its square, as a screen does that is
-    not as it was taken for.
+    One reading gives the scale. With four readings the scale is linear over the picture, with nine quadratic, to correct errors of the
+    assumed screen.
     """
     at = np.array([[each.u, each.v] for each in readings])
     wanted = np.log([each.lux for each in readings])
@@ -231,7 +231,7 @@ def _lux(module: Digitised, reading: Reading) -> float:
 
 
 def lux(light: Headlight, geometry: Geometry, points: Array, reading: Reading) -> float:
-    """Mean illuminance at points `[n, 3]` m of the screen, in the camera's frame. Raises LuxloopError where it is dark."""
+    """Mean illuminance in lx at points `[n, 3]` m of the screen, in the camera's frame. Raises LuxloopError if it is dark there."""
     texture = light.light_texture(torch.ones(light.n_pixels))
     away = geometry.lamp.place - points
     distance = np.linalg.norm(away, axis=1)

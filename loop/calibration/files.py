@@ -1,4 +1,4 @@
-"""The calibration of a rig in a file, `.npz`: camera, screen and modules to each other. No pickle, so that a foreign one runs no code."""
+"""The calibration of a rig as a file, `.npz`: camera, and poses of screen and modules. It has no pickle, so that it cannot run code."""
 
 import json
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ LARGEST_PX: Final = 16384
 class Calibration:
     """camera: the lens. response: from digital numbers to light. vignetting: `[3]`, as `brightness` takes it. screen: T_camera_screen.
     modules: T_camera_lamp of each, by name. rms: in px, by what was seen. lux: illuminance of the screen in lx that saturates the camera,
-    None where no luxmeter has told it.
+    None without a luxmeter reading.
     """
 
     camera: CameraModel
@@ -36,7 +36,7 @@ class Calibration:
     lux: float | None = None
 
     def geometry(self, module: str) -> Geometry:
-        """Of one module. Raises LuxloopError where it was not calibrated."""
+        """The geometry of a module. Raises LuxloopError if it was not calibrated."""
         if module not in self.modules:
             known = ", ".join(self.modules)
             raise LuxloopError(f"the calibration knows the modules {known}, not {module!r}; {AGAIN} with this scenario")
@@ -44,13 +44,13 @@ class Calibration:
 
 
 def refuse_name(path: Path) -> None:
-    """Raises LuxloopError where a file's name does not end in .npz."""
+    """Raises LuxloopError if a file's name does not end in .npz."""
     if path.suffix != ".npz":
         raise LuxloopError(f"{path}: its name ends in .npz; write for example {path.with_suffix('.npz')}")
 
 
 def save(path: Path, calibration: Calibration) -> None:
-    """Write a calibration, whole or not at all. Raises LuxloopError where the name does not end in .npz, or it cannot be written."""
+    """Write a calibration atomically. Raises LuxloopError if the name does not end in .npz, or it cannot be written."""
     refuse_name(path)
     camera = calibration.camera
     header = {"format": FORMAT, "version": 1, "modules": list(calibration.modules), "rms_px": calibration.rms}
@@ -74,7 +74,7 @@ def save(path: Path, calibration: Calibration) -> None:
 
 
 def load(path: Path) -> Calibration:
-    """Read a calibration. Raises LuxloopError where the file is missing, foreign or damaged."""
+    """Read a calibration. Raises LuxloopError if the file is missing, damaged, or not a calibration."""
     with reading(path, "no calibration of a rig, or damaged", AGAIN):
         content(path)
         arrays = read_npz(path)

@@ -44,7 +44,7 @@ class Shown:
 
 @dataclass(frozen=True)
 class Varied:
-    """A value that is fitted: the scenario's key, and about how far it may be off."""
+    """A value to fit: the scenario's key, and its expected error."""
 
     key: str
     span: float
@@ -63,7 +63,7 @@ class Fitted:
 
 
 def recorded(folder: Path, scenario: Scenario, most: int) -> list[Shown]:
-    """Up to `most` exposures of a recording with frames, evenly over it. Raises LuxloopError where it has none."""
+    """Up to `most` exposures of a recording with frames, spread evenly over it. Raises LuxloopError if it has none."""
     rows = [row for row in recorded_rows(folder)[:-1] if row["lost"] is False]
     if not rows:
         raise LuxloopError(f"{folder}: all frames are lost; record another run with --frames")
@@ -84,10 +84,10 @@ def fit(
     varied: Sequence[Varied],
     on_step: Callable[[], None] = lambda: None,
 ) -> Fitted:
-    """Adjust values until simulated frames are nearest to the recorded ones. scenario_of: the scenario with values by key.
+    """Least-squares fit of simulated to recorded frames. scenario_of: returns the scenario with values by key.
 
     Frames are compared as digital numbers before rounding, without noise; those that are saturated in the recording are left out.
-    Raises LuxloopError where a value is none of the scenario's, or has no effect.
+    Raises LuxloopError if a key is not of the scenario, or its value has no effect.
     """
     scenario = scenario_of({})
     start = np.array([0.0 if each.key == BLUR else _value(scenario, each.key) for each in varied])

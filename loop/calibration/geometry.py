@@ -1,6 +1,6 @@
-"""Where camera, screen and lamp are to each other: camera model, plane, and a bundle adjustment of all that was seen.
+"""Relative poses of camera, screen and lamp: camera model, plane, and bundle adjustment.
 
-The lamp is a camera in reverse: each pixel has a direction, known from its data sheet, and is seen where its ray meets the screen.
+The lamp is an inverse camera: each pixel has a direction from the data sheet, and its light appears where this ray meets the screen.
 """
 
 from collections.abc import Callable, Sequence
@@ -58,7 +58,7 @@ class CameraModel:
         return np.stack([x, y, np.ones_like(x)], -1)
 
     def project(self, points: Array) -> Array:
-        """Image places `[n, 2]` px of points `[n, 3]` m."""
+        """Image positions `[n, 2]` px of points `[n, 3]` m."""
         found = cv2.projectPoints(np.ascontiguousarray(points)[:, None], np.zeros(3), np.zeros(3), self.matrix, self.distortion)
         return np.asarray(found[0][:, 0], float)
 
@@ -74,7 +74,7 @@ class CameraModel:
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """From one frame to another: turn `[3]` as a rotation vector in rad, and the origin's place `[3]` in m."""
+    """Pose of one frame in another: turn `[3]` as a rotation vector in rad, and position `[3]` of the origin in m."""
 
     turn: Array
     place: Array
@@ -100,7 +100,7 @@ class Pose:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What was seen of a screen at one place of it.
+    """Observations of a screen at one pose.
 
     tangents: `[n, 2]`, y and z of the directions of lamp pixels by their data sheet; pixels: `[n, 2]` px, where they are seen. board:
     `[k, 2]` m, corners of a board on the screen, corners: `[k, 2]` px; both empty without one.
@@ -129,7 +129,7 @@ class Geometry:
     rms: dict[str, tuple[float, ...]]
 
     def on_screen(self, u: Array, v: Array, screen: int = 0) -> Array:
-        """Points `[..., 3]` m of the camera frame where camera pixels see the screen."""
+        """Points `[..., 3]` m on the screen at camera pixels, in the camera's frame."""
         return on_plane(self.camera.rays(u, v), np.zeros(3), self.screens[screen])
 
     def tangents(self, points: Array) -> tuple[Array, Array]:
@@ -139,7 +139,7 @@ class Geometry:
 
 
 def on_plane(rays: Array, origin: Array, screen: Pose) -> Array:
-    """Where rays `[..., 3]` from an origin `[3]` meet the plane z = 0 of a screen, `[..., 3]` in the frame of the camera."""
+    """Intersections of rays `[..., 3]` from an origin `[3]` with the plane z = 0 of a screen, `[..., 3]` m in the camera's frame."""
     normal = screen.rotation[:, 2]
     return origin + rays * (normal @ (screen.place - origin) / (rays @ normal))[..., None]
 
@@ -153,9 +153,9 @@ def adjusted(
 ) -> Geometry:
     """Bundle adjustment: camera, screens, lamp and the scale of its field, from start values.
 
-    The lamp's place is known to a tenth of a metre before. The camera stays where its covariance lets it; one without a covariance is
-    fixed, and so is a screen without a board. fixed: what else is: camera, lamp, scale. With one screen the scale cannot be told from the
-    distance; with two that are well apart it can.
+    The lamp's start position has a standard deviation of 0.1 m. The camera is constrained by its covariance; a camera without covariance
+    is fixed, and so is a screen without a board. fixed: what else is fixed: camera, lamp, scale. With one screen the scale cannot be
+    separated from the distance; with two that are well apart it can.
     """
     given = [_thinned(each) for each in seen]
     free = [name for name in ("camera", "lamp", "scale") if name not in fixed and not (name == "camera" and camera.covariance is None)]
@@ -227,9 +227,10 @@ def _root(covariance: Array) -> Array:
 
 
 def candela_factor(geometry: Geometry, shape: tuple[int, int], reflectance: Callable[[Array], Array], screen: int = 0) -> Array:
-    """cd of the lamp for each cd/m^2 that a camera pixel sees, `[height, width]`: `I = pi L d^2 / (rho cos)` (T eq. 2.1.5).
+    """cd of the lamp per cd/m^2 at each camera pixel, `[height, width]`: `I = pi L d^2 / (rho cos)` (T eq. 2.1.5).
 
-    reflectance: luminance factor of the screen at the cosine of the angle of view. Raises LuxloopError where the screen turns its back.
+    shape: rows and columns of the picture. reflectance: luminance factor of the screen at the cosine of the angle of view. Raises
+    LuxloopError if the camera sees the back of the screen.
     """
     v, u = np.indices(shape) + 0.5
     points = geometry.on_screen(u, v, screen)

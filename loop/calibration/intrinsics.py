@@ -1,4 +1,4 @@
-"""The camera by itself: lens from views of a board, and vignetting from frames of an even surface."""
+"""Intrinsic calibration: lens from views of a board, and vignetting from frames of an evenly bright surface."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,9 +29,9 @@ class Lens:
 
 
 def lens(views: Sequence[Corners], width: int, height: int) -> Lens:
-    """Focal lengths, principal point and distortion with the least squares of corners.
+    """Focal lengths, principal point and distortion by least squares of corners.
 
-    Raises LuxloopError for fewer than five views, or where they say too little.
+    Raises LuxloopError for fewer than five views, or if they do not suffice.
     """
     if len(views) < FEWEST:
         raise LuxloopError(
@@ -75,7 +75,7 @@ def _covariance(camera: CameraModel, poses: Sequence[Pose], points: Sequence[Arr
 
 
 def vignetting(flats: Sequence[Array]) -> tuple[Array, float]:
-    """How the lens darkens to the corners, from light `[height, width]` of surfaces that are evenly bright, such as a diffuser before it.
+    """Vignetting of the lens from light `[height, width]` of evenly bright surfaces, such as a diffuser in front of it.
 
     Returns coefficients `[3]` of r^2, r^4 and r^6, r being 1 in the corner, and the relative root mean square that they leave.
     """

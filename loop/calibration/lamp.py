@@ -28,9 +28,9 @@ AT_ONCE: Final = 64  # rows of texels
 
 
 def grid_over(y: Array, z: Array, texels: tuple[int, int]) -> TexelGrid:
-    """A light texture over tangents y and z `[rows, cols]` of the pixels' places, and as far beyond as a pixel's light reaches.
+    """Grid of a light texture over tangents y and z `[rows, cols]` of the pixels, extended by the reach of a pixel's light.
 
-    What a lens blurs over the border of the field is light of its outermost pixels, too.
+    So light of the outermost pixels that is blurred beyond the field is kept.
     """
     rows, cols = y.shape
     pitch_y, pitch_z = (float(each.max() - each.min()) / max(n - 1, 1) for each, n in ((y, cols), (z, rows)))
@@ -98,14 +98,14 @@ def _read(shapes: Array, block: tuple[Array, Array], dr: Array, dc: Array) -> Ar
 
 
 def digitised_side(scenario: Scenario) -> str:
-    """The only side that shines. Raises LuxloopError where both do, since a lamp file is one lamp."""
+    """The only lit side. Raises LuxloopError if both are lit, since a lamp file has one lamp."""
     if len(scenario.headlight.lamps) > 1:
         raise LuxloopError("a lamp file holds one lamp; digitise each by itself, with --set 'headlight.lamps=[\"left\"]'")
     return scenario.headlight.lamps[0]
 
 
 def measured_lamp(scenario: Scenario, lights: Sequence[Headlight], name: str, notes: str) -> Lamp:
-    """The scenario's lamp with measured lights, one a module that shines, as a left lamp, which lamp files hold."""
+    """The scenario's lamp with measured lights, one per lit module, as a left lamp, the kind that lamp files have."""
     mounts = shining_modules(scenario, torch.device("cpu"))
     lamp = mounts[0].lamp
     modules = list(lamp.modules)

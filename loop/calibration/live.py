@@ -1,4 +1,4 @@
-"""The bench of a real rig: its lamp and camera, with pictures as the camera sends them."""
+"""The bench of a real rig: its lamp and camera, with unprocessed pictures."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -24,7 +24,7 @@ TRIES: Final = 20  # of one frame, or of light that a limit slows down
 
 @dataclass(frozen=True, eq=False)
 class Codes(Rectifier):
-    """Pictures as they come, in the camera's own numbers."""
+    """Unprocessed pictures, in the camera's digital numbers."""
 
     def image(self, data: bytes | NDArray[np.generic]) -> NDArray[np.float32]:
         return grey(data).astype(np.float32)
@@ -32,7 +32,7 @@ class Codes(Rectifier):
 
 @dataclass(frozen=True, eq=False)
 class LiveBench:
-    """A rig that is open and armed. Its camera has one exposure, which counts as 1 s: the time is not known, and cancels out."""
+    """An open, armed rig. Its camera has one exposure time, which is unknown and set to 1 s, since it cancels out."""
 
     rig: Rig
     grids: tuple[tuple[int, int], ...]
@@ -42,7 +42,7 @@ class LiveBench:
     exposures_s: tuple[float, ...] = (1.0,)
 
     def frames(self, lights: Sequence[Array], count: int, exposure_s: float) -> Image:
-        """As a bench does. Raises LuxloopError where a limit dims the light, or frames do not come."""
+        """As `Bench.frames`. Raises LuxloopError if a limit dims the light, or frames do not arrive."""
         pictures = tuple(u.reshape(grid).astype(np.float32) for u, grid in zip(lights, self.grids, strict=True))
         found: list[Image] = []
         for _ in range(TRIES * count):
@@ -71,7 +71,7 @@ class LiveBench:
 def live_bench(
     file: Path, params: RigParams, camera: CameraParams, grids: Sequence[tuple[int, int]], ready: Callable[[Rig], None]
 ) -> Iterator[LiveBench]:
-    """Open a rig whose lamp is to be lit. ready: waits for it. Raises LuxloopError where a device cannot be had, or no picture comes."""
+    """Open an armed rig. ready: waits until it is ready. Raises LuxloopError if a device cannot be opened, or no picture arrives."""
     if params.mark is not None:
         raise LuxloopError(f"{file}: mark: lies in the light that is to be measured; take it out to calibrate")
     with located(str(file)), opened(params, grids, None, armed=True) as rig:

@@ -1,4 +1,4 @@
-"""What was found of a digitised lamp: a picture, a table of all pixels, and the facts in JSON."""
+"""Report of a digitised lamp: a picture, a table of all pixels, and facts in JSON."""
 
 import json
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ LISTED: Final = 200  # faulty pixels in the facts
 
 
 def facts(module: Digitised) -> dict[str, Any]:
-    """Of one module. Lengths in m, angles as rotation vectors in deg, everything of pixels as a share or in pixels."""
+    """Facts of one module. Lengths in m, angles as rotation vectors in deg, values of pixels as shares or in pixels."""
     measured, geometry = module.measured, module.geometry
     good = ~(module.dead | module.stuck)
     intensity = measured.intensity[good]

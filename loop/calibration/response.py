@@ -26,7 +26,7 @@ class Response:
 
     @classmethod
     def linear(cls, levels: int, black: float = 0.0) -> Self:
-        """That of a measuring camera."""
+        """A linear response. levels: largest digital number. black: digital number without light."""
         return cls(((np.arange(levels + 1) - black) / (levels - black)).astype(np.float32))
 
     def light(self, frames: Image) -> Array:
@@ -38,7 +38,7 @@ def response_curve(frames: Sequence[Image], ratios: Sequence[float], levels: int
     """The response from frames `[height, width]` of the same scene at lights that are in known ratios, by exposure time or by utilisation.
 
     frames[k] has `ratios[k]` times the light of ratio 1, without other light; one of ratio 0, where there is one, gives the black level.
-    Raises LuxloopError where they say too little.
+    Raises LuxloopError if the frames do not suffice.
     """
     order = np.argsort(ratios)
     stack, by = np.stack([frames[k] for k in order]).astype(float), np.array([ratios[k] for k in order], float)

@@ -1,4 +1,4 @@
-"""Frames of named lights: kept as pictures, so that a measurement that was interrupted goes on, and read as light."""
+"""Frames of named lights: kept as pictures, from which an interrupted measurement resumes, and read as light."""
 
 import json
 from collections.abc import Sequence
@@ -24,10 +24,10 @@ LONGER: Final = 4.0  # of exposures that are taken besides, for dim pixels
 
 @dataclass(frozen=True, eq=False)
 class Shots:
-    """What a bench shows of lights, each taken once.
+    """Frames of lights on a bench, each taken once.
 
-    folder: of the pictures, `NAME-EXPOSURE-NUMBER.png`; None keeps none. what: names what they are of, so that those of another lamp or
-    camera are never taken for these. dark: light `[height, width]` without the lamp, which is subtracted from all.
+    folder: of the pictures, `NAME-EXPOSURE-NUMBER.png`; None keeps none. what: identifies lamp, camera and plan, so that frames of
+    others are refused. dark: light `[height, width]` without the lamp, which is subtracted from all.
     """
 
     bench: Bench
@@ -53,7 +53,7 @@ class Shots:
             part.write_text(json.dumps(note), "utf-8")
 
     def frames(self, name: str, lights: Sequence[Array], count: int, exposure_s: float) -> Image:
-        """Digital numbers `[count, height, width]` of a light, from the folder where they are there."""
+        """Digital numbers `[count, height, width]` of a light, from the folder if it has them."""
         paths = [] if self.folder is None else [self.folder / f"{name}-{1e6 * exposure_s:.0f}us-{k}.png" for k in range(count)]
         if paths and all(path.is_file() for path in paths):
             return np.stack([self._read(path) for path in paths])
@@ -77,9 +77,9 @@ class Shots:
         return (total / weight).astype(np.float32)
 
     def exposures(self, name: str, lights: Sequence[Array]) -> tuple[float, ...]:
-        """The longest exposure at which a light does not saturate the camera, and a longer one where the camera has it.
+        """The longest exposure at which a light does not saturate the camera, and a longer one if the camera has it.
 
-        Raises LuxloopError where none is short enough.
+        Raises LuxloopError if none is short enough.
         """
         fits = []
         for exposure_s in self.bench.exposures_s:
@@ -100,5 +100,5 @@ class Shots:
 
 
 def plan_digest(*parts: object) -> str:
-    """What names a plan of measurement: the same for equal parts."""
+    """Digest that identifies a plan of measurement, equal for equal parts."""
     return sha256(json.dumps(parts, default=str, sort_keys=True).encode()).hexdigest()[:16]

@@ -1,6 +1,6 @@
-"""The twin of a rig: what the simulated plant's camera sees of the exposures that a rig has shown, held against the rig's frames.
+"""The twin of a rig: simulated frames of the exposures that a rig has shown, compared with the rig's frames.
 
-It is computed from the recording when the run has ended, so that it takes no time of the loop's.
+It is computed from the recording after the run, so that it does not slow down the loop.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,9 +40,9 @@ FIGURES: Final = ("mae", "rmse", "ssim", "mean_rig", "mean_simulated")
 
 
 def twin_plant(scenario: Scenario, modules: Sequence[LampModule]) -> SimulatedPlant:
-    """The simulated world of a scenario, seen without noise: what differs is the rig's noise, and what the simulation has wrong.
+    """The simulated plant of a scenario, without camera noise, so that differences are the rig's noise and errors of the simulation.
 
-    modules: of the scenario's lamps. Raises LuxloopError where a file is missing or broken.
+    modules: of the scenario's lamps. Raises LuxloopError if a file is missing or damaged.
     """
     camera = scenario.camera.model_copy(update={"noise": False})
     return simulated_plant(scenario.model_copy(update={"camera": camera}), modules)
@@ -55,7 +55,7 @@ def write_twin(
 
     Returns the number of `exposures` that have a frame, and the means of the figures of their `on` and `off` frames. plant: of
     `twin_plant`. mark: in the rig's light, which is left out. on_frame: called after each.
-    Raises LuxloopError where a file of the recording cannot be read, or none written.
+    Raises LuxloopError if a file of the recording cannot be read, or a file cannot be written.
     """
     camera, modules, per_step = plant.world.camera, plant.world.modules, len(plant.shares)
     like, pixels = modules[0].headlight.matrix.values, [each.headlight.n_pixels for each in modules]

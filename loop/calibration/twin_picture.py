@@ -19,7 +19,7 @@ BRIGHT: Final = 0.998  # quantile of both frames that is shown as white, and of 
 
 
 def draw_twin(file: Path, rig: NDArray[np.floating], simulated: NDArray[np.floating], figures: Mapping[str, Any]) -> None:
-    """rig, simulated: digital numbers `[height, width]`. figures: of these, a row of twin.parquet.
+    """Draw twin.png. rig, simulated: digital numbers `[height, width]`. figures: their row of twin.parquet.
 
     Raises LuxloopError if the file cannot be written.
     """

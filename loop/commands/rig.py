@@ -1,4 +1,4 @@
-"""The commands `luxloop rig ...`: a rig of real light, and one that is simulated."""
+"""The commands `luxloop rig ...`: a real rig, and the rig process, which simulates one."""
 
 import signal
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ from world.errors import LuxloopError
 if TYPE_CHECKING:
     from loop.bench.camera import End
 
-rig_app = App(name="rig", help="A rig: a real lamp and a real camera in the loop, or a process that stands for both.")
+rig_app = App(name="rig", help="A rig: a real lamp and a real camera in the loop, or a process that simulates both.")
 for command in (check, light, take, blink, board, calibrate, digitise, fit):
     rig_app.command(command)
 
@@ -38,30 +38,30 @@ def simulate(
     screen: str | None = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Be a rig until Ctrl-C: take light over the network, light the scenario's road or objects, and serve the camera's pictures.
+    """Simulate a rig in real time until Ctrl-C: take light over the network, light road and objects, and serve the camera's pictures.
 
     Parameters
     ----------
     name
         Scenario file, or name of a shipped scenario.
     faults
-        TOML file of what is wrong with the rig (see docs/rig.md); by default it is the scenario's lamp and camera.
+        TOML file of the rig's faults (see docs/rig.md); by default it has none.
     set
         Keys to change, as key=value in TOML syntax: of the scenario, such as camera.width_px=640, or of the faults, such as
         faults.camera.latency_s=0.02.
     host
-        Address to listen on; with an address other than 127.0.0.1, other machines reach the rig.
+        Address to listen on; other machines can connect only if it is not 127.0.0.1.
     light_port
         UDP port for light (DDP), 0 for a free one.
     camera_port
         HTTP port of the camera, 0 for a free one.
     truth_port
-        HTTP port of the truth for tests, 0 for a free one.
+        HTTP port of the ground truth for tests, 0 for a free one.
     ego
-        Address HOST:PORT that gets samples of the vehicle's sensors where the scenario has a vehicle.
+        Address HOST:PORT to which samples of the vehicle's sensors are sent, if the scenario has a vehicle.
     screen
-        Address HOST:PORT of the page of a loop whose light is `screen`: the rig is then the projector that shows this page, and takes no
-        light over the network.
+        Address HOST:PORT of the page of a loop whose light is `screen`: the rig process is then the projector that shows this page, and
+        opens no UDP port for light.
     """
     from loop.bench.faults import read, split
 
@@ -84,7 +84,7 @@ def simulate(
 
 @contextmanager
 def _ending(end: "End") -> Iterator[None]:
-    """Ctrl-C and SIGTERM ask for the end, instead of an exception that could strike while a lock is held."""
+    """Ctrl-C and SIGTERM request the end, in place of an exception that could be raised while a lock is held."""
     ends = [each for each in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(each) is not signal.SIG_IGN]
     before = [(each, signal.signal(each, lambda *_: end.ask())) for each in ends]
     try:

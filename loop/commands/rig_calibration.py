@@ -1,4 +1,4 @@
-"""The commands `luxloop rig board|calibrate|digitise|fit`: a rig's camera, its geometry, its lamp, and a scenario's values to it."""
+"""The commands `luxloop rig board|calibrate|digitise|fit`: calibrate a rig's camera and geometry, digitise its lamp, fit a scenario."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -67,25 +67,25 @@ def calibrate(
     set: Keys = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Calibrate a rig: response and lens of its camera, and where camera, screen and lamp are to each other.
+    """Calibrate a rig: response and lens of its camera, and the relative poses of camera, screen and lamp.
 
     Parameters
     ----------
     name
-        Scenario whose lamp and camera the rig has, about where they are.
+        Scenario with the rig's lamp and camera at their approximate poses.
     out
         File to write, .npz.
     boards
-        Folder of pictures of a board (see `luxloop rig board`) in at least five poses; without it, the lens is the scenario's.
+        Folder of pictures of a board (see `luxloop rig board`) in at least five poses; without it, the scenario's pinhole camera is used.
     on_screen
-        Picture of the board on the screen, which tells where that is.
+        Picture of the board flat on the screen, for the pose of the screen.
     screen_m
-        Without it: distance of a screen that stands square to the vehicle, ahead of the lamps in m.
+        In place of --on-screen: distance in m from the lamps to a screen perpendicular to the vehicle's x axis.
     flats
-        Folder of pictures of an even surface, such as a diffuser before the lens, for the vignetting.
+        Folder of pictures of an evenly bright surface, such as a diffuser in front of the lens, for the vignetting.
     lux
-        Readings of a luxmeter on the screen with all pixels on, each as LUX@U,V with the place of its sensor in the camera's picture in px,
-        for the absolute scale, which a beam that is digitised live needs.
+        Readings of a luxmeter on the screen with all pixels on, each as LUX@U,V with the position of its sensor in the camera's picture
+        in px. They give the absolute scale, which a beam that is digitised live needs.
     columns
         Squares in a row of the board.
     rows
@@ -93,9 +93,9 @@ def calibrate(
     square_mm
         Side of a square of the board as printed.
     frames
-        Folder that keeps what is taken, so that a calibration that was interrupted goes on; by default named after `out`.
+        Folder for the frames, from which an interrupted calibration resumes; by default named after `out`.
     rig
-        Rig file (see docs/rig.md); without it, the scenario's simulated world stands for the rig.
+        Rig file (see docs/rig.md); without it, the scenario's simulated world is used.
     arm
         With --rig: light the lamp.
     set
@@ -168,31 +168,31 @@ def digitise(
     set: Keys = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Measure the light of each of a lamp's pixels on a screen, and write a lamp file that every command reads.
+    """Measure the light of each pixel of a lamp on a screen, and write it as a lamp file.
 
     Parameters
     ----------
     name
-        Scenario whose lamp the rig has.
+        Scenario with the rig's lamp.
     calibration
-        File that `luxloop rig calibrate` wrote.
+        File written by `luxloop rig calibrate`.
     out
         Lamp file to write, .npz; a report is written beside it.
     lux
-        Readings of a luxmeter on the screen with all pixels on, each as LUX@U,V with the place of its sensor in the camera's picture in px.
-        One gives the scale; four or more correct a screen that is not as it was taken for.
+        Readings of a luxmeter on the screen with all pixels on, each as LUX@U,V with the position of its sensor in the camera's picture
+        in px. One gives the scale; four or more also correct errors of the assumed screen.
     reflectance
-        Reflectance of the screen, which matters only without a reading.
+        Reflectance of the screen; without effect if there is a luxmeter reading.
     by_angle
         CSV of two columns: angle of view from the screen's normal in deg, and luminance factor there; by default the screen is Lambertian.
     comb_frames
-        Frames of each comb of pixels, whose mean is taken.
+        Frames to average for each pattern of separate pixels.
     texels
-        Rows and columns of texels a pixel.
+        Rows and columns of texels per pixel.
     frames
-        Folder that keeps what is taken, so that a measurement that was interrupted goes on; by default named after `out`.
+        Folder for the frames, from which an interrupted measurement resumes; by default named after `out`.
     rig
-        Rig file (see docs/rig.md); without it, the scenario's simulated world stands for the rig.
+        Rig file (see docs/rig.md); without it, the scenario's simulated world is used.
     arm
         With --rig: light the lamp.
     set
@@ -275,9 +275,9 @@ def fit(
     recording
         Folder of `luxloop run --frames`.
     vary
-        Keys to fit, each as KEY=SPAN, about how far its value may be off, such as camera.pitch_deg=0.2; blur_px is the picture's blur.
+        Keys to fit, each as KEY=SPAN with its expected error, such as camera.pitch_deg=0.2; blur_px is the picture's blur.
     exposures
-        Exposures to compare, evenly over the recording.
+        Number of exposures to compare, spread evenly over the recording.
     set
         Keys of the scenario to change first, as key=value in TOML syntax.
     """
@@ -305,7 +305,7 @@ def fit(
 
 @contextmanager
 def _bench(scenario: "Scenario", rig: Path | None, allow_code: bool) -> Iterator[tuple["Bench", list["LampModule"]]]:
-    """A rig that is lit, or without one the scenario's simulated world, and the modules that shine."""
+    """The lit rig, or without a rig file the scenario's simulated world, and the modules that shine."""
     import torch
 
     from loop.calibration.bench import simulated_bench

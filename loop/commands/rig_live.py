@@ -15,11 +15,12 @@ if TYPE_CHECKING:
 
 
 def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool], device: str, kept: Mapping[str, Any]) -> bool:
-    """Run a scenario in its simulated world, one module of which shines as a real lamp does; returns whether all evaluated checks passed.
+    """Run a scenario in its simulated world with one module digitised from a real lamp; returns whether all evaluated checks passed.
 
-    rig_file: its path, whether the lamp is lit, and whether modules that it names may run. kept: as of `run`. Checks that compare with
-    another light are left out. Raises LuxloopError where the rig cannot be had or does not fit, and KeyboardInterrupt with what was kept;
-    the lamp is dark then.
+    out: folder of the recording. rig_file: its path, whether the lamp is lit, and whether modules that it names may run. device: to compute
+    on. kept: what is recorded, keyword arguments of `loop.run.run`. Checks that compare with another light are left out. Raises
+    LuxloopError if the rig cannot be opened or does not fit the scenario, and KeyboardInterrupt that says what was kept; the lamp is dark
+    then.
     """
     import torch
 

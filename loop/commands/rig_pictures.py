@@ -1,4 +1,4 @@
-"""What a calibration needs besides: `luxloop rig take`, pictures of the camera, and `luxloop rig light`, all pixels on for a luxmeter."""
+"""`luxloop rig take`, pictures of the camera, and `luxloop rig light`, all pixels on: both are needed for a calibration."""
 
 import time
 from pathlib import Path
@@ -13,18 +13,18 @@ from world.files import whole
 
 
 def take(file: Path, /, *, out: Path = Path("boards"), count: int = 20, every_s: float = 1.0, allow_code: AllowCode = False) -> None:
-    """Take pictures with a rig's camera, of a board for instance, as they come; the lamp is not opened.
+    """Take pictures with a rig's camera, such as of a calibration board, and save them unchanged; the lamp is not opened.
 
     Parameters
     ----------
     file
         Rig file.
     out
-        Folder to write, or with a name that ends in .png a single picture.
+        Folder for the pictures; a name that ends in .png takes a single picture.
     count
-        How many.
+        Number of pictures.
     every_s
-        Time between two of them in s, to hold the board in another way.
+        Time between two pictures in s, to move the board.
     """
     import cv2
 
@@ -72,22 +72,22 @@ def light(
     seconds: float = 60.0,
     allow_code: AllowCode = False,
 ) -> None:
-    """Light all pixels for a while, or until Ctrl-C, to aim the lamp, to focus the camera or to read a luxmeter.
+    """Light all pixels for some time, or until Ctrl-C, to aim the lamp, focus the camera or read a luxmeter.
 
     Parameters
     ----------
     file
         Rig file.
     arm
-        Light the lamp. Without it, nothing is opened.
+        Light the lamp. Without it, no device is opened.
     scenario
-        Scenario whose lamp it is.
+        Scenario with the rig's lamp.
     set
         Keys of the scenario to change, as key=value in TOML syntax.
     level
-        Utilisation of all pixels; light above the limits of the rig file is refused.
+        Utilisation of all pixels; the command ends if the limits of the rig file dim it.
     seconds
-        For how long.
+        Duration in s.
     """
     import numpy as np
 

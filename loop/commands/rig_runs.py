@@ -1,4 +1,4 @@
-"""Runs on a rig, and looks at one: `luxloop run --rig`, `luxloop rig check` and `luxloop rig blink`."""
+"""Run on a rig, check it and measure its delay: `luxloop run --rig`, `luxloop rig check` and `luxloop rig blink`."""
 
 import re
 import tomllib
@@ -32,9 +32,10 @@ def run_on_rig(
 ) -> bool:
     """Run a scenario on a rig and record it; returns whether all evaluated checks passed.
 
-    rig_file: its path, whether the lamp is lit, and whether modules that it names may run. kept: as of `run`. twin: whether the
-    simulated plant's frames of the same exposures are put beside the rig's, which are kept then. Checks that need the truth are left out.
-    Raises LuxloopError where the rig cannot be had, and KeyboardInterrupt with what was kept; the lamp is dark then.
+    out: folder of the recording. rig_file: its path, whether the lamp is lit, and whether modules that it names may run. device: to compute
+    on. kept: what is recorded, keyword arguments of `loop.run.run`. twin: whether the exposures are also simulated and compared with the
+    rig's frames, which are kept then. Checks that need the truth are left out. Raises LuxloopError if the rig cannot be opened, and
+    KeyboardInterrupt that says what was kept; the lamp is dark then.
     """
     from loop.commands.runs import run_scenario
     from loop.plant.build import from_zero
@@ -87,14 +88,14 @@ def run_on_rig(
 
 
 def check(file: Path, /, *, scenario: Named = "snowflake", set: Keys = None, allow_code: AllowCode = False) -> None:
-    """Look at a rig without lighting it: the rig file, the lamp's address, and what the camera sends for three seconds.
+    """Check a rig without lighting it: the rig file, the lamp's address, and three seconds of the camera's pictures.
 
     Parameters
     ----------
     file
         Rig file.
     scenario
-        Scenario whose lamp and camera it shall fit to.
+        Scenario whose lamp and camera the rig must fit.
     set
         Keys of the scenario to change, as key=value in TOML syntax.
     """
@@ -137,24 +138,24 @@ def blink(
     write: Flag = False,
     allow_code: AllowCode = False,
 ) -> None:
-    """Measure the time from light to frame: all pixels go on and off at random times, for half a second each.
+    """Measure the delay from light to frame: all pixels go on and off at random times, for half a second each.
 
     Parameters
     ----------
     file
         Rig file.
     arm
-        Light the lamp. Without it, nothing is opened.
+        Light the lamp. Without it, no device is opened.
     scenario
-        Scenario whose lamp it is.
+        Scenario with the rig's lamp.
     set
         Keys of the scenario to change, as key=value in TOML syntax.
     blinks
-        How often the light changes.
+        Number of changes of the light.
     level
-        Utilisation of all pixels, which the limits of the rig file lower.
+        Utilisation of all pixels; the limits of the rig file may dim it.
     write
-        Write what was found as [timing] into the rig file.
+        Write the result as [timing] into the rig file.
     """
     from loop.rig.blink import blink as measure
     from loop.rig.params import load_rig
@@ -181,7 +182,7 @@ def blink(
 
 
 def written(file: Path, timing: Mapping[str, float]) -> None:
-    """Put values of `[timing]` into a rig file; all else in it stays as it is. Raises LuxloopError where it cannot be written."""
+    """Write values of `[timing]` into a rig file and change nothing else in it. Raises LuxloopError if it cannot be written."""
     text = file.read_text("utf-8")
     table = re.search(r"^\[timing\][^\n]*\n(?:(?!\[)[^\n]*\n?)*", text, re.M)
     old = table[0] if table else "\n[timing]\n"
@@ -215,7 +216,7 @@ def pixel_grids(scenario: "Scenario") -> tuple[tuple[int, int], ...]:
 
 
 def await_rig(rig: "Rig") -> None:
-    """Wait for camera, and for a screen's page. Raises LuxloopError where no picture comes."""
+    """Wait for the page of a screen and for the camera. Raises LuxloopError if no page connects or no picture comes."""
     from loop.rig.rig import await_camera
     from loop.rig.screen import ScreenLight
 
@@ -235,7 +236,7 @@ def _without_truth(scenario: "Scenario") -> tuple["Scenario", list[str]]:
 
 
 def _twin(out: Path, simulated: "SimulatedPlant", mark: "MarkParams | None", exposures: int) -> dict[str, Any]:
-    """Simulate what the rig has shown. exposures: how many at most. Raises KeyboardInterrupt with a message that says what was kept."""
+    """Simulate the exposures of the rig. exposures: their largest number. Raises KeyboardInterrupt that says what was kept."""
     from loop.calibration.twin import write_twin
 
     try:
@@ -255,7 +256,7 @@ def _twin_in_words(found: Mapping[str, Any]) -> dict[str, str]:
 
 
 def of_run(rig: "Rig", per_step: int) -> dict[str, Any]:
-    """How a run on a rig was, as plain data. per_step: exposures a control step."""
+    """Statistics of a run on a rig, as plain data. per_step: exposures per control step."""
     told = rig.keeper
     watched = {"darkened": told.darkened, "interruptions": told.interruptions}
     camera = {"pictures": rig.camera.count, "dropped": rig.camera.dropped, "connections": rig.camera.connections}
@@ -263,7 +264,7 @@ def of_run(rig: "Rig", per_step: int) -> dict[str, Any]:
 
 
 def in_words(found: Mapping[str, Any]) -> dict[str, str]:
-    """What `of_run` gives, and `judged`, in rows of a table."""
+    """The result of `of_run`, and `judged`, as rows of a table."""
     lost, late = sum(found["lost"].values()), found["light_to_frame_ms"]
     rows = {
         "control rate": f"{tables.number(found['control_rate_hz'], '.2f')} Hz",

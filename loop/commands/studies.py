@@ -135,7 +135,8 @@ def tune(
     device
         Device to compute on; auto takes CUDA if available.
     gradient
-        Use gradient descent through differentiable runs, one trial per iteration; for gains and rate limits of thesis_pid in still scenes.
+        Use gradient descent on predictions learned from the runs, one trial per iteration; for gains and rate limits of thesis_pid where
+        nothing moves.
     """
     scenarios = tuple(scenario_of(name, set, controller, allow_code=allow_code) for name in names)
     from loop import objective as objectives

@@ -1,1 +1,1 @@
-"""A symbol's closed loop as an environment to learn in, for Gymnasium."""
+"""A symbol's closed loop as a reinforcement learning environment of Gymnasium."""

@@ -1,4 +1,4 @@
-"""What an action does: it moves the symbol, or changes gains of its feedback, or the heights of the road that it is drawn for."""
+"""Effects of an action: it moves the symbol, changes gains of its feedback, or changes the road heights that it is drawn for."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -23,9 +23,9 @@ HEIGHT_RATE_M, HEIGHT_RANGE_M = 0.03, 0.25  # of a cell's height: most in a step
 
 
 class Acting(Protocol):
-    """A controller that takes actions; for all but heights its states may have batch dimensions.
+    """A controller that takes actions. Its states may have batch dimensions, except those of `Heights`.
 
-    size: number of values of an action. limits: `[k]` each, least and greatest values of the observed part of a state.
+    size: number of values of an action. limits: `[k]` each, smallest and largest values of the observed part of a state.
     """
 
     @property
@@ -35,7 +35,7 @@ class Acting(Protocol):
     def limits(self) -> tuple[Tensor, Tensor]: ...
 
     def start(self, pose: Tensor) -> Any:
-        """State that shows a pose `[..., 4]` first."""
+        """Initial state, which shows the symbol at a pose `[..., 4]`: x, y in m, roll, pitch in rad."""
         ...
 
     def act(self, state: Any, action: Tensor) -> Any:
@@ -43,11 +43,11 @@ class Acting(Protocol):
         ...
 
     def observed(self, state: Any) -> Tensor:
-        """The observed part of a state, `[..., k]`: the pose that is shown (x, y in m, roll, pitch in rad), or the heights in m."""
+        """The observed part of a state, `[..., k]`: the pose shown (x, y in m, roll, pitch in rad), or the heights in m."""
         ...
 
     def projection(self, state: Any, ego: Ego | None) -> ProjectionCommand:
-        """What is shown."""
+        """The projection command of a state."""
         ...
 
     def step(self, state: Any, observation: Observation) -> Any:
@@ -57,7 +57,7 @@ class Acting(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Moves:
-    """Actions move the symbol in x, y, roll and pitch; 1 is the move of each that `law` makes in a step at most."""
+    """Actions move the symbol in x, y, roll and pitch; 1 is the largest move of `law` in a step."""
 
     law: ThesisPid
 
@@ -87,7 +87,7 @@ class Moves:
 
 @dataclass(frozen=True)
 class GainsState:
-    """law: of the feedback. factors: `[..., 3, 4]`, of kp, ki and kd of x, y, roll and pitch."""
+    """law: state of the feedback. factors: `[..., 3, 4]`, on kp, ki and kd (rows) of x, y, roll and pitch (columns)."""
 
     law: ThesisPidState
     factors: Tensor
@@ -129,8 +129,10 @@ class Gains:
 
 @dataclass(frozen=True, eq=False)
 class Heights:
-    """The symbol is drawn for a road of HEIGHT_CELLS heights over the plane, which actions move by HEIGHT_RATE_M at most, and which stay
-    within HEIGHT_RANGE_M: first those of the far row from left to right. It lies at its target all the time.
+    """Actions change the road heights over the plane z = 0 for which the symbol is drawn at its target.
+
+    There are HEIGHT_CELLS heights, the far row first, each from left to right. An action changes each by at most HEIGHT_RATE_M; they stay
+    within HEIGHT_RANGE_M.
     """
 
     sensor: SymbolSensor
@@ -165,7 +167,7 @@ class Heights:
 
 
 def _law(sensor: SymbolSensor, params: Any) -> ThesisPid:
-    """The scenario's, or that of the thesis where another controller holds the symbol."""
+    """The scenario's thesis_pid, or thesis_pid with its defaults if another controller holds the symbol."""
     return ThesisPid.prepare(params if isinstance(params, ThesisPidParams) else ThesisPidParams(), sensor.projector.target)
 
 

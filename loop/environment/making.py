@@ -1,4 +1,4 @@
-"""Environments by a call: `make` and `make_vec`."""
+"""Functions that make environments: `make` and `make_vec`."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -22,9 +22,9 @@ def make(
 ) -> "SymbolEnv":
     """An environment of Gymnasium in which the agent holds the scenario's symbol; its docstring has spaces, units and signs.
 
-    scenario: a loaded one, or the name or path of one. overrides: other values of its keys, as KEY=VALUE. action: what an action does.
-    image: rows and columns of a picture of the symbol in observations, none if left out. render_mode: whether `render` returns the camera's
-    view, or a window shows it. device: "cpu" or "cuda". Raises LuxloopError where Gymnasium is missing, and as `SymbolEnv`.
+    scenario: a loaded scenario, or a name or path. overrides: changes of its keys, as KEY=VALUE. action: the kind of action. image: rows
+    and columns of the symbol's image in observations; by default they have no image. render_mode: "rgb_array" if `render` returns the
+    camera's view, "human" if a window shows it. device: "cpu" or "cuda". Raises LuxloopError if Gymnasium is missing, and as `SymbolEnv`.
     """
     _needs_gymnasium()
     from loop.environment.single import SymbolEnv
@@ -44,8 +44,8 @@ def make_vec(
 ) -> "SymbolVectorEnv":
     """A `VectorEnv` of Gymnasium with num_envs copies of `make`'s environment; for scenarios in which nothing but the symbol moves.
 
-    num_envs: number of copies. autoreset_mode: one of `gymnasium.vector.AutoresetMode`. overrides, action, image, device and errors: as of
-    `make`; raises LuxloopError also where the scenario moves.
+    num_envs: number of copies. autoreset_mode: one of `gymnasium.vector.AutoresetMode`. scenario, overrides, action, image, device and
+    errors: as for `make`; also raises LuxloopError if something else moves, or the symbol is not the only function.
     """
     _needs_gymnasium()
     from loop.environment.vector import SymbolVectorEnv

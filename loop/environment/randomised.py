@@ -1,4 +1,4 @@
-"""Domain randomisation: other worlds in other episodes, drawn within ranges of the scenario's keys."""
+"""Domain randomisation: values of the scenario's keys, drawn within ranges for new episodes."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -14,15 +14,16 @@ from loop.studies.ranges import Range
 
 
 class Randomised(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Draws values of keys for each episode, from the seed of `reset`. `info["values"]` of `reset` has them, by key.
+    """Draws values of keys for new episodes, from the seed of `reset`; `info["values"]` of `reset` has them by key.
 
-    What a key changes is prepared anew: noise and latency cost nothing, a road or a lamp up to a second, so `every` episodes share a world.
+    Only what a key affects is prepared again: a change of noise or latency takes no time, one of a road or a lamp up to a second.
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any], keys: Sequence[str], every: int = 1) -> None:
-        """keys: ranges as `luxloop tune` has them, KEY=LOW:HIGH or KEY=LOW:HIGH:log: "road.seed=1:1000", "camera.latency_steps=0:2".
+        """env: of `make`. keys: ranges as for `luxloop tune`, KEY=LOW:HIGH or KEY=LOW:HIGH:log, such as "road.seed=1:1000". every: episodes
+        that share the values.
 
-        Raises LuxloopError for a key or an end that the scenario does not take.
+        Raises LuxloopError for a key or a value that the scenario does not accept.
         """
         super().__init__(env)
         self._drawn = _Drawn(env.unwrapped, keys, every)
@@ -34,7 +35,7 @@ class Randomised(gymnasium.Wrapper[Any, Any, Any, Any]):
 
 
 class RandomisedVector(gymnasium.vector.VectorWrapper):
-    """The same of a vector environment, whose copies share a world. Copies that begin by themselves stay in it: draw with `reset`."""
+    """The same for a vector environment, whose copies share the values. Only `reset` draws new ones, not an automatic reset."""
 
     def __init__(self, env: gymnasium.vector.VectorEnv[Any, Any, Any], keys: Sequence[str], every: int = 1) -> None:
         super().__init__(env)
@@ -57,7 +58,7 @@ class _Drawn:
         self.generator, self.values = np.random.default_rng(), dict[str, float | int]()
 
     def next(self, seed: int | None) -> Mapping[str, float | int]:
-        """Those of the next episode; the environment is prepared for them."""
+        """Values of the next episode, for which the environment is prepared."""
         if seed is not None:
             self.generator, self.episode = np.random.default_rng(seed), 0
         if self.episode % self.every == 0:

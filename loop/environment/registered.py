@@ -1,4 +1,4 @@
-"""The shipped scenarios with one symbol as environments that Gymnasium knows by id."""
+"""The shipped scenarios with one held symbol, registered with Gymnasium."""
 
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -14,7 +14,7 @@ VECTOR: Final = "loop.environment.vector:SymbolVectorEnv"
 
 
 def register() -> tuple[str, ...]:
-    """Tell Gymnasium of `luxloop/Snowflake-v0`, `luxloop/SnowflakeGains-v0`, `luxloop/SnowflakeHeights-v0` and so on; returns all ids."""
+    """Register `luxloop/Snowflake-v0`, `luxloop/SnowflakeGains-v0`, `luxloop/SnowflakeHeights-v0` and so on; returns all ids."""
     ids = []
     for name in symbols():
         camel = "".join(part.capitalize() for part in name.split("_"))
@@ -27,7 +27,7 @@ def register() -> tuple[str, ...]:
 
 
 def symbols() -> Iterator[str]:
-    """Names of the shipped scenarios with a single symbol that a controller holds."""
+    """Names of the shipped scenarios with exactly one held symbol."""
     for name, path in shipped().items():
         functions = tomllib.loads(path.read_text("utf-8")).get("functions", {})
         if sum("controller" in each for each in functions.values()) == 1:

@@ -27,31 +27,31 @@ SEEDS = 2**63
 
 
 class SymbolEnv(gymnasium.Env[Any, Floats]):
-    """A scenario with one symbol that a controller holds; the agent takes the controller's place.
+    """A scenario with exactly one held symbol, whose controller the agent replaces.
 
     An observation is float32:
 
     | at | what | unit | sign | within |
     | --- | --- | --- | --- | --- |
-    | 0, 1 | x, y of the symbol's primitive as it is shown | m | ahead, to the left | range of the controller |
+    | 0, 1 | x, y of the symbol's primitive as shown | m | ahead, to the left | range of the controller |
     | 2, 3 | its roll, pitch | rad | right side down, nose down | range of the controller |
-    | 4, 5 | error of x, y as the camera saw it, 0 where it is lost | m | too far, too far left | 20, 10 |
-    | 6, 7 | error of roll, pitch | rad | as 2, 3 | 0.5 |
-    | 8 to 13 | why it was lost: 1 at the number of `luxloop.Loss`, 8 where it was seen | 1 | | 0 to 1 |
-    | 14 | area seen over area expected | 1 | | 0 to 4 |
+    | 4, 5 | measured error of x, y, 0 if the symbol is lost | m | too far, too far left | 20, 10 |
+    | 6, 7 | measured error of roll, pitch | rad | as 2, 3 | 0.5 |
+    | 8 to 13 | one-hot `luxloop.Loss`, at 8 if the symbol is seen | 1 | | 0 to 1 |
+    | 14 | measured area over expected area | 1 | | 0 to 4 |
     | 15, 16 | speed, yaw rate of the car | m/s, rad/s | ahead, to the left | 100, 3 |
 
-    With the action "heights" 0 to 3 are the 32 heights in m, and the rest follows. With `image` it is `{"state": such an observation,
-    "image": [h, w] uint8}`, the second the symbol cut from the camera's image, scaled. Errors are those of the newest frame that has come,
-    which a late camera took some steps ago.
+    With the action "heights", the 32 heights in m replace 0 to 3. With `image`, an observation is `{"state": the vector, "image": [h, w]
+    uint8}`; the image is the extracted symbol, cropped and scaled. Errors are those of the newest frame that has arrived; with latency it
+    was taken some steps ago.
 
-    Actions are float32 in -1..1. "moves" `[4]`: moves of x, y, roll, pitch, 1 is the controller's largest in a step. "gains" `[6]`: kp, ki,
-    kd of position, then of rotation, times 4 ** action. "heights" `[32]`: moves of the heights of the assumed road, 8 rows from far to
-    near of 4 cells from left to right, 1 is 3 cm.
+    Actions are float32 in -1..1. "moves" `[4]`: moves of x, y, roll, pitch; 1 is the controller's largest move in a step. "gains" `[6]`:
+    kp, ki, kd of position, then of rotation, are multiplied by 4 ** action. "heights" `[32]`: changes of the assumed road heights, 8 rows
+    from far to near with 4 cells from left to right; 1 is 3 cm.
 
-    The reward is that of `loop.environment.task.Reward`, its terms are in `info["terms"]`; `info["verdict"]` has all that the judge says.
-    An episode is truncated after the scenario's steps and never ends before. `reset(seed=...)` draws other noise in the same world;
-    `options={"start": [x, y, roll, pitch]}` begins elsewhere (m, rad).
+    The reward is that of `loop.environment.task.Reward`, its terms are in `info["terms"]`; `info["verdict"]` has all values of the judge.
+    An episode is truncated after the scenario's steps and never terminates before. `reset(seed=n)` draws the noise of seed n in the same
+    world; `options={"start": [x, y, roll, pitch]}` sets the start pose (m, rad).
     """
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's name)
@@ -66,9 +66,10 @@ class SymbolEnv(gymnasium.Env[Any, Floats]):
         render_mode: Literal["rgb_array", "human"] | None = None,
         device: str = "cpu",
     ) -> None:
-        """overrides: other values of the scenario's keys, as KEY=VALUE. image: rows and columns of the picture in observations.
+        """scenario: a loaded scenario, or a name or path. overrides: changes of its keys, as KEY=VALUE. action: "moves", "gains" or
+        "heights". image: rows and columns of the image in observations. render_mode: as for `make`. device: "cpu" or "cuda".
 
-        Raises LuxloopError where there is no such scenario, no symbol that a controller holds or several, or nobody who judges.
+        Raises LuxloopError if there is no such scenario, if it has not exactly one held symbol, or if its plant does not know the truth.
         """
         self.scenario = changed(load(str(scenario)) if isinstance(scenario, str | Path) else scenario, [*overrides, "judge_every=1"])
         self.render_mode, self.image, self._device, self._action = render_mode, image, device, known_action(action)
@@ -83,7 +84,7 @@ class SymbolEnv(gymnasium.Env[Any, Floats]):
         self._white: torch.Tensor | None = None
 
     def prepare(self, values: dict[str, float | int]) -> None:
-        """Go on in a world with other values of keys, of which all that stays as it was serves again; begin anew with `reset`."""
+        """Change values of the scenario's keys and prepare only what they affect; call `reset` next."""
         scenario = changed(self.scenario, [f"{key}={value!r}" for key, value in values.items()])
         prepared = Simulation.prepare(scenario, self._device, self._simulation)
         as_simulated(prepared.plant, "an environment")
@@ -129,7 +130,7 @@ class SymbolEnv(gymnasium.Env[Any, Floats]):
         return self._observed(result.symbol.measurement), float(found.reward), False, truncated, info
 
     def render(self) -> Any:
-        """The camera's view as a run's film shows it, `[height, width, 3]` uint8; black before the first step."""
+        """The camera's view as in a run's video, `[height, width, 3]` uint8, black before the first step; None with render_mode "human"."""
         if self.render_mode == "human":
             self._show()
             return None
@@ -172,14 +173,14 @@ class SymbolEnv(gymnasium.Env[Any, Floats]):
 
 
 def known_action(action: str) -> str:
-    """Raises LuxloopError for another one."""
+    """The action, if there is one of this name. Raises LuxloopError if not."""
     if action not in ACTIONS:
         raise LuxloopError(f"action: there is no {action!r}; {did_you_mean(action, ACTIONS)}")
     return action
 
 
 def start_of(options: dict[str, Any] | None, pose: torch.Tensor) -> torch.Tensor:
-    """The start pose `[..., 4]` that options give, by default another one. Raises LuxloopError where it is none."""
+    """The start pose `[..., 4]` in `options`, by default `pose`. Raises LuxloopError if it is not a pose."""
     given = (options or {}).get("start")
     if given is None:
         return pose

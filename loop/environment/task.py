@@ -1,4 +1,4 @@
-"""What one who learns gets: observations within finite bounds, and a reward from the judge."""
+"""Observations within finite bounds, and the reward computed by the judge."""
 
 from dataclasses import dataclass
 from typing import Any, Final
@@ -27,8 +27,9 @@ CENTROID_WEIGHT, ACTION_WEIGHT = 0.5, 0.01
 class Reward:
     """reward: `[...]`, the sum of the terms. terms: `[...]` each.
 
-    iou: overlap of the symbol with its target on the road, 0..1. centroid: -0.5 times the distance of their centroids, in lengths and
-    widths of the symbol, 1 at most. action: -0.01 times the mean square of the action. Where nothing is lit iou is 0 and centroid -0.5.
+    iou: overlap of the symbol with its target on the road, 0..1. centroid: -0.5 times the distance of their centroids, relative to the
+    symbol's length and width and at most 1. action: -0.01 times the mean square of the action. If nothing is lit, iou is 0 and centroid
+    -0.5.
     """
 
     reward: Tensor
@@ -36,7 +37,7 @@ class Reward:
 
 
 def reward(verdict: Verdict, action: Tensor) -> Reward:
-    """Of the light that an action `[..., n]` leads to."""
+    """Reward of an action `[..., n]`. verdict: of the judge on the light that follows it."""
     away = (verdict.centroid_percent / 100).norm(dim=-1).nan_to_num(1.0).clamp(max=1.0)
     terms = {
         "iou": verdict.iou.nan_to_num(0.0),
@@ -47,7 +48,7 @@ def reward(verdict: Verdict, action: Tensor) -> Reward:
 
 
 def bounds(acting: Acting) -> tuple[Floats, Floats]:
-    """Least and greatest values of an observation, `[n]` each."""
+    """Smallest and largest values of an observation, `[n]` each."""
     low, high = (each.cpu().tolist() for each in acting.limits)
     least = [*low, *(-each for each in ERRORS), *[0.0] * len(Loss), 0.0, 0.0, -MOTION[1]]
     most = [*high, *ERRORS, *[1.0] * len(Loss), AREA, *MOTION]
@@ -58,8 +59,8 @@ def bounds(acting: Acting) -> tuple[Floats, Floats]:
 class Look:
     """The observed part of a measurement of the newest frames.
 
-    code: `[...]` int64, a `Loss`. pose_error: `[..., 4]` m, m, rad, rad, 0 where the symbol is lost. area_ratio: `[...]`, seen to expected.
-    image: `[..., h, w]` uint8, the symbol as it was extracted, scaled; None if observations have no image.
+    code: `[...]` int64, a `Loss`. pose_error: `[..., 4]` m, m, rad, rad, 0 if the symbol is lost. area_ratio: `[...]`, measured over
+    expected. image: `[..., h, w]` uint8, the extracted symbol, scaled; None if observations have no image.
     """
 
     code: Tensor
@@ -69,7 +70,7 @@ class Look:
 
     @classmethod
     def of(cls, seen: Measurement, size: tuple[int, int] | None) -> "Look":
-        """size: rows and columns of the image."""
+        """The observed part of `seen`. size: rows and columns of the image, None for no image."""
         usable = (seen.code == Loss.SEEN) & seen.pose_error.isfinite().all(-1)
         most = seen.pose_error.new_tensor(ERRORS)
         errors = torch.where(usable[..., None], seen.pose_error, 0.0).clamp(-most, most)
@@ -78,7 +79,7 @@ class Look:
 
 
 def observation(state: Tensor, look: Look, ego: Ego | None) -> Tensor:
-    """`[..., n]`, see `SymbolEnv`. state: `[..., k]`, observed part of the state of an `Acting`."""
+    """Observation `[..., n]`, see `SymbolEnv`. state: `[..., k]`, observed part of an `Acting`'s state. ego: None for a standing car."""
     codes = torch.nn.functional.one_hot(look.code, len(Loss)).to(state)
     moving = state.new_zeros(2) if ego is None or ego.stands else torch.stack([ego.speed_m_s, ego.yaw_rate_rad_s]).to(state)
     motion = moving.clamp(state.new_tensor([0.0, -MOTION[1]]), state.new_tensor(MOTION)).expand(*state.shape[:-1], 2)
@@ -86,7 +87,7 @@ def observation(state: Tensor, look: Look, ego: Ego | None) -> Tensor:
 
 
 def as_gymnasium(vector: Tensor, look: Look) -> Any:
-    """An observation as Gymnasium has it."""
+    """An observation as NumPy arrays for Gymnasium: the vector, or a dictionary of state and image."""
     state = vector.float().cpu().numpy()
     return state if look.image is None else {"state": state, "image": look.image.cpu().numpy()}
 

@@ -31,10 +31,10 @@ Mask = npt.NDArray[np.bool_]
 
 
 class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]]):
-    """`num_envs` copies of `SymbolEnv` in one world that stands: what it says of observations, actions and rewards holds of each.
+    """`num_envs` copies of `SymbolEnv` in one standing world; observations, actions and rewards of each are those of `SymbolEnv`.
 
-    autoreset_mode: of Gymnasium; with DISABLED `reset(options={"reset_mask": [num_envs] bool})` begins some anew. `reset(seed=n)` gives the
-    k-th copy seed n + k, and takes a list of seeds. Observations of a late camera are those of the single environment.
+    autoreset_mode: of Gymnasium; with DISABLED, `reset(options={"reset_mask": [num_envs] bool})` resets some copies. `reset(seed=n)` gives
+    the k-th copy, from 0, the seed n + k; it also takes a list of seeds. Latency delays observations as in the single environment.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]])
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         device: str = "cpu",
     ) -> None:
-        """Raises LuxloopError as `SymbolEnv`, and where the scenario is none of a lone symbol in a standing world (`loop.batch.copies`)."""
+        """Parameters and errors as of `SymbolEnv`; also raises LuxloopError unless the symbol is the only function in a standing world."""
         if action == "heights":
             raise LuxloopError("action: 'heights' is drawn one by one; take luxloop.make, or moves or gains")
         self.single = SymbolEnv(scenario, overrides, action=action, image=image, device=device)
@@ -60,7 +60,7 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]])
         self.prepare({})
 
     def prepare(self, values: dict[str, float | int]) -> None:
-        """Go on in a world with other values of keys, as `SymbolEnv.prepare`; begin anew with `reset`."""
+        """Change values of the scenario's keys, as `SymbolEnv.prepare`; call `reset` next."""
         self.single.prepare(values)
         simulation = self.single.simulation
         if simulation.scenario.camera.latency_spread_steps:
@@ -132,7 +132,7 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]])
         return reward(verdict, actions), verdict
 
     def _lost(self) -> Mask:
-        """Whose frames that come in this step are lost."""
+        """Copies whose frame that would arrive in this step is lost, `[num_envs]`."""
         scenario = self.copies.simulation.scenario
         if not (scenario.camera.drop_probability or scenario.disturbances.drops):
             return np.zeros(self.num_envs, bool)
@@ -152,7 +152,7 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]])
         self._begin(which, self.acting.start(pose), self.np_random.integers(SEEDS, size=self.num_envs).tolist())
 
     def _begin(self, which: Mask, start: Any, seeds: Sequence[int]) -> None:
-        """Begin the chosen copies at their rows of a state."""
+        """Reset the chosen copies to their rows of a state."""
         chosen = torch.from_numpy(which).to(self.copies.simulation.device)
         self._state = rows(chosen, start, self._state)
         self._seeds = [new if anew else old for anew, new, old in zip(which.tolist(), seeds, self._seeds, strict=True)]
@@ -164,7 +164,7 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]])
 
 
 def _infos(found: Reward, verdict: Verdict, there: Mask) -> dict[str, Any]:
-    """Infos of the copies that went a step, in the layout of vector environments: arrays, and masks of those that have them."""
+    """Infos of the copies that took a step, in Gymnasium's layout for vector environments: arrays, and masks of these copies."""
     tables = {"terms": found.terms, "verdict": vars(verdict)}
     told = {name: {key: value.cpu().numpy() for key, value in table.items()} for name, table in tables.items()}
     masked = {name: table | {f"_{key}": there for key in table} for name, table in told.items()}
@@ -172,7 +172,7 @@ def _infos(found: Reward, verdict: Verdict, there: Mask) -> dict[str, Any]:
 
 
 def _final(observed: Any, infos: dict[str, Any], over: Mask) -> dict[str, Any]:
-    """Observations and infos of episodes that end, in which others begin."""
+    """Last observations and infos of the episodes that end in this step."""
     last = np.full(len(over), None, dtype=object)
     for k in np.flatnonzero(over):
         last[k] = {key: value[k] for key, value in observed.items()} if isinstance(observed, dict) else observed[k]

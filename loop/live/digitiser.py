@@ -1,4 +1,4 @@
-"""From a picture of the screen to the light texture of a module (T 4.3): where each texel's light falls is known from the calibration."""
+"""From a picture of the screen to the light texture of a module (T 4.3), by the geometry of the calibration."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -25,12 +25,12 @@ SATURATED: Final = 0.98  # of the largest digital number, from which on a pixel 
 
 @dataclass(frozen=True, eq=False)
 class Digitiser:
-    """Reads a camera's picture at the places where the light of the texels falls on the screen, and makes candela of it.
+    """Samples a camera's picture where the light of the texels falls on the screen, and converts it to luminous intensity.
 
-    u, v: `[rows, cols]` float32, these places in px, pixel centres at whole numbers. candela: `[rows, cols]` float32, cd of the
-    light that saturates the camera there, 0 where it does not see the screen. curve: `[levels + 1]` float32, light of a digital number as
-    a share of that. shape: height and
-    width of the picture in px. dark: light without the lamp in the part of the picture that is read, as `light` gives it, or 0.
+    u, v: `[rows, cols]` float32, these positions in px, pixel centres at integers. candela: `[rows, cols]` float32, intensity in cd that
+    saturates the camera there, 0 where the camera does not see the screen. curve: `[levels + 1]` float32, light of a digital number
+    relative to saturation. shape: height and width of the picture in px. dark: light without the lamp in the part of the picture that is
+    read, as `light` returns it, or 0.
     """
 
     u: NDArray[np.float32]
@@ -42,8 +42,8 @@ class Digitiser:
 
     @classmethod
     def of(cls, calibration: Calibration, module: str, grid: TexelGrid) -> Self:
-        """grid: of the module's light texture. Raises LuxloopError where the calibration lacks the module or its scale, or where the camera
-        sees less than half of the texels.
+        """module: its name in the calibration. grid: of its light texture. Raises LuxloopError if the calibration lacks the module or the
+        scale, or if the camera sees less than half of the texels.
         """
         if calibration.lux is None:
             raise LuxloopError("has no scale; run `luxloop rig calibrate` again with a reading of a luxmeter, --lux LUX@U,V")
@@ -64,17 +64,17 @@ class Digitiser:
 
     @property
     def seen(self) -> float:
-        """Share of the texels whose light the camera sees."""
+        """Share of the texels whose light the camera sees, 0..1."""
         return float((self.candela > 0).mean())
 
     def without(self, pictures: Picture) -> Self:
-        """The same that subtracts the light of pictures `[n, height, width]` or `[n, height, width, 3]` without the lamp."""
+        """A digitiser that also subtracts the mean light of pictures `[n, height, width]` or `[n, height, width, 3]` without the lamp."""
         return replace(self, dark=np.mean([self.light(each) for each in pictures], 0, np.float32))
 
     def light(self, picture: Picture) -> NDArray[np.float32]:
-        """Light of digital numbers in the part of the picture that is read.
+        """Linear light of digital numbers in the part of the picture that is read, relative to saturation.
 
-        Raises LuxloopError where the picture has another size or larger numbers than the calibration's camera.
+        Raises LuxloopError if the picture has another size or larger numbers than the calibration's camera.
         """
         if picture.shape[:2] != self.shape:
             raise LuxloopError(f"is of {self.shape[1]} x {self.shape[0]} px, but the camera has {picture.shape[1]} x {picture.shape[0]} px")
@@ -85,12 +85,12 @@ class Digitiser:
             raise LuxloopError(f"has the response of numbers up to {len(self.curve) - 1}, but the camera gives {part.max():.0f}") from error
 
     def saturated(self, picture: Picture) -> float:
-        """Share of the pixels of the part that is read which are saturated."""
+        """Share of saturated pixels in the part that is read, 0..1."""
         return float((picture[self._part] >= SATURATED * (len(self.curve) - 1)).mean())
 
     def texture(self, picture: Picture) -> Tensor:
-        """Light texture `[rows, cols]` in cd of a grey picture `[height, width]`, `[3, rows, cols]` in linear sRGB of a colour one
-        `[height, width, 3]` (blue, green, red). Raises as `light`.
+        """Light texture `[rows, cols]` in cd of a grey picture `[height, width]`, or `[3, rows, cols]` in linear sRGB of a colour picture
+        `[height, width, 3]` (blue, green, red). Raises LuxloopError as `light`, and if the dark pictures had another number of channels.
         """
         if isinstance(self.dark, np.ndarray) and self.dark.ndim != picture.ndim:
             raise LuxloopError(ONE_FORMAT)
@@ -109,19 +109,19 @@ class Digitiser:
 
     @cached_property
     def _maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """u and v in that part."""
+        """u and v, counted from the start of that part."""
         rows, cols = self._part
         return self.u - np.float32(cols.start), self.v - np.float32(rows.start)
 
 
 def luminous(texture: Tensor) -> Tensor:
-    """Light texture `[rows, cols]` in cd of one in linear sRGB `[3, rows, cols]`, or as it is where it has no colour."""
+    """Light texture `[rows, cols]` in cd of a colour texture `[3, rows, cols]` in linear sRGB; a grey texture is returned unchanged."""
     return texture if texture.ndim == 2 else torch.tensordot(texture.new_tensor(LUMINANCE), texture, 1)
 
 
 def _falling(geometry: Geometry, y: NDArray[np.floating], z: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Where the light of texels at tangents y `[cols]` and z `[rows]` falls on the screen, `[rows * cols, 3]` m in the camera's frame, and
-    cd for each lx there, `[rows * cols]`: `I = E d^2 / cos` (T eq. 2.1.5); 0 where it falls nowhere.
+    """Points on the screen lit by the texels at tangents y `[cols]` and z `[rows]`, `[rows * cols, 3]` m in the camera's frame, and cd per
+    lx there, `[rows * cols]`, from `I = E d^2 / cos` (T eq. 2.1.5); 0 where the light does not meet the screen.
     """
     lamp, screen = geometry.lamp, geometry.screens[0]
     zz, yy = np.meshgrid(z, y, indexing="ij")

@@ -1,4 +1,4 @@
-"""beam.png: a light texture that was digitised live, the one that is simulated for the same utilisations, and their difference."""
+"""beam.png: a digitised light texture, the simulated one for the same utilisations, and their difference."""
 
 from pathlib import Path
 from typing import Final
@@ -20,7 +20,8 @@ BRIGHT: Final = 0.998  # quantile of the textures that is shown as white, and of
 
 
 def draw_beam(file: Path, digitised: Tensor, headlight: Headlight, utilisation: Tensor) -> None:
-    """digitised: light texture `[rows, cols]` in cd, or `[3, rows, cols]` in linear sRGB. utilisation: `[n_p]`, of that headlight.
+    """Draw beam.png. digitised: light texture `[rows, cols]` in cd, or `[3, rows, cols]` in linear sRGB. headlight: simulates the texture
+    of utilisation `[n_p]`.
 
     Raises LuxloopError if the file cannot be written.
     """
@@ -46,7 +47,7 @@ def draw_beam(file: Path, digitised: Tensor, headlight: Headlight, utilisation: 
 
 
 def _shown(share: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Of light as shares of white, `[rows, cols]` or `[3, rows, cols]`."""
+    """A picture of light relative to white, `[rows, cols]` or `[3, rows, cols]`."""
     return (share if share.ndim == 2 else np.moveaxis(share, 0, -1)).clip(0, 1) ** 0.5
 
 

@@ -1,4 +1,4 @@
-"""The simulated world lit by a real lamp: each exposure is shown to it, and its beam on a screen becomes a module's light (T 4.3)."""
+"""The simulated world lit by a real lamp: the lamp shows each exposure, and its beam on a screen becomes a module's light (T 4.3)."""
 
 import math
 import time
@@ -37,12 +37,15 @@ FIRST: Final = 40  # number of the run's first exposure on the rig; the numbers 
 
 @dataclass(frozen=True, eq=False)
 class ScreenPictures(Rectifier):
-    """Pictures of a screen as they come, grey or in colour. shape: height and width in px."""
+    """Unchanged pictures of a screen, grey or in colour. shape: height and width in px."""
 
     shape: tuple[int, int] = (0, 0)
 
     def image(self, data: bytes | NDArray[np.generic]) -> NDArray[np.float32]:
-        """Codes `[height, width]`, or `[height, width, 3]` (blue, green, red). Raises WrongPicture where it has none or another size."""
+        """Codes `[height, width]`, or `[height, width, 3]` (blue, green, red), of encoded or raw data.
+
+        Raises WrongPicture if it is damaged or of another size.
+        """
         try:
             picture = decoded(data, "camera: a picture") if isinstance(data, bytes) else data
         except LuxloopError as error:
@@ -57,9 +60,10 @@ class ScreenPictures(Rectifier):
 
 @dataclass(frozen=True, eq=False)
 class LivePlant:
-    """Its state is that of the simulated world, which waits for the lamp at each exposure. An exposure whose light was not seen is lost.
+    """A plant whose simulated world waits for the lamp at each exposure. If the rig gets no frame of it, the exposure is lost.
 
-    own: the world, and which of its modules is digitised. lab: the rig, which shows that module alone. platform: gets the body's poses.
+    own: the simulated world, and which of its modules is digitised. lab: the rig, which shows this module alone. digitiser: from pictures
+    to light textures. beam: the textures. platform: gets the body's poses.
     """
 
     own: DigitisedPlant
@@ -70,15 +74,15 @@ class LivePlant:
 
     @property
     def truth(self) -> World:
-        """What is true of the simulated world, lit by what was measured."""
+        """The ground truth of the simulated world, lit by the digitised light."""
         return self.own.truth
 
     def start(self) -> tuple[UnderWay, Arrivals]:
-        """Nothing is lit, and nothing is under way."""
+        """The initial state: nothing is lit, and no frame is pending."""
         return self.own.night.start()
 
     def show(self, state: UnderWay, exposure: Exposure) -> tuple[UnderWay, Arrivals]:
-        """Show an exposure on the lamp, digitise its light, and expose a frame of the simulated world in it."""
+        """Show an exposure on the lamp, digitise its light, and expose a frame of the simulated world in this light."""
         self._move(exposure)
         light = self._light(exposure)
         (frame,) = self.lab.show(None, replace(exposure, number=FIRST + exposure.number, lights=(light,), commands=()))[1].frames
@@ -95,7 +99,7 @@ class LivePlant:
         return queue, arrivals
 
     def _light(self, exposure: Exposure) -> Utilisation:
-        """What the lamp is asked for: the simulated world turns the module, and the pixels dim it."""
+        """Utilisations for the lamp, with the module's dimming; the simulated world turns the module."""
         light, command = exposure.lights[self.own.number], exposure.commands[self.own.number] if exposure.commands else REST
         return light if command.intensity == 1 else Utilisation(command.intensity * light.u, light.band)
 
@@ -121,9 +125,9 @@ class LivePlant:
 
 @contextmanager
 def live_plant(rig: Rig, own: DigitisedPlant, calibration: Calibration, camera: CameraParams, exposures: int) -> Iterator[LivePlant]:
-    """The plant of a rig that is open. own: of the scenario. camera: the scenario's. exposures: how many it shows.
+    """The plant of an open rig. own: the scenario's plant. calibration: of the rig. camera: the scenario's. exposures: number of exposures.
 
-    Takes dark frames first. Raises LuxloopError where these do not come, or where rig, calibration and scenario do not fit together.
+    Takes dark frames first. Raises LuxloopError if they do not arrive, or if rig, calibration and scenario do not fit together.
     """
     module = own.truth.modules[own.number]
     rig.rectifier = ScreenPictures(rig.params.camera, camera, None, None, (calibration.camera.height, calibration.camera.width))
@@ -145,7 +149,7 @@ def live_plant(rig: Rig, own: DigitisedPlant, calibration: Calibration, camera: 
 
 
 def refuse_unfit(params: RigParams) -> Path:
-    """The calibration's file. Raises LuxloopError where a rig file lacks what a beam is digitised with."""
+    """The calibration's file. Raises LuxloopError if the rig file has no calibration, or has a mark."""
     if params.mark is not None:
         raise LuxloopError("mark: lies in the light that is digitised; take it out, and give light.repeats against lost packets")
     if params.calibration is None:
@@ -169,7 +173,7 @@ def _dark_frames(lab: RigPlant) -> NDArray[np.float32]:
 
 
 def _changed(queue: UnderWay, arrivals: Arrivals, number: int, **changes: Any) -> tuple[UnderWay, Arrivals]:
-    """With changes to the frame of an exposure, which is under way or has come."""
+    """The queue and the arrivals with changes to the frame of an exposure, whether pending or arrived."""
 
     def changed(frame: Frame) -> Frame:
         return replace(frame, **changes) if frame.number == number else frame

@@ -1,1 +1,1 @@
-"""A lamp and a camera of a laboratory as a plant: what a rig file says, light out, frames in, and which frame shows which light."""
+"""A real lamp and camera as a plant: the rig file, light, frames, and the rule that assigns a frame to its light."""

@@ -1,4 +1,4 @@
-"""The camera's thread: it connects, reads pictures as they come, and connects again where that fails."""
+"""The camera's thread: it connects, reads pictures, and reconnects after a failure."""
 
 import threading
 import time
@@ -25,7 +25,7 @@ CHANNELS: Final = (3, 4)
 
 @dataclass(frozen=True, eq=False)
 class CameraPicture:
-    """A picture as it came.
+    """A picture from a camera.
 
     arrived_s: when its first byte was here, by `time.monotonic`. awaited: whether the reader waited for it; one that lay in a buffer
     already may be older than it seems. data: encoded, or `[height, width]` or `[height, width, 3]` (blue, green, red) of 8 or 16 bits.
@@ -42,16 +42,16 @@ class CameraSource(Protocol):
     """One connection."""
 
     def read(self, timeout_s: float) -> CameraPicture | None:
-        """The next picture, None where none has come in that time. Raises any exception where the connection is lost."""
+        """The next picture, None if none has arrived within timeout_s. Raises any exception if the connection is lost."""
         ...
 
     def close(self) -> None: ...
 
 
 def opener(params: Cameras) -> Callable[[], CameraSource]:
-    """What connects to the camera of a rig file; it raises LuxloopError or OSError where it cannot.
+    """A function that connects to the camera of a rig file, and raises LuxloopError or OSError if it cannot.
 
-    Raises LuxloopError where a camera of one's own cannot be made.
+    Raises LuxloopError if a camera of the user's own cannot be loaded.
     """
     from loop.rig.http_camera import HttpCamera
     from loop.rig.video_camera import DeviceCamera, FolderCamera, StreamCamera
@@ -74,7 +74,7 @@ class Camera:
     """The newest pictures of a camera, read in a thread of its own."""
 
     def __init__(self, connect: Callable[[], CameraSource], timeout_s: float) -> None:
-        """timeout_s: without a picture after which the camera counts as gone, and is connected anew."""
+        """connect: opens a connection. timeout_s: time without a picture after which the camera is connected again."""
         self._connect, self._timeout_s = connect, timeout_s
         self._changed, self._pictures = threading.Condition(), deque[CameraPicture](maxlen=KEPT)
         self._open, self._source = True, cast(CameraSource | None, None)
@@ -85,37 +85,37 @@ class Camera:
 
     @property
     def alive(self) -> bool:
-        """Whether pictures come."""
+        """Whether pictures arrive."""
         return time.monotonic() - self._last_s <= self._timeout_s
 
     @property
     def reason(self) -> str:
-        """Why no pictures come, in words."""
+        """Why no pictures arrive, in words."""
         if self._source is not None or not self._failure:
             return f"camera: no picture for {self._timeout_s:g} s"
         return self._failure
 
     def next(self, until_s: float) -> CameraPicture | None:
-        """The oldest picture that nobody has taken, waited for until a time of `time.monotonic` at most; None where none comes."""
+        """The oldest picture not taken yet; waits for one up to until_s, by `time.monotonic`, and returns None if none arrives."""
         with self._changed:
             self._changed.wait_for(lambda: bool(self._pictures) or not self._open, max(until_s - time.monotonic(), 0))
             return self._pictures.popleft() if self._pictures else None
 
     def forget(self) -> int:
-        """Drop all pictures so far; how many these were."""
+        """Drop all pictures so far; returns their number."""
         with self._changed:
             dropped = len(self._pictures)
             self._pictures.clear()
         return dropped
 
     def trigger(self) -> None:
-        """Ask for a frame. Raises LuxloopError where the camera's own code fails."""
+        """Trigger a frame. Raises LuxloopError if the camera's own code fails."""
         source = self._source
         if source is not None:
             cast(Any, source).trigger()
 
     def close(self) -> None:
-        """End the thread; one that hangs in a driver is left behind, and dies with the program."""
+        """End the thread; a thread that hangs in a driver is abandoned and ends with the program."""
         with self._changed:
             self._open = False
             self._changed.notify_all()
@@ -173,7 +173,7 @@ class _Own:
 
 
 def checked_picture(given: Any) -> CameraPicture:
-    """A picture that a camera of the user's own gave. Raises LuxloopError where it is none."""
+    """The picture from a camera of the user's own. Raises LuxloopError if it is not a valid CameraPicture."""
     if not isinstance(given, CameraPicture):
         raise LuxloopError(f"{KEY}: read gives a {type(given).__name__}; return a luxloop.CameraPicture, or None where none has come")
     if not isinstance(given.arrived_s, int | float) or not -np.inf < given.arrived_s <= time.monotonic() + 1e-3:

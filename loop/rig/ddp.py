@@ -15,10 +15,10 @@ FAREWELLS = 3  # times that darkness is sent, since a packet may be lost
 
 
 class DdpLight:
-    """A lamp on the network. The time code of an exposure is its number, plus one for each time that the lamp was darkened between."""
+    """A lamp on the network. The time code of an exposure is its number plus the number of times that the lamp was darkened before."""
 
     def __init__(self, params: DdpLightParams, grids: Sequence[tuple[int, int]]) -> None:
-        """Raises LuxloopError where the host has no address."""
+        """grids: rows and columns of the modules' pixels. Raises LuxloopError if the host has no address."""
         self._params = params
         self._order = [places(params.scan, *grid) for grid in grids]
         self._pixels = sum(map(len, self._order))
@@ -36,11 +36,11 @@ class DdpLight:
 
     @property
     def timecode(self) -> int:
-        """Of what was sent last, -1 before that."""
+        """Time code of the last frame, -1 before the first."""
         return self._timecode
 
     def show(self, shine: Shine) -> str | None:
-        """Send a frame, new light as often as the rig file says. Returns why it did not leave."""
+        """Send a frame, new light `repeats` times. Returns the reason if it could not be sent, else None."""
         fresh = not self._packets or shine.number != self._number
         if fresh:
             self._number, self._timecode = shine.number, shine.number + self._darkened

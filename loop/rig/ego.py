@@ -1,4 +1,4 @@
-"""Samples of the vehicle's sensors, as they come."""
+"""Samples of the vehicle's sensors."""
 
 import socket
 import threading
@@ -25,14 +25,14 @@ class Ego(Protocol):
     """A vehicle's sensors."""
 
     def samples(self, like: Tensor) -> tuple[Sample, ...]:
-        """Those that have come since the last call, by `time.monotonic`, as tensors like another one."""
+        """Samples since the last call, with times of `time.monotonic`; tensors have the dtype and device of `like`."""
         ...
 
     def close(self) -> None: ...
 
 
 class NoEgo:
-    """A vehicle that stands."""
+    """A standing vehicle, without sensors."""
 
     def samples(self, like: Tensor) -> tuple[Sample, ...]:
         return ()
@@ -42,10 +42,10 @@ class NoEgo:
 
 
 class UdpEgo:
-    """Datagrams of JSON, received in a thread of its own. refused: datagrams that are no sample."""
+    """Samples from UDP datagrams of JSON, received in a thread of its own. refused: number of invalid datagrams."""
 
     def __init__(self, params: UdpEgoParams) -> None:
-        """Raises LuxloopError where the port cannot be had."""
+        """Raises LuxloopError if the port cannot be opened."""
         self._params, self.refused = params, 0
         self._come = deque[tuple[float, SensorDatagram]](maxlen=MOST)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -91,7 +91,7 @@ class UdpEgo:
 
 
 def open_ego(params: Egos) -> Ego:
-    """What a rig file names. Raises LuxloopError where it cannot be had."""
+    """The sensors of a rig file. Raises LuxloopError if they cannot be opened."""
     match params:
         case NoEgoParams():
             return NoEgo()

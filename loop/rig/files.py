@@ -1,4 +1,4 @@
-"""Light as files in a folder, for a player of the laboratory's own."""
+"""Light as files in a folder, for a player of the user's own."""
 
 import json
 import os
@@ -18,16 +18,16 @@ PICTURE, ABOUT = "light.png", "light.json"
 
 
 class FilesLight:
-    """Each light replaces `light.png`, and then `light.json`, which says the number and the commands; both whole or not at all."""
+    """Each light replaces `light.png`, and then `light.json` with number and commands, both atomically."""
 
     def __init__(self, params: FilesLightParams) -> None:
-        """Raises LuxloopError where there is no such folder, or it cannot be written."""
+        """Raises LuxloopError if the folder does not exist or cannot be written."""
         self._params, self._number, self._shape = params, -1, (1, 1)
         if not params.folder.is_dir() or not os.access(params.folder, os.W_OK):
             raise LuxloopError(f"light.folder: {params.folder} is no folder that can be written; make it")
 
     def show(self, shine: Shine) -> str | None:
-        """Write new light; light that stands is touched, so that a player sees that the loop is alive."""
+        """Write new light; for current light touch `light.json`, which shows that the loop is alive. Returns the reason if it fails."""
         try:
             if shine.number == self._number:
                 os.utime(self._params.folder / ABOUT)
@@ -40,7 +40,7 @@ class FilesLight:
         return None
 
     def dark(self) -> None:
-        """Write black."""
+        """Write a black picture."""
         self._number = -1
         with suppress(LuxloopError):
             self._write(codes_of(np.zeros(self._shape), self._params.bits), {"number": None, "modules": []})

@@ -1,4 +1,4 @@
-"""Pictures of a network camera: an endless HTTP answer with a JPEG or PNG a part. Sizes and times are bounded."""
+"""Pictures of a network camera: an endless HTTP response with one JPEG or PNG per part. Sizes and times are bounded."""
 
 import base64
 import select
@@ -23,7 +23,7 @@ class HttpCamera:
     """One connection."""
 
     def __init__(self, params: HttpCameraParams) -> None:
-        """Raises LuxloopError where the address is none, or nobody answers there with pictures."""
+        """Raises LuxloopError if the address is invalid, or the server does not send pictures."""
         self._url = params.url
         try:
             url = urlsplit(params.url)
@@ -45,7 +45,9 @@ class HttpCamera:
         self._parts = parts(self._stream, params.largest_bytes)
 
     def read(self, timeout_s: float) -> CameraPicture | None:
-        """Raises OSError where nothing more comes within a picture, and LuxloopError where the answer ends or is no such answer."""
+        """The next picture, None if none has arrived within timeout_s. Raises OSError if a picture stops in between, LuxloopError if the
+        response ends or is invalid.
+        """
         if not self._stream.await_part(timeout_s):
             return None
         arrived_s, awaited = self._stream.arrived_s, self._stream.awaited

@@ -1,7 +1,6 @@
-"""The judge of a rig: its own camera's bird's-eye view of the plane that the camera is calibrated to.
+"""IoU on a rig without ground truth: from its own camera's bird's-eye view of the plane that the camera is calibrated to.
 
-It sees what the camera sees, noise included, and knows nothing of the true road: where that is not the plane, a symbol that looks right
-lies elsewhere.
+It includes the camera's noise. If the road is not this plane, a symbol that looks correct to the camera lies elsewhere.
 """
 
 import math
@@ -25,7 +24,7 @@ LAST = 10  # pairs of frames
 
 @dataclass(frozen=True, eq=False)
 class CameraJudge:
-    """Of one symbol. plane: of the assumed road. goal: the symbol at its target there, as the camera would see it."""
+    """Judges one symbol. plane: of the assumed road. goal: the symbol at its target on it, as the camera would see it."""
 
     camera: CameraParams
     plane: BirdsEye
@@ -33,7 +32,7 @@ class CameraJudge:
 
     @classmethod
     def of(cls, symbol: ControlledSymbol, camera: CameraParams) -> Self:
-        """camera: the scenario's."""
+        """The judge of a held symbol. camera: the scenario's."""
         held, projector = symbol.function.held, symbol.projector
         region = region_around(held.x_m, held.y_m, held.length_m, held.width_m, CELL_M)
         flat = symbol.sensor.model.luminance(projector.light(projector.target))
@@ -41,22 +40,22 @@ class CameraJudge:
         return cls(camera, plane, target(flat, plane, held.length_m, held.width_m))
 
     def verdict(self, on: Tensor, off: Tensor) -> Verdict:
-        """on, off: frames `[height, width]` with the symbol and without it."""
+        """Verdict on frames `[height, width]` with the symbol (on) and without it (off)."""
         return judge(luminance_of(on, self.camera) - luminance_of(off, self.camera), self.plane, self.goal)
 
 
 class Judged:
-    """The last steps of a run, judged when it has ended, for that takes longer than a step should."""
+    """The last steps of a run, judged after its end, since judging would delay the steps."""
 
     def __init__(self, symbols: Mapping[str, ControlledSymbol], camera: CameraParams, mark: MarkParams | None = None) -> None:
-        """mark: in the light, which is not looked at."""
+        """symbols: held symbols by name. camera: the scenario's. mark: in the light, left out of the judgement."""
         self._mark = mark
         self._judges = {name: CameraJudge.of(each, camera) for name, each in symbols.items()}
         self._on: tuple[Exposure, Tensor] | None = None
         self._pairs = {name: deque[tuple[Tensor, Tensor]](maxlen=LAST) for name in symbols}
 
     def look(self, exposure: Exposure, image: Tensor | None) -> None:
-        """Take a frame, None where it is lost. Those of an exposure and of the next one are held against each other."""
+        """Take the frame of an exposure, None if it is lost; frames of consecutive exposures are compared."""
         before, self._on = self._on, None if image is None else (exposure, image)
         if before is None or image is None or before[0].number + 1 != exposure.number:
             return

@@ -1,4 +1,4 @@
-"""Keeps the lamp alive while the loop and the camera are, and darkens it otherwise."""
+"""The watchdog: keeps the light on while loop and camera are alive, and darkens the lamp otherwise."""
 
 import math
 import threading
@@ -14,14 +14,14 @@ CLOSE_S: Final = 2.0  # for which the end waits for a device or a thread that ha
 
 
 class Keeper:
-    """Owns a light. Its thread sends the light that stands again, as long as the loop has a beat and `fault` names none.
+    """Owns a light. Its thread sends the current light again while the loop calls `beat` and `fault` returns None.
 
-    reason: why the light that stands may not shine. darkened: how often the watchdog has darkened the lamp. interruptions: how often light
-    that stood came into doubt.
+    reason: why the current light may not be shown. darkened: how many times the watchdog has darkened the lamp. interruptions: how many
+    times current light may have been interrupted.
     """
 
     def __init__(self, light: Light, params: LightParams, loop_s: float, fault: Callable[[], str | None]) -> None:
-        """loop_s: without a beat after which the loop counts as dead. fault: why the lamp must be dark, None where it need not."""
+        """loop_s: time without a beat after which the loop counts as dead. fault: returns why the lamp must be dark, or None."""
         self._light, self._params, self._loop_s, self._fault = light, params, loop_s, fault
         self._lock, self._wake, self._open = threading.RLock(), threading.Event(), True
         self._standing: Shine | None = None
@@ -35,22 +35,22 @@ class Keeper:
 
     @property
     def since_s(self) -> float | None:
-        """Time by which all of the light that stands had left here, without a gap since; None where it may not shine, for `reason`."""
+        """Time when the current light had been sent, without a gap since; None if it may not be shown, for `reason`."""
         with self._lock:
             self._notice_gap()
             return None if self._standing is None else self._since_s
 
     @property
     def dark_since_s(self) -> float | None:
-        """Time at which the lamp was darkened, minus infinity before the first light; None while light stands."""
+        """Time when the lamp was darkened, minus infinity before the first light; None while it is lit."""
         return self._dark_s
 
     def beat(self) -> None:
-        """The loop lives."""
+        """Signal that the loop is alive."""
         self._beat_s = time.monotonic()
 
     def show(self, shine: Shine) -> str | None:
-        """Send new light. Returns why it cannot be known to shine, None where it was sent."""
+        """Send new light. Returns None if it was sent, else the reason why it may not be shown."""
         with self._lock:
             self.beat()
             reason = checked_reason(self._light.show(shine))
@@ -59,7 +59,7 @@ class Keeper:
             return reason
 
     def dark(self, reason: str) -> None:
-        """Darken, until light is shown again. reason: in words."""
+        """Darken the lamp until light is shown again. reason: in words."""
         with self._lock:
             self.reason, self._since_s = reason, None
             if self._standing is not None:
@@ -67,7 +67,7 @@ class Keeper:
                 self._standing, self._dark_s = None, time.monotonic()
 
     def close(self) -> None:
-        """Dark for good, also where a device hangs in `show`."""
+        """Darken the lamp and end, even if a device hangs in `show`."""
         self._open = False
         self._wake.set()
         held = self._lock.acquire(timeout=CLOSE_S)
@@ -89,7 +89,7 @@ class Keeper:
                     self._broken, self._since_s = str(error) or type(error).__name__, None
 
     def _watch(self) -> None:
-        """Send the light that stands again, or darken it."""
+        """Send the current light again, or darken the lamp."""
         if self._standing is None or not self._open:
             return
         silent = time.monotonic() - self._beat_s > self._loop_s
@@ -107,7 +107,7 @@ class Keeper:
             self._doubt(reason)
 
     def _notice_gap(self) -> None:
-        """Whoever takes a frame may come before the thread."""
+        """Note a gap since the last sending; a frame may be taken before the thread notices it."""
         longest_s = STILL * self._params.dark_after_s
         if self._standing is not None and self._since_s is not None and time.monotonic() - self._sent_s > longest_s:
             self._doubt(f"the lamp may have been dark: nothing was sent to it for more than {longest_s:.2g} s")

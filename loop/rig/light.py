@@ -1,4 +1,4 @@
-"""What every light of a rig is: it shows pictures of utilisations, again and again, and goes dark."""
+"""The interface of all lights of a rig: they show pictures of utilisations, and go dark."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,34 +27,34 @@ class Shine:
 
     @property
     def dimmed(self) -> tuple[Picture, ...]:
-        """The pictures with the modules' maximum intensities in them, for lamps that have no such command."""
+        """The pictures times the modules' intensities, for lamps without this command."""
         commands = self.commands or (REST,) * len(self.pictures)
         return tuple(np.float32(each.intensity) * u for each, u in zip(commands, self.pictures, strict=True))
 
     @property
     def share(self) -> float:
-        """Mean utilisation of all pixels, with the modules' maximum intensities."""
+        """Mean utilisation of all pixels, times the modules' intensities."""
         return float(sum(u.sum() for u in self.dimmed) / sum(u.size for u in self.pictures))
 
 
 class Light(Protocol):
-    """One device. `show` of the same number again means the same light, sent to say that the loop is alive."""
+    """One device. `show` with the same number again is the same light, sent to signal that the loop is alive."""
 
     def show(self, shine: Shine) -> str | None:
-        """Send light; returns once all of it has left. The reason in words where it cannot be known to shine, else None."""
+        """Send light; returns after all of it was sent: None, or the reason in words why it may not be shown."""
         ...
 
     def dark(self) -> None:
-        """No light. Never raises."""
+        """Darken the lamp. Never raises."""
         ...
 
     def close(self) -> None:
-        """Leave the device, which is dark. Never raises."""
+        """Close the device, which is dark. Never raises."""
         ...
 
 
 class NoLight:
-    """Of a dry run: nothing is lit, and no device is opened."""
+    """The light of a dry run: nothing is lit, and no device is opened."""
 
     def show(self, shine: Shine) -> str | None:
         return None
@@ -67,7 +67,7 @@ class NoLight:
 
 
 def open_light(params: Lights, grids: Sequence[tuple[int, int]]) -> Light:
-    """The device of a rig file. grids: rows and columns of the modules' pixels. Raises LuxloopError where it cannot be had."""
+    """The light of a rig file. grids: rows and columns of the modules' pixels. Raises LuxloopError if it cannot be opened."""
     from loop.rig.ddp import DdpLight
     from loop.rig.files import FilesLight
     from loop.rig.screen import ScreenLight
@@ -94,7 +94,7 @@ def places(scan: ScanParams, rows: int, columns: int) -> NDArray[np.int64]:
 
 
 def checked_reason(reason: Any) -> str | None:
-    """What `show` of a light gave. Raises LuxloopError where it is neither None nor a text."""
+    """The result of a light's `show`. Raises LuxloopError if it is neither None nor a text."""
     if reason is None or isinstance(reason, str):
         return reason
     raise LuxloopError(f"{KEY}: show gives a {type(reason).__name__}; return None where the light was sent, else the reason as a text")

@@ -1,4 +1,4 @@
-"""What a lamp may be asked for: a limit of power, and of change a second."""
+"""Limits of the light: of its power, and of its change per second."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,8 +11,8 @@ from loop.rig.params import LimitParams
 
 @dataclass(frozen=True, eq=False)
 class Limited:
-    """Light that may be shown. dimmed: the factor by which the power limit dims it. slowed: the share of the change that is made, 1 for
-    all of it.
+    """Light within the limits. dimmed: the factor by which the power limit dims it. slowed: the share of the requested change that is
+    made, 1 for all of it.
     """
 
     shine: Shine
@@ -21,15 +21,14 @@ class Limited:
 
     @property
     def whole(self) -> bool:
-        """Whether it is what was asked for."""
+        """Whether it is the requested light."""
         return self.dimmed == 1 and self.slowed == 1
 
 
 def limited(shine: Shine, before: Sequence[Picture] | None, passed_s: float, limits: LimitParams) -> Limited:
-    """Light within limits. before: pictures that stand, dimmed as modules are, None in the dark. passed_s: since they were sent.
+    """Light within limits. before: current pictures times the modules' intensities, None if dark. passed_s: time since they were sent.
 
-    Light is dimmed by one factor. A change that is too fast is made in part, from what stands towards what is asked for, so that it is
-    there after some exposures.
+    Light is dimmed by one factor. Of a change that is too fast, only a part is made, so that it is complete after some exposures.
     """
     share = shine.share
     factor = 1.0 if share <= limits.share else limits.share / share

@@ -1,4 +1,4 @@
-"""A look at a rig that stays dark: what its camera sends, and whether it fits to a scenario."""
+"""Check of a dark rig: the pictures of its camera, and whether they fit a scenario."""
 
 import time
 from typing import Any, Final
@@ -13,7 +13,7 @@ LOOK_S: Final = 3.0
 
 
 def look(rig: Rig, seconds: float = LOOK_S) -> dict[str, Any]:
-    """What comes from a rig's camera in some seconds. Raises LuxloopError where no picture comes."""
+    """Rate, sizes and brightness of the camera's pictures in some seconds. Raises LuxloopError if fewer than two arrive."""
     if not await_camera(rig):
         raise LuxloopError(rig.camera.reason)
     rig.camera.forget()

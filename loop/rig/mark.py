@@ -1,6 +1,6 @@
-"""A mark in the light that says which of four exposures a frame shows: two bits of a Gray code, each a cell beside its opposite.
+"""A mark in the light that identifies one of four exposures: two bits of a Gray code, each a cell beside its complement.
 
-The light may come in the midst of the first picture that shows its mark, so it is the second one that counts.
+The light may change during the first picture that shows its mark, so the second one is used.
 """
 
 import math
@@ -19,7 +19,7 @@ AROUND = 0.5  # of the mark's width and height, by which its light may reach bey
 
 
 def drawn(pictures: Sequence[Picture], mark: MarkParams, number: int) -> tuple[Picture, ...]:
-    """Pictures with the mark of an exposure in them."""
+    """Pictures of utilisations with the mark of an exposure drawn into them. number: of the exposure."""
     marked = list(pictures)
     picture = marked[mark.module].copy()
     width = mark.columns // 4
@@ -31,16 +31,16 @@ def drawn(pictures: Sequence[Picture], mark: MarkParams, number: int) -> tuple[P
 
 
 def cells(number: int) -> tuple[bool, bool, bool, bool]:
-    """Which cells are lit, from the left. Of one exposure and the next, one pair of cells changes and the other does not."""
+    """Which cells are lit, from the left. From one exposure to the next, exactly one pair of cells changes."""
     gray = (number % CODES) ^ (number % CODES >> 1)
     high, low = bool(gray & 2), bool(gray & 1)
     return high, not high, low, not low
 
 
 def spared(limits: LimitParams, mark: MarkParams, grids: Sequence[tuple[int, int]]) -> LimitParams:
-    """Limits of the light beside a mark, half of whose cells are always lit. grids: rows and columns of the modules' pixels.
+    """Limits of the light outside the mark, half of whose cells are always lit. grids: rows and columns of the modules' pixels.
 
-    Raises LuxloopError where the mark alone takes all power.
+    Raises LuxloopError if the mark alone needs all the power.
     """
     share = 2 * (mark.columns // 4) * mark.rows / sum(rows * columns for rows, columns in grids)
     if share >= limits.share:
@@ -49,7 +49,7 @@ def spared(limits: LimitParams, mark: MarkParams, grids: Sequence[tuple[int, int
 
 
 def shown(image: NDArray[np.float32], mark: MarkParams) -> int | None:
-    """Which exposure modulo 4 an image `[height, width]` shows; None where that is in doubt."""
+    """Number modulo 4 of the exposure that an image `[height, width]` shows; None if the contrast is too low."""
     levels = [_level(image, mark, cell) for cell in range(4)]
     bits = []
     for a, b in ((levels[0], levels[1]), (levels[2], levels[3])):
@@ -60,7 +60,7 @@ def shown(image: NDArray[np.float32], mark: MarkParams) -> int | None:
 
 
 def surroundings(mark: MarkParams) -> tuple[slice, slice]:
-    """Rows and columns of an image that a mark's light may reach."""
+    """Rows and columns of the image that a mark's light may reach."""
     sides = (mark.v_px, mark.height_px), (mark.u_px, mark.width_px)
     rows, columns = (slice(max(int(at - AROUND * n), 0), int(at + (1 + AROUND) * n) + 1) for at, n in sides)
     return rows, columns

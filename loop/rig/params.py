@@ -20,18 +20,26 @@ EXAMPLE: Final = "docs/rig.md has a complete file"
 class ScanParams(Params):
     """Order in which pixels lie on the wire or on the screen."""
 
-    columns_first: bool = Field(False, description="whether pixels follow each other down a column, not along a row")
+    columns_first: bool = Field(False, description="whether pixels are ordered column by column, not row by row")
     from_right: bool = Field(False, description="whether rows begin at the right")
     from_bottom: bool = Field(False, description="whether columns begin at the bottom")
     serpentine: bool = Field(False, description="whether every second row, or column, runs backwards")
 
 
 class LightParams(Params):
-    """What all lights have."""
+    """Keys of all lights."""
 
     gamma: float = Field(1.0, ge=0.2, le=5, description="a code is the 1/gamma-th power of a utilisation; 1 is a linear lamp")
-    keep_alive_s: float = Field(0.03, ge=0.005, le=1, description="time between two sendings of the light that stands")
-    dark_after_s: float = Field(0.1, ge=0.02, le=60, description="time without light from here after which the lamp darkens by itself")
+    keep_alive_s: float = Field(0.03, ge=0.005, le=1, description="time after which the current light is sent again")
+    dark_after_s: float = Field(0.1, ge=0.02, le=60, description="time-out of the lamp: time without data after which it darkens by itself")
+
+    @model_validator(mode="after")
+    def _alive(self) -> Self:
+        if self.keep_alive_s > self.dark_after_s / 2:
+            raise ValueError(
+                f"keep_alive_s: {self.keep_alive_s:g} s is more than half of dark_after_s, {self.dark_after_s:g} s; the lamp would flicker"
+            )
+        return self
 
 
 class DdpLightParams(LightParams):
@@ -41,13 +49,9 @@ class DdpLightParams(LightParams):
     host: Host = Field(examples=["192.168.1.20"], description="name or address of the lamp")
     port: Port = Field(4048, description="UDP port")
     bits: Literal[8, 16] = Field(8, description="bits of a code")
-    repeats: int = Field(1, ge=1, le=8, description="how often new light is sent at once, against lost packets")
+    repeats: int = Field(1, ge=1, le=8, description="how many times new light is sent at once, against lost packets")
     commands: bool = Field(True, description="whether orientation and maximum intensity of the modules are sent")
     scan: ScanParams = Field(ScanParams(), description="order of the pixels")
-
-    @model_validator(mode="after")
-    def _alive(self) -> Self:
-        return _refuse_gaps(self)
 
 
 class ScreenLightParams(LightParams):
@@ -58,13 +62,9 @@ class ScreenLightParams(LightParams):
     port: Annotated[int, Field(ge=0, le=65535)] = Field(8766, description="port to listen on, 0 for a free one")
     scan: ScanParams = Field(ScanParams(), description="how the picture is mirrored")
 
-    @model_validator(mode="after")
-    def _alive(self) -> Self:
-        return _refuse_gaps(self)
-
 
 class FilesLightParams(LightParams):
-    """A folder of PNG files for a laboratory's own player."""
+    """A folder of PNG files for a player of the user's own."""
 
     kind: Literal["files"]
     folder: Path = Field(examples=["light"], description="folder that gets light.png, and light.json with its number and commands")
@@ -95,42 +95,44 @@ class CropParams(Params):
 
 
 class CameraSourceParams(Params):
-    """What all cameras have."""
+    """Keys of all cameras."""
 
     timeout_s: float = Field(
-        1.0, gt=0, le=60, description="time without a frame after which the camera counts as gone, and the lamp darkens"
+        1.0, gt=0, le=60, description="time without a picture after which the lamp is darkened and the camera connected again"
     )
-    crop: CropParams | None = Field(None, description="part of the rectified picture that is the scenario's image; left out: all of it")
-    bits: int | None = Field(None, ge=8, le=16, description="bits of a digital number; left out: those of the file, 8 or 16")
+    crop: CropParams | None = Field(
+        None, description="part of the picture that is the scenario's image, only without a calibration; left out: all of it"
+    )
+    bits: int | None = Field(None, ge=8, le=16, description="bits of a digital number; left out: those of the picture, 8 or 16")
 
 
 class HttpCameraParams(CameraSourceParams):
     """A network camera that serves JPEG or PNG pictures, one after another in one answer (MJPEG)."""
 
     kind: Literal["http"]
-    url: str = Field(pattern="^http://", examples=["http://192.168.1.21:8080/camera"], description="its address")
-    largest_bytes: int = Field(16_000_000, ge=1000, le=200_000_000, description="bytes of a picture at most")
+    url: str = Field(pattern="^http://", examples=["http://192.168.1.21:8080/camera"], description="address of the camera")
+    largest_bytes: int = Field(16_000_000, ge=1000, le=200_000_000, description="largest size of a picture in bytes")
 
 
 class DeviceCameraParams(CameraSourceParams):
     """A V4L2 device, by OpenCV."""
 
     kind: Literal["device"]
-    device: str = Field("/dev/video0", description="its file")
-    width_px: int = Field(640, ge=16, le=8192, description="columns to ask for")
-    height_px: int = Field(480, ge=16, le=8192, description="rows to ask for")
-    rate_hz: float = Field(30.0, gt=0, le=1000, description="frames a second to ask for")
+    device: str = Field("/dev/video0", description="device file")
+    width_px: int = Field(640, ge=16, le=8192, description="columns to request")
+    height_px: int = Field(480, ge=16, le=8192, description="rows to request")
+    rate_hz: float = Field(30.0, gt=0, le=1000, description="frame rate to request")
     exposure: float | None = Field(
-        None, description="exposure to lock, in the driver's unit (100 us with most webcams); left out: as it is"
+        None, description="exposure to lock, in the driver's unit (100 us with most webcams); left out: unchanged"
     )
-    gain: float | None = Field(None, description="gain to lock, in the driver's unit; left out: as it is")
+    gain: float | None = Field(None, description="gain to lock, in the driver's unit; left out: unchanged")
 
 
 class StreamCameraParams(CameraSourceParams):
     """An RTSP or other video stream, by PyAV."""
 
     kind: Literal["stream"]
-    url: str = Field(min_length=1, examples=["rtsp://192.168.1.21/live"], description="its address")
+    url: str = Field(min_length=1, examples=["rtsp://192.168.1.21/live"], description="address of the stream")
     options: dict[str, str] = Field(
         {"rtsp_transport": "tcp", "fflags": "nobuffer", "flags": "low_delay"}, description="options of FFmpeg's demuxer"
     )
@@ -148,7 +150,7 @@ class OwnCameraParams(CameraSourceParams):
 
     kind: OwnName
     options: dict[str, Any] = Field({}, description="keyword arguments of Name")
-    triggered: bool = Field(False, description="whether each frame is asked for, with the method trigger")
+    triggered: bool = Field(False, description="whether each frame is triggered, by the method trigger")
 
 
 Cameras = Annotated[
@@ -187,13 +189,15 @@ Egos = Annotated[
 
 
 class LimitParams(Params):
-    """What the lamp may be asked for, whatever the loop wants."""
+    """Limits of all light that the lamp gets."""
 
-    power: float = Field(1.0, gt=0, le=1, description="mean utilisation of all pixels at most; more is dimmed")
-    power_w: float | None = Field(None, gt=0, le=1e6, description="power in W at most; needs full_w")
-    full_w: float | None = Field(None, gt=0, le=1e6, description="power in W of all pixels on")
-    change_per_s: float = Field(1000.0, gt=0, le=1e6, description="change of the mean utilisation a second at most; faster is slowed down")
-    loop_s: float = Field(1.0, ge=0.1, le=60, description="time without a word from the loop after which the lamp darkens")
+    power: float = Field(1.0, gt=0, le=1, description="largest mean utilisation of all pixels; light above it is dimmed")
+    power_w: float | None = Field(None, gt=0, le=1e6, description="largest power in W; needs full_w")
+    full_w: float | None = Field(None, gt=0, le=1e6, description="power in W with all pixels on")
+    change_per_s: float = Field(
+        1000.0, gt=0, le=1e6, description="largest change of the mean utilisation per second; faster changes are made in steps"
+    )
+    loop_s: float = Field(1.0, ge=0.1, le=60, description="time without a call of the loop after which the lamp is darkened")
 
     @model_validator(mode="after")
     def _both(self) -> Self:
@@ -203,7 +207,7 @@ class LimitParams(Params):
 
     @property
     def share(self) -> float:
-        """Mean utilisation at most."""
+        """Largest mean utilisation, by both limits."""
         return self.power if self.power_w is None or self.full_w is None else min(self.power, self.power_w / self.full_w)
 
 
@@ -236,26 +240,24 @@ class TimingParams(Params):
 class MarkParams(Params):
     """Four cells of light side by side that say which of four exposures a frame shows."""
 
-    module: int = Field(0, ge=0, le=1000, description="number of the module that draws them")
-    row: int = Field(0, ge=0, le=100_000, description="their first row of pixels")
-    column: int = Field(0, ge=0, le=100_000, description="their first column of pixels")
-    rows: Count = Field(16, description="their height in pixels")
-    columns: Count = Field(64, description="width of all four together in pixels")
+    module: int = Field(0, ge=0, le=1000, description="number of the module that shows the mark")
+    row: int = Field(0, ge=0, le=100_000, description="first row of pixels")
+    column: int = Field(0, ge=0, le=100_000, description="first column of pixels")
+    rows: Count = Field(16, description="height in pixels")
+    columns: Count = Field(64, description="width of all four cells in pixels")
     u_px: float = Field(ge=0, le=8192, description="left border in the scenario's image", examples=[10])
     v_px: float = Field(ge=0, le=8192, description="upper border in the scenario's image", examples=[10])
-    width_px: float = Field(gt=0, le=8192, description="width of all four together in the image", examples=[80])
-    height_px: float = Field(gt=0, le=8192, description="their height in the image", examples=[20])
+    width_px: float = Field(gt=0, le=8192, description="width of all four cells in the image", examples=[80])
+    height_px: float = Field(gt=0, le=8192, description="height in the image", examples=[20])
     contrast: float = Field(
-        0.2, gt=0, lt=1, description="least difference of a bright cell and a dark one by their sum; with less a frame is lost"
+        0.2, gt=0, lt=1, description="smallest contrast of a bright and a dark cell, difference over sum; below it the frame is lost"
     )
 
 
 class RigCalibrationParams(Params):
-    """What `luxloop rig calibrate` has found."""
+    """The result of `luxloop rig calibrate`."""
 
-    file: Path = Field(
-        examples=["rig.npz"], description="its file, from which the camera's pictures are rectified, and beams are digitised"
-    )
+    file: Path = Field(examples=["rig.npz"], description="file by which the camera's pictures are rectified and beams digitised")
 
 
 class PlatformParams(Params):
@@ -271,15 +273,15 @@ class RigParams(Params):
     light: Lights = Field(description="the lamp")
     camera: Cameras = Field(description="the camera")
     ego: Egos = Field(NoEgoParams(), description="the vehicle's sensors")
-    limits: LimitParams = Field(LimitParams(), description="limits")
-    timing: TimingParams = Field(TimingParams(), description="from light to frame")
+    limits: LimitParams = Field(LimitParams(), description="limits of the light")
+    timing: TimingParams = Field(TimingParams(), description="times from light to frame")
     mark: MarkParams | None = Field(None, description="a mark in the light that says which exposure a frame shows")
     calibration: RigCalibrationParams | None = Field(None, description="the camera's calibration")
     platform: PlatformParams | None = Field(None, description="a motion platform")
 
     @property
     def triggered(self) -> bool:
-        """Whether each frame of the camera is asked for."""
+        """Whether each frame of the camera is triggered."""
         return isinstance(self.camera, OwnCameraParams) and self.camera.triggered
 
 
@@ -297,7 +299,7 @@ def load_rig(file: Path, *, allow_code: bool = False) -> RigParams:
 
 
 def _beside(data: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """With paths and modules relative to the file's folder."""
+    """The tables with paths and modules resolved from the file's folder."""
     found: dict[str, Any] = {}
     for table, keys in data.items():
         if not isinstance(keys, dict):
@@ -310,15 +312,6 @@ def _beside(data: dict[str, Any], folder: Path) -> dict[str, Any]:
             elif key == "kind" and isinstance(value, str):
                 found[table][key] = beside(value, folder)
     return found
-
-
-def _refuse_gaps(light: Any) -> Any:
-    """Raises ValueError where the lamp would darken between two sendings."""
-    if light.keep_alive_s > light.dark_after_s / 2:
-        raise ValueError(
-            f"keep_alive_s: {light.keep_alive_s:g} s is more than half of dark_after_s, {light.dark_after_s:g} s; the lamp would flicker"
-        )
-    return light
 
 
 def refuse_module(mark: MarkParams, grids: Collection[tuple[int, int]]) -> None:

@@ -1,4 +1,4 @@
-"""The rig as a plant of the loop: exposures become light, and pictures that surely show it become their frames."""
+"""The rig as a plant of the loop: it shows exposures, and assigns pictures to them."""
 
 import math
 import time
@@ -20,10 +20,10 @@ from loop.rig.rig import Rig
 
 @dataclass(frozen=True, eq=False)
 class RigPlant:
-    """Shows light on a rig. Its state is nothing: a laboratory cannot go back. It does not know the truth.
+    """Shows light on a rig. It has no state, since hardware cannot return to an earlier one, and does not know the truth.
 
-    Its clock is `time.monotonic`. grids: rows and columns of the modules' pixels. like: in whose dtype and on whose device frames are.
-    last: number of the exposure after which it is dark. look: gets each exposure with its image, None where that is lost.
+    Its clock is `time.monotonic`. grids: rows and columns of the modules' pixels. like: gives dtype and device of frames. last: number of
+    the exposure after which the lamp is dark. look: gets each exposure with its image, None if it is lost.
     """
 
     rig: Rig
@@ -34,15 +34,15 @@ class RigPlant:
 
     @classmethod
     def of(cls, rig: Rig, modules: Sequence[LampModule], exposures: int) -> "RigPlant":
-        """modules: of the scenario's lamps. exposures: how many it shows."""
+        """The plant of an open rig. modules: of the scenario's lamps. exposures: number of exposures of the run."""
         return cls(rig, grids_of(modules), modules[0].headlight.matrix.values, exposures - 1)
 
     def start(self) -> tuple[None, Arrivals]:
-        """Nothing is lit."""
+        """The initial state: nothing is lit."""
         return None, Arrivals(time.monotonic(), samples=self.rig.ego.samples(self.like))
 
     def show(self, state: None, exposure: Exposure) -> tuple[None, Arrivals]:
-        """Show an exposure until a frame has come that shows nothing else, or until that is lost; at least as long as it asks for."""
+        """Show an exposure, at least for its duration, until a frame of its light alone has arrived or counts as lost."""
         pictures = tuple(_picture(light, grid) for light, grid in zip(exposure.lights, self.grids, strict=True))
         given, taken = self.rig.expose(Shine(exposure.number, pictures, exposure.commands), exposure.duration_s)
         if taken.image is None:
@@ -66,7 +66,7 @@ class RigPlant:
 
 
 def grids_of(modules: Sequence[Any]) -> tuple[tuple[int, int], ...]:
-    """Rows and columns of the pixels of modules, each with its headlight."""
+    """Rows and columns of the pixels of each module."""
     return tuple((each.headlight.pixel_rows, each.headlight.pixel_cols) for each in modules)
 
 

@@ -1,4 +1,4 @@
-"""From a camera's picture to the scenario's image: decoded, grey, straightened by the calibration, cut, and in the scenario's numbers."""
+"""From a camera's picture to the scenario's image: decode, convert to grey, rectify or crop, and scale to its digital numbers."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,15 +20,15 @@ AGAIN: Final = "run `luxloop rig calibrate` again"
 
 
 class WrongPicture(LuxloopError):
-    """A picture that cannot be a frame of this camera."""
+    """A picture that cannot be a frame of the scenario's camera."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """What straightens a camera's pictures.
+    """The lens of a calibration, by which pictures are rectified.
 
-    size: width and height of them in px. matrix: `[3, 3]`, and distortion: `[n]`, as OpenCV has them. response: share of the saturation
-    by code `[2^bits]`, None for a linear camera.
+    size: width and height of the pictures in px. matrix: `[3, 3]`, and distortion: `[n]`, as OpenCV has them. response: share of the
+    saturation by code `[2^bits]`, None for a linear camera.
     """
 
     size: tuple[int, int]
@@ -50,7 +50,7 @@ class Rectifier:
 
     @classmethod
     def of(cls, rig: RigParams, camera: CameraParams) -> "Rectifier":
-        """camera: the scenario's. Raises LuxloopError where the calibration's file cannot be read, or does not fit."""
+        """camera: the scenario's. Raises LuxloopError if the calibration's file cannot be read, or `crop` does not fit."""
         lens = None if rig.calibration is None else load_lens(rig.calibration.file)
         size = camera.width_px, camera.height_px
         if lens is None:
@@ -69,7 +69,7 @@ class Rectifier:
         return cls(rig.camera, camera, lens, (maps[0], maps[1]))
 
     def image(self, data: bytes | NDArray[np.generic]) -> NDArray[np.float32]:
-        """The scenario's image `[height, width]` in its digital numbers. Raises WrongPicture with the reason where it is none."""
+        """The scenario's image `[height, width]` in its digital numbers. Raises WrongPicture with the reason if there is none."""
         picture = grey(data)
         height, width = picture.shape
         wanted = (self.camera.width_px, self.camera.height_px)
@@ -89,7 +89,7 @@ class Rectifier:
         return np.clip(np.rint(share * np.float32(levels)), 0, levels).astype(np.float32)
 
     def _linear(self, picture: NDArray[np.generic], bits: int) -> NDArray[np.float32]:
-        """Codes as shares of the largest, coded as the scenario's camera codes them where the calibration knows the response."""
+        """Codes as shares of the largest; with a calibrated response, converted to the response of the scenario's camera."""
         response = None if self.lens is None else self.lens.response
         if response is None:
             return np.minimum(picture.astype(np.float32) / np.float32(2**bits - 1), 1)
@@ -100,7 +100,7 @@ class Rectifier:
 
 
 def grey(data: bytes | NDArray[np.generic]) -> NDArray[np.generic]:
-    """Codes `[height, width]` of a picture. Raises WrongPicture where it is none, or too large."""
+    """Grey codes `[height, width]` of an encoded or raw picture. Raises WrongPicture if it is damaged or too large."""
     if isinstance(data, bytes):
         try:
             picture = decoded(data, "camera: a picture", GREY)
@@ -116,7 +116,7 @@ def grey(data: bytes | NDArray[np.generic]) -> NDArray[np.generic]:
 
 def load_lens(file: Path) -> Lens:
     """The camera of a calibration's file: `size_px` `[2]`, `camera_matrix` `[3, 3]`, `distortion` `[n]`, and `response` `[2^bits]` if it
-    was measured. Raises LuxloopError where it cannot be read.
+    was measured. Raises LuxloopError if the file cannot be read.
     """
     with reading(file, "no calibration of a rig", AGAIN):
         arrays = read_npz(regular(file))

@@ -1,4 +1,4 @@
-"""A rig that is open: lamp, camera and sensors, and one way to show light and get a frame of it."""
+"""An open rig: lamp, camera and sensors; it shows light and returns a frame of it."""
 
 import math
 import time
@@ -27,9 +27,9 @@ BEAT_S = 0.05  # between two beats at most, half of the least limits.loop_s
 
 @dataclass(frozen=True)
 class Taken:
-    """A frame, or why it is lost. sent_s, arrived_s: by `time.monotonic`, of the light and of the frame. image: `[height, width]`.
+    """A frame, or the reason why it is lost. sent_s, arrived_s: times of the light and of the frame, by `time.monotonic`.
 
-    data: the picture as it came.
+    image: `[height, width]`, None if lost. data: the picture as it arrived.
     """
 
     sent_s: float
@@ -41,9 +41,9 @@ class Taken:
 
 @dataclass
 class Rig:
-    """An open rig. armed: whether the lamp is lit; else it is a dry run. light: the device, for tests and for what it has to tell.
+    """An open rig. armed: whether the lamp is lit; otherwise it is a dry run. light: the device, for tests and messages.
 
-    limits: of the light beside the mark.
+    limits: of the light outside the mark.
     """
 
     params: RigParams
@@ -60,7 +60,7 @@ class Rig:
     _marked: int = -1  # number of the newest exposure whose mark was seen
 
     def expose(self, shine: Shine, least_s: float) -> tuple[Limited, Taken]:
-        """Show light for `least_s` at least, until a frame has come that shows nothing else, or until it counts as lost."""
+        """Show light for at least `least_s`, until a frame of this light alone has arrived or counts as lost."""
         self.statistics.exposures += 1
         began_s = time.monotonic()
         self.statistics.began_s = self.statistics.began_s or began_s
@@ -80,7 +80,7 @@ class Rig:
         return given, taken
 
     def limited(self, shine: Shine, now_s: float) -> Limited:
-        """Light within limits, since what stands now, or since the lamp was darkened."""
+        """Light within the limits, given the current light, or the time since the lamp was darkened."""
         dark_s = self.keeper.dark_since_s
         before, changed_s = (self._stands, self._changed_s) if dark_s is None else (None, dark_s)
         given = limited(shine, before, now_s - changed_s, self.limits)
@@ -89,13 +89,13 @@ class Rig:
         return given
 
     def show(self, shine: Shine) -> None:
-        """Show light that is within limits, and the mark in it."""
+        """Show light that is within the limits, with the mark."""
         self._stands, self._changed_s = shine.dimmed, time.monotonic()
         marked = shine.pictures if self.params.mark is None else mark.drawn(shine.pictures, self.params.mark, shine.number)
         self.keeper.show(Shine(shine.number, marked, shine.commands))
 
     def dark(self, reason: str) -> None:
-        """No light until some is shown again."""
+        """Darken the lamp until light is shown again. reason: in words."""
         self.keeper.dark(reason)
 
     def _hold(self, until_s: float) -> None:
@@ -113,7 +113,7 @@ class Rig:
         return Taken(sent_s, np.nan, None, reason)
 
     def _frame(self, number: int, began_s: float) -> Taken:
-        """The first frame that shows nothing but the light that stands."""
+        """The first frame of the current light alone, or the reason why there is none."""
         timing, statistics = self.params.timing, self.statistics
         until_s = began_s + timing.wait_s
         last = "no picture came"
@@ -141,7 +141,7 @@ class Rig:
         return self._lost(number, began_s, f"{last} in {timing.wait_s:g} s" if self.camera.alive else self.camera.reason)
 
     def _refused(self, picture: CameraPicture, since_s: float) -> str | None:
-        """Why a picture may not be of light that stands since a time: old, mixed, or late, which lay in a buffer for an unknown time."""
+        """Why a picture may not show only the light sent at since_s: "old", "mixed", or "late" if it lay in a buffer; else None."""
         lag_s = picture.arrived_s - since_s
         if self.params.triggered:  # which has no rhythm
             return None if lag_s > self.params.timing.clear_s else "old"
@@ -149,7 +149,7 @@ class Rig:
         return verdict if verdict != "clear" else None if picture.awaited else "late"
 
     def _looked_at(self, picture: CameraPicture, number: int, since_s: float) -> Taken | str:
-        """The frame, or why it is none."""
+        """The frame of a picture, or the reason why it cannot be used."""
         try:
             image = np.zeros((1, 1), np.float32) if self.rectifier is None else self.rectifier.image(picture.data)
         except WrongPicture as error:
@@ -172,10 +172,10 @@ class Rig:
 
 @contextmanager
 def opened(params: RigParams, grids: Sequence[tuple[int, int]], camera: CameraParams | None, *, armed: bool) -> Iterator[Rig]:
-    """Open a rig, and leave it dark at the end, however that comes.
+    """Open a rig, and darken it at the end in any case.
 
-    grids: rows and columns of the modules' pixels. camera: the scenario's, None where images are not looked at. armed: whether the lamp
-    is lit. Raises LuxloopError where a device cannot be had.
+    grids: rows and columns of the modules' pixels. camera: the scenario's, None if images are not needed. armed: whether the lamp is lit.
+    Raises LuxloopError if a device cannot be opened.
     """
     limits = params.limits
     if params.mark is not None:
@@ -194,7 +194,7 @@ def opened(params: RigParams, grids: Sequence[tuple[int, int]], camera: CameraPa
 
 
 def await_camera(rig: Rig, seconds: float = CAMERA_S) -> bool:
-    """Wait for the camera's first pictures, until its rhythm is known; whether some have come."""
+    """Wait for the camera's first pictures, until its period is known; returns whether pictures arrive."""
     until_s = time.monotonic() + seconds
     while time.monotonic() < until_s:
         if rig.params.triggered:

@@ -1,4 +1,4 @@
-"""Light on a second display or a projector: a page that draws the pixels one to one, and says when it has."""
+"""Light on a second display or a projector: a page that draws the pixels one to one and confirms each frame."""
 
 import asyncio
 import json
@@ -32,10 +32,10 @@ CONFIRMED_S: Final = 0.5  # in which a page has to say that it shows a frame
 
 
 class ScreenLight:
-    """Serves the page. One page shows the light: the newest that has connected. A frame is shown once the page has said so."""
+    """Serves the page. The page that has connected last shows the light; a frame counts as shown once this page has confirmed it."""
 
     def __init__(self, params: ScreenLightParams, grids: Sequence[tuple[int, int]]) -> None:
-        """Listen, in a thread of its own. Raises LuxloopError where the port cannot be had."""
+        """Listen in a thread. grids: rows and columns of the modules' pixels. Raises LuxloopError if the port cannot be opened."""
         self._params = params
         self._order = [places(params.scan.model_copy(update={"columns_first": False}), *grid) for grid in grids]
         self._changed = threading.Condition()
@@ -52,11 +52,11 @@ class ScreenLight:
 
     @property
     def connected(self) -> bool:
-        """Whether a page is there."""
+        """Whether a page is connected."""
         return self._page is not None
 
     def await_page(self, ask: Callable[[str], None], seconds: float = 600.0) -> None:
-        """Wait until a page is there; ask: is told the address that somebody has to open. Raises LuxloopError where none comes."""
+        """Wait until a page is connected. ask: called with the address to open. Raises LuxloopError if none connects in time."""
         if not self.connected:
             ask(f"http://{self._params.host}:{self.port}/")
         with self._changed:
@@ -65,11 +65,11 @@ class ScreenLight:
 
     @property
     def answer(self) -> dict[str, Any]:
-        """What the page said of the newest frame: its number, and drawn_ms and presented_ms by the page's clock, now_ms when it said so."""
+        """The page's confirmation of the newest frame: its number, and drawn_ms, presented_ms and now_ms by the page's clock."""
         return self._answer
 
     def show(self, shine: Shine) -> str | None:
-        """Send new light and wait until the page has shown it; light that stands is not sent again, only word that the loop is alive."""
+        """Send new light and wait until the page has shown it; for current light only signal that the loop is alive."""
         page = self._page
         if page is None:
             return f"light: no page shows it; open http://{self._params.host}:{self.port}/ on the projector"
@@ -99,7 +99,7 @@ class ScreenLight:
             self._send(self._page, '{"dark": true}')
 
     def close(self) -> None:
-        """Close the page's connection, upon which it is dark, and stop to listen."""
+        """Close the page's connection, which darkens the page, and stop listening."""
         with suppress(RuntimeError):
             self._loop.call_soon_threadsafe(self._stop.set)
         self._thread.join(2)

@@ -1,4 +1,4 @@
-"""What a rig run was like: how late frames came, which were taken, which were lost and why, and the control rate that came of it."""
+"""Statistics of a run on a rig: delay of frames, used and lost pictures with reasons, and the control rate."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ MOST_LOSSES: Final = 1000  # of which the number of the exposure is kept
 
 @dataclass
 class Lateness:
-    """Times in a histogram, whose memory does not grow."""
+    """Times in a histogram of constant memory."""
 
     counts: "np.ndarray" = field(default_factory=lambda: np.zeros(BINS, np.int64))
     worst_s: float = 0.0
@@ -23,7 +23,7 @@ class Lateness:
         self.worst_s = max(self.worst_s, time_s)
 
     def quantile_s(self, share: float) -> float | None:
-        """None where there is none."""
+        """Quantile in s, None without any times. share: 0..1."""
         total = int(self.counts.sum())
         if not total:
             return None
@@ -32,15 +32,15 @@ class Lateness:
 
     @property
     def in_ms(self) -> dict[str, float | None]:
-        """Median, 95 % and worst."""
+        """Median, 95 % quantile and worst in ms."""
         values = {"median": self.quantile_s(0.5), "p95": self.quantile_s(0.95), "worst": self.worst_s if self.counts.any() else None}
         return {name: None if value is None else round(1e3 * value, 2) for name, value in values.items()}
 
 
 @dataclass
 class Statistics:
-    """Of a run so far. lateness: from light that was sent to the frame that was taken for it. hold: of an exposure, from its begin to the
-    arrival of its frame. seen: pictures by what was made of them.
+    """Statistics of a run so far. lateness: from sending light to the arrival of its frame. hold: from the start of an exposure to its
+    end. seen: number of pictures by their use.
     """
 
     lateness: Lateness = field(default_factory=Lateness)
@@ -60,7 +60,7 @@ class Statistics:
             self.losses.append((number, reason))
 
     def summary(self, per_step: int) -> dict[str, Any]:
-        """per_step: exposures a control step."""
+        """The statistics as plain data. per_step: exposures per control step."""
         lasted_s = self.ended_s - self.began_s
         return {
             "exposures": self.exposures,

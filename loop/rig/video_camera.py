@@ -18,10 +18,10 @@ LOST_S: Final = 5.0  # without an answer of a stream's server
 
 
 class DeviceCamera:
-    """A webcam. A read that its driver does not answer blocks the camera's thread alone."""
+    """A webcam. If its driver does not answer a read, only the camera's thread is blocked."""
 
     def __init__(self, params: DeviceCameraParams) -> None:
-        """Raises LuxloopError where there is no such device, or it does not do what it is asked for."""
+        """Raises LuxloopError if there is no such device, or it does not accept the requested settings."""
         import cv2
 
         if not Path(params.device).exists():
@@ -53,7 +53,7 @@ class DeviceCamera:
         self._capture.set(cv2.CAP_PROP_AUTO_WB, 0)
 
     def read(self, timeout_s: float) -> CameraPicture | None:
-        """Raises LuxloopError where the device is gone."""
+        """The next picture, as soon as the driver gives it; None if it is damaged. Raises LuxloopError if the device gives none."""
         asked_s = time.monotonic()
         if not self._capture.grab():
             raise LuxloopError("camera: the device gives no picture; check its cable")
@@ -66,10 +66,10 @@ class DeviceCamera:
 
 
 class StreamCamera:
-    """A stream whose frames are decoded as they come."""
+    """A stream whose frames are decoded as they arrive."""
 
     def __init__(self, params: StreamCameraParams) -> None:
-        """Raises an OSError of PyAV's where nobody answers in time."""
+        """Raises an OSError of PyAV if no server answers in time."""
         import av
 
         self._container: Any = av.open(params.url, options=dict(params.options), timeout=(LOST_S, LOST_S))
@@ -82,7 +82,7 @@ class StreamCamera:
         self._packets, self._frames = self._container.demux(stream), list[Any]()
 
     def read(self, timeout_s: float) -> CameraPicture | None:
-        """Raises LuxloopError where the stream ends."""
+        """The newest picture of the next packet, None if that has none. Raises LuxloopError if the stream ends."""
         asked_s = time.monotonic()
         packet = next(self._packets, None)
         if packet is None or packet.dts is None:
@@ -100,17 +100,17 @@ class StreamCamera:
 
 
 class FolderCamera:
-    """Files of a folder by ascending name, from those on that come after the start."""
+    """Files of a folder by ascending name, beginning with those added after the start."""
 
     def __init__(self, params: FolderCameraParams) -> None:
-        """Raises LuxloopError where there is no such folder."""
+        """Raises LuxloopError if the folder does not exist."""
         self._folder = params.folder
         if not self._folder.is_dir():
             raise LuxloopError(f"camera.folder: there is no folder {self._folder}; make it, or correct the path")
         self._last = max(self._names(), default="")
 
     def read(self, timeout_s: float) -> CameraPicture | None:
-        """Raises LuxloopError where a file cannot be read."""
+        """The next picture, None if none has arrived within timeout_s. Raises LuxloopError if a file cannot be read."""
         until_s, waited = time.monotonic() + timeout_s, False
         while not (fresh := sorted(name for name in self._names() if name > self._last)):
             if time.monotonic() > until_s:

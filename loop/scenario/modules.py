@@ -11,13 +11,13 @@ class ModuleSourceParams(Params):
     """One module of the lamps, by its name, or its lamp's side where that has a single one."""
 
     source: Literal["simulated", "digitised"] = Field(
-        "simulated", description="simulated, or digitised: a real lamp's light, as a camera sees it on a screen; needs `--rig FILE`"
+        "simulated", description="simulated, or digitised from a picture of a real lamp's light on a screen; needs `--rig FILE`"
     )
     latency_s: float = Field(
-        0.0, ge=0, le=10, description="age of digitised light when it shines in the simulated world; 0: that waits for the light"
+        0.0, ge=0, le=10, description="delay of digitised light in the simulated world; at 0 the world waits for the light"
     )
     delay_body: bool = Field(
-        False, description="whether the motion of the vehicle's body on its springs is delayed by latency_s, so that it fits to the light"
+        False, description="whether the motion of the vehicle's body on its springs is delayed by latency_s, so that it matches the light"
     )
 
     def late_steps(self, rate_hz: float) -> int:

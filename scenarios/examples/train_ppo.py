@@ -1,7 +1,7 @@
 """Learn to hold a symbol on uneven roads by proximal policy optimisation (PPO): `python train_ppo.py [--minutes 8] [--out learned.pt]`.
 
-Two processes try the policy on roads drawn from a seed, 32 copies each; then it is compared with thesis_pid, and with a blind way straight
-to the target, on roads that it has not seen. The picture beside the policy shows them. Needs Gymnasium: pip install 'luxloop[gym]'.
+Two processes collect episodes on random roads, with 32 copies each. Then the policy is compared with thesis_pid, and with a blind move
+straight to the target, on roads not used in training; a picture beside the policy shows this. Needs Gymnasium: pip install 'luxloop[gym]'.
 """
 
 import argparse
@@ -34,7 +34,7 @@ SETTLED, HELD_OUT = 0.05, 1_000_000
 
 
 class Policy(nn.Module):
-    """A Gaussian of actions, and the value of an observation."""
+    """Gaussian policy, and value of an observation."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -50,7 +50,7 @@ class Policy(nn.Module):
 
 
 def roads(first: int, last: int, every: int, steps: int, action: str = "moves") -> luxloop.RandomisedVector:
-    """Copies on a mixed road whose bumps and roughness are drawn anew every so many episodes."""
+    """Copies on a mixed road; new bumps and roughness are drawn after `every` episodes."""
     copies = luxloop.make_vec("snowflake", COPIES, *WORLD, f"steps={steps}", action=action, autoreset_mode="Disabled")
     return luxloop.RandomisedVector(copies, [f"road.seed={first}:{last}"], every)
 
@@ -66,7 +66,7 @@ def begin_worker() -> None:
 
 
 def tried(weights: dict[str, Tensor], seed: int) -> dict[str, Tensor]:
-    """One episode of all copies with the policy as it is: observations, actions, their log-probability, advantages and returns."""
+    """One episode of all copies with the current policy: observations, actions, their log-probabilities, advantages and returns."""
     policy, generator = Policy(), torch.Generator().manual_seed(seed)
     policy.load_state_dict(weights)
     torch.manual_seed(seed)
@@ -92,7 +92,7 @@ tried.first = True
 
 
 def learn(policy: Policy, adam: torch.optim.Optimizer, episodes: list[dict[str, Tensor]]) -> None:
-    """PPO's clipped objective (Schulman et al. 2017), the value's square error and a little entropy."""
+    """PPO's clipped objective (Schulman et al. 2017), squared error of the value, and an entropy bonus."""
     data = {key: torch.cat([each[key].flatten(0, 1) for each in episodes]) for key in episodes[0]}
     data["advantage"] = (data["advantage"] - data["advantage"].mean()) / data["advantage"].std()
     for _ in range(EPOCHS):
@@ -109,7 +109,7 @@ def learn(policy: Policy, adam: torch.optim.Optimizer, episodes: list[dict[str, 
 
 
 def judged(act: Callable[[Tensor], Tensor], worlds: int, action: str = "moves") -> tuple[np.ndarray, np.ndarray]:
-    """IoU and distance of the centroids in symbol sizes, `[steps, worlds * copies]`, on roads that no policy has seen."""
+    """IoU and distance of the centroids in symbol sizes, `[steps, worlds * copies]`, on roads not used in training."""
     held_out = roads(HELD_OUT, 2 * HELD_OUT, 1, JUDGED_STEPS, action)
     iou, away = [], []
     for world in range(worlds):
@@ -124,7 +124,7 @@ def judged(act: Callable[[Tensor], Tensor], worlds: int, action: str = "moves") 
 
 
 def blind(seen: Tensor) -> Tensor:
-    """Straight to the target, whatever the camera sees: what a flat road would ask for."""
+    """Straight to the target without feedback, which is right on a flat road."""
     return ((CENTRE[:4] - seen[:, :4]) / RATE_LIMIT).clamp(-1, 1)
 
 

@@ -1,0 +1,231 @@
+"""Half an hour on a rig of another process, at 30 frames a second: `python benchmarks/rig_soak.py`.
+
+`snowflake` runs over sockets. Each minute gives the latency of the camera's pictures from exposure to arrival, by the truth of the rig, the
+rate and the losses of exposures, and the memory of both processes; at its end the loop hangs, and the watchdog has to darken the lamp.
+"""
+
+import argparse
+import ctypes
+import json
+import math
+import os
+import subprocess
+import sys
+import time
+import urllib.request
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from bench import Goal, judged, machine, on_one_thread, show_goals
+from rich.table import Table
+from torch import Tensor
+
+from loop.commands.rig_runs import pixel_grids
+from loop.lighting.lamps import lamp_modules
+from loop.plant.build import from_zero
+from loop.plant.protocol import Exposure
+from loop.rig.judged import Judged
+from loop.rig.params import RigParams
+from loop.rig.plant import RigPlant
+from loop.rig.rig import Rig, await_camera, opened
+from loop.run import run
+from loop.scenario.model import load
+from loop.terminal import tables
+from world.validation import validated
+
+ROOT = Path(__file__).parents[1]
+KEYS = ("camera.width_px=640", "camera.height_px=360", "camera.oversampling=2", "renderer=raycast")
+FAULTS = ("faults.camera.latency_s=0.02", "faults.camera.jitter_s=0.005", "faults.flicker.depth=0.1")
+LIGHT, CAMERA, TRUTH = 4148, 8180, 8181  # ports
+TIMING = {"latency_s": 0.065, "jitter_s": 0.025, "rolling_s": 0.04}
+MINUTE_S = 60.0
+WARM_MINUTES = 3  # until caches are full and the symbol has settled
+DARK_S = 0.2  # after the watchdog's time by which the lamp is dark
+
+
+class Enough(KeyboardInterrupt):
+    """The time is over: as Ctrl-C, by which the recording is ended as usual."""
+
+
+@contextmanager
+def rig_process() -> Iterator[int]:
+    """Its process number; it is ready to be used."""
+    ports = ("--light-port", str(LIGHT), "--camera-port", str(CAMERA), "--truth-port", str(TRUTH))
+    command = [sys.executable, "-m", "loop.commands.cli", "rig", "simulate", "snowflake", "--set", *KEYS, *FAULTS, *ports]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)}) as process:
+        assert process.stdout is not None
+        try:
+            while "End it" not in (line := process.stdout.readline()):
+                if not line:
+                    sys.exit("the rig has not started")
+            yield process.pid
+        finally:
+            process.kill()
+
+
+def memory_mb(process: int) -> float:
+    """Resident memory."""
+    line = next(line for line in Path(f"/proc/{process}/status").read_text().splitlines() if line.startswith("VmRSS"))
+    return int(line.split()[1]) / 1024
+
+
+class _Used(ctypes.Structure):
+    """`struct mallinfo2` of glibc."""
+
+    _fields_ = [
+        (name, ctypes.c_size_t)
+        for name in ("arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks", "fordblks", "keepcost")
+    ]
+
+
+def used_mb() -> float:
+    """Memory of this process that is in use: without what the allocator keeps free."""
+    mallinfo = ctypes.CDLL(None).mallinfo2
+    mallinfo.restype = _Used
+    found = mallinfo()
+    return float(found.uordblks + found.hblkhd) / 2**20
+
+
+def truth() -> dict[str, Any]:
+    """What the rig knows: its last frames, and the lamp's state."""
+    with urllib.request.urlopen(f"http://127.0.0.1:{TRUTH}/truth", timeout=20) as answer:
+        told: dict[str, Any] = json.load(answer)
+    return told
+
+
+@dataclass
+class Minutes:
+    """Gets each exposure while its light stands; has a row a minute."""
+
+    rig: Rig
+    process: int
+    count: int
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    taken: list[tuple[int, float]] = field(default_factory=list)  # CRC-32 of pictures of this minute, and when they arrived
+    began_s: float = math.inf
+    before: tuple[int, int, int] = (0, 0, 0)
+
+    def __post_init__(self) -> None:
+        expose = self.rig.expose
+
+        def watched(*given: Any) -> Any:
+            limited, taken = expose(*given)
+            if taken.image is not None:
+                self.taken.append((zlib.crc32(bytes(taken.data)), taken.arrived_s))
+            return limited, taken
+
+        self.rig.expose = watched  # type: ignore[assignment,method-assign]
+
+    def look(self, exposure: Exposure) -> None:
+        now_s = time.monotonic()
+        self.began_s = min(self.began_s, now_s)
+        if now_s - self.began_s < MINUTE_S or not any(bool(light.u.any()) for light in exposure.lights):
+            return
+        self.rows.append(self._minute(now_s - self.began_s))
+        print(json.dumps(self.rows[-1]), flush=True)
+        if len(self.rows) == self.count:
+            raise Enough
+        self.began_s = time.monotonic()
+
+    def _minute(self, lasted_s: float) -> dict[str, Any]:
+        statistics, keeper = self.rig.statistics, self.rig.keeper
+        lost, exposures, darkened = self.before
+        memory = {"loop_mb": memory_mb(os.getpid()), "used_mb": used_mb(), "rig_mb": memory_mb(self.process)}
+        hung_s, before = time.monotonic(), keeper.darkened
+        time.sleep(self.rig.params.limits.loop_s + DARK_S)  # the loop hangs
+        true = truth()
+        exposed_s = {frame["crc32"]: frame["exposed_from_s"] for frame in true["frames"]}
+        latency_ms = [1e3 * (arrived_s - exposed_s[crc]) for crc, arrived_s in self.taken if crc in exposed_s]
+        dark_s = math.nan if true["dark_since_s"] is None else true["dark_since_s"] - hung_s
+        row = {
+            "latency_ms": float(np.median(latency_ms)),
+            "latency_99_ms": float(np.quantile(latency_ms, 0.99)),
+            "exposures_hz": (statistics.exposures - exposures) / lasted_s,
+            "lost": sum(statistics.lost.values()) - lost,
+            **memory,
+            "spurious": before - darkened,
+            "dark_after_s": dark_s,
+            "missed": int(not 0 < dark_s < self.rig.params.limits.loop_s + DARK_S or keeper.darkened != before + 1),
+        }
+        self.before, self.taken = (sum(statistics.lost.values()), statistics.exposures, keeper.darkened), []
+        return row
+
+
+def measured(minutes: int) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """A row a minute, and the rig's statistics of the whole."""
+    light = {"kind": "ddp", "host": "127.0.0.1", "port": LIGHT, "bits": 16}
+    camera = {"kind": "http", "url": f"http://127.0.0.1:{CAMERA}/camera", "bits": 12}
+    params = validated(RigParams, {"light": light, "camera": camera, "timing": TIMING}, "")
+    scenario = load("snowflake", [*KEYS, "plant.kind=rig", "checks={}", "steps=100000"])
+    with rig_process() as process, TemporaryDirectory() as folder:
+        grids = pixel_grids(scenario)
+        with opened(params, grids, scenario.camera, armed=True) as rig:
+            if not await_camera(rig, 20):
+                sys.exit("the rig's camera sends nothing")
+
+            watched, judges = Minutes(rig, process, minutes), list[Judged]()
+
+            def plant(simulation: Any) -> Any:
+                modules = lamp_modules(simulation.modules)
+                judge = Judged(simulation.controlled, scenario.camera, None)
+                judges.append(judge)
+
+                def look(exposure: Exposure, image: Tensor | None) -> None:
+                    judge.look(exposure, image)
+                    watched.look(exposure)
+
+                own = RigPlant.of(rig, modules, scenario.steps * len(scenario.shares))
+                return from_zero(replace(own, look=look), scenario, modules)
+
+            with suppress(Enough):
+                run(scenario, folder, device="cpu", video=False, report=False, plant=plant)
+            rig.dark("the time is over")
+            return watched.rows, rig.statistics.summary(len(scenario.shares)) | {"judged": judges[0].summary()}
+
+
+def goals(rows: list[dict[str, Any]]) -> list[Goal]:
+    warm = rows[WARM_MINUTES:] or rows
+    minute = np.arange(len(warm))
+
+    def growth(key: str) -> float:
+        """By a straight line, over the whole time."""
+        values = [row[key] for row in warm]
+        return float(np.polyfit(minute, values, 1)[0] * minute[-1]) if len(warm) > 1 else 0.0
+
+    return [
+        ("memory that the loop uses grows by, MB", growth("used_mb"), 10.0, False),
+        ("memory of the rig process grows by, MB", growth("rig_mb"), 10.0, False),
+        ("median latency drifts by, ms", abs(growth("latency_ms")), 2.0, False),
+        ("hangs that the watchdog missed", sum(row["missed"] for row in rows), 0, False),
+        ("times that the watchdog darkened without a hang", sum(row["spurious"] for row in rows), 0, False),
+    ]
+
+
+def main() -> None:
+    on_one_thread("OMP_NUM_THREADS")
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=int, default=30)
+    parser.add_argument("--json", type=Path, help="also write the results here")
+    given = parser.parse_args()
+    rows, statistics = measured(given.minutes)
+    table = Table("minute", *rows[0])
+    for number, row in enumerate(rows, 1):
+        table.add_row(str(number), *(f"{value:.1f}" if isinstance(value, float) else str(value) for value in row.values()))
+    tables.show(table)
+    found = judged(goals(rows))
+    show_goals(tables.console(), found)
+    tables.console().print_json(data=statistics)
+    if given.json:
+        report = {"machine": machine("torch"), "minutes": rows, "statistics": statistics, "goals": found}
+        given.json.write_text(json.dumps(report, indent=1))
+    sys.exit(any(each["passed"] is False for each in found))
+
+
+if __name__ == "__main__":
+    main()
