@@ -13,8 +13,8 @@ from loop.batch.copies import Lights
 from loop.lighting.simulation import Simulation
 from perception.birdseye import rectify
 from perception.judge import THRESHOLD
-from world.rendering.raycast import first_hits
-from world.scene.triangles import Triangles, depths
+from world.rendering.raycast import depths, first_hits
+from world.scene.triangles import Triangles
 
 SOME = 4  # along and across, one of so many texels tells where the symbol's light goes
 OFF = 9.0  # a place that is not on the symbol, which lies from -1 to 1

@@ -32,14 +32,14 @@ from world.headlight import Headlight
 from world.light.illumination import illuminance, reach
 from world.rendering.face_source import face_source
 from world.rendering.gbuffer import GBuffer
-from world.rendering.raycast import TOLERANCE_M, first_hits, sees
+from world.rendering.raycast import TOLERANCE_M, depths, first_hits, sees
 from world.rendering.surfaces import ExactSurfaces, surface_source
 from world.roads.mesh import road_mesh
 from world.roads.shapes import Bumps, Curb, Flat, Grade, Iso8608, Mixed, OpenCrgRoad, Pothole, Road, SpeedBump, Step
 from world.scene.body import Body
 from world.scene.road_tiles import RoadTiles
 from world.scene.scene import Scene
-from world.scene.triangles import Triangles, depths
+from world.scene.triangles import Triangles
 from world.view import View
 
 SHAPES: dict[str, Road] = {

@@ -4,7 +4,6 @@ import gc
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,7 +18,6 @@ from loop.labels.labelled import Labels, Layout
 from loop.lighting.commanded import unmoved
 from loop.lighting.controlled import ControlledSymbol
 from loop.lighting.record import refuse_unknown_columns, row
-from loop.lighting.recorder import Recorder, refuse_foreign
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.plant.digitised import DigitisedPlant, needs_rig
@@ -27,9 +25,6 @@ from loop.plant.protocol import Plant
 from loop.recording.checks import Checks
 from loop.recording.files import REPORT, TRAJECTORY, VIDEO
 from loop.recording.remedies import of_target
-from loop.recording.video import VideoWriter
-from loop.report.picture import frame_picture, white_of
-from loop.report.watched import Watched
 from loop.scenario.model import Scenario, load
 from loop.scenario.plant import shadow_of
 from world.errors import LuxloopError, located
@@ -94,7 +89,11 @@ def run(
     be read or run, another process writes into the folder, or the plant does not know what labels tell; nothing is written before the
     first step is done.
     """
-    from loop.report.page import write_report  # Matplotlib, for which a preparation alone does not wait
+    # What records, for which a preparation alone does not wait.
+    from loop.lighting.recorder import Recorder, refuse_foreign
+    from loop.recording.video import VideoWriter
+    from loop.report.picture import frame_picture, white_of
+    from loop.report.watched import Watched
 
     if folder is not None and not isinstance(folder, str | Path):
         raise LuxloopError(f"run: folder is a {type(folder).__name__}, not a path; give other values of keys as overrides=[...]")
@@ -118,8 +117,13 @@ def run(
             simulation = replace(simulation, plant=plant(simulation))
         camera, watched = scenario.camera, Watched(simulation)
         run_checks = Checks(scenario.checks, (lambda light: map(row, simulation.lit_by(light).run())) if checks else None)
-        page = partial(write_report, folder / REPORT, simulation, watched) if report else None
-        recorder = stack.enter_context(Recorder(folder, simulation, page, run_checks.outcomes, frames, wanted))
+
+        def page(table: pa.Table, summary: dict[str, Any]) -> None:
+            from loop.report.page import write_report  # Matplotlib, for which the first step does not wait
+
+            write_report(folder / REPORT, simulation, watched, table, summary)
+
+        recorder = stack.enter_context(Recorder(folder, simulation, page if report else None, run_checks.outcomes, frames, wanted))
         film = VideoWriter(folder / VIDEO, VIDEO_FPS, (camera.width_px, camera.height_px)) if video else None
         if film is not None:
             stack.enter_context(film)

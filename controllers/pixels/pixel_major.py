@@ -73,7 +73,7 @@ def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
     counted = of_pixels(chosen, "sum")
     idle = counted == 0
     kept = chosen / torch.where(idle, 1.0, counted)[pixel]
-    share, potential = _mapping(params, entries, pixel, of_pixels, of_texels)
+    share, potential = _mapping(params, entries, pixel, total, of_pixels, of_texels)
     darkening = None
     if params.a_d is not None:
         mean = total[total > 0].double().mean().to(total)  # in float64, since the order of summation depends on threads
@@ -102,8 +102,10 @@ def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
     )
 
 
-def _mapping(params: MrpcParams, entries: Csr, pixel: Tensor, of_pixels: Reduce, of_texels: Reduce) -> tuple[Tensor, Tensor | None]:
-    """share `[n_t]` and potential `[nnz]` of T eq. 7.4.1, or of the direct or maximal mapping.
+def _mapping(
+    params: MrpcParams, entries: Csr, pixel: Tensor, total: Tensor, of_pixels: Reduce, of_texels: Reduce
+) -> tuple[Tensor, Tensor | None]:
+    """share `[n_t]` and potential `[nnz]` of T eq. 7.4.1, or of the direct or maximal mapping. total: `[n_t]`, sum_j I_m,ij.
 
     The mapped utilisation is `I_s,ij / I_m,ij = I_m,ij^(a_m - 1) / sum_j I_m,ij^a_m * I_s,i`, the product of potential, share and I_s,i.
     """
@@ -113,11 +115,12 @@ def _mapping(params: MrpcParams, entries: Csr, pixel: Tensor, of_pixels: Reduce,
     if params.mapping == "maximal":
         strongest = of_texels(I_m, "amax")
         return torch.where(strongest > 0, 1 / strongest, 0.0), None
-    fine = (of_pixels(I_m, "sum") / of_pixels(I_m, "amax"))[pixel] ** -params.granularity  # a pixel's size in texels
-    relative = I_m / of_texels(I_m, "amax")[entries.indices.long()]
-    sum_of_potentials = of_texels(I_m * relative ** (params.a_m - 1) * fine, "sum")
-    share = torch.where(sum_of_potentials > 0, 1 / sum_of_potentials, 0.0)
-    return share, None if params.a_m == 1 and params.granularity == 0 else relative ** (params.a_m - 1) * fine
+    sum_of_potentials, potential = total, None
+    if params.a_m != 1 or params.granularity != 0:
+        fine = (of_pixels(I_m, "sum") / of_pixels(I_m, "amax"))[pixel] ** -params.granularity  # a pixel's size in texels
+        relative = (I_m / of_texels(I_m, "amax")[entries.indices.long()]) ** (params.a_m - 1)
+        sum_of_potentials, potential = of_texels(I_m * relative * fine, "sum"), relative * fine
+    return torch.where(sum_of_potentials > 0, 1 / sum_of_potentials, 0.0), potential
 
 
 def _only(entries: Csr, values: Tensor) -> Csr:

@@ -221,11 +221,12 @@ class Casting:
                     continue
                 for window in self._parts(p) if in_parts else [windows[p]]:
                     hit = _hit(rays, self.seen, p, self.is_mask[p], self.front[p], window)
-                    if not self.is_mask[p] and self.primitives.image_of(p).ndim == 3:
-                        hit = hit * _opaque(p, rays, self.primitives, self.seen, window)
+                    read = _read(p, rays, self.primitives, window)
+                    if not self.is_mask[p] and len(read) == 2:
+                        hit = hit * torch.maximum(_step(read[1].detach() - OPAQUE), self.seen.mask[..., p, None, None].to(hit))
                     if rivals[p] and nearest is not None:
                         hit = _won(hit, rays, self.seen, p, self.is_mask[p], window, nearest[(..., *window.within(self.window))])
-                    value = _setpoint(p, hit, rays, self.primitives, self.seen, window)
+                    value = _setpoint(p, hit, read[0], rays, self.primitives, window)
                     if self.secondary is not None and not self.is_mask[p] and self.secondary.ask(self.primitives, p):
                         points = _points(rays, self.seen, p, window, self.T_world_headlight)
                         value = self.secondary.adjusted(expanded(value, hit), points, hit > 0, self.primitives, p)
@@ -397,50 +398,45 @@ def _near_outline(window: Window, low: Tensor, high: Tensor) -> Tensor:
     return (within[0][..., :, None] & within[1][..., None, :]).to(low)
 
 
-def _setpoint(p: int, hit: Tensor, rays: _Rays, primitives: Primitives, seen: Homographies, window: Window) -> Tensor:
+def _setpoint(p: int, hit: Tensor, read: Tensor, rays: _Rays, primitives: Primitives, window: Window) -> Tensor:
     """Setpoint of the p-th primitive for rays that hit it, elsewhere arbitrary but finite; broadcastable to `[..., rows, cols]`.
 
-    An illuminance becomes the intensity `E d^2 / cos` (T eq. 7.2.1); the hit lies x = qn / d.n ahead, at the distance x |ray|.
+    read: samples of its symbol, as `_read`. An illuminance becomes the intensity `E d^2 / cos` (T eq. 7.2.1); the hit lies x = qn / d.n
+    ahead, at the distance x |ray|.
     """
-    image, value = primitives.image_of(p), primitives.value[..., p, None, None]
-    symbol = image if image.ndim == 2 else image[0]
-    watched = primitives.observed(p)
-    homogeneous, illuminance = symbol.numel() == 1 and not watched, int(primitives.quantity[p]) == E_V
-    value = value * symbol if homogeneous else value
-    if homogeneous and not illuminance:
-        return value
-    if not homogeneous:
-        if watched and rays.sight is not None:
-            value = value * _inside(*(product.on(p, window) for product in rays.sight))
-        value = value * _read(symbol, p, rays, primitives, window)
+    value, illuminance = primitives.value[..., p, None, None], int(primitives.quantity[p]) == E_V
+    if primitives.observed(p) and rays.sight is not None:
+        value = value * _inside(*(product.on(p, window) for product in rays.sight))
+    value = value * read
     if not illuminance:
         return value
     # d.n and -d.normal, 1 beside hits, [..., rows, cols] each.
     across, facing = (hit.new_ones(()).lerp(product.on(p, window), hit) for product in (rays.n, rays.facing))
     rows, cols = window.slices
     d2 = (1 + rays.z[rows, None] ** 2) + rays.y[cols] ** 2  # |ray|^2 [rows, cols]
-    return value * seen.qn[..., p, None, None] ** 2 * (d2 * d2.sqrt()) / (across * across * facing)  # E (qn / d.n)^2 |ray|^3 / facing
+    return value * rays.seen.qn[..., p, None, None] ** 2 * (d2 * d2.sqrt()) / (across * across * facing)  # E (qn / d.n)^2 |ray|^3 / facing
 
 
-def _opaque(p: int, rays: _Rays, primitives: Primitives, seen: Homographies, window: Window) -> Tensor:
-    """1 where the p-th primitive's image is opaque, or everywhere if it is a mask; `[..., rows, cols]`."""
-    opacity = _read(primitives.image_of(p)[1], p, rays, primitives, window).detach()
-    return torch.maximum(_step(opacity - OPAQUE), seen.mask[..., p, None, None].to(opacity))
+def _read(p: int, rays: _Rays, primitives: Primitives, window: Window) -> tuple[Tensor, ...]:
+    """Samples `[..., rows, cols]` of the p-th primitive's symbol, and of its opacity if it has one, on it or its observer's flying symbol.
 
-
-def _read(image: Tensor, p: int, rays: _Rays, primitives: Primitives, window: Window) -> Tensor:
-    """Samples `[..., rows, cols]` of an image `[h, w]` on the p-th primitive, or on its observer's flying symbol."""
-    watching = rays.sight if primitives.observed(p) else None
+    Those of a homogeneous symbol that has no opacity are its one pixel `[1, 1]`.
+    """
+    image, watching = primitives.image_of(p), rays.sight if primitives.observed(p) else None
+    if image.numel() == 1 and not primitives.observed(p):
+        return (image,)
     n, uv = rays.at(p, window) if watching is None else (product.on(p, window) for product in watching)
     at = uv / n.clamp(min=GRAZING).unsqueeze(-3)  # 2 u, 2 v of T eq. 7.3.3, [..., 2, rows, cols]
-    return _symbol_value(image, at, bool(primitives.nearest[p]))
+    return _sampled(image.reshape(-1, *image.shape[-2:]), at, bool(primitives.nearest[p])).unbind(-3)
 
 
-def _symbol_value(symbol: Tensor, uv: Tensor, nearest: bool) -> Tensor:
-    """A symbol image `[h, w]` at coordinates -1..1 `[..., 2, rows, cols]`, bilinear or nearest, texel centres at (2 k + 1) / n - 1."""
+def _sampled(images: Tensor, uv: Tensor, nearest: bool) -> Tensor:
+    """Images `[c, h, w]` at coordinates -1..1 `[..., 2, rows, cols]`, bilinear or nearest, texel centres at (2 k + 1) / n - 1:
+    `[..., c, rows, cols]`.
+    """
     if not uv.numel():
-        return uv[..., 0, :, :]  # an empty window
+        return uv[..., : len(images), :, :]  # an empty window
     at = uv.reshape(-1, *uv.shape[-3:]).movedim(1, -1)  # [B, rows, cols, 2]
-    images = symbol.expand(len(at), 1, *symbol.shape)
-    sampled = grid_sample(images, at, "nearest" if nearest else "bilinear", padding_mode="border", align_corners=False)
-    return sampled.reshape(*uv.shape[:-3], *uv.shape[-2:])
+    each = images.expand(len(at), *images.shape)
+    sampled = grid_sample(each, at, "nearest" if nearest else "bilinear", padding_mode="border", align_corners=False)
+    return sampled.reshape(*uv.shape[:-3], *sampled.shape[1:])

@@ -45,7 +45,7 @@ def build_scene(scenario: Scenario, motion: Motion = STANDING, made: Made | None
     """Road, along the vehicle's course, and objects. Raises LuxloopError where a file is missing or broken."""
     made, vehicle = made or Made(), scenario.vehicle
     road, surface, spots, light = build_road(scenario), scenario.surface, scenario.spots, scenario.light
-    texture = made("texture", (surface, spots), lambda: SpottedTexture(surface, spots) if spots else surface.texture())
+    texture = made("texture", (surface, spots), lambda: SpottedTexture(surface, spots))
     objects = tuple(made(f"object {item.name}", (item, road), partial(_built, item, road)) for item in scenario.all_objects)
     sight_m = SIGHT_M if scenario.traffic is None else max(SIGHT_M, scenario.traffic.sight_m + AROUND_M)
     ground: Ground

@@ -7,10 +7,10 @@ profile down the rows and one along the columns. A texel holds the mean over its
 from typing import Annotated, Literal, Self
 
 import numpy as np
+import scipy  # whose parts are loaded when they are first named
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
-from scipy.special import ndtr
 
 from world.budget import afford
 from world.params import Params
@@ -136,7 +136,7 @@ def _texel_borders(grid: TexelGrid, spacing: Spacing) -> tuple[Floats, Floats]:
 
 def _gaussian(axis: Floats, centres: Floats, sigmas: Floats) -> Floats:
     """Means over texels `[T, P]` of Gaussians of height 1. axis: borders `[T + 1]`, falling."""
-    primitive = np.sqrt(2 * np.pi) * sigmas * ndtr((axis[:, None] - centres) / sigmas)
+    primitive = np.sqrt(2 * np.pi) * sigmas * scipy.special.ndtr((axis[:, None] - centres) / sigmas)
     return np.diff(primitive, axis=0) / np.diff(axis)[:, None]
 
 
@@ -152,7 +152,7 @@ def _ramp(x: Floats, blur: float) -> Floats:
     """The ramp max(x, 0) convolved with a Gaussian: twice differentiated it is the Gaussian itself."""
     if blur < SHARP_DEG:
         return np.maximum(x, 0.0)
-    return x * ndtr(x / blur) + blur / np.sqrt(2 * np.pi) * np.exp(-0.5 * (x / blur) ** 2)
+    return x * scipy.special.ndtr(x / blur) + blur / np.sqrt(2 * np.pi) * np.exp(-0.5 * (x / blur) ** 2)
 
 
 def affordable_entries(entries: float) -> None:

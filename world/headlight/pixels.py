@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import scipy  # whose parts are loaded when they are first named
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
 from world.budget import BUDGET_BYTES, afford
 from world.errors import LuxloopError
@@ -222,7 +222,7 @@ def _nodes(distribution: Distribution, aim: Aim) -> tuple[Array, Array, NDArray[
         h = np.union1d(h, h[0] + np.arange(0.0, h[-1] - h[0], AZIMUTHS_DEG))
     v_at, h_at = np.meshgrid(v, h, indexing="ij")
     candela = distribution.at(v_at, h_at)
-    lit = maximum_filter(candela, 3, mode=("nearest", "wrap" if distribution.type == "C" else "nearest")) > 0
+    lit = scipy.ndimage.maximum_filter(candela, 3, mode=("nearest", "wrap" if distribution.type == "C" else "nearest")) > 0
     return directions_of(distribution.type, v_at, h_at, aim), candela, lit
 
 

@@ -36,7 +36,7 @@ class SpotParams(Params):
 
 @dataclass(frozen=True, eq=False)
 class SpottedTexture:
-    """A road's texture with spots on it. They are there once, where the texture around them repeats."""
+    """A road's texture, made when somebody looks at it, and spots on it: they are there once, where the texture around them repeats."""
 
     surface: RoadSurfaceParams
     spots: tuple[SpotParams, ...]

@@ -8,7 +8,8 @@ from torch import Tensor
 from world.frames import inverse, transform, unit
 from world.materials.brdf import LAMBERTIAN, Material
 from world.materials.library import MATERIALS
-from world.scene.triangles import Placed, Triangles, intersect
+from world.rendering.raycast import hits_on
+from world.scene.triangles import Placed, Triangles
 from world.view import View
 
 
@@ -67,11 +68,11 @@ def gbuffer(triangles: Triangles, view: View, face_ids: Tensor) -> GBuffer:
     part = torch.zeros(n, dtype=torch.int32) if any(placed.body.parts for placed in triangles.placed) else None
     numbers = {LAMBERTIAN: 0}  # of the materials in sight
     origin, directions = view.origin, view.rays().flatten(1)
-    for hits in intersect(triangles, face_ids.flatten(), origin, directions):
+    for hits in hits_on(triangles, face_ids.flatten(), origin, directions):
         placed, pixels = hits.placed, hits.pixels
         points = origin[:, None] + directions[:, pixels] * hits.depth
         position[:, pixels] = points.float()
-        normals = _normals(placed.corner_normals[hits.faces], hits.barycentric.float())
+        normals = _normals(placed.corner_normals.index_select(0, hits.faces), hits.barycentric.float())
         normal[:, pixels] = torch.where(hits.front, normals, -normals) if placed.body.two_sided else normals
         if part is not None and placed.body.part_of_face is not None:
             part[pixels] = placed.body.part_of_face[hits.faces].int()

@@ -11,9 +11,8 @@ import torch
 from torch import Tensor
 
 from world.errors import LuxloopError
-from world.rendering.raycast import first_hits
 from world.scene.body import Body
-from world.scene.triangles import Triangles, beside
+from world.scene.triangles import Triangles
 from world.view import View
 
 NEAR_M, FAR_M = 0.3, 1000.0  # 24 bits of depth between them: 0.7 mm at 60 m
@@ -34,7 +33,7 @@ class Rasteriser:
         self.name = f"OpenGL ({_renderer_name()})"
 
     def face_ids(self, triangles: Triangles, view: View) -> Tensor:
-        """Id of the nearest face through each pixel's centre, `[height, width]` int64, -1 where there is none."""
+        """Id of the nearest face through each pixel's centre, to 1/256 px or so, `[height, width]` int64, -1 where there is none."""
         import pyrender
 
         if sum(placed.n_faces for placed in triangles.placed) >= 1 << 24:
@@ -51,7 +50,7 @@ class Rasteriser:
         self._context.viewport_width, self._context.viewport_height = view.width, view.height
         rgb, _ = self._context.render(scene, pyrender.RenderFlags.SEG, first_ids)
         red, green, blue = torch.from_numpy(rgb.copy()).permute(2, 0, 1).long()
-        return _through_centres(triangles, view, red + (green << 8) + (blue << 16) - 1)
+        return red + (green << 8) + (blue << 16) - 1
 
     def _meshes_of(self, body: Body) -> list[Any]:
         if body not in self._meshes:
@@ -61,14 +60,6 @@ class Rasteriser:
                 sides.append(sides[0][:, ::-1])
             self._meshes[body] = [_pyrender_mesh(body.mesh.vertices, faces) for faces in sides]
         return self._meshes[body]
-
-
-def _through_centres(triangles: Triangles, view: View, face_ids: Tensor) -> Tensor:
-    """OpenGL snaps corners to 1/256 px or so: a ray finds the true face `[height, width]` where a pixel's centre lies beside its own."""
-    directions, found = view.rays().flatten(1), face_ids.flatten()
-    missed = beside(triangles, found, view.origin, directions)
-    found[missed] = first_hits(triangles, view.origin, directions[:, missed])
-    return found.view_as(face_ids)
 
 
 def _pyrender_mesh(vertices: np.ndarray, faces: np.ndarray) -> Any:

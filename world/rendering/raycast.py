@@ -2,16 +2,18 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from world.frames import inverse
-from world.scene.triangles import Placed, Triangles
+from world.scene.triangles import Hits, Placed, Triangles, intersect, on_planes
 from world.view import View
 
 TOLERANCE_M = 2e-3  # by which a surface lies before itself: what OpenGL interpolates is 1 mm off where light grazes a road 60 m ahead
 MARGIN_M = 1e-3  # around a body, which may be flat
+BESIDE = 1e-4  # of a face, by which a ray may pass beside it
 NEAREST_M = 1e-6  # to the origin of rays
 STEEPEST = 1e3  # slope beside the axis that most rays follow; steeper ones are compared with every box
 ROUNDING = 1e-5  # of products in float32, as a share of them
@@ -33,6 +35,30 @@ def first_hits(triangles: Triangles, origin: Tensor, directions: Tensor) -> Tens
     origin: `[3]` m, common to all rays. directions: `[3, N]`, any length. Embree computes in float32: good to some 1e-6 of a body's size.
     """
     return _cast(triangles, origin, directions, torch.tensor([torch.inf]))[0]
+
+
+def hits_on(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: Tensor) -> Iterator[Hits]:
+    """Intersect rays with the faces that a face source found, as `intersect` does, which says more.
+
+    OpenGL snaps corners to 1/256 px or so: where a ray passes beside its face, the first one that it meets takes its place.
+    """
+    beside = [face_ids.new_empty(0)]
+    for hits in on_planes(triangles, face_ids, origin, directions):
+        on = hits.barycentric.amin(0) >= -BESIDE
+        beside.append(hits.pixels[~on])
+        yield hits.only(on) if len(beside[-1]) else hits
+    pixels = torch.cat(beside)
+    directions = directions[:, pixels]
+    for hits in intersect(triangles, first_hits(triangles, origin, directions), origin, directions):
+        yield replace(hits, pixels=pixels[hits.pixels])
+
+
+def depths(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: Tensor) -> Tensor:
+    """Depth `[N]` float64 at which rays meet their faces, in lengths of their directions; infinite where there is none."""
+    depth = torch.full(face_ids.shape, torch.inf, dtype=torch.float64)
+    for hits in hits_on(triangles, face_ids, origin, directions):
+        depth[hits.pixels] = hits.depth
+    return depth
 
 
 def sees(triangles: Triangles, eye: Tensor, points: Tensor, tolerance_m: float = TOLERANCE_M) -> Tensor:

@@ -6,7 +6,8 @@ import torch
 from torch import Tensor
 
 from world.rendering.face_source import FaceSource
-from world.scene.triangles import Triangles, depths
+from world.rendering.raycast import depths
+from world.scene.triangles import Triangles
 from world.view import View
 
 

@@ -3,8 +3,8 @@
 from functools import lru_cache
 
 import numpy as np
+import scipy  # whose parts are loaded when they are first named
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 Floats = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ def roughness(roughness_class: str, seed: int, x: ArrayLike, y: ArrayLike) -> Fl
     coordinates = np.stack([(_COS * along - _SIN * across).ravel(), (_SIN * along + _COS * across).ravel()])
     unit = np.zeros(along.size)
     for coefficients, spacing in _tiles(seed):
-        unit += ndimage.map_coordinates(coefficients, coordinates / spacing, order=3, mode="grid-wrap", prefilter=False)
+        unit += scipy.ndimage.map_coordinates(coefficients, coordinates / spacing, order=3, mode="grid-wrap", prefilter=False)
     return np.sqrt(GEOMETRIC_MEAN_M3[roughness_class] * REFERENCE_FREQUENCY**2) * unit.reshape(along.shape)
 
 
@@ -45,4 +45,4 @@ def _tile(generator: np.random.Generator, spacing: float, band: tuple[float, flo
     gain = np.where(inside, 0.5 / spacing * np.where(inside, k, 1.0) ** -1.5, 0.0)
     white = generator.standard_normal((_SAMPLES, _SAMPLES))
     surface = np.fft.irfft2(np.fft.rfft2(white) * gain, s=white.shape)
-    return np.asarray(ndimage.spline_filter(surface, order=3, mode="grid-wrap"), np.float64)
+    return np.asarray(scipy.ndimage.spline_filter(surface, order=3, mode="grid-wrap"), np.float64)

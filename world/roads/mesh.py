@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from world.roads.base import Floats, Road
+from world.roads.own import OwnRoad
+from world.roads.scan import OpenCrgRoad
 
 if TYPE_CHECKING:
     import trimesh
@@ -16,9 +18,10 @@ GROWTH = 1.15  # of the spacing from one row to the next outside the fine part
 
 
 def refuse_broken(road: Road) -> None:
-    """Look at a road where its mesh will end. Raises LuxloopError where it has no heights there, of a broken file, say."""
-    road.grid()
-    road.z(np.array(SCENE_X_M)[:, None], np.array(SCENE_Y_M))
+    """Look at a road of a file or of one's own where its mesh will end. Raises LuxloopError where it has no heights there."""
+    if isinstance(road, OpenCrgRoad | OwnRoad):
+        road.grid()
+        road.z(np.array(SCENE_X_M)[:, None], np.array(SCENE_Y_M))
 
 
 def road_mesh(road: Road) -> "trimesh.Trimesh":

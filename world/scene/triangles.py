@@ -73,6 +73,10 @@ class Hits:
     barycentric: Tensor
     front: Tensor
 
+    def only(self, some: Tensor) -> "Hits":
+        """Some of them. some: `[M]` bool."""
+        return Hits(self.placed, self.pixels[some], self.faces[some], self.depth[some], self.barycentric[:, some], self.front[some])
+
 
 def intersect(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: Tensor) -> Iterator[Hits]:
     """Intersect rays with the planes of the faces that they are known to hit, some rays of a body at a time, exactly (float64).
@@ -82,7 +86,7 @@ def intersect(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions
     A ray may pass its face by rounding. There the plane is extended, which is right where the neighbour has a similar slope; beyond a tenth
     of the face (seen edge-on, or tiny) the nearest point of the face counts.
     """
-    for hits in _on_planes(triangles, face_ids, origin, directions):
+    for hits in on_planes(triangles, face_ids, origin, directions):
         beside = torch.nonzero(~(hits.barycentric.amin(0) >= -0.1))[:, 0]
         if len(beside):
             held = hits.barycentric[:, beside].nan_to_num(1.0, 1.0, 0.0).clamp(min=0.0)  # [3 corners, m]
@@ -93,14 +97,8 @@ def intersect(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions
         yield hits
 
 
-def beside(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: Tensor) -> Tensor:
-    """Indices of the rays that pass beside their faces `[N]` by more than 1e-4 of them; parameters as of `intersect`."""
-    found = (hits.pixels[~(hits.barycentric.amin(0) >= -1e-4)] for hits in _on_planes(triangles, face_ids, origin, directions))
-    return torch.cat([face_ids.new_empty(0), *found])
-
-
-def _on_planes(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: Tensor) -> Iterator[Hits]:
-    """Rays on the planes of their faces, which may extend beyond these."""
+def on_planes(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: Tensor) -> Iterator[Hits]:
+    """Rays on the planes of their faces, which may extend beyond these; parameters as of `intersect`."""
     for first, placed in triangles.parts():
         pixels = torch.nonzero((face_ids >= first) & (face_ids < first + placed.n_faces))[:, 0]
         if not len(pixels):
@@ -115,16 +113,8 @@ def _on_planes(triangles: Triangles, face_ids: Tensor, origin: Tensor, direction
         volume = (a * edges[:, 0]).sum(-1)  # triple product a (b x c), [S]
         compact = torch.cumsum(seen, 0) - 1
         for some, on in zip(pixels.split(CHUNK), faces.split(CHUNK), strict=True):
-            edge, d = edges[compact[on]], directions[:, some]  # [M, 3 corners, 3], [3, M]
+            edge, d = edges.index_select(0, compact[on]), directions[:, some]  # [M, 3 corners, 3], [3, M]
             w = torch.stack([edge[:, i, 0] * d[0] + edge[:, i, 1] * d[1] + edge[:, i, 2] * d[2] for i in range(3)])  # w_i volume, [3, M]
             total = w[0] + w[1] + w[2]  # volume / depth, since barycentric coordinates add up to 1, [M]
             volumes = volume[compact[on]]
             yield Hits(placed, some, on, volumes / total, w / total, volumes < 0)
-
-
-def depths(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: Tensor) -> Tensor:
-    """Depth `[N]` float64 at which rays meet their faces, in lengths of their directions; infinite where there is none."""
-    depth = torch.full(face_ids.shape, torch.inf, dtype=torch.float64)
-    for hits in intersect(triangles, face_ids, origin, directions):
-        depth[hits.pixels] = hits.depth
-    return depth

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -16,6 +17,7 @@ from perception.extraction import Crop, Extraction, difference, symbol_image, th
 from world.frames import inverse
 from world.headlight import Headlight
 from world.resampling import resampled
+from world.spmv.csr import Csr, multiply
 from world.view import View
 
 SIGMAS = 1.4826  # of a normal distribution, in its median deviations
@@ -38,7 +40,8 @@ class LampSight:
 
     def rows(self, heights: Tensor) -> tuple[Tensor, Tensor]:
         """Texture coordinates (row, column) `[..., H, w]` of points at heights `[..., H, w]` m."""
-        x, y, z = (a + b * heights for a, b in zip(self.on_plane, self.per_m, strict=True))  # in the lamp's frame, [..., H, w] each
+        ways = zip(self.on_plane, self.per_m, strict=True)
+        x, y, z = (torch.addcmul(plane, per_m, heights) for plane, per_m in ways)  # in the lamp's frame, [..., H, w] each
         return self.headlight.texel_of(y / x, z / x)  # T eq. 2.3.2
 
     def luminance(self, texture: Tensor, heights: Tensor) -> Tensor:
@@ -179,7 +182,13 @@ class ForwardModel:
 
     def on_pixels(self, nodes: Tensor) -> Tensor:
         """Values of nodes `[..., n]` at the pixels, `[..., h, w]`."""
-        return (nodes[..., self.node] * self.weight).sum(-2).unflatten(-1, self.shape)  # sum over the four nodes, [..., 4, h * w]
+        return multiply(self.bilinear, nodes).unflatten(-1, self.shape)
+
+    @cached_property
+    def bilinear(self) -> Csr:
+        """`[h * w, n]`, which interpolates the nodes at the pixels."""
+        ends = torch.arange(0, self.node.numel() + 1, len(self.node), dtype=torch.int32, device=self.node.device)
+        return Csr(ends, self.node.T.flatten().int(), self.weight.T.flatten(), self.rows * self.cols)
 
     def on_nodes(self, image: Tensor) -> Tensor:
         """Adjoint of `on_pixels`: an image's `[..., h, w]` values gathered by the nodes, `[..., n]`."""

@@ -99,6 +99,7 @@ class Luxloop:
         self.standing = keeping(2, self._standing)
         self.drawn = keeping(1, self._drawn)
         self.registration = self.over(HERE)[1]
+        self.nothing = self._nothing(self.registration)  # known of the road before anything was seen by a vehicle that stands
         lamps = torch.stack([module.T_world_headlight[:3, 3].cpu().double() for module in self.projector.modules])
         self.ends = torch.stack([camera_view(sensor.camera).origin, *lamps], 1)  # of the ways of light, in the body
         self.in_flight = sensor.camera.latency_steps + sensor.camera.latency_spread_steps + 2
@@ -106,7 +107,7 @@ class Luxloop:
 
     def start(self, pose: Tensor) -> LuxloopState:
         """State that shows the pose `[4]` first, or the symbol for the road that is believed."""
-        road_map = self._nothing(self.registration)
+        road_map = self.nothing
         if self.params.start_height_m == 0:
             return LuxloopState(road_map, 0.0, ProjectionCommand(pose))
         mean = road_map.heights.mean + self.params.start_height_m
@@ -141,7 +142,7 @@ class Luxloop:
         if body_poses.still:
             registration = self.over(road_map.T_ground_plane)[1]
         else:
-            road_map = road_map if road_map.T_ground_plane.equal(HERE) else self._nothing(self.registration)
+            road_map = road_map if road_map.T_ground_plane.equal(HERE) else self.nothing
             registration = self._fine(body_poses)
         road_map = road_map.moved(body_poses.since, registration.forward_model.eye)
         if not body_poses.still and then is not None and body is not None and not then.stands:
@@ -183,7 +184,7 @@ class Luxloop:
         if observation.frames is None:
             return road_map
         frames, textures, searched = observation.frames, self.projector.textures(observation.shown.lights), road_map.searched
-        nothing = self._nothing(self.registration) if body_poses.still else self._nothing(registration).over(road_map.heights.base)
+        nothing = self.nothing if body_poses.still else self._nothing(registration).over(road_map.heights.base)
         fine, known = registration.forward_model, road_map.heights
         informed = known.informed
         contrast, limit = fine.observe_symbol(frames, textures)
@@ -208,7 +209,7 @@ class Luxloop:
             road_map = road_map.judged(drawn, residual if residual < flat_leaves else math.inf)
             if road_map.kept is not None and road_map.kept.done:
                 return replace(road_map, heights=road_map.kept.best.heights, brightness=road_map.kept.best.brightness)
-        iterations = 1 if informed and not body_poses.still else ITERATIONS  # on the move the next observation corrects what one leaves
+        iterations = 1 if informed else ITERATIONS  # the next observation corrects what one leaves, before it fits noise
         least, best = self._refined(registration, known, known.mean, seen, textures, limit, iterations)
         if least > self.params.sweep_above:
             swept = self._swept(road_map, frames, textures, body_poses)
@@ -226,7 +227,7 @@ class Luxloop:
         brightness = _brightness(fine, best.mean, road_map.brightness, contrast, seen, textures, least_seen)
         share = (least / before if least < before else 1.0) if body_poses.still else self.params.memory
         return replace(
-            road_map, heights=replace(best, information=share * information), brightness=road_map.brightness.lerp(brightness, gain)
+            road_map, heights=replace(best, information=information.mul_(share)), brightness=road_map.brightness.lerp(brightness, gain)
         )
 
     def _refined(
@@ -250,7 +251,7 @@ class Luxloop:
         assert observation.frames is not None
         symbol = self.projector.params
         found = observation.measurement.acquired or self.sensor.acquire(observation.frames, observation.shown.lights)
-        if not found.found or float(self._heights(found.shape, self._nothing(self.registration)).abs().max()) < LOW_M[symbol.target]:
+        if not found.found or float(self._heights(found.shape, self.nothing).abs().max()) < LOW_M[symbol.target]:
             return None
         return self._shaped(road_map, found.shape)
 

@@ -1,18 +1,21 @@
 """Inverse ray tracing (T 9.4): a symbol drawn on a patch of the road that is believed, so that the eye sees it as on the plane z = 0."""
 
+from functools import lru_cache
+
 import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
 from controllers.symbol.heights.relief import Relief
 from controllers.symbol.sensing.planes import LEAST_HEIGHT_M, below_lamps, holding, placed
-from controllers.symbol.sensing.projection import CELLS, ProjectionCommand, Warp
+from controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from controllers.symbol.sensing.projector import SymbolParams
 from world.frames import inverse, pose, transform
 
+CELLS = (256, 256)  # along and across: finer than the texels of a lamp
 FOLLOWED = 4  # light is followed for every fourth cell along and across, and interpolated between them
 SAMPLES = (33, 17)  # of the symbol, along and across, whose light the patch must hold
-BEYOND = (0.4, 0.15)  # of the symbol's length and width, by which a patch of the plane z = 0 is larger on every side
+BEYOND = (0.4, 0.15)  # of the symbol's length and width, how far light may cross the plane z = 0 beyond it for a patch of that plane
 HIGHEST_M = 0.2  # of a road: a higher one gets a patch that is fitted to it
 LEAST_DEPTH_M = 0.05  # above and below a fitted patch, where the road is looked for at least
 
@@ -37,7 +40,9 @@ def drawn_on(relief: Relief, lamps: Tensor, symbol: SymbolParams, T_body_ground:
     if in_place:
         x_seen, y_seen, _ = relief.points(x_seen, y_seen)
     source = [2 * (symbol.y_m - y_seen) / symbol.width_m, 2 * (symbol.x_m - x_seen) / symbol.length_m]  # u, v in -1..1
-    fine = interpolate(torch.stack([*source, 1 / brightness.clamp(min=1)], 1), scale_factor=FOLLOWED, mode="bilinear")  # [m, 3, *CELLS]
+    coarse = torch.stack([*source, 1 / brightness.clamp(min=1)], 1)  # [m, 3, rows, cols]
+    down, right = (_finer(n, coarse.dtype, coarse.device) for n in (rows, cols))
+    fine = down @ coarse @ right.T  # [m, 3, *CELLS]
     return ProjectionCommand(*placed(T_body_ground.to(T) @ T), Warp(fine[:, :2], fine[:, 2], size_m))
 
 
@@ -55,7 +60,7 @@ def _patch(relief: Relief, lamps: Tensor, symbol: SymbolParams, in_place: bool) 
     reach = lamps.new_tensor([length * (0.5 + beyond) for length, beyond in zip(size, BEYOND, strict=True)])
     low, high, depth = _crossings(level, road, lamps)
     if depth < HIGHEST_M and bool((low > -reach).all() & (high < reach).all()):
-        return level, (2 * float(reach[0]), 2 * float(reach[1])), HIGHEST_M
+        return *holding(level, low, high), HIGHEST_M
     T = _fitted(road, lamps)
     low, high, depth = _crossings(T, road, lamps)
     return *holding(T, low, high), depth + LEAST_DEPTH_M
@@ -79,3 +84,10 @@ def _fitted(road: Tensor, lamps: Tensor) -> Tensor:
     # on a CPU the default driver, gelsy, reads pivots that torch leaves unset
     slope_x, slope_y = torch.linalg.lstsq(torch.stack([x, y], 1), z[:, None], driver="gels").solution[:, 0]  # z = s_x x + s_y y
     return below_lamps(centre[:, 0], slope_x, slope_y, lamps)
+
+
+@lru_cache(maxsize=4)
+def _finer(n: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Matrix `[n * FOLLOWED, n]` of linear interpolation between the centres of blocks of FOLLOWED cells."""
+    each = torch.eye(n, dtype=dtype, device=device)[None, None]
+    return interpolate(each, scale_factor=(FOLLOWED, 1), mode="bilinear")[0, 0]

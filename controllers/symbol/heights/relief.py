@@ -58,7 +58,7 @@ class Relief:
         """
         lamp, eye = lamp.to(points), self.eye.to(points)
         over_patch = ((lamp[:, None, None] - points) * normal[:, None, None]).sum(0)  # [h, w] m, the same everywhere
-        h = torch.linspace(deepest_m, -deepest_m, LAYERS, dtype=points.dtype, device=points.device)[:, None, None]
+        h = self._reached(torch.linspace(deepest_m, -deepest_m, LAYERS, dtype=points.dtype, device=points.device), lamp, over_patch, points)
         x, y, z = (point + (lamp[axis] - point) * (h / over_patch) for axis, point in enumerate(points))  # [layers, h, w]
         rise = z / (eye[2] - z).clamp(min=LEAST_DROP_M)  # the eye sees p at p + (p - e) z / (e_z - z) on the plane
         ways = [x + (x - eye[0]) * rise, y + (y - eye[1]) * rise]
@@ -71,3 +71,11 @@ class Relief:
         share = torch.where(under > 0, d_under / (d_under - d_over).clamp(min=1e-9), 0.0)  # of the layer over it: linear between both
         x_seen, y_seen = (torch.lerp(way.gather(0, under), way.gather(0, over), share)[0] for way in ways)
         return x_seen, y_seen
+
+    def _reached(self, h: Tensor, lamp: Tensor, over_patch: Tensor, points: Tensor) -> Tensor:
+        """Of layers `[layers]` those `[n, 1, 1]` that the road may cross, with the next one above and below it."""
+        ends = torch.stack(points[2].aminmax())  # lowest and highest point of the patch, [2] m
+        z = ends + (lamp[2] - ends) * (h[:, None] / over_patch[0, 0])  # of each layer, [layers, 2] m
+        least, most = self.heights.aminmax()
+        over, under = torch.stack([z[:, 0] > most, z[:, 1] < least]).sum(1).tolist()  # layers wholly above and below the road
+        return h[max(over - 1, 0) : len(h) - max(under - 1, 0), None, None]

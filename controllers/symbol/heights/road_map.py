@@ -107,7 +107,9 @@ class RoadMap:
             return self
         mean, brightness = self._seen_by(T, eye)
         information = self._carried(self._seen_anew(self.nodes(), self.heights.mean, self.eye, inverse(T), eye))
-        return replace(self, heights=Heights(mean, information, self.heights.base), brightness=brightness, eye=eye, drawn=(), kept=None)
+        return replace(
+            self, heights=Heights(mean, information, self.heights.base, spread=True), brightness=brightness, eye=eye, drawn=(), kept=None
+        )
 
     def over(self, base: Tensor) -> "RoadMap":
         """With another road `[n]` m as the base of its heights, which they are where nothing is known."""
@@ -140,7 +142,7 @@ class RoadMap:
         L, arm = self.heights.information, self.nodes()[0] - pivot_x_m  # [n, n], a [n] m
         pull = L @ arm
         information = L - pull[:, None] * pull / (1 / pitch_rad**2 + arm @ pull)  # L - L a a' L / (1 / sigma^2 + a' L a)
-        return replace(self, heights=replace(self.heights, information=information))
+        return replace(self, heights=replace(self.heights, information=information, spread=True))
 
     def pitched(self, before: "RoadMap", pivot_x_m: float) -> float | None:
         """By how many rad the body has pitched more than it was taken to, if the road is still as it was known before; None: unknown."""

@@ -53,6 +53,7 @@ def _white(symbol: Tensor, projection: ProjectionCommand, rows: int, cols: int) 
         return torch.zeros_like(coarse[0, 0])
     if projection.warp is None:
         return coarse[0, 0]
-    u, v = projection.warp.source[..., EVERY // 2 :: EVERY, EVERY // 2 :: EVERY].unbind(1)
+    down, right = (n // k for n, k in zip(projection.warp.source.shape[-2:], (rows, cols), strict=True))  # cells of a warp for one of these
+    u, v = projection.warp.source[..., down // 2 :: down, right // 2 :: right].unbind(1)
     coarse = coarse.expand(len(u), -1, -1, -1)
     return resampled(coarse, u, v)[:, 0].mean(0)

@@ -14,11 +14,11 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from controllers.symbol.heights.patch import FOLLOWED, _fitted, drawn_on
+from controllers.symbol.heights.patch import CELLS, FOLLOWED, _fitted, drawn_on
 from controllers.symbol.heights.relief import Relief
 from controllers.symbol.heights.sweep import semi_global, sweep
 from controllers.symbol.sensing.planes import HERE
-from controllers.symbol.sensing.projection import CELLS, ProjectionCommand, Warp
+from controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from controllers.symbol.sensing.projector import SymbolParams
 from controllers.symbol.sensing.protocol import Observation, Shown
 from controllers.symbol.sensing.shape import reached
@@ -78,6 +78,16 @@ def test_light_falls_on_the_first_thing_in_its_way() -> None:
     seen, _ = wall.seen_from(LAMP, on_plane(x, torch.zeros_like(x)), UP, 0.25)
     assert abs(seen[0, 0] - 16.0) < 0.01, "before the wall"
     assert ((seen[0, 1:3] > 16.4) & (seen[0, 1:3] < 17.1)).all(), "on its face"
+
+
+def test_light_is_followed_only_where_the_road_may_be() -> None:
+    heights = 0.03 * torch.randn(20, 10, generator=torch.Generator().manual_seed(3))
+    x, y = torch.meshgrid(torch.linspace(16, 18, 9), torch.linspace(-1, 1, 5), indexing="ij")
+    near = Relief(REGION, EYE, heights, torch.ones(20, 10))
+    far = heights.clone()
+    far[-1, :2] = torch.tensor([0.3, -0.3])  # near the camera, where none of this light comes: all layers are followed
+    seen, everywhere = (torch.stack(each.seen_from(LAMP, on_plane(x, y), UP, 0.2)) for each in (near, replace(near, heights=far)))
+    assert torch.equal(seen, everywhere)
 
 
 def test_a_drawing_for_the_plane_is_the_symbol_itself() -> None:
@@ -174,6 +184,8 @@ def test_one_look_tells_how_high_the_road_is(lifted: Simulation) -> None:
     refined = registration.refine(swept, registration.unknown(), seen, textures, limit)
     found, lit = refined.mean, refined.information.diagonal() > 1 / 0.005**2  # known to half a centimetre by themselves
     assert lit.sum() > 50
+    by_whole_matrices = registration.refine(swept, replace(registration.unknown(), spread=True), seen, textures, limit)
+    torch.testing.assert_close(by_whole_matrices.mean, found, rtol=0, atol=1e-4)  # rounding, in six iterations
     # heights are tried in steps of 5 mm, and smoothness may cost one
     assert (swept[lit] - 0.03).abs().median() < 0.006
     # a fifth of a camera row, 20 cm here, is 4 cm of road or 2 mm of height

@@ -62,10 +62,11 @@ def test_only_white_counts() -> None:
     assert found["bottom"] == pytest.approx(0.5, abs=4 * ROUNDED)
 
 
-def test_light_is_looked_for_where_the_warp_has_it() -> None:
+@pytest.mark.parametrize("cells", [CELLS, (128, 256)])
+def test_light_is_looked_for_where_the_warp_has_it(cells: tuple[int, int]) -> None:
     """On a rectangle twice as long the symbol as it is covers the middle half."""
-    v, u = (torch.linspace(-1 + 1 / n, 1 - 1 / n, n) for n in CELLS)
-    source = torch.stack([u.expand(*CELLS), 2 * v[:, None].expand(*CELLS)])[None]
+    v, u = (torch.linspace(-1 + 1 / n, 1 - 1 / n, n) for n in cells)
+    source = torch.stack([u.expand(*cells), 2 * v[:, None].expand(*cells)])[None]
     warp = Warp(source, torch.ones_like(source[:, 0]), (8.0, 2.0))
     plain = drawn(NEAREST_M + 1.0)
     assert cut(projector(), replace(plain, warp=warp)) == pytest.approx(cut(projector(), plain), abs=2 * ROUNDED)
