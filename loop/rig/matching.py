@@ -16,7 +16,7 @@ FEWEST: Final = 8  # gaps by which a period is known
 KEPT: Final = 0.9  # of the lateness, from picture to picture: a lost picture looks like lateness, but nothing catches up after it
 CATCHING_UP: Final = 0.5  # of the period: pictures closer together come out of a queue, and their lateness is kept whole
 IN_TIME: Final = 0.5  # of jitter_s, by which pictures that came in time may be late themselves
-STEADY: Final = 0.3  # length of the mean phase of arrivals, 1 without jitter, from which on a period counts as found
+STEADY: Final = 0.2  # length of the mean phase of arrivals, 1 without jitter, from which on a period counts as found
 RATES: Final = (0.9, 1.6)  # times the rate by the median gap, between which the camera's is looked for: pictures may be lost
 TOGETHER: Final = 2000  # pictures whose period is found together at most; within their time a camera's clock is steady
 APART: Final = 10.0  # periods after which a camera may have been started again
@@ -26,7 +26,7 @@ BESIDE: Final = 1 / 8  # of a period, in which pictures are counted before and a
 EARLY: Final = 1 / 4  # of a period, by which pictures may come before most do
 WITHIN: Final = 1 / 32  # of a period, in which pictures are counted after each
 DENSE: Final = 0.3  # of the largest such number: with fewer, pictures count as more than a period late
-FEWEST_TOGETHER: Final = 100  # pictures by which a rhythm is found
+FEWEST_TOGETHER: Final = 200  # pictures by which a rhythm is found
 
 
 def shows(lag_s: float, timing: TimingParams, late_s: float = 0.0) -> Verdict:
