@@ -291,7 +291,7 @@ def _blinked(found: "Blinked") -> dict[str, str]:
     median, most, worst = (1e3 * each for each in found.first_s)
     return {
         "light to frame": f"{median:.0f} ms (median), {most:.0f} ms (95 %), {worst:.0f} ms (worst), in {found.blinks} blinks",
-        "latency": f"{1e3 * found.latency_s:.1f} ms at least, to a frame that begins with the light",
+        "latency": f"{1e3 * found.latency_s:.1f} ms to a frame that begins with the light",
         "jitter": f"{1e3 * found.jitter_s:.1f} ms, the worst that was measured with a quarter and 8 ms on it",
         "exposure and readout": f"{1e3 * found.rolling_s:.1f} ms",
         "drift": f"{1e3 * found.drift_s_per_min:+.1f} ms a minute",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from loop.rig.camera import CameraPicture
 from loop.rig.light import Shine
-from loop.rig.matching import lateness, needed_s
+from loop.rig.matching import needed_s
 from loop.rig.rectified import WrongPicture, grey
 from loop.rig.rig import Rig, await_camera
 from world.errors import LuxloopError
@@ -50,10 +50,9 @@ class Looks:
 class Blinked:
     """What a blink test found; times in s.
 
-    latency_s, jitter_s, rolling_s: keys of `[timing]`: least latency, by how much pictures come later, exposure and readout, all of rows
-    that see the light. first_s: median, 95 % and worst time from light to the first frame that shows
-    nothing else. drift_s_per_min: by how much the latency grows. interval_s: median and worst time between pictures. late: share of the
-    pictures that lay in a queue.
+    latency_s, jitter_s, rolling_s: keys of `[timing]`, of the rows that see the light. first_s: median, 95 % and worst time from light to
+    the first frame that shows nothing else. drift_s_per_min: by how much the latency grows. interval_s: median and worst time between
+    pictures. late: share of the pictures that lay in a queue.
     """
 
     latency_s: float
@@ -132,31 +131,23 @@ def watched(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: floa
 
 
 def found(looks: Looks, blinks: int) -> Blinked:
-    """What the pictures of a blink test tell. Raises LuxloopError where they are too few.
-
-    The camera's rhythm tells by how much each picture is late. Without that time, a border parts those that began before the light from
-    those that began after it: the least latency.
-    """
-    whole, begun, seen = looks.least > 1 - looks.seen, looks.most > looks.seen, looks.seen
-    if whole.sum() < blinks / 2 or len(looks.lag_s) < 2 * blinks:
+    """What the pictures of a blink test tell. Raises LuxloopError where they are too few."""
+    whole, begun, lag_s = looks.least > 1 - looks.seen, looks.most > looks.seen, looks.lag_s
+    if whole.sum() < blinks / 2 or len(lag_s) < 2 * blinks:
         raise LuxloopError("blink: too few pictures came, or the light is not steady; check the camera's rate, its exposure, and the lamp")
-    lateness_s = lateness(looks.at_s + looks.lag_s)
-    lag_s = looks.lag_s - lateness_s
-    whole_s = _between(lag_s, whole)
-    unseen_s = seen / (1 - 2 * seen) * max(whole_s - _between(lag_s, looks.least > seen), 0.0)  # of an exposure, too little to be seen
-    latency_s, begins_s = whole_s + unseen_s, _between(lag_s, begun) - unseen_s
-    late_s = np.where(whole, lateness_s, np.maximum(lateness_s, looks.lag_s - latency_s))
-    first = np.array([looks.lag_s[(looks.at_s == at_s) & whole].min() for at_s in np.unique(looks.at_s[whole])])
+    interval_s = float(np.median(looks.intervals_s))
+    latency_s, begins_s = (_between(lag_s, each, interval_s / 2) for each in (whole, begun))
+    first = np.array([lag_s[(looks.at_s == at_s) & whole].min() for at_s in np.unique(looks.at_s[whole])])
     half = np.median(looks.at_s)
-    early, later = (_between(lag_s[part], whole[part]) for part in (looks.at_s <= half, looks.at_s > half))
+    early, later = (_between(lag_s[part], whole[part], interval_s / 2) for part in (looks.at_s <= half, looks.at_s > half))
     minutes = (looks.at_s[looks.at_s > half].mean() - looks.at_s[looks.at_s <= half].mean()) / 60
     return Blinked(
         latency_s,
-        MARGIN * needed_s(late_s, looks.late_s) + MARGIN_S,
+        MARGIN * needed_s(lag_s[~whole] - latency_s, looks.late_s[~whole]) + MARGIN_S,
         max(latency_s - begins_s, 0.0),
         (float(np.median(first)), float(np.quantile(first, 0.95)), float(first.max())),
         (later - early) / minutes,
-        (float(np.median(looks.intervals_s)), float(looks.intervals_s.max())),
+        (interval_s, float(looks.intervals_s.max())),
         looks.queued,
         blinks,
     )
@@ -237,11 +228,14 @@ def _looks(
     return Looks(columns[0], columns[1], columns[2], columns[3], columns[4], seen, *came)
 
 
-def _between(lag_s: NDArray[np.float64], after: NDArray[np.bool_]) -> float:
-    """The time that parts best those that are `after` it from those that are not: the middle of the best ones."""
+def _between(lag_s: NDArray[np.float64], after: NDArray[np.bool_], reach_s: float) -> float:
+    """The mean time from which pictures are `after`, of those within `reach_s` around the time that parts them best."""
     order = np.argsort(lag_s)
     lags, late = lag_s[order], after[order]
     wrong = np.concatenate([[0], np.cumsum(late)]) + np.concatenate([np.cumsum(~late[::-1])[::-1], [0]])  # with a border before each
     best = np.flatnonzero(wrong == wrong.min())
     low, high = best[0], best[-1]
-    return float((lags[max(low - 1, 0)] + lags[min(high, len(lags) - 1)]) / 2)
+    border = (lags[max(low - 1, 0)] + lags[min(high, len(lags) - 1)]) / 2
+    near = np.abs(lags - border) < reach_s
+    ends = np.concatenate([[border - reach_s], (lags[near][1:] + lags[near][:-1]) / 2, [border + reach_s]])
+    return float(border + reach_s - (np.diff(ends) * late[near]).sum())  # of the time within reach, the part in which they are after

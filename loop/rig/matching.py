@@ -16,17 +16,6 @@ FEWEST: Final = 8  # gaps by which a period is known
 KEPT: Final = 0.9  # of the lateness, from picture to picture: a lost picture looks like lateness, but nothing catches up after it
 CATCHING_UP: Final = 0.5  # of the period: pictures closer together come out of a queue, and their lateness is kept whole
 IN_TIME: Final = 0.5  # of jitter_s, by which pictures that came in time may be late themselves
-STEADY: Final = 0.2  # length of the mean phase of arrivals, 1 without jitter, from which on a period counts as found
-RATES: Final = (0.9, 1.6)  # times the rate by the median gap, between which the camera's is looked for: pictures may be lost
-TOGETHER: Final = 2000  # pictures whose period is found together at most; within their time a camera's clock is steady
-APART: Final = 10.0  # periods after which a camera may have been started again
-BINS: Final = 16  # of the median gap, in which pictures are counted to find the rate
-FINER: Final = 4  # steps of the rate within which a period more or less comes in the whole time; and steps of such a step then
-BESIDE: Final = 1 / 8  # of a period, in which pictures are counted before and after a phase
-EARLY: Final = 1 / 4  # of a period, by which pictures may come before most do
-WITHIN: Final = 1 / 32  # of a period, in which pictures are counted after each
-DENSE: Final = 0.3  # of the largest such number: with fewer, pictures count as more than a period late
-FEWEST_TOGETHER: Final = 200  # pictures by which a rhythm is found
 
 
 def shows(lag_s: float, timing: TimingParams, late_s: float = 0.0) -> Verdict:
@@ -74,45 +63,3 @@ class Regularity:
             self._late_s = 0.0
             return math.inf
         return self._late_s
-
-
-def lateness(arrived_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """By how much each picture of a free-running camera came later than its rhythm, in s, known afterwards.
-
-    arrived_s: `[n]`, ascending, of pictures of which some may lack. Where there are too few, or they come with jitter of more than three
-    quarters of their period, no rhythm is found, and it is 0.
-    """
-    gaps_s = np.diff(arrived_s)
-    stretches = np.split(arrived_s, np.flatnonzero(gaps_s > APART * np.median(gaps_s)) + 1) if len(gaps_s) else [arrived_s]
-    parts = [part for each in stretches for part in np.array_split(each, math.ceil(len(each) / TOGETHER) or 1)]
-    return np.concatenate([_later_than_rhythm(part - part[:1]) if len(part) >= FEWEST_TOGETHER else np.zeros(len(part)) for part in parts])
-
-
-def _later_than_rhythm(at_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    gap_s = np.median(np.diff(at_s))
-    came = np.bincount((at_s * (BINS / gap_s)).astype(int))
-    size = FINER * len(came)
-    rates = np.fft.rfftfreq(size, gap_s / BINS)
-    within = (rates > RATES[0] / gap_s) & (rates < RATES[1] / gap_s)
-    about_hz = rates[within][np.abs(np.fft.rfft(came, size))[within].argmax()]
-    rates = about_hz + np.linspace(-1, 1, 2 * FINER**2 + 1) / FINER / at_s[-1]
-    if np.abs(np.exp(2j * np.pi * rates[:, None] * at_s).mean(1)).max() < STEADY:
-        return np.zeros(len(at_s))
-    _, begin, rate_hz = max((*_begin(at_s * rate % 1), rate) for rate in rates)
-    late_s = at_s - np.floor(at_s * rate_hz - begin + EARLY) / rate_hz
-    late_s -= begin / rate_hz
-    for _ in range(3):  # the line through the earlier half, so that those that are stuck count for nothing
-        early = (late_s >= -WITHIN / rate_hz) & (late_s <= np.median(late_s))
-        late_s -= np.polyval(np.polyfit(at_s[early], late_s[early], 1), at_s)
-        ordered = np.sort(late_s)
-        together = np.searchsorted(ordered, ordered + WITHIN / rate_hz) - np.arange(len(ordered))
-        late_s -= ordered[(together > DENSE * together.max()).argmax()]
-    return np.maximum(late_s, 0.0)
-
-
-def _begin(phases: NDArray[np.float64]) -> tuple[int, float]:
-    """How many more pictures come just after a phase than just before, and the phase where these are most. phases: `[n]`, 0 to 1."""
-    around = np.sort(np.concatenate([phases - 1, phases, phases + 1]))
-    before, at, after = (np.searchsorted(around, phases + by) for by in (-BESIDE, 0.0, BESIDE))
-    rise = after - 2 * at + before
-    return int(rise.max()), float(phases[rise.argmax()])

@@ -215,7 +215,7 @@ class TimingParams(Params):
     """From light to frame, as `luxloop rig blink` measures and prints it."""
 
     latency_s: float = Field(
-        0.1, ge=0, le=5, description="least time from sending light to the arrival of a frame whose exposure begins when the light is there"
+        0.1, ge=0, le=5, description="mean time from sending light to the arrival of a frame whose exposure begins when the light is there"
     )
     jitter_s: float = Field(
         0.03, ge=0, le=5, description="by how much a frame may come later than that: the worst that was measured, with a margin"

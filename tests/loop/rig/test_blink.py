@@ -1,5 +1,6 @@
 """The blink test: latency from drawn pictures, and blinks in which a part of the rig drops out."""
 
+import math
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from loop.rig import blink
-from loop.rig.matching import Regularity, lateness, shows
+from loop.rig.matching import Regularity, shows
 from loop.rig.params import TimingParams
 from loop.rig.rig import Rig, await_camera, opened
 from tests.loop.rig.conftest import Process, eventually
@@ -45,37 +46,22 @@ def verdicts(found: blink.Blinked, looks: blink.Looks, part: np.ndarray) -> list
     return [shows(lag_s, timing, late_s) for lag_s, late_s in zip(looks.lag_s[part], looks.late_s[part], strict=True)]
 
 
-@pytest.mark.parametrize(("jitter_s", "stuck"), [(0.0, 0.0), (0.02, 0.0), (0.02, 0.03)])
-def test_afterwards_the_rhythm_tells_how_late_each_picture_was(jitter_s: float, stuck: float) -> None:
-    looks, late_s = drawn(0, jitter_s, stuck)
-    told_s = lateness(looks.at_s + looks.lag_s)
-    ordinary = late_s < 0.75 * PERIOD_S  # what is later looks as if it came early in the next period
-    assert (
-        np.abs(told_s - late_s)[ordinary].max() < 0.002
-    )  # of 1300 pictures, one comes within 15 us of the least, and the line through them
-
-
 @pytest.mark.parametrize("jitter_s", [0.0, 0.01, 0.02])
-def test_the_least_latency_is_found_through_jitter(jitter_s: float) -> None:
+def test_the_mean_latency_is_found_through_jitter(jitter_s: float) -> None:
     found = [blink.found(drawn(seed, jitter_s)[0], BLINKS) for seed in range(8)]
-    # 2 ms: a hundred blinks meet the camera's phases every 0.33 ms, and the latest of them leave gaps of up to 1.8 ms
-    assert max(abs(each.latency_s - LEAST_S) for each in found) < 0.002
-    assert max(abs(each.rolling_s - EXPOSURE_S - READOUT_S) for each in found) < 0.003  # from two such borders
-    assert min(each.latency_s + each.jitter_s for each in found) > LEAST_S + jitter_s + 0.005  # most of MARGIN_S is left
+    # A hundred blinks give 3 pictures a ms, at random times, so that the mean scatters by sqrt(J / 9 ms): by 1.5 ms at J = 20 ms
+    scatter_s = 0.0005 + math.sqrt(jitter_s * PERIOD_S / BLINKS / 3)
+    assert max(abs(each.latency_s - LEAST_S - jitter_s / 2) for each in found) < 3 * scatter_s
+    assert max(abs(each.rolling_s - EXPOSURE_S - READOUT_S) for each in found) < 4 * scatter_s  # from two of these
+    others, _ = drawn(8, jitter_s)
+    assert not any("clear" in verdicts(each, others, others.least < 1 - others.seen) for each in found)
 
 
 def test_pictures_that_are_stuck_leave_the_latency_as_it_is() -> None:
     looks, late_s = drawn(0, 0.01, stuck=0.03)
     found = blink.found(looks, BLINKS)
-    assert abs(found.latency_s - LEAST_S) < 0.002
+    assert abs(found.latency_s - LEAST_S - 0.005) < 0.003
     assert late_s.max() > 0.05 and found.jitter_s < 0.05  # a run knows of these by the camera's rhythm
-    assert "clear" not in verdicts(found, looks, looks.least < 1 - looks.seen)
-
-
-def test_where_pictures_have_no_rhythm_the_latency_is_between_least_and_worst() -> None:
-    looks, _ = drawn(1, 0.04)  # more than the period
-    found = blink.found(looks, BLINKS)
-    assert LEAST_S - 0.002 < found.latency_s < LEAST_S + 0.04
     assert "clear" not in verdicts(found, looks, looks.least < 1 - looks.seen)
 
 
