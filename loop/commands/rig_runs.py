@@ -133,7 +133,7 @@ def blink(
     arm: Flag = False,
     scenario: Named = "snowflake",
     set: Keys = None,
-    blinks: int = 60,
+    blinks: int = 100,
     level: float = 1.0,
     write: Flag = False,
     allow_code: AllowCode = False,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from loop.rig.camera import CameraPicture
 from loop.rig.light import Shine
+from loop.rig.matching import needed_s
 from loop.rig.rectified import WrongPicture, grey
 from loop.rig.rig import Rig, await_camera
 from world.errors import LuxloopError
@@ -30,8 +31,9 @@ FEWEST: Final = 10  # blinks
 @dataclass(frozen=True, eq=False)
 class Looks:
     """Pictures of a blink test. lag_s: `[n]`, from sending the light that stands to the picture's arrival. at_s: `[n]`, when that was sent.
-    late_s: `[n]`, by how much they came later than the camera's rhythm lets expect. least, most: `[n]`, share of the change that is seen in
-    the row of pixels that shows least and most of it. seen: share that is more than scatter.
+    late_s: `[n]`, by how much they came later than the camera's rhythm lets expect, as was known when they came. least, most: `[n]`, share
+    of the change that is seen in the row of pixels that shows least and most of it. seen: share that is more than scatter. intervals_s:
+    `[m]`, between all pictures that came. queued: share of those that lay in a queue, which are left out of the others.
     """
 
     lag_s: NDArray[np.float64]
@@ -40,15 +42,17 @@ class Looks:
     least: NDArray[np.float64]
     most: NDArray[np.float64]
     seen: float
+    intervals_s: NDArray[np.float64]
+    queued: float
 
 
 @dataclass(frozen=True)
 class Blinked:
     """What a blink test found; times in s.
 
-    latency_s, jitter_s, rolling_s: keys of `[timing]`. first_s: median, 95 % and worst time from light to the first frame that shows
-    nothing else. drift_s_per_min: by how much the latency grows. interval_s: median and worst time between pictures. late: share of the
-    pictures that lay in a queue.
+    latency_s, jitter_s, rolling_s: keys of `[timing]`, of the rows that see the light. first_s: median, 95 % and worst time from light to
+    the first frame that shows nothing else. drift_s_per_min: by how much the latency grows. interval_s: median and worst time between
+    pictures. late: share of the pictures that lay in a queue.
     """
 
     latency_s: float
@@ -71,19 +75,22 @@ def blink(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: float,
 
     Raises LuxloopError where the camera does not see it, or too few pictures come.
     """
+    return found(watched(rig, grids, blinks, level, advance), blinks)
+
+
+def watched(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: float, advance: Callable[[], None] = lambda: None) -> Looks:
+    """Pictures of a lamp that blinks; as `blink`."""
     if blinks < FEWEST:
         raise LuxloopError(f"--blinks {blinks}: is too few for a worst case; give {FEWEST} at least")
-    lit = Shine(0, tuple(np.full(grid, level, np.float32) for grid in grids))
-    factor = np.float32(min(1.0, rig.limits.share / lit.share))
-    lit = Shine(0, tuple(u * factor for u in lit.pictures))
-    black = Shine(1, tuple(np.zeros(grid, np.float32) for grid in grids))
+    lit, black = _lights(rig, grids, level)
     drawn = np.random.default_rng(0)
     switches, pictures = list[tuple[float, bool]](), list[tuple[float, float, NDArray[Any]]]()
     settled: list[NDArray[np.float32]] = []
-    came = late = void = 0
+    queued = void = 0
     arrivals: list[float] = []
     rows: NDArray[np.bool_] | None = None
     mask: NDArray[np.float32] | None = None
+    was_lit = False
     for number in range(LEARNT + blinks):
         on = number % 2 == 1
         if rig.camera.alive:
@@ -91,26 +98,27 @@ def blink(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: float,
         else:
             rig.dark(rig.camera.reason)
         sent_s = rig.keeper.since_s
-        if sent_s is None:
-            if number < LEARNT or (void := void + 1) > blinks / 2:
-                raise LuxloopError(f"blink: {rig.keeper.reason}")
-            await_camera(rig)
-            continue
-        switches.append((sent_s, on))
         hold_s = LEARN_S if number < LEARNT else HOLD_S + SPREAD_S * drawn.random()
         kept, begun = [], len(pictures)
-        for picture, image in _pictures(rig, sent_s + hold_s):
-            arrivals.append(picture.arrived_s)
-            came, late = came + 1, late + (not picture.awaited)
-            if mask is None:
-                kept.append(image)
-            elif picture.awaited:
-                assert rows is not None
-                pictures.append((picture.arrived_s, picture.late_s, (image * mask).sum(1)[rows]))
-        if rig.keeper.since_s != sent_s or not rig.camera.alive:  # in doubt
-            if number < LEARNT or (void := void + 1) > blinks / 2:
-                raise LuxloopError(f"blink: {rig.keeper.reason or rig.camera.reason}")
+        in_doubt = sent_s is None
+        if sent_s is not None:
+            switches.append((sent_s, on))
+            for picture, image in _pictures(rig, sent_s + hold_s):
+                arrivals.append(picture.arrived_s)
+                queued += not picture.awaited
+                if mask is None:
+                    kept.append(image)
+                elif picture.awaited and picture.arrived_s > sent_s:  # none of the blink before, which may be void
+                    assert rows is not None
+                    pictures.append((picture.arrived_s, picture.late_s, (image * mask).sum(1)[rows]))
+            in_doubt = rig.keeper.since_s != sent_s or not rig.camera.alive
+        if in_doubt and (number < LEARNT or (void := void + 1) > blinks / 2):
+            raise LuxloopError(f"blink: {rig.keeper.reason or rig.camera.reason}")
+        if sent_s is None:
+            await_camera(rig)
+        if in_doubt or not (on or was_lit):  # black after darkness is no change of light
             del pictures[begun:]
+        was_lit = on and not in_doubt
         if number < LEARNT:
             settled.append(_settled(kept))
             if number == LEARNT - 1:
@@ -119,31 +127,37 @@ def blink(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: float,
     assert mask is not None and rows is not None
     steady = [(each * mask).sum(2)[:, rows] for each in settled]
     rig.dark("the blink test has ended")
-    return found(_looks(switches, pictures, steady), np.diff(np.array(arrivals)), late / max(came, 1), blinks)
+    return _looks(switches, pictures, steady, (np.diff(np.array(arrivals)), queued / max(len(arrivals), 1)))
 
 
-def found(looks: Looks, intervals_s: NDArray[np.float64], late: float, blinks: int) -> Blinked:
+def found(looks: Looks, blinks: int) -> Blinked:
     """What the pictures of a blink test tell. Raises LuxloopError where they are too few."""
-    whole, begun = looks.least > 1 - looks.seen, looks.most > looks.seen
-    if whole.sum() < blinks / 2 or len(looks.lag_s) < 2 * blinks:
+    whole, begun, lag_s = looks.least > 1 - looks.seen, looks.most > looks.seen, looks.lag_s
+    if whole.sum() < blinks / 2 or len(lag_s) < 2 * blinks:
         raise LuxloopError("blink: too few pictures came, or the light is not steady; check the camera's rate, its exposure, and the lamp")
-    latency_s, begins_s = _between(looks.lag_s, whole), _between(looks.lag_s, begun)
-    in_time = looks.lag_s > latency_s + looks.late_s  # others are told in a run as well, by the camera's rhythm
-    worst_s = float(looks.lag_s[~whole & in_time].max(initial=latency_s))
-    first = np.array([looks.lag_s[(looks.at_s == at_s) & whole].min() for at_s in np.unique(looks.at_s[whole])])
+    interval_s = float(np.median(looks.intervals_s))
+    latency_s, begins_s = (_between(lag_s, each, interval_s / 2) for each in (whole, begun))
+    first = np.array([lag_s[(looks.at_s == at_s) & whole].min() for at_s in np.unique(looks.at_s[whole])])
     half = np.median(looks.at_s)
-    early, later = (_between(looks.lag_s[part], whole[part]) for part in (looks.at_s <= half, looks.at_s > half))
+    early, later = (_between(lag_s[part], whole[part], interval_s / 2) for part in (looks.at_s <= half, looks.at_s > half))
     minutes = (looks.at_s[looks.at_s > half].mean() - looks.at_s[looks.at_s <= half].mean()) / 60
     return Blinked(
         latency_s,
-        MARGIN * (worst_s - latency_s) + MARGIN_S,
+        MARGIN * needed_s(lag_s[~whole] - latency_s, looks.late_s[~whole]) + MARGIN_S,
         max(latency_s - begins_s, 0.0),
         (float(np.median(first)), float(np.quantile(first, 0.95)), float(first.max())),
         (later - early) / minutes,
-        (float(np.median(intervals_s)), float(intervals_s.max())),
-        late,
+        (interval_s, float(looks.intervals_s.max())),
+        looks.queued,
         blinks,
     )
+
+
+def _lights(rig: Rig, grids: Sequence[tuple[int, int]], level: float) -> tuple[Shine, Shine]:
+    """All pixels on, as far as the limit of power lets them, and off."""
+    on = Shine(0, tuple(np.full(grid, level, np.float32) for grid in grids))
+    factor = np.float32(min(1.0, rig.limits.share / on.share))
+    return Shine(0, tuple(u * factor for u in on.pictures)), Shine(0, tuple(np.zeros(grid, np.float32) for grid in grids))
 
 
 def _shown(rig: Rig, shine: Shine) -> None:
@@ -191,9 +205,12 @@ def _region(dark: NDArray[np.float32], bright: NDArray[np.float32]) -> tuple[NDA
 
 
 def _looks(
-    switches: Sequence[tuple[float, bool]], pictures: Sequence[tuple[float, float, NDArray[Any]]], steady: Sequence[NDArray[Any]]
+    switches: Sequence[tuple[float, bool]],
+    pictures: Sequence[tuple[float, float, NDArray[Any]]],
+    steady: Sequence[NDArray[Any]],
+    came: tuple[NDArray[np.float64], float],
 ) -> Looks:
-    """steady: dark and bright rows of pixels, both `[n, rows]`."""
+    """steady: dark and bright rows of pixels, both `[n, rows]`. came: intervals between the pictures, and share that lay in a queue."""
     dark, bright = (np.median(each, axis=0) for each in steady)
     scatter = max(float((each.std(0) / (bright - dark)).max()) for each in steady)
     seen = min(max(SIGMAS * scatter, SEEN[0]), SEEN[1])
@@ -208,14 +225,17 @@ def _looks(
         share = share if on else 1 - share
         values.append((arrived_s - at_s, at_s, late_s, share.min(), share.max()))
     columns = np.array(values).T if values else np.zeros((5, 0))
-    return Looks(columns[0], columns[1], columns[2], columns[3], columns[4], seen)
+    return Looks(columns[0], columns[1], columns[2], columns[3], columns[4], seen, *came)
 
 
-def _between(lag_s: NDArray[np.float64], after: NDArray[np.bool_]) -> float:
-    """The time that parts best those that are `after` it from those that are not: the middle of the best ones."""
+def _between(lag_s: NDArray[np.float64], after: NDArray[np.bool_], reach_s: float) -> float:
+    """The mean time from which pictures are `after`, of those within `reach_s` around the time that parts them best."""
     order = np.argsort(lag_s)
     lags, late = lag_s[order], after[order]
     wrong = np.concatenate([[0], np.cumsum(late)]) + np.concatenate([np.cumsum(~late[::-1])[::-1], [0]])  # with a border before each
     best = np.flatnonzero(wrong == wrong.min())
     low, high = best[0], best[-1]
-    return float((lags[max(low - 1, 0)] + lags[min(high, len(lags) - 1)]) / 2)
+    border = (lags[max(low - 1, 0)] + lags[min(high, len(lags) - 1)]) / 2
+    near = np.abs(lags - border) < reach_s
+    ends = np.concatenate([[border - reach_s], (lags[near][1:] + lags[near][:-1]) / 2, [border + reach_s]])
+    return float(border + reach_s - (np.diff(ends) * late[near]).sum())  # of the time within reach, the part in which they are after

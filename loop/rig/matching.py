@@ -5,25 +5,39 @@ import statistics
 from collections import deque
 from typing import Final, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from loop.rig.params import TimingParams
 
 Verdict = Literal["old", "mixed", "clear"]
 GAPS: Final = 61  # between pictures, whose median is the camera's period
 FEWEST: Final = 8  # gaps by which a period is known
 KEPT: Final = 0.9  # of the lateness, from picture to picture: a lost picture looks like lateness, but nothing catches up after it
+CATCHING_UP: Final = 0.5  # of the period: pictures closer together come out of a queue, and their lateness is kept whole
+IN_TIME: Final = 0.5  # of jitter_s, by which pictures that came in time may be late themselves
 
 
 def shows(lag_s: float, timing: TimingParams, late_s: float = 0.0) -> Verdict:
     """What a free-running camera's frame shows that arrives `lag_s` after light was sent, which has stood since.
 
     A frame whose exposure begins just when the light is there arrives `latency_s` after it was sent, and up to `jitter_s` later, or by
-    `late_s` where the camera's own rhythm says that it is later than that. So one that arrives later than both together began after the
-    light was there: it is clear. One that arrives `rolling_s` before `latency_s` has ended its last exposure before the light was there:
-    it shows the old light alone. All between may be mixed.
+    `late_s` where the camera's own rhythm says that it is later than that. The rhythm is that of pictures which came in time, and these
+    may have been late by a part of the jitter, which is added. So one that arrives later than all this began after the light was there: it
+    is clear. One that arrives `rolling_s` before `latency_s` has ended its last exposure before the light was there: it shows the old light
+    alone. All between may be mixed.
     """
-    if lag_s > timing.latency_s + max(timing.jitter_s, late_s):
+    if lag_s > timing.latency_s + max(timing.jitter_s, late_s + IN_TIME * timing.jitter_s):
         return "clear"
     return "old" if lag_s <= timing.latency_s - timing.rolling_s else "mixed"
+
+
+def needed_s(lateness_s: NDArray[np.float64], told_s: NDArray[np.float64]) -> float:
+    """Least `jitter_s` with which `shows` takes none of some pictures for clear too early.
+
+    lateness_s: `[n]`, how much later than the least latency they came. told_s: `[n]`, what `Regularity` has told of it.
+    """
+    return float(np.minimum(lateness_s, (lateness_s - told_s) / IN_TIME).max(initial=0.0))
 
 
 class Regularity:
@@ -41,7 +55,9 @@ class Regularity:
         if self._last_s is not None:
             gap_s = arrived_s - self._last_s
             self._gaps.append(gap_s)
-            self._late_s = max(KEPT * self._late_s + gap_s - statistics.median(self._gaps), 0.0)
+            period_s = statistics.median(self._gaps)
+            kept = KEPT if gap_s > CATCHING_UP * period_s else 1.0
+            self._late_s = max(kept * self._late_s + gap_s - period_s, 0.0)
         self._last_s = arrived_s
         if len(self._gaps) < FEWEST:
             self._late_s = 0.0

@@ -215,9 +215,11 @@ class TimingParams(Params):
     """From light to frame, as `luxloop rig blink` measures and prints it."""
 
     latency_s: float = Field(
-        0.1, ge=0, le=5, description="from sending light to the arrival of a frame whose exposure begins when the light is there"
+        0.1, ge=0, le=5, description="mean time from sending light to the arrival of a frame whose exposure begins when the light is there"
     )
-    jitter_s: float = Field(0.03, ge=0, le=5, description="by how much a frame may come later than that: the worst that was measured")
+    jitter_s: float = Field(
+        0.03, ge=0, le=5, description="by how much a frame may come later than that: the worst that was measured, with a margin"
+    )
     rolling_s: float = Field(0.035, ge=0, le=5, description="from the begin of a frame's first exposure to the end of its last one")
     wait_s: float = Field(1.0, gt=0, le=60, description="time from sending light after which its frame counts as lost")
 

@@ -1,13 +1,19 @@
 """From the command line: a board, a calibration from nothing but a distance, a lamp file that a scenario takes, values fitted to frames."""
 
 import json
+import re
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
 
+from loop.bench.board import ShownBoard
+from loop.bench.faults import FaultParams, ShownBoardParams
+from loop.bench.scene import LitBench
 from loop.calibration.files import load
+from loop.scenario.model import load as load_scenario
 from tests.loop.conftest import Lux, assert_one_sentence
 from world.headlight.lamp import Lamp, Module
 from world.lampfiles import archive
@@ -69,6 +75,30 @@ def test_rig_is_calibrated_and_its_lamp_digitised(wall: Lux) -> None:
         assert pixels["0_intensity"].shape == (12, 24)
     assert Path("digitised.png").read_bytes().startswith(b"\x89PNG")
     assert wall("check", "wall.toml", "--set", "headlight.model=digitised.npz")[0] == 0
+
+
+def test_a_board_on_the_screen_tells_how_far_it_is(wall: Lux) -> None:
+    keys = ["camera.width_px=320", "camera.height_px=240"]
+    bench = LitBench(load_scenario("wall.toml", keys), FaultParams())
+    laid = ShownBoard.of(ShownBoardParams(columns=5, rows=7, square_mm=120), bench).image(None)
+    cv2.imwrite("screen.png", (laid / laid.max() * 60_000).astype(np.uint16))
+    code, out, err = wall(
+        "rig", "calibrate", "wall.toml", "--on-screen", "screen.png", "--columns", "5", "--rows", "7", "--square-mm", "120", "--set", *keys
+    )
+    assert (code, err) == (0, "")
+    found = dict(re.findall(r"camera\.(\w+)=(\S+)", out))
+    # The board's corners are found to 0.1 px of its height of 210 px, so its tilt to half a degree: 5 cm at 6 m.
+    true = {"x_m": -0.3, "y_m": 0.25, "z_m": 1.0}
+    assert {name: float(found[name]) for name in true} == pytest.approx(true, abs=0.06)
+    assert float(found["pitch_deg"]) == pytest.approx(3.0, abs=0.5) and float(found["yaw_deg"]) == pytest.approx(-1.0, abs=0.5)
+
+
+def test_a_picture_without_the_board_is_told(wall: Lux) -> None:
+    cv2.imwrite("screen.png", np.zeros((120, 160), np.uint8))
+    code, _, err = wall("rig", "calibrate", "wall.toml", "--on-screen", "screen.png")
+    assert code == 2 and "screen.png: no picture shows the board" in err
+    assert_one_sentence(err)
+    assert not list(Path().glob("rig*"))
 
 
 def test_values_are_fitted_to_a_recording(wall: Lux) -> None:

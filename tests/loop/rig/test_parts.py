@@ -106,6 +106,8 @@ def test_a_fast_change_is_made_in_part_and_arrives() -> None:
 def test_a_frame_counts_when_all_earlier_light_must_be_gone() -> None:
     timing = TimingParams(latency_s=0.05, jitter_s=0.02, rolling_s=0.03)
     assert [shows(lag_s, timing) for lag_s in (-0.1, 0.0199, 0.021, 0.0699, 0.0701)] == ["old", "old", "mixed", "mixed", "clear"]
+    # The rhythm by which a picture is 0.1 s late may itself be late by half of the jitter.
+    assert [shows(lag_s, timing, 0.1) for lag_s in (0.0199, 0.1599, 0.1601)] == ["old", "mixed", "clear"]
 
 
 def test_a_picture_that_is_stuck_is_late_and_so_are_those_behind_it() -> None:
@@ -119,6 +121,9 @@ def test_a_picture_that_is_stuck_is_late_and_so_are_those_behind_it() -> None:
     assert shows(0.15, TimingParams(latency_s=0.05, jitter_s=0.02), stuck[0]) == "mixed"
     lost = [regularity.late(k / 30) for k in range(207, 240)]  # one is missing
     assert lost[0] == pytest.approx(1 / 30, abs=0.02) and lost[-1] < 0.003
+    jam_s = 250 / 30
+    jammed = [(regularity.late(max(k / 30, jam_s)), jam_s - k / 30) for k in range(240, 251)]  # in a third of a second none comes
+    assert all(late_s == pytest.approx(true_s, abs=0.01) for late_s, true_s in jammed)
 
 
 def test_a_mark_names_the_exposure_modulo_four_or_none() -> None:

@@ -1,0 +1,126 @@
+"""The blink test: latency from drawn pictures, and blinks in which a part of the rig drops out."""
+
+import math
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from loop.rig import blink
+from loop.rig.matching import Regularity, shows
+from loop.rig.params import TimingParams
+from loop.rig.rig import Rig, await_camera, opened
+from tests.loop.rig.conftest import Process, eventually
+
+PERIOD_S, EXPOSURE_S, READOUT_S, LIGHT_S, REST_S = 1 / 30, 0.015, 0.003, 0.004, 0.03
+LEAST_S = LIGHT_S + EXPOSURE_S + READOUT_S + REST_S  # latency without jitter
+BLINKS = 100
+GRID = (12, 16)
+
+
+def drawn(seed: int, jitter_s: float, stuck: float = 0.0) -> tuple[blink.Looks, np.ndarray]:
+    """Pictures of a camera of 30 Hz, one in a hundred of which is lost, and by how much each is late. stuck: share that is 50 ms late."""
+    rng = np.random.default_rng(seed)
+    sent_s = 1 + np.cumsum(blink.HOLD_S + blink.SPREAD_S * rng.random(BLINKS + 1))
+    begins_s = np.arange(rng.random() * PERIOD_S, sent_s[-1], PERIOD_S)
+    begins_s = begins_s[rng.random(len(begins_s)) > 0.01]
+    late_s = jitter_s * rng.random(len(begins_s)) + 0.05 * (rng.random(len(begins_s)) < stuck)
+    arrived_s = np.maximum.accumulate(begins_s + EXPOSURE_S + READOUT_S + REST_S + late_s) + 1e-6 * np.arange(len(begins_s))
+    regularity = Regularity()
+    told_s = np.array([regularity.late(each) for each in arrived_s])
+    of = np.searchsorted(sent_s, arrived_s, "right") - 1
+    rows_s = begins_s[:, None] + np.linspace(0, READOUT_S, 6)  # [n, 6]
+    share = ((rows_s + EXPOSURE_S - sent_s[of, None] - LIGHT_S) / EXPOSURE_S).clip(0, 1) + 0.002 * rng.standard_normal(rows_s.shape)
+    kept = (of >= 0) & (arrived_s < sent_s[-1])
+    columns = (arrived_s - sent_s[of], sent_s[of], told_s, share.min(1), share.max(1))
+    looks = blink.Looks(*(each[kept] for each in columns), 0.01, np.diff(arrived_s), 0.0)
+    return looks, (arrived_s - begins_s - (LEAST_S - LIGHT_S))[kept]
+
+
+def verdicts(found: blink.Blinked, looks: blink.Looks, part: np.ndarray) -> list[str]:
+    """Of some pictures, with the timing that was found."""
+    timing = TimingParams(**found.timing)
+    return [shows(lag_s, timing, late_s) for lag_s, late_s in zip(looks.lag_s[part], looks.late_s[part], strict=True)]
+
+
+@pytest.mark.parametrize("jitter_s", [0.0, 0.01, 0.02])
+def test_the_mean_latency_is_found_through_jitter(jitter_s: float) -> None:
+    found = [blink.found(drawn(seed, jitter_s)[0], BLINKS) for seed in range(8)]
+    # A hundred blinks give 3 pictures a ms, at random times, so that the mean scatters by sqrt(J / 9 ms): by 1.5 ms at J = 20 ms
+    scatter_s = 0.0005 + math.sqrt(jitter_s * PERIOD_S / BLINKS / 3)
+    assert max(abs(each.latency_s - LEAST_S - jitter_s / 2) for each in found) < 3 * scatter_s
+    assert max(abs(each.rolling_s - EXPOSURE_S - READOUT_S) for each in found) < 4 * scatter_s  # from two of these
+    others, _ = drawn(8, jitter_s)
+    assert not any("clear" in verdicts(each, others, others.least < 1 - others.seen) for each in found)
+
+
+def test_pictures_that_are_stuck_leave_the_latency_as_it_is() -> None:
+    looks, late_s = drawn(0, 0.01, stuck=0.03)
+    found = blink.found(looks, BLINKS)
+    assert abs(found.latency_s - LEAST_S - 0.005) < 0.003
+    assert late_s.max() > 0.05 and found.jitter_s < 0.05  # a run knows of these by the camera's rhythm
+    assert "clear" not in verdicts(found, looks, looks.least < 1 - looks.seen)
+
+
+def test_too_few_pictures_are_told() -> None:
+    looks, _ = drawn(0, 0.0)
+    few = [getattr(looks, name)[:100] for name in ("lag_s", "at_s", "late_s", "least", "most")]
+    with pytest.raises(blink.LuxloopError, match="too few pictures came"):
+        blink.found(replace(looks, **dict(zip(("lag_s", "at_s", "late_s", "least", "most"), few, strict=True))), BLINKS)
+
+
+@pytest.fixture
+def fast(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blinks of a tenth of a second, for a camera whose latency is 15 ms."""
+    for name, value in {"HOLD_S": 0.1, "SPREAD_S": 0.02, "LEARN_S": 0.3}.items():
+        monkeypatch.setattr(blink, name, value)
+
+
+def watched(process: Process, blinks: int, advance: Callable[[Rig], None], **tables: Any) -> blink.Looks:
+    with opened(process.params(**tables), (GRID,), None, armed=True) as rig:
+        assert await_camera(rig)
+        return blink.watched(rig, (GRID,), blinks, 1.0, lambda: advance(rig))
+
+
+def first_s(looks: blink.Looks) -> float:
+    """From light to the earliest picture that shows it."""
+    return float(looks.lag_s[looks.most > looks.seen].min())
+
+
+@pytest.mark.usefixtures("fast")
+def test_a_camera_that_drops_out_voids_its_blinks(small_rig: Callable[..., Process]) -> None:
+    process = small_rig(dark_s=0.5, mute_after_s=2.0, mute_for_s=0.6)
+    darkened = []
+    looks = watched(process, 20, lambda rig: darkened.append(rig.keeper.reason))
+    assert any("no picture for 0.3 s" in each for each in darkened)
+    assert 10 <= len(np.unique(looks.at_s)) < 20
+    assert first_s(looks) > 0.01  # the latency without exposure: no earlier picture shows a change, so none was voided in part
+
+
+@pytest.mark.usefixtures("fast")
+def test_black_after_darkness_is_no_change_of_light(small_rig: Callable[..., Process]) -> None:
+    reasons = list[str]()
+
+    def advance(rig: Rig) -> None:
+        reasons.append(rig.keeper.reason)
+        if len(reasons) == 5:  # the next light is on, and goes out in its midst
+            threading.Thread(target=darken, args=(rig, rig.keeper.since_s)).start()
+
+    def darken(rig: Rig, before_s: float | None) -> None:
+        if eventually(lambda: rig.keeper.since_s != before_s):
+            rig.dark("somebody darkened it")
+
+    looks = watched(small_rig(dark_s=0.5), 10, advance)
+    assert [number for number, each in enumerate(reasons) if each] == [5]
+    assert len(np.unique(looks.at_s)) == 8  # without that one, and without the black that followed
+    assert first_s(looks) > 0.01
+
+
+@pytest.mark.usefixtures("fast")
+def test_a_rig_that_stays_away_ends_the_test_in_a_sentence(small_rig: Callable[..., Process]) -> None:
+    process = small_rig(dark_s=0.5)
+    with pytest.raises(blink.LuxloopError, match=r"blink: (camera|light)"):
+        watched(process, 10, lambda rig: process.kill())
