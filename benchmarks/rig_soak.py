@@ -144,8 +144,8 @@ class Minutes:
         latency_ms = [1e3 * (arrived_s - exposed_s[crc]) for crc, arrived_s in self.taken if crc in exposed_s]
         dark_s = math.nan if true["dark_since_s"] is None else true["dark_since_s"] - hung_s
         row = {
-            "latency_ms": float(np.median(latency_ms)),
-            "latency_99_ms": float(np.quantile(latency_ms, 0.99)),
+            "latency_ms": float(np.median(latency_ms)) if latency_ms else math.nan,
+            "latency_99_ms": float(np.quantile(latency_ms, 0.99)) if latency_ms else math.nan,
             "exposures_hz": (statistics.exposures - exposures) / lasted_s,
             "lost": sum(statistics.lost.values()) - lost,
             **memory,

@@ -288,12 +288,12 @@ def in_words(found: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _blinked(found: "Blinked") -> dict[str, str]:
-    median, most, worst = (1e3 * each for each in found.first_s)
+    (interval, longest), (median, most, worst) = found.interval_s, (1e3 * each for each in found.first_s)
     return {
         "light to frame": f"{median:.0f} ms (median), {most:.0f} ms (95 %), {worst:.0f} ms (worst), in {found.blinks} blinks",
         "latency": f"{1e3 * found.latency_s:.1f} ms to a frame that begins with the light",
         "jitter": f"{1e3 * found.jitter_s:.1f} ms, the worst that was measured with a quarter and 8 ms on it",
         "exposure and readout": f"{1e3 * found.rolling_s:.1f} ms",
         "drift": f"{1e3 * found.drift_s_per_min:+.1f} ms a minute",
-        "pictures": f"every {1e3 * found.interval_s[0]:.1f} ms (median), {1e3 * found.interval_s[1]:.0f} ms (worst), {found.late:.0%} late",
+        "pictures": f"every {1e3 * interval:.1f} ms (median), {1e3 * longest:.0f} ms (worst), {found.queued:.0%} queued",
     }

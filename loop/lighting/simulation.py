@@ -237,8 +237,8 @@ class Simulation:
                 if self.planner.learns:
                     functions = self.planner.step(functions, self._learnt(now, then, then_s, image, then_view, tracks))
         clock.lap("find")
+        oncoming_s = near_enough(world.lit(time_s), state.oncoming_s, time_s) if self.pipeline and world and world.metered else {}
         metered = [] if world is None else light_on_objects(world, showings)
-        oncoming_s = near_enough(self.world.lit(time_s), state.oncoming_s, time_s) if metered and self.pipeline is not None else {}
         due = [name for name, since_s in oncoming_s.items() if time_s - since_s >= DUE_S]
         detected = None if self.pipeline is None else self._look(self.pipeline, tracks, found, then_s, metered, due)
         clock.lap("look")

@@ -36,6 +36,7 @@ from world.view import View
 
 Made = TypeVar("Made")
 KEPT_VIEWS = 4  # on and off frame, before and after a change
+KEPT_LIGHTS = 3  # of an on and an off exposure, and the judged one
 MARGIN_PX = 1  # around objects, whose corners OpenGL rounds
 A_PIXEL: Part = (slice(0, 1), slice(0, 1))
 
@@ -209,7 +210,7 @@ class World:
         self.view = camera_view(camera)
         self.device = self.modules[0].T_world_headlight.device
         self._lit: OrderedDict[Any, LitScene] = OrderedDict()
-        self._made: deque[tuple[LitScene, tuple[Utilisation, ...], Commands, Any]] = deque(maxlen=2)  # of an on and an off exposure
+        self._made: deque[tuple[LitScene, tuple[Utilisation, ...], Commands, Any]] = deque(maxlen=KEPT_LIGHTS)
         self._asked: tuple[float, Any] = (math.nan, None)
         self._triangles: tuple[float, Triangles] = (math.nan, NOTHING)  # those looked at last, and when they were there
         self._textures = tuple(each.measured or LastTextures(each.headlight) for each in self.modules)
@@ -272,7 +273,7 @@ class World:
         seen = self.lit(time_s, part)
         pixels = torch.nonzero(seen.surfaces.object_id.flatten() > 0)[:, 0]
         surfaces = seen.surfaces.at(pixels)
-        if known := self._known(seen, lights, commands):
+        if self.metered and (known := self._known(seen, lights, commands)):
             lx = known[0][0].flatten()[pixels]
         else:
             transported = self._transported(surfaces, seen.vehicle, seen.triangles, len(pixels), 1, direct=True)
@@ -300,7 +301,7 @@ class World:
         return not self.moving or (self._key(t_s), None, True) in self._lit
 
     def _once(self, lit: LitScene, lights: tuple[Utilisation, ...], commands: Commands, make: Callable[[], Made]) -> Made:
-        """What a light does to a scene, made anew only where it is not one of the last two."""
+        """What a light does to a scene, made anew only where it is none of the last."""
         if known := self._known(lit, lights, commands):
             return cast(Made, known[0])
         made = make()
@@ -382,9 +383,11 @@ class World:
 
     def _triangles_at(self, t_s: float) -> Triangles:
         """The scene's triangles at a time, kept until another one is asked for."""
-        if self._triangles[0] != t_s:
-            self._triangles = t_s, self.scene.at(t_s, self.motion.at(t_s).T_world_ground, self._triangles[1])
-        return self._triangles[1]
+        then_s, triangles = self._triangles
+        if then_s != t_s:
+            triangles = self.scene.at(t_s, self.motion.at(t_s).T_world_ground, triangles)
+            self._triangles = t_s, triangles
+        return triangles
 
     def _transported(
         self, surfaces: GBuffer, vehicle: VehicleState, triangles: Triangles, width: int, samples: int, direct: bool

@@ -52,7 +52,7 @@ class Blinked:
 
     latency_s, jitter_s, rolling_s: keys of `[timing]`, of the rows that see the light. first_s: median, 95 % and worst time from light to
     the first frame that shows nothing else. drift_s_per_min: by how much the latency grows. interval_s: median and worst time between
-    pictures. late: share of the pictures that lay in a queue.
+    pictures. queued: share of the pictures that lay in a queue.
     """
 
     latency_s: float
@@ -61,7 +61,7 @@ class Blinked:
     first_s: tuple[float, float, float]
     drift_s_per_min: float
     interval_s: tuple[float, float]
-    late: float
+    queued: float
     blinks: int
 
     @property
@@ -237,5 +237,7 @@ def _between(lag_s: NDArray[np.float64], after: NDArray[np.bool_], reach_s: floa
     low, high = best[0], best[-1]
     border = (lags[max(low - 1, 0)] + lags[min(high, len(lags) - 1)]) / 2
     near = np.abs(lags - border) < reach_s
+    if not near.any():
+        return float(border)
     ends = np.concatenate([[border - reach_s], (lags[near][1:] + lags[near][:-1]) / 2, [border + reach_s]])
     return float(border + reach_s - (np.diff(ends) * late[near]).sum())  # of the time within reach, the part in which they are after

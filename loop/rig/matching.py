@@ -35,7 +35,7 @@ def shows(lag_s: float, timing: TimingParams, late_s: float = 0.0) -> Verdict:
 def needed_s(lateness_s: NDArray[np.float64], told_s: NDArray[np.float64]) -> float:
     """Least `jitter_s` with which `shows` takes none of some pictures for clear too early.
 
-    lateness_s: `[n]`, how much later than the least latency they came. told_s: `[n]`, what `Regularity` has told of it.
+    lateness_s: `[n]`, how much later than `latency_s` they came. told_s: `[n]`, what `Regularity` has told of it.
     """
     return float(np.minimum(lateness_s, (lateness_s - told_s) / IN_TIME).max(initial=0.0))
 

@@ -89,6 +89,8 @@ class SpottedTexture:
 
     def _covered_of(self, x: Tensor, y: Tensor) -> tuple[Tensor, ...]:
         """Indices of the points (x, y) `[N]` that lie on each spot; first of neighbours together, most of which lie farther along x."""
+        if not self.spots:
+            return ()
         x, y = (pad(each, (0, -len(each) % TOGETHER), value=torch.inf).view(-1, TOGETHER) for each in (x, y))
         place, least, most = torch.arange(x.numel()).view_as(x), x.amin(1), x.amax(1)
 

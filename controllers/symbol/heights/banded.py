@@ -11,15 +11,17 @@ def whole(band: Tensor) -> Tensor:
     """The whole matrix `[n, n]`."""
     width, n = band.shape
     matrix = band.new_zeros(n * (n + width))
-    # Element (j + d, j) at d n + j (n + 1), (j, j + d) at d + j (n + 1): those with j + d >= n, all zero, land outside of the band.
-    matrix.as_strided((width, n), (n, n + 1)).copy_(band)
+    # Element (j, j + d) at d + j (n + 1), (j + d, j) at d n + j (n + 1). Those with j + d >= n are zero: of the first, which land in the
+    # lower half, the second write over what is in the band.
     matrix.as_strided((width, n), (1, n + 1)).copy_(band)
+    matrix.as_strided((width, n), (n, n + 1)).copy_(band)
     return matrix[: n * n].view(n, n)
 
 
 def band_of(matrix: Tensor, width: int) -> Tensor:
-    """Main diagonal and the width - 1 below it of a symmetric matrix `[n, n]`; anything where j + d >= n."""
-    return matrix.flatten()[_places(width, len(matrix), matrix.device)]
+    """Main diagonal and the width - 1 below it of a symmetric matrix `[n, n]`."""
+    places, there = _places(width, len(matrix), matrix.device)
+    return matrix.flatten()[places] * there
 
 
 def solve(band: Tensor, right: Tensor) -> Tensor:
@@ -35,7 +37,7 @@ def solve_whole(matrix: Tensor, right: Tensor) -> Tensor:
 
 
 @lru_cache(maxsize=4)
-def _places(width: int, n: int, device: torch.device) -> Tensor:
-    """Where the elements (j + d, j) `[width, n]` are in a flattened matrix `[n, n]`; the last one beyond its end."""
+def _places(width: int, n: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Where the elements (j + d, j) `[width, n]` are in a flattened matrix `[n, n]`, and which of them are in it."""
     d, j = torch.arange(width, device=device)[:, None], torch.arange(n, device=device)
-    return (d * n + j * (n + 1)).clamp(max=n * n - 1)
+    return (d * n + j * (n + 1)).clamp(max=n * n - 1), d + j < n

@@ -117,8 +117,8 @@ class ForwardModel:
             parts = (part.float().to(device) for part in (on_plane, per_m, factor, origin))
             lamps.append(LampSight(module.pixel_controller.headlight, *parts))
         middle = average_rows(ground, samples)  # [3, h, w] m
-        rows = round((region.x_far_m - region.x_near_m) / cell_m[0])
-        cols = round((region.y_left_m - region.y_right_m) / cell_m[1])
+        rows = max(2, round((region.x_far_m - region.x_near_m) / cell_m[0]))
+        cols = max(2, round((region.y_left_m - region.y_right_m) / cell_m[1]))
         down, inside_x = _place(region.x_far_m, region.x_near_m, middle[0], rows)
         right, inside_y = _place(region.y_left_m, region.y_right_m, middle[1], cols)
         r0, c0 = down.floor().clamp(max=rows - 2), right.floor().clamp(max=cols - 2)

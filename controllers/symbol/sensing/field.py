@@ -2,7 +2,7 @@
 
 import torch
 from torch import Tensor
-from torch.nn.functional import adaptive_avg_pool2d
+from torch.nn.functional import adaptive_avg_pool2d, interpolate
 
 from controllers.symbol.sensing.projection import CELLS, ProjectionCommand
 from controllers.symbol.sensing.projector import DrawingModule, Projector
@@ -53,7 +53,6 @@ def _white(symbol: Tensor, projection: ProjectionCommand, rows: int, cols: int) 
         return torch.zeros_like(coarse[0, 0])
     if projection.warp is None:
         return coarse[0, 0]
-    down, right = (n // k for n, k in zip(projection.warp.source.shape[-2:], (rows, cols), strict=True))  # cells of a warp for one of these
-    u, v = projection.warp.source[..., down // 2 :: down, right // 2 :: right].unbind(1)
+    u, v = interpolate(projection.warp.source, (rows, cols), mode="nearest-exact").unbind(1)
     coarse = coarse.expand(len(u), -1, -1, -1)
     return resampled(coarse, u, v)[:, 0].mean(0)
