@@ -49,7 +49,7 @@ def kept() -> Iterator[Callable[..., tuple[Lamp, Keeper]]]:
 
     def start(**keys: float) -> tuple[Lamp, Keeper]:
         lamp = Lamp()
-        started.append(Keeper(lamp, LightParams(**keys), 60.0, lambda: None))
+        started.append(Keeper(lamp, LightParams().model_copy(update=keys), 60.0, lambda: None))  # not validated: one sends too seldom
         assert started[-1].show(SHINE) is None
         return lamp, started[-1]
 
