@@ -49,14 +49,16 @@ class Picture:
 
         view = simulation.world.view
         self.scene = pyrender.Scene(ambient_light=(0.1, 0.1, 0.1))
-        for body in simulation.world.scene.bodies:
+        for placed in simulation.world.lit(0.0).triangles.placed:
+            body = placed.body
             material = pyrender.MetallicRoughnessMaterial(baseColorFactor=(1.0, 1.0, 1.0, 1.0), metallicFactor=0.0, roughnessFactor=1.0)
             vertices, texcoord = np.asarray(body.mesh.vertices, np.float32), None
             if body.texture is not None:
-                tile = np.repeat((255 * body.texture.albedo.numpy()).astype(np.uint8)[..., None], 3, axis=2)
+                texture = simulation.scenario.surface.texture()
+                tile = np.repeat((255 * texture.albedo.numpy()).astype(np.uint8)[..., None], 3, axis=2)
                 material.baseColorTexture = pyrender.Texture(source=tile, source_channels="RGB")
-                extent = body.texture.texel_m * np.array(body.texture.albedo.shape)
-                texcoord = ((vertices[:, :2] - body.texture.origin_m) / extent)[:, ::-1].astype(np.float32)
+                extent = texture.texel_m * np.array(texture.albedo.shape)
+                texcoord = ((vertices[:, :2] - texture.origin_m) / extent)[:, ::-1].astype(np.float32)
             normals, faces = np.array(body.mesh.vertex_normals), body.mesh.faces
             primitive = pyrender.Primitive(vertices, normals, texcoord_0=texcoord, indices=faces, material=material)
             self.scene.add(pyrender.Mesh([primitive]), pose=body.track.pose_at(0.0).numpy())
