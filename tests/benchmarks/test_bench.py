@@ -72,7 +72,7 @@ def test_the_driving_benchmark_renders_both_ways_and_times_whole_steps(tmp_path:
         assert all(run["parts ms"][part] > 0 for part in ("plan", "light", "plant"))
         assert sum(run["parts ms"].values()) == pytest.approx(run["ms"])  # of two steps medians are means
     assert night_drive["parts ms"]["find"] > driving["parts ms"]["find"], "one of them has a detector"
-    assert [(goal["value"], goal["limit"]) for goal in content["goals"]] == [(driving["ms"], 80), (night_drive["ms"], 150)]
+    assert [(goal["value"], goal["limit"]) for goal in content["goals"]] == [(driving["ms"], 40), (night_drive["ms"], 60)]
 
 
 @pytest.mark.slow
