@@ -53,6 +53,7 @@ def run_on_rig(
         tables.console().print(f"checks that need the truth are left out: {', '.join(left_out)}", markup=False)
     with located(str(file)), opened(params, pixel_grids(scenario), scenario.camera, armed=armed) as rig:
         await_rig(rig)
+        rig.refuse_misfit()
         if not armed:
             tables.console().print("dry run: the lamp stays dark; give --arm to light it", markup=False)
 

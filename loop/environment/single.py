@@ -12,7 +12,7 @@ from gymnasium import spaces
 
 from controllers.symbol.sensing.symbol_sensor import Measurement
 from loop.environment.acting import ACTIONS
-from loop.environment.task import Floats, Look, as_gymnasium, bounds, observation, reward
+from loop.environment.task import Floats, Look, action_of, as_gymnasium, bounds, observation, reward
 from loop.lighting.result import SimulationState, StepResult
 from loop.lighting.simulation import Simulation
 from loop.plant.simulated import as_simulated
@@ -113,7 +113,7 @@ class SymbolEnv(gymnasium.Env[Any, Floats]):
         if self._state is None:
             raise LuxloopError("step: there is no episode; call reset() first")
         ((name, held),) = self._state.held.items()
-        taken = torch.as_tensor(np.asarray(action, np.float32)).clamp(-1, 1).to(self.simulation.device)
+        taken = action_of(action, (self.acting.size,)).to(self.simulation.device)
         acted = replace(held, controller=self.acting.act(held.controller, taken))
         self._state, result = self.simulation.step(replace(self._state, held={name: acted}))
         self._result = result

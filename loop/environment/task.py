@@ -14,6 +14,7 @@ from loop.environment.acting import Acting
 from perception.egomotion import Ego
 from perception.extraction import Loss
 from perception.judge import Verdict
+from world.errors import LuxloopError
 
 Floats = npt.NDArray[np.float32]
 
@@ -34,6 +35,14 @@ class Reward:
 
     reward: Tensor
     terms: dict[str, Tensor]
+
+
+def action_of(given: Any, shape: tuple[int, ...]) -> Tensor:
+    """An action `[..., n]` within -1..1. Raises LuxloopError where it has another shape, or is not finite."""
+    taken = torch.as_tensor(np.asarray(given, np.float32))
+    if taken.shape != shape or not bool(taken.isfinite().all()):
+        raise LuxloopError(f"step: an action has the shape {shape} and finite numbers, not {tuple(taken.shape)} or NaN; see action_space")
+    return taken.clamp(-1, 1)
 
 
 def reward(verdict: Verdict, action: Tensor) -> Reward:

@@ -20,7 +20,7 @@ from loop.batch.copies import Copies
 from loop.batch.laws import rows
 from loop.batch.looking import Taken
 from loop.environment.single import SEEDS, SymbolEnv, start_of
-from loop.environment.task import Floats, Look, Reward, as_gymnasium, observation, reward
+from loop.environment.task import Floats, Look, Reward, action_of, as_gymnasium, observation, reward
 from loop.plant.simulated import as_simulated
 from loop.scenario.model import Scenario
 from perception.extraction import Loss
@@ -97,7 +97,7 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]])
         over = self._over
         if over.any() and self.mode == AutoresetMode.DISABLED:
             raise LuxloopError("step: episodes are over; call reset(options={'reset_mask': ...}), or take another autoreset_mode")
-        taken = torch.as_tensor(np.asarray(actions, np.float32)).clamp(-1, 1).to(self.copies.simulation.device)
+        taken = action_of(actions, (self.num_envs, self.acting.size)).to(self.copies.simulation.device)
         found: Reward | None = None
         if not over.all():
             found, verdict = self._stepped(taken)

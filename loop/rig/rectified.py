@@ -16,6 +16,7 @@ from world.files import reading, regular
 from world.images import decoded
 
 GREY: Final = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
+REMEDY: Final = "set camera.width_px and camera.height_px of the scenario, or camera.crop of the rig file"
 AGAIN: Final = "run `luxloop rig calibrate` again"
 
 
@@ -79,7 +80,7 @@ class Rectifier:
             crop = self.source.crop
             u, v = (0, 0) if crop is None else (crop.u_px, crop.v_px)
             if (width - u < wanted[0] or height - v < wanted[1]) if crop else ((width, height) != wanted):
-                raise WrongPicture(f"camera: a picture of {width} x {height} px, where the scenario's image has {_times(wanted)}")
+                raise WrongPicture(f"camera: a picture of {width} x {height} px, where the scenario's image has {_times(wanted)}; {REMEDY}")
             picture = picture[v : v + wanted[1], u : u + wanted[0]]
         bits = self.source.bits or 8 * picture.dtype.itemsize
         share = self._linear(picture, bits)

@@ -140,6 +140,12 @@ class Rig:
             last = taken
         return self._lost(number, began_s, f"{last} in {timing.wait_s:g} s" if self.camera.alive else self.camera.reason)
 
+    def refuse_misfit(self) -> None:
+        """Raises LuxloopError where the camera's next picture cannot become the scenario's image; a triggered camera sends none yet."""
+        picture = None if self.params.triggered else self.camera.next(time.monotonic() + self.params.camera.timeout_s)
+        if picture is not None and self.rectifier is not None:
+            self.rectifier.image(picture.data)
+
     def _refused(self, picture: CameraPicture, since_s: float) -> str | None:
         """Why a picture may not show only the light sent at since_s: "old", "mixed", or "late" if it lay in a buffer; else None."""
         lag_s = picture.arrived_s - since_s

@@ -276,7 +276,7 @@ def only(held: Iterable[str]) -> str:
     """The one name there is of symbols that a controller holds. Raises LuxloopError where there are several or none."""
     names = tuple(held)
     if len(names) != 1:
-        raise LuxloopError(f"symbols that a controller holds: {', '.join(names) or 'none'}, not one; take each by its name")
+        raise LuxloopError(f"symbols that a controller holds: {', '.join(names) or 'none'}, where exactly one is needed")
     return names[0]
 
 

@@ -84,6 +84,13 @@ def test_an_episode_ends_with_the_scenarios_steps(env: SymbolEnv) -> None:
         luxloop.make("snowflake", *SMALL).step(np.zeros(4, np.float32))
 
 
+@pytest.mark.parametrize("action", [np.zeros(3), np.zeros((1, 4)), np.array([0, np.nan, 0, 0])])
+def test_actions_of_another_shape_or_without_a_number_are_refused(env: SymbolEnv, action: np.ndarray) -> None:
+    env.reset(seed=0)
+    with pytest.raises(LuxloopError, match=r"step: an action has the shape \(4,\) and finite numbers"):
+        env.step(action.astype(np.float32))
+
+
 def test_gains_that_stay_are_the_thesis_pid_and_others_are_not() -> None:
     held = luxloop.make("snowflake", *SMALL, action="gains")
     run = luxloop.Simulation.prepare(luxloop.load("snowflake", [*SMALL, "seed=3"]))

@@ -14,6 +14,7 @@ from loop.rig.light import Shine
 from loop.rig.rig import Rig, await_camera, opened
 from perception.camera import CameraParams
 from tests.loop.rig.conftest import Process, eventually, free_port
+from world.errors import LuxloopError
 
 GRID = (12, 16)
 PATIENT_S = 0.5  # time-out of a lamp that stays lit also where a busy machine lets the keeper come late
@@ -147,6 +148,8 @@ def test_pictures_of_a_wrong_size_are_lost_with_the_reason(small_rig: Callable[.
     with rig_of(small_rig(width=80, dark_s=PATIENT_S)) as rig:
         _, taken = rig.expose(shine(0), 0.001)
         assert taken.image is None and "80 x 48 px, where the scenario's image has 64 x 48" in taken.reason
+        with pytest.raises(LuxloopError, match=r"set camera\.width_px and camera\.height_px of the scenario"):
+            rig.refuse_misfit()  # as `luxloop run` does before it lights anything
 
 
 def test_at_the_end_the_lamp_is_dark_at_once(small_rig: Callable[..., Process]) -> None:

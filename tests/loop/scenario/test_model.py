@@ -66,7 +66,7 @@ def test_a_name_alone_is_a_scenario_of_darkness(file: Path) -> None:
     scenario = load(str(file))
     assert (scenario.functions, scenario.lighting.base.beam, scenario.controlled) == ({}, "off", ())
     assert (scenario.headlight.model, scenario.headlight.lamps, scenario.headlight.modules) == ("ssl-hd", ("left", "right"), None)
-    with pytest.raises(LuxloopError, match="symbols that a controller holds: none, not one; take each by its name"):
+    with pytest.raises(LuxloopError, match="symbols that a controller holds: none, where exactly one is needed"):
         _ = scenario.symbol
 
 
@@ -79,7 +79,7 @@ def test_functions_are_given_with_or_without_a_controller(file: Path) -> None:
     assert validate(json.loads(json.dumps(scenario.model_dump(mode="json"))), "manifest.json") == scenario
     both = load(str(file), ["functions.own.controller=open"])
     assert both.controlled == ("own", "symbol")
-    with pytest.raises(LuxloopError, match="symbols that a controller holds: own, symbol, not one; take each by its name"):
+    with pytest.raises(LuxloopError, match="symbols that a controller holds: own, symbol, where exactly one is needed"):
         _ = both.symbol
 
 
