@@ -190,10 +190,10 @@ def _flux_lm(light: Utilisation, flux: Tensor) -> float:
 def asked(
     modules: Sequence[ShiningModule], plan: Plan, secondary: Sequence[SecondaryRays], more: tuple[Plan, Sequence[Utilisation]] | None = None
 ) -> list[Utilisation]:
-    """Utilisations that a plan asks for, one a module, whatever power they take.
+    """Utilisations `[n_p]` of a plan before any power limit, one a module.
 
-    secondary: of each module. more: a plan that draws all this one does and maybe more, and what it asks for, which is the same where a
-    module draws nothing of that.
+    secondary: rays of each module. more: another plan with the utilisations that this function gave for it. It must draw the same
+    primitives as this plan, and may draw others besides; modules that draw none of those keep its utilisations.
     """
 
     def drawn(by: Plan, module: ShiningModule) -> int:
@@ -212,7 +212,7 @@ def driven(
 ) -> tuple[tuple[Utilisation, ...], Mapping[str, LampPower]]:
     """Utilisations, one a module, and the power of each lamp by its side, within the limit if there is one.
 
-    lights: what is asked for, one a module. power_w: electrical power of a lamp that gives so many lm.
+    lights: utilisations `[n_p]` before the limit, one a module. power_w: electrical power in W of a lamp by its flux in lm.
     """
     wanted = dict(zip((module.name for module in modules), lights, strict=True))
     limited, powers = [], {}

@@ -32,12 +32,12 @@ def shows(lag_s: float, timing: TimingParams, late_s: float = 0.0) -> Verdict:
     return "old" if lag_s <= timing.latency_s - timing.rolling_s else "mixed"
 
 
-def needed_s(lateness_s: NDArray[np.float64], told_s: NDArray[np.float64]) -> float:
+def needed_s(lateness_s: NDArray[np.float64], predicted_s: NDArray[np.float64]) -> float:
     """Least `jitter_s` with which `shows` takes none of some pictures for clear too early.
 
-    lateness_s: `[n]`, how much later than `latency_s` they came. told_s: `[n]`, what `Regularity` has told of it.
+    lateness_s: `[n]`, how much later than `latency_s` they came. predicted_s: `[n]`, the part of it that `Regularity` found.
     """
-    return float(np.minimum(lateness_s, (lateness_s - told_s) / IN_TIME).max(initial=0.0))
+    return float(np.minimum(lateness_s, (lateness_s - predicted_s) / IN_TIME).max(initial=0.0))
 
 
 class Regularity:

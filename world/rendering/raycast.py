@@ -118,11 +118,11 @@ def _towards(placed: Sequence[Placed], origin: Tensor, ways: Tensor, farthest: T
     axis = int(along.abs().argmax())
     sides, sign = [each for each in range(3) if each != axis], math.copysign(1.0, along[axis])
     ahead = sign * ways[axis]
-    told = torch.cat([ways[sides] / ahead, ways * farthest.clamp(max=FARTHEST)])  # slopes and ends of the rays, [5, N]
-    aside = torch.nonzero((ahead <= 0).logical_or_((told[:2].abs() > STEEPEST).any(0)))[:, 0]
-    told[:, aside] = torch.inf  # no slope that a body admits
+    reached = torch.cat([ways[sides] / ahead, ways * farthest.clamp(max=FARTHEST)])  # slopes and ends of the rays, [5, N]
+    aside = torch.nonzero((ahead <= 0).logical_or_((reached[:2].abs() > STEEPEST).any(0)))[:, 0]
+    reached[:, aside] = torch.inf  # no slope that a body admits
     low, high = _admitted(placed, origin, axis, sides, sign)  # [n, 5] each
-    padded = pad(told, (0, -told.shape[1] % TOGETHER), value=torch.inf).unflatten(1, (-1, TOGETHER))  # [5, m, TOGETHER]
+    padded = pad(reached, (0, -reached.shape[1] % TOGETHER), value=torch.inf).unflatten(1, (-1, TOGETHER))  # [5, m, TOGETHER]
     least, most = padded.amin(-1), padded.amax(-1)  # [5, m] each
     near = ((most >= low[:, :, None]) & (least <= high[:, :, None])).all(1)  # [n, m]
     place = torch.arange(padded[0].numel()).view(-1, TOGETHER)

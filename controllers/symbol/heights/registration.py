@@ -102,16 +102,16 @@ class Registration:
                     * forward_model.inside
                     * (forward_model.step / (PIXEL_SIGMA**2 * blur[0] * blur[1]))
                 )
-                told = weight * slope  # W J, [h, w]
+                weighted = weight * slope  # W J, [h, w]
                 free, above = self._free(heights, lit, dark)  # f and its weight A, [h, w] each
                 step = beside[i] - beside[j]  # d_ij, [E_d + E_r]
                 stiffness = 1 / (self.slopes**2 + step**2 / 4)  # an edge as soon as it is steep: Cauchy, [E_d + E_r]
                 force = (  # J' W e and the pull down to f + L (m - z) + (b - z) / h^2 - D' diag(stiffness) d with d = D (z - b), [n]
-                    forward_model.on_nodes(told * error + above * (free - heights))
+                    forward_model.on_nodes(weighted * error + above * (free - heights))
                     + known.information @ (known.mean - nodes)
                     - beside / HEIGHT_M**2
                 ).index_add_(0, self.edges.flatten(), torch.cat([-stiffness * step, stiffness * step]))
-                matrix = self._squared(told * slope + above)  # J' W J + A + D' diag(stiffness) D + 1 / h^2, a band matrix
+                matrix = self._squared(weighted * slope + above)  # J' W J + A + D' diag(stiffness) D + 1 / h^2, a band matrix
                 matrix.view(-1).index_add_(0, self.tied, torch.cat([stiffness, stiffness, -stiffness]))
                 matrix[0].add_(1 / HEIGHT_M**2)
                 # The step of Gauss-Newton, (matrix + L)^-1 force [n].
@@ -120,7 +120,7 @@ class Registration:
                 else:
                     moved = banded.solve(matrix + banded.band_of(known.information, len(matrix)), force)
                 nodes = nodes + moved.clamp(-LARGEST_STEP_M, LARGEST_STEP_M)
-        return Heights(nodes, banded.whole(self._squared(told * slope)), known.base, known.spread)
+        return Heights(nodes, banded.whole(self._squared(weighted * slope)), known.base, known.spread)
 
     def _predicted(self, heights: Tensor, textures: tuple[Tensor, ...], limit: Tensor, blur: tuple[float, float, float]) -> Tensor:
         """Blurred symbol images `[k, h, w]` of heights `[k, h, w]` m at the pixels."""
@@ -155,8 +155,9 @@ class Registration:
 @lru_cache(maxsize=16)
 def _gaussian(sigma: float, size: int, device: torch.device) -> Tensor:
     """Matrix `[size, size]` that blurs by its kernel, to two and a half deviations, with zeros beyond the ends."""
-    k = torch.arange(size, device=device)
+    from kornia.filters import get_gaussian_kernel1d
+
+    k, reach = torch.arange(size, device=device), math.ceil(2.5 * sigma)
+    kernel = get_gaussian_kernel1d(2 * reach + 1, sigma, device=device)[0]
     apart = (k[:, None] - k).abs()
-    reach = math.ceil(2.5 * sigma)
-    kernel = torch.exp(-(torch.arange(-reach, reach + 1, device=device) ** 2) / (2 * sigma**2))  # [2 * reach + 1]
-    return torch.where(apart <= reach, torch.exp(-(apart**2) / (2 * sigma**2)), 0.0) / kernel.sum()
+    return torch.where(apart <= reach, kernel[(reach + apart).clamp(max=2 * reach)], 0.0)
