@@ -10,6 +10,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from reference import with_tables
+
 import luxloop
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -37,7 +39,9 @@ def stage(page: Path) -> None:
         return f"]({os.path.relpath(copy, (STAGE / place(page)).parent)}"
 
     (STAGE / place(page)).parent.mkdir(parents=True, exist_ok=True)
-    text = re.sub(r"^```(\w+) \w+$", r"```\1", page.read_text("utf-8"), flags=re.M)  # a second word tells tests what a block is
+    text = re.sub(
+        r"^```(\w+) \w+$", r"```\1", with_tables(page.read_text("utf-8")), flags=re.M
+    )  # a second word tells tests what a block is
     (STAGE / place(page)).write_text(re.sub(r"\]\((?!https?:|#)([^)#\s]+)", moved, text), "utf-8")
 
 

@@ -1,9 +1,6 @@
-"""The documentation tells the truth: commands run, Python runs, TOML is valid, tables are those of the models, links lead somewhere.
+"""The documentation tells the truth: commands run, Python runs, TOML is valid, keys and fields are described, links lead somewhere."""
 
-`python -m tests.test_docs` writes the tables of docs/scenarios.md, docs/lampfiles.md, docs/rig.md, docs/rig_file.md anew from the models.
-"""
-
-import json
+import ast
 import os
 import re
 import shlex
@@ -11,14 +8,14 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Collection
+from dataclasses import is_dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import pytest
-from pydantic import BaseModel
+import reference
 
-from loop.bench.faults import FaultParams
 from loop.commands import cli
 from loop.commands.given import scenario_of
 from loop.rig.params import RigParams
@@ -28,7 +25,6 @@ from loop.scenario.overrides import TAGS
 from loop.scenario.shipped import shipped
 from loop.studies.campaign import CampaignParams
 from loop.studio.page import PAGE
-from loop.terminal.tables import markdown
 from tests.parts import parts_serve_again, simulations_end_with_the_file
 from world.lampfiles import description
 from world.lampfiles.description import LampDescription
@@ -37,7 +33,6 @@ from world.validation import validated
 __all__ = ["parts_serve_again", "simulations_end_with_the_file"]
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md"))]
-SCENARIOS = ROOT / "docs" / "scenarios.md"
 
 # What is not run here, and why.
 EXEMPT = {
@@ -244,94 +239,28 @@ def test_pictures_are_small() -> None:
         assert picture.stat().st_size < 400_000, picture.name
 
 
-TABLES: dict[Path, tuple[type[BaseModel], ...]] = {
-    SCENARIOS: (Scenario,),
-    ROOT / "docs" / "lampfiles.md": (LampDescription,),
-    ROOT / "docs" / "rig.md": (FaultParams,),
-    ROOT / "docs" / "rig_file.md": (RigParams,),
-}
+@pytest.mark.parametrize("page", reference.FILES)
+def test_every_key_of_a_file_is_documented(page: str) -> None:
+    text = (ROOT / "docs" / page).read_text("utf-8")
+    described = [name for kind, name in reference.MARKED.findall(text) if kind == "keys"]
+    assert sorted(described) == sorted(reference.models(reference.FILES[page]))
+    assert len(re.findall(r"^\| `", reference.with_tables(text), re.M)) >= len(described)
 
 
-def models(roots: tuple[type[BaseModel], ...]) -> dict[str, Any]:
-    """JSON Schema of each table that a file may have, by the name of its model."""
-    schemas = {root.__name__: root.model_json_schema() for root in roots}
-    return {**schemas, **{name: inner for schema in schemas.values() for name, inner in schema["$defs"].items()}}
+FIELDS = [name for page in PAGES for kind, name in reference.MARKED.findall(page.read_text("utf-8")) if kind == "fields"]
 
 
-ALL_MODELS = {name: schema for roots in TABLES.values() for name, schema in models(roots).items()}
-
-
-def written(value: Any) -> str:
-    """A value as TOML writes it on one line."""
-    if isinstance(value, dict):
-        tags = {key: value[key] for key in TAGS if key in value}
-        return "{ " + ", ".join(f"{key} = {written(inner)}" for key, inner in (tags or value).items()) + " }"
-    return json.dumps(value)
-
-
-def default(field: dict[str, Any]) -> str:
-    if "default" not in field:
-        return "required"
-    value = field["default"]
-    inner = ALL_MODELS[field["$ref"].rpartition("/")[2]]["properties"] if "$ref" in field else {}
-    if inner and all("default" in each for each in inner.values()):
-        return "its own"
-    return "none" if value in (None, {}) else f"`{written(value)}`"
-
-
-def allowed(field: dict[str, Any]) -> str:
-    """What a key may be."""
-    field = next((variant for variant in field.get("anyOf", []) if variant.get("type") != "null"), {}) | field
-    if "enum" in field:
-        return ", ".join(f"`{written(value)}`" for value in field["enum"])
-    if "const" in field:
-        return ""
-    if "$ref" in field or "oneOf" in field or field["type"] == "object":
-        return "table"
-    if field["type"] == "array":
-        if "prefixItems" in field:
-            return f"list of {len(field['prefixItems'])} numbers"
-        if field["items"].get("type") == "number":
-            return "list of numbers"
-        if field["items"].get("type") == "integer":
-            return "list of whole numbers"
-        if field["items"].get("type") == "string" and "enum" not in field["items"]:
-            return "list of texts"
-        return f"list: {allowed(field['items'])}" if "enum" in field["items"] else "list of tables"
-    limits = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
-    words = {"number": "number", "integer": "whole number", "boolean": "true or false", "string": "text"}
-    return ", ".join([words[field["type"]], *(f"{sign} {field[key]:g}" for key, sign in limits.items() if key in field)])
-
-
-def table(model: dict[str, Any]) -> str:
-    rows = []
-    for key, field in model["properties"].items():
-        meaning = field.get("description", "which of the variants this is" if key in TAGS else "")
-        rows.append((f"`{key}`", default(field), allowed(field), meaning))
-    return markdown(("key", "default", "may be", "meaning"), rows, "l") + "\n"
-
-
-MARKED = re.compile(r"(?<=<!-- keys of )(\w+)( -->\n)(?:\|.*\n)*")
-
-
-def with_tables(text: str) -> str:
-    return MARKED.sub(lambda match: f"{match[1]}{match[2]}{table(ALL_MODELS[match[1]])}", text)
-
-
-@pytest.mark.parametrize("page", TABLES, ids=lambda page: page.stem)
-def test_every_key_of_a_file_is_documented(page: Path) -> None:
-    text = page.read_text("utf-8")
-    assert sorted(name for name, _ in MARKED.findall(text)) == sorted(models(TABLES[page]))
-    assert with_tables(text) == text, "the models have changed: write the tables anew with `python -m tests.test_docs`"
+@pytest.mark.parametrize("path", FIELDS)
+def test_every_field_is_described(path: str) -> None:
+    assert is_dataclass(reference.named(path))
+    meanings = reference.described(path)
+    for each, field in reference.annotated(path).items():
+        assert each in meanings, f"the docstring of {path} does not say what {each} is"
+        assert "None" not in ast.unparse(field.annotation) or "None" in meanings[each], f"say when {each} of {path} is None"
 
 
 def test_every_required_key_has_an_example_for_messages() -> None:
-    every = models((Scenario, LampDescription, CampaignParams)).items()
+    every = [each for root in (Scenario, LampDescription, CampaignParams) for each in reference.models(root).items()]
     required = [(name, key, model["properties"][key]) for name, model in every for key in model.get("required", ())]
     assert [f"{name}.{key}" for name, key, field in required if key not in TAGS and not field.get("examples")] == []
     LampDescription(**{key: field["examples"][0] for name, key, field in required if name == "LampDescription"})
-
-
-if __name__ == "__main__":
-    for page in TABLES:
-        page.write_text(with_tables(page.read_text("utf-8")), "utf-8")

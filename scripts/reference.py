@@ -1,0 +1,142 @@
+"""Tables of the documentation that are made when the site is built: keys of files from their models, fields and calls from docstrings.
+
+A page says where with `<!-- keys of Model -->`, `<!-- fields of module:Class -->` and `<!-- calls of module:Class -->`. The docstring of a
+class describes a field as `name: what it is.`, or names it in backticks in its first sentence, and says when it is None.
+"""
+
+import ast
+import inspect
+import json
+import re
+from functools import cache
+from importlib import import_module
+from typing import Any
+
+from pydantic import BaseModel
+
+from loop.bench.faults import FaultParams
+from loop.rig.params import RigParams
+from loop.scenario.model import Scenario
+from loop.scenario.overrides import TAGS
+from loop.terminal.tables import markdown
+from world.lampfiles.description import LampDescription
+
+FILES: dict[str, type[BaseModel]] = {
+    "scenarios.md": Scenario,
+    "lampfiles.md": LampDescription,
+    "rig.md": FaultParams,
+    "rig_file.md": RigParams,
+}
+MARKED = re.compile(r"^<!-- (keys|fields|calls) of (\S+) -->$", re.M)
+
+
+def with_tables(text: str) -> str:
+    makers = {"keys": keys, "fields": fields, "calls": calls}
+    return MARKED.sub(lambda match: f"{match[0]}\n{makers[match[1]](match[2])}", text)
+
+
+def models(root: type[BaseModel]) -> dict[str, Any]:
+    """JSON Schema of each table that a file may have, by the name of its model."""
+    schema = root.model_json_schema()
+    return {root.__name__: schema, **schema.get("$defs", {})}
+
+
+@cache
+def all_models() -> dict[str, Any]:
+    return {name: schema for root in FILES.values() for name, schema in models(root).items()}
+
+
+def written(value: Any) -> str:
+    """A value as TOML writes it on one line."""
+    if isinstance(value, dict):
+        tags = {key: value[key] for key in TAGS if key in value}
+        return "{ " + ", ".join(f"{key} = {written(inner)}" for key, inner in (tags or value).items()) + " }"
+    return json.dumps(value)
+
+
+def default(field: dict[str, Any]) -> str:
+    if "default" not in field:
+        return "required"
+    value = field["default"]
+    inner = all_models()[field["$ref"].rpartition("/")[2]]["properties"] if "$ref" in field else {}
+    if inner and all("default" in each for each in inner.values()):
+        return "its own"
+    return "none" if value in (None, {}) else f"`{written(value)}`"
+
+
+def allowed(field: dict[str, Any]) -> str:
+    """What a key may be."""
+    field = next((variant for variant in field.get("anyOf", []) if variant.get("type") != "null"), {}) | field
+    if "enum" in field:
+        return ", ".join(f"`{written(value)}`" for value in field["enum"])
+    if "const" in field:
+        return ""
+    if "$ref" in field or "oneOf" in field or field["type"] == "object":
+        return "table"
+    if field["type"] == "array":
+        if "prefixItems" in field:
+            return f"list of {len(field['prefixItems'])} numbers"
+        if field["items"].get("type") == "number":
+            return "list of numbers"
+        if field["items"].get("type") == "integer":
+            return "list of whole numbers"
+        if field["items"].get("type") == "string" and "enum" not in field["items"]:
+            return "list of texts"
+        return f"list: {allowed(field['items'])}" if "enum" in field["items"] else "list of tables"
+    limits = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
+    words = {"number": "number", "integer": "whole number", "boolean": "true or false", "string": "text"}
+    return ", ".join([words[field["type"]], *(f"{sign} {field[key]:g}" for key, sign in limits.items() if key in field)])
+
+
+def keys(name: str) -> str:
+    rows = []
+    for key, field in all_models()[name]["properties"].items():
+        meaning = field.get("description", "which of the variants this is" if key in TAGS else "")
+        rows.append((f"`{key}`", default(field), allowed(field), meaning))
+    return markdown(("key", "default", "may be", "meaning"), rows, "l")
+
+
+def named(path: str) -> type:
+    """The class `module:Class`."""
+    module, name = path.split(":")
+    found: type = getattr(import_module(module), name)
+    return found
+
+
+def source(path: str) -> ast.ClassDef:
+    tree = ast.parse(inspect.getsource(named(path))).body[0]
+    assert isinstance(tree, ast.ClassDef)
+    return tree
+
+
+def annotated(path: str) -> dict[str, ast.AnnAssign]:
+    return {ast.unparse(each.target): each for each in source(path).body if isinstance(each, ast.AnnAssign)}
+
+
+def described(path: str) -> dict[str, str]:
+    """What the docstring of a class says of each of its fields."""
+    text = " ".join((named(path).__doc__ or "").split())
+    field = "|".join(annotated(path))
+    parts = re.split(rf"(?:^|(?<=[.;] ))((?:{field})(?:, (?:{field}))*): ", text)
+    found = {each: meaning.strip(" .;") for names, meaning in zip(parts[1::2], parts[2::2], strict=True) for each in names.split(", ")}
+    return {each: parts[0].split(". ")[0].strip(" .") for each in annotated(path) if f"`{each}`" in parts[0]} | found
+
+
+def fields(path: str) -> str:
+    meanings = described(path)
+    rows = []
+    for each, field in annotated(path).items():
+        kind = ast.unparse(field.annotation) + (f" = {ast.unparse(field.value)}" if field.value else "")
+        rows.append((f"`{each}`", "`" + kind.replace("|", "\\|") + "`", meanings.get(each, "")))
+    return markdown(("field", "type", "meaning"), rows, "l")
+
+
+def calls(path: str) -> str:
+    rows = []
+    for method in (each for each in source(path).body if isinstance(each, ast.FunctionDef) and each.name[0] != "_"):
+        asked = ", ".join(each.arg for each in method.args.args[1:])
+        is_value = any(ast.unparse(each).endswith("property") for each in method.decorator_list)
+        returned = ast.unparse(method.returns).strip("'").replace("|", "\\|") if method.returns else ""
+        meaning = " ".join((ast.get_docstring(method) or "").split())
+        rows.append((f"`{method.name}`" if is_value else f"`{method.name}({asked})`", f"`{returned}`", meaning))
+    return markdown(("call", "returns", "meaning"), rows, "l")
