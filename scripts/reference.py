@@ -1,7 +1,8 @@
-"""Tables of the documentation that are made when the site is built: keys of files from their models, fields and calls from docstrings.
+"""Tables of the documentation that are made when the site is built, from models and docstrings.
 
-A page says where with `<!-- keys of Model -->`, `<!-- fields of module:Class -->` and `<!-- calls of module:Class -->`. The docstring of a
-class describes a field as `name: what it is.`, or names it in backticks in its first sentence, and says when it is None.
+A page says where with `<!-- keys of Model -->`, `<!-- fields of module:Class -->`, `<!-- calls of module:Class -->` or
+`<!-- cited equations -->`. The docstring of a class describes a field as `name: what it is.`, or names it in backticks in its first
+sentence, and says when it is None.
 """
 
 import ast
@@ -12,6 +13,7 @@ from functools import cache
 from importlib import import_module
 from typing import Any
 
+from citations import cited_table
 from pydantic import BaseModel
 
 from loop.bench.faults import FaultParams
@@ -27,11 +29,11 @@ FILES: dict[str, type[BaseModel]] = {
     "rig.md": FaultParams,
     "rig_file.md": RigParams,
 }
-MARKED = re.compile(r"^<!-- (keys|fields|calls) of (\S+) -->$", re.M)
+MARKED = re.compile(r"^<!-- (keys of|fields of|calls of|cited) (\S+) -->$", re.M)
 
 
 def with_tables(text: str) -> str:
-    makers = {"keys": keys, "fields": fields, "calls": calls}
+    makers = {"keys of": keys, "fields of": fields, "calls of": calls, "cited": cited_table}
     return MARKED.sub(lambda match: f"{match[0]}\n{makers[match[1]](match[2])}", text)
 
 

@@ -242,12 +242,12 @@ def test_pictures_are_small() -> None:
 @pytest.mark.parametrize("page", reference.FILES)
 def test_every_key_of_a_file_is_documented(page: str) -> None:
     text = (ROOT / "docs" / page).read_text("utf-8")
-    described = [name for kind, name in reference.MARKED.findall(text) if kind == "keys"]
+    described = [name for kind, name in reference.MARKED.findall(text) if kind == "keys of"]
     assert sorted(described) == sorted(reference.models(reference.FILES[page]))
     assert len(re.findall(r"^\| `", reference.with_tables(text), re.M)) >= len(described)
 
 
-FIELDS = [name for page in PAGES for kind, name in reference.MARKED.findall(page.read_text("utf-8")) if kind == "fields"]
+FIELDS = [name for page in PAGES for kind, name in reference.MARKED.findall(page.read_text("utf-8")) if kind == "fields of"]
 
 
 @pytest.mark.parametrize("path", FIELDS)
