@@ -6,13 +6,13 @@ import platform
 import sys
 from collections.abc import Iterable
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import torch
 from rich.console import Console
 
 from loop.terminal.tables import markdown
-from world.spmv.auto import processor
 
 Goal = tuple[str, float | None, float, bool]  # what, its value (None where it was not measured), its limit, whether that is the least
 
@@ -22,6 +22,14 @@ def on_one_thread(*variables: str) -> None:
     threads = dict.fromkeys(variables, "1")
     if any(os.environ.get(name) != value for name, value in threads.items()):
         os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **threads})
+
+
+def processor() -> str:
+    """Model of the CPU."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return models[0] if models else platform.processor() or platform.machine()
 
 
 def machine(*packages: str) -> dict[str, str]:

@@ -18,6 +18,7 @@ import torch
 torch.set_num_threads(1)
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
+from bench import processor  # noqa: E402
 from torch import Tensor  # noqa: E402
 
 from controllers.jpo.controller import Jpo  # noqa: E402
@@ -37,7 +38,6 @@ from world.frames import pose_from_degrees  # noqa: E402
 from world.headlight import Headlight  # noqa: E402
 from world.presets import lamp  # noqa: E402
 from world.spmv import multiply  # noqa: E402
-from world.spmv.auto import processor  # noqa: E402
 from world.symbols import load_still  # noqa: E402
 
 TEMPLATE = Path(__file__).with_name("jpo_page.md")

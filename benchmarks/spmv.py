@@ -19,16 +19,16 @@ import spmv_page
 import torch
 from bench import judged, machine, on_one_thread, show_goals
 from rich.table import Table
+from sparse.formats import FORMATS, build, candidates
+from sparse.graph import CapturedProduct
+from sparse.protocol import SparseFormat, lit_rows
 from spmv_lamps import FIXED_SIDE, SIZES, THESIS_ADAPTIVE_US, THESIS_FIXED_US, Lamp, adaptive_side, of_the_thesis, with_long_rows
 from spmv_timing import Copy, Step, interleaved, statistics
 from spmv_updates import FIGURE_PIXELS, FIGURE_TEXELS, measure_figure, measure_updates
 
 from loop.terminal import tables
 from world import presets
-from world.spmv import FORMATS, CapturedProduct, Csr, SparseFormat, build
-from world.spmv.auto import best_of, candidates
-from world.spmv.memory import zeros
-from world.spmv.protocol import lit_rows
+from world.spmv import Csr, zeros
 
 ROOT = Path(__file__).parents[1]
 ROUNDS = 15
@@ -52,7 +52,7 @@ def check(name: str, lamp: Lamp, product: torch.Tensor, expected: torch.Tensor) 
 
 
 def measure_lamp(lamp: Lamp, copy: Copy, rounds: int, names: list[str] | None = None) -> dict[str, Any]:
-    """Every format beside SciPy, and which one `fastest` would take; each product is checked."""
+    """Every format beside SciPy, and the fastest that can pay; each product is checked."""
     csr = Csr.from_scipy(lamp.matrix).settled()
     u = torch.rand(csr.n_cols, generator=torch.Generator().manual_seed(1))
     vector = u.numpy()
@@ -63,8 +63,8 @@ def measure_lamp(lamp: Lamp, copy: Copy, rounds: int, names: list[str] | None = 
     for name, form in forms.items():
         check(name, lamp, form.multiply(u, out.fill_(torch.nan)), expected)
         steps[name] = partial(form.refresh, u, out)
-    chosen = best_of({name: forms[name] for name in names or candidates(csr)})
     ms = interleaved(steps, rounds)
+    chosen = min(names or candidates(csr), key=lambda name: ms[name]["median"])
     copied = ms.pop("copy")["median"]
     best = forms[chosen]
     lit = len(lit_rows(csr))

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from loop.terminal.tables import markdown
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("world", "perception", "controllers", "loop")
+PACKAGES = ("world", "perception", "controllers", "loop", "benchmarks/sparse")
 
 NUMBER = r"(?:\d+|[AB])(?:\.\d+)*"
 LIST = rf"{NUMBER}(?:(?:, | and | to ){NUMBER})*"

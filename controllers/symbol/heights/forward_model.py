@@ -17,7 +17,7 @@ from perception.extraction import Crop, Extraction, difference, symbol_image, th
 from world.frames import inverse
 from world.headlight import Headlight
 from world.resampling import resampled
-from world.spmv.csr import Csr, multiply
+from world.spmv import Csr, multiply
 from world.view import View
 
 SIGMAS = 1.4826  # of a normal distribution, in its median deviations

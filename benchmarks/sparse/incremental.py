@@ -4,8 +4,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from world.spmv.csr import Csr, segment_bounds
-from world.spmv.memory import zeros
+from world.spmv import Csr, segment_bounds, zeros
 
 
 class Bands:

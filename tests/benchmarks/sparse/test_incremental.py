@@ -6,10 +6,13 @@ import scipy.sparse as sp
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sparse.formats import FORMATS, build
+from sparse.graph import CapturedProduct
+from sparse.incremental import Bands, ChangedPixels
 
-from tests.world.spmv.matrices import matrices, random_matrix
+from tests.world.spmv_matrices import matrices, random_matrix
 from world.errors import LuxloopError
-from world.spmv import FORMATS, Bands, CapturedProduct, ChangedPixels, Csr, build, multiply
+from world.spmv import Csr, multiply
 
 changes = st.lists(st.tuples(st.integers(0, 29), st.integers(0, 30), st.integers(0, 2**32)), max_size=8)
 

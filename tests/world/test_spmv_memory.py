@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 import torch
+from sparse.formats import build
 
-from tests.world.spmv.matrices import random_matrix
-from world.spmv import Csr, build
-from world.spmv.memory import LARGE, settled, zeros
+from tests.world.spmv_matrices import random_matrix
+from world.spmv import LARGE, Csr, settled, zeros
 
 DTYPES = (torch.float32, torch.float64, torch.int32)
 

@@ -9,12 +9,15 @@ import scipy.sparse as sp
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sparse import scipy_window
+from sparse.formats import FORMATS, build, candidates
+from sparse.padded import Sell
+from sparse.protocol import SparseFormat, Storage
+from sparse.scipy_window import ScipyWindow
 
-from tests.world.spmv.matrices import matrices, random_matrix
+from tests.world.spmv_matrices import matrices, random_matrix
 from world.errors import LuxloopError
-from world.spmv import FORMATS, Csr, SparseFormat, Storage, build, scipy_window
-from world.spmv.padded import Sell
-from world.spmv.scipy_window import ScipyWindow
+from world.spmv import Csr
 
 each_format = pytest.mark.parametrize("name", FORMATS)
 
@@ -188,3 +191,16 @@ def test_unknown_formats_are_named() -> None:
         build(matrix(BY_HAND), "windw")
     with pytest.raises(LuxloopError, match="known are coo, csr"):
         build(matrix(BY_HAND), "?")
+
+
+def test_padding_without_end_is_no_candidate() -> None:
+    long_row = np.zeros((1000, 500))
+    long_row[:, 0] = 1
+    assert "ell" in candidates(Csr.from_scipy(sp.csr_matrix(long_row)))
+    long_row[0] = 1
+    names = candidates(Csr.from_scipy(sp.csr_matrix(long_row)))
+    assert "ell" not in names
+    assert {"csr", "window", "submatrix"} <= set(names)
+    assert "tiles" in candidates(Csr.from_scipy(sp.csr_matrix(np.ones((200, 20)))))
+    # As many pixels a texel, but no two texels share theirs.
+    assert "tiles" not in candidates(Csr.from_scipy(sp.kron(sp.eye_array(200), np.ones((1, 20)))))

@@ -3,9 +3,8 @@
 import torch
 from torch import Tensor
 
-from world.spmv.csr import Csr, row_of_entries
-from world.spmv.memory import settled
-from world.spmv.protocol import SparseFormat, Storage, lit_rows, lit_window
+from sparse.protocol import SparseFormat, Storage, lit_rows, lit_window
+from world.spmv import Csr, row_of_entries, settled
 
 
 class Coo(SparseFormat):

@@ -3,9 +3,8 @@
 import torch
 from torch import Tensor
 
-from world.spmv.csr import Csr, row_of_entries
-from world.spmv.memory import zeros
-from world.spmv.protocol import SparseFormat, Storage, row_lengths
+from sparse.protocol import SparseFormat, Storage, row_lengths
+from world.spmv import Csr, row_of_entries, zeros
 
 
 class Ell(SparseFormat):

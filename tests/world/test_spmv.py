@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.world.spmv.matrices import matrices, random_matrix
+from tests.world.spmv_matrices import matrices, random_matrix
 from world.spmv import Csr, multiply, numbers, row_of_entries, segment_bounds
 
 

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from world.spmv.csr import Csr, row_of_entries
-from world.spmv.memory import settled, zeros
-from world.spmv.padded import equal_runs
-from world.spmv.protocol import SparseFormat, Storage, lit_rows, lit_window
+from sparse.padded import equal_runs
+from sparse.protocol import SparseFormat, Storage, lit_rows, lit_window
+from world.spmv import Csr, row_of_entries, settled, zeros
 
 
 class Tiles(SparseFormat):

@@ -7,8 +7,7 @@ from typing import ClassVar, Self
 import torch
 from torch import Tensor
 
-from world.spmv.csr import Csr
-from world.spmv.memory import zeros
+from world.spmv import Csr, zeros
 
 INDEX_BYTES = 4
 
@@ -32,7 +31,7 @@ class Storage:
 class SparseFormat(ABC):
     """A headlight matrix `[n_rows, n_cols]`, stored to be multiplied again and again.
 
-    A format keeps work buffers between calls: it belongs to one thread. It has no gradient; `world.spmv.multiply` has.
+    A format keeps work buffers between calls: it belongs to one thread. It has no gradient; `sparse.multiply` has.
     """
 
     name: ClassVar[str]

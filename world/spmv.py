@@ -1,6 +1,12 @@
-"""The headlight matrix as compressed sparse rows with int32 indices (T 2.5), whole or as a band of rows."""
+"""Sparse products `i = A u` (T 2.5, 5.3): the headlight matrix as compressed sparse rows with int32 indices, whole or as a band of rows.
 
+Other formats are studied in benchmarks/sparse (docs/results/spmv.md): a run spends too small a share of its time on such products.
+"""
+
+import math
+import mmap
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -10,10 +16,28 @@ import scipy.sparse as sp
 import torch
 from torch import Tensor
 
-from world.spmv.memory import settled
-
 # Of torch's CSR we use construction and products only, both held by tests.
 warnings.filterwarnings("ignore", "Sparse CSR tensor support is in beta", UserWarning)
+
+
+LARGE = 2**22  # bytes from which two pages of 2 MiB or more are filled
+
+
+def zeros(shape: tuple[int, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
+    """As `torch.zeros`, on the CPU in large pages, which torch does not ask for and by which products gain up to a fifth."""
+    bytes_ = math.prod(shape) * dtype.itemsize
+    if device.type != "cpu" or bytes_ < LARGE or not hasattr(mmap, "MADV_HUGEPAGE"):
+        return torch.zeros(shape, dtype=dtype, device=device)
+    # Fresh from the system: what malloc hands out again keeps the pages that it has.
+    memory = mmap.mmap(-1, bytes_, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    with suppress(OSError):  # a kernel without them
+        memory.madvise(mmap.MADV_HUGEPAGE)
+    return torch.frombuffer(memory, dtype=dtype).view(shape)
+
+
+def settled(tensor: Tensor) -> Tensor:
+    """A copy that will be read again and again."""
+    return zeros(tuple(tensor.shape), tensor.dtype, tensor.device).copy_(tensor.detach())
 
 
 @dataclass(frozen=True)
@@ -62,7 +86,7 @@ class Csr:
         return Csr(self.indptr, self.indices, values, self.n_cols)
 
     def settled(self) -> "Csr":
-        """A copy that will be streamed again and again (see `world.spmv.memory`); itself where it is not on the CPU."""
+        """A copy that will be streamed again and again (see `settled`); itself where it is not on the CPU."""
         if self.values.device.type != "cpu":
             return self
         return Csr(settled(self.indptr), settled(self.indices), settled(self.values), self.n_cols)
