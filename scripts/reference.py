@@ -1,6 +1,6 @@
 """Tables of the documentation that are made when the site is built, from models and docstrings.
 
-A page says where with `<!-- keys of Model -->`, `<!-- fields of module:Class -->`, `<!-- calls of module:Class -->` or
+A page says where: `<!-- keys of Model -->`, `<!-- fields of module:Class -->`, `<!-- calls of module:Class -->`, `<!-- columns of runs -->`
 `<!-- cited equations -->`. The docstring of a class describes a field as `name: what it is.`, or names it in backticks in its first
 sentence, and says when it is None.
 """
@@ -17,6 +17,10 @@ from citations import cited_table
 from pydantic import BaseModel
 
 from loop.bench.faults import FaultParams
+from loop.lighting import record
+from loop.plant.frames import COLUMNS
+from loop.recording import columns as recorded
+from loop.recording.comparison import TOLERANCES
 from loop.rig.params import RigParams
 from loop.scenario.model import Scenario
 from loop.scenario.overrides import TAGS
@@ -29,11 +33,11 @@ FILES: dict[str, type[BaseModel]] = {
     "rig.md": FaultParams,
     "rig_file.md": RigParams,
 }
-MARKED = re.compile(r"^<!-- (keys of|fields of|calls of|cited) (\S+) -->$", re.M)
+MARKED = re.compile(r"^<!-- (keys of|fields of|calls of|columns of|cited) (\S+) -->$", re.M)
 
 
 def with_tables(text: str) -> str:
-    makers = {"keys of": keys, "fields of": fields, "calls of": calls, "cited": cited_table}
+    makers = {"keys of": keys, "fields of": fields, "calls of": calls, "columns of": columns, "cited": cited_table}
     return MARKED.sub(lambda match: f"{match[0]}\n{makers[match[1]](match[2])}", text)
 
 
@@ -142,3 +146,23 @@ def calls(path: str) -> str:
         meaning = " ".join((ast.get_docstring(method) or "").split())
         rows.append((f"`{method.name}`" if is_value else f"`{method.name}({asked})`", f"`{returned}`", meaning))
     return markdown(("call", "returns", "meaning"), rows, "l")
+
+
+def columns(of: str) -> str:
+    """Columns of `runs`, of `symbols` that are held, of their tolerances in `replays`, or of the exposures in `frames`."""
+    if of == "replays":
+        rows = [(f"`{name}`", f"{tolerance:g}", why) for name, (tolerance, why) in TOLERANCES.items()]
+        return markdown(("column", "largest difference", "why"), rows, "l")
+    groups: dict[str, dict[str, Any]] = {
+        "": record.STEP | record.CONTROL | record.OBSERVED | record.LEARNING | record.LOOKING | record.EYES_PEAK,
+        "lamp.SIDE.": record.LAMP | record.LAMP_PEAK,
+        "modules.NAME.": record.MODULE,
+        "objects.NAME.": record.OBJECT | record.OBJECT_PEAK | record.LOOKED_AT,
+        "functions.NAME.": record.ZONE,
+    }
+    if of == "symbols":
+        groups = {"functions.NAME.": {name: ("", *entry) for name, entry in recorded.SYMBOL.items()}}
+    if of == "frames":
+        groups = {"": COLUMNS}
+    rows = [(f"`{prefix}{name}`", unit, text) for prefix, group in groups.items() for name, (_, unit, text) in group.items()]
+    return markdown(("column", "unit", "meaning"), rows, "l")

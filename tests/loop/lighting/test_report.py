@@ -1,6 +1,5 @@
 """What report and summary of lighting functions tell: charts that nothing hides, energy beside that of beams, whom the tracker loses."""
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from loop.lighting import record
 from loop.lighting.compared import compared
 from loop.lighting.detection import recognised
 from loop.lighting.simulation import Simulation
@@ -266,25 +264,3 @@ def test_a_run_that_finds_nobody_says_how_small_they_were(tmp_path: Path) -> Non
     assert "no box in any step, though objects in sight had up to" in " ".join(told["falls"].split()) and "no box" not in told["nobody"]
     assert "50.0% of its flux left at the end; no object was tracked, so none asked for more" in told["falls"]
     assert all("50.0% of its flux left at the end" in told[case] and "none asked" not in told[case] for case in ("constant", "nobody"))
-
-
-def columns_in_markdown() -> list[str]:
-    """All columns that a recording of lighting functions may have, as docs/recordings.md has them."""
-    groups: dict[str, dict[str, Any]] = {
-        "": record.STEP | record.CONTROL | record.OBSERVED | record.LEARNING | record.LOOKING | record.EYES_PEAK,
-        "lamp.SIDE.": record.LAMP | record.LAMP_PEAK,
-        "objects.NAME.": record.OBJECT | record.OBJECT_PEAK | record.LOOKED_AT,
-        "functions.NAME.": record.ZONE,
-    }
-    return [f"| `{prefix}{name}` | {unit} | {text} |" for prefix, group in groups.items() for name, (_, unit, text) in group.items()]
-
-
-def test_every_column_is_documented_once() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "recordings.md").read_text("utf-8")
-    assert not [line for line in columns_in_markdown() if line not in page]
-    columns = re.findall(r"^\| `(.*?)`", page.split("## Columns")[1].split("## Summary")[0], re.M)
-    assert len(columns) == len(set(columns))
-
-
-if __name__ == "__main__":
-    print("\n".join(columns_in_markdown()))

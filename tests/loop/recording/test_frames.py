@@ -1,6 +1,5 @@
 """Frames that a run keeps: what its plant was shown and handed over, bit for bit, whole or gone with the recording."""
 
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ from loop.lighting.recorder import Recorder
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.plant.frames import (
-    COLUMNS,
     FOLDER,
     SCHEMA,
     TABLE,
@@ -132,13 +130,6 @@ def test_frames_of_eight_bits_are_pictures_that_every_program_shows(bits: int, d
     assert coded.dtype == dtype and read_image(tmp_path / "frame.png", camera, image).equal(image)
     cv2.imwrite(str(tmp_path / "frame.png"), coded.astype(before))
     assert read_image(tmp_path / "frame.png", camera, image).equal(image), "as earlier versions wrote it"
-
-
-def test_documentation_names_every_column() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "recordings.md").read_text()
-    columns = page.split("## Frames")[1].split("## In shadow")[0]
-    documented = re.findall(r"^\| `([\w.]+)` \| (.*?) \| (.*?) \|$", columns, re.MULTILINE)
-    assert documented == [(name, unit, text) for name, (_, unit, text) in COLUMNS.items()]
 
 
 def test_old_frames_go_with_their_recording_and_nothing_else(

@@ -4,7 +4,6 @@ import hashlib
 import json
 import math
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -20,7 +19,7 @@ import torch
 
 from controllers.symbol.sensing.projection import ProjectionCommand
 from loop.lighting import recorder
-from loop.lighting.record import ZONE, row, schema, summary_of
+from loop.lighting.record import row, schema, summary_of
 from loop.lighting.recorder import Recorder
 from loop.lighting.result import Clock, StepResult
 from loop.lighting.simulation import Simulation
@@ -51,14 +50,6 @@ def strict_json(file: Path) -> Any:
         raise ValueError(f"{word} is not JSON")
 
     return json.loads(file.read_text(), parse_constant=refuse)
-
-
-def test_documentation_names_every_column_of_functions() -> None:
-    page = (ROOT / "docs" / "recordings.md").read_text()
-    columns = page.split("## Columns")[1].split("## Summary")[0]
-    documented = re.findall(r"^\| `functions\.NAME\.(\w+)` \| (.*?) \| (.*?) \|$", columns, re.MULTILINE)
-    of_functions = SYMBOL | {name: (unit, text) for name, (_, unit, text) in ZONE.items()}
-    assert {name: (unit, text) for name, unit, text in documented} == of_functions
 
 
 def test_row_has_plain_values_in_the_units_of_their_names(small_simulation: Simulation, small_results: list[StepResult]) -> None:

@@ -21,7 +21,7 @@ from loop.lighting.recorder import Recorder
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.recording.columns import SYMBOL, of_one
-from loop.recording.comparison import CENTROID_M, CENTROID_PX, SHARE, SHEAR, TOLERANCES, compare, tolerances
+from loop.recording.comparison import CENTROID_M, CENTROID_PX, SHARE, SHEAR, compare, tolerances
 from loop.recording.files import table_of
 from loop.recording.summary import steady_step
 from loop.replay.replay import load, replay, to_csv
@@ -29,7 +29,6 @@ from loop.scenario.model import Scenario
 from world.errors import LuxloopError
 from world.parquet import read_parquet
 
-PAGE = Path(__file__).parents[3] / "docs" / "recordings.md"
 HELD = {"symbol": FeatureParams()}
 RAW = tolerances(FeatureParams())
 
@@ -217,15 +216,6 @@ def test_tolerances_follow_the_features() -> None:
     moments = tolerances(FeatureParams(view="birdseye", shape="moments"))
     assert moments["c_v"] == moments["e_y"] == moments["e_pitch"] == CENTROID_M
     assert moments["e_roll"] == SHEAR
-
-
-def test_documentation_has_the_tolerances() -> None:
-    table = PAGE.read_text().split("## Replay")[1]
-    documented = {
-        name: (float(number), why) for name, number, why in re.findall(r"^\| `(\w+)` \| ([\d.e-]+)(?: \S+)? \| (.*?) \|$", table, re.M)
-    }
-    assert documented.pop("steady_step")[0] == 1
-    assert documented == TOLERANCES
 
 
 NO_IMAGE = {"kind": "symbol", "image": "/none.png", "controller": "open"}
