@@ -12,7 +12,7 @@ from controllers.functions.planner import Plan
 from controllers.pixels.morphing import Morphing
 from controllers.pixels.power import limit_power, pixel_flux
 from controllers.pixels.primitives import Primitives, meant
-from controllers.pixels.secondary import SecondaryRays
+from controllers.pixels.secondary import SecondaryRays, scene_caster
 from controllers.pixels.ssc import PixelController, Utilisation
 from controllers.pixels.windows import projected_windows
 from controllers.situation import Situation
@@ -20,12 +20,15 @@ from loop.assembly.lamps import MountedModule, mounted
 from loop.assembly.made import Made
 from loop.assembly.pixel_control import pixel_controller
 from loop.assembly.truth import LampModule
+from loop.lighting.ground import seen_from
+from loop.plant.world import World
 from loop.scenario.model import Scenario
 from loop.scenario.shipped import named
 from world.errors import LuxloopError, located
 from world.headlight import Headlight
 from world.headlight.lamp import Commands, ModuleCommand
 from world.lampfiles.utilisations import RawUtilisation, read_sequence
+from world.scene.scene import StreetLamp
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,3 +231,34 @@ def driven(
         powers[side] = LampPower(total, total / most, factor, power_w(total), total)
         limited += shown
     return tuple(limited), powers
+
+
+@dataclass(frozen=True, eq=False)
+class LampDriver:
+    """All modules with what limits their light. world: what is true, which street lamps and shadow rays need."""
+
+    scenario: Scenario
+    modules: tuple[ShiningModule, ...]
+    world: World | None
+
+    def aimed(self, now: Situation) -> list[ShiningModule]:
+        """The modules at the poses and intensities of a situation."""
+        return [
+            replace(module, T_world_module=light.T_world_headlight, intensity=light.intensity)
+            for module, (_, light) in zip(self.modules, now.lights, strict=True)
+        ]
+
+    def drive(
+        self, plan: Plan, now: Situation, more: tuple[Plan, tuple[Utilisation, ...]] | None = None
+    ) -> tuple[tuple[Utilisation, ...], Mapping[str, LampPower]]:
+        """Utilisations of all modules and powers by lamp. more: a plan that draws all that this one draws and maybe more, and its light."""
+        params, modules = self.scenario.lighting, self.aimed(now)
+        street_lamps: tuple[StreetLamp, ...] = ()
+        occluded = None
+        if self.world is not None and (params.street_lamps or params.shadow_rays):
+            T_world_ground = self.world.motion.at(now.time_s).T_world_ground
+            street_lamps = tuple(seen_from(T_world_ground, lamp) for lamp in self.world.scene.street_lamps) if params.street_lamps else ()
+            occluded = scene_caster(self.world.lit(now.time_s).triangles, T_world_ground) if params.shadow_rays else None
+        secondary = [SecondaryRays(now.lights, own, street_lamps, occluded) for own in range(len(self.modules))]
+        lights = asked(modules, plan, secondary, more if params.power_limit is None else None)
+        return driven(modules, lights, params.power_limit, self.scenario.headlight.power_w)

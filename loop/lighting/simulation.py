@@ -1,7 +1,7 @@
 """Lighting functions at work: at each step the objects are tracked, the functions planned, the lamps driven, and the light looked at."""
 
 import math
-from collections.abc import Collection, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -11,45 +11,37 @@ from torch import Tensor
 
 from controllers.functions.base_beams import BaseBeamParams, BeamName
 from controllers.functions.commands import Given
-from controllers.functions.planner import Plan, Planner
-from controllers.pixels.primitives import Primitives
-from controllers.pixels.secondary import Light, SecondaryRays, scene_caster
+from controllers.functions.planner import Planner
+from controllers.pixels.secondary import Light
 from controllers.pixels.ssc import Utilisation
 from controllers.situation import Seen, Situation, Timed, TrackedObject
 from controllers.symbol.sensing.projection import ProjectionCommand
 from controllers.symbol.sensing.protocol import SymbolController
 from controllers.symbol.sensing.symbol_sensor import Measurement
 from loop.assembly.made import Made
+from loop.lighting.acts import Control, Lights, Parts, Perception, Reception, StepDrive, StepPlan, without
 from loop.lighting.commanded import commanded
 from loop.lighting.controlled import ControlledSymbol, Moment, turn
-from loop.lighting.detection import DetectionPipeline, false_positives, recognised
-from loop.lighting.ground import attitude, moved, seen_from
-from loop.lighting.judging import over_setpoint
-from loop.lighting.lamps import LampPower, ShiningModule, asked, driven, in_reach, mean_powers
-from loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
-from loop.lighting.on_materials import OnMaterial, in_zones, on_materials
-from loop.lighting.on_objects import DUE_S, OnObject, light_on_objects, must_be_dark, near_enough, on_eyes, on_objects, told_as
+from loop.lighting.detection import DetectionPipeline
+from loop.lighting.evaluator import Evaluator
+from loop.lighting.ground import attitude, moved
+from loop.lighting.lamps import LampDriver, ShiningModule, in_reach, mean_powers
 from loop.lighting.parts import parts
-from loop.lighting.result import Clock, FrameDetections, SimulationState, StepResult
+from loop.lighting.result import Clock, SimulationState, StepResult
 from loop.plant.pairing import paired
 from loop.plant.protocol import Arrivals, Exposure, Objects, Plant, Showing, closed
 from loop.plant.simulated import as_simulated
-from loop.plant.world import LitScene, ObjectLight, World, categories
+from loop.plant.world import LitScene, World
 from loop.scenario.checks import Light as OtherLight
 from loop.scenario.model import Scenario, only
 from loop.scenario.shown import Shown
 from perception.camera import luminance_of, saturation_luminance
-from perception.detection.protocol import Detections
 from perception.egomotion import Ego, Samples, ego_of, newest
-from perception.judge import Verdict
 from world.errors import LuxloopError, located
 from world.frames import inverse
 from world.headlight.lamp import REST, Commands
-from world.scene.scene import StreetLamp
 from world.view import View
 
-Lights = tuple[Utilisation, ...]  # of all modules
-Parts = Mapping[str, Sequence[Primitives]]  # that functions draw, by name
 BEAMS: Mapping[OtherLight, BeamName] = {"full_light": "full", "low_beam": "low"}
 
 
@@ -106,7 +98,7 @@ class Simulation:
 
     def lights_of(self, result: StepResult, drawn: Parts) -> Lights:
         """Those of a step in which the functions draw these primitives, by name."""
-        return self._driven(self.planner.composed(result.now, result.functions, drawn), result.now)[0]
+        return self.lamps.drive(self.planner.composed(result.now, result.functions, drawn), result.now)[0]
 
     def of_all(self, symbol: ControlledSymbol, light: Sequence[Utilisation]) -> Lights:
         """What a light of a symbol's modules adds to their base beams, as utilisations of all modules."""
@@ -140,13 +132,18 @@ class Simulation:
         return replace(self, scenario=scenario, planner=Planner.prepare({}, alone), modules=modules, plant=plant, controlled={})
 
     @cached_property
+    def lamps(self) -> LampDriver:
+        """The modules with what limits them."""
+        return LampDriver(self.scenario, self.modules, self.truth)
+
+    @cached_property
+    def _evaluator(self) -> Evaluator:
+        return Evaluator(self.scenario, self.planner, self.pipeline, self.controlled, self.lamps, self.truth)
+
+    @property
     def watched(self) -> Mapping[str, int]:
-        """Objects that are recorded, by name, and their ids: those that a tracker is told of, with a detector all that it ought to find."""
-        if self.truth is None:
-            return {}
-        told = [item.category for item in self.scenario.all_objects]
-        wanted = enumerate(zip(self.world.scene.objects, told if self.pipeline is None else categories(self.world.given), strict=True), 1)
-        return {body.name: number for number, (body, category) in wanted if category is not None}
+        """See `loop.lighting.evaluator.Evaluator.watched`."""
+        return self._evaluator.watched
 
     def situation(self, time_s: float, tracks: Any = None, ego: Ego | None = None, told: Objects | None = None) -> Situation:
         """What the car knows at a time: from tracks, if there is a detector, else as told by the plant, or by a tracker without mistakes.
@@ -196,126 +193,132 @@ class Simulation:
         Where symbols are held all light is shown first, and for the rest of the step all but the symbols whose turn it is.
         """
         clock = Clock()
-        time_s, shares, world = state.arrivals.time_s, self.scenario.shares, self.truth
-        per_step = len(shares)
+        ego, now, commands = self._sense(state)
+        plan = self._plan(state, now, ego)
+        clock.lap("plan")
+        drive = self._drive(plan)
+        clock.lap("light")
+        reception = self._expose(state, plan, drive)
+        clock.lap("plant")
+        perception = self._perceive(state, plan, reception)
+        clock.lap("find")
+        control = self._control(state, plan, drive, reception)
+        clock.lap("control")
+        evaluation, oncoming_s = self._evaluator.evaluate(state, plan, drive, reception, perception, control)
+        clock.lap("look")
+        result = StepResult(
+            step=state.step,
+            time_s=now.time_s,
+            now=now,
+            view=perception.view,
+            functions=state.functions,
+            plan=plan.plans[0],
+            lights=tuple(light.u for light in drive.exposures[0]),
+            powers=mean_powers(drive.powers, self.scenario.shares),
+            frame=perception.image,
+            frames=control.frames,
+            taken_s=control.taken_s,
+            showings=reception.showings,
+            timings=clock.taken_ms,
+            processing_ms=clock.processing_ms,
+            **vars(evaluation),
+        )
+        following = SimulationState(
+            state.step + 1,
+            perception.tracks,
+            perception.functions,
+            reception.plant,
+            reception.arrivals,
+            reception.samples,
+            control.held,
+            perception.believed,
+            control.under_way,
+            control.unpaired,
+            commands,
+            oncoming_s,
+        )
+        return following, result
+
+    def _sense(self, state: SimulationState) -> tuple[Ego | None, Situation, Mapping[str, Given]]:
+        """The car's motion, the situation and what functions command, from all that has arrived."""
+        time_s = state.arrivals.time_s
         ego = self.ego(state.samples, time_s)
-        view, (now, given) = self._from(attitude(ego)), self._commanded(time_s, state, ego)
+        return ego, *self._commanded(time_s, state, ego)
+
+    def _plan(self, state: SimulationState, now: Situation, ego: Ego | None) -> StepPlan:
+        """Primitives of functions and controllers: all of them, and without the symbols that are measured in this step."""
         projections, drawn = self._drawn(state, now, ego)
         measured = turn(self.controlled, state.held, projections)
         plans = [self.planner.composed(now, state.functions, drawn)]
         if measured:
-            plans.append(self.planner.composed(now, state.functions, _without(drawn, measured)))
-        clock.lap("plan")
-        driven = [self._driven(plans[0], now)]
-        driven += [self._driven(plan, now, (plans[0], driven[0][0])) for plan in plans[1:]]
-        plan, exposures = plans[0], [lights for lights, _ in driven] * (per_step // len(driven))
-        exposures[0] = self._raw(exposures[0], projections)
-        wanted = [projections, *[{name: each for name, each in projections.items() if name not in measured}] * (per_step - 1)]
-        clock.lap("light")
+            plans.append(self.planner.composed(now, state.functions, without(drawn, measured)))
+        return StepPlan(ego, now, projections, drawn, measured, tuple(plans))
+
+    def _drive(self, plan: StepPlan) -> StepDrive:
+        """Utilisations of each exposure, and what it shows of the symbols."""
+        drives = [self.lamps.drive(plan.plans[0], plan.now)]
+        drives += [self.lamps.drive(each, plan.now, (plan.plans[0], drives[0][0])) for each in plan.plans[1:]]
+        per_step = len(self.scenario.shares)
+        exposures = [lights for lights, _ in drives] * (per_step // len(drives))
+        exposures[0] = self._raw(exposures[0], plan.projections)
+        others = {name: each for name, each in plan.projections.items() if name not in plan.measured}
+        return StepDrive(tuple(exposures), (plan.projections, *[others] * (per_step - 1)), tuple(powers for _, powers in drives))
+
+    def _expose(self, state: SimulationState, plan: StepPlan, drive: StepDrive) -> Reception:
+        """The exposures shown on the plant, and all that arrives meanwhile."""
         plant, arrivals, samples, frames, showings = state.plant, state.arrivals, state.samples, state.frames, list[Showing]()
-        for part, (share, shown, projection) in enumerate(zip(shares, exposures, wanted, strict=True)):
-            number, duration_s = per_step * state.step + part, share / self.scenario.rate_hz
-            before, exposure = arrivals, Exposure(number, arrivals.time_s, duration_s, shown, projection, now.commands)
+        shares, rate_hz = self.scenario.shares, self.scenario.rate_hz
+        for part, (share, lights, projections) in enumerate(zip(shares, drive.exposures, drive.projections, strict=True)):
+            number = len(shares) * state.step + part
+            before, exposure = arrivals, Exposure(number, arrivals.time_s, share / rate_hz, lights, projections, plan.now.commands)
             plant, arrivals = self.plant.show(plant, exposure)
             showings.append(Showing(before, exposure, arrivals))
             frames, samples = frames + arrivals.frames, newest(samples, arrivals.samples)
-        clock.lap("plant")
+        return Reception(plant, arrivals, samples, frames, frames[len(state.frames) :], tuple(showings))
+
+    def _perceive(self, state: SimulationState, plan: StepPlan, reception: Reception) -> Perception:
+        """Detector, tracker and learning functions on the frames that came."""
+        view, per_step = self._from(attitude(plan.ego)), len(self.scenario.shares)
         watched = {"on": (0,), "off": (per_step - 1,), "both": range(per_step)}[self.scenario.detector_frames]
         believed = {**state.believed, **{per_step * state.step + part: view for part in watched}}
-        tracks, functions, image, found, then_s = state.tracks, state.functions, None, None, time_s
-        for frame in frames[len(state.frames) :]:
-            if (then_view := believed.get(frame.number)) is None:
-                continue
-            believed = {number: each for number, each in believed.items() if number > frame.number}  # those before it never come
-            if frame.image is not None:
-                reads = self.planner.learns or self.pipeline is not None
-                image, then_s = frame.image[:, :] if reads else frame.image, frame.taken_s
-                then = world.lit(then_s) if reads and world is not None else None
-                if self.pipeline is not None:
-                    found = self.pipeline.find(share := image / (2**self.scenario.camera.bits - 1), then)
-                    tracks = self.pipeline.tracker.follow(tracks, found, share, then_s)
-                if self.planner.learns:
-                    functions = self.planner.step(functions, self._learnt(now, then, then_s, image, then_view, tracks))
-        clock.lap("find")
-        oncoming_s = near_enough(world.lit(time_s), state.oncoming_s, time_s) if self.pipeline and world and world.metered else {}
-        metered = [] if world is None else light_on_objects(world, showings)
-        due = [name for name, since_s in oncoming_s.items() if time_s - since_s >= DUE_S]
-        detected = None if self.pipeline is None else self._look(self.pipeline, tracks, found, then_s, metered, due)
-        clock.lap("look")
-        alone = len(projections) == 1 and len(self.planner.functions) == 1 and self.scenario.lighting.power_limit is None
-        moment = Moment(projections, measured, exposures[0], exposures[-1], ego, alone)
-        looks, under_way, frames = paired((*state.under_way, (per_step * state.step, moment)), frames) if self.controlled else ([], (), ())
-        newer = self.ego(samples, arrivals.time_s)
-        held = {name: replace(each, turn=state.step) if name in measured else each for name, each in state.held.items()}
-        looked = dict[str, Measurement]()
-        for each in looks:
-            moment = each.what.as_shown(each)
-            for name in (name for name in held if name in moment.projections):
-                held[name], looked[name] = self.controlled[name].step(held[name], name, moment, each.images, newer)
-        clock.lap("control")
-        masked = frozenset(each.name for each in now.objects if must_be_dark(self.scenario.functions, each, now))
-        told = told_as(self.watched, None if detected is None else detected.recognised)
-        luminance = None if world is None else world.image(time_s, exposures[0], now.commands)
-        illuminance = world.illuminance_image(time_s, exposures[0], now.commands) if world is not None and metered else None
-        zones = in_zones(self.planner.functions, state.functions, luminance, view if world is None else world.view_from_ground(time_s))
-        objects: Mapping[str, OnObject] = {}
-        materials: Mapping[str, OnMaterial] = {}
-        symbols: tuple[ObservedSymbol, ...] = ()
-        verdicts: Mapping[str, Verdict] = {}
-        if world is not None and illuminance is not None and luminance is not None:
-            objects = on_objects(self.watched, frozenset(told[name] for name in masked & told.keys()), metered, shares)
-            materials = on_materials(self.planner.functions, functions, now, told, world, illuminance, luminance)
-            if (white := in_white(plan)) is not None:
-                whitened = [light.u for light in self._driven(white, now)[0]]
-                symbols = observed_symbols(plan, [light.u for light in exposures[0]], whitened, world, now)
-        judges = world is not None and bool(every := self.scenario.judge_every) and state.step % every == 0
-        compares = judges and metered and self.pipeline is not None and self.planner.functions
-        road_ratio = over_setpoint(self._turned(now), plan, exposures[0], self.world.lit(time_s)) if compares else None
-        if judges and measured:
-            verdicts = self._judged(state, now, drawn, measured, exposures)
-        results = {name: self.controlled[name].held(each, looked.get(name), verdicts.get(name)) for name, each in projections.items()}
-        clock.lap("look")
-        result = StepResult(
-            state.step,
-            time_s,
-            now,
-            view,
-            state.functions,
-            masked,
-            plan,
-            tuple(light.u for light in exposures[0]),
-            mean_powers([powers for _, powers in driven], shares),
-            illuminance,
-            luminance,
-            image,
-            looks[-1].images if looks else None,
-            looks[-1].taken_s if looks else math.nan,
-            objects,
-            detected,
-            symbols,
-            results,
-            zones,
-            materials,
-            road_ratio,
-            tuple(showings),
-            clock.taken_ms,
-            clock.processing_ms,
-        )
-        known = tracks, functions, plant, arrivals, samples, held, believed, under_way, frames, given, oncoming_s
-        return SimulationState(state.step + 1, *known), result
+        known = Perception(view, state.tracks, state.functions, None, None, plan.now.time_s, believed)
+        for frame in reception.new:
+            if (then_view := known.believed.get(frame.number)) is not None:
+                # Frames before this one never come.
+                believed = {number: each for number, each in known.believed.items() if number > frame.number}
+                known = replace(known, believed=believed)
+                if frame.image is not None:
+                    known = self._look(known, frame.image, frame.taken_s, then_view, plan.now)
+        return known
 
-    def _judged(
-        self, state: SimulationState, now: Situation, drawn: Parts, measured: Sequence[str], exposures: Sequence[Lights]
-    ) -> Mapping[str, Verdict]:
-        """Of each symbol that is measured. exposures: the light with all of them, and without."""
-        verdicts, (on, off) = {}, exposures
-        for name in measured:
-            if len(measured) > 1:
-                off, _ = self._driven(self.planner.composed(now, state.functions, _without(drawn, [name])), now)
-            judge = self.controlled[name].judge
-            assert judge is not None
-            verdicts[name] = judge.judged(self.world.added(now.time_s, on, off, now.commands), now.time_s)
-        return verdicts
+    def _look(self, known: Perception, image: Tensor, taken_s: float, view: View, now: Situation) -> Perception:
+        """What one frame adds. image: digital numbers `[height, width]`, taken at taken_s in a view that the car believes."""
+        reads = self.planner.learns or self.pipeline is not None
+        image, world, tracks, found, functions = image[:, :] if reads else image, self.truth, known.tracks, known.found, known.functions
+        then = world.lit(taken_s) if reads and world is not None else None
+        if self.pipeline is not None:
+            share = image / (2**self.scenario.camera.bits - 1)
+            found = self.pipeline.find(share, then)
+            tracks = self.pipeline.tracker.follow(tracks, found, share, taken_s)
+        if self.planner.learns:
+            functions = self.planner.step(functions, self._learnt(now, then, taken_s, image, view, tracks))
+        return replace(known, tracks=tracks, functions=functions, found=found, image=image, taken_s=taken_s)
+
+    def _control(self, state: SimulationState, plan: StepPlan, drive: StepDrive, reception: Reception) -> Control:
+        """Measurements of the pairs of frames that came, and the controllers' next states."""
+        alone = len(plan.projections) == 1 and len(self.planner.functions) == 1 and self.scenario.lighting.power_limit is None
+        moment = Moment(plan.projections, plan.measured, drive.exposures[0], drive.exposures[-1], plan.ego, alone)
+        number = len(self.scenario.shares) * state.step
+        pairs, under_way, unpaired = paired((*state.under_way, (number, moment)), reception.frames) if self.controlled else ([], (), ())
+        newer = self.ego(reception.samples, reception.arrivals.time_s)
+        held = {name: replace(each, turn=state.step) if name in plan.measured else each for name, each in state.held.items()}
+        looked = dict[str, Measurement]()
+        for pair in pairs:
+            shown = pair.what.as_shown(pair)
+            for name in (name for name in held if name in shown.projections):
+                held[name], looked[name] = self.controlled[name].step(held[name], name, shown, pair.images, newer)
+        frames, taken_s = (pairs[-1].images, pairs[-1].taken_s) if pairs else (None, math.nan)
+        return Control(held, looked, under_way, unpaired, frames, taken_s)
 
     def _raw(self, lights: Lights, projections: Mapping[str, ProjectionCommand]) -> Lights:
         """With the utilisations that a controller gives in place of a symbol. Raises LuxloopError beside other functions."""
@@ -349,7 +352,7 @@ class Simulation:
             state, _ = self.step(state)
         ego = self.ego(newest({}, self.sensed(time_s).samples), time_s)
         now, _ = self._commanded(time_s, state, ego)
-        lights, _ = self._driven(self.planner.composed(now, state.functions, self._drawn(state, now, ego)[1]), now)
+        lights, _ = self.lamps.drive(self.planner.composed(now, state.functions, self._drawn(state, now, ego)[1]), now)
         return tuple(light.u for light in lights), now.commands
 
     @property
@@ -403,19 +406,6 @@ class Simulation:
         """The camera's view from the ground frame, as the car believes."""
         return replace(self.view, T_world_view=T_ground_body @ self.view.T_world_view)
 
-    def _look(
-        self, pipeline: DetectionPipeline, tracks: Any, found: Detections | None, then_s: float, metered: list[ObjectLight], due: list[str]
-    ) -> FrameDetections:
-        """Of a time. found: in its frame, None without one. metered: in each exposure of now. due: who must not be dazzled any more."""
-        found = found or Detections(torch.zeros(0, 4), torch.zeros(0, len(pipeline.classes)))
-        present = pipeline.present(tracks, then_s)
-        if not metered:
-            return FrameDetections(found, present, {}, None, None, None, None)
-        then, shares = self.world.lit(then_s), self.scenario.shares
-        false = false_positives(then, found, self.scenario.tracker.start_score)
-        eyes = on_eyes(self.world.given, due, metered, shares)
-        return FrameDetections(found, present, recognised(then, present, found, pipeline.classes), false, *eyes)
-
     def _learnt(self, now: Situation, then: LitScene | None, then_s: float, image: Tensor, view: View, tracks: Any) -> Situation:
         """The situation once a frame is there, which was taken at then_s of the scene then, in a view that the car believes."""
         camera = self.scenario.camera
@@ -424,27 +414,3 @@ class Simulation:
         materials = (then.surfaces.albedo, *then.materials) if looks and then is not None else ()
         objects = now.objects if self.pipeline is None or tracks is None else self.pipeline.objects(tracks, now.time_s, view)
         return replace(now, objects=objects, seen=Seen(then_s, view, luminance, most, *materials))
-
-    def _turned(self, now: Situation) -> list[ShiningModule]:
-        """The modules as they are aimed by what is known of the body, and commanded."""
-        return [
-            replace(module, T_world_module=light.T_world_headlight, intensity=light.intensity)
-            for module, (_, light) in zip(self.modules, now.lights, strict=True)
-        ]
-
-    def _driven(self, plan: Plan, now: Situation, more: tuple[Plan, Lights] | None = None) -> tuple[Lights, Mapping[str, LampPower]]:
-        """more: a plan that draws all this one does and maybe more, and its light."""
-        params, modules = self.scenario.lighting, self._turned(now)
-        street_lamps: tuple[StreetLamp, ...] = ()
-        occluded = None
-        if params.street_lamps or params.shadow_rays:
-            T_world_ground = self.world.motion.at(now.time_s).T_world_ground
-            street_lamps = tuple(seen_from(T_world_ground, lamp) for lamp in self.world.scene.street_lamps) if params.street_lamps else ()
-            occluded = scene_caster(self.world.lit(now.time_s).triangles, T_world_ground) if params.shadow_rays else None
-        secondary = [SecondaryRays(now.lights, own, street_lamps, occluded) for own in range(len(self.modules))]
-        lights = asked(modules, plan, secondary, more if params.power_limit is None else None)
-        return driven(modules, lights, params.power_limit, self.scenario.headlight.power_w)
-
-
-def _without(drawn: Parts, names: Collection[str]) -> dict[str, Sequence[Primitives]]:
-    return {name: each for name, each in drawn.items() if name not in names}
