@@ -40,7 +40,7 @@ def connect(url: str, *, views: Collection[View] = VIEWS, shared: bool = False, 
         raise LuxloopError(f"connect: {url!r} is no address of a studio; give the one that luxloop studio prints, with what follows the #")
     opened = ExitStack()
     try:
-        socket = opened.enter_context(open_socket(f"ws://{parts.netloc}/socket", max_size=None, compression=None))
+        socket = opened.enter_context(open_socket(f"ws://{parts.netloc}/socket", max_size=None, compression=None, proxy=None))
     except (OSError, InvalidHandshake, TimeoutError) as error:
         raise LuxloopError(f"connect: no studio answers at {parts.netloc} ({error}); start luxloop studio first") from error
     client = Client(socket, opened, shared, run)
@@ -218,11 +218,11 @@ class Client:
     def _ask(self, kind: str, arrays: Mapping[str, np.ndarray] | None = None, **values: Any) -> Mapping[str, Any]:
         """Have something done, and wait until it is; the answer `done`."""
         self._check()
-        self._number += 1
-        ask = self._number
+        ask = self._number = self._number + 1
+        self._got.asked.clear()
         self._send({"type": kind, "ask": ask, **values}, arrays)
-        self._wait(lambda: ask in self._got.asked)
-        done = self._got.asked.pop(ask)
+        self._wait(lambda: bool(self._got.asked.keys() & {ask, None}))
+        done = self._got.asked.get(ask) or self._got.asked[None]
         if done["type"] == "error":
             raise LuxloopError(done["text"])
         self._wait(lambda: self._got.knows(done))

@@ -9,14 +9,16 @@ from loop.client.state import State
 
 
 class Received:
-    """The newest of each kind of message, put together. asked: answers `done` and `error` by what they answer. answers: others by type."""
+    """The newest of each kind of message, put together. asked: answers `done` and `error` by their `ask`, None where the studio
+    could not read it. answers: others by type.
+    """
 
     def __init__(self, run: int) -> None:
         self._run = run
         self.welcome: Mapping[str, Any] = {}
         self.scenario: dict[str, Any] = {}
         self.state: State | None = None
-        self.asked, self.answers = dict[int, Mapping[str, Any]](), dict[str, Mapping[str, Any]]()
+        self.asked, self.answers = dict[int | None, Mapping[str, Any]](), dict[str, Mapping[str, Any]]()
         self.playing, self.steps, self.failed = False, list[int](), ""
         self._rows, self.edits = list[np.ndarray](), 0
         self._light, self._utilisations = dict[str, np.ndarray](), dict[str, np.ndarray]()
@@ -70,7 +72,7 @@ class Received:
             self.failed = head.get("failed", self.failed) or ""
         elif kind != "error":
             self.answers[kind] = head
-        if head.get("ask") is not None:
+        if kind in ("done", "error"):
             self.asked[head["ask"]] = head
 
     def _edited(self, head: Mapping[str, Any]) -> None:

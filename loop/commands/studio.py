@@ -5,8 +5,11 @@ import os
 import signal
 import socket
 import sys
+import tempfile
+import threading
 import webbrowser
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from loop.terminal.options import INTERRUPTED, AllowCode, Device, Keys
@@ -58,14 +61,15 @@ def studio(
         reached = socket.gethostname() if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
         address = f"http://{reached}:{server.sockets[0].getsockname()[1]}/"
         print(f"To edit:  {address}#{tokens.edit}\nTo watch: {address}#{tokens.watch}\nEnd it with Ctrl-C.", flush=True)
-        if open:
-            await asyncio.to_thread(webbrowser.open, f"{address}#{tokens.edit}")
-        ends = asyncio.current_task()
+        ends, opened = asyncio.current_task(), ExitStack()
         with suppress(NotImplementedError):
             asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, ends.cancel if ends else served.stop)
         try:
+            if open:
+                opened.enter_context(in_browser(f"{address}#{tokens.edit}"))
             await server.serve_forever()
         finally:
+            opened.close()
             server.close()
             await server.wait_closed()
             if not served.stop():  # Python aborts where a thread is within PyTorch at its end
@@ -76,3 +80,17 @@ def studio(
         asyncio.run(serve())
     except asyncio.CancelledError:  # SIGTERM ends it as Ctrl-C does, also where a shell lets it ignore Ctrl-C
         raise KeyboardInterrupt from None
+
+
+@contextmanager
+def in_browser(address: str) -> Iterator[None]:
+    """Open an address by way of a private file, which is there for the block: all users of the machine see the arguments of a browser.
+
+    It lies in the home folder, where browsers in a sandbox can read it. Nothing waits for a browser that runs in the terminal.
+    """
+    home = os.path.expanduser("~")
+    with tempfile.TemporaryDirectory(prefix="luxloop-studio-", dir=home if os.access(home, os.W_OK) else None) as folder:
+        file = Path(folder, "open.html")
+        file.write_text(f'<!doctype html><meta http-equiv="refresh" content="0; url={address}">', encoding="utf-8")
+        threading.Thread(target=webbrowser.open, args=[file.as_uri()], daemon=True).start()
+        yield

@@ -27,6 +27,7 @@ from loop.scenario.plant import shadow_of
 from perception.extraction import Loss
 from world.errors import LuxloopError
 
+FOLDED = 256  # rows as Python's values, which take ten times the memory of the table
 REST = 10  # times what a write takes pass between two: recording costs a tenth at most, and a kill the last 50 ms or so
 
 
@@ -60,6 +61,8 @@ class Tally:
         self._asked |= {each.exposure.number for each in result.showings}
         self._came += [frame.number for each in result.showings for frame in each.after.frames if frame.image is not None]
         self._fresh.append(added)
+        if len(self._fresh) >= FOLDED:
+            self._fold()
         return added
 
     def edit(self, simulation: Simulation, edit: Edit) -> None:
@@ -74,10 +77,14 @@ class Tally:
 
     def table(self) -> pa.Table:
         """All steps so far."""
-        if self._fresh:
-            self._written = pa.concat_tables([self._written, table_of(self._fresh, self._written.schema)]).combine_chunks()
-            self._fresh = []
+        self._fold()
+        self._written = self._written.combine_chunks()
         return self._written
+
+    def _fold(self) -> None:
+        if self._fresh:
+            self._written = pa.concat_tables([self._written, table_of(self._fresh, self._written.schema)])
+            self._fresh = []
 
     def summary(self, checked: Callable[[pa.Table], dict[str, Any]] | None = None) -> dict[str, Any]:
         """The steps in a few numbers. checked: what has come of checks, by name."""

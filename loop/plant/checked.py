@@ -4,13 +4,16 @@ import math
 from collections import Counter
 from typing import Any
 
+from pydantic import ValidationError
 from torch import Tensor
 
 from controllers.situation import TrackedObject
+from loop.plant.objects import row_of
 from loop.plant.protocol import Arrivals, Exposure, Frame
 from perception.camera import CameraParams
 from perception.egomotion import VALUES, Sample
 from world.errors import LuxloopError, did_you_mean, located
+from world.plugin import in_a_line
 
 ROUNDING_S = 1e-6  # of sums of periods and of clocks that count from 1970
 TIME = "give the plant's time in s, as a number"
@@ -74,13 +77,18 @@ def check_samples(arrivals: Arrivals, like: Tensor) -> None:
 
 
 def check_objects(arrivals: Arrivals) -> None:
-    """Raises LuxloopError where its objects are none, or two have one name."""
+    """Raises LuxloopError where its objects are none, have no pose or size, or two have one name."""
     if arrivals.objects is None:
         return
     if not isinstance(arrivals.objects, tuple) or not all(isinstance(each, TrackedObject) for each in arrivals.objects):
         raise LuxloopError("gives objects that are no tuple of TrackedObject; give objects=(...), or leave them out")
     if twice := [name for name, count in Counter(each.name for each in arrivals.objects).items() if count > 1]:
         raise LuxloopError(f"gives two objects of the name {twice[0]!r}; give each a name of its own")
+    for each in arrivals.objects:
+        try:
+            row_of(each)
+        except ValidationError as error:
+            raise LuxloopError(f"object {each.name}: {in_a_line(error)}") from error
 
 
 def check_frame(frame: Frame, start_s: float, now_s: float, camera: CameraParams, like: Tensor) -> None:

@@ -43,7 +43,7 @@ def object_of(head: ObjectHead) -> TrackedObject:
 
 def object_values(objects: Objects | None) -> str | None:
     """Objects as a row of a recording holds them."""
-    return None if objects is None else ROWS.dump_json(tuple(map(_row, objects))).decode()
+    return None if objects is None else ROWS.dump_json(tuple(map(row_of, objects))).decode()
 
 
 def read_objects(text: str | None) -> Objects | None:
@@ -55,7 +55,8 @@ def _since(known: TrackedObject | None, time_s: float) -> float:
     return time_s if known is None or known.until_s <= time_s else known.since_s
 
 
-def _row(each: TrackedObject) -> ObjectRow:
+def row_of(each: TrackedObject) -> ObjectRow:
+    """An object as a recording holds it. Raises ValidationError where it is none that can be there."""
     values = {name: value if math.isfinite(value := getattr(each, name)) else None for name in ("since_s", "until_s", "score")}
     pose = tuple(each.T_world_object.flatten().tolist())
     return ObjectRow(name=each.name, category=each.category, T_ground_object=pose, size_m=each.size_m, confidence=each.confidence, **values)

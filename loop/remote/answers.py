@@ -3,12 +3,13 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, TypeAdapter
+import numpy as np
+from pydantic import AfterValidator, Field, TypeAdapter
 
 from perception.egomotion import Sensor
 from world.messages.arrays import Arrays, given_arrays
 from world.messages.packing import LARGEST_HEAD, LENGTH, parted, understood
-from world.params import Metres, Params
+from world.params import Params
 from world.traffic.tracked import Category
 
 PROTOCOL: Final = 1
@@ -16,9 +17,27 @@ MOST_FRAMES: Final = 8  # in an answer
 MOST_ITEMS: Final = 1000  # samples or objects in an answer
 MOST_VALUES: Final = 64  # of a sample
 
+ROUNDING: Final = 1e-3  # of a rotation's numbers, as single precision or four digits leave it
+FARTHEST_M: Final = 10_000
+
 Number = Annotated[int, Field(ge=0, lt=2**53)]
 Text = Annotated[str, Field(max_length=4000)]
-Pose = Annotated[tuple[float, ...], Field(min_length=16, max_length=16)]  # row by row
+Seconds = Annotated[float, Field(ge=-1e10, le=1e10)]  # by a clock that may count from 1970
+Value = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M)]  # m, rad, and their rates
+Side = Annotated[float, Field(gt=0, le=1000)]  # m
+
+
+def _rigid(numbers: tuple[float, ...]) -> tuple[float, ...]:
+    T = np.array(numbers).reshape(4, 4)
+    R = np.clip(T[:3, :3], -2, 2)  # which no product overflows
+    if np.abs(R @ R.T - np.eye(3)).max() > ROUNDING or np.linalg.det(R) < 0 or (T[3] != (0, 0, 0, 1)).any():
+        raise ValueError("is no pose; give a rotation and a translation in m, row by row, and 0, 0, 0, 1")
+    if np.abs(T[:3, 3]).max() > FARTHEST_M:
+        raise ValueError(f"lies farther away than {FARTHEST_M} m; give metres")
+    return numbers
+
+
+Pose = Annotated[tuple[float, ...], Field(min_length=16, max_length=16), AfterValidator(_rigid)]  # row by row
 
 
 class Hello(Params):
@@ -33,8 +52,8 @@ class FrameHead(Params):
     """A frame, whose digital numbers are the array `frame.NUMBER` unless it is lost. number: of its exposure. Times by its clock."""
 
     number: Number
-    taken_s: float = 0.0
-    arrived_s: float = 0.0
+    taken_s: Seconds = 0.0
+    arrived_s: Seconds = 0.0
     lost: bool = False
 
 
@@ -42,9 +61,9 @@ class SampleHead(Params):
     """A sample of a sensor of the vehicle, as `perception.egomotion.Sample`."""
 
     sensor: Sensor
-    measured_s: float
-    arrived_s: float
-    values: Annotated[tuple[float, ...], Field(min_length=1, max_length=MOST_VALUES)]
+    measured_s: Seconds
+    arrived_s: Seconds
+    values: Annotated[tuple[Value, ...], Field(min_length=1, max_length=MOST_VALUES)]
 
 
 class ObjectHead(Params):
@@ -55,7 +74,7 @@ class ObjectHead(Params):
     name: Annotated[str, Field(min_length=1, max_length=80)]
     category: Category
     T_ground_object: Pose
-    size_m: tuple[Metres, Metres, Metres]
+    size_m: tuple[Side, Side, Side]
 
 
 class Answer(Params):
@@ -63,7 +82,7 @@ class Answer(Params):
 
     type: Literal["arrivals"]
     number: Number | None
-    time_s: float
+    time_s: Seconds
     frames: Annotated[tuple[FrameHead, ...], Field(max_length=MOST_FRAMES)] = ()
     samples: Annotated[tuple[SampleHead, ...], Field(max_length=MOST_ITEMS)] = ()
     objects: Annotated[tuple[ObjectHead, ...], Field(max_length=MOST_ITEMS)] | None = None

@@ -20,6 +20,8 @@ from world.messages.packing import packed
 MOST_UNSHOWN: Final = 2  # steps of a run that a client may not have shown yet: one on its way, and one that it is at
 PERIOD_S: Final = 0.05  # between two steps of a run that plays, at least
 REST: Final = 20  # times what making messages takes pass until the next ones
+LONGEST_REST_S: Final = 0.3  # however long that took: who drives must see where
+MOST_ROWS: Final = 10_000  # in a message
 FORGOTTEN: Final = "light and pictures of this step are no longer kept: those of the step shown last are drawn; start anew to see them"
 PASSED: Final = "roads and objects of this step that were left long ago are no longer kept"
 HALF_PEAK: Final = 1024.0  # of a module in units of its half floats, far from where these overflow
@@ -43,14 +45,14 @@ class Feed:
         resting = published.playing and request.at is None and time.perf_counter() < self._rests_s
         made, spent_s, last = self._made(published, request, resting), 0.0, self._id
         while True:
-            began_s = time.perf_counter()
+            began_s = time.thread_time()  # which does not grow while another thread computes
             data = next(made, None)
-            spent_s += time.perf_counter() - began_s
+            spent_s += time.thread_time() - began_s
             if data is None:
                 break
             yield data
         if self._id != last:
-            self._rests_s = began_s + max(REST * spent_s, PERIOD_S)
+            self._rests_s = time.perf_counter() + min(max(REST * spent_s, PERIOD_S), LONGEST_REST_S)
 
     def _made(self, published: Published, request: Request, resting: bool) -> Iterator[bytes]:
         if published.number != self._number and published.scenario is not None:
@@ -58,11 +60,11 @@ class Feed:
             self._sent = [SentRun(number, run, self._blocks) for number, run in enumerate(published.runs)]
             yield packed(published.scenario)
         for sent in self._sent:
-            rows = [] if resting else sent.rows()
-            yield from sent.edits()  # which bring all columns that the rows have
-            yield from rows
+            rows, done = sent.run.rows, len(sent.run.rows)
+            yield from sent.edits()  # which bring all columns that these rows have
             if resting:
                 continue
+            yield from sent.rows(rows, done)
             run, step = request.at or (sent.number, len(sent.run.snapshots) - 1)
             if run == sent.number and sent.unshown(request.shown) < MOST_UNSHOWN:
                 for data in sent.step(step, request, self._id + 1):
@@ -97,20 +99,17 @@ class SentRun:
             facts = None if left else self.run.facts()
             yield packed({"type": "edit", "run": self.number, **edit.model_dump(mode="json"), "model": model, "facts": facts})
 
-    def rows(self) -> list[bytes]:
-        """Values of the steps that it lacks."""
-        rows = self.run.rows
+    def rows(self, rows: list[np.ndarray], done: int) -> Iterator[bytes]:
+        """Values of the steps that it lacks, as far as they are done."""
         if rows is not self._rows_of:  # those of a recording that is repeated no longer
             self._rows, self._rows_of = 0, rows
-        fresh = rows[self._rows :]
-        if not fresh:
-            return []
-        head = {"type": "rows", "run": self.number, "first": self._rows}
-        self._rows += len(fresh)
-        values = np.full((len(fresh), max(map(len, fresh))), np.nan, np.float32)
-        for k, each in enumerate(fresh):
-            values[k, : len(each)] = each
-        return [packed(head, {"rows": coded(values)})]
+        while fresh := rows[self._rows : min(self._rows + MOST_ROWS, done)]:
+            head = {"type": "rows", "run": self.number, "first": self._rows}
+            self._rows += len(fresh)
+            values = np.full((len(fresh), max(map(len, fresh))), np.nan, np.float32)
+            for k, each in enumerate(fresh):
+                values[k, : len(each)] = each
+            yield packed(head, {"rows": coded(values)})
 
     def step(self, number: int, request: Request, id_: int) -> Iterator[bytes]:
         """A step, and before it the meshes that it lacks; nothing where it has got all that it wants of that step."""
@@ -120,12 +119,21 @@ class SentRun:
             return
         self.ids.append(id_)
         self._step = snapshot, scrubbed, wanted
-        there, meshes = {each["mesh"] for each in snapshot.head["bodies"]}, self.run.shapes.meshes
+        head = snapshot.head
+        there, meshes = {each["mesh"] for each in head["bodies"]}, self.run.shapes.meshes
         if made := {number: mesh for number in sorted(there - self._meshes) if (mesh := meshes.get(number)) is not None}:
             self._meshes.update(made)
             heads, arrays = merged(list(made.values()))
             yield packed({"type": "meshes", "run": self.number, "meshes": heads}, {name: coded(each) for name, each in arrays.items()})
-        pictures, plain, windows, scales, notes = dict[str, Coded](), dict[str, np.ndarray](), dict[str, Any](), [], snapshot.head["notes"]
+        notes = head["notes"] + ([PASSED] if there - self._meshes else [])
+        bodies = [each for each in head["bodies"] if each["mesh"] in self._meshes]
+        seen = self.run.pictured(snapshot) if scrubbed or was_scrubbed or before is None else snapshot
+        yield self._packed({"id": id_, "scrub": scrubbed, **head, "bodies": bodies, "notes": notes}, snapshot, seen, request)
+
+    def _packed(self, head: dict[str, Any], snapshot: Snapshot, seen: Snapshot, request: Request) -> bytes:
+        """The message of a step, whose arrays nobody holds while it waits for the client. seen: the step whose pictures are shown."""
+        wanted, notes = request.wanted, head["notes"]
+        pictures, plain, windows, scales = dict[str, Coded](), dict[str, np.ndarray](), dict[str, Any](), []
         for k, peak_cd in enumerate(self.run.peaks_cd):
             scales.append(max(peak_cd, 1e-6) / HALF_PEAK)
             if not snapshot.lights:
@@ -139,25 +147,19 @@ class SentRun:
                 share = (255 * u.clamp(0, 1)).round().byte().view(light.pixel_rows, light.pixel_cols)
                 plain[f"u.{k}"] = share.numpy()
         if "camera" in wanted:
-            seen = self.run.pictured(snapshot) if scrubbed or was_scrubbed or before is None else snapshot
             pictures = {name: grey(picture) for name, picture in seen.pictures.items()}
             self._pictured = seen.step if pictures else self._pictured
             if self._pictured not in (None, snapshot.step):
                 notes = [*notes, f"the camera's picture is that of step {self._pictured}"]
         if not snapshot.lights and snapshot.step < len(self.run.snapshots):
             notes = [*notes, FORGOTTEN]
-        bodies = [each for each in snapshot.head["bodies"] if each["mesh"] in self._meshes]
-        if there - self._meshes:
-            notes = [*notes, PASSED]
         exact = {name: array for name, array in snapshot.exact.items() if name.partition(".")[0] in wanted}
-        head = {"type": "step", "id": id_, "run": self.number, "scrub": scrubbed, **snapshot.head, "bodies": bodies, "notes": notes}
-        head["light_windows"] = windows
-        head["modules"] = [{**each, "scale_cd": scale} for each, scale in zip(snapshot.head["modules"], scales, strict=True)]
-        if request.shared and (shared := self._blocks.put(self.number, id_, {**plain, **exact})) is not None:
-            yield packed({**head, "shared": shared}, pictures)
-        else:
-            sent = {name: coded(array) for name, array in plain.items()} | {name: raw(array) for name, array in exact.items()}
-            yield packed(head, pictures | sent)
+        modules = [{**each, "scale_cd": scale} for each, scale in zip(head["modules"], scales, strict=True)]
+        head = {"type": "step", "run": self.number, **head, "notes": notes, "light_windows": windows, "modules": modules}
+        if request.shared and (shared := self._blocks.put(self.number, head["id"], {**plain, **exact})) is not None:
+            return packed({**head, "shared": shared}, pictures)
+        sent = {name: coded(array) for name, array in plain.items()} | {name: raw(array) for name, array in exact.items()}
+        return packed(head, pictures | sent)
 
     def _lit(self, k: int, u: torch.Tensor, scale_cd: float) -> tuple[list[int], np.ndarray] | None:
         """The window of a module's light texture that the pixels light which differ from those that it has got, in units of scale_cd, and

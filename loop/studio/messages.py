@@ -1,11 +1,13 @@
 """Messages of the studio's socket (docs/studio_protocol.md)."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Final, Literal
 
 from pydantic import Field, TypeAdapter
 
+from world.errors import LuxloopError
 from world.messages.arrays import Arrays, given_arrays
 from world.messages.packing import parted, understood
 from world.params import Metres, Params
@@ -203,3 +205,10 @@ def read(data: bytes | str) -> tuple[Message, Arrays]:
         head, arrays, body = parted(data)
         message = MESSAGE.validate_python(head)
         return message, given_arrays(arrays, body, ARRAYS.get(message.type, {}))
+
+
+def ask_of(data: bytes | str) -> int | None:
+    """The number `ask` of a message that is refused, None where it has none."""
+    with suppress(LuxloopError), understood():
+        return Told(ask=parted(data)[0].get("ask")).ask
+    return None

@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 from loop.replay.frames import KeptFrames
 from loop.replay.replay import Recording
 from loop.scenario.edits import Edit
-from loop.studio.snapshot import Pictures, Snapshot, coded_frame
+from loop.studio.snapshot import Pictures, Snapshot, coded_frame, plain
 
 KEPT: Final = 16  # steps whose frames were read last
 AHEAD: Final = "recorded: the curves and, where they were kept, the frames; light and poses follow when this step has been run again"
@@ -52,7 +52,7 @@ class Recorded:
         if step not in self._seen:
             head = {**last.head, "step": step, "time_s": step / self._scenario.rate_hz, "marks": [], "notes": [AHEAD]}
             kept = [*self._seen.items()][1 - KEPT :]
-            self._seen = dict([*kept, (step, replace(last, step=step, head=head, lights=(), pictures=self.pictures(step)))])
+            self._seen = dict([*kept, (step, replace(last, step=step, plain=plain(head), lights=(), pictures=self.pictures(step)))])
         return self._seen[step]
 
 

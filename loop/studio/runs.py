@@ -44,6 +44,7 @@ from world.scene.triangles import NOTHING
 KEPT_BYTES: Final = 2**30  # of light and pictures of steps that are over; the oldest are forgotten beyond
 UNITS: Final = {"flux": "lm", "sharpness": "decades in 0.1 deg", "straightness": "deg"}  # of requirements by kind, else cd
 REST: Final = 20  # times what a picture takes pass between two, so that looking costs a twentieth at most
+LONGEST_REST_S: Final = 1.0  # however long that took: who drives looks at the camera, too
 
 
 class Run:
@@ -107,7 +108,7 @@ class Run:
         before = self.snapshots[-1] if self.snapshots else None
         taken = self._taken(self.simulation, result, before, looks)
         if "camera" in looks:
-            self._look_s = time.perf_counter() + REST * (time.perf_counter() - began_s)
+            self._look_s = time.perf_counter() + min(REST * (time.perf_counter() - began_s), LONGEST_REST_S)
         values = (self.recorder or self.tally).add(result)
         self.watched.add(result)
         self._state, self._made = state, (self.simulation, result)
@@ -235,8 +236,9 @@ class Run:
         shown = self.snapshots[-1 if step is None else min(step, len(self.snapshots) - 1)]
         if not shown.lights:
             raise LuxloopError(f"step {step}: its light is no longer kept; start anew to see it")
-        T_body_world, modules, lights = inverse(_pose(shown.head["T_world_body"])), [], []
-        for module, u, posed in zip(self.simulation.modules, shown.lights, shown.head["modules"], strict=True):
+        head = shown.head
+        T_body_world, modules, lights = inverse(_pose(head["T_world_body"])), [], []
+        for module, u, posed in zip(self.simulation.modules, shown.lights, head["modules"], strict=True):
             if module.side == side:
                 modules.append(Module(module.name, module.headlight, T_body_world @ _pose(posed["T_world_module"])))
                 lights.append(u.to(module.flux))

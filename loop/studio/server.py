@@ -37,6 +37,7 @@ from loop.studio.messages import (
     Scrub,
     Shown,
     Want,
+    ask_of,
     read,
 )
 from loop.studio.session import Session
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
 
 HELLO_S: Final = 10.0  # in which a client must say its token
 UNKNOWN: Final = 4401  # code by which a connection with another token is closed
+DEAF_S: Final = 20.0  # in which a client must take a message: what waits for it is kept
 STATUS_S: Final = 0.1  # between two words on the session's state
 READ_ONLY: Final = ("hello", "want", "scrub", "shown", "summary", "beam", "schema")  # types of messages that watchers may send as well
 MOST_ANSWERS: Final = 100  # that a client has not read yet
@@ -78,6 +80,11 @@ class Client:
         self.is_here = ip_address(connection.remote_address[0]).is_loopback
         self.changed, self.answers, self.asks = asyncio.Event(), list[dict[str, Any]](), set[tuple[str, int]]()
 
+    async def send(self, data: bytes) -> None:
+        """Raises TimeoutError where the client does not take it."""
+        async with asyncio.timeout(DEAF_S):
+            await self.connection.send(data)
+
 
 class Studio:
     """A session and its clients. Make it in a running event loop."""
@@ -98,9 +105,11 @@ class Studio:
             server = await serve(
                 self._client, host, port, process_request=self._answer, max_size=LARGEST, compression=None, ping_timeout=60
             )
-        except OSError as error:
+        except (OSError, OverflowError, ValueError) as error:  # a port beyond 65535, a host that is no name
+            reason = getattr(error, "strerror", None) or error
             raise LuxloopError(
-                f"--port {port}: cannot listen on {host}:{port} ({error.strerror}); give another --port, 0 for a free one"
+                f"--host {host} --port {port}: cannot listen there ({reason}); give an address of this machine and another --port, "
+                "0 for a free one"
             ) from error
         self._names |= {host.lower()}
         self.session.start()
@@ -139,7 +148,10 @@ class Studio:
             async with asyncio.timeout(HELLO_S):
                 hello, _ = read(await connection.recv())
             role = self.tokens.role(hello.token) if isinstance(hello, Hello) else None
-        except (LuxloopError, TimeoutError, ConnectionClosed):
+        except (TimeoutError, ConnectionClosed):  # a page on a busy machine comes again
+            await connection.close()
+            return
+        except LuxloopError:
             role = None
         if role is None:
             await connection.close(UNKNOWN, "this token is not of this studio; open the address that luxloop studio prints")
@@ -178,7 +190,7 @@ class Studio:
             message, arrays = read(data)
             self._refuse(client, message)
         except LuxloopError as error:
-            reply({"type": "error", "text": str(error), "about": message and message.type, "ask": message and message.ask})
+            reply({"type": "error", "text": str(error), "about": message and message.type, "ask": ask_of(data)})
             return
         match message:
             case Want(shared=True) if not client.is_here:
@@ -261,6 +273,8 @@ class Studio:
             await self._send(client)
         except ConnectionClosed:
             pass
+        except TimeoutError:  # nor would it take a word of farewell
+            client.connection.transport.abort()
         except Exception:
             traceback.print_exc()
             await client.connection.close(1011, "the server failed to send; the terminal of luxloop studio shows why")
@@ -274,13 +288,13 @@ class Studio:
             published = self.session.published
             answers, client.answers = client.answers, []
             for head in answers:
-                await client.connection.send(packed(head))
+                await client.send(packed(head))
             if published.progress != preparing:
                 preparing = published.progress
-                await client.connection.send(packed({"type": "progress", "text": preparing}))
+                await client.send(packed({"type": "progress", "text": preparing}))
             if published.choices is not chosen:
                 chosen = published.choices
-                await client.connection.send(packed({"type": "choices", **(chosen or {})}))
+                await client.send(packed({"type": "choices", **(chosen or {})}))
             keys = ("playing", "speed", "step_ms", "real_time", "failed", "recording", "steps")
             status = {"type": "status", **{key: getattr(published, key) for key in keys}, "pen": self._pen, "clients": len(self._clients)}
             text, waits_s = json.dumps(status), said_s + STATUS_S - time.monotonic()
@@ -288,7 +302,7 @@ class Studio:
                 soon = False
             elif waits_s <= 0 or not published.playing:
                 last, said_s, soon = text, time.monotonic(), False
-                await client.connection.send(packed(status))
+                await client.send(packed(status))
             elif not soon:
                 soon = True
                 self._loop.call_later(waits_s, client.changed.set)
@@ -298,7 +312,7 @@ class Studio:
                 client.feed = client.feed or Feed()
                 messages = client.feed.messages(published, client.request)
                 while (data := await self._loop.run_in_executor(self._threads, next, messages, None)) is not None:
-                    await client.connection.send(data)
+                    await client.send(data)
 
 
 def _version() -> str:

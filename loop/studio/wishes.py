@@ -28,8 +28,8 @@ Answer = tuple[dict[str, Any], str | None]  # head of the message, and the overr
 def placed(run: Run, place: Place) -> Answer:
     """The pixels that light a point of the world in the step that was shown last."""
     point, modules, layers = torch.tensor(place.point_m, dtype=torch.float64), list[dict[str, Any]](), {}
-    for k, module in enumerate(run.simulation.modules):
-        pixels, cd = lighting(module.headlight, _pose(run, k), point)
+    for k, (module, pose) in enumerate(zip(run.simulation.modules, _poses(run), strict=True)):
+        pixels, cd = lighting(module.headlight, pose, point)
         if len(pixels):
             modules.append({"module": k, "pixels": pixels.tolist(), "cd": float(cd.sum())})
             if place.value is not None:
@@ -52,9 +52,9 @@ def wished(run: Run, wish: Wish, arrays: Arrays) -> Answer:
     if not ((lx[where] >= 0) & (lx[where] <= MOST_LX)).all():
         raise LuxloopError(f"wish: light wanted lies between 0 and {MOST_LX:g} lx")
     raster = Raster(x_min, x_max, y_min, y_max, *lx.shape)
-    head, lights = run.snapshots[-1].head, run.snapshots[-1].lights
+    head, lights, poses = run.snapshots[-1].head, run.snapshots[-1].lights, _poses(run)
     T_plane_world = inverse(_matrix(head["T_world_ground"]) if wish.on == "road" else _matrix(head["T_world_body"]) @ T_BODY_WALL)
-    lamps = [(each.headlight, T_plane_world @ _pose(run, k), lights[k]) for k, each in enumerate(run.simulation.modules)]
+    lamps = [(each.headlight, T_plane_world @ poses[k], lights[k]) for k, each in enumerate(run.simulation.modules)]
     there = torch.from_numpy(where).flatten()
     goal = torch.from_numpy(np.where(where, lx, 0).astype(np.float32)).flatten()
     found = granted(lamps, raster, goal, there)
@@ -81,8 +81,8 @@ def _painted(old: Sequence[Picture], pixels: Tensor, values: Tensor) -> tuple[Pi
     return value, cover
 
 
-def _pose(run: Run, module: int) -> Tensor:
-    return _matrix(run.snapshots[-1].head["modules"][module]["T_world_module"])
+def _poses(run: Run) -> list[Tensor]:
+    return [_matrix(each["T_world_module"]) for each in run.snapshots[-1].head["modules"]]
 
 
 def _matrix(numbers: Sequence[float]) -> Tensor:

@@ -36,7 +36,7 @@ from loop.studies import campaign
 from perception.camera import CameraParams
 from perception.detection import network
 from perception.egomotion import Sample
-from tests.fuzz import mutations
+from tests.fuzz import messages, mutations
 from tests.world.opencrg.writer import write_crg
 from world.headlight import Headlight
 from world.headlight.lamp import Lamp, Module, ModuleCommand
@@ -425,5 +425,7 @@ ALL: dict[str, Kind] = {
     "lens": Kind(_calibration, _either, load_lens, 2),
     "rig": Kind(_rigs, _text, load_rig, 2),
     "mesh": Kind(_meshes, _either, _read_mesh, 8),
+    "studio message": Kind(messages.of_studio, messages.damaged, messages.read_studio, 8),
+    "plant message": Kind(messages.of_plant, messages.damaged, messages.read_plant, 8),
 }
 BUILT = Kind(_overrides, _override, _overridden)  # what `luxloop check` does, a second or two each

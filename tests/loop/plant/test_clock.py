@@ -80,6 +80,11 @@ BROKEN = {  # what is replaced in OWN by what, and words of the sentence that te
     "a sample of NumPy": ("replace(each, measured_s", "replace(each, values=each.values.numpy(), measured_s", "values that are a ndarray"),
     "objects that are none": ("tuple(samples))", "tuple(samples), (3,))", "gives objects that are no tuple of TrackedObject"),
     "objects of one name": ("tuple(samples))", "tuple(samples), 2 * (WALKER,))", "gives two objects of the name 'walker'"),
+    "an object without a pose": (
+        "tuple(samples))",
+        "tuple(samples), (replace(WALKER, T_world_object=0 * WALKER.T_world_object),))",
+        "object walker: T_ground_object: ",
+    ),
     "a sample of whole numbers": (
         "replace(each, measured_s",
         "replace(each, values=each.values.long(), measured_s",

@@ -106,6 +106,17 @@ def test_the_bytes_that_the_page_shows_are_a_message() -> None:
     assert packed(head, {"light.0": raw(arrays["light.0"])}) == bytes.fromhex(length) + text.encode() + bytes.fromhex(body)
 
 
+SAMPLE = {"sensor": "wheels", "measured_s": 0, "arrived_s": 0}
+OBJECT = {"name": "a", "category": "car", "T_ground_object": np.eye(4).ravel().tolist(), "size_m": [1, 1, 1]}
+POSES = (
+    ("zeros", [0.0] * 16, "is no pose"),
+    ("1e300 m", [1, 0, 0, 1e300, *np.eye(4)[1:].ravel().tolist()], "lies farther away"),
+    ("a mirror", np.diag([1.0, -1, 1, 1]).ravel().tolist(), "is no pose"),
+    ("another scale", np.diag([1.01, 1.01, 1.01, 1]).ravel().tolist(), "is no pose"),
+    ("columns", [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 5, 5, 0, 1], "is no pose"),
+)
+
+
 WRONG: dict[str, tuple[bytes | str, str]] = {
     "another number": (message(**CAME | {"number": 3}), "gives arrivals of exposure 3, but was asked for arrivals with number None"),
     "no answer at all": (HELLO, "gives hello, but was asked for arrivals"),
@@ -128,6 +139,10 @@ WRONG: dict[str, tuple[bytes | str, str]] = {
         "T_ground_object",
     ),
     "strange keys": (message(**CAME | {"weather": "fair"}), "weather"),
+    "time beyond all clocks": (message(**CAME | {"time_s": 1e300}), "time_s"),
+    "a speed beyond all cars": (message(**CAME | {"samples": [SAMPLE | {"values": [1e300]}]}), "samples.0.values.0"),
+    **{f"a pose of {name}": (message(**CAME | {"objects": [OBJECT | {"T_ground_object": pose}]}), words) for name, pose, words in POSES},
+    "no size": (message(**CAME | {"objects": [OBJECT | {"size_m": [1, 0, 1]}]}), "size_m"),
 }
 
 

@@ -23,6 +23,7 @@ class Served:
     port: int
     tokens: Tokens
     studio: Studio
+    server: Server
 
 
 @pytest.fixture(scope="module")
@@ -39,17 +40,17 @@ def serving(source: Source, page: Path) -> Iterator[Served]:
     thread = threading.Thread(target=loop.run_forever, daemon=True)
     thread.start()
 
-    async def begin() -> tuple[Served, Server]:
+    async def begin() -> Served:
         tokens = Tokens()
         studio = Studio((source,), page, tokens, device="cpu")
         server = await studio.serve("127.0.0.1", 0)
-        return Served(server.sockets[0].getsockname()[1], tokens, studio), server
+        return Served(server.sockets[0].getsockname()[1], tokens, studio, server)
 
     async def end() -> None:
-        server.close()
-        await server.wait_closed()
+        served.server.close()
+        await served.server.wait_closed()
 
-    served, server = asyncio.run_coroutine_threadsafe(begin(), loop).result()
+    served = asyncio.run_coroutine_threadsafe(begin(), loop).result()
     yield served
     served.studio.session.stop()
     asyncio.run_coroutine_threadsafe(end(), loop).result()

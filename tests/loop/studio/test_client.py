@@ -128,11 +128,16 @@ def test_who_runs_freely_gets_the_newest_and_the_last(client: Client) -> None:
     assert client.state.step == 0 and not client.over
 
 
-def test_errors_are_raised_and_watchers_change_nothing(client: Client, served: Served) -> None:
+def test_errors_are_raised_and_watchers_change_nothing(client: Client, served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(LuxloopError, match="did you mean 'bits'"):
         client.set({"camera.bitz": 8})
     with pytest.raises(LuxloopError, match="names a file"):
         client.set({"headlight.model": "/etc/passwd"})
+    with pytest.raises(LuxloopError, match="at most 100 items"):
+        client.set({f"functions.f{k}": None for k in range(101)})
+    with pytest.raises(LuxloopError, match="its head has"):  # so that nobody reads its `ask`
+        client.set({"name": "x" * 2**21})
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:1")
     with connect(address(served, served.tokens.watch), views=("truth",)) as watcher:
         assert watcher.role == "watch"
         for change in (watcher.step, watcher.play, watcher.reset, watcher.take_pen, lambda: watcher.set({"steps": 8})):

@@ -2,6 +2,7 @@
 
 import json
 import random
+import socket
 import threading
 import time
 import urllib.error
@@ -10,8 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from websockets.client import ClientProtocol
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
+from websockets.uri import parse_uri
 
 import luxloop
 from loop.lighting.record import row
@@ -122,8 +125,12 @@ def test_messages_rest_while_the_session_plays_and_come_at_once_when_it_stops(se
         watcher.of("scenario")
         watcher.say(type="reset")
         watcher.of("scenario")
-    monkeypatch.setattr("loop.studio.feed.PERIOD_S", 3600.0)
-    feed, playing = Feed(), replace(served.studio.session.published, playing=True)
+    monkeypatch.setattr("loop.studio.feed.REST", 1e9)
+    rested, playing = Feed(), replace(served.studio.session.published, playing=True)
+    assert "step" in kinds(rested, playing, Request())
+    began_s = time.monotonic()
+    monkeypatch.setattr("loop.studio.feed.LONGEST_REST_S", 3600.0)
+    feed = Feed()
     assert "step" in kinds(feed, playing, Request())
     served.studio.session.ask(Button(type="step"), print)
     while len(playing.runs[0].snapshots) < 2:
@@ -131,10 +138,32 @@ def test_messages_rest_while_the_session_plays_and_come_at_once_when_it_stops(se
     assert kinds(feed, playing, Request(shown=9)) == []
     assert "step" in kinds(feed, playing, Request(at=(0, 0), shown=9))  # who looks back does not wait
     assert kinds(feed, replace(playing, playing=False), Request(shown=9)) == ["step"]
+    time.sleep(max(began_s + 0.3 - time.monotonic(), 0))
+    assert "step" in kinds(rested, playing, Request(shown=9)), "however long the messages took that came last"
 
 
 def kinds(feed: Feed, published: Published, request: Request) -> list[str]:
     return [unpacked(each)[0]["type"] for each in feed.messages(published, request)]
+
+
+def test_who_does_not_read_is_let_go(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("loop.studio.server.DEAF_S", 0.5)
+    with watching(served.port, served.tokens.edit) as watcher, socket.socket() as deaf:
+        watcher.of("scenario")
+        (listening,) = served.server.sockets
+        usual = listening.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)  # so that what is sent does not fit the system's buffers
+        deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        deaf.connect(("127.0.0.1", served.port))
+        there = ClientProtocol(parse_uri("ws://127.0.0.1/socket"))
+        there.send_request(there.connect())
+        deaf.sendall(b"".join(there.data_to_send()))
+        there.receive_data(deaf.recv(4096))
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, usual)
+        there.send_binary(message(type="hello", token=served.tokens.watch))
+        deaf.sendall(b"".join(there.data_to_send()))
+        watcher.of("status", clients=2)
+        watcher.of("status", clients=1)
 
 
 def test_a_step_can_be_seen_again_and_is_not_overtaken(served: Served) -> None:

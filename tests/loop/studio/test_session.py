@@ -1,6 +1,7 @@
 """Edits of a run in the studio: taken back, saved, recorded, and made in the scenario's file."""
 
 import json
+import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from loop.replay.replay import replay
 from loop.scenario.model import load
 from loop.scenario.written import written
 from loop.studio.history import TOGETHER_S
+from loop.studio.runs import Starting
 from loop.studio.sources import Source
 from tests.loop.studio.clients import Watcher, watching
 from tests.loop.studio.conftest import SMALL, Served, serving
@@ -183,6 +185,20 @@ def test_the_file_is_an_editor_as_well(own: Served, editor: Watcher, file: Path)
     file.write_text(text)
     editor.of("edit")
     assert not own.studio.session.published.runs[0].simulation.scenario.light.street_lamps
+
+
+def test_a_step_that_is_over_takes_little_memory_beside_its_light(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("loop.lighting.recorder.FOLDED", 5)
+    (run,) = Starting("cpu", False, print).runs((Source(str(file)),), (None,), (), frozenset(), True)
+    while not run.over:
+        if len(run.snapshots) == 11:
+            tracemalloc.start()
+        run.step(frozenset({"marks"}))
+    kept = [tracemalloc.Filter(True, f"*/loop/{each}") for each in ("lighting/record*.py", "studio/*.py")]
+    taken = tracemalloc.take_snapshot().filter_traces(kept).statistics("filename")
+    tracemalloc.stop()
+    assert sum(each.size for each in taken) / 19 < 3000, "where rows and poses as Python's values take 10 kB a step"
+    assert run.snapshots[3].head["step"] == 3 and run.tally.table()["step"].to_pylist() == list(range(30))
 
 
 def test_a_comparison_begins_with_all_edits(own: Served, editor: Watcher) -> None:
