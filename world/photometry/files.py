@@ -14,5 +14,5 @@ def read(path: str | Path) -> Photometry:
     """
     path = Path(path)
     text = load(path)
-    kind = lm63 if lm63.is_lm63(text) or path.suffix.lower() == ".ies" else eulumdat
-    return kind.parse(text, path)
+    is_lm63 = lm63.has_version(text) or not eulumdat.has_counts(text) and (lm63.has_tilt(text) or path.suffix.lower() == ".ies")
+    return (lm63 if is_lm63 else eulumdat).parse(text, path)
