@@ -225,8 +225,8 @@ def _with_light(params: ModuleParams, folder: Path, on_progress: Progress | None
     if len(array.pixels) == 1 and (assembled.flux < 1 - TOLD or abs(assembled.peak - 1) > TOLD):
         warnings.warn(
             f"{source.path}: as a light texture of {grid.rows} x {grid.cols} texels ({describe(grid)}) it has "
-            f"{assembled.peak:.1%} of its peak and {assembled.flux:.1%} of its flux; texels and borders are keys of [module.texture] in a description, up to "
-            f"{LARGEST_ANGLE_DEG:g} deg from the axis",
+            f"{assembled.peak:.1%} of its peak and {assembled.flux:.1%} of its flux; "
+            f"texels and borders are keys of [module.texture] in a description, up to {LARGEST_ANGLE_DEG:g} deg from the axis",
             stacklevel=2,
         )
     light = Headlight(
