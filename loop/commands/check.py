@@ -32,7 +32,7 @@ def judge(
     rules = rules or rule_set(RULE_OF_BEAM[beam])
     turn = aim(intensity, rules.id, traffic=traffic) if aimed else (0.0, 0.0)
     turned = f", aimed by {turn[0]:+.2f} deg to the right and {turn[1]:+.2f} deg up" if aimed else ""
-    only = sum(module.headlight.n_pixels for module in lamp.modules) == 1
+    only = sum(module.headlight.n_pixels for module in lamp.modules) <= 1
     what = lamp.name if only else f"{lamp.name}, beam {beam}"
     return f"{what}: {rules.title}{turned}", check(intensity, rules.id, aim=turn, traffic=traffic)
 

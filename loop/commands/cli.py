@@ -63,7 +63,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     warnings.simplefilter("ignore")
     warnings.filterwarnings("default", category=UserWarning)
     warnings.filterwarnings("ignore", message="Sparse CSR tensor support")
-    warnings.showwarning = lambda message, *_: _say(f"warning: {message}")
+    told: set[str] = set()  # once each, which Python forgets when a library changes the filters
+
+    def tell(message: Warning | str, *_: object, **__: object) -> None:
+        if str(message) not in told:
+            told.add(str(message))
+            _say(f"warning: {message}")
+
+    warnings.showwarning = tell
     tokens = sys.argv[1:] if arguments is None else list(arguments)
     try:
         code = app(

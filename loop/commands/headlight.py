@@ -40,9 +40,9 @@ def info(lamp: str, /) -> None:
     from loop.commands import headlight_tables
 
     if Path(lamp).suffix.lower() in PHOTOMETRIC:
-        from world.photometry import read
+        from world.photometry import read_all
 
-        tables.show(headlight_tables.photometry(read(Path(lamp))))
+        tables.show(headlight_tables.photometry(*read_all([Path(lamp)])))
         return
     from world.lampfiles.description import load_lamp
 
@@ -115,12 +115,12 @@ def show(
     }
     if Path(lamp).suffix.lower() in PHOTOMETRIC and view is None:
         from loop.pictures.photometry import show_distribution
-        from world.photometry import read
+        from world.photometry import read_all
 
         for name, value in chosen.items():
             if value is not None:
                 raise LuxloopError(f"--{name}: a photometric file is drawn as it was measured; give --view as well to draw it as a lamp")
-        print(f"{show_distribution(read(Path(lamp)), out or Path(f'{stem}.png'))} written")
+        print(f"{show_distribution(*read_all([Path(lamp)]), out or Path(f'{stem}.png'))} written")
     else:
         from loop.commands.shown import lights_by_side
         from loop.pictures.headlight import show as show_lamps
@@ -191,14 +191,14 @@ def export(
     traffic: Literal["left", "right"] = "right",
     step_deg: float = 0.1,
 ) -> None:
-    """Write a beam as an IES file (LM-63-2019, type A) for other programs.
+    """Write a beam as an IES file (LM-63-2019, type A) or as EULUMDAT, by the suffix, for other programs.
 
     Parameters
     ----------
     lamp
         Preset, lamp file or description.
     out
-        File to write, such as low.ies.
+        File to write, ending in .ies or .ldt.
     beam
         Name of the beam, full or off; by default low, or full where the lamp has no low beam.
     side
@@ -206,7 +206,7 @@ def export(
     traffic
         Side of the road that the traffic drives on; for the left, default beams are fitted to it.
     step_deg
-        Step of both angles in deg.
+        Step of both angles in deg; in EULUMDAT of gamma, whose planes are 1 deg apart.
     """
     from loop.export.photometric import export as export_beam
     from world.lampfiles.description import for_traffic, load_lamp
@@ -242,7 +242,7 @@ def check(
     Parameters
     ----------
     lamp
-        Preset, lamp file, description or photometric file.
+        Preset, lamp file, description or photometric file, whose own table is judged; all others by their light textures.
     beam
         Name of the beam, full or off; by default low for a passing beam's rule, high for a driving beam's, or full where the lamp has none.
     rule
@@ -257,9 +257,11 @@ def check(
     from loop.commands import headlight_tables
     from loop.commands.check import judge
     from world.lampfiles.description import for_traffic, load_lamp
+    from world.lampfiles.measured import measured_lamp
     from world.regulation import passes
 
-    judged = for_traffic(load_lamp(lamp, side), traffic)
+    photometric = Path(lamp).suffix.lower() in PHOTOMETRIC
+    judged = for_traffic(measured_lamp(Path(lamp), side) if photometric else load_lamp(lamp, side), traffic)
     title, results = judge(judged, beam, rule, aim, traffic)
     tables.show(headlight_tables.results(results, title))
     return 0 if passes(results) else DIFFERS

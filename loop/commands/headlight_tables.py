@@ -45,10 +45,7 @@ def photometry(file: Photometry) -> Table:
         "power": f"{file.watts:g} W" if file.watts else "–",
         "tilt": file.tilt,
     }
-    table = facts(rows)
-    for warning in file.warnings:
-        table.add_row("[bold yellow]odd[/]", escape(warning))
-    return table
+    return facts(rows)
 
 
 def modules(described: Lamp) -> Table:
@@ -97,7 +94,16 @@ def beams(described: Lamp) -> Table:
 
 def built(reports: Sequence[ModuleReport]) -> Table:
     """How well each module of a built lamp reproduces its source."""
-    columns = ("module", "pixels", "texture", "entries a texel", "light left out", "RMSE to the source", "error by fewer overlaps")
+    columns = (
+        "module",
+        "pixels",
+        "texture",
+        "entries a texel",
+        "light left out",
+        "flux, peak",
+        "RMSE to the source",
+        "error by fewer overlaps",
+    )
     table = plain(columns)
     for each in reports:
         before, after = each.entries_per_texel
@@ -107,6 +113,7 @@ def built(reports: Sequence[ModuleReport]) -> Table:
             f"{each.rows} x {each.cols}",
             f"{before:.3g}" if before == after else f"{before:.3g} → {after:.3g}",
             number(each.dropped, ".2%"),
+            "–" if each.flux is None else f"{each.flux:.1%}, {each.peak:.1%} of the source's",
             "–" if each.rmse is None else f"{each.rmse:.2%} of the peak, {each.rmse_cd:,.3g} cd",
             "–" if each.overlap is None else f"RMSE {each.overlap.rmse:.2%}, at most {each.overlap.largest:.2%}",
         )

@@ -1,7 +1,7 @@
 """Light as photometric files that other programs read: the beam of a lamp, and what modules give at one time."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -19,16 +19,11 @@ SUFFIXES: Final = (".ies", ".ldt")
 
 
 def export(lamp: Lamp, beam: str, file: Path, step_deg: float = 0.1) -> Distribution:
-    """Write a beam as LM-63-2019, type A, with nodes every step_deg over the lamp's field and zero outside it.
+    """Write a beam over the lamp's field, as LM-63-2019, type A, or as EULUMDAT, by the suffix; zero outside the field.
 
-    Raises LuxloopError for an unknown beam, a step out of range or too fine, and where the file cannot be written.
+    Raises LuxloopError for an unknown beam, another suffix, a step out of range or too fine, and where the file cannot be written.
     """
-    left, right, bottom, top = lamp.field_deg
-    h, v = _nodes(-left, -right, step_deg), _nodes(bottom, top, step_deg)
-    _refuse_many(len(h), len(v), step_deg)
-    distribution = sample(lamp.lit(lamp.beam(beam)), h, v)
-    write(file, distribution, {"LUMINAIRE": f"{lamp.name}, beam {beam}"})
-    return distribution
+    return _write(file, lamp.lit(lamp.beam(beam)), lamp.field_deg, f"{lamp.name}, beam {beam}", step_deg, {})
 
 
 def write_texture(
@@ -42,18 +37,25 @@ def write_texture(
     light = texture.detach().double().cpu()
     borders = (headlight.left, headlight.right, headlight.bottom, headlight.top)
     left, right, bottom, top = (math.degrees(math.atan(each)) for each in borders)
+    return _write(file, lambda directions: headlight.intensity(light, directions), (left, right, bottom, top), name, step_deg, keywords)
 
-    def intensity(directions: Tensor) -> Tensor:
-        return headlight.intensity(light, directions)
 
-    if file.suffix.lower() == ".ies":
+def _write(
+    file: Path, intensity: Callable[[Tensor], Tensor], field_deg: tuple[float, ...], name: str, step_deg: float, keywords: Mapping[str, str]
+) -> Distribution:
+    """field_deg: left and right (left positive), bottom and top (up positive), beyond which it is dark."""
+    left, right, bottom, top = field_deg
+    suffix = file.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise LuxloopError(f"--out {file}: gives no photometric format; end it in {' or '.join(SUFFIXES)}")
+    if suffix == ".ies":
         h, v = _nodes(-left, -right, step_deg), _nodes(bottom, top, step_deg)
         _refuse_many(len(h), len(v), step_deg)
         distribution = sample(intensity, h, v)
         write(file, distribution, {"LUMINAIRE": name, **keywords})
     else:
-        corner = math.hypot(max(map(abs, borders[:2])), max(map(abs, borders[2:])))
-        gamma = _nodes(0.0, math.degrees(math.atan(corner)), step_deg)
+        corner = math.cos(math.radians(max(left, -right))) * math.cos(math.radians(max(-bottom, top)))
+        gamma = _nodes(0.0, math.degrees(math.acos(corner)), step_deg)
         gamma = np.append(gamma[gamma >= 0], 180.0)
         _refuse_many(PLANES, len(gamma), step_deg)
         distribution = sample(intensity, np.arange(PLANES) * (360 / PLANES), gamma, "C")

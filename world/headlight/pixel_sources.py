@@ -15,7 +15,7 @@ from world.headlight.pixel_tables import read_table
 from world.headlight.pixels import Pixel, PixelArray
 from world.params import Params
 from world.photometry.distribution import Aim
-from world.photometry.files import read
+from world.photometry.files import read_all
 from world.texels import LARGEST_ANGLE_DEG
 
 SUFFIXES = (".ies", ".ldt")
@@ -48,7 +48,7 @@ class FolderSource(Params):
             raise LuxloopError(f"{self.path}: is not a folder; give one that holds a photometric file for each pixel")
         files = sorted((path for path in self.path.iterdir() if path.suffix.lower() in SUFFIXES), key=_natural)
         files = self._in_order(files) if self.pattern is None else self._by_place(files, self.pattern)
-        return PixelArray([Pixel(read(path).distribution) for path in files], self.rows, self.columns, self.aim)
+        return PixelArray([Pixel(each.distribution) for each in read_all(files)], self.rows, self.columns, self.aim)
 
     def _in_order(self, files: list[Path]) -> list[Path]:
         wanted = self.rows * self.columns
@@ -115,7 +115,7 @@ class FileSource(Params):
 
     def pixels(self) -> PixelArray:
         """The pixel, turned rigidly to each place of a grid whose middle is the beam axis. Raises LuxloopError where the file is broken."""
-        distribution = read(self.path).distribution
+        distribution = read_all([self.path])[0].distribution
         if self.pitch_deg is None:
             return PixelArray([Pixel(distribution)], 1, 1, self.aim)
         up = (0.5 * (self.rows - 1) - np.arange(self.rows)) * self.pitch_deg / self.aspect

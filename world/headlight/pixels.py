@@ -14,11 +14,12 @@ from world.budget import BUDGET_BYTES, afford
 from world.errors import LuxloopError
 from world.headlight.matrix import LUMINANCE
 from world.photometry.distribution import EDGE_DEG, Aim, Array, Distribution, directions_of
-from world.photometry.texture import PROBES, Window, light_texture, squared_error
+from world.photometry.texture import PROBES, Window, light_texture, solid_angles, squared_error
 from world.texels import LARGEST_ANGLE_DEG, TexelGrid
 
 CUTOFF = 1e-4  # share of a pixel's peak below which its light is left out: fewer entries, and next to nothing is lost
 MOST_TEXELS = 2048  # along a side, unless a user wants more
+FEWEST_TEXELS = 255  # along a side of a single pixel, whose table may be coarse; an odd number has a texel on the axis
 TEXELS_A_PIXEL = 4  # along a side at least, since symbols need rays between pixels
 SAMPLED = 8  # pixels, evenly spread, from which the entries of all are estimated
 BYTES_AN_ENTRY = 64  # of the matrix while it is assembled and sorted, at the peak
@@ -57,6 +58,7 @@ class Assembled:
     """A headlight matrix and its errors against the source.
 
     matrix: `[n_texels, n_p]` cd. chroma: `[3, nnz]` or None, as Headlight has it. dropped: share of all light that was cut off.
+    flux, peak: of all textures and the brightest, as shares of those of the sources.
     rmse_cd: root mean square difference of pixels on the texture and their sources, over the solid angles into which these shine, as
     world.photometry.texture.rmse has it of one; relative to the brightest of them, rmse.
     """
@@ -64,6 +66,8 @@ class Assembled:
     matrix: sp.csr_array
     chroma: Array | None
     dropped: float
+    flux: float
+    peak: float
     rmse_cd: float
     rmse: float
 
@@ -92,7 +96,8 @@ def assemble(
     values: list[Array] = []
     chroma: list[Array] = []
     texture = np.zeros(grid.n_texels)
-    lost = total = squares = solid = peak = 0.0
+    lost = total = squares = solid = peak = flux = flux_of_sources = brightest = 0.0
+    solid_angle = solid_angles(grid).ravel()
     entries = 0
     for number, pixel in enumerate(array.pixels, 1):
         texel, light = light_of(pixel.distribution, pixel.turn)
@@ -110,6 +115,9 @@ def assemble(
         texture[texel] = 0
         squares, solid = squares + error, solid + over
         peak = max(peak, float(pixel.distribution.candela.max()))
+        brightest = max(brightest, float(light.max(initial=0)))
+        flux += float(light[bright] @ solid_angle[texel[bright]])
+        flux_of_sources += pixel.distribution.luminous_flux
         if on_progress:
             on_progress(number, len(array.pixels))
     if total == 0:
@@ -120,7 +128,15 @@ def assemble(
     entry = matrix.data.astype(np.int64) - 1
     matrix.data = np.concatenate(values)[entry]
     rmse_cd = math.sqrt(squares / solid)
-    return Assembled(matrix, np.concatenate(chroma, axis=1)[:, entry] if chroma else None, lost / total, rmse_cd, rmse_cd / peak)
+    return Assembled(
+        matrix=matrix,
+        chroma=np.concatenate(chroma, axis=1)[:, entry] if chroma else None,
+        dropped=lost / total,
+        flux=flux / flux_of_sources,
+        peak=brightest / peak,
+        rmse_cd=rmse_cd,
+        rmse=rmse_cd / peak,
+    )
 
 
 def _sampled(array: PixelArray) -> list[Pixel]:
@@ -157,22 +173,29 @@ def _rounded_up(share: float) -> float:
 
 
 def default_grid(array: PixelArray) -> TexelGrid:
-    """A texture that covers all light, with texels twice as fine as the source's angles and at least four to a pixel along each side."""
+    """A texture that covers all light, with texels twice as fine as the source's angles and at least four to a pixel along each side.
+
+    Light beyond LARGEST_ANGLE_DEG of the beam axis is left out.
+    """
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    farthest = math.radians(LARGEST_ANGLE_DEG)
     for pixel in array.pixels:
         directions, _, lit = _nodes(pixel.distribution, array.aim)
         x, y, z = _turned(directions[:, lit], pixel.turn)
-        ahead = x > math.cos(math.radians(LARGEST_ANGLE_DEG))
-        if ahead.any():
-            at = np.stack([y[ahead], z[ahead]]) / x[ahead]
+        aside = np.hypot(y, z)
+        angle = np.arctan2(aside, x)  # from the beam axis
+        if (angle < farthest).any():
+            near = angle < farthest + math.radians(_widest(pixel.distribution))  # and what lies between a node in the field and one beyond
+            tangent = np.tan(np.minimum(angle, farthest)) / np.maximum(aside, np.finfo(float).tiny)
+            at = np.stack([y, z])[:, near] * tangent[near]
             low, high = np.minimum(low, at.min(1)), np.maximum(high, at.max(1))
     if not (low < high).all():
         raise LuxloopError(f"no pixel shines within {LARGEST_ANGLE_DEG:g} deg of the beam axis; look at `aim`")
-    furthest = math.tan(math.radians(LARGEST_ANGLE_DEG))
-    (right, bottom), (left, top) = low.clip(-furthest, furthest), high.clip(-furthest, furthest)
+    (right, bottom), (left, top) = low, high
     down, across = np.radians(_steps(array)).tolist()
-    rows = affordable(2 * (top - bottom) / down, array.rows)
-    cols = affordable(2 * (left - right) / across, array.columns)
+    rows, cols = affordable(2 * (top - bottom) / down, array.rows), affordable(2 * (left - right) / across, array.columns)
+    if len(array.pixels) == 1:
+        rows, cols = (max(number, FEWEST_TEXELS) | 1 for number in (rows, cols))
     return TexelGrid(rows=rows, cols=cols, left=float(left), right=float(right), bottom=float(bottom), top=float(top))
 
 
@@ -235,8 +258,12 @@ def _cap(distribution: Distribution, aim: Aim) -> tuple[Array, float]:
     inside = directions[:, lit]
     axis = inside.mean(1)
     axis /= max(float(np.linalg.norm(axis)), np.finfo(float).tiny)
-    widest = max(float(np.diff(angles).max(initial=0)) for angles in distribution.unfolded[:2])
-    return axis, min(math.acos(max(float((axis @ inside).min()), -1.0)) + math.radians(widest), math.pi)
+    return axis, min(math.acos(max(float((axis @ inside).min()), -1.0)) + math.radians(_widest(distribution)), math.pi)
+
+
+def _widest(distribution: Distribution) -> float:
+    """The widest step of a distribution's angles in deg."""
+    return max(float(np.diff(angles).max(initial=0)) for angles in distribution.unfolded[:2])
 
 
 def _turned(directions: Array, turn: Array | None) -> Array:

@@ -27,6 +27,7 @@ from world.spmv import Csr
 from world.texels import LARGEST_ANGLE_DEG, TexelGrid
 
 DARK_CD = 1e-3  # no lamp is so dim, but what rounding leaves of a model far away
+TOLD = 0.01  # of flux or peak, beyond which it is told that a texture does not hold them
 STILL_SHINES = 0.05  # of its peak: a measurement that ends there was cut off
 BYTES_A_TEXEL = 32  # of a texture while it is made
 SIGMAS = 3.5  # of a Gaussian that a default texture holds: all but 0.2 % of the peak
@@ -145,8 +146,8 @@ class ModuleParams(Params):
 class ModuleReport:
     """Report on how a module reproduces its source.
 
-    entries_per_texel: before and after overlap reduction. dropped: share of the light below `cutoff`, rmse and rmse_cd: against the source
-    (see world.headlight.pixels.Assembled); all three None where the source is no measurement. overlap: None where nothing was reduced.
+    entries_per_texel: before and after overlap reduction. dropped: share of the light below `cutoff`, flux, peak, rmse and rmse_cd: against
+    the source (see world.headlight.pixels.Assembled); all None where the source is no measurement. overlap: None where nothing was reduced.
     """
 
     name: str
@@ -156,6 +157,8 @@ class ModuleReport:
     cols: int
     entries_per_texel: tuple[float, float]
     dropped: float | None = None
+    flux: float | None = None
+    peak: float | None = None
     rmse: float | None = None
     rmse_cd: float | None = None
     overlap: OverlapErrors | None = None
@@ -192,6 +195,8 @@ def build_module(
         cols=light.cols,
         entries_per_texel=(len(full.matrix.values) / full.n_texels, len(light.matrix.values) / full.n_texels),
         dropped=None if assembled is None else assembled.dropped,
+        flux=None if assembled is None else assembled.flux,
+        peak=None if assembled is None else assembled.peak,
         rmse=None if assembled is None else assembled.rmse,
         rmse_cd=None if assembled is None else assembled.rmse_cd,
         overlap=overlap,
@@ -215,8 +220,15 @@ def _with_light(params: ModuleParams, folder: Path, on_progress: Progress | None
         return Module(params.name, headlight(params.name, source, grid)), None
     array = source.model_copy(update={"path": folder / source.path}).pixels()
     grid = params.texture.on(default_grid(array), array.rows, array.columns)
-    _warn_of_oddities(source, array)
+    warn_of_oddities(source, array)
     assembled = assemble(array, grid, params.cutoff, on_progress)
+    if len(array.pixels) == 1 and (assembled.flux < 1 - TOLD or abs(assembled.peak - 1) > TOLD):
+        warnings.warn(
+            f"{source.path}: as a light texture of {grid.rows} x {grid.cols} texels ({describe(grid)}) it has "
+            f"{assembled.peak:.1%} of its peak and {assembled.flux:.1%} of its flux; "
+            f"texels and borders are keys of [module.texture] in a description, up to {LARGEST_ANGLE_DEG:g} deg from the axis",
+            stacklevel=2,
+        )
     light = Headlight(
         **vars(grid),
         name=params.name,
@@ -228,7 +240,7 @@ def _with_light(params: ModuleParams, folder: Path, on_progress: Progress | None
     return Module(params.name, light), assembled
 
 
-def _warn_of_oddities(source: FolderSource | FileSource | TableSource, array: PixelArray) -> None:
+def warn_of_oddities(source: FolderSource | FileSource | TableSource, array: PixelArray) -> None:
     """Warn of measurements that are probably wrong."""
     shares = {id(each): border_share(each) for each in {id(pixel.distribution): pixel.distribution for pixel in array.pixels}.values()}
     cut_off = [(shares[id(pixel.distribution)], j) for j, pixel in enumerate(array.pixels) if shares[id(pixel.distribution)] > STILL_SHINES]

@@ -1,7 +1,8 @@
 """The text header of an OpenCRG file: sections, numbers, channel definitions."""
 
+import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,16 @@ from world.opencrg.crg import KINDS, CrgError
 LARGEST = 1e9  # no number of a road's header is larger, so that products of a few stay finite
 _END = re.compile(rb"^\$\$[^\n]*(?:\n|\Z)", re.MULTILINE)
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
+_ODD_EXPONENT = re.compile(r"[+-]?[eEdD]?[+-]?\d*")  # "2.000000000+e00" occurs in the wild and means 2
+_SECTION = re.compile(rf"long\s+section\s+(?:(at)\s+v\s*=\s*)?({_NUMBER.pattern})")
+_KIND = re.compile(r"#[\s:]*([A-Za-z]{4})")
+_BRACKETS = str.maketrans("[]()", ",,,,")
+# How much of the format's unit (m, rad, m/m) others are, in lower case.
+LENGTH = {"m": 1.0, "metre": 1.0, "meter": 1.0, "km": 1e3, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "um": 1e-6, "µm": 1e-6}
+LENGTH |= dict.fromkeys(("in", "inch", "inches"), 0.0254) | dict.fromkeys(("ft", "foot", "feet"), 0.3048)
+ANGLE = {"rad": 1.0, "mrad": 1e-3, **dict.fromkeys(("deg", "degree", "degrees", "°"), math.pi / 180), "gon": math.pi / 200}
+SLOPE = {"m/m": 1.0, "1": 1.0, "-": 1.0, "%": 0.01, "percent": 0.01, "cm/m": 0.01, "mm/m": 1e-3}
+REFERENCE = {"u": LENGTH, "x": LENGTH, "y": LENGTH, "phi": ANGLE, "slope": SLOPE, "banking": SLOPE}
 
 
 @dataclass(frozen=True)
@@ -31,14 +42,39 @@ class Header:
             key, equals, value = text.partition("=")
             if not equals:
                 continue
-            # Only the longest leading number counts: "2.000000000+e00" occurs in the wild and means 2.
-            number = _NUMBER.match(value.strip())
+            value = value.strip()
+            number = _NUMBER.match(value)
             if number is None:
-                raise CrgError(f"{self.path}, line {line}: {key.strip()} = {value.strip()!r} is not a number; correct the header")
-            found = float(number[0].replace("D", "E").replace("d", "e"))
+                raise CrgError(f"{self.path}, line {line}: {key.strip()} = {value!r} is not a number; correct the header")
+            found, unit = _float(number[0]), value[number.end() :]
+            if not _ODD_EXPONENT.fullmatch(unit):
+                found *= _unit(self.path, line, unit, _units_of(key.strip().lower()))
             if abs(found) > LARGEST:
                 raise CrgError(f"{self.path}, line {line}: {key.strip()} = {found:g} is too large for a road; correct the header")
             yield key.strip().lower(), found
+
+
+def _float(number: str) -> float:
+    return float(number.replace("D", "E").replace("d", "e"))
+
+
+def _units_of(key: str) -> Mapping[str, float]:
+    """What a key of the header may be given in."""
+    last = key.rpartition("_")[2]
+    if last in ("phi", "lon", "lat"):
+        return ANGLE
+    if last in ("s", "b"):
+        return SLOPE
+    return {} if key.startswith("scale_") or last in ("mode", "fraction", "continuation") else LENGTH
+
+
+def _unit(path: Path, line: int, text: str, units: Mapping[str, float]) -> float:
+    """How much of the format's unit one is that a header names, whatever its case and brackets."""
+    name = text.translate(_BRACKETS).strip(" \t,.").lower()
+    if name not in units:
+        known = f"give it in {', '.join(units)}" if units else "it has none"
+        raise CrgError(f"{path}, line {line}: the unit {text.strip()!r} is unknown here; {known}")
+    return units[name]
 
 
 @dataclass(frozen=True)
@@ -46,7 +82,7 @@ class Channels:
     """Columns of the data block: which of them are what."""
 
     kind: str
-    count: int
+    scale: list[float]  # of each column, to m, rad or m/m
     reference: dict[str, int]  # "phi", "slope", "banking", ... -> column
     sections: list[tuple[float, int]]  # (v in m or number, column)
     by_position: bool
@@ -79,27 +115,37 @@ def read_channels(header: Header) -> Channels:
     path = header.path
     if "KD_DEFINITION" not in header.sections:
         raise CrgError(f"{path}: has no $KD_DEFINITION section, which names the data channels; add one or fetch the file again")
-    kind, count = "KRBI", 0
+    kind, scale = "KRBI", list[float]()
     reference: dict[str, int] = {}
     numbered: list[tuple[float, int]] = []
     placed: list[tuple[float, int]] = []
     for line, text in header.sections["KD_DEFINITION"]:
+        if text.startswith("#"):
+            match = _KIND.match(text)
+            if match is None or match[1].upper() not in KINDS:
+                raise CrgError(f"{path}, line {line}: data kind {text[1:].strip(': ')!r} is unknown; use one of {', '.join(KINDS)}")
+            kind = match[1].upper()
         tag, colon, rest = text.partition(":")
-        if tag == "#" and colon:
-            kind = rest.strip()[:4].upper()
-            if kind not in KINDS:
-                raise CrgError(f"{path}, line {line}: data kind {rest.strip()!r} is unknown; use one of {', '.join(KINDS)}")
-        if tag.upper() != "D" or not colon:
+        if tag.strip().upper() != "D" or not colon:
             continue
-        words = rest.partition(",")[0].lower().split()
-        if words[:2] == ["reference", "line"] and len(words) == 3:
-            reference[words[2]] = count
+        name, unit = [*(part for part in rest.translate(_BRACKETS).split(",") if part.strip()), "", ""][:2]
+        words = name.lower().split()
+        units = LENGTH
+        if words[:2] == ["reference", "line"]:
+            units = REFERENCE.get(" ".join(words[2:]), {})
+            if not units:
+                raise CrgError(f"{path}, line {line}: {text!r} is no channel of a reference line; use one of {', '.join(REFERENCE)}")
+            reference[words[2]] = len(scale)
         elif words[:2] == ["long", "section"]:
-            number = _NUMBER.search("".join(words[2:]))
-            if number is None:
+            section = _SECTION.fullmatch(name.strip().lower())
+            if section is None:
                 raise CrgError(f"{path}, line {line}: {text!r} has neither a number nor a position v; write 'D:long section at v = 0.0,m'")
-            (placed if words[2] == "at" else numbered).append((float(number[0]), count))
-        count += 1
+            if section[1]:
+                units = {"m": 1.0}  # any other might be that of v, of the heights or of both
+            (placed if section[1] else numbered).append((_float(section[2]), len(scale)))
+        else:
+            raise CrgError(f"{path}, line {line}: {text!r} is neither a long section nor a channel of the reference line; correct it")
+        scale.append(_unit(path, line, unit, units))
     if placed and numbered:
         raise CrgError(f"{path}: $KD_DEFINITION mixes long sections by number and by position; define all of them in one way")
     sections = sorted(placed or numbered)
@@ -111,4 +157,4 @@ def read_channels(header: Header) -> Channels:
         raise CrgError(f"{path}: $KD_DEFINITION has two long sections at one v; remove one of them")
     if ("x" in reference or "y" in reference) and "phi" not in reference:
         raise CrgError(f"{path}: gives its reference line by x and y only; give its heading, 'D:reference line phi,rad'")
-    return Channels(kind, count, reference, sections, bool(placed))
+    return Channels(kind, scale, reference, sections, bool(placed))

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from world.opencrg.crg import FINEST_M, KINDS, TEXT_WIDTH, Crg, CrgError
 from world.opencrg.header import Channels, Header, read_channels, read_header
 
+LINE_WIDTH = 80  # characters of a line of text data, at most
+NUMERALS = b"0123456789+-.,eEdD*unsedmig \t\r\n\x1a"  # what a text data block is made of
 HIGHEST_ELEVATION_M = 1e4  # no road is higher; binary data read out of step is, almost surely
 _DEEPEST_REFERENCE = 8
 
@@ -46,6 +48,7 @@ def _read(path: Path, depth: int) -> Crg:
         if rows < 2:
             raise CrgError(f"{path}: REFERENCE_LINE_END_U lies before REFERENCE_LINE_START_U plus one step; correct $ROAD_CRG")
     table = _text(header, channels, rows) if channels.kind in TEXT_WIDTH else _binary(header, channels, rows)
+    table *= channels.scale
     z = table[:, [column for _, column in channels.sections]]
     implausible = np.abs(z) > HIGHEST_ELEVATION_M
     if implausible.any():
@@ -91,13 +94,14 @@ def _positions(path: Path, channels: Channels, road: dict[str, float]) -> NDArra
     if channels.by_position:
         return np.array([v for v, _ in channels.sections])
     count = len(channels.sections)
-    step = road.get("long_section_v_increment", 0.01)
-    right = road.get("long_section_v_right", -step * (count - 1) / 2)
+    given = {key: road[f"long_section_v_{key}"] for key in ("right", "left", "increment") if f"long_section_v_{key}" in road}
+    step = (given["left"] - given["right"]) / (count - 1) if {"right", "left"} == given.keys() else given.get("increment", 0.01)
+    right = given.get("right", -step * (count - 1) / 2)
     left = right + step * (count - 1)
-    if step <= 0 or abs(road.get("long_section_v_left", left) - left) > step / 2:
+    if step <= 0 or abs(given.get("left", left) - left) > step / 2:
         raise CrgError(
-            f"{path}: {count} long sections {step:g} m apart from LONG_SECTION_V_RIGHT = {right:g} m do not end at "
-            f"LONG_SECTION_V_LEFT = {road.get('long_section_v_left', left):g} m; correct LONG_SECTION_V_INCREMENT"
+            f"{path}: {count} long sections {step:g} m apart from v = {right:g} m do not end at {given.get('left', left):g} m; "
+            f"correct {', '.join(f'LONG_SECTION_V_{key.upper()}' for key in given)}"
         )
     return right + step * np.arange(count, dtype=np.float64)
 
@@ -105,17 +109,23 @@ def _positions(path: Path, channels: Channels, road: dict[str, float]) -> NDArra
 def _binary(header: Header, channels: Channels, rows: int | None) -> NDArray[np.float64]:
     dtype = KINDS[channels.kind]
     assert dtype is not None
-    complete = len(header.data) // (channels.count * dtype.itemsize)
+    count = len(channels.scale)
+    if len(header.data.translate(None, NUMERALS)) < 0.1 * len(header.data):
+        raise CrgError(
+            f"{header.path}: its data block is text, but $KD_DEFINITION declares {channels.kind}, which is binary and the default; "
+            "write #:LRFI or #:LDFI"
+        )
+    complete = len(header.data) // (count * dtype.itemsize)
     if rows is not None and complete < rows:
         if complete < 2 or len(header.data) % 80:
             raise CrgError(
                 f"{header.path}: its {channels.kind} data block is {len(header.data)} bytes long and {rows} rows need "
-                f"{rows * channels.count * dtype.itemsize}: truncated, or its newlines were converted; fetch the file again in binary mode"
+                f"{rows * count * dtype.itemsize}: truncated, or its newlines were converted; fetch the file again in binary mode"
             )
         warnings.warn(f"{header.path}: has {complete} of the {rows} rows that its header announces; the rest is missing", stacklevel=4)
     used = complete if rows is None else min(rows, complete)
     with np.errstate(invalid="ignore"):  # a signalling NaN is a NaN
-        table = np.frombuffer(header.data, dtype, used * channels.count).astype(np.float64).reshape(used, channels.count)
+        table = np.frombuffer(header.data, dtype, used * count).astype(np.float64).reshape(used, count)
     if rows is None:
         measured = np.flatnonzero(~np.isnan(table).all(axis=1))
         table = table[: measured[-1] + 1] if len(measured) else table[:0]
@@ -124,23 +134,36 @@ def _binary(header: Header, channels: Channels, rows: int | None) -> NDArray[np.
 
 def _text(header: Header, channels: Channels, rows: int | None) -> NDArray[np.float64]:
     width = TEXT_WIDTH[channels.kind]
-    per_line = 80 // width
-    lines_a_row = math.ceil(channels.count / per_line)
-    lines = [(number, line) for number, line in enumerate(header.data.decode("latin-1").splitlines(), header.lines + 1) if line.strip()]
+    per_line, count = LINE_WIDTH // width, len(channels.scale)
+    lines_a_row = math.ceil(count / per_line)
+    texts = header.data.decode("latin-1").splitlines()
+    lines = [(number, line.rstrip()) for number, line in enumerate(texts, header.lines + 1) if line.strip()]
+    for number, line in lines:
+        if len(line) > LINE_WIDTH:
+            raise CrgError(
+                f"{header.path}, line {number}: has {len(line)} characters, and {channels.kind} data {LINE_WIDTH} at most; "
+                f"write {per_line} values a line"
+            )
     complete = len(lines) // lines_a_row
-    if rows is not None and complete < rows:
+    if rows is None or complete < rows:
         if complete < 2 or len(lines) % lines_a_row:
+            of = "" if rows is None else f" of {rows}"
             raise CrgError(
                 f"{header.path}: {channels.kind} data end after line {lines[-1][0] if lines else header.lines} "
-                f"in row {complete + 1} of {rows}; fetch the file again"
+                f"in row {complete + 1}{of}; fetch the file again"
             )
-        warnings.warn(f"{header.path}: has {complete} of the {rows} rows that its header announces; the rest is missing", stacklevel=4)
-    table = np.empty((complete if rows is None else min(rows, complete), channels.count))
+        if rows is not None:
+            what = f"has {complete} of the {rows} rows that its header announces; the rest is missing"
+            warnings.warn(f"{header.path}: {what}", stacklevel=4)
+    table = np.empty((complete if rows is None else min(rows, complete), count))
     for row, values in enumerate(table):
         for part in range(lines_a_row):
             number, line = lines[row * lines_a_row + part]
-            for column in range(part * per_line, min((part + 1) * per_line, channels.count)):
-                at = (column - part * per_line) * width
+            first, last = part * per_line, min((part + 1) * per_line, count)
+            if len(line) > (last - first) * width:
+                raise CrgError(f"{header.path}, line {number}: has more than the {last - first} values that $KD_DEFINITION announces here")
+            for column in range(first, last):
+                at = (column - first) * width
                 values[column] = _field(header.path, number, line[at : at + width])
     return _at_least_two(header, table)
 

@@ -2,9 +2,9 @@
 
 from world.photometry.distribution import Distribution, sample
 from world.photometry.eulumdat import write as write_eulumdat
-from world.photometry.files import read
+from world.photometry.files import read, read_all
 from world.photometry.lm63 import write
 from world.photometry.record import Photometry
 from world.photometry.texture import light_texture, rmse
 
-__all__ = ["Distribution", "Photometry", "light_texture", "read", "rmse", "sample", "write", "write_eulumdat"]
+__all__ = ["Distribution", "Photometry", "light_texture", "read", "read_all", "rmse", "sample", "write", "write_eulumdat"]

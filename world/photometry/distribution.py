@@ -96,7 +96,7 @@ class Distribution:
         """
         return self.at(*angles_of(self.type, directions, aim))
 
-    @property
+    @cached_property
     def luminous_flux(self) -> float:
         """Flux in lm: the exact integral of what `at` returns over the sphere."""
         v, h, candela = (np.deg2rad(each) if each.ndim == 1 else each for each in self.unfolded)

@@ -4,6 +4,7 @@ Our own reader and writer: the format is a page long, and readers at hand neithe
 a warning.
 """
 
+import re
 from itertools import chain
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from world.photometry.record import Photometry
 from world.photometry.text import Numbers, PhotometryError
 
 _SETS_AT = 26  # line of the number of lamp sets, each of which takes six lines
+_COUNTS = re.compile(r".*\n\s*\d+\s*\n\s*[0-4]\s*\n\s*\d+[.,]?0*\s*\n")  # lines 2 to 4: kind, symmetry, number of planes
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")  # or a decimal comma
 _RATIOS = 10  # lines of direct ratios, which nobody here needs
 
 
@@ -33,7 +36,16 @@ class _Lines:
         if number > len(self._lines):
             last = len("\n".join(self._lines).rstrip().split("\n"))
             raise PhotometryError(f"{self.path}, line {last}: expected {what} on line {number}, found the file's end; fetch the whole file")
-        return Numbers(self.path, self.text(number) or "(nothing)", number, comma=".").one(what)
+        text = self.text(number)
+        numbers = Numbers(self.path, text or "(nothing)", number, comma=".")
+        found = numbers.one(what)
+        if numbers.rest:
+            raise PhotometryError(f"{self.path}, line {number}: expected {what}, one number, found {text[:40]!r}; correct it")
+        if _THOUSANDS.fullmatch(text):
+            self.warnings.append(
+                f"line {number}: {what} is {text!r}, read as {found:g}; write {text.replace(',', '')} if thousands are meant"
+            )
+        return found
 
     def whole(self, number: int, what: str, low: int, high: float = np.inf) -> int:
         value = self.number(number, what)
@@ -64,7 +76,7 @@ def parse(text: str, path: Path) -> Photometry:
     symmetry = lines.whole(3, "the symmetry Isym", 0, 4)
     n_c = lines.whole(4, "the number of C planes", 1)
     n_gamma = lines.whole(6, "the number of angles gamma in a plane", 2)
-    factor = lines.optional(24, "the conversion factor") or 1.0
+    factor = (lines.number(24, "the conversion factor") if lines.text(24) else 0.0) or 1.0
     sets = lines.whole(_SETS_AT, "the number of lamp sets", 1)
     lamps = int(lines.optional(_SETS_AT + 1, "the number of lamps"))
     flux = lines.number(_SETS_AT + 3, "the total luminous flux of the lamps in lm")
@@ -87,8 +99,13 @@ def parse(text: str, path: Path) -> Photometry:
     if (table < 0).any():
         k = int(table.argmin())
         raise numbers.wrong(f"value in cd/klm {k + 1} of {len(table)}, not negative", back=len(table) - k)
-    if numbers.rest:
-        warnings.append(f"{len(numbers.rest)} words after the data are ignored, from {numbers.rest[0][:40]!r} on")
+    numbers.end(warnings)
+    comma = re.search(r"\S*,\S*", body[-1])
+    if comma and "." in body[-1]:
+        line = first + body[-1].count("\n", 0, comma.start())
+        raise PhotometryError(f"{path}, line {line}: expected a decimal point as elsewhere, found {comma[0][:40]!r}; leave the comma out")
+    if comma and all(map(_THOUSANDS.fullmatch, re.findall(r"\S*,\S*", body[-1]))):
+        warnings.append(f"values such as {comma[0]} are read with a decimal comma; leave it out if thousands are meant")
     try:
         distribution = Distribution("C", gamma, planes, table.reshape(len(planes), n_gamma) * (factor * flux / 1000))
     except LuxloopError as error:
@@ -112,10 +129,21 @@ def parse(text: str, path: Path) -> Photometry:
     )
 
 
+def has_counts(text: str) -> bool:
+    """Whether a file's text begins as EULUMDAT does: a name, then the kind, the symmetry and the number of planes."""
+    return _COUNTS.match(text) is not None
+
+
 def _stored(symmetry: int, c: Array, numbers: Numbers) -> Array:
-    """The planes that a symmetry stores: all (0), one (1), C0 to C180 (2), C270 through C0 to C90 (3), C0 to C90 (4)."""
+    """The planes that a symmetry stores: all (0), one (1), C0 to C180 (2), C270 through C0 to C90 (3), C0 to C90 (4).
+
+    C360, where it is counted, is C0.
+    """
     if symmetry < 2:
         return c if symmetry == 0 else c[:1]
+    if symmetry == 3 and (c[0], c[-1]) == (90, 270):
+        return c  # the other half, which some programs store
+    c = c[c < 360]
     planes = np.concatenate([c[c >= 270] - 360, c[c <= 90]]) if symmetry == 3 else c[c <= (180 if symmetry == 2 else 90)]
     first, last = {2: (0, 180), 3: (-90, 90), 4: (0, 90)}[symmetry]
     if not len(planes) or planes[0] != first or planes[-1] != last:

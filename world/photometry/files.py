@@ -1,5 +1,7 @@
 """Read a photometric file of any kind."""
 
+import warnings
+from collections.abc import Iterable
 from pathlib import Path
 
 from world.photometry import eulumdat, lm63
@@ -14,5 +16,17 @@ def read(path: str | Path) -> Photometry:
     """
     path = Path(path)
     text = load(path)
-    kind = lm63 if lm63.is_lm63(text) or path.suffix.lower() == ".ies" else eulumdat
-    return kind.parse(text, path)
+    is_lm63 = lm63.has_version(text) or (not eulumdat.has_counts(text) and (lm63.has_tilt(text) or path.suffix.lower() == ".ies"))
+    return (lm63 if is_lm63 else eulumdat).parse(text, path)
+
+
+def read_all(paths: Iterable[str | Path]) -> list[Photometry]:
+    """Read files as `read` does, and warn of what is odd in them: of each kind once, for the first file and the number of others."""
+    files = [read(path) for path in paths]
+    odd: dict[str, list[Path]] = {}
+    for file in files:
+        for each in file.warnings:
+            odd.setdefault(each, []).append(file.path)
+    for each, (first, *more) in odd.items():
+        warnings.warn(f"{first}: {each}" + (f" (as in {len(more)} more files)" if more else ""), stacklevel=2)
+    return files

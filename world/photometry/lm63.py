@@ -19,6 +19,8 @@ from world.photometry.record import Photometry, Tilt
 from world.photometry.text import Numbers, PhotometryError, load
 
 FOOT_M = 0.3048
+LAST_BALLAST_LAMP = 1991  # edition in which the number after the ballast factor multiplies the candela; later ones reserve it
+FIRST_ORIGIN = 2019  # edition in which it encodes how the file came about
 NOISE = 0.01  # goniophotometers report slightly negative values in the dark: up to this share of the peak they are taken as zero
 _TILT = re.compile(r"^[ \t]*TILT[ \t]*=[ \t]*(.*?)[ \t]*$", re.IGNORECASE | re.MULTILINE)
 _VERSION = re.compile(r"IES(?:NA)?:?\s*(?:LM-63-)?(\d{4}|\d{2})\b", re.IGNORECASE)
@@ -41,14 +43,12 @@ def parse(text: str, path: Path) -> Photometry:
     edition, keywords = _header(text[: tilt_line.start()].split("\n")[:-1], warnings)
     body, stop, after = text[tilt_line.end() :].partition("\x1a")
     if stop:
-        warnings.append("ends in Ctrl-Z")
+        warnings.append("ends in Ctrl-Z" + (", what follows is ignored" if after.strip() else ""))
     numbers = Numbers(path, body, text.count("\n", 0, tilt_line.end()) + 1)
     tilt = tilt_line[1].upper() if tilt_line[1].upper() in ("NONE", "INCLUDE") else tilt_line[1]
     factors = _tilt(tilt, numbers, path, warnings)
-    photometry = _photometry(numbers, path, warnings)
-    trailing = numbers.rest + after.split()
-    if trailing:
-        warnings.append(f"{len(trailing)} words after the data are ignored, from {trailing[0][:40]!r} on")
+    photometry = _photometry(numbers, path, edition, warnings)
+    numbers.end(warnings)
     name = keywords.get("LUMINAIRE") or keywords.get("LUMCAT") or path.stem
     return replace(
         photometry,
@@ -96,11 +96,13 @@ def _tilt(tilt: str, numbers: Numbers, path: Path, warnings: list[str]) -> Tilt 
         numbers = Numbers(beside, load(beside), 1)
     geometry = numbers.whole("the lamp-to-luminaire geometry, 1 to 3", 1)
     count = numbers.whole("the number of tilt angles", 1)
-    angles = numbers.many(count, "tilt angle")
-    return Tilt(geometry, angles, numbers.many(count, "tilt factor"))
+    found = Tilt(geometry, numbers.many(count, "tilt angle"), numbers.many(count, "tilt factor"))
+    if tilt != "INCLUDE":
+        numbers.end(warnings)
+    return found
 
 
-def _photometry(numbers: Numbers, path: Path, warnings: list[str]) -> Photometry:
+def _photometry(numbers: Numbers, path: Path, edition: int, warnings: list[str]) -> Photometry:
     """All that follows TILT, in the order of the standard."""
     lamps = numbers.whole("the number of lamps")
     lumens = numbers.one("lumens per lamp, or -1 for absolute photometry")
@@ -120,7 +122,15 @@ def _photometry(numbers: Numbers, path: Path, warnings: list[str]) -> Photometry
     if (size < 0).any():
         warnings.append("negative width, length or height: a round opening")
     ballast = numbers.positive("the ballast factor")
-    field_12 = numbers.one("the number after the ballast factor")
+    if edition <= LAST_BALLAST_LAMP:
+        field_12 = numbers.positive("the ballast-lamp photometric factor")
+        ballast *= field_12
+        if field_12 != 1:
+            warnings.append(f"ballast-lamp factor {field_12:g} is applied to the candela")
+    else:
+        field_12 = numbers.one("the number after the ballast factor")
+        if edition < FIRST_ORIGIN and field_12 != 1:
+            warnings.append(f"the number after the ballast factor is {field_12:g}, which LM-63-{edition} does not define: not applied")
     watts = numbers.one("input watts")
     v = numbers.ascending(n_v, "vertical angle", *VERTICAL_RANGE[kind])
     h = numbers.ascending(n_h, "horizontal angle", *HORIZONTAL_RANGE[kind])
@@ -132,6 +142,8 @@ def _photometry(numbers: Numbers, path: Path, warnings: list[str]) -> Photometry
         raise PhotometryError(f"{path}: {error}; correct the file") from error
     if not distribution.complete:
         warnings.append(f"planes from {h[0]:g} to {h[-1]:g} deg tell neither a symmetry nor the full turn: dark where they say nothing")
+    if kind != "C" and n_h == 1:
+        warnings.append(f"one horizontal angle, which the standard does not define for type {kind}: read as the same light at all of them")
     if kind != "C" and v[0] == 0:
         warnings.append("vertical angles begin at 0: read as mirrored about the horizontal plane")
     return Photometry(
@@ -160,8 +172,13 @@ def _not_negative(table: NDArray[np.float64], numbers: Numbers, warnings: list[s
     return np.maximum(table, 0.0)
 
 
-def is_lm63(text: str) -> bool:
-    """Whether a file's text has the TILT line of LM-63."""
+def has_version(text: str) -> bool:
+    """Whether a file's text begins with a version line of LM-63."""
+    return _VERSION.match(text.lstrip()) is not None
+
+
+def has_tilt(text: str) -> bool:
+    """Whether a file's text has a TILT line, as LM-63 demands; EULUMDAT may have one among its names."""
     return _TILT.search(text) is not None
 
 

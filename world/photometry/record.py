@@ -33,8 +33,8 @@ class Photometry:
     size_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # width, length, height of the opening; negative where round
     feet: bool = False  # the file's own unit of length
     multiplier: float = 1.0  # of the candela, already applied, as is the ballast factor
-    ballast_factor: float = 1.0
-    field_12: float = 1.0  # LM-63's number after the ballast factor, never applied: its meaning changed with every edition
+    ballast_factor: float = 1.0  # until 1991 with the ballast-lamp factor
+    field_12: float = 1.0  # LM-63's number after the ballast factor: until 1991 the ballast-lamp factor, later not applied
     tilt: str = "NONE"
     tilt_factors: Tilt | None = None
     keywords: Mapping[str, str] = field(default_factory=dict)

@@ -106,6 +106,15 @@ class Numbers:
     def rest(self) -> list[str]:
         return self._tokens[self._at :]
 
+    def end(self, warnings: list[str]) -> None:
+        """Nothing may follow but words, of which it is warned. Raises PhotometryError at a number: then all others may be out of step."""
+        rest = self.rest
+        if rest and rest[0].lstrip("+-.")[:1].isdigit():
+            self._at += 1
+            raise self.wrong("the end of the data (is a comma or a blank within a number?)")
+        if rest:
+            warnings.append(f"{len(rest)} words after the data are ignored, from {rest[0][:40]!r} on")
+
 
 def _number(token: str) -> bool:
     return re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", token) is not None and abs(float(token)) <= LARGEST

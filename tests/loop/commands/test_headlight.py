@@ -15,7 +15,8 @@ from loop.lighting.simulation import Simulation
 from loop.scenario.model import load
 from world.headlight.lamp import Lamp, Module
 from world.lampfiles.archive import save
-from world.photometry import read
+from world.lampfiles.description import load_lamp
+from world.photometry import Distribution, read, write
 from world.presets import idealised
 
 EXAMPLE = Path(__file__).parents[3] / "scenarios" / "examples" / "lamp.toml"
@@ -59,6 +60,29 @@ def test_a_beam_goes_out_as_a_photometric_file_and_comes_back(lux: Lux) -> None:
     assert checked.startswith("high: ")  # one pixel has no beams to tell apart
     _, original, _ = lux("check hd84 --beam high --rule r112-driving-b")
     assert code == 0 and checked.count("pass") == original.count("pass")
+
+
+def test_the_suffix_of_an_exported_beam_is_its_format(lux: Lux) -> None:
+    for name, form in (("a.IES", "LM-63-2019"), ("a.ldt", "EULUMDAT")):
+        assert lux(f"export hd84 --beam high --out {name}")[0] == 0
+        file = read(Path(name))
+        assert file.format == form
+        at = np.array([[1.0, 1, 1], [0, 0.1, -0.1], [0, 0.02, 0]])
+        lamp = load_lamp("hd84")
+        # nodes 0.1 deg apart, and as far between planes of EULUMDAT here, on flanks of 15 % a tenth of a degree
+        want = lamp.intensity(lamp.beam("high"), torch.from_numpy(at))
+        np.testing.assert_allclose(file.distribution.intensity(at), want, rtol=0.04)
+
+
+def test_a_photometric_file_is_judged_by_its_own_table(lux: Lux) -> None:
+    angles = np.arange(-90.0, 91)
+    peak = 30_200 * np.exp(-0.12 * (abs(angles)[:, None] + abs(angles)))
+    write("hv.ies", Distribution("A", angles, angles, peak))
+    Path("hv.ies").write_text(Path("hv.ies").read_text() + "END\n")
+    code, out, err = lux("check hv.ies --rule r149-driving-a")
+    assert code == 0 and "30,200" in out and err.count("'END'") == 1
+    for line in ("info hv.ies", "show hv.ies", "show hv.ies --view pixels --out b.png"):
+        assert lux(line)[2].count("'END'") == 1
 
 
 def test_a_failing_beam_is_told_by_the_exit_code_and_the_worst_point(lux: Lux) -> None:
@@ -129,6 +153,7 @@ def test_a_photometric_file_is_drawn_as_it_was_measured(lux: Lux) -> None:
         ("check hd84 --rule=", ["no rule ''"]),
         ("export hd84 --out low.ies --step-deg 0", ["--step-deg", "0.01"]),
         ("export hd84 --out low.ies --step-deg inf", ["--step-deg", "5 deg"]),
+        ("export hd84 --out low.csv", ["low.csv", ".ies or .ldt"]),
         ("export hd84 --out no/where/low.ies", ["no/where/low.ies", "cannot be written"]),
         ("build nothing.toml", ["nothing.toml", "cannot be read"]),
     ],

@@ -225,7 +225,17 @@ def test_a_reference_shows_no_environment_variable(tmp_path: Path, monkeypatch: 
         ("KDBI", b"END_U      = 12.75", b"END_U      = 2.75", "REFERENCE_LINE_END_U lies before"),
         ("KDBI", b"long section 3", b"long section at v = 3", "mixes long sections"),
         ("KDBI", b"long section 3", b"long section 9", "not numbered 1 to 6"),
-        ("KDBI", b"V_LEFT       = 1.0", b"V_LEFT       = 1.9", "LONG_SECTION_V_LEFT = 1.9"),
+        ("KDBI", b"V_LEFT       = 1.0", b"V_LEFT       = 1.9", "do not end at 1.9 m; correct .*V_LEFT"),
+        ("KDBI", b"#:KDBI", b"# :LDFI", r"line \d+: has \d+ characters"),
+        ("LRFI", b"#:LRFI", b"#:KRBI", "its data block is text, but .* declares KRBI"),
+        ("LRFI", b"#:LRFI", b"#:KDBI", "its data block is text, but .* declares KDBI"),
+        ("LRFI", b"#:LRFI", b"", "its data block is text"),
+        ("LRFI", b"D:long section 6,m\n", b"", r"line \d+: has more than the 5 values"),
+        ("LRFI", b"0\n 0.25", b"0 0.25", r"line \d+: has 120 characters, and LRFI data 80 at most"),
+        ("LRFI", b"section 6,m", b"section 6,furlong", r"line \d+: the unit 'furlong' is unknown"),
+        ("LRFI", b"section 6,m", b"section 6", r"line \d+: the unit '' is unknown"),
+        ("LRFI", b"D:long section 6,m", b"D:reference line heading,rad", r"line \d+: .* no channel of a reference line"),
+        ("LRFI", b"= 0.25", b"= 0,25", r"line \d+: the unit ',25' is unknown"),
         ("LRFI", b"\n 0.25", b"\n 0,25", r"line \d+: .* is not a number in a fixed column"),
     ],
 )
@@ -238,6 +248,38 @@ def test_broken_files_say_what_and_where(tmp_path: Path, kind: str, old: bytes, 
     with pytest.raises(CrgError, match=message) as caught:
         read_crg(path)
     assert str(path) in str(caught.value)
+
+
+CM, INCH, DEGREE = 0.01, 0.0254, np.pi / 180
+
+
+@pytest.mark.parametrize("kind", ["LRFI", "LDFI", "KRBI", "KDBI"])
+@pytest.mark.parametrize(
+    ("channel", "unit", "one"),
+    [("z", "CM", CM), ("z", " [in] ", INCH), ("phi", "deg", DEGREE), ("slope", "%", 0.01), ("banking", "mm/m", 1e-3)],
+)
+def test_units_are_converted(kind: str, channel: str, unit: str, one: float, tmp_path: Path) -> None:
+    crg = grid("straight")
+    crg = replace(crg, **{channel: getattr(crg, channel) if channel == "z" else np.linspace(0.001, 0.002, len(crg.z))})
+    value = getattr(crg, channel)
+    write_crg(tmp_path / "a.crg", replace(crg, **{channel: value / one}), kind)
+    named = {"z": b"m", "phi": b"rad"}.get(channel, b"m/m")
+    head, mark, data = (tmp_path / "a.crg").read_bytes().partition(b"$" * 72)
+    (tmp_path / "a.crg").write_bytes(head.replace(b"," + named + b"\n", f",{unit}\n".encode()) + mark + data)
+    # float32, and 10 characters, hold 7 digits of the value as it is stored
+    np.testing.assert_allclose(getattr(read_crg(tmp_path / "a.crg"), channel), value, rtol=0, atol=1e-5 * one + 1e-7)
+
+
+def test_header_numbers_have_units_and_sections_an_increment_from_their_ends(tmp_path: Path) -> None:
+    write_crg(tmp_path / "a.crg", replace(grid("straight"), z=np.full((40, 6), 0.25)))
+    data = (tmp_path / "a.crg").read_bytes()
+    for old, new in ((b"= -1.0", b"= -100 cm"), (b"= 0.3", b"= 30 [DEG]"), (b"LONG_SECTION_V_INCREMENT", b"NO")):
+        assert old in data
+        data = data.replace(old, new)
+    (tmp_path / "a.crg").write_bytes(data)
+    crg = read_crg(tmp_path / "a.crg")
+    np.testing.assert_allclose(crg.v, np.linspace(-1, 1, 6), atol=1e-12)
+    assert crg.line("start_phi") == pytest.approx(np.pi / 6)
 
 
 def test_damaged_binary_is_refused(tmp_path: Path) -> None:

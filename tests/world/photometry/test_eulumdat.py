@@ -40,11 +40,31 @@ def test_a_plain_file() -> None:
         (4, 2, 20, 10, 20, 10),
     ],
 )
-def test_symmetries(symmetry: int, stored: int, ahead: float, left: float, behind: float, right: float) -> None:
-    d = parsed(ldt(symmetry, C, GAMMA, [[1.0, 10 * plane, 1] for plane in range(1, stored + 1)], flux="1000")).distribution
+@pytest.mark.parametrize("planes", [C, [*C, 360]])
+def test_symmetries(symmetry: int, stored: int, planes: list[int], ahead: float, left: float, behind: float, right: float) -> None:
+    stored += len(planes) - len(C) if symmetry == 0 else 0  # there C360 is stored, too
+    d = parsed(ldt(symmetry, planes, GAMMA, [[1.0, 10 * plane, 1] for plane in range(1, stored + 1)], flux="1000")).distribution
     assert len(d.horizontal_deg) == stored
     around = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]]).T
     np.testing.assert_allclose(d.intensity(around, "nadir"), [ahead, left, behind, right])
+
+
+def test_symmetry_3_may_store_the_half_behind() -> None:
+    d = parsed(ldt(3, [90, 180, 270], GAMMA, [[1.0, 10 * plane, 1] for plane in (1, 2, 3)], flux="1000")).distribution
+    np.testing.assert_allclose(d.at(90, [0, 90, 180, 270]), [20, 10, 20, 30])
+
+
+@pytest.mark.parametrize("number", [24, 29, FIRST_VALUE + 1])
+@pytest.mark.parametrize("separator", [" ", "\N{NO-BREAK SPACE}", "\N{THIN SPACE}", "\N{NARROW NO-BREAK SPACE}", "'", "’", ","])
+def test_separated_thousands_are_refused_or_told(number: int, separator: str) -> None:
+    text = line_changed(number, f"1{separator}000")
+    if separator == ",":
+        assert "thousands" in str(parsed(text).warnings)
+        with pytest.raises(LuxloopError, match="a decimal point as elsewhere"):
+            parsed(line_changed(FIRST_VALUE + 1, "1,000").replace("\n60\n", "\n60.5\n"))
+    else:
+        with pytest.raises(LuxloopError, match=r"line \d+: expected .* found"):
+            parsed(text)
 
 
 @pytest.mark.parametrize("layout", [lambda t: t.replace("\n", "\r\n"), lambda t: t.replace(".", ","), lambda t: "﻿" + t])
@@ -117,6 +137,8 @@ def test_truncated_files_name_their_end(lines: int) -> None:
 def test_what_a_file_holds_counts_more_than_its_name(tmp_path: Path) -> None:
     (tmp_path / "lamp.ldt").write_text(ies([0, 90], [0], [[1, 2]]))
     assert read(tmp_path / "lamp.ldt").format == "LM-63-2002"
+    (tmp_path / "lamp.ies").write_text(PLAIN.replace("\nreport\n", "\nTILT = 15 deg\n"))
+    assert read(tmp_path / "lamp.ies").format == "EULUMDAT"
     (tmp_path / "lamp.txt").write_text(PLAIN)
     assert read(tmp_path / "lamp.txt").format == "EULUMDAT"
 

@@ -1,5 +1,6 @@
 """LM-63 files: editions, oddities, errors that name their line, and the way back through the writer."""
 
+import re
 import time
 from pathlib import Path
 
@@ -58,6 +59,29 @@ def test_factors_are_applied_but_for_the_one_whose_meaning_changed() -> None:
     assert (p.lumens_per_lamp, p.multiplier, p.ballast_factor, p.field_12, p.absolute) == (500, 2, 0.5, 1.101, False)
 
 
+@pytest.mark.parametrize("head", ["any words\n", "IESNA91\n"])
+def test_the_ballast_lamp_factor_of_old_editions_is_applied(head: str) -> None:
+    p = parsed(ies(V, H, TABLE, head=head, ballast=0.9).replace("0.9 1 10", "0.9 0.8 10"))
+    np.testing.assert_allclose(p.distribution.candela, 0.72 * np.array(TABLE))
+    assert "ballast-lamp factor 0.8" in p.warnings[-1]
+
+
+@pytest.mark.parametrize("code", [2, 3])
+def test_one_plane_of_types_a_and_b_is_told(code: int) -> None:
+    assert "one horizontal angle" in parsed(ies([-45, 0, 45], [0], [[1.0, 2, 3]], code=code)).warnings[0]
+
+
+NUMBERS = [match.span() for match in re.finditer(r"\S+", PLAIN) if match.start() > PLAIN.index("NONE")][1:]
+
+
+@pytest.mark.parametrize("separator", [",", " ", "\N{NO-BREAK SPACE}", "\N{THIN SPACE}", "\N{NARROW NO-BREAK SPACE}", "'", "’"])
+def test_separators_within_any_number_are_refused(separator: str) -> None:
+    for start, end in NUMBERS:
+        for number in (f"1{separator}000", f"12{separator}500", f"{PLAIN[start:end]}{separator}5"):
+            with pytest.raises(LuxloopError, match=r"line \d+: expected"):
+                parsed(PLAIN[:start] + number + PLAIN[end:])
+
+
 def test_keywords_go_on_with_more() -> None:
     p = parsed(ies(V, H, TABLE, head="IESNA91\n[LUMINAIRE] left\n[MORE] and right\n[OTHER] a\n"))
     assert p.keywords == {"LUMINAIRE": "left\nand right", "OTHER": "a"}
@@ -96,7 +120,8 @@ def test_latin_1_where_utf_8_fails(tmp_path: Path) -> None:
     [
         (PLAIN + "END\n\x1a", "'END'"),
         (PLAIN.rstrip() + "\x1a", "Ctrl-Z"),
-        (PLAIN + "7 8 9", "3 words after the data"),
+        (PLAIN + "\x1a7 8 9", "Ctrl-Z, what follows is ignored"),
+        (PLAIN.replace("1 1 10", "1 2 10"), "which LM-63-2002 does not define: not applied"),
         (PLAIN.replace("2 0 0 0", "2 -0.1 0 0"), "round"),
         (PLAIN.replace("2 0 0 0", "7 0 0 0"), "read as metres"),
         (PLAIN.replace("30\n", "-0.01\n"), "read as zero"),
