@@ -38,6 +38,7 @@ from perception.detection import network
 from perception.egomotion import Sample
 from tests.fuzz import mutations
 from tests.world.opencrg.writer import write_crg
+from tests.world.traffic.test_mesh_files import RIGHT
 from world.headlight import Headlight
 from world.headlight.lamp import Lamp, Module, ModuleCommand
 from world.headlight.pixel_sources import TableSource
@@ -425,5 +426,6 @@ ALL: dict[str, Kind] = {
     "lens": Kind(_calibration, _either, load_lens, 2),
     "rig": Kind(_rigs, _text, load_rig, 2),
     "mesh": Kind(_meshes, _either, _read_mesh, 8),
+    "glTF": Kind(lambda folder: {f"{k}.gltf": json.dumps(each).encode() for k, each in enumerate(RIGHT.values())}, _json, _read_mesh, 8),
 }
 BUILT = Kind(_overrides, _override, _overridden)  # what `luxloop check` does, a second or two each
