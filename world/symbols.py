@@ -21,6 +21,7 @@ from world.images import decoded
 from world.svg import self_contained
 
 DRAWN_PX = 512  # longer side of what is drawn from an SVG, and the largest of a video: finer than a lamp can show
+CSS_DPI = 96.0  # px an inch of the units of an SVG (CSS Values and Units 4, 6.2)
 FOLDER_HZ = 25.0  # rate of pictures that do not say one
 FRAME_BYTES = 2  # of a video's pixel: a grey level, and once more while frames are joined
 DECODED_BYTES = 16  # of a pixel of the frame at work, in the video's own size
@@ -99,7 +100,7 @@ def _picture(path: Path) -> Tensor:
         raise LuxloopError(f"symbol {path} cannot be read ({error.strerror}): check the path and its permissions") from error
     if path.suffix.lower() in DRAWINGS:
         try:
-            coded = resvg_py.svg_to_bytes(svg_string=self_contained(coded), width=DRAWN_PX, height=DRAWN_PX)
+            coded = resvg_py.svg_to_bytes(svg_string=self_contained(coded), width=DRAWN_PX, height=DRAWN_PX, dpi=CSS_DPI)
         except ValueError as error:
             raise LuxloopError(f"symbol {path} is not a valid SVG ({error}): export it again as plain SVG, or save it as a PNG") from error
     image = decoded(coded, f"symbol {path}")
@@ -140,7 +141,8 @@ def video(path: Path, largest_px: int | None = DRAWN_PX) -> tuple[Tensor, float]
             n_bytes = FRAME_BYTES * width * height * (len(frames) + 1)
             afford(f"video {path}: its frames", n_bytes, "cut it to the part that shall be shown")
             rgb = frame.to_ndarray(width=width, height=height, format="rgb24")  # full range: a video's own black may be 16 of 255
-            frames.append(torch.from_numpy(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)))
+            grey = np.rot90(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), frame.rotation // 90)
+            frames.append(torch.from_numpy(np.ascontiguousarray(grey)))
     if not frames:
         raise LuxloopError(f"video {path} has no frames: export it again")
     return torch.stack(frames), rate_hz

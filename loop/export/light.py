@@ -1,6 +1,7 @@
 """What each module of a scenario's lamps gives at one time, as light textures or photometric files."""
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,7 +80,8 @@ def write_light(simulation: Simulation, time_s: float, file: Path, step_deg: flo
         return [file]
     files = []
     for each in lights:
-        own = file if len(lights) == 1 else file.with_name(f"{file.stem}-{each.name.replace(' ', '-')}{file.suffix}")
+        part_name = re.sub(r"[^\w.+-]", "-", each.name)  # a lamp file may call a module a/b
+        own = file if len(lights) == 1 else file.with_name(f"{file.stem}-{part_name}{file.suffix}")
         x, y, z = each.T_body_module[:3, 3].tolist()
         yaw, pitch, roll = Rotation.from_matrix(each.T_body_module[:3, :3].double().cpu().numpy()).as_euler("ZYX", degrees=True)
         keywords = {"_POSITION_M": f"{x:.4f} {y:.4f} {z:.4f}", "_ROLL_PITCH_YAW_DEG": f"{roll:.4f} {pitch:.4f} {yaw:.4f}"}

@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -21,6 +21,7 @@ from world.scene.triangles import Placed
 from world.view import View
 
 ROOT, SCENE, CAMERA = "world y-up", "world z-up", "front camera"  # names that no object can have
+ALBEDO: Final = "albedo "  # before its number in the name of a material of one colour
 T_GLTF_WORLD: Final = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 T_VIEW_CAMERA: Final = np.diag([1.0, -1, -1, 1])  # a camera of glTF looks along -z, y up
 
@@ -35,7 +36,7 @@ def write_scene(simulation: Simulation, time_s: float, file: Path) -> trimesh.Sc
         raise LuxloopError(f"--out {file}: gives no format of a scene; end it in .glb")
     scene = scene_at(simulation, time_s)
     with whole(file) as part:
-        part.write_bytes(scene.export(file_type="glb"))
+        part.write_bytes(scene.export(file_type="glb", tree_postprocessor=_exact))
     return scene
 
 
@@ -91,7 +92,9 @@ def _mesh(body: Body, faces: Tensor | None, albedo: float) -> trimesh.Trimesh:
     else:
         corners, normals = (each[chosen].flatten(0, 1).numpy() for each in (body.corners, body.corner_normals))
         triangles = np.arange(len(corners)).reshape(-1, 3)
-    look = PBRMaterial(baseColorFactor=[albedo] * 3 + [1.0], metallicFactor=0.0, roughnessFactor=1.0, doubleSided=body.two_sided)
+    look = PBRMaterial(
+        f"{ALBEDO}{albedo}", baseColorFactor=[albedo] * 3 + [1.0], metallicFactor=0.0, roughnessFactor=1.0, doubleSided=body.two_sided
+    )
     uv = None
     if body.texture is not None:
         picture, low, high = albedo_picture(body)
@@ -100,6 +103,13 @@ def _mesh(body: Body, faces: Tensor | None, albedo: float) -> trimesh.Trimesh:
         uv = (corners[:, :2] - low) / np.subtract(high, low)
     visual = trimesh.visual.TextureVisuals(uv=uv, material=look)
     return trimesh.Trimesh(corners, triangles, vertex_normals=normals, visual=visual, process=False)
+
+
+def _exact(tree: dict[str, Any]) -> None:
+    """Put albedos into the materials, in which trimesh keeps 8 bits, by the names of these."""
+    for material in tree["materials"]:
+        if (name := material.get("name", "")).startswith(ALBEDO):
+            material["pbrMetallicRoughness"]["baseColorFactor"][:3] = [float(name.removeprefix(ALBEDO))] * 3
 
 
 def _srgb(linear: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 import io
 import math
+import pickletools
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ from world.traffic.tracked import Category
 STRIDE = 8  # px of the frame per cell of the output
 CODE = 0.75  # exponent on the light: between 1, where dark clothes vanish beside bright ones, and 0.5, where shot noise is uniform
 CANDIDATES = 64  # the most objects in a frame
+# All that a file of weights names; others run code or, as bytearray(N), take memory by a number.
+NAMES = {"collections OrderedDict", "torch._utils _rebuild_tensor_v2", "torch HalfStorage", "torch FloatStorage", "torch LongStorage"}
 
 
 class Network(nn.Module):
@@ -120,6 +123,9 @@ def load(file: Path, device: torch.device) -> tuple[Network, tuple[Category, ...
     with reading(file, "holds no weights of this network", "take a file that `luxloop train-detector` wrote"):
         with zipfile.ZipFile(file) as archive:
             afford(f"{file}: its weights", 2 * sum(entry.file_size for entry in archive.infolist()), "train them anew")
+            for entry in archive.namelist():
+                if entry.endswith(".pkl") and (foreign := _named(archive.read(entry)) - NAMES):
+                    raise ValueError(f"it names {foreign.pop()}")
         stored = torch.load(file, map_location=device, weights_only=True)
         if not isinstance(stored, dict):
             raise ValueError("it holds no table of weights")
@@ -131,6 +137,12 @@ def load(file: Path, device: torch.device) -> tuple[Network, tuple[Category, ...
         if not all(each.isfinite().all() for each in network.state_dict().values()):
             raise ValueError("some of its weights are not finite")
     return network.to(device).eval(), classes
+
+
+def _named(pickled: bytes) -> set[str]:
+    """What a pickle imports: texts that name it, or the opcode where the name is computed."""
+    found = ((opcode.name, text) for opcode, text, _ in pickletools.genops(pickled))
+    return {str(text or name) for name, text in found if "GLOBAL" in name or name in ("INST", "EXT1", "EXT2", "EXT4")}
 
 
 def save(network: Network, classes: Sequence[Category], file: Path) -> None:

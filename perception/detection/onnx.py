@@ -12,7 +12,7 @@ from perception.detection.onnx_file import by, opened, said
 from perception.detection.params import COCO, COCO_CLASSES, OnnxParams
 from perception.detection.protocol import Detections
 from perception.detection.suppression import suppressed
-from perception.detection.yolo import LAYOUTS, Layout, read
+from perception.detection.yolo import LAYOUTS, Layout, one_a_cell, read
 from world.errors import LuxloopError
 from world.traffic.tracked import Category
 
@@ -34,6 +34,12 @@ class OnnxDetector:
         columns, rows = params.input_px
         out = self._run(coded(torch.linspace(0, 1, columns).expand(rows, columns), params.gamma))
         self._check_classes(out, self._read(out)[1].shape[1])
+        one = params.layout == "yolov5" and one_a_cell(out.shape[1], params.input_px) and bool((out[0, :, 4] != 1).any())
+        if params.white is None and one:
+            raise LuxloopError(
+                f"detector.white: {params.file} gives one box a cell, as YOLOX does, which takes pictures of 0..255; set detector.white "
+                "= 255 for YOLOX, 1 for networks that take 0..1"
+            )
 
     def detect(self, frames: Tensor) -> Sequence[Detections]:
         """See `Detector`. Raises LuxloopError if the output is not what the parameters say (see `yolo.read`)."""
@@ -60,7 +66,7 @@ class OnnxDetector:
 
     def _run(self, picture: np.ndarray) -> Tensor:
         """Output of the network for a picture `[rows, columns]` uint8."""
-        blob = np.repeat(picture[None, None].astype(np.float32) / 255, self.params.channels, 1)
+        blob = np.repeat(picture[None, None].astype(np.float32) * ((self.params.white or 1) / 255), self.params.channels, 1)
         try:
             self._net.setInput(blob)
             out = np.asarray(self._net.forward())
@@ -81,7 +87,7 @@ class OnnxDetector:
         """As `yolo.read`. Raises LuxloopError that names the output and the layout that fits."""
         layout = self.params.layout
         try:
-            return read(out, layout)
+            return read(out, layout, self.params.input_px)
         except ValueError as found:
             forms = "; ".join(f"{name}: {form}" for name, form in LAYOUTS.items())
             remedy = ", or ".join(self._others(out)) or f"export it with boxes in px and scores of 0..1 ({forms})"
@@ -92,7 +98,7 @@ class OnnxDetector:
 
         def fits(out: Tensor, layout: Layout) -> bool:
             try:
-                return self._wrong_classes(layout, read(out, layout)[1].shape[1]) is None
+                return self._wrong_classes(layout, read(out, layout, self.params.input_px)[1].shape[1]) is None
             except ValueError:
                 return False
 

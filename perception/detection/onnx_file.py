@@ -2,6 +2,7 @@
 
 import math
 import os
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import cv2
@@ -14,6 +15,15 @@ if TYPE_CHECKING:
     import onnx
 
 BYTES_A_NUMBER = 4  # OpenCV computes in single precision
+FROM_1 = {
+    "strides",
+    "dilations",
+    "kernel_shape",
+    "group",
+    "blocksize",
+}  # attributes by which OpenCV and onnx divide, which ends the process
+INTEGERS = (2, 3, 4, 5, 6, 7, 12, 13)  # of onnx.TensorProto.DataType: of 8 to 64 bits
+BYTES_A_BYTE = 4  # of a file while it is read: as it is, as onnx has it, and twice in OpenCV
 FLOATS = ("float32", "float16")  # OpenCV converts to the second itself
 
 
@@ -48,11 +58,41 @@ def _sound(file: str) -> "onnx.ModelProto":
     import onnx
     from google.protobuf.message import DecodeError
 
+    afford(f"detector.file: {file}: reading it", BYTES_A_BYTE * os.path.getsize(file), "export a smaller network")
     try:
+        model = onnx.load(file, load_external_data=False)
+        if model.functions:  # which call each other, so that checking them may take for ever
+            raise LuxloopError(f"detector.file: {file}: holds functions, {model.functions[0].name} the first; export it with these inlined")
         onnx.checker.check_model(file)
-        return onnx.load(file, load_external_data=False)
     except (OSError, DecodeError, UnicodeDecodeError, onnx.checker.ValidationError) as error:
         raise LuxloopError(f"detector.file: {file}: is not a valid ONNX file ({said(error)}); export it again") from error
+    zeros = {each.name for each in model.graph.initializer if _has_zero(each)}
+    for node in _nodes(model.graph):
+        values = {each.name: each for each in node.attribute}
+        if node.op_type == "Constant" and "value" in values and _has_zero(values["value"].t):
+            zeros.update(node.output)
+        low = [name for name in FROM_1 & values.keys() if min(values[name].ints or [values[name].i]) < 1]
+        if low or (node.op_type in ("Div", "Mod") and not zeros.isdisjoint(node.input[1:])):
+            raise LuxloopError(
+                f"detector.file: {file}: a {node.op_type} divides by 0 or less ({', '.join(low) or 'a constant'}); export it again"
+            )
+    return model
+
+
+def _has_zero(tensor: "onnx.TensorProto") -> bool:
+    """Whether it is of integers, one of which is 0."""
+    from onnx import numpy_helper
+
+    return tensor.data_type in INTEGERS and not tensor.external_data and not numpy_helper.to_array(tensor).all()
+
+
+def _nodes(graph: "onnx.GraphProto") -> Iterator["onnx.NodeProto"]:
+    """Its nodes and those of the graphs in them."""
+    for node in graph.node:
+        yield node
+        for attribute in node.attribute:
+            for inner in (attribute.g, *attribute.graphs):
+                yield from _nodes(inner)
 
 
 def _check(model: "onnx.ModelProto", params: OnnxParams) -> None:
@@ -115,4 +155,5 @@ def _number_type(value: "onnx.ValueInfoProto") -> str:
     import onnx
 
     names: dict[int, str] = {number: name.lower() for name, number in onnx.TensorProto.DataType.items()}
-    return {"float": "float32"}.get(name := names[value.type.tensor_type.elem_type], name)
+    kind = value.type.tensor_type.elem_type
+    return {"float": "float32"}.get(name := names.get(kind, f"type {kind}"), name)

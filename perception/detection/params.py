@@ -63,6 +63,7 @@ class OnnxParams(CodedParams):
     layout: Layout = Field("yolov8", description="layout of its output, named after a network family")
     input_px: tuple[Side, Side] = Field((640, 640), description="width and height of its input; frames are fitted in")
     channels: Literal[1, 3] = Field(3, description="channels of its input, all with the same grey")
+    white: Literal[1, 255] | None = Field(None, description="number of white in its input, 255 for YOLOX; left out: 1")
     classes: dict[Annotated[int, Field(ge=0, le=1_000_000)], Category] | None = Field(
         None, min_length=1, description="luxloop's class for each of its class numbers; others are ignored; left out: COCO's"
     )

@@ -38,6 +38,7 @@ from perception.detection import network
 from perception.egomotion import Sample
 from tests.fuzz import messages, mutations
 from tests.world.opencrg.writer import write_crg
+from tests.world.traffic.test_mesh_files import RIGHT
 from world.headlight import Headlight
 from world.headlight.lamp import Lamp, Module, ModuleCommand
 from world.headlight.pixel_sources import TableSource
@@ -427,5 +428,6 @@ ALL: dict[str, Kind] = {
     "mesh": Kind(_meshes, _either, _read_mesh, 8),
     "studio message": Kind(messages.of_studio, messages.damaged, messages.read_studio, 8),
     "plant message": Kind(messages.of_plant, messages.damaged, messages.read_plant, 8),
+    "glTF": Kind(lambda folder: {f"{k}.gltf": json.dumps(each).encode() for k, each in enumerate(RIGHT.values())}, _json, _read_mesh, 8),
 }
 BUILT = Kind(_overrides, _override, _overridden)  # what `luxloop check` does, a second or two each

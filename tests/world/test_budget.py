@@ -1,6 +1,7 @@
 """A few bytes can declare any size; what they declare is refused before it is allocated."""
 
 import struct
+import tracemalloc
 import zipfile
 import zlib
 from pathlib import Path
@@ -13,6 +14,7 @@ from world.errors import LuxloopError
 from world.files import content
 from world.images import decoded
 from world.lampfiles import archive
+from world.messages.arrays import ArrayHead, given_arrays
 
 
 def npy_header(text: str) -> bytes:
@@ -83,6 +85,18 @@ def test_pictures_declare_no_more_pixels_than_the_budget_bears() -> None:
         with pytest.raises(LuxloopError, match=r"^it: its pixels would take at least .* GB of memory.*shrink the picture$"):
             decoded(png(side, side), "it")
     assert decoded(b"", "it") is None and decoded(b"GIF89a", "it") is None
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (1000, 1000)])
+def test_arrays_of_messages_are_unpacked_no_further_than_their_shape(shape: tuple[int, ...]) -> None:
+    bomb = zlib.compress(bytes(50_000_000), 9)
+    head = ArrayHead(dtype="u1", shape=shape, start=0, bytes=len(bomb), coding="deflate")
+    tracemalloc.start()
+    with pytest.raises(ValueError, match="has not the"):
+        given_arrays({"a": head}, bomb, {"a": ("u1",)})
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 5_000_000  # the shape's bytes, the bomb itself, and a piece of zlib's
 
 
 def test_only_regular_files_are_read() -> None:

@@ -1,5 +1,8 @@
 """Symbols from all kinds of files, and what is said of bad ones."""
 
+import gzip
+import struct
+import tracemalloc
 from pathlib import Path
 
 import av
@@ -7,8 +10,11 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from PIL import ExifTags, Image, ImageOps
 
 from world.errors import LuxloopError
+from world.images import decoded
+from world.svg import LONGEST
 from world.symbols import DRAWN_PX, Frames, Still, load, load_still
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 40 20"><rect x="10" width="20" height="10" fill="{}"/></svg>'
@@ -97,6 +103,9 @@ def test_a_still_picture_is_the_same_at_any_time() -> None:
         ("a.png", b"no picture", "cannot be read as a picture"),
         ("a.png", b"", "cannot be read as a picture"),
         ("a.svg", b"<svg", "is not a valid SVG"),
+        ("a.svgz", gzip.compress(SVG.encode())[:-9], "is not a valid SVG"),
+        ("a.svg", gzip.compress(SVG.encode())[:40] + b"0123", "is not a valid SVG"),
+        ("a.svgz", gzip.compress(SVG.encode())[:-8] + bytes(8), "is not a valid SVG"),
         ("a.svg", SVG.format("black").encode(), "all black"),
         ("a.mp4", b"no video", "convert it to H.264"),
         ("a.txt", b"hello", "cannot be read as a picture"),
@@ -134,7 +143,9 @@ RECTANGLE = '<rect id="r" x="10" width="20" height="10" fill="white"/>'
     [
         ('<image x:href="/dev/zero" width="9" height="9"/>', "outside of itself"),
         ('<image href="https://example.org/a.png" width="9" height="9"/>', "outside of itself"),
-        ('<image href="data:image/png;base64,AAAA" width="9" height="9"/>', "outside of itself"),
+        ('<image href="data:image/png;base64,AAAA" width="9" height="9"/>', "embeds a picture"),
+        ('<rect width="9Q" height="9"/>', "lengths in Q"),
+        ('<rect style="x:3; stroke-width: 2.5rem" height="9"/>', "lengths in rem"),
         ('<rect fill="url( file:///a.svg#b )" width="9" height="9"/>', "outside of itself"),
         ("<style>@import 'a.css';</style>", "outside of itself"),
         ("<g>" * 3000 + "</g>" * 3000, "nested deeper"),
@@ -160,3 +171,64 @@ def test_an_svg_of_any_size_is_drawn_alike(width: int, height: int, shape: tuple
 
 
 SIZE = 'width="40000" height="40000"'
+
+
+@pytest.mark.parametrize(
+    ("unit", "px"), [("mm", 96 / 25.4), ("cm", 96 / 2.54), ("in", 96), ("pt", 96 / 72), ("pc", 16), ("px", 1), ("", 1)]
+)
+def test_units_of_an_svg_are_those_of_css(unit: str, px: float, tmp_path: Path) -> None:
+    """CSS Values and Units 4, 6.2: 96 px an inch, of the page and of parts within a drawing's own coordinates."""
+    side = 200 / px  # in the unit
+    page = f'width="{side}{unit}" height="{side / 2}{unit}" viewBox="0 0 400 200"'
+    parts = f'<rect x="{side}{unit}" width="{side / 2}{unit}" height="200" fill="white"/>'
+    (tmp_path / "a.svg").write_text(f'<svg xmlns="http://www.w3.org/2000/svg" {page}>{parts}</svg>')
+    image = load_still(tmp_path / "a.svg")
+    expected = torch.zeros(256, 512)
+    expected[:, 256:384] = 1
+    torch.testing.assert_close(image, expected, atol=0.01, rtol=0)  # borders fall on pixels but for rounding in the file
+
+
+@pytest.mark.parametrize("kind", ["jpeg", "png", "webp", "tiff"])
+def test_pictures_are_upright_by_their_exif_orientation(kind: str, tmp_path: Path) -> None:
+    picture = np.zeros((40, 64), np.uint8)
+    picture[8:32, 8:16] = picture[24:32, 8:56] = 255
+    file = tmp_path / f"a.{kind}"
+    for orientation in range(1, 9):
+        image = Image.fromarray(picture)
+        image.getexif()[ExifTags.Base.Orientation] = orientation
+        image.save(file, exif=image.getexif(), lossless=True)
+        upright = np.asarray(ImageOps.exif_transpose(image))
+        for flags in (cv2.IMREAD_UNCHANGED, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH):
+            read = decoded(file.read_bytes(), "it", flags)
+            assert read is not None and read.shape[:2] == upright.shape
+            assert np.abs(read.reshape(*upright.shape, -1)[..., 0].astype(int) - upright).max() < 16  # JPEG is lossy
+
+
+def test_a_picture_with_damaged_exif_stays_as_it_is(tmp_path: Path) -> None:
+    file = write(tmp_path, np.full((2, 3), 255, np.uint8), "a.jpg")
+    data = file.read_bytes()
+    exif = b"Exif\0\0MM\0*\xff\xff\xff\xff"
+    file.write_bytes(data[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + data[2:])
+    assert load_still(file).shape == (2, 3)
+
+
+def test_a_video_is_turned_as_its_matrix_says(tmp_path: Path) -> None:
+    picture = np.zeros((32, 64), np.uint8)
+    picture[:16, :16] = 255
+    file = tmp_path / "a.mp4"
+    write_video(file, [picture])
+    data = bytearray(file.read_bytes())
+    matrix = data.index(b"tkhd") + 44  # ISO/IEC 14496-12, 8.3.2, in 16.16
+    data[matrix : matrix + 36] = struct.pack(">9i", 0, 1 << 16, 0, -1 << 16, 0, 0, 0, 0, 1 << 30)  # a quarter clockwise
+    file.write_bytes(data)
+    np.testing.assert_allclose(load(file).at(0) * 255, np.rot90(picture, -1), atol=4)  # H.264 is lossy
+
+
+def test_an_svgz_is_unpacked_no_further_than_it_may_be_long(tmp_path: Path) -> None:
+    (tmp_path / "a.svgz").write_bytes(gzip.compress(bytes(4 * LONGEST)))
+    tracemalloc.start()
+    with pytest.raises(LuxloopError, match=r"a\.svgz .*longer than"):
+        load(tmp_path / "a.svgz")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 3 * LONGEST  # the text, and the pieces that it is joined from

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from world.arrays import Arrays, read_npz, write_npz
 from world.budget import afford
-from world.errors import LuxloopError
+from world.errors import LuxloopError, located
 from world.files import reading, whole
 from world.headlight import Headlight
 from world.headlight.lamp import Lamp, Module
@@ -107,7 +107,9 @@ def load(path: Path) -> Lamp:
     """Read a lamp. Raises LuxloopError where the file is missing, foreign, newer than this luxloop or damaged."""
     with reading(path, "damaged, or no lamp file of luxloop", "build it again with `luxloop headlight build`"):
         arrays = read_npz(path)
-        return _lamp(_header(path, arrays), arrays)
+        header = _header(path, arrays)
+        with located(str(path)):
+            return _lamp(header, arrays)
 
 
 def _header_of(lamp: Lamp) -> Header:

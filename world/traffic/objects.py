@@ -61,7 +61,9 @@ class MeshParams(SolidParams):
     up: Axis = Field("z", description="axis of the file that points up; y in .glb and most .obj files")
     smooth: bool = Field(False, description="interpolate normals over faces, for rounded bodies")
     parts: dict[str, SurfaceParams] = Field(
-        {}, description="albedo and material of parts, by the file's node names, or by its material names if it has no nodes"
+        {},
+        description="albedo and material of parts, by the file's node names, NODE_MATERIAL where a node has several materials, or material "
+        "names if it has no nodes",
     )
 
     @model_validator(mode="after")

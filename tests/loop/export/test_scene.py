@@ -63,18 +63,20 @@ def tree(file: Path) -> dict[str, Any]:
     return found
 
 
-def test_no_name_of_an_object_is_taken(tmp_path: Path) -> None:
+def test_no_name_of_an_object_is_taken_and_albedos_are_exact(tmp_path: Path) -> None:
     names = ["world", "scene", "camera", "road"]
     objects = [
-        {"kind": "box", "name": each, "size_m": [1.0, 1.0, 1.0], "track": [{"position_m": [10.0 + k, 0, 0]}]}
+        {"kind": "box", "name": each, "size_m": [1.0, 1.0, 1.0], "albedo": 0.0018 + 1e-4 * k, "track": [{"position_m": [10.0 + k, 0, 0]}]}
         for k, each in enumerate(names)
     ]
     scenario = validate({"name": "boxes", "renderer": "raycast", "headlight": {"model": "ssl-hd-lores"}, "objects": objects}, "boxes")
     write_scene(prepare(scenario, "cpu"), 0.0, tmp_path / "boxes.glb")
-    nodes = tree(tmp_path / "boxes.glb")["nodes"]
+    found = tree(tmp_path / "boxes.glb")
     for k, each in enumerate(names):
-        (node,) = (node for node in nodes if node["name"] == each)
+        (node,) = (node for node in found["nodes"] if node["name"] == each)
         assert node["matrix"][12:15] == [10.0 + k, 0, 0]
+        material = found["materials"][found["meshes"][node["mesh"]]["primitives"][0]["material"]]
+        assert material["pbrMetallicRoughness"]["baseColorFactor"] == [*[pytest.approx(0.0018 + 1e-4 * k, rel=1e-6)] * 3, 1]
 
 
 def same(triangles: np.ndarray, others: np.ndarray) -> None:

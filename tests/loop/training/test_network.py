@@ -1,6 +1,7 @@
 """luxloop's own network with the weights that are shipped."""
 
 import io
+import os
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from perception.detection import network as network_file
 from perception.detection.build import detector
 from perception.detection.network import STRIDE, Network, NetworkDetector, boxes_of, load, middles, save
 from perception.detection.params import NetworkParams
@@ -132,6 +134,32 @@ def test_weights_of_something_else_are_told_in_a_sentence(given: Callable[[], by
     file.write_bytes(given())
     with pytest.raises(LuxloopError, match=words):
         load(file, torch.device("cpu"))
+
+
+class Call:
+    """Pickles as a call."""
+
+    def __init__(self, function: Callable[..., Any], *arguments: Any) -> None:
+        self.call = function, arguments
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        return self.call
+
+
+@pytest.mark.parametrize("checked", [True, False])
+def test_weights_run_no_code_and_take_no_memory_by_a_number(checked: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither by what their pickle names nor, where that is not checked, in torch."""
+    file, made = tmp_path / "a.pt", tmp_path / "made"
+    if not checked:
+        monkeypatch.setattr(network_file, "NAMES", {"posix mkdir"})
+    else:
+        file.write_bytes(stored({"classes": ["car"], "weights": Call(bytearray, 10**12)}))
+        with pytest.raises(LuxloopError, match=r"holds no weights .*bytearray"):
+            load(file, torch.device("cpu"))
+    file.write_bytes(stored(Call(os.mkdir, str(made))))
+    with pytest.raises(LuxloopError, match=r"holds no weights .*mkdir"):
+        load(file, torch.device("cpu"))
+    assert not made.exists()
 
 
 def test_weights_that_are_not_finite_are_refused(tmp_path: Path) -> None:

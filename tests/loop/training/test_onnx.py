@@ -99,6 +99,39 @@ def test_layouts_are_understood_and_frames_fitted_in(layout: Any, tmp_path: Path
         assert each.scores.argmax(1).tolist() == [0, 1]
 
 
+DENSE = np.random.default_rng(0).random((3549, 85))  # one box a cell of 52 x 52, 26 x 26 and 13 x 13
+DECODED = DENSE * np.array([416.0, 416, 60, 60, *[1] * 81])
+
+
+@pytest.mark.parametrize("offset", [0.0, -0.9])
+@pytest.mark.parametrize("layout", ["yolov5", "yolov8"])
+def test_offsets_that_are_not_decoded_are_refused(layout: Any, offset: float, tmp_path: Path) -> None:
+    raw = DENSE * np.array([1.0, 1, 4, 4, *[1] * 81]) + np.array([0, 0, offset, offset, *[0] * 81])
+    file = says(raw if layout == "yolov5" else raw[:, :84].T, (416, 416), tmp_path / "says.onnx")
+    with pytest.raises(LuxloopError, match=r"detector\.layout: .*not decoded"):
+        OnnxDetector(OnnxParams(file=file, layout=layout, input_px=(416, 416)))
+
+
+def test_a_network_like_yolox_is_told_its_white(tmp_path: Path) -> None:
+    file = says(DECODED, (416, 416), tmp_path / "says.onnx")
+    with pytest.raises(LuxloopError, match=r"detector\.white: .*255 for YOLOX"):
+        OnnxDetector(OnnxParams(file=file, layout="yolov5", input_px=(416, 416)))
+    nodes = [helper.make_node("ReduceMax", ["x"], ["m"], keepdims=0), helper.make_node("Mul", ["m", "box"], ["y"])]
+    box = numpy_helper.from_array(np.float32([[[20, 20, 8, 8, 1, 0.9]]]) / np.float32(255), "box")  # as sure as its picture is bright
+    ends = [[helper.make_tensor_value_info(*each)] for each in (("x", FLOAT, (1, 3, 64, 64)), ("y", FLOAT, (1, 1, 6)))]
+    graph = helper.make_graph(nodes, "g", *ends, [box])
+    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9), tmp_path / "white.onnx")
+    found = OnnxDetector(OnnxParams(file=str(tmp_path / "white.onnx"), layout="yolov5", input_px=(64, 64), white=255, classes={0: "car"}))
+    assert found.detect(torch.ones(1, 64, 64))[0].scores.tolist() == [[pytest.approx(0.9)]]
+
+
+def test_one_class_that_is_always_sure_is_no_class_number(tmp_path: Path) -> None:
+    """Training with one class leaves its score at 1; centres beside sides are not in the order of corners."""
+    file = says([[320.0, 320, 100, 200, 0.9, 1], [100, 200, 60, 40, 0.001, 1]], (640, 640), tmp_path / "says.onnx")
+    (found,) = OnnxDetector(OnnxParams(file=file, layout="yolov5", classes={0: "car"})).detect(torch.rand(1, 640, 640))
+    assert found.boxes.tolist() == [[270, 220, 370, 420]] and found.scores.tolist() == [[pytest.approx(0.9)]]
+
+
 def test_numbers_of_one_class_are_taken_together(tmp_path: Path) -> None:
     file = says(LAYOUTS["yolov8"], (640, 640), tmp_path / "says.onnx")
     found = OnnxDetector(OnnxParams(file=file, classes={0: "animal", 1: "animal"}))

@@ -233,3 +233,39 @@ def test_sizes_that_are_only_declared_fill_no_memory(tmp_path: Path) -> None:
     sides = numpy_helper.from_array(np.array([100_000, 100_000]), "sides")
     with pytest.raises(LuxloopError, match=r"numbers between two of its layers .* at least 40 GB of memory, more than the budget"):
         OnnxDetector(OnnxParams(file=written(nodes, [sides], tmp_path / "made.onnx"), input_px=(SIZE, SIZE)))
+
+
+CONV, ZERO = numpy_helper.from_array(np.zeros((3, 3, 1, 1), np.float32), "w"), numpy_helper.from_array(np.zeros(1, np.int32), "w")
+INTEGERS = [helper.make_node("Cast", ["x"], ["i"], to=TensorProto.INT32), helper.make_node("Cast", ["j"], ["y"], to=TensorProto.FLOAT)]
+
+
+@pytest.mark.parametrize(
+    ("nodes", "tensors", "words"),
+    [
+        ([helper.make_node("Conv", ["x", "w"], ["y"], strides=[0, 0])], [CONV], "Conv divides by 0 or less .strides"),
+        ([helper.make_node("MaxPool", ["x"], ["y"], strides=[1, 0], kernel_shape=[2, 2])], [], "MaxPool divides by 0 or less .strides"),
+        ([helper.make_node("SpaceToDepth", ["x"], ["y"], blocksize=0)], [], "SpaceToDepth divides by 0 or less .blocksize"),
+        ([INTEGERS[0], helper.make_node("Mod", ["i", "w"], ["j"]), INTEGERS[1]], [ZERO], "Mod divides by 0 or less .a constant"),
+    ],
+)
+def test_divisions_by_zero_which_would_end_the_process_are_refused(nodes: Any, tensors: Any, words: str, tmp_path: Path) -> None:
+    with pytest.raises(LuxloopError, match=rf"^detector\.file: .*{words}"):
+        OnnxDetector(OnnxParams(file=written(nodes, tensors, tmp_path / "a.onnx"), input_px=(SIZE, SIZE)))
+
+
+def test_functions_and_unknown_types_are_refused(tmp_path: Path) -> None:
+    """Functions that call the one before twice take onnx 2^k checks."""
+    file = tmp_path / "a.onnx"
+    model = onnx.load(written([helper.make_node("Identity", ["x"], ["y"])], [], file))
+    model.graph.input[0].type.tensor_type.elem_type = 99
+    onnx.save(model, file)
+    with pytest.raises(LuxloopError, match=r"^detector\.file: .*type 99"):
+        OnnxDetector(OnnxParams(file=str(file), input_px=(SIZE, SIZE)))
+    opsets = [helper.make_opsetid("", 17), helper.make_opsetid("own", 1)]
+    for k in range(40):
+        called = ("Identity", "") if k == 0 else (f"f{k - 1}", "own")
+        body = [helper.make_node(called[0], [a], [b], domain=called[1]) for a, b in ("at", "tb")]
+        model.functions.append(helper.make_function("own", f"f{k}", ["a"], ["b"], body, opsets))
+    onnx.save(model, file)
+    with pytest.raises(LuxloopError, match=r"^detector\.file: .*holds functions"):
+        OnnxDetector(OnnxParams(file=str(file), input_px=(SIZE, SIZE)))

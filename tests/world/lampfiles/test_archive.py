@@ -192,3 +192,18 @@ def test_writing_names_what_is_wrong_and_leaves_nothing_behind(lamp: Lamp, tmp_p
     with pytest.raises(LuxloopError, match="beam 'off' occurs twice"):
         save(tmp_path / "lamp.npz", replace(lamp, beams={"off": lamp.beams["town"]}))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_module_beyond_the_budget_names_its_file(lamp: Lamp, tmp_path: Path) -> None:
+    save(tmp_path / "a.npz", lamp)
+    with zipfile.ZipFile(tmp_path / "a.npz") as archive:
+        entries = {name: archive.read(name) for name in archive.namelist()}
+    header = json.loads(np.load(io.BytesIO(entries["header.npy"])).tobytes())
+    header["modules"][0] |= {"rows": 10**9, "cols": 10**9}
+    with zipfile.ZipFile(tmp_path / "b.npz", "w") as archive:
+        for name, data in entries.items():
+            buffer = io.BytesIO()
+            np.save(buffer, np.frombuffer(json.dumps(header).encode(), np.uint8))
+            archive.writestr(name, buffer.getvalue() if name == "header.npy" else data)
+    with pytest.raises(LuxloopError, match=r"b\.npz: module 'matrix' would take"):
+        load(tmp_path / "b.npz")

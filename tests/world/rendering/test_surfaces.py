@@ -129,3 +129,10 @@ def test_worlds_that_move_are_drawn_the_quick_way_where_there_is_opengl():
     except NoOpenGL as error:
         pytest.skip(str(error))
     assert isinstance(surface_source(source, True), QuickSurfaces) and isinstance(surface_source(source, False), ExactSurfaces)
+
+
+def test_a_thin_wall_shades_what_stands_close_behind_it():
+    """6 cm, 30 times the tolerance by which a surface lies before itself."""
+    wall = BoxParams(name="wall", size_m=(0.02, 1, 1), track=[{"position_m": (9.95, 0, 0)}]).build()
+    points = torch.tensor([[10.0, 10.0], [0.0, 2.0], [0.3, 0.3]])  # behind it and beside it
+    assert sees(Scene((wall,)).at(0.0), torch.tensor([0.0, 0, 0.6]).double(), points).tolist() == [False, True]
