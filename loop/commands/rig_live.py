@@ -5,7 +5,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from loop.commands.rig_runs import await_rig, in_words, of_run
+from loop.commands.rig_runs import await_rig, in_words, of_run, refuse_failed
 from loop.terminal import tables
 from world.errors import located
 
@@ -20,7 +20,7 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
     out: folder of the recording. rig_file: its path, whether the lamp is lit, and whether modules that it names may run. device: to compute
     on. kept: what is recorded, keyword arguments of `loop.run.run`. Checks that compare with another light are left out. Raises
     LuxloopError if the rig cannot be opened or does not fit the scenario, and KeyboardInterrupt that says what was kept; the lamp is dark
-    then.
+    then. Raises LuxloopError after a run to which too few frames came.
     """
     import torch
 
@@ -73,6 +73,7 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
                     texture, u = live.beam.newest
                     draw_beam(out / BEAM, texture, live.truth.modules[number].headlight, u)
                 tables.show(tables.facts(in_words(found) | _in_words(beam)))
+    refuse_failed(rig, file, out)
     return passed
 
 

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -90,6 +91,32 @@ def test_the_twin_of_a_rig_is_put_beside_its_frames(small_rig: Callable[..., Pro
 
     assert lux("run", "small.toml", *given)[0] == 0
     assert not list(folder.glob("**/*twin*"))
+
+
+@pytest.mark.parametrize("death", ["light goes to another port", "killed in mid-run"])
+def test_a_run_on_a_dead_rig_fails_and_is_kept(small_rig: Callable[..., Process], lux: Lux, tmp_path: Path, death: str) -> None:
+    process = small_rig(PIXELS, width=320, height=180)
+    if death == "killed in mid-run":
+        frames = tmp_path / "runs/rig/frames"
+        threading.Thread(target=lambda: eventually(lambda: len(list(frames.glob("*.png"))) > 4, 60) and process.kill()).start()
+    else:
+        process.light = 9
+    file = rig_file(process, tmp_path, "wait_s = 0.2\n")
+    given = ("--rig", str(file), "--arm", "--out", "runs/rig", "--set", "camera.bits=8", "--steps", "20", "--frames", "--no-report")
+    code, out, error = lux("run", "small.toml", *given, "--no-video")
+    told = json.loads((tmp_path / "runs/rig/rig.json").read_text())
+    came = 40 - sum(told["lost"].values())
+    assert code == 2 and f"{file}: frames of only {came} of 40 exposures came" in error
+    assert_one_sentence(error)
+    if judged := told["judged"].get("symbol"):
+        assert f"at step {judged['exposure'] // 2}," in out and judged["exposure"] <= 40 - told["silent"]
+
+
+def test_a_rig_check_fails_where_the_pictures_do_not_fit(small_rig: Callable[..., Process], lux: Lux, tmp_path: Path) -> None:
+    file = rig_file(small_rig(PIXELS), tmp_path)  # 64 x 48 px
+    code, out, error = lux("rig", "check", str(file), "--scenario", "small.toml")
+    assert code == 2 and "64 x 48 px at" in out and "64 x 48 px, where" in error
+    assert_one_sentence(error)
 
 
 @pytest.mark.parametrize(
