@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from loop.commands.rig_runs import await_rig, in_words, of_run, refuse_failed
 from loop.terminal import tables
-from world.errors import located
+from world.errors import located, redacted
 
 if TYPE_CHECKING:
     from loop.live.plant import LivePlant
@@ -68,7 +68,7 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
             if live is not None and rig.statistics.exposures and out.is_dir():
                 found = of_run(rig, len(scenario.shares)) | {"judged": {}}
                 beam = live.beam.summary() | {"module": modules[number].name, "seen": live.digitiser.seen}
-                write_json(out / RIG, {"rig": params.model_dump(mode="json"), "armed": armed, **found, "live": beam})
+                write_json(out / RIG, {"rig": redacted(params.model_dump(mode="json")), "armed": armed, **found, "live": beam})
                 if live.beam.newest is not None:
                     texture, u = live.beam.newest
                     draw_beam(out / BEAM, texture, live.truth.modules[number].headlight, u)

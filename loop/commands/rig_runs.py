@@ -13,7 +13,7 @@ from loop.commands.given import scenario_of
 from loop.terminal import tables
 from loop.terminal.options import AllowCode, Flag, Keys
 from loop.terminal.progress import progress
-from world.errors import LuxloopError, located
+from world.errors import LuxloopError, located, redacted
 from world.files import whole
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def run_on_rig(
         finally:
             rig.dark("the run has ended")
             found = of_run(rig, len(scenario.shares)) | {"judged": {} if judged is None else judged.summary()}
-            told = {"rig": params.model_dump(mode="json"), "armed": armed, **found}
+            told = {"rig": redacted(params.model_dump(mode="json")), "armed": armed, **found}
             if out.is_dir() and rig.statistics.exposures:
                 write_json(out / RIG, told)
             tables.show(tables.facts(in_words(found) | {"judge": JUDGED}))

@@ -76,6 +76,11 @@ def test_rig_is_calibrated_and_its_lamp_digitised(wall: Lux) -> None:
         assert pixels["0_intensity"].shape == (12, 24)
     assert Path("digitised.png").read_bytes().startswith(b"\x89PNG")
     assert wall("check", "wall.toml", "--set", "headlight.model=digitised.npz")[0] == 0
+    before = {file: file.read_bytes() for file in [*Path("digitised_frames").iterdir(), Path("digitised_pixels.npz")]}
+    for file in [*before][::2]:
+        file.unlink()
+    assert wall("rig", "digitise", "wall.toml", "--calibration", "rig.npz", "--lux", "1412@82,53")[0] == 0
+    assert all(file.read_bytes() == data for file, data in before.items())  # as it was without an interruption
 
 
 def test_a_board_on_the_screen_tells_how_far_it_is(wall: Lux) -> None:
@@ -88,10 +93,10 @@ def test_a_board_on_the_screen_tells_how_far_it_is(wall: Lux) -> None:
     )
     assert (code, err) == (0, "")
     found = dict(re.findall(r"camera\.(\w+)=(\S+)", out))
-    # The board's corners are found to 0.1 px of its height of 210 px, so its tilt to half a degree: 5 cm at 6 m.
+    # The board's corners are found to 0.1 px of its height of 210 px, so its tilt to half a degree or 5 cm at 6 m; these are two standard deviations.
     true = {"x_m": -0.3, "y_m": 0.25, "z_m": 1.0}
-    assert {name: float(found[name]) for name in true} == pytest.approx(true, abs=0.06)
-    assert float(found["pitch_deg"]) == pytest.approx(3.0, abs=0.5) and float(found["yaw_deg"]) == pytest.approx(-1.0, abs=0.5)
+    assert {name: float(found[name]) for name in true} == pytest.approx(true, abs=0.1)
+    assert float(found["pitch_deg"]) == pytest.approx(3.0, abs=1.0) and float(found["yaw_deg"]) == pytest.approx(-1.0, abs=1.0)
 
 
 BOARD = (BoardParams(), BoardParams(columns=8, rows=10))
