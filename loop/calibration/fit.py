@@ -173,7 +173,7 @@ def scores(pictures: Sequence[Array], wanted: Sequence[Array], levels: int) -> d
 
 def _value(scenario: Scenario, key: str) -> float:
     """The number at a key such as `disturbances.aim[0].pitch_deg`. Raises LuxloopError where there is none."""
-    at: Any = scenario.model_dump()
+    at: Any = scenario.model_dump(mode="json")
     for name in key.replace("]", "").replace("[", ".").split("."):
         try:
             at = at[int(name)] if isinstance(at, list | tuple) else at[name]

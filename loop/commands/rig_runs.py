@@ -175,6 +175,8 @@ def blink(
         await_rig(rig)
         found = measure(rig, grids, blinks, level, advance)
     tables.show(tables.facts(_blinked(found)))
+    if found.warning:
+        tables.console().print(found.warning, markup=False)
     text = "[timing]\n" + "".join(f"{name} = {value:g}\n" for name, value in found.timing.items())
     if write:
         written(file, found.timing)
@@ -303,6 +305,6 @@ def _blinked(found: "Blinked") -> dict[str, str]:
         "latency": f"{1e3 * found.latency_s:.1f} ms to a frame that begins with the light",
         "jitter": f"{1e3 * found.jitter_s:.1f} ms, the worst that was measured with a quarter and 8 ms on it",
         "exposure and readout": f"{1e3 * found.rolling_s:.1f} ms",
-        "drift": f"{1e3 * found.drift_s_per_min:+.1f} ms a minute",
+        "drift": "{:+.1f} ± {:.1f} ms a minute".format(*(1e3 * each for each in found.drift_s_per_min)),
         "pictures": f"every {1e3 * interval:.1f} ms (median), {1e3 * longest:.0f} ms (worst), {found.queued:.0%} queued",
     }

@@ -93,7 +93,7 @@ def test_a_board_on_the_screen_tells_how_far_it_is(wall: Lux) -> None:
     )
     assert (code, err) == (0, "")
     found = dict(re.findall(r"camera\.(\w+)=(\S+)", out))
-    # The board's corners are found to 0.1 px of its height of 210 px, so its tilt to half a degree or 5 cm at 6 m; these are two standard deviations.
+    # The board's corners are found to 0.1 px of its height of 210 px, so its tilt to half a degree: 5 cm at 6 m. Two standard deviations.
     true = {"x_m": -0.3, "y_m": 0.25, "z_m": 1.0}
     assert {name: float(found[name]) for name in true} == pytest.approx(true, abs=0.1)
     assert float(found["pitch_deg"]) == pytest.approx(3.0, abs=1.0) and float(found["yaw_deg"]) == pytest.approx(-1.0, abs=1.0)
