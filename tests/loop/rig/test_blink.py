@@ -70,11 +70,11 @@ def test_pictures_that_are_stuck_leave_the_latency_as_it_is() -> None:
 @pytest.mark.parametrize("jitter_s", [0.0, 0.01])
 def test_a_drift_is_told_and_its_scatter_is_not(jitter_s: float) -> None:
     steady, drifting = ([blink.found(drawn(seed, jitter_s, drift=each)[0], BLINKS) for seed in range(8)] for each in (0.0, -0.015 / 60))
-    # Eight values are within three standard deviations in 98 of 100 cases, and those are found to 10 %.
+    # Four standard deviations, of which 50 draws tell 10 %. With jitter, 15 ms a minute are three of them, so that some are not told.
     assert all(abs(each.drift_s_per_min[0]) < 4 * each.drift_s_per_min[1] + 0.0003 for each in steady)
     assert all(abs(each.drift_s_per_min[0] + 0.015) < 4 * each.drift_s_per_min[1] + 0.0003 for each in drifting)
-    assert not any(each.warning for each in steady) or jitter_s
-    assert sum(bool(each.warning) for each in drifting) >= 7
+    assert not any(each.warning for each in steady)
+    assert sum(bool(each.warning) for each in drifting) >= (6 if jitter_s else 8)
 
 
 def test_too_few_pictures_are_told() -> None:
