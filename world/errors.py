@@ -2,12 +2,17 @@
 
 import difflib
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Final
+from typing import Any, Final
 
 LONGEST_WORD: Final = 200  # characters; longer words are input
 LONGEST_SENTENCE: Final = 1000
+HIDDEN: Final = "***"  # in place of a login
+LOGINS: Final = re.compile(
+    r"(?<=://)\S{0,500}(?=@)|(?<=[?&])(\w{0,40}(?:pass|pwd|token|secret|auth|key)\w{0,40}=)[^&\s'\"]+", re.I
+)  # in addresses
+SECRETS: Final = re.compile(r"pass|pwd|token|secret|auth|header|cookie|credential|api_?key", re.I)  # keys of such values
 MOST_ERRORS: Final = 10  # of a file that are listed
 
 NEAR = 0.7  # share of the letters that two near names have in common, in the same order
@@ -16,7 +21,8 @@ BEGINNING = 3  # letters of a name that are enough of its beginning
 
 class LuxloopError(ValueError):
     """Bad input; the message is one sentence that names the file, the key or line, and the remedy, or, for several errors, their file and
-    number and then a line each. Long input in it is cut short, and its control characters are question marks."""
+    number and then a line each. Long input in it is cut short, its control characters are question marks, and logins in addresses are
+    hidden."""
 
     def __init__(self, *sentences: str) -> None:
         super().__init__(*map(_line, sentences))
@@ -34,7 +40,7 @@ def all_of(sentences: Sequence[str]) -> LuxloopError:
 
 
 def _line(sentence: str) -> str:
-    shown = re.sub(r"[\0-\x1f\x7f-\x9f]", "?", re.sub(r"[\t-\r]+", " ", sentence))  # input must not control the terminal
+    shown = re.sub(r"[\0-\x1f\x7f-\x9f]", "?", re.sub(r"[\t-\r]+", " ", redacted(sentence)))  # input must not control the terminal
     words = re.sub(rf"\S{{{LONGEST_WORD},}}", lambda word: _short(word[0], LONGEST_WORD), shown)
     return _short(words, LONGEST_SENTENCE)
 
@@ -43,6 +49,15 @@ def _short(text: str, longest: int) -> str:
     """Both ends of a long text, since a path or sentence begins with the place and ends with its subject."""
     half = (longest - 3) // 2
     return text if len(text) <= longest else f"{text[:half]}...{text[-half:]}"
+
+
+def redacted(value: Any) -> Any:
+    """Plain data without logins: those in addresses of texts, and texts under keys such as `password` or `headers`."""
+    if isinstance(value, str):
+        return LOGINS.sub(lambda found: f"{found[1] or ''}{HIDDEN}", value)
+    if isinstance(value, Mapping):
+        return {key: HIDDEN if isinstance(each, str) and SECRETS.search(key) else redacted(each) for key, each in value.items()}
+    return [redacted(each) for each in value] if isinstance(value, list | tuple) else value
 
 
 @contextmanager

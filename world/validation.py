@@ -11,7 +11,7 @@ from typing import Any, TypeVar, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from world.errors import LuxloopError, all_of, did_you_mean, near
+from world.errors import LuxloopError, all_of, did_you_mean, near, redacted
 from world.files import content, reading
 from world.plugin import OWN, dotted
 
@@ -208,7 +208,7 @@ def _shown(value: Any) -> str:
         return str(value).lower()
     if isinstance(value, dict):
         return "a table"
-    text = repr(value)
+    text = redacted(repr(value))
     return text if len(text) <= SHOWN_CHARACTERS else f"{text[:SHOWN_CHARACTERS]}..."
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
+from zlib import crc32
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,6 +15,7 @@ from loop.plant.simulated import simulated_plant
 from loop.plant.world import World
 from loop.scenario.model import Scenario
 from perception.camera import CameraParams, expose
+from perception.noise import FrameNoise
 from world.errors import LuxloopError
 from world.light.illumination import Transport
 
@@ -42,8 +44,11 @@ class Bench(Protocol):
     @property
     def exposures_s(self) -> tuple[float, ...]: ...
 
-    def frames(self, lights: Sequence[Array], count: int, exposure_s: float) -> Image:
-        """Digital numbers `[count, height, width]` of frames in the light of these utilisations alone, one `[n_p]` in 0..1 per module."""
+    def frames(self, lights: Sequence[Array], count: int, exposure_s: float, name: str = "") -> Image:
+        """Digital numbers `[count, height, width]` of frames in the light of these utilisations alone, one `[n_p]` in 0..1 per module.
+
+        name: of the measurement; simulated noise depends on it, so that a measurement that is resumed gets the same.
+        """
         ...
 
 
@@ -52,13 +57,13 @@ class SimulatedBench:
     """The simulated world of a scenario, with the light transport from lamp pixels to camera pixels in one sparse matrix per module.
 
     transports: `[height * width, n_p]`, cd/m^2 at full utilisation. base: `[height, width]` cd/m^2 of other light. optics: what the lens
-    adds to a luminance image, such as blur. gain: `[height, width]`, factor of the light that arrives.
+    adds to a luminance image, such as blur. seed: of the noise.
     """
 
     transports: tuple[sp.csr_array, ...]
     base: Array
     camera: CameraParams
-    rng: np.random.Generator
+    seed: int
     exposures_s: tuple[float, ...]
     optics: Callable[[Array], Array] | None = None
 
@@ -70,14 +75,15 @@ class SimulatedBench:
     def levels(self) -> int:
         return 2**self.camera.bits - 1
 
-    def frames(self, lights: Sequence[Array], count: int, exposure_s: float) -> Image:
+    def frames(self, lights: Sequence[Array], count: int, exposure_s: float, name: str = "") -> Image:
         luminance = self.base.copy()
         for transport, u in zip(self.transports, lights, strict=True):
             luminance += (transport @ u.astype(np.float32)).reshape(self.shape)
         seen = luminance if self.optics is None else self.optics(luminance)
         camera = self.camera.model_copy(update={"exposure_s": exposure_s})
         image = torch.from_numpy(seen.astype(np.float32))
-        noise = (torch.from_numpy(self.rng.standard_normal(self.shape, np.float32)) for _ in range(count))
+        key = crc32(b"".join([f"{name} {exposure_s:g}".encode(), *(u.tobytes() for u in lights)]))
+        noise = (FrameNoise.of(self.seed, key, k) for k in range(count))
         return np.stack([expose(image, camera, each).numpy().astype(np.uint16) for each in noise])
 
 
@@ -103,7 +109,7 @@ def simulated_bench(scenario: Scenario, modules: Sequence[LampModule], lens: Len
     base = (resample @ np.concatenate(bases).ravel()).reshape(camera.height_px, camera.width_px)
     transports = tuple(sp.csr_array(resample @ sp.vstack(each, format="csr")).astype(np.float32) for each in zip(*columns, strict=True))
     exposures_s = tuple(camera.exposure_s * 2.0**k for k in (-4, -3, -2, -1, 0))
-    return SimulatedBench(transports, base.astype(np.float64), camera, np.random.default_rng(scenario.seed), exposures_s)
+    return SimulatedBench(transports, base.astype(np.float64), camera, scenario.seed, exposures_s)
 
 
 def _spread(transport: Any, n: int) -> sp.csr_matrix:

@@ -20,6 +20,8 @@ INCH_MM: Final = 25.4
 MARGIN_MM: Final = 10.0  # that printers leave white
 MARKER: Final = 0.75  # of a square's side
 FEWEST: Final = 6  # corners of a view
+LEAST_CONTRAST: Final = 0.02  # of the darkest part of a picture to the brightest, relative to that
+THIN: Final = 0.5  # squares, second singular value of corners that lie in a line, but for one
 SCALES: Final = (1, 2)  # of the picture: a far board's markers have too few pixels a bit in the first
 
 
@@ -33,10 +35,13 @@ class BoardParams(Params):
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """The detected corners of a board. board: `[n, 2]` m on the board. pixels: `[n, 2]` px, pixel centres at integer + 0.5."""
+    """The detected corners of a board. board: `[n, 2]` m on the board. pixels: `[n, 2]` px, pixel centres at integer + 0.5. name: of the
+    picture.
+    """
 
     board: Array
     pixels: Array
+    name: str = "a view"
 
 
 def _board(params: BoardParams) -> Any:
@@ -77,25 +82,47 @@ def print_board(path: Path, params: BoardParams, paper: str) -> None:
         Picture.fromarray(page).save(part, format=path.suffix[1:].upper(), resolution=dpi, dpi=(dpi, dpi))
 
 
-def corners(frame: Image, params: BoardParams) -> Corners | None:
-    """The corners detected in a frame `[height, width]`, None for fewer than six."""
-    peak = max(float(np.percentile(frame, 99.5)), 1.0)
-    grey = np.clip(frame * (255 / peak), 0, 255).astype(np.uint8)
+def corners(frame: Image, params: BoardParams, name: str = "a view") -> Corners | str:
+    """The corners detected in a frame `[height, width]`, or why it cannot be used: too little contrast, no marker of the board, fewer
+    than six corners, or corners in a line. Boards of OpenCV before 4.6 with an even number of rows are read as well.
+    """
+    low, peak = (float(each) for each in np.percentile(frame, (0.5, 99.5)))
+    if peak - low <= LEAST_CONTRAST * peak:
+        return f"has a contrast of {peak - low:.2g} of {peak:.3g}; light the board, or expose longer"
+    grey = np.clip((frame.astype(float) - low) * (255 / (peak - low)), 0, 255).astype(np.uint8)
     board = _board(params)
     places = board.getChessboardCorners()[:, :2].astype(float)
-    found, ids = max((_detected(grey, board, scale) for scale in SCALES), key=lambda each: len(each[1]))
+    found, ids, markers = max((_detected(grey, board, scale) for scale in SCALES), key=_count)
     if len(ids) < FEWEST:
-        return None
+        board.setLegacyPattern(True)
+        found, ids, markers = max(((found, ids, markers), *(_detected(grey, board, scale) for scale in SCALES)), key=_count)
+    if not markers:
+        return "shows no marker of the board; check that it is one of `luxloop rig board`, sharpness and light"
+    if len(ids) < FEWEST:
+        wanted = f"{params.columns} x {params.rows} squares"
+        return f"shows {markers} markers, but only {len(ids)} corners of {wanted}; check --columns, --rows, and sharpness"
+    at = places[ids]
+    if (
+        min(np.linalg.svd(rest - rest.mean(0), compute_uv=False)[1] for rest in (np.delete(at, k, 0) for k in range(len(at))))
+        < THIN * params.square_mm / 1000
+    ):
+        return "shows corners in one line only; show more of the board"
     sharp = cv2.cornerSubPix(
         grey, found.astype(np.float32), (5, 5), (-1, -1), (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-3)
     )
-    return Corners(places[ids], sharp.reshape(-1, 2).astype(float) + 0.5)
+    return Corners(at, sharp.reshape(-1, 2).astype(float) + 0.5, name)
 
 
-def _detected(grey: Image, board: Any, scale: int) -> tuple[Array, Indices]:
-    """Corners `[n, 1, 2]` px, from the centre of the first pixel, and their numbers `[n]`, seen in a picture that many times as large."""
+def _detected(grey: Image, board: Any, scale: int) -> tuple[Array, Indices, int]:
+    """Corners `[n, 1, 2]` px, from the centre of the first pixel, their numbers `[n]`, and the number of markers, seen in a picture that
+    many times as large.
+    """
     large = grey if scale == 1 else cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
-    found, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(large)
+    found, ids, markers, _ = cv2.aruco.CharucoDetector(board).detectBoard(large)
     if ids is None:
-        return np.zeros((0, 1, 2)), np.zeros(0, int)
-    return (np.asarray(found, float) + 0.5) / scale - 0.5, np.asarray(ids, np.intp).ravel()
+        return np.zeros((0, 1, 2)), np.zeros(0, int), len(markers or ())
+    return (np.asarray(found, float) + 0.5) / scale - 0.5, np.asarray(ids, np.intp).ravel(), len(markers)
+
+
+def _count(found: tuple[Array, Indices, int]) -> tuple[int, int]:
+    return len(found[1]), found[2]

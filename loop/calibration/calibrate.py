@@ -15,7 +15,7 @@ from loop.calibration.charts import Places
 from loop.calibration.codes import patterns
 from loop.calibration.digitise import Nominal, Reading, Settings, located
 from loop.calibration.files import Calibration
-from loop.calibration.geometry import ISO, CameraModel, Geometry, Pose, Seen, adjusted
+from loop.calibration.geometry import ISO, MOST_PX, CameraModel, Geometry, Pose, Seen, adjusted
 from loop.calibration.intrinsics import Lens, brightness
 from loop.calibration.response import Response, response_curve
 from loop.calibration.shots import Shots
@@ -94,6 +94,12 @@ def calibrated(shots: Shots, modules: Sequence[LampModule], known: Known, settin
         rms["board on the screen"] = last.rms["board"][0]
     if known.lens is not None:
         rms["boards"] = float(np.sqrt(np.mean(np.square(known.lens.rms))))
+    for what, left in rms.items():
+        if not left < MOST_PX:
+            raise LuxloopError(
+                f"{what}: is {left:.3g} px rms from where lamp, screen and camera have it; check the poses and the camera of the scenario, "
+                "the screen's distance or the picture of the board on it, and the order of the lamp's pixels"
+            )
     kept = replace(last.camera, covariance=camera.covariance)
     return Calibrated(Calibration(kept, shots.response, vignetting, last.screens[0], poses, rms), geometry, found)
 

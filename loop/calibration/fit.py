@@ -14,12 +14,13 @@ from torch import Tensor
 from controllers.pixels.ssc import Utilisation
 from loop.assembly.made import Made
 from loop.calibration.bench import Array
+from loop.calibration.geometry import SIDE, blocks, covariance_of, grouped
 from loop.lighting.lamps import lamp_modules, shining_modules
 from loop.plant.frames import image_file, light_file, read_image, read_light
 from loop.plant.recorded import inside, recorded_rows
 from loop.plant.simulated import simulated_plant
 from loop.scenario.model import Scenario
-from perception.camera import expose
+from perception.camera import CameraParams, expose, luminance_of
 from perception.metrics import ssim
 from world.errors import LuxloopError
 from world.headlight.lamp import Commands
@@ -52,12 +53,15 @@ class Varied:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """values, stds: by key. before, after: MAE and RMSE in digital numbers and SSIM. correlation: `[n, n]`. steps: pictures made."""
+    """values, stds: by key, the latter with residuals that are alike within blocks of the frames (`covariance_of`). before, after: MAE and
+    RMSE in digital numbers and SSIM. noise: rms of the camera's in the recorded frames. correlation: `[n, n]`. steps: pictures made.
+    """
 
     values: Mapping[str, float]
     stds: Mapping[str, float]
     before: Mapping[str, float]
     after: Mapping[str, float]
+    noise: float
     correlation: Array
     steps: int
 
@@ -112,8 +116,9 @@ def fit(
     at = np.ones(len(varied))  # so that steps, which are relative, are shares of the spans
     before = scores(pictures(at), wanted, levels)
     at += [BLURRED / each.span if each.key == BLUR else 0.0 for each in varied]
+    scale = _scale(residuals(at))
     solved: Any = least_squares(
-        residuals, at, loss="soft_l1", f_scale=_scale(residuals(at)), diff_step=STEP, x_scale=1.0, xtol=1e-4, ftol=1e-6, max_nfev=MOST_STEPS
+        residuals, at, loss="soft_l1", f_scale=scale, diff_step=STEP, x_scale=1.0, xtol=1e-4, ftol=1e-6, max_nfev=MOST_STEPS
     )
     after = scores(pictures(solved.x), wanted, levels)
     length = np.linalg.norm(solved.jac, axis=0)
@@ -121,14 +126,18 @@ def fit(
         raise LuxloopError(f"{dead[0]}: has no effect on the recorded frames; leave it out, or record others")
     plain = residuals(solved.x)
     variance = float(plain @ plain) / max(len(plain) - len(varied), 1)
-    covariance = np.linalg.pinv(solved.jac.T @ solved.jac) * variance
+    robust = plain * (1 + (plain / scale) ** 2) ** 0.25  # which belongs to the Jacobian that `least_squares` gives with soft_l1
+    numbers = [k * SIDE**2 + blocks(np.argwhere(np.ones(each.shape)).astype(float)) for k, each in enumerate(wanted)]
+    groups = np.concatenate([each[use] for each, use in zip(numbers, used, strict=True)])
+    covariance = covariance_of(*grouped(solved.jac, robust, groups), variance)
     std = np.sqrt(np.diag(covariance))
     keys = [each.key for each in varied]
     values = dict(zip(keys, (start + span * (solved.x - 1)).tolist(), strict=True))
     if BLUR in values:
         values[BLUR] = abs(values[BLUR])
     stds = dict(zip(keys, (span * std).tolist(), strict=True))
-    return Fitted(values, stds, before, after, covariance / np.outer(std, std), count)
+    noise = _noise([each.image for each in shown], scenario.camera)
+    return Fitted(values, stds, before, after, noise, covariance / np.outer(std, std), count)
 
 
 def _pictures(scenario: Scenario, shown: Sequence[Shown], made: Made, blur: float) -> list[Array]:
@@ -138,6 +147,13 @@ def _pictures(scenario: Scenario, shown: Sequence[Shown], made: Made, blur: floa
     found = [world.luminance(each.time_s, each.lights, each.commands)[0].double().numpy() for each in shown]
     seen = [gaussian_filter(each, blur) if blur else each.copy() for each in found]
     return [expose(torch.from_numpy(each), world.camera, quantise=False).numpy() for each in seen]
+
+
+def _noise(images: Sequence[Tensor], camera: CameraParams) -> float:
+    """Root mean square of the camera's noise in digital numbers of frames `[height, width]`."""
+    drawn = torch.Generator().manual_seed(0)
+    noise = [expose(luminance_of(each, camera), camera, torch.randn(each.shape, generator=drawn)) - each for each in images]
+    return float(torch.stack([each.square().mean() for each in noise]).mean().sqrt())
 
 
 def _scale(residuals: Array) -> float:
@@ -157,7 +173,7 @@ def scores(pictures: Sequence[Array], wanted: Sequence[Array], levels: int) -> d
 
 def _value(scenario: Scenario, key: str) -> float:
     """The number at a key such as `disturbances.aim[0].pitch_deg`. Raises LuxloopError where there is none."""
-    at: Any = scenario.model_dump()
+    at: Any = scenario.model_dump(mode="json")
     for name in key.replace("]", "").replace("[", ".").split("."):
         try:
             at = at[int(name)] if isinstance(at, list | tuple) else at[name]

@@ -3,7 +3,8 @@
 The lamp is an inverse camera: each pixel has a direction from the data sheet, and its light appears where this ray meets the screen.
 """
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, Self
 
@@ -12,7 +13,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from loop.calibration.bench import Array
+from loop.calibration.bench import Array, Indices
 from perception.camera import CameraParams, camera_view
 from world.errors import LuxloopError
 
@@ -23,6 +24,12 @@ MOST_STEPS: Final = 60  # of a fixed-point iteration that inverts the distortion
 CLOSE: Final = 1e-10  # of tangents
 PLACED_M: Final = 0.1  # standard deviation of the lamp's place to begin with, which decides where its field is narrow
 UNSURE_PX: Final = 0.05  # standard deviation of a place that is given none
+MOST_PX: Final = 3.0  # rms of residuals, above which a calibration has failed
+SIDE: Final = 4  # blocks across a picture, within which residuals are taken to be alike
+TINY: Final = 1e-12  # variance of residuals that are rounding
+UNDETERMINED: Final = 1e-12  # eigenvalue of a normal matrix whose diagonal is 1
+# Standard deviations of what is assumed without a measurement: focal lengths, a screen's turn and its place.
+ASSUMED_FOCAL, ASSUMED_RAD, ASSUMED_M = 0.01, math.radians(0.5), 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +124,8 @@ class Geometry:
     """camera: with what the adjustment made of it. screens: T_camera_screen, one of each; the screen is its plane z = 0.
 
     lamp: T_camera_lamp, whose frame is OpenCV's for the camera and ISO 8855 for the lamp. scale: `[2]`, factors of the data sheet's
-    tangents y and z. std: standard deviations by name. rms: root mean squares in px of the residuals of lamp pixels and of board corners,
-    one a screen.
+    tangents y and z. std: standard deviations by name (`covariance_of`), with those of what was
+    assumed. rms: root mean squares in px of the residuals of lamp pixels and of board corners, one a screen.
     """
 
     camera: CameraModel
@@ -191,8 +198,16 @@ def adjusted(
     solved: Any = least_squares(residuals, x0, loss="soft_l1", f_scale=10.0, x_scale=size, xtol=1e-13, ftol=1e-13, gtol=1e-13)
     eye, poses, there, scale = unpacked(solved.x)
     pairs = _residuals(eye, poses, there, scale, given)
-    freedom = max(len(solved.fun) - len(x0), 1)
-    covariance = np.linalg.pinv(solved.jac.T @ solved.jac) * max(float(2 * solved.cost / freedom), 0.0)
+    left = np.concatenate([part.ravel() for pair in pairs for part in pair]) / UNSURE_PX
+    groups = np.concatenate([np.repeat(blocks(each), 2) for some in given for each in (some.pixels, some.corners)])
+    jac, prior = np.split(solved.jac, [len(left)])
+    variance = float(left @ left) / max(len(left) - len(x0), 1)
+    covariance = covariance_of(*grouped(jac, left, groups), variance, prior.T @ prior)
+    weight = np.linalg.pinv(jac.T @ jac + prior.T @ prior * variance) @ jac.T
+    for other_eye, others in _assumed(eye, poses, [k for k in range(len(poses)) if k not in moved], "camera" not in fixed):
+        other = _residuals(other_eye, others, there, scale, given)
+        by = weight @ (np.concatenate([part.ravel() for pair in other for part in pair]) / UNSURE_PX - left)
+        covariance += np.outer(by, by)
     stds = np.split(np.sqrt(np.diag(covariance)), np.cumsum(sizes)[:-1])
     std = dict(zip([*free, *(f"screen_{k}" for k in moved)], stds, strict=True))
     rms = {name: tuple(rms_of(pair[k]) for pair in pairs) for k, name in enumerate(("lamp", "board"))}
@@ -208,6 +223,61 @@ def _residuals(camera: CameraModel, screens: Sequence[Pose], lamp: Pose, scale: 
         board = np.concatenate([each.board, np.zeros((len(each.board), 1))], 1)
         found.append((pixels, camera.project(screen.points(board)) - each.corners if len(board) else np.zeros((0, 2))))
     return found
+
+
+def _assumed(
+    camera: CameraModel, screens: Sequence[Pose], fixed: Sequence[int], lens: bool
+) -> Iterator[tuple[CameraModel, Sequence[Pose]]]:
+    """Camera and screens with one assumption after the other off by its standard deviation. fixed: numbers of screens whose pose is
+    assumed. lens: whether the camera's is, if it has no covariance.
+    """
+    if lens and camera.covariance is None:
+        yield camera.with_values(camera.values * np.where(np.arange(9) < 2, 1 + ASSUMED_FOCAL, 1)), screens
+    for k in fixed:
+        for axis in np.eye(3):
+            turn = Pose(
+                Rotation.from_matrix(screens[k].rotation @ Rotation.from_rotvec(ASSUMED_RAD * axis).as_matrix()).as_rotvec(),
+                screens[k].place,
+            )
+            move = Pose(screens[k].turn, screens[k].place + ASSUMED_M * axis)
+            yield from ((camera, [*screens[:k], each, *screens[k + 1 :]]) for each in (turn, move))
+
+
+def blocks(pixels: Array) -> Indices:
+    """Number of the block of 4 x 4 over their extent in which points `[n, 2]` lie."""
+    if not len(pixels):
+        return np.zeros(0, np.intp)
+    at = SIDE * (pixels - pixels.min(0)) / np.maximum(np.ptp(pixels, axis=0), TINY)
+    column, row = at.astype(np.intp).clip(0, SIDE - 1).T
+    return np.asarray(SIDE * row + column)
+
+
+def grouped(jacobian: Array, residuals: Array, groups: Indices) -> tuple[Array, Array]:
+    """Normal matrices `[g, p, p]` and gradients `[g, p]` by groups of residuals `[n]`. jacobian: `[n, p]`. groups: `[n]`, their numbers."""
+    parts = [(jacobian[at], residuals[at]) for at in (groups == k for k in np.unique(groups))]
+    return np.stack([J.T @ J for J, _ in parts]), np.stack([J.T @ r for J, r in parts])
+
+
+def covariance_of(normals: Array, gradients: Array, variance: float, prior: Array | float = 0.0) -> Array:
+    """Covariance `[p, p]` of values from a least-squares fit whose residuals are alike within groups, such as the views of a board.
+
+    normals, gradients: as of `grouped`. variance: of a residual. prior: `[p, p]`, the inverse covariance of what was known before. The
+    standard deviations are those of independent residuals, or those of the jackknife where they are larger: by how much the values change
+    where a group is left out (Efron 1982). Values that are not determined have very large ones.
+    """
+    variance = max(variance, TINY)
+    total = normals.sum(0) / variance + prior
+    size = 1 / np.sqrt(np.maximum(np.diag(total), TINY))
+
+    def inverse(normal: Array) -> Array:
+        values, vectors = np.linalg.eigh(normal * np.outer(size, size))
+        return np.asarray(np.outer(size, size) * ((vectors / np.maximum(values, UNDETERMINED)) @ vectors.T))
+
+    plain = inverse(total)
+    changes = np.stack([inverse(total - N / variance) @ g / variance for N, g in zip(normals, gradients, strict=True)])  # [g, p]
+    jackknife = (1 - 1 / len(changes)) * (changes**2).sum(0)
+    larger = np.sqrt(np.maximum(jackknife / np.diag(plain), 1))
+    return np.asarray(plain * np.outer(larger, larger))
 
 
 def _thinned(seen: Seen) -> Seen:

@@ -41,7 +41,7 @@ class LiveBench:
     numbers: Iterator[int]
     exposures_s: tuple[float, ...] = (1.0,)
 
-    def frames(self, lights: Sequence[Array], count: int, exposure_s: float) -> Image:
+    def frames(self, lights: Sequence[Array], count: int, exposure_s: float, name: str = "") -> Image:
         """As `Bench.frames`. Raises LuxloopError if a limit dims the light, or frames do not arrive."""
         pictures = tuple(u.reshape(grid).astype(np.float32) for u, grid in zip(lights, self.grids, strict=True))
         found: list[Image] = []

@@ -57,7 +57,7 @@ class Shots:
         paths = [] if self.folder is None else [self.folder / f"{name}-{1e6 * exposure_s:.0f}us-{k}.png" for k in range(count)]
         if paths and all(path.is_file() for path in paths):
             return np.stack([self._read(path) for path in paths])
-        frames = self.bench.frames(lights, count, exposure_s)
+        frames = self.bench.frames(lights, count, exposure_s, name)
         for path, frame in zip(paths, frames, strict=False):
             with whole(path) as part:
                 part.write_bytes(cv2.imencode(".png", frame, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())

@@ -16,11 +16,14 @@ from world.errors import LuxloopError
 if TYPE_CHECKING:
     from loop.assembly.truth import LampModule
     from loop.calibration.bench import Bench
+    from loop.calibration.board import Corners
     from loop.calibration.digitise import Reading
     from loop.calibration.response import Response
     from loop.calibration.shots import Shots
     from loop.scenario.model import Scenario
 
+NOISY = 1.2  # times the camera's noise that a fit of all that matters leaves at most
+ROUNDING = 0.3  # rms of rounding to digital numbers
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 
 
@@ -106,6 +109,7 @@ def calibrate(
     from loop.calibration import calibrate as steps
     from loop.calibration import files
     from loop.calibration.digitise import Settings
+    from loop.calibration.geometry import DISTORTION
     from loop.calibration.intrinsics import lens, vignetting
     from loop.calibration.response import Response
 
@@ -124,19 +128,18 @@ def calibrate(
         kept = frames or out.with_name(f"{out.stem}_frames")
         shots = _shots(bench, Response.linear(bench.levels), kept, scenario)
         response = steps.measured_response(shots, [each.headlight.n_pixels for each in modules])
-        even = [] if flats is None else [response.light(each.clip(0, bench.levels)) for each in _pictures(flats)]
+        even = [] if flats is None else [response.light(each.clip(0, bench.levels)) for each in _pictures(flats).values()]
         darkening, left = vignetting(even) if even else (np.zeros(3), 0.0)
         shots = _shots(bench, response, kept, scenario)
         done = steps.calibrated(shots, modules, known, Settings(), darkening)
         scale = steps.lux_scale(shots, [each.headlight.n_pixels for each in modules], readings, darkening) if readings else None
     files.save(out, replace(done.calibration, lux=scale))
     camera = done.calibration.camera
-    std = np.zeros(9) if camera.covariance is None else np.sqrt(np.diag(camera.covariance))
+    values = dict(zip(("fx", "fy", "cx", "cy", *DISTORTION), camera.values, strict=True))
+    std = [""] * 9 if camera.covariance is None else [f" ± {by:.2g}" for by in np.sqrt(np.diag(camera.covariance))]
     rows_shown = {
-        "lens": ", ".join(
-            f"{what} {value:.5g} ± {by:.2g}"
-            for what, value, by in zip(("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"), camera.values, std, strict=True)
-        ),
+        "lens": ", ".join(f"{what} {value:.5g}{by}" for (what, value), by in zip(values.items(), std, strict=True))
+        + ("; assumed, not measured" if camera.covariance is None else ""),
         "scale": "not measured" if scale is None else f"{scale:.4g} lx on the screen saturate the camera",
         "vignetting": "not measured" if flats is None else f"{100 * darkening.sum():.1f} % in the corners, {100 * left:.2g} % rms left",
         **{f"residual, {what}": f"{value:.3f} px rms" for what, value in done.calibration.rms.items()},
@@ -146,8 +149,8 @@ def calibrate(
         place, by = geometry.lamp.place, geometry.std["lamp"][3:]
         rows_shown[f"place, {what}"] = ", ".join(f"{a:.4f} ± {b:.1g}" for a, b in zip(place, by, strict=True)) + " m from the camera"
     tables.show(tables.facts(rows_shown))
-    values = steps.overrides(done.calibration, modules[0])
-    print(f"--set {' '.join(f'{key}={value:g}' for key, value in values.items())}")
+    keys = steps.overrides(done.calibration, modules[0])
+    print(f"--set {' '.join(f'{key}={value:g}' for key, value in keys.items())}")
     print(f"{out} written; digitise the lamp with: luxloop rig digitise {name} --calibration {out}")
 
 
@@ -300,6 +303,11 @@ def fit(
     tables.show(tables.plain(("key", "value", "standard deviation"), rows, "lrr"))
     scores = ((what, f"{found.before[what]:.4g}", f"{found.after[what]:.4g}") for what in found.before)
     tables.show(tables.plain(("of frames", "before", "after"), scores, "lrr"))
+    if (ratio := found.after["rmse"] / max(found.noise, ROUNDING)) > NOISY:
+        print(
+            f"the frames differ from the fit by {ratio:.2g} times the camera's noise: they depend on more than these keys, "
+            "and the values may be wrong by more than their standard deviations"
+        )
     print(f"--set {' '.join(f'{key}={value:.6g}' for key, value in found.values.items() if key != 'blur_px')}")
 
 
@@ -346,37 +354,41 @@ def _board(columns: int, rows: int, square_mm: float) -> Any:
     return validated(BoardParams, {"columns": columns, "rows": rows, "square_mm": square_mm}, "see `luxloop rig board --help`")
 
 
-def _pictures(path: Path) -> list[Any]:
+def _pictures(path: Path) -> dict[Path, Any]:
     """Grey pictures `[height, width]` of a folder or a file. Raises LuxloopError where there are none, or they differ in size."""
     import cv2
 
     from world.files import content, files_at, reading
     from world.images import decoded
 
-    found = []
+    found = {}
     for file in files_at(path):
         if file.suffix.lower() in PICTURES:
             with reading(file, "no picture", "take it out of the folder"):
                 picture = decoded(content(file), str(file), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
                 if picture is None:
                     raise ValueError("damaged")
-                found.append(picture)
+                found[file] = picture
     if not found:
         raise LuxloopError(f"{path}: holds no pictures ({', '.join(PICTURES)}); check the path")
-    if len({each.shape for each in found}) > 1:
+    if len({each.shape for each in found.values()}) > 1:
         raise LuxloopError(f"{path}: its pictures differ in size; take all with the same camera")
     return found
 
 
-def _views(path: Path, printed: Any) -> tuple[list[Any], tuple[int, int]]:
-    """Corners of the boards in pictures, and their width and height. Raises LuxloopError where no picture shows a board."""
-    from loop.calibration.board import corners
+def _views(path: Path, printed: Any) -> tuple[list["Corners"], tuple[int, int]]:
+    """Corners of the boards in pictures, and their width and height; says which are left out. Raises LuxloopError where all are."""
+    from loop.calibration.board import Corners, corners
 
     pictures = _pictures(path)
-    found = [view for view in (corners(each, printed) for each in pictures) if view is not None]
-    if not found:
-        raise LuxloopError(f"{path}: no picture shows the board; check --columns, --rows, sharpness and light")
-    return found, (pictures[0].shape[1], pictures[0].shape[0])
+    found = {file: corners(each, printed, str(file)) for file, each in pictures.items()}
+    why = [f"{file}: {each}" for file, each in found.items() if isinstance(each, str)]
+    if len(why) == len(found):
+        raise LuxloopError(f"{path}: no picture shows the board", *why) if len(why) > 1 else LuxloopError(*why)
+    for each in why:
+        tables.console().print(f"left out: {each}", markup=False)
+    height, width = next(iter(pictures.values())).shape
+    return [each for each in found.values() if isinstance(each, Corners)], (width, height)
 
 
 def _reading(text: str) -> "Reading":

@@ -5,9 +5,9 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from loop.commands.rig_runs import await_rig, in_words, of_run
+from loop.commands.rig_runs import await_rig, in_words, of_run, refuse_failed
 from loop.terminal import tables
-from world.errors import located
+from world.errors import located, redacted
 
 if TYPE_CHECKING:
     from loop.live.plant import LivePlant
@@ -20,7 +20,7 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
     out: folder of the recording. rig_file: its path, whether the lamp is lit, and whether modules that it names may run. device: to compute
     on. kept: what is recorded, keyword arguments of `loop.run.run`. Checks that compare with another light are left out. Raises
     LuxloopError if the rig cannot be opened or does not fit the scenario, and KeyboardInterrupt that says what was kept; the lamp is dark
-    then.
+    then. Raises LuxloopError after a run to which too few frames came.
     """
     import torch
 
@@ -68,11 +68,12 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
             if live is not None and rig.statistics.exposures and out.is_dir():
                 found = of_run(rig, len(scenario.shares)) | {"judged": {}}
                 beam = live.beam.summary() | {"module": modules[number].name, "seen": live.digitiser.seen}
-                write_json(out / RIG, {"rig": params.model_dump(mode="json"), "armed": armed, **found, "live": beam})
+                write_json(out / RIG, {"rig": redacted(params.model_dump(mode="json")), "armed": armed, **found, "live": beam})
                 if live.beam.newest is not None:
                     texture, u = live.beam.newest
                     draw_beam(out / BEAM, texture, live.truth.modules[number].headlight, u)
                 tables.show(tables.facts(in_words(found) | _in_words(beam)))
+    refuse_failed(rig, file, out)
     return passed
 
 

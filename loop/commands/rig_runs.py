@@ -13,7 +13,7 @@ from loop.commands.given import scenario_of
 from loop.terminal import tables
 from loop.terminal.options import AllowCode, Flag, Keys
 from loop.terminal.progress import progress
-from world.errors import LuxloopError, located
+from world.errors import LuxloopError, located, redacted
 from world.files import whole
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def run_on_rig(
     out: folder of the recording. rig_file: its path, whether the lamp is lit, and whether modules that it names may run. device: to compute
     on. kept: what is recorded, keyword arguments of `loop.run.run`. twin: whether the exposures are also simulated and compared with the
     rig's frames, which are kept then. Checks that need the truth are left out. Raises LuxloopError if the rig cannot be opened, and
-    KeyboardInterrupt that says what was kept; the lamp is dark then.
+    KeyboardInterrupt that says what was kept; the lamp is dark then. Raises LuxloopError after a run to which too few frames came.
     """
     from loop.commands.runs import run_scenario
     from loop.plant.build import from_zero
@@ -77,7 +77,7 @@ def run_on_rig(
         finally:
             rig.dark("the run has ended")
             found = of_run(rig, len(scenario.shares)) | {"judged": {} if judged is None else judged.summary()}
-            told = {"rig": params.model_dump(mode="json"), "armed": armed, **found}
+            told = {"rig": redacted(params.model_dump(mode="json")), "armed": armed, **found}
             if out.is_dir() and rig.statistics.exposures:
                 write_json(out / RIG, told)
             tables.show(tables.facts(in_words(found) | {"judge": JUDGED}))
@@ -85,6 +85,7 @@ def run_on_rig(
         compared = _twin(out, simulated, params.mark, scenario.steps * len(scenario.shares))
         write_json(out / RIG, told | {"twin": compared})
         tables.show(tables.facts(_twin_in_words(compared)))
+    refuse_failed(rig, file, out)
     return passed
 
 
@@ -122,9 +123,9 @@ def check(file: Path, /, *, scenario: Named = "snowflake", set: Keys = None, all
         "timing": f"frames count from {1e3 * params.timing.clear_s:.0f} ms after the light on; measure it with luxloop rig blink",
         "limits": f"{params.limits.share:.0%} mean utilisation, {params.limits.change_per_s:g} change a second",
     }
-    if found["refused"]:
-        rows["does not fit"] = found["refused"]
     tables.show(tables.facts(rows))
+    if found["refused"]:
+        raise LuxloopError(f"{file}: {found['refused']}")
 
 
 def blink(
@@ -174,6 +175,8 @@ def blink(
         await_rig(rig)
         found = measure(rig, grids, blinks, level, advance)
     tables.show(tables.facts(_blinked(found)))
+    if found.warning:
+        tables.console().print(found.warning, markup=False)
     text = "[timing]\n" + "".join(f"{name} = {value:g}\n" for name, value in found.timing.items())
     if write:
         written(file, found.timing)
@@ -256,12 +259,18 @@ def _twin_in_words(found: Mapping[str, Any]) -> dict[str, str]:
     } or {"twin": "no frame came"}
 
 
+def refuse_failed(rig: "Rig", file: Path, out: Path) -> None:
+    """Raises LuxloopError after a run on a rig that sent too few frames. file: of the rig. out: folder of the recording."""
+    if failure := rig.statistics.failure:
+        raise LuxloopError(f"{file}: {failure}; the recording is kept in {out}")
+
+
 def of_run(rig: "Rig", per_step: int) -> dict[str, Any]:
     """Statistics of a run on a rig, as plain data. per_step: exposures per control step."""
     told = rig.keeper
     watched = {"darkened": told.darkened, "interruptions": told.interruptions}
     camera = {"pictures": rig.camera.count, "dropped": rig.camera.dropped, "connections": rig.camera.connections}
-    return {**rig.statistics.summary(per_step), "watchdog": watched, "camera": camera}
+    return {**rig.statistics.summary(per_step), "per_step": per_step, "watchdog": watched, "camera": camera}
 
 
 def in_words(found: Mapping[str, Any]) -> dict[str, str]:
@@ -278,7 +287,8 @@ def in_words(found: Mapping[str, Any]) -> dict[str, str]:
     }
     for name, each in found["judged"].items():
         off = each["centroid_error_percent"]
-        told = f"IoU {each['iou_final']:.3f} at the last step, {each['iou_mean']:.3f} on average in the last {each['pairs']}"
+        step = each["exposure"] // found["per_step"]
+        told = f"IoU {each['iou_final']:.3f} at step {step}, {each['iou_mean']:.3f} on average in the last {each['pairs']}"
         where = "nothing is lit" if off is None else f"centroid {off[0]:.1f} % along, {off[1]:.1f} % across"
         rows[f"{name}, as the camera sees it"] = f"{told}; {where}"
     if found["dimmed"] or found["slowed"]:
@@ -295,6 +305,6 @@ def _blinked(found: "Blinked") -> dict[str, str]:
         "latency": f"{1e3 * found.latency_s:.1f} ms to a frame that begins with the light",
         "jitter": f"{1e3 * found.jitter_s:.1f} ms, the worst that was measured with a quarter and 8 ms on it",
         "exposure and readout": f"{1e3 * found.rolling_s:.1f} ms",
-        "drift": f"{1e3 * found.drift_s_per_min:+.1f} ms a minute",
+        "drift": "{:+.1f} ± {:.1f} ms a minute".format(*(1e3 * each for each in found.drift_s_per_min)),
         "pictures": f"every {1e3 * interval:.1f} ms (median), {1e3 * longest:.0f} ms (worst), {found.queued:.0%} queued",
     }

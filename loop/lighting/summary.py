@@ -347,7 +347,7 @@ def processing(values: Mapping[str, Any], what: str) -> str:
 
 def _of_symbol(values: dict[str, Any]) -> dict[str, str]:
     if (why := unjudged(values)) is not None:
-        return {"result": why, "lost steps": f"{values['lost_steps']}{_covered(values)}"}
+        return {"result": why, "lost steps": f"{values['lost_steps']}{_beside(values)}"}
     x, y = values["centroid_error_percent"]
     settled = values["settle_step"]
     ended, without = (number(values[key], ".3f") for key in ("iou_final", "iou_open"))
@@ -357,13 +357,15 @@ def _of_symbol(values: dict[str, Any]) -> dict[str, str]:
         "centroid error": f"{number(x, '.2f')} % along, {number(y, '.2f')} % across",
         "IoU": f"{ended} at the last step, {without} without control (open loop) at the last step{late}",
         "overshoot": number(values["overshoot_percent"], ".1f", " %"),
-        "lost steps": f"{values['lost_steps']}{_covered(values)}",
+        "lost steps": f"{values['lost_steps']}{_beside(values)}",
     }
 
 
-def _covered(values: dict[str, Any]) -> str:
+def _beside(values: dict[str, Any]) -> str:
     names = ", ".join(map(spoken, values["covered_by"])) or "other functions"
-    return f", of which {names} covered it in {values['covered_steps']}" if values["covered_steps"] else ""
+    blind = values["shown_steps"] - values["seen_steps"] - values["lost_steps"]
+    covered = f", of which {names} covered it in {values['covered_steps']}" if values["covered_steps"] else ""
+    return covered + (f", and {blind} without a frame" if blind else "")
 
 
 def _of_energy(own_j: float, compared_j: Mapping[str, float]) -> str:

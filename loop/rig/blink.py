@@ -26,6 +26,8 @@ BRIGHT: Final = 0.5  # share of the largest change: pixels with more are looked 
 MARGIN: Final = 1.25  # on the worst that was measured, since worse will come
 MARGIN_S: Final = 0.008  # light may come later than in these few blinks, if a machine on its way is busy
 FEWEST: Final = 10  # blinks
+DRAWS: Final = 50  # of the blinks, for the scatter of the drift
+SURE, DRIFT_MS, LARGE_MS = 3.0, 1.0, 10.0  # a drift is told from 1 ms a minute and three standard deviations on, or from 10 ms a minute on
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,15 +53,15 @@ class Blinked:
     """What a blink test found; times in s.
 
     latency_s, jitter_s, rolling_s: keys of `[timing]`, of the rows that see the light. first_s: median, 95 % and worst time from light to
-    the first frame that shows nothing else. drift_s_per_min: by how much the latency grows. interval_s: median and worst time between
-    pictures. queued: share of the pictures that lay in a queue.
+    the first frame that shows nothing else. drift_s_per_min: by how much the latency grows, and its standard deviation. interval_s: median
+    and worst time between pictures. queued: share of the pictures that lay in a queue.
     """
 
     latency_s: float
     jitter_s: float
     rolling_s: float
     first_s: tuple[float, float, float]
-    drift_s_per_min: float
+    drift_s_per_min: tuple[float, float]
     interval_s: tuple[float, float]
     queued: float
     blinks: int
@@ -68,6 +70,17 @@ class Blinked:
     def timing(self) -> dict[str, float]:
         """Keys of `[timing]`."""
         return {name: round(getattr(self, name), 4) for name in ("latency_s", "jitter_s", "rolling_s")}
+
+    @property
+    def warning(self) -> str:
+        """Why the timing may not hold, empty if nothing speaks against it."""
+        drift_ms, std_ms = (1e3 * each for each in self.drift_s_per_min)
+        if abs(drift_ms) <= min(max(SURE * std_ms, DRIFT_MS), LARGE_MS):
+            return ""
+        return (
+            f"the latency changed by {drift_ms:+.1f} ± {std_ms:.1f} ms a minute, so this timing will not hold: end what else loads the "
+            "machines, look for a queue between camera and loop, and measure again with more --blinks"
+        )
 
 
 def blink(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: float, advance: Callable[[], None] = lambda: None) -> Blinked:
@@ -138,15 +151,23 @@ def found(looks: Looks, blinks: int) -> Blinked:
     interval_s = float(np.median(looks.intervals_s))
     latency_s, begins_s = (_between(lag_s, each, interval_s / 2) for each in (whole, begun))
     first = np.array([lag_s[(looks.at_s == at_s) & whole].min() for at_s in np.unique(looks.at_s[whole])])
-    half = np.median(looks.at_s)
-    early, later = (_between(lag_s[part], whole[part], interval_s / 2) for part in (looks.at_s <= half, looks.at_s > half))
-    minutes = (looks.at_s[looks.at_s > half].mean() - looks.at_s[looks.at_s <= half].mean()) / 60
+    starts_s, drawn = np.unique(looks.at_s), np.random.default_rng(0)
+    blinks_of = [np.flatnonzero(looks.at_s == at_s) for at_s in starts_s]
+    halves = blinks_of[: len(blinks_of) // 2], blinks_of[len(blinks_of) // 2 :]
+
+    def latency(pictures: Sequence[NDArray[np.intp]]) -> float:
+        at = np.concatenate(pictures)
+        return _between(lag_s[at], whole[at], interval_s / 2)
+
+    minutes = (starts_s[len(halves[0]) :].mean() - starts_s[: len(halves[0])].mean()) / 60
+    early, later = map(latency, halves)
+    others = [[latency([half[k] for k in drawn.integers(len(half), size=len(half))]) for half in halves] for _ in range(DRAWS)]
     return Blinked(
         latency_s,
         MARGIN * needed_s(lag_s[~whole] - latency_s, looks.late_s[~whole]) + MARGIN_S,
         max(latency_s - begins_s, 0.0),
         (float(np.median(first)), float(np.quantile(first, 0.95)), float(first.max())),
-        (later - early) / minutes,
+        ((later - early) / minutes, float(np.diff(others).std()) / minutes),
         (interval_s, float(looks.intervals_s.max())),
         looks.queued,
         blinks,

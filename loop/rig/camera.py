@@ -133,7 +133,7 @@ class Camera:
                     source.close()
             except Exception as error:  # drivers and streams raise whatever they like; the loop is told, and the lamp is dark
                 text = str(error) or type(error).__name__
-                self._failure = text if isinstance(error, LuxloopError) else f"camera: {text}"
+                self._failure = text if isinstance(error, LuxloopError) else str(LuxloopError(f"camera: {text}"))
             until_s = time.monotonic() + AGAIN_S
             while self._open and time.monotonic() < until_s:
                 time.sleep(0.02)

@@ -29,7 +29,9 @@ class HttpCamera:
             url = urlsplit(params.url)
             host, port = url.hostname, url.port or 80
         except ValueError as error:
-            raise LuxloopError(f"camera.url: {params.url} is no address ({error}); {EXAMPLE}") from error
+            raise LuxloopError(
+                f"camera.url: {params.url} is no address; {EXAMPLE}, and #, / and @ in a login as %23, %2F and %40"
+            ) from error
         if not host:
             raise LuxloopError(f"camera.url: {params.url} names no host; {EXAMPLE}")
         try:

@@ -52,7 +52,7 @@ class Judged:
         self._mark = mark
         self._judges = {name: CameraJudge.of(each, camera) for name, each in symbols.items()}
         self._on: tuple[Exposure, Tensor] | None = None
-        self._pairs = {name: deque[tuple[Tensor, Tensor]](maxlen=LAST) for name in symbols}
+        self._pairs = {name: deque[tuple[int, Tensor, Tensor]](maxlen=LAST) for name in symbols}
 
     def look(self, exposure: Exposure, image: Tensor | None) -> None:
         """Take the frame of an exposure, None if it is lost; frames of consecutive exposures are compared."""
@@ -60,19 +60,27 @@ class Judged:
         if before is None or image is None or before[0].number + 1 != exposure.number:
             return
         for name in before[0].projections.keys() - exposure.projections.keys():
-            self._pairs[name].append((before[1], image))
+            self._pairs[name].append((exposure.number, before[1], image))
 
     def summary(self) -> dict[str, Any]:
-        """By name: IoU and centroid error (None where nothing is lit) of the last pair of frames, and the mean IoU of the last ten."""
+        """By name: IoU and centroid error (None where nothing is lit) of the last pair of frames, the number of its exposure, and the mean
+        IoU of the last ten.
+        """
         found = {}
         for name, pairs in self._pairs.items():
-            verdicts = [self._judges[name].verdict(self._unmarked(on), self._unmarked(off)) for on, off in pairs]
+            verdicts = [self._judges[name].verdict(self._unmarked(on), self._unmarked(off)) for _, on, off in pairs]
             if verdicts:
                 off = verdicts[-1].centroid_percent.tolist()
                 ious = [float(each.iou) for each in verdicts]
                 lit = all(map(math.isfinite, off))
                 mean = sum(ious) / len(ious)
-                found[name] = {"iou_final": ious[-1], "iou_mean": mean, "centroid_error_percent": off if lit else None, "pairs": len(ious)}
+                found[name] = {
+                    "exposure": pairs[-1][0],
+                    "iou_final": ious[-1],
+                    "iou_mean": mean,
+                    "centroid_error_percent": off if lit else None,
+                    "pairs": len(ious),
+                }
         return found
 
     def _unmarked(self, image: Tensor) -> Tensor:

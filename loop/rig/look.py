@@ -1,6 +1,7 @@
 """Check of a dark rig: the pictures of its camera, and whether they fit a scenario."""
 
 import time
+from collections import Counter
 from typing import Any, Final
 
 import numpy as np
@@ -17,7 +18,7 @@ def look(rig: Rig, seconds: float = LOOK_S) -> dict[str, Any]:
     if not await_camera(rig):
         raise LuxloopError(rig.camera.reason)
     rig.camera.forget()
-    arrivals, late, sizes, brightest, refused = [], 0, set[tuple[int, int]](), 0.0, ""
+    arrivals, late, sizes, brightest, refused = [], 0, set[tuple[int, int]](), 0.0, Counter[str]()
     until_s = time.monotonic() + seconds
     while time.monotonic() < until_s:
         if rig.params.triggered:
@@ -33,7 +34,7 @@ def look(rig: Rig, seconds: float = LOOK_S) -> dict[str, Any]:
             if rig.rectifier is not None:
                 rig.rectifier.image(picture.data)
         except WrongPicture as error:
-            refused = str(error)
+            refused[str(error)] += 1
     if len(arrivals) < 2:
         raise LuxloopError(f"camera: {len(arrivals)} pictures in {seconds:g} s; it is too slow, or has stopped")
     intervals = np.diff(arrivals)
@@ -43,5 +44,5 @@ def look(rig: Rig, seconds: float = LOOK_S) -> dict[str, Any]:
         "interval_worst_ms": 1e3 * float(intervals.max()),
         "late": late / len(arrivals),
         "brightest": brightest,
-        "refused": refused,
+        "refused": refused.most_common(1)[0][0] if 2 * refused.total() > len(arrivals) else "",
     }

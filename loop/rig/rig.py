@@ -161,7 +161,7 @@ class Rig:
         except WrongPicture as error:
             self.statistics.seen["wrong"] += 1
             return str(error)
-        if self.params.mark is not None and self.rectifier is not None:
+        if self.params.mark is not None and self.armed and self.rectifier is not None:
             found = mark.shown(image, self.params.mark)
             if found != number % mark.CODES:
                 self.statistics.seen["unmarked" if found is None else "of another exposure"] += 1
@@ -172,7 +172,7 @@ class Rig:
                 return "no second picture with this exposure's mark came"
         if self.keeper.since_s != since_s:  # while it was looked at
             return self.keeper.reason or "the light changed"
-        self.statistics.lateness.add(picture.arrived_s - since_s)
+        self.statistics.take(picture.arrived_s - since_s)
         return Taken(since_s, picture.arrived_s, image, data=picture.data)
 
 

@@ -4,7 +4,7 @@ import pickle
 
 import pytest
 
-from world.errors import LuxloopError, all_of, did_you_mean, located
+from world.errors import LuxloopError, all_of, did_you_mean, located, redacted
 
 KNOWN = ("zones", "flat", "gfhb", "belgian_block", "kp")
 
@@ -45,3 +45,15 @@ def test_several_errors_name_their_place_once() -> None:
 
 def test_a_single_error_has_no_count() -> None:
     assert str(all_of(["key: is wrong"])) == "key: is wrong"
+
+
+def test_plain_data_is_told_without_logins() -> None:
+    rig = {
+        "camera": {"url": "rtsp://a:b@host/x?user=c&PWD=d&n=1", "options": {"password": "e", "rtsp_transport": "tcp", "width": 3}},
+        "list": ["x://f@g"],
+    }
+    told = {
+        "camera": {"url": "rtsp://***@host/x?user=c&PWD=***&n=1", "options": {"password": "***", "rtsp_transport": "tcp", "width": 3}},
+        "list": ["x://***@g"],
+    }
+    assert redacted(rig) == told

@@ -62,9 +62,18 @@ def test_values_are_found_with_their_uncertainty() -> None:
     assert found.after["ssim"] > found.before["ssim"]
 
 
+def test_uncertainty_covers_what_is_not_fitted_and_the_residual_tells_of_it() -> None:
+    true = {"camera.x_m": -1.55, "camera.roll_deg": 0.3}
+    found = fit(scenario_with, shown(true), [Varied("camera.x_m", 0.1), Varied("camera.z_m", 0.05)])
+    left = {"camera.x_m": found.values["camera.x_m"] + 1.55, "camera.z_m": found.values["camera.z_m"] - 1.35}
+    # The camera's roll, which is not fitted, moves them by up to four standard deviations of independent pixels.
+    assert all(abs(each) < 1.5 * found.stds[key] for key, each in left.items())
+    assert found.after["rmse"] > 1.2 * found.noise
+
+
 @pytest.mark.parametrize(
     ("key", "told"),
-    [("camera.pich_deg", "no such key"), ("headlight.model", "not a number")],
+    [("camera.pich_deg", "no such key"), ("headlight.model", "is 'hd84', not a number")],
 )
 def test_what_cannot_be_fitted_is_named(key: str, told: str) -> None:
     with pytest.raises(LuxloopError, match=told):

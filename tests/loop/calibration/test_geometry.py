@@ -46,6 +46,24 @@ def test_lamp_and_screen_are_found_within_their_uncertainty() -> None:
     assert found.rms["board"][0] < 0.06
 
 
+@pytest.mark.parametrize("wrong", ["data sheet", "screen", "focal length"])
+def test_uncertainty_covers_what_is_assumed(wrong: str) -> None:
+    at, camera = screen(5.0), CAMERA
+    given = seen(at, 0.003, board=wrong == "data sheet")
+    assumed = off(at) if wrong == "data sheet" else at
+    if wrong == "data sheet":
+        given = replace(given, tangents=given.tangents * (1 + given.tangents**2))  # as of a lens with 1.4 % distortion
+    elif wrong == "screen":
+        assumed = Pose(at.turn, at.place + np.array([0.0, 0.0, 0.005]))
+    else:
+        camera = CAMERA.with_values(CAMERA.values * ([1.01, 1.01] + 7 * [1]))
+    found = adjusted(camera, [assumed], off(LAMP), [given])
+    left = np.concatenate([found.lamp.turn - LAMP.turn, found.lamp.place - LAMP.place])
+    # Noise moves them by 2e-6 rad and 1e-4 m at most, what is wrong by 1 to 100 times that.
+    assert (np.abs(left) < 4 * found.std["lamp"]).all()
+    assert found.std["lamp"].max() < 0.2
+
+
 def test_two_screens_tell_the_scale_of_a_lamps_field() -> None:
     near, far = screen(3.0), screen(6.0, -0.1)
     given = [seen(each, 0.02, scale=1.03) for each in (near, far)]

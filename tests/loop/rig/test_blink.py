@@ -21,14 +21,16 @@ BLINKS = 100
 GRID = (12, 16)
 
 
-def drawn(seed: int, jitter_s: float, stuck: float = 0.0) -> tuple[blink.Looks, np.ndarray]:
-    """Pictures of a camera of 30 Hz, one in a hundred of which is lost, and by how much each is late. stuck: share that is 50 ms late."""
+def drawn(seed: int, jitter_s: float, stuck: float = 0.0, drift: float = 0.0) -> tuple[blink.Looks, np.ndarray]:
+    """Pictures of a camera of 30 Hz, one in a hundred of which is lost, and by how much each is late. stuck: share that is 50 ms late.
+    drift: s in a s by which they come later and later.
+    """
     rng = np.random.default_rng(seed)
     sent_s = 1 + np.cumsum(blink.HOLD_S + blink.SPREAD_S * rng.random(BLINKS + 1))
     begins_s = np.arange(rng.random() * PERIOD_S, sent_s[-1], PERIOD_S)
     begins_s = begins_s[rng.random(len(begins_s)) > 0.01]
-    late_s = jitter_s * rng.random(len(begins_s)) + 0.05 * (rng.random(len(begins_s)) < stuck)
-    arrived_s = np.maximum.accumulate(begins_s + EXPOSURE_S + READOUT_S + REST_S + late_s) + 1e-6 * np.arange(len(begins_s))
+    late_s = jitter_s * rng.random(len(begins_s)) + 0.05 * (rng.random(len(begins_s)) < stuck) + drift * begins_s
+    arrived_s = np.maximum.accumulate(begins_s + EXPOSURE_S + READOUT_S + REST_S + late_s) + 1e-9 * np.arange(len(begins_s))
     regularity = Regularity()
     told_s = np.array([regularity.late(each) for each in arrived_s])
     of = np.searchsorted(sent_s, arrived_s, "right") - 1
@@ -63,6 +65,16 @@ def test_pictures_that_are_stuck_leave_the_latency_as_it_is() -> None:
     assert abs(found.latency_s - LEAST_S - 0.005) < 0.003
     assert late_s.max() > 0.05 and found.jitter_s < 0.05  # a run knows of these by the camera's rhythm
     assert "clear" not in verdicts(found, looks, looks.least < 1 - looks.seen)
+
+
+@pytest.mark.parametrize("jitter_s", [0.0, 0.01])
+def test_a_drift_is_told_and_its_scatter_is_not(jitter_s: float) -> None:
+    steady, drifting = ([blink.found(drawn(seed, jitter_s, drift=each)[0], BLINKS) for seed in range(8)] for each in (0.0, -0.015 / 60))
+    # Four standard deviations, of which 50 draws tell 10 %. With jitter, 15 ms a minute are three of them, so that some are not told.
+    assert all(abs(each.drift_s_per_min[0]) < 4 * each.drift_s_per_min[1] + 0.0003 for each in steady)
+    assert all(abs(each.drift_s_per_min[0] + 0.015) < 4 * each.drift_s_per_min[1] + 0.0003 for each in drifting)
+    assert not any(each.warning for each in steady)
+    assert sum(bool(each.warning) for each in drifting) >= (6 if jitter_s else 8)
 
 
 def test_too_few_pictures_are_told() -> None:

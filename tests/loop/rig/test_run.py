@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -27,25 +28,30 @@ from world.errors import LuxloopError
 from world.parquet import read_parquet
 
 PIXELS = 332 * 1024
+PASSWORD = "Tr0ub4dor"
 
 
 def rig_file(process: Process, folder: Path, more: str = "") -> Path:
     file = folder / "rig.toml"
     file.write_text(
         f'[light]\nkind = "ddp"\nhost = "127.0.0.1"\nport = {process.light}\n\n[camera]\nkind = "http"\n'
-        f'url = "http://127.0.0.1:{process.camera}/camera"\n\n[timing]\nlatency_s = 0.03\njitter_s = 0.02  # measured\n{more}'
+        f'url = "http://someone:{PASSWORD}@127.0.0.1:{process.camera}/camera?pwd={PASSWORD}"\n\n'
+        f"[timing]\nlatency_s = 0.03\njitter_s = 0.02  # measured\n{more}"
     )
     return file
 
 
 def test_a_scenario_runs_on_a_rig_and_is_recorded(small_rig: Callable[..., Process], lux: Lux, tmp_path: Path) -> None:
-    file = rig_file(small_rig(PIXELS, width=320, height=180), tmp_path)
+    process = small_rig(PIXELS, width=320, height=180)
+    file = rig_file(process, tmp_path)
     code, out, error = lux("run", "small.toml", "--rig", str(file), "--arm", "--out", "runs/rig", "--set", "camera.bits=8", "--frames")
     assert code == 0, error
     assert "control rate" in out and "light to frame" in out and "the rig's own camera" in out and "6 of 6 exposures" in out
     told = json.loads((tmp_path / "runs/rig/rig.json").read_text())
     assert told["armed"] and not told["lost"] and told["rig"]["light"]["kind"] == "ddp"
     assert 20 < told["light_to_frame_ms"]["median"] < 150 and 1 < told["control_rate_hz"] < 20
+    assert told["rig"]["camera"]["url"] == f"http://***@127.0.0.1:{process.camera}/camera?pwd=***"
+    assert not [file for file in (tmp_path / "runs/rig").rglob("*") if file.is_file() and PASSWORD.encode() in file.read_bytes()]
     summary = json.loads((tmp_path / "runs/rig/summary.json").read_text())
     assert summary["frames"] == {"asked": 6, "came": 6, "unknown": 0}
 
@@ -92,6 +98,33 @@ def test_the_twin_of_a_rig_is_put_beside_its_frames(small_rig: Callable[..., Pro
     assert not list(folder.glob("**/*twin*"))
 
 
+@pytest.mark.parametrize("death", ["light goes to another port", "killed in mid-run"])
+def test_a_run_on_a_dead_rig_fails_and_is_kept(small_rig: Callable[..., Process], lux: Lux, tmp_path: Path, death: str) -> None:
+    process = small_rig(PIXELS, width=320, height=180)
+    if death == "killed in mid-run":
+        frames = tmp_path / "runs/rig/frames"
+        threading.Thread(target=lambda: eventually(lambda: len(list(frames.glob("*.png"))) > 4, 60) and process.kill()).start()
+    else:
+        process.light = 9
+    file = rig_file(process, tmp_path, "wait_s = 0.2\n")
+    given = ("--rig", str(file), "--arm", "--out", "runs/rig", "--set", "camera.bits=8", "--steps", "20", "--frames", "--no-report")
+    code, out, error = lux("run", "small.toml", *given, "--no-video")
+    told = json.loads((tmp_path / "runs/rig/rig.json").read_text())
+    came = 40 - sum(told["lost"].values())
+    assert code == 2 and f"{file}: frames of only {came} of 40 exposures came" in error
+    assert_one_sentence(error)
+    assert PASSWORD not in out + error
+    if judged := told["judged"].get("symbol"):
+        assert f"at step {judged['exposure'] // 2}," in out and judged["exposure"] <= 40 - told["silent"]
+
+
+def test_a_rig_check_fails_where_the_pictures_do_not_fit(small_rig: Callable[..., Process], lux: Lux, tmp_path: Path) -> None:
+    file = rig_file(small_rig(PIXELS), tmp_path)  # 64 x 48 px
+    code, out, error = lux("rig", "check", str(file), "--scenario", "small.toml")
+    assert code == 2 and "64 x 48 px at" in out and "64 x 48 px, where" in error
+    assert_one_sentence(error)
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -111,6 +144,22 @@ def test_what_cannot_run_says_so(lux: Lux, tmp_path: Path, arguments: tuple[str,
     assert code == 2 and words in error
     assert_one_sentence(error)
     assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("kind", "url"),
+    [
+        ("http", f"http://a:{PASSWORD}@127.0.0.1:9/"),
+        ("http", f"http://a:{PASSWORD}/@#x@host/"),
+        ("http", f"http://a:{PASSWORD}#x@host/"),
+        ("http", f"https://a:{PASSWORD}{70 * 'x'}@host/"),
+        ("stream", f"rtsp://a:{PASSWORD}@127.0.0.1:9/"),
+    ],
+)
+def test_no_message_tells_a_password(lux: Lux, tmp_path: Path, kind: str, url: str) -> None:
+    (tmp_path / "rig.toml").write_text(f'[light]\nkind = "ddp"\nhost = "127.0.0.1"\n[camera]\nkind = "{kind}"\nurl = "{url}"\n')
+    code, out, error = lux("rig", "check", "rig.toml", "--scenario", "small.toml")
+    assert code == 2 and "camera" in error and PASSWORD not in out + error
 
 
 def test_a_scenario_on_a_rig_is_checked_without_one(lux: Lux) -> None:
