@@ -51,6 +51,9 @@ class DdpLightParams(LightParams):
     bits: Literal[8, 16] = Field(8, description="bits of a code")
     repeats: int = Field(1, ge=1, le=8, description="how many times new light is sent at once, against lost packets")
     commands: bool = Field(True, description="whether orientation and maximum intensity of the modules are sent")
+    timecode: bool = Field(
+        False, description="whether packets have a number of their frame as time code, by which the rig process repairs incomplete frames"
+    )
     scan: ScanParams = Field(ScanParams(), description="order of the pixels")
 
 

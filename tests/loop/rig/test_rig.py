@@ -57,7 +57,7 @@ def test_each_frame_shows_its_own_exposure_alone(small_rig: Callable[..., Proces
 def test_with_jitter_and_lost_packets_a_frame_is_right_or_lost(small_rig: Callable[..., Process]) -> None:
     process = small_rig(20_000, jitter_s=0.02, loss=0.01)  # 14 packets a frame, of which one is lost in every seventh
     timing = {"latency_s": 0.02, "jitter_s": 0.03, "rolling_s": 0.03, "wait_s": 0.6}
-    light = {"kind": "ddp", "host": "127.0.0.1", "port": process.light, "repeats": 4}
+    light = {"kind": "ddp", "timecode": True, "host": "127.0.0.1", "port": process.light, "repeats": 4}
     with opened(process.params(timing=timing, light=light), ((100, 200),), CAMERA, armed=True) as rig:
         assert await_camera(rig)
         came = 0
@@ -125,7 +125,7 @@ class Relay:
 def test_a_network_that_is_cut_leaves_the_lamp_dark_and_comes_back(small_rig: Callable[..., Process]) -> None:
     process = small_rig()
     relay = Relay(process.light)
-    with rig_of(process, light={"kind": "ddp", "host": "127.0.0.1", "port": relay.port}) as rig:
+    with rig_of(process, light={"kind": "ddp", "timecode": True, "host": "127.0.0.1", "port": relay.port}) as rig:
         assert rig.expose(shine(0), 0.001)[1].image is not None
         relay.cut = True
         assert eventually(lambda: camera_sees(rig, 20), 0.25)

@@ -32,7 +32,7 @@ PIXELS = 332 * 1024
 def rig_file(process: Process, folder: Path, more: str = "") -> Path:
     file = folder / "rig.toml"
     file.write_text(
-        f'[light]\nkind = "ddp"\nhost = "127.0.0.1"\nport = {process.light}\n\n[camera]\nkind = "http"\n'
+        f'[light]\nkind = "ddp"\ntimecode = true\nhost = "127.0.0.1"\nport = {process.light}\n\n[camera]\nkind = "http"\n'
         f'url = "http://127.0.0.1:{process.camera}/camera"\n\n[timing]\nlatency_s = 0.03\njitter_s = 0.02  # measured\n{more}'
     )
     return file
@@ -105,7 +105,7 @@ def test_the_twin_of_a_rig_is_put_beside_its_frames(small_rig: Callable[..., Pro
 )
 def test_what_cannot_run_says_so(lux: Lux, tmp_path: Path, arguments: tuple[str, ...], words: str) -> None:
     (tmp_path / "rig.toml").write_text(
-        '[light]\nkind = "ddp"\nhost = "127.0.0.1"\n[camera]\nkind = "http"\nurl = "http://127.0.0.1:9/camera"\n'
+        '[light]\nkind = "ddp"\ntimecode = true\nhost = "127.0.0.1"\n[camera]\nkind = "http"\nurl = "http://127.0.0.1:9/camera"\n'
     )
     code, _, error = lux(*arguments)
     assert code == 2 and words in error
