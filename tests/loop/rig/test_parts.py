@@ -338,9 +338,11 @@ def test_samples_come_with_the_plants_time_and_others_are_refused() -> None:
         encoded("gyro", 5.0, 5.02, [0.0]),
         b"{}",
         encoded("radar", 1.0, 1.0, [1.0]),
+        encoded("wheels", 5.0, 5.02, [1e300]),
+        encoded("attitude", 5.0, 5.02, [0.0] * 7 + [-1e9]),
     ):
         sender.sendto(datagram, ("127.0.0.1", port))
-    assert eventually(lambda: ego.refused == 3, 3)
+    assert eventually(lambda: ego.refused == 5, 3)
     (sample,) = ego.samples(torch.empty(0))
     assert sample.sensor == "gyro" and sample.values.tolist() == pytest.approx([0.0, 0.1, 0.2])
     assert sample.arrived_s - sample.measured_s == pytest.approx(0.03)

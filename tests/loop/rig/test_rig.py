@@ -152,6 +152,19 @@ def test_pictures_of_a_wrong_size_are_lost_with_the_reason(small_rig: Callable[.
             rig.refuse_misfit()  # as `luxloop run` does before it lights anything
 
 
+def test_pictures_that_do_not_fit_do_not_keep_the_lamp_lit(small_rig: Callable[..., Process]) -> None:
+    process = small_rig(dark_s=60.0)
+    with rig_of(process) as rig:
+        assert rig.expose(shine(0), 0.001)[1].image is not None
+        process.kill()
+        process.start(width=80)
+        assert eventually(lambda: rig.camera.alive, 5)
+        assert eventually(lambda: "80 x 48 px" in rig.expose(shine(1), 0.001)[1].reason and rig.keeper.dark_since_s is not None, 5)
+        process.kill()
+        process.start()
+        assert eventually(lambda: rig.expose(shine(2), 0.001)[1].image is not None, 5)
+
+
 def test_at_the_end_the_lamp_is_dark_at_once(small_rig: Callable[..., Process]) -> None:
     process = small_rig(dark_s=60.0)  # so that it does not darken by itself
     with pytest.raises(KeyboardInterrupt), rig_of(process) as rig:
