@@ -125,6 +125,12 @@ class DeviceCameraParams(CameraSourceParams):
     width_px: int = Field(640, ge=16, le=8192, description="columns to request")
     height_px: int = Field(480, ge=16, le=8192, description="rows to request")
     rate_hz: float = Field(30.0, gt=0, le=1000, description="frame rate to request")
+    fourcc: str | None = Field(
+        None,
+        pattern="^[A-Za-z0-9 ]{4}$",
+        examples=["MJPG"],
+        description="pixel format to request; many webcams give large pictures fast as MJPG only; left out: the driver's",
+    )
     exposure: float | None = Field(
         None, description="exposure to lock, in the driver's unit (100 us with most webcams); left out: unchanged"
     )

@@ -33,11 +33,13 @@ from loop.rig.params import (
     MarkParams,
     RigParams,
     ScanParams,
+    StreamCameraParams,
     TimingParams,
     UdpEgoParams,
     load_rig,
 )
-from loop.rig.rectified import Rectifier, WrongPicture
+from loop.rig.rectified import Rectifier, WrongPicture, grey
+from loop.rig.video_camera import StreamCamera
 from loop.wire.datagrams import encoded
 from perception.camera import CameraParams
 from tests.loop.rig.conftest import eventually, free_port
@@ -210,6 +212,27 @@ def test_a_calibration_of_another_depth_or_beyond_all_memory_is_refused(rig_file
 def test_a_picture_that_is_none_is_refused(rig_file: Path, data: bytes | np.ndarray, words: str) -> None:
     with pytest.raises(WrongPicture, match=words):
         Rectifier.of(load_rig(rig_file), CameraParams(width_px=64, height_px=48)).image(data)
+
+
+@pytest.mark.parametrize("ending", [".jpg", ".png"])
+def test_half_a_picture_is_refused(ending: str) -> None:
+    whole = cv2.imencode(ending, np.random.default_rng(0).integers(0, 256, (48, 64), np.uint8))[1].tobytes()
+    assert grey(whole).shape == (48, 64)
+    for cut in (len(whole) // 2, len(whole) - 30):
+        with pytest.raises(WrongPicture, match="damaged"):
+            grey(whole[:cut])
+
+
+def test_damaged_pictures_of_a_stream_are_left_out(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).integers(0, 20, (48, 64), np.uint8)
+    pictures = [cv2.imencode(".jpg", noise + np.uint8(40 * k))[1].tobytes() for k in range(6)]
+    pictures[2] = pictures[2][: len(pictures[2]) * 2 // 3]
+    (tmp_path / "stream.mjpeg").write_bytes(b"".join(pictures))
+    source = StreamCamera(StreamCameraParams(kind="stream", url=str(tmp_path / "stream.mjpeg"), options={}))
+    found = [source.read(1.0) for _ in range(5)]
+    levels = {int(np.mean(each.data)) // 40 for each in found if each is not None and isinstance(each.data, np.ndarray)}
+    assert 2 not in levels and {0, 1, 3} <= levels
+    source.close()
 
 
 def answering(*answers: bytes) -> int:
