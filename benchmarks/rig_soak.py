@@ -159,7 +159,7 @@ class Minutes:
 
 def measured(minutes: int) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """A row a minute, and the rig's statistics of the whole."""
-    light = {"kind": "ddp", "host": "127.0.0.1", "port": LIGHT, "bits": 16}
+    light = {"kind": "ddp", "timecode": True, "host": "127.0.0.1", "port": LIGHT, "bits": 16}
     camera = {"kind": "http", "url": f"http://127.0.0.1:{CAMERA}/camera", "bits": 12}
     params = validated(RigParams, {"light": light, "camera": camera, "timing": TIMING}, "")
     scenario = load("snowflake", [*KEYS, "plant.kind=rig", "checks={}", "steps=100000"])

@@ -15,6 +15,8 @@ STANDS_M_S = 0.1  # below any driving speed, and above the noise of a speed sens
 
 Sensor = Literal["wheels", "gyro", "attitude", "accelerometer", "suspension"]
 VALUES: Final[Mapping[Sensor, int | None]] = {"wheels": None, "gyro": 3, "attitude": 8, "accelerometer": 3, "suspension": 4}  # None: any
+# Beyond every vehicle's values, in the units of `Sample`; of an attitude the ground's height in m may be the largest.
+LARGEST: Final[Mapping[Sensor, float]] = {"wheels": 200.0, "gyro": 100.0, "attitude": 1e4, "accelerometer": 1e3, "suspension": 10.0}
 
 
 @dataclass(frozen=True, eq=False)

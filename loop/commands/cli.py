@@ -58,6 +58,8 @@ app.register_install_completion_command(help="Install shell completion for bash,
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line; returns the exit code. An error that the user can correct is one sentence on stderr and exit code 2."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # SIGTERM ends a command as Ctrl-C does
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as nohup has it
+        signal.signal(signal.SIGHUP, signal.default_int_handler)  # so does the end of a terminal: a rig goes dark
     gc.set_threshold(10_000)  # imports make 240,000 objects that stay, which the default of 700 goes over again and again
     atexit.register(gc.freeze)  # and the end of the process, too
     warnings.simplefilter("ignore")

@@ -84,8 +84,8 @@ def simulate(
 
 @contextmanager
 def _ending(end: "End") -> Iterator[None]:
-    """Ctrl-C and SIGTERM request the end, in place of an exception that could be raised while a lock is held."""
-    ends = [each for each in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(each) is not signal.SIG_IGN]
+    """Ctrl-C, SIGTERM and SIGHUP request the end, in place of an exception that could be raised while a lock is held."""
+    ends = [each for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if signal.getsignal(each) is not signal.SIG_IGN]
     before = [(each, signal.signal(each, lambda *_: end.ask())) for each in ends]
     try:
         yield

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -23,13 +24,12 @@ from loop.plant.simulated import UnderWay
 from loop.plant.world import World
 from loop.rig.params import RigParams
 from loop.rig.plant import RigPlant
-from loop.rig.rectified import Rectifier, WrongPicture
+from loop.rig.rectified import AS_SENT, Rectifier, WrongPicture, camera_picture
 from loop.rig.rig import Rig
 from loop.wire.poses import BodyPose, PoseSender
 from perception.camera import CameraParams
 from world.errors import LuxloopError
 from world.headlight.lamp import REST
-from world.images import decoded
 
 DARKS: Final = 8  # frames without light before the run, whose mean is subtracted
 FIRST: Final = 40  # number of the run's first exposure on the rig; the numbers below it are for the dark frames, which may be lost
@@ -46,12 +46,7 @@ class ScreenPictures(Rectifier):
 
         Raises WrongPicture if it is damaged or of another size.
         """
-        try:
-            picture = decoded(data, "camera: a picture") if isinstance(data, bytes) else data
-        except LuxloopError as error:
-            raise WrongPicture(str(error)) from error
-        if picture is None:
-            raise WrongPicture("camera: a picture is damaged")
+        picture = camera_picture(data, cv2.IMREAD_ANYCOLOR | AS_SENT) if isinstance(data, bytes) else data
         if picture.shape[:2] != self.shape:
             (height, width), (rows, columns) = self.shape, picture.shape[:2]
             raise WrongPicture(f"camera: a picture of {columns} x {rows} px, where the calibration is of {width} x {height}")

@@ -79,18 +79,26 @@ class Camera:
         self._changed, self._pictures = threading.Condition(), deque[CameraPicture](maxlen=KEPT)
         self._open, self._source = True, cast(CameraSource | None, None)
         self._last_s, self._failure = -np.inf, ""
+        self._misfit: tuple[float, str] | None = None  # since when pictures do not fit, and why
         self.count = self.dropped = self.connections = 0
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
         self._thread.start()
 
     @property
     def alive(self) -> bool:
-        """Whether pictures arrive."""
-        return time.monotonic() - self._last_s <= self._timeout_s
+        """Whether pictures arrive that fit."""
+        now_s, misfit = time.monotonic(), self._misfit
+        return now_s - self._last_s <= self._timeout_s and (misfit is None or now_s - misfit[0] <= self._timeout_s)
+
+    def judge(self, misfit: str | None) -> None:
+        """Note whether the picture that was looked at last fits the loop, or why not. Only pictures that fit keep the lamp lit."""
+        self._misfit = None if misfit is None else (self._misfit[0] if self._misfit else time.monotonic(), misfit)
 
     @property
     def reason(self) -> str:
-        """Why no pictures arrive, in words."""
+        """Why no pictures arrive that fit, in words."""
+        if self._misfit is not None and time.monotonic() - self._last_s <= self._timeout_s:
+            return self._misfit[1]
         if self._source is not None or not self._failure:
             return f"camera: no picture for {self._timeout_s:g} s"
         return self._failure

@@ -8,7 +8,7 @@ import numpy as np
 from loop.rig.light import Shine, places
 from loop.rig.params import DdpLightParams
 from loop.wire.addresses import REFUSED, reason_of
-from loop.wire.ddp import Codes, WireCommand, codes_of, packets, send
+from loop.wire.ddp import Codes, WireCommand, codes_of, packets, send, sequence
 from world.errors import LuxloopError
 
 FAREWELLS = 3  # times that darkness is sent, since a packet may be lost
@@ -23,8 +23,10 @@ class DdpLight:
         self._order = [places(params.scan, *grid) for grid in grids]
         self._pixels = sum(map(len, self._order))
         try:
-            where = socket.getaddrinfo(params.host, params.port, type=socket.SOCK_DGRAM)[0]
+            found = socket.getaddrinfo(params.host, params.port, type=socket.SOCK_DGRAM)
+            where = min(found, key=lambda each: each[0] != socket.AF_INET)  # lamps on a network have no IPv6 address as a rule
             self._socket = socket.socket(where[0], socket.SOCK_DGRAM)
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
             self._socket.settimeout(1.0)
             self._socket.connect(where[4])
         except REFUSED as error:
@@ -32,7 +34,8 @@ class DdpLight:
                 f"light.host: {params.host} cannot be reached ({reason_of(error)}); check the name, and the network"
             ) from error
         self._number, self._timecode, self._darkened = -1, -1, 0
-        self._packets: list[bytes] = []
+        self._sequence = sequence()
+        self._frame: tuple[Codes, list[WireCommand] | None] | None = None
 
     @property
     def timecode(self) -> int:
@@ -41,20 +44,20 @@ class DdpLight:
 
     def show(self, shine: Shine) -> str | None:
         """Send a frame, new light `repeats` times. Returns the reason if it could not be sent, else None."""
-        fresh = not self._packets or shine.number != self._number
-        if fresh:
+        fresh = self._frame is None or shine.number != self._number
+        if self._frame is None or fresh:
             self._number, self._timecode = shine.number, shine.number + self._darkened
-            self._packets = list(packets(self._codes(shine), self._timecode, self._commands(shine)))
-        return self._sent(self._packets, self._params.repeats if fresh else 1)
+            self._frame = self._codes(shine), self._commands(shine)
+        return self._sent(*self._frame, self._params.repeats if fresh else 1)
 
     def dark(self) -> None:
         """Send a dark frame, several times."""
         self._darkened += 1
         self._timecode += 1
-        self._packets = []
+        self._frame = None
         dark = codes_of(np.zeros(self._pixels), self._params.bits)
         rest = [WireCommand()] * len(self._order) if self._params.commands else None
-        self._sent(list(packets(dark, self._timecode, rest)), FAREWELLS)
+        self._sent(dark, rest, FAREWELLS)
 
     def close(self) -> None:
         self._socket.close()
@@ -70,11 +73,11 @@ class DdpLight:
         given = [WireCommand(each.swivel_deg, each.level_deg, each.intensity) for each in shine.commands]
         return given or [WireCommand()] * len(self._order)
 
-    def _sent(self, frame: list[bytes], times: int) -> str | None:
+    def _sent(self, codes: Codes, commands: list[WireCommand] | None, times: int) -> str | None:
         where, reason = f"{self._params.host}:{self._params.port}", None
         for _ in range(times):
             try:
-                send(self._socket, frame)
+                send(self._socket, packets(codes, self._timecode if self._params.timecode else None, commands, self._sequence))
             except ConnectionRefusedError:  # word of an earlier packet
                 reason = f"light: nobody listens at {where}"
             except OSError as error:  # a full buffer, say; the next time may go out

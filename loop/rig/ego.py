@@ -10,8 +10,9 @@ from torch import Tensor
 
 from loop.rig.params import Egos, NoEgoParams, UdpEgoParams
 from loop.wire.addresses import REFUSED, reason_of
-from loop.wire.datagrams import LARGEST, SensorDatagram, decoded
-from perception.egomotion import VALUES, Sample
+from loop.wire.datagrams import LARGEST as LARGEST_DATAGRAM
+from loop.wire.datagrams import SensorDatagram, decoded
+from perception.egomotion import LARGEST, VALUES, Sample
 from world import plugin
 from world.errors import LuxloopError
 
@@ -77,17 +78,24 @@ class UdpEgo:
     def _run(self) -> None:
         while self._open:
             try:
-                datagram = self._socket.recv(LARGEST + 1)
+                datagram = self._socket.recv(LARGEST_DATAGRAM + 1)
             except TimeoutError:
                 continue
             except OSError:
                 return
             told = decoded(datagram)
-            count = None if told is None or told.sensor not in VALUES else VALUES[cast(Any, told.sensor)]
-            if told is None or told.sensor not in VALUES or (count and len(told.values) != count) or not 0 <= told.age_s <= OLDEST_S:
-                self.refused += 1
-            else:
+            if told is not None and _possible(told):
                 self._come.append((time.monotonic(), told))
+            else:
+                self.refused += 1
+
+
+def _possible(told: SensorDatagram) -> bool:
+    """Whether a vehicle's sensor may have told this, a short time ago."""
+    if told.sensor not in VALUES or not 0 <= told.age_s <= OLDEST_S:
+        return False
+    sensor = cast(Any, told.sensor)
+    return VALUES[sensor] in (None, len(told.values)) and max(map(abs, told.values)) <= LARGEST[sensor]
 
 
 def open_ego(params: Egos) -> Ego:

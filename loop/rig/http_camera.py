@@ -4,8 +4,10 @@ import base64
 import select
 import socket
 import time
+from collections.abc import Mapping
 from typing import Final
-from urllib.parse import unquote, urlsplit
+from urllib.parse import unquote, urljoin, urlsplit
+from urllib.request import AbstractDigestAuthHandler, HTTPPasswordMgrWithDefaultRealm, Request, parse_http_list, parse_keqv_list
 
 from loop.rig.camera import CameraPicture
 from loop.rig.params import HttpCameraParams
@@ -14,9 +16,12 @@ from loop.wire.mjpeg import LONGEST_LINE, parts
 from world.errors import LuxloopError
 
 MOST_HEAD: Final = 16_384  # bytes of the answer's head
+MOST_ANSWERS: Final = 4  # redirects and a login before the pictures
+MOVED: Final = ("301", "302", "303", "307", "308")
 CHUNK: Final = 65_536
 EXAMPLE: Final = "write it as http://192.168.1.21:8080/camera"
-SLOW_S: Final = 2.0  # without a byte within a picture or a head
+SLOW_S: Final = 2.0  # for a head or a picture to come whole, or camera.timeout_s if that is longer
+NO_PICTURES: Final = ("audio/", "text/")
 
 
 class HttpCamera:
@@ -24,31 +29,36 @@ class HttpCamera:
 
     def __init__(self, params: HttpCameraParams) -> None:
         """Raises LuxloopError if the address is invalid, or the server does not send pictures."""
-        self._url = params.url
-        try:
-            url = urlsplit(params.url)
-            host, port = url.hostname, url.port or 80
-        except ValueError as error:
-            raise LuxloopError(
-                f"camera.url: {params.url} is no address; {EXAMPLE}, and #, / and @ in a login as %23, %2F and %40"
-            ) from error
-        if not host:
-            raise LuxloopError(f"camera.url: {params.url} names no host; {EXAMPLE}")
-        try:
-            self._socket = socket.create_connection((host, port), SLOW_S)
-        except REFUSED as error:
-            raise LuxloopError(f"camera.url: {params.url} cannot be reached ({reason_of(error)}); check it, and the network") from error
-        self._stream = _Stream(self._socket)
-        try:
-            self._ask(host, url.path or "/", url.query, (url.username, url.password))
-        except BaseException:
-            self._socket.close()
-            raise
+        self._url, self._whole_s = params.url, max(SLOW_S, params.timeout_s)
+        url, login = params.url, ""
+        for _ in range(MOST_ANSWERS):
+            self._stream = _Stream(self._connection(url), self._whole_s)
+            try:
+                status, answer = self._ask(url, login)
+                if status in MOVED and "location" in answer:
+                    url = urljoin(url, answer["location"])
+                elif status == "401" and not login and _host(url) == _host(params.url) and urlsplit(params.url).username:
+                    login = _login(params.url, url, answer.get("www-authenticate", ""))
+                else:
+                    self._refuse_others(status, answer)
+                    break
+            except TimeoutError as error:
+                self.close()
+                raise LuxloopError(
+                    f"camera.url: {self._url} does not answer within {self._whole_s:g} s; check it, and the network"
+                ) from error
+            except BaseException:
+                self.close()
+                raise
+            self.close()
+        else:
+            raise LuxloopError(f"camera.url: {self._url} leads from one address to another; give the one that sends pictures")
         self._parts = parts(self._stream, params.largest_bytes)
 
     def read(self, timeout_s: float) -> CameraPicture | None:
-        """The next picture, None if none has arrived within timeout_s. Raises OSError if a picture stops in between, LuxloopError if the
-        response ends or is invalid.
+        """The next picture, None if none has arrived within timeout_s.
+
+        Raises OSError if a picture does not come whole in time, LuxloopError if the response ends or is invalid.
         """
         if not self._stream.await_part(timeout_s):
             return None
@@ -56,41 +66,98 @@ class HttpCamera:
         part = next(self._parts, None)
         if part is None:
             raise LuxloopError("camera: has ended the stream")
+        if not part.body or part.kind.startswith(NO_PICTURES):
+            return None
+        if self._stream.boundary and self._stream.boundary in part.body:
+            raise LuxloopError('camera: its Content-Length is longer than its pictures; give kind = "stream", which needs none')
         return CameraPicture(arrived_s, awaited, part.body)
 
     def close(self) -> None:
-        self._socket.close()
+        self._stream.close()
 
-    def _ask(self, host: str, path: str, query: str, user: tuple[str | None, str | None]) -> None:
-        lines = [f"GET {path}{f'?{query}' if query else ''} HTTP/1.0", f"Host: {host}", "Accept: multipart/x-mixed-replace, image/*"]
-        if user[0] is not None:
-            login = f"{unquote(user[0])}:{unquote(user[1] or '')}".encode()
-            lines.append(f"Authorization: Basic {base64.b64encode(login).decode()}")
-        self._socket.sendall("\r\n".join([*lines, "", ""]).encode())
-        status = self._stream.readline(MOST_HEAD).split(None, 2)
-        if len(status) < 2 or status[1] != b"200":
-            told = status[1].decode("latin-1") if len(status) > 1 else "no HTTP"
-            raise LuxloopError(f"camera.url: {self._url} answers with {told}, not with pictures; check the path, and the login")
-        left, kind = MOST_HEAD, b""
+    def _connection(self, address: str) -> socket.socket:
+        try:
+            url = urlsplit(address)
+            host, port = url.hostname, url.port or 80
+        except ValueError as error:
+            raise LuxloopError(f"camera.url: {address} is no address; {EXAMPLE}, and #, / and @ in a login as %23, %2F and %40") from error
+        if url.scheme != "http":
+            raise LuxloopError(f'camera.url: {self._url} leads to {url.scheme}://, which kind = "http" cannot read; give kind = "stream"')
+        if not host:
+            raise LuxloopError(f"camera.url: {address} names no host; {EXAMPLE}")
+        try:
+            return socket.create_connection((host, port), SLOW_S)
+        except REFUSED as error:
+            raise LuxloopError(f"camera.url: {address} cannot be reached ({reason_of(error)}); check it, and the network") from error
+
+    def _ask(self, address: str, login: str) -> tuple[str, Mapping[str, str]]:
+        """Status and head of the server's answer, names in lower case."""
+        url = urlsplit(address)
+        lines = [f"GET {url.path or '/'}{f'?{url.query}' if url.query else ''} HTTP/1.0", f"Host: {url.hostname}"]
+        lines += ["Accept: multipart/x-mixed-replace, image/*", *([f"Authorization: {login}"] if login else [])]
+        self._stream.ask("\r\n".join([*lines, "", ""]).encode())
+        first = self._stream.readline(MOST_HEAD).decode("latin-1").split(None, 2)
+        head, left = dict[str, str](), MOST_HEAD
+        if len(first) < 2 or not first[0].startswith("HTTP/"):
+            return "no HTTP", head
         while (line := self._stream.readline(left)).strip():
             left -= len(line)
             if left <= 0:
                 raise LuxloopError("camera: the head of its answer does not end; check the address")
-            name, _, value = line.partition(b":")
-            kind = value.strip().lower() if name.lower() == b"content-type" else kind
-            if name.lower() == b"transfer-encoding" and b"chunked" in value.lower():
-                raise LuxloopError(f'camera.url: {self._url} answers in chunks, which kind = "http" cannot read; give kind = "stream"')
-        if not kind.startswith(b"multipart/"):
-            said = kind.decode("latin-1") or "no type"
+            name, _, value = line.decode("latin-1").partition(":")
+            head[name.lower()] = value.strip()
+        return first[1], head
+
+    def _refuse_others(self, status: str, head: Mapping[str, str]) -> None:
+        if status != "200":
+            raise LuxloopError(f"camera.url: {self._url} answers with {status}, not with pictures; check the path, and the login")
+        if "chunked" in head.get("transfer-encoding", "").lower():
+            raise LuxloopError(f'camera.url: {self._url} answers in chunks, which kind = "http" cannot read; give kind = "stream"')
+        kind = head.get("content-type", "").lower()
+        if not kind.startswith("multipart/"):
+            said = kind or "no type"
             raise LuxloopError(f"camera.url: {self._url} answers with {said}, not with multipart pictures; give the MJPEG stream's path")
 
 
-class _Stream:
-    """A socket's bytes, with the time at which a part began to come. What is buffered is bounded by what is asked for."""
+def _host(address: str) -> tuple[str | None, int | None]:
+    url = urlsplit(address)
+    return url.hostname, url.port
 
-    def __init__(self, sock: socket.socket) -> None:
-        self._socket, self._buffer = sock, bytearray()
-        self.arrived_s, self.awaited = 0.0, False
+
+def _login(given: str, address: str, challenge: str) -> str:
+    """The header that answers a challenge, basic or digest, with the user of the address that was given."""
+    user, password = (unquote(each or "") for each in (urlsplit(given).username, urlsplit(given).password))
+    kind, _, values = challenge.partition(" ")
+    if kind.lower() != "digest":
+        return f"Basic {base64.b64encode(f'{user}:{password}'.encode()).decode()}"
+    url = urlsplit(address)
+    plain = url._replace(netloc=url.netloc.rpartition("@")[2]).geturl()
+    passwords = HTTPPasswordMgrWithDefaultRealm()
+    passwords.add_password(None, plain, user, password)
+    try:
+        answer = AbstractDigestAuthHandler(passwords).get_authorization(Request(plain), parse_keqv_list(parse_http_list(values)))
+    except ValueError as error:
+        raise LuxloopError(f"camera.url: its login cannot be answered ({error}); set the camera to basic or MD5 digest") from error
+    return f"Digest {answer}"
+
+
+class _Stream:
+    """A socket's bytes, with the time at which a part began to come. What is buffered is bounded by what is asked for.
+
+    boundary: the line between two parts, empty before the first.
+    """
+
+    def __init__(self, sock: socket.socket, whole_s: float) -> None:
+        """whole_s: time in which a head or a part has to come whole."""
+        self._socket, self._buffer, self._whole_s = sock, bytearray(), whole_s
+        self._until_s = time.monotonic() + whole_s
+        self.arrived_s, self.awaited, self.boundary = 0.0, False, b""
+
+    def ask(self, request: bytes) -> None:
+        self._socket.sendall(request)
+
+    def close(self) -> None:
+        self._socket.close()
 
     def await_part(self, timeout_s: float) -> bool:
         """Wait for the first byte of the next part; whether it has come."""
@@ -103,10 +170,12 @@ class _Stream:
                 if not self._ready(max(until_s - time.monotonic(), 0)):
                     return False
             self.arrived_s = time.monotonic()
+            self._until_s = self.arrived_s + self._whole_s
             self._fill()
             self._strip()
         if not self.awaited:
             self.arrived_s = time.monotonic()
+            self._until_s = self.arrived_s + self._whole_s
         return True
 
     def readline(self, limit: int) -> bytes:
@@ -120,20 +189,24 @@ class _Stream:
         return self._taken(size)
 
     def _strip(self) -> None:
-        """The end of the line that follows a picture belongs to it, and so does the boundary, which many cameras send at once."""
+        """Drop what lies between two parts: ends of lines, the boundary, which many cameras send at once, a preamble before the first."""
         while size := 1 if self._buffer[:1] in (b"\r", b"\n") else self._boundary():
             del self._buffer[:size]
 
     def _boundary(self) -> int:
-        """Bytes of the boundary that comes next, 0 where none does, or the last one, or a part of one."""
+        """Bytes of the boundary, or of a line before the first, that comes next; 0 where none does, or the last one, or a part of one."""
         size = self._buffer.find(b"\n", 0, LONGEST_LINE) + 1
-        line = self._buffer[:size].rstrip()
-        return size if line.startswith(b"--") and not line.endswith(b"--") else 0
+        line = bytes(self._buffer[:size].rstrip())
+        if line.startswith(b"--") and not line.endswith(b"--"):
+            self.boundary = line
+            return size
+        return 0 if self.boundary else size
 
     def _ready(self, timeout_s: float) -> bool:
         return bool(select.select([self._socket], [], [], timeout_s)[0])
 
     def _fill(self) -> None:
+        self._socket.settimeout(max(self._until_s - time.monotonic(), 1e-3))
         came = self._socket.recv(CHUNK)
         if not came:
             raise LuxloopError("camera: has closed the connection")

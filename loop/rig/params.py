@@ -51,6 +51,9 @@ class DdpLightParams(LightParams):
     bits: Literal[8, 16] = Field(8, description="bits of a code")
     repeats: int = Field(1, ge=1, le=8, description="how many times new light is sent at once, against lost packets")
     commands: bool = Field(True, description="whether orientation and maximum intensity of the modules are sent")
+    timecode: bool = Field(
+        False, description="whether packets have a number of their frame as time code, by which the rig process repairs incomplete frames"
+    )
     scan: ScanParams = Field(ScanParams(), description="order of the pixels")
 
 
@@ -122,6 +125,12 @@ class DeviceCameraParams(CameraSourceParams):
     width_px: int = Field(640, ge=16, le=8192, description="columns to request")
     height_px: int = Field(480, ge=16, le=8192, description="rows to request")
     rate_hz: float = Field(30.0, gt=0, le=1000, description="frame rate to request")
+    fourcc: str | None = Field(
+        None,
+        pattern="^[A-Za-z0-9 ]{4}$",
+        examples=["MJPG"],
+        description="pixel format to request; many webcams give large pictures fast as MJPG only; left out: the driver's",
+    )
     exposure: float | None = Field(
         None, description="exposure to lock, in the driver's unit (100 us with most webcams); left out: unchanged"
     )

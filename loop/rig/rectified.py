@@ -15,7 +15,9 @@ from world.errors import LuxloopError
 from world.files import reading, regular
 from world.images import decoded
 
-GREY: Final = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
+AS_SENT: Final = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION  # a camera that is mounted upside down is calibrated so
+GREY: Final = cv2.IMREAD_GRAYSCALE | AS_SENT
+JPEG: Final = b"\xff\xd8"
 REMEDY: Final = "set camera.width_px and camera.height_px of the scenario, or camera.crop of the rig file"
 AGAIN: Final = "run `luxloop rig calibrate` again"
 
@@ -103,16 +105,34 @@ class Rectifier:
 def grey(data: bytes | NDArray[np.generic]) -> NDArray[np.generic]:
     """Grey codes `[height, width]` of an encoded or raw picture. Raises WrongPicture if it is damaged or too large."""
     if isinstance(data, bytes):
-        try:
-            picture = decoded(data, "camera: a picture", GREY)
-        except LuxloopError as error:
-            raise WrongPicture(str(error)) from error
-        if picture is None:
-            raise WrongPicture("camera: a picture is damaged")
-        return picture
+        return camera_picture(data, GREY)
     if data.ndim == 3:
         return cv2.cvtColor(np.ascontiguousarray(data[..., :3]), cv2.COLOR_BGR2GRAY)
     return data
+
+
+def camera_picture(data: bytes, flags: int) -> NDArray[np.generic]:
+    """An encoded picture as OpenCV decodes it with these flags. Raises WrongPicture if it is damaged, in part too, or too large."""
+    try:
+        picture = decoded(data, "camera: a picture", flags)
+    except LuxloopError as error:
+        raise WrongPicture(str(error)) from error
+    if picture is None or (data.startswith(JPEG) and not _whole(data)):
+        raise WrongPicture("camera: a picture is damaged")
+    return picture
+
+
+def _whole(jpeg: bytes) -> bool:
+    """Whether nothing of a JPEG is damaged or missing; OpenCV fills with grey what is."""
+    import av
+
+    decoder: Any = av.CodecContext.create("mjpeg", "r")
+    decoder.options = {"err_detect": "explode"}
+    try:
+        decoder.decode(av.Packet(jpeg))
+    except av.FFmpegError:
+        return False
+    return True
 
 
 def load_lens(file: Path) -> Lens:

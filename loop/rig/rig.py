@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -69,9 +69,12 @@ class Rig:
             self.keeper.dark(self.camera.reason)
             if self.params.triggered:  # without that it would never come back
                 self.camera.trigger()
-            self.camera.next(began_s + self.params.timing.wait_s)
+            reason = self.camera.reason
+            if (picture := self.camera.next(began_s + self.params.timing.wait_s)) is not None:
+                with suppress(WrongPicture):
+                    self._image(picture)
             self._done(began_s)
-            return Limited(shine), self._lost(shine.number, began_s, self.camera.reason)
+            return Limited(shine), self._lost(shine.number, began_s, reason)
         given = self.limited(shine, began_s)
         self.show(given.shine)
         taken = self._frame(given.shine.number, began_s)
@@ -154,10 +157,20 @@ class Rig:
         verdict = shows(lag_s, self.params.timing, picture.late_s)
         return verdict if verdict != "clear" else None if picture.awaited else "late"
 
+    def _image(self, picture: CameraPicture) -> NDArray[np.float32]:
+        """The scenario's image. Raises WrongPicture if the picture does not fit, which darkens the lamp if it goes on."""
+        try:
+            image = np.zeros((1, 1), np.float32) if self.rectifier is None else self.rectifier.image(picture.data)
+        except WrongPicture as error:
+            self.camera.judge(str(error))
+            raise
+        self.camera.judge(None)
+        return image
+
     def _looked_at(self, picture: CameraPicture, number: int, since_s: float) -> Taken | str:
         """The frame of a picture, or the reason why it cannot be used."""
         try:
-            image = np.zeros((1, 1), np.float32) if self.rectifier is None else self.rectifier.image(picture.data)
+            image = self._image(picture)
         except WrongPicture as error:
             self.statistics.seen["wrong"] += 1
             return str(error)

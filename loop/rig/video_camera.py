@@ -11,6 +11,7 @@ from world.errors import LuxloopError
 from world.files import content
 
 WAITED_S: Final = 0.001  # a read that takes less has found its picture in a buffer
+RATE_SHARE: Final = 0.02  # by which a driver's rate may differ: 29.97 Hz is asked for as 30
 LOCKED: Final = 1  # V4L2's word for an exposure that is not automatic
 POLL_S: Final = 0.005
 ENDINGS: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
@@ -37,10 +38,13 @@ class DeviceCamera:
             "rate_hz": (cv2.CAP_PROP_FPS, params.rate_hz),
         }
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-        for name, (key, value) in wanted.items():
+        if params.fourcc is not None:
+            self._capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*params.fourcc))
+        for key, value in wanted.values():  # all of them first: V4L2 takes width and height together
             self._capture.set(key, value)
-            if name != "rate_hz" and self._capture.get(key) != value:
-                got = self._capture.get(key)
+        for name, (key, value) in wanted.items():
+            got = self._capture.get(key)
+            if abs(got - value) > (RATE_SHARE * value if name == "rate_hz" else 0):
                 self._capture.release()
                 raise LuxloopError(
                     f"camera.{name}: {params.device} gives {got:g} where {value:g} is asked for; `v4l2-ctl --list-formats-ext`"
@@ -79,16 +83,20 @@ class StreamCamera:
         stream = self._container.streams.video[0]
         stream.thread_type = "SLICE"  # threads that share frames keep some back
         stream.codec_context.flags |= av.codec.context.Flags.low_delay
-        self._packets, self._frames = self._container.demux(stream), list[Any]()
+        stream.codec_context.options = {"err_detect": "explode"}  # in place of pictures with a grey rest
+        self._packets, self._damaged = self._container.demux(stream), av.InvalidDataError
 
     def read(self, timeout_s: float) -> CameraPicture | None:
-        """The newest picture of the next packet, None if that has none. Raises LuxloopError if the stream ends."""
+        """The newest picture of the next packet, None if that has none or a damaged one. Raises LuxloopError if the stream ends."""
         asked_s = time.monotonic()
         packet = next(self._packets, None)
         if packet is None or packet.dts is None:
             raise LuxloopError("camera: has ended the stream")
         arrived_s = time.monotonic()
-        frames = packet.decode()
+        try:
+            frames = packet.decode()
+        except self._damaged:
+            return None
         if not frames:
             return None
         deep = "16" in frames[-1].format.name or "12" in frames[-1].format.name or "10" in frames[-1].format.name

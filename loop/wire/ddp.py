@@ -1,25 +1,29 @@
 """Light as DDP, the Distributed Display Protocol: the pixels of one frame in UDP packets, and back.
 
-A packet has a header of 14 bytes, big endian, and at most 1440 bytes of data:
+A packet has a header of 10 bytes, big endian, 14 with a time code, and at most 1440 bytes of data:
 
 | byte | value |
 | --- | --- |
-| 0 | 0x50: version 1 with time code; 0x51 in the last packet of a frame (push) |
-| 1 | number of the packet, 1 to 15 and again from 1 |
+| 0 | 0x40: version 1; plus 0x10 with a time code, plus 0x01 in the last packet of a frame (push) |
+| 1 | number of the packet, 1 to 15 and again from 1, counted over frames |
 | 2 | 0x23: grey, 8 bits; 0x24: grey, 16 bits, big endian |
 | 3 | 1: pixels; 246: commands of modules as JSON, which go before the pixels |
 | 4-7 | place of the data in the frame in bytes, a multiple of 1440 |
 | 8-9 | length of the data in bytes |
-| 10-13 | time code of the frame |
+| 10-13 | time code of the frame, if flagged: here a number, not the NTP time of the specification |
 
-One time code stands for one content. So a frame that is sent again repairs what was lost of it.
+One time code stands for one content. So a frame that is sent again repairs what was lost of it. Without time codes a packet that lies no
+farther in the frame than the one before begins a new frame.
+
+Source: Distributed Display Protocol, 3waylabs.
 """
 
+import itertools
 import json
 import socket
 import struct
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -39,7 +43,7 @@ BURST: Final = 64  # packets that any receiver's buffer holds
 TIMECODES: Final = 2**32
 
 Codes = NDArray[np.uint8] | NDArray[np.uint16]
-_HEADER: Final = struct.Struct(">BBBBIHI")
+_HEADER, _TIMECODE = struct.Struct(">BBBBIH"), struct.Struct(">I")
 
 
 @dataclass(frozen=True)
@@ -77,35 +81,42 @@ def utilisations_of(codes: Codes, gamma: float = 1.0) -> NDArray[np.float32]:
     return shares if gamma == 1 else shares ** np.float32(gamma)
 
 
-def packets(codes: Codes, timecode: int, commands: Sequence[WireCommand] | None = None) -> Iterator[bytes]:
-    """The packets of a frame, in the order in which they go out. Raises LuxloopError where the commands do not fit into one packet."""
+def sequence() -> Iterator[int]:
+    """Numbers of the packets of a sender."""
+    return itertools.cycle(range(1, 16))
+
+
+def packets(
+    codes: Codes, timecode: int | None = None, commands: Sequence[WireCommand] | None = None, numbers: Iterator[int] | None = None
+) -> Iterator[bytes]:
+    """The packets of a frame, in the order in which they go out. numbers: of the packets, from `sequence`; left out: from 1.
+
+    Raises LuxloopError where the commands do not fit into one packet.
+    """
     kind = GREY8 if codes.dtype == np.uint8 else GREY16
-    number, flags = 0, VERSION | TIMECODE
-    timecode %= TIMECODES
+    numbers = sequence() if numbers is None else numbers
+    flags, tail = (VERSION, b"") if timecode is None else (VERSION | TIMECODE, _TIMECODE.pack(timecode % TIMECODES))
     if commands is not None:
         text = json.dumps({"modules": [vars(each) for each in commands]}, separators=(",", ":")).encode()
         if len(text) > DATA_BYTES:
             raise LuxloopError(f"commands of {len(commands)} modules take {len(text)} bytes, more than the {DATA_BYTES} of a packet")
-        yield _HEADER.pack(flags, 1, kind, COMMANDS, 0, len(text), timecode) + text
-        number = 1
+        yield _HEADER.pack(flags, next(numbers), kind, COMMANDS, 0, len(text)) + tail + text
     data = memoryview(codes.tobytes() if kind == GREY8 else codes.astype(">u2").tobytes())
     for offset in range(0, len(data), DATA_BYTES):
         part = data[offset : offset + DATA_BYTES]
         last = offset + DATA_BYTES >= len(data)
-        yield _HEADER.pack(flags | PUSH * last, 1 + number % 15, kind, PIXELS, offset, len(part), timecode) + part
-        number += 1
+        yield _HEADER.pack(flags | PUSH * last, next(numbers), kind, PIXELS, offset, len(part)) + tail + part
 
 
-def send(sock: socket.socket, frame: Sequence[bytes], pause_s: float = 0.0002) -> None:
+def send(sock: socket.socket, frame: Iterable[bytes], pause_s: float = 0.0002) -> None:
     """Send the packets of a frame over a connected UDP socket, with a pause after each 64, in which the receiver empties its buffer.
 
     Raises OSError as sockets do, such as ConnectionRefusedError where nobody listened at the packet before.
     """
-    for first in range(0, len(frame), BURST):
-        if first and pause_s:
+    for number, packet in enumerate(frame):
+        if number and number % BURST == 0:
             time.sleep(pause_s)
-        for packet in frame[first : first + BURST]:
-            sock.send(packet)
+        sock.send(packet)
 
 
 class Assembler:
@@ -120,6 +131,7 @@ class Assembler:
         self.pixels, self.mixed = pixels, mixed
         self.incomplete = self.refused = 0
         self._given_out = False
+        self._implied, self._place = 0, -2  # of packets without time code: number of the frame, and place of the last one
         self.forget()
 
     def forget(self) -> None:
@@ -137,9 +149,9 @@ class Assembler:
         if len(packet) < _HEADER.size:
             self.refused += 1
             return None
-        flags, _, kind, id_, offset, length, timecode = _HEADER.unpack_from(packet)
-        data = packet[_HEADER.size :]
-        if flags & VERSION_BITS != VERSION or not flags & TIMECODE or kind not in (GREY8, GREY16) or length != len(data):
+        flags, _, kind, id_, offset, length = _HEADER.unpack_from(packet)
+        data = packet[_HEADER.size + (_TIMECODE.size if flags & TIMECODE else 0) :]
+        if flags & VERSION_BITS != VERSION or kind not in (GREY8, GREY16) or length != len(data):
             self.refused += 1
             return None
         whole = self.pixels * (1 if kind == GREY8 else 2)
@@ -149,6 +161,7 @@ class Assembler:
         if commands is None and (id_ != PIXELS or offset % DATA_BYTES or offset >= whole or length != min(DATA_BYTES, whole - offset)):
             self.refused += 1
             return None
+        timecode = self._timecode_of(packet, flags, -1 if id_ == COMMANDS else offset)
         if timecode != self._timecode or kind != self._kind:
             if self._timecode is not None and 0 < (self._timecode - timecode) % TIMECODES < TIMECODES // 2:
                 return None  # late, of a frame that a newer one has replaced
@@ -168,6 +181,15 @@ class Assembler:
             self._given_out = complete
             return self._frame()
         return None
+
+    def _timecode_of(self, packet: bytes | memoryview, flags: int, place: int) -> int:
+        """The time code of a packet's frame, or the number of the frame where it has none."""
+        if flags & TIMECODE:
+            found: int = _TIMECODE.unpack_from(packet, _HEADER.size)[0]
+            return found
+        self._implied = (self._implied + (place <= self._place)) % TIMECODES
+        self._place = place
+        return self._implied
 
     def _begin(self, timecode: int, kind: int, whole: int) -> None:
         if self._timecode is not None and not self._given_out:

@@ -128,8 +128,8 @@ def parts(stream: Stream, largest: int) -> Iterator[Part]:
     """
     while (size_and_kind := _head(stream)) is not None:
         size, kind = size_and_kind
-        if not 0 < size <= largest:
-            raise LuxloopError(f"camera: a picture of {size} bytes, where 1 to {largest} are expected; check the camera's address")
+        if size > largest:
+            raise LuxloopError(f"camera: a picture of {size} bytes, where {largest} are expected at most; check the camera's address")
         body = stream.read(size)
         if len(body) < size:
             return
@@ -150,8 +150,8 @@ def _head(stream: Stream) -> tuple[int, str] | None:
             return size, kind
         begun = begun or bool(text)  # with the boundary, or without it where a reader has taken that already
         name, _, value = text.partition(b":")
-        if name.lower() == b"content-length" and value.strip().isdigit() and len(value) < 12:
+        if name.lower() == b"content-length" and value.strip().isdigit() and len(value.strip()) < 12:
             size = int(value)
         elif name.lower() == b"content-type":
             kind = value.strip().decode("latin-1").lower()
-    raise LuxloopError("camera: its answer has no parts with Content-Length; give the address of an MJPEG stream")
+    raise LuxloopError('camera: its answer has no parts with Content-Length; give the address of an MJPEG stream, or kind = "stream"')

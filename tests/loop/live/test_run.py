@@ -38,7 +38,7 @@ def of_lamp(lux: float | None = 100.0) -> Calibration:
 def rig_file(process: Process, folder: Path, more: str = "") -> str:
     file = folder / "rig.toml"
     file.write_text(
-        f'[light]\nkind = "ddp"\nhost = "127.0.0.1"\nport = {process.light}\n\n[camera]\nkind = "http"\n'
+        f'[light]\nkind = "ddp"\ntimecode = true\nhost = "127.0.0.1"\nport = {process.light}\n\n[camera]\nkind = "http"\n'
         f'url = "http://127.0.0.1:{process.camera}/camera"\n\n[timing]\nlatency_s = 0.03\njitter_s = 0.02\n'
         f'[calibration]\nfile = "rig.npz"\n{more}'
     )

@@ -72,6 +72,7 @@ FAULTS = ("faults.light.packet_loss=0.01", "faults.camera.jitter_s=0.02", "fault
 RIG = """
 [light]
 kind = "ddp"
+timecode = true
 host = "127.0.0.1"
 port = {light}
 bits = 16

@@ -46,7 +46,7 @@ class Process:
     def params(self, **tables: object) -> RigParams:
         """A rig file's tables, with others in their place."""
         timing = {"latency_s": 0.02, "jitter_s": 0.01, "rolling_s": 0.006, "wait_s": 0.6}
-        light = {"kind": "ddp", "host": "127.0.0.1", "port": self.light, "dark_after_s": self.keys.get("dark_s", 0.1)}
+        light = {"kind": "ddp", "timecode": True, "host": "127.0.0.1", "port": self.light, "dark_after_s": self.keys.get("dark_s", 0.1)}
         camera = {"kind": "http", "url": f"http://127.0.0.1:{self.camera}/camera", "timeout_s": 0.3}
         return validated(RigParams, {"light": light, "camera": camera, "timing": timing, **tables}, "")
 

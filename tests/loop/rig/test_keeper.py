@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -70,6 +71,25 @@ def test_a_lamp_whose_code_fails_is_darkened_until_that_is_done(kept: Callable[.
     assert lamp.asked[-1] == "dark" and len(lamp.asked) == count, "in the dark it is left alone"
     lamp.fails = set()
     assert keeper.show(SHINE) is None and keeper.since_s is not None
+
+
+def test_only_a_loop_and_a_camera_that_are_alive_keep_the_lamp_lit() -> None:
+    fault: list[str] = []
+    for dead in ("loop", "camera"):
+        lamp = Lamp()
+        with closing(Keeper(lamp, LightParams(keep_alive_s=0.01), 0.3, lambda: fault[0] if fault else None)) as keeper:
+            assert keeper.show(SHINE) is None
+            for _ in range(20):
+                time.sleep(0.02)
+                keeper.beat()
+            assert "dark" not in lamp.asked and lamp.asked.count("show") > 5, "sent again and again while both are alive"
+            silent_s = time.monotonic()
+            if dead == "camera":
+                fault.append("camera: no picture")
+            assert eventually(lambda: "dark" in lamp.asked, 2)  # noqa: B023
+            assert time.monotonic() - silent_s > 0.2 or dead == "camera"
+            assert keeper.darkened == 1 and keeper.since_s is None
+            assert keeper.reason == ("camera: no picture" if fault else "the loop has said nothing for 0.3 s")
 
 
 def test_a_gap_is_told_before_the_thread_has_seen_it(kept: Callable[..., tuple[Lamp, Keeper]]) -> None:

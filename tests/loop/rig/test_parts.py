@@ -1,28 +1,45 @@
 """Parts of a rig one by one: its file, order of pixels, limits, frames that count, mark, pictures as they come, files of light."""
 
+import hashlib
 import io
 import json
+import re
 import socket
 import threading
 import time
 import zipfile
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
+from urllib.request import parse_http_list, parse_keqv_list
 
 import cv2
 import numpy as np
 import pytest
 import torch
 
-from loop.rig import mark
+from loop.rig import http_camera, mark
 from loop.rig.camera import Camera, CameraPicture, opener
 from loop.rig.ego import UdpEgo
 from loop.rig.files import FilesLight
+from loop.rig.http_camera import HttpCamera
 from loop.rig.light import Shine, open_light, places
 from loop.rig.limits import limited
 from loop.rig.matching import Regularity, shows
-from loop.rig.params import FilesLightParams, LimitParams, MarkParams, RigParams, ScanParams, TimingParams, UdpEgoParams, load_rig
-from loop.rig.rectified import Rectifier, WrongPicture
+from loop.rig.params import (
+    FilesLightParams,
+    HttpCameraParams,
+    LimitParams,
+    MarkParams,
+    RigParams,
+    ScanParams,
+    StreamCameraParams,
+    TimingParams,
+    UdpEgoParams,
+    load_rig,
+)
+from loop.rig.rectified import Rectifier, WrongPicture, grey
+from loop.rig.video_camera import StreamCamera
 from loop.wire.datagrams import encoded
 from perception.camera import CameraParams
 from tests.loop.rig.conftest import eventually, free_port
@@ -197,6 +214,27 @@ def test_a_picture_that_is_none_is_refused(rig_file: Path, data: bytes | np.ndar
         Rectifier.of(load_rig(rig_file), CameraParams(width_px=64, height_px=48)).image(data)
 
 
+@pytest.mark.parametrize("ending", [".jpg", ".png"])
+def test_half_a_picture_is_refused(ending: str) -> None:
+    whole = cv2.imencode(ending, np.random.default_rng(0).integers(0, 256, (48, 64), np.uint8))[1].tobytes()
+    assert grey(whole).shape == (48, 64)
+    for cut in (len(whole) // 2, len(whole) - 30):
+        with pytest.raises(WrongPicture, match="damaged"):
+            grey(whole[:cut])
+
+
+def test_damaged_pictures_of_a_stream_are_left_out(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).integers(0, 20, (48, 64), np.uint8)
+    pictures = [cv2.imencode(".jpg", noise + np.uint8(40 * k))[1].tobytes() for k in range(6)]
+    pictures[2] = pictures[2][: len(pictures[2]) * 2 // 3]
+    (tmp_path / "stream.mjpeg").write_bytes(b"".join(pictures))
+    source = StreamCamera(StreamCameraParams(kind="stream", url=str(tmp_path / "stream.mjpeg"), options={}))
+    found = [source.read(1.0) for _ in range(5)]
+    levels = {int(np.mean(each.data)) // 40 for each in found if each is not None and isinstance(each.data, np.ndarray)}
+    assert 2 not in levels and {0, 1, 3} <= levels
+    source.close()
+
+
 def answering(*answers: bytes) -> int:
     """The port of a server that gives each connection the next of some answers, and keeps it open."""
     server = socket.create_server(("127.0.0.1", 0))
@@ -239,6 +277,87 @@ def test_a_camera_that_answers_with_something_else_says_so(answer: bytes, words:
         assert eventually(lambda: words in camera.reason, 5) and not camera.alive
     finally:
         camera.close()
+
+
+PART = b"Content-Type: image/jpeg\r\nContent-Length: %s3\r\n\r\nabc\r\n--frame\r\n"
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"--frame\r\n" + PART % b"000000000",
+        b"--frame\r\n" + PART % (10 * b" "),
+        b"This is a stream for old readers.\r\n\r\n--frame\r\n" + PART % b"",
+        b"--frame\r\nContent-Type: audio/basic\r\nContent-Length: 2\r\n\r\nxy\r\n--frame\r\n" + PART % b"",
+        b"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: 0\r\n\r\n\r\n--frame\r\n" + PART % b"",
+    ],
+    ids=["zeros", "blanks", "preamble", "audio", "empty"],
+)
+def test_pictures_are_found_among_what_cameras_send(body: bytes) -> None:
+    source = HttpCamera(HttpCameraParams(kind="http", url=f"http://127.0.0.1:{answering(HEAD + body)}/"))
+    pictures = [picture.data for _ in range(3) if (picture := source.read(0.2))]
+    assert pictures == [b"abc"]
+    source.close()
+
+
+def asked(*answers: bytes) -> tuple[int, list[bytes]]:
+    """The port of a server that closes each connection after one of some answers, the last one excepted, and what it was asked."""
+    server, requests = socket.create_server(("127.0.0.1", 0)), list[bytes]()
+
+    def serve() -> None:
+        for k, answer in enumerate(answers):
+            connection, _ = server.accept()
+            requests.append(connection.recv(4096))
+            connection.sendall(answer % {b"port": str(server.getsockname()[1]).encode()} if b"%(port)" in answer else answer)
+            if k < len(answers) - 1:
+                connection.close()
+        time.sleep(20)
+
+    threading.Thread(target=serve, daemon=True).start()
+    return int(server.getsockname()[1]), requests
+
+
+def test_a_camera_asks_for_a_login_and_leads_elsewhere() -> None:
+    moved = b"HTTP/1.0 302 Found\r\nLocation: http://127.0.0.1:%(port)s/there?x=1\r\n\r\n"
+    challenge = b'HTTP/1.0 401 No\r\nWWW-Authenticate: Digest realm="cam", nonce="n1", qop="auth", algorithm=MD5\r\n\r\n'
+    port, requests = asked(moved, challenge, HEAD)
+    HttpCamera(HttpCameraParams(kind="http", url=f"http://me:s%20cret@127.0.0.1:{port}/camera")).close()
+    assert requests[1].startswith(b"GET /there?x=1 ") and b"Authorization" not in requests[1]
+    given = parse_keqv_list(parse_http_list(re.search(r"Authorization: Digest (.*)\r", requests[2].decode())[1]))  # type: ignore[index]
+
+    def md5(text: str) -> str:
+        return hashlib.md5(text.encode()).hexdigest()
+
+    middle = f"n1:{given['nc']}:{given['cnonce']}:auth"  # RFC 2617
+    assert given["response"] == md5(f"{md5('me:cam:s cret')}:{middle}:{md5('GET:/there?x=1')}")
+    port, requests = asked(b'HTTP/1.0 401 No\r\nWWW-Authenticate: Basic realm="cam"\r\n\r\n', HEAD)
+    HttpCamera(HttpCameraParams(kind="http", url=f"http://me:pw@127.0.0.1:{port}/")).close()
+    assert b"Authorization: Basic bWU6cHc=" in requests[1]
+    port, _ = asked(*4 * [moved])
+    with pytest.raises(LuxloopError, match="from one address to another"):
+        HttpCamera(HttpCameraParams(kind="http", url=f"http://127.0.0.1:{port}/"))
+
+
+def test_a_camera_that_is_silent_or_drips_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(http_camera, "SLOW_S", 0.5)
+    with pytest.raises(LuxloopError, match=r"does not answer within 0\.5 s"):
+        HttpCamera(HttpCameraParams(kind="http", url=f"http://127.0.0.1:{answering(b'')}/", timeout_s=0.3))
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def drip() -> None:
+        connection, _ = server.accept()
+        connection.sendall(HEAD + b"--frame\r\nContent-Length: 1000\r\n\r\n")
+        with suppress(OSError):
+            for _ in range(100):
+                time.sleep(0.05)
+                connection.sendall(b"x")
+
+    threading.Thread(target=drip, daemon=True).start()
+    url = f"http://127.0.0.1:{server.getsockname()[1]}/"
+    source = HttpCamera(HttpCameraParams(kind="http", url=url, timeout_s=0.3))
+    with pytest.raises(TimeoutError):
+        source.read(1.0)
+    source.close()
 
 
 def test_pictures_from_a_queue_are_told_from_those_that_were_awaited() -> None:
@@ -338,9 +457,11 @@ def test_samples_come_with_the_plants_time_and_others_are_refused() -> None:
         encoded("gyro", 5.0, 5.02, [0.0]),
         b"{}",
         encoded("radar", 1.0, 1.0, [1.0]),
+        encoded("wheels", 5.0, 5.02, [1e300]),
+        encoded("attitude", 5.0, 5.02, [0.0] * 7 + [-1e9]),
     ):
         sender.sendto(datagram, ("127.0.0.1", port))
-    assert eventually(lambda: ego.refused == 3, 3)
+    assert eventually(lambda: ego.refused == 5, 3)
     (sample,) = ego.samples(torch.empty(0))
     assert sample.sensor == "gyro" and sample.values.tolist() == pytest.approx([0.0, 0.1, 0.2])
     assert sample.arrived_s - sample.measured_s == pytest.approx(0.03)

@@ -57,7 +57,7 @@ def test_each_frame_shows_its_own_exposure_alone(small_rig: Callable[..., Proces
 def test_with_jitter_and_lost_packets_a_frame_is_right_or_lost(small_rig: Callable[..., Process]) -> None:
     process = small_rig(20_000, jitter_s=0.02, loss=0.01)  # 14 packets a frame, of which one is lost in every seventh
     timing = {"latency_s": 0.02, "jitter_s": 0.03, "rolling_s": 0.03, "wait_s": 0.6}
-    light = {"kind": "ddp", "host": "127.0.0.1", "port": process.light, "repeats": 4}
+    light = {"kind": "ddp", "timecode": True, "host": "127.0.0.1", "port": process.light, "repeats": 4}
     with opened(process.params(timing=timing, light=light), ((100, 200),), CAMERA, armed=True) as rig:
         assert await_camera(rig)
         came = 0
@@ -125,7 +125,7 @@ class Relay:
 def test_a_network_that_is_cut_leaves_the_lamp_dark_and_comes_back(small_rig: Callable[..., Process]) -> None:
     process = small_rig()
     relay = Relay(process.light)
-    with rig_of(process, light={"kind": "ddp", "host": "127.0.0.1", "port": relay.port}) as rig:
+    with rig_of(process, light={"kind": "ddp", "timecode": True, "host": "127.0.0.1", "port": relay.port}) as rig:
         assert rig.expose(shine(0), 0.001)[1].image is not None
         relay.cut = True
         assert eventually(lambda: camera_sees(rig, 20), 0.25)
@@ -150,6 +150,19 @@ def test_pictures_of_a_wrong_size_are_lost_with_the_reason(small_rig: Callable[.
         assert taken.image is None and "80 x 48 px, where the scenario's image has 64 x 48" in taken.reason
         with pytest.raises(LuxloopError, match=r"set camera\.width_px and camera\.height_px of the scenario"):
             rig.refuse_misfit()  # as `luxloop run` does before it lights anything
+
+
+def test_pictures_that_do_not_fit_do_not_keep_the_lamp_lit(small_rig: Callable[..., Process]) -> None:
+    process = small_rig(dark_s=60.0)
+    with rig_of(process) as rig:
+        assert rig.expose(shine(0), 0.001)[1].image is not None
+        process.kill()
+        process.start(width=80)
+        assert eventually(lambda: rig.camera.alive, 5)
+        assert eventually(lambda: "80 x 48 px" in rig.expose(shine(1), 0.001)[1].reason and rig.keeper.dark_since_s is not None, 5)
+        process.kill()
+        process.start()
+        assert eventually(lambda: rig.expose(shine(2), 0.001)[1].image is not None, 5)
 
 
 def test_at_the_end_the_lamp_is_dark_at_once(small_rig: Callable[..., Process]) -> None:

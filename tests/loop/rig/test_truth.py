@@ -55,7 +55,7 @@ class Bench:
         return told
 
     def params(self, **tables: Any) -> RigParams:
-        light = {"kind": "ddp", "host": "127.0.0.1", "port": self.light, "bits": 16}
+        light = {"kind": "ddp", "timecode": True, "host": "127.0.0.1", "port": self.light, "bits": 16}
         camera = {"kind": "http", "url": f"http://127.0.0.1:{self.camera}/camera", "bits": 12}
         return validated(RigParams, {"light": light, "camera": camera, "timing": TIMING, **tables}, "")
 
@@ -141,7 +141,7 @@ def test_on_a_good_rig_the_symbol_is_as_straight_as_in_simulation(bench: Callabl
 
 def test_with_jitter_lost_packets_and_flicker_no_frame_is_wrong(bench: Callable[..., Bench]) -> None:
     rig = bench(*HARD)
-    light = {"kind": "ddp", "host": "127.0.0.1", "port": rig.light, "bits": 16, "repeats": 3}
+    light = {"kind": "ddp", "timecode": True, "host": "127.0.0.1", "port": rig.light, "bits": 16, "repeats": 3}
     _, taken, summary, iou = run_on(rig, rig.params(light=light))
     assert not wrong(rig, taken) and len(taken) >= 50
     print(f"\nIoU {iou:.3f}; {summary}")

@@ -7,6 +7,9 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
+from loop.rig.ddp import DdpLight
+from loop.rig.light import Shine
+from loop.rig.params import DdpLightParams
 from loop.wire import ddp
 from loop.wire.ddp import Assembler, LightFrame, WireCommand, packets
 from world.errors import LuxloopError
@@ -111,3 +114,75 @@ def test_a_large_lamp_goes_through_a_socket() -> None:
             if came is not None:
                 break
         assert came is not None and (came.codes == sent).all()
+
+
+class Wled:
+    """How WLED's receiver takes packets: by its source, it drops those that seem to belong to a frame before the last push."""
+
+    def __init__(self, pixels: int) -> None:
+        self.lit, self._data, self._last = bytes(pixels), bytearray(pixels), 0
+
+    def take(self, packet: bytes) -> None:
+        number = packet[1] & 0xF
+        if self._last and number:
+            late = self._last - 5 < number < self._last if self._last > 5 else number > 10 + self._last or number < self._last
+            if late:
+                return
+        head = 14 if packet[0] & 0x10 else 10
+        offset, length = int.from_bytes(packet[4:8], "big"), int.from_bytes(packet[8:10], "big")
+        self._data[offset : offset + length] = packet[head:]
+        if packet[0] & 0x01:
+            self.lit, self._last = bytes(self._data), number
+
+
+class Plain(Wled):
+    """A receiver that knows the header of 10 bytes only."""
+
+    def take(self, packet: bytes) -> None:
+        assert not packet[0] & 0x10
+        super().take(packet)
+
+
+class Strict(Wled):
+    """A receiver that wants every number in its turn, as the specification counts them."""
+
+    def take(self, packet: bytes) -> None:
+        assert packet[1] == self._last % 15 + 1, "numbers count packets, over frames"
+        offset, length = int.from_bytes(packet[4:8], "big"), int.from_bytes(packet[8:10], "big")
+        self._data[offset : offset + length] = packet[10:]
+        self._last = packet[1]
+        if packet[0] & 0x01:
+            self.lit = bytes(self._data)
+
+
+@pytest.mark.parametrize("kind", [Wled, Plain, Strict])
+def test_receivers_of_others_light_every_frame_and_go_dark_at_the_end(kind: type[Wled]) -> None:
+    receiver = kind(N)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there:
+        there.bind(("127.0.0.1", 0))
+        there.settimeout(5)
+        keys = {"kind": "ddp", "host": "localhost", "port": there.getsockname()[1], "commands": False}
+        light = DdpLight(DdpLightParams.model_validate(keys), [(40, 100)])
+
+        def lit(packets: int) -> bytes:
+            for _ in range(packets):
+                receiver.take(there.recv(2000))
+            return receiver.lit
+
+        for number in range(20):
+            u = np.random.default_rng(number).random((40, 100), np.float32)
+            assert light.show(Shine(number, (u,))) is None
+            assert lit(3) == ddp.codes_of(u.ravel(), 8).tobytes()
+        light.dark()
+        assert lit(9) == bytes(N)
+        light.close()
+
+
+@pytest.mark.parametrize("lost", [0, 2])
+def test_without_time_codes_a_frame_ends_where_the_next_begins(lost: int) -> None:
+    assembler, second = Assembler(N), list(packets(frame(2)))
+    (first,) = lit(assembler, packets(frame(1)))
+    assert (first.codes == frame(1)).all()
+    assert not lit(assembler, (each for k, each in enumerate(second) if k != lost)), "it lacks a packet"
+    (third,) = lit(assembler, packets(frame(3)))
+    assert (third.codes == frame(3)).all()
