@@ -2,14 +2,13 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from controllers.functions.planner import Planner
 from controllers.obl.function import ObjectBasedState
 from loop.lighting.detection import DetectionPipeline, pairs
 from loop.lighting.lamps import flux_by_side
@@ -110,12 +109,6 @@ def lit(plain: Mapping[str, Any], tables: Mapping[str, Any] = BARE, seed: int = 
     return validate({**plain, "seed": seed, **tables}, str(plain["name"]))
 
 
-def beside(shared: Simulation, scenario: Scenario) -> Simulation:
-    """A simulation in the same world, which looks at what the other has rendered."""
-    plant = replace(shared.plant, seed=scenario.seed)
-    return replace(shared, scenario=scenario, planner=Planner.prepare(scenario.functions, scenario.lighting), plant=plant)
-
-
 def illuminated(scenario: Mapping[str, Any], variants: Mapping[str, Mapping[str, Any]], seeds: Mapping[str, int]) -> dict[str, Any]:
     """A job: every variant with so many seeds, step by step side by side, so that each view is rendered once; frames have the same noise.
 
@@ -126,7 +119,7 @@ def illuminated(scenario: Mapping[str, Any], variants: Mapping[str, Mapping[str,
     torch.set_num_threads(1)  # wherever the job runs
     own = {(name, seed): lit(scenario, tables, seed) for name, tables in variants.items() for seed in range(seeds[name])}
     shared = Simulation.prepare(next(iter(own.values())))
-    simulations = {key: beside(shared, each) for key, each in own.items()}
+    simulations = {key: Simulation.prepare(each, before=shared) for key, each in own.items()}  # in its world, which is rendered once
     states = {key: each.start() for key, each in simulations.items()}
     runs = {key: Run() for key in own}
     beams, counting, seen = beam_lights(shared), Counting(shared), References(shared, max(seeds.values()))

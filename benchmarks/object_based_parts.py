@@ -6,7 +6,7 @@ from itertools import pairwise
 from typing import Any
 
 import torch
-from object_based_cases import CAMERA, FIRST, WORLD, beside, lit, scenario
+from object_based_cases import CAMERA, FIRST, WORLD, lit, scenario
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
@@ -114,7 +114,7 @@ def tracked(situation: str, scenario: Mapping[str, Any], seeds: int) -> dict[str
     torch.set_num_threads(1)
     own = [lit(scenario, seed=seed) for seed in range(seeds)]
     shared = Simulation.prepare(own[0])
-    simulations = [beside(shared, each) for each in own]
+    simulations = [Simulation.prepare(each, before=shared) for each in own]
     states, tracks = [each.start() for each in simulations], [dict[str, list[int | None]]() for _ in own]
     hidden: dict[str, int] = {}
     matches: list[Mapping[str, int]] = [{} for _ in own]

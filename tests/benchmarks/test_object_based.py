@@ -121,15 +121,16 @@ def test_scenes_are_others_than_those_of_training_and_newcomers_have_room() -> N
     assert len(others) > 2 and all(float((newcomer - other).norm()) > object_based_cases.FREE_M for other in others)
 
 
-@pytest.mark.slow
 def test_the_jobs_run_through_the_whole_chain(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a few steps each, which judge nothing."""
+    """On a few steps each, which judge nothing, over both base beams."""
     for name, value in {"STEPS": 4, "COMES": 2, "END": range(1, 2), "LATE": range(3, 4)}.items():
         monkeypatch.setattr(object_based_cases, name, value)
     (case,) = object_based_cases.cases(1, 1)
     given = case.parameters
-    found = object_based_cases.illuminated(given["scenario"], {"luxloop": given["variants"]["luxloop"]}, {"luxloop": 1})
-    (own,) = found["runs"]["luxloop"]
+    variants = {name: given["variants"][name] for name in ("luxloop", "over the low beam")}
+    found = object_based_cases.illuminated(given["scenario"], variants, dict.fromkeys(variants, 1))
+    ((own,), (low,)) = (found["runs"][name] for name in variants)
+    assert low["flux_lm"][0] > 2 * own["flux_lm"][0] and len(low["flux_lm"]) == 2, "an undimmed low beam, up to the newcomer"
     assert len(own["flux_lm"]) == 4 and len(own["newcomer_lx"]) == 2
     assert 0 < own["flux_lm"][-1] < found["lamps"]["high beam"]["flux_lm"] < found["lamps"]["full light"]["flux_lm"]
     jobs = list(object_based_parts.track_jobs(seeds=1, times=1, steps=2))
