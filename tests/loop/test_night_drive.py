@@ -9,8 +9,6 @@ from loop.lighting.simulation import Simulation
 from loop.run import run
 from loop.scenario.model import load
 
-MISSED = {"chevrons_in_the_worst_second", "road", "processing"}  # docs/night_drive.md says why
-
 
 def test_it_runs_with_all_that_it_shows() -> None:
     scenario = load("night_drive", ["camera.width_px=160", "camera.height_px=90"], steps=2)
@@ -24,4 +22,4 @@ def test_it_runs_with_all_that_it_shows() -> None:
 @pytest.mark.slow
 def test_its_checks_come_out_as_its_page_says(tmp_path: Path) -> None:
     checks = run("night_drive", tmp_path, device="cpu", video=False, report=False, checks=True).summary["checks"]
-    assert {name for name, each in checks.items() if not each["passed"]} == MISSED
+    assert len(checks) == 7 and all(each["passed"] for each in checks.values())
