@@ -120,7 +120,8 @@ def show(
         for name, value in chosen.items():
             if value is not None:
                 raise LuxloopError(f"--{name}: a photometric file is drawn as it was measured; give --view as well to draw it as a lamp")
-        print(f"{show_distribution(*read_all([Path(lamp)]), out or Path(f'{stem}.png'))} written")
+        (photometry,) = read_all([Path(lamp)])
+        print(f"{show_distribution(photometry, out or Path(f'{stem}.png'))} written")
     else:
         from loop.commands.shown import lights_by_side
         from loop.pictures.headlight import show as show_lamps
