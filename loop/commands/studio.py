@@ -5,6 +5,7 @@ import os
 import signal
 import socket
 import sys
+import threading
 import webbrowser
 from contextlib import suppress
 from pathlib import Path
@@ -59,7 +60,9 @@ def studio(
         address = f"http://{reached}:{server.sockets[0].getsockname()[1]}/"
         print(f"To edit:  {address}#{tokens.edit}\nTo watch: {address}#{tokens.watch}\nEnd it with Ctrl-C.", flush=True)
         if open:
-            await asyncio.to_thread(webbrowser.open, f"{address}#{tokens.edit}")
+            threading.Thread(
+                target=webbrowser.open, args=(f"{address}#{tokens.edit}",), daemon=True
+            ).start()  # ends with a browser in the foreground
         ends = asyncio.current_task()
         with suppress(NotImplementedError):
             asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, ends.cancel if ends else served.stop)

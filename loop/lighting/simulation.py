@@ -45,6 +45,7 @@ from perception.judge import Verdict
 from world.errors import LuxloopError, located
 from world.frames import inverse
 from world.headlight.lamp import REST, Commands
+from world.process import check_process
 from world.scene.scene import StreetLamp
 from world.view import View
 
@@ -195,8 +196,8 @@ class Simulation:
 
         Where symbols are held all light is shown first, and for the rest of the step all but the symbols whose turn it is.
         """
-        clock = Clock()
-        time_s, shares, world = state.arrivals.time_s, self.scenario.shares, self.truth
+        check_process()
+        clock, time_s, shares, world = Clock(), state.arrivals.time_s, self.scenario.shares, self.truth
         per_step = len(shares)
         ego = self.ego(state.samples, time_s)
         view, (now, given) = self._from(attitude(ego)), self._commanded(time_s, state, ego)
@@ -434,9 +435,8 @@ class Simulation:
 
     def _driven(self, plan: Plan, now: Situation, more: tuple[Plan, Lights] | None = None) -> tuple[Lights, Mapping[str, LampPower]]:
         """more: a plan that draws all this one does and maybe more, and its light."""
-        params, modules = self.scenario.lighting, self._turned(now)
+        params, modules, occluded = self.scenario.lighting, self._turned(now), None
         street_lamps: tuple[StreetLamp, ...] = ()
-        occluded = None
         if params.street_lamps or params.shadow_rays:
             T_world_ground = self.world.motion.at(now.time_s).T_world_ground
             street_lamps = tuple(seen_from(T_world_ground, lamp) for lamp in self.world.scene.street_lamps) if params.street_lamps else ()

@@ -12,7 +12,9 @@ import pytest
 from loop.studio.page import PAGE
 
 MAIN = "import sys; from loop.commands.cli import main; sys.exit(main())"
-STUDIO = [sys.executable, "-c", MAIN, "studio", "snowflake", "--no-open", "--port", "0"]
+STUDIO = [sys.executable, "-c", MAIN, "studio", "snowflake", "--port", "0"]
+
+BROWSER = "sh -c 'exec sleep 300 >/dev/null 2>&1' %s"  # in the foreground, as those of a terminal are
 
 
 @pytest.mark.skipif(not (PAGE / "index.html").is_file(), reason="the page is not built; make studio does that")
@@ -23,7 +25,7 @@ def test_sigterm_ends_it(before: signal.Handlers, tmp_path: Path) -> None:
     ready = subprocess.Popen(
         [*STUDIO, "--set", "renderer=raycast"],
         cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": root},
+        env={**os.environ, "PYTHONPATH": root, "BROWSER": BROWSER},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
