@@ -219,8 +219,9 @@ def torch_device(name: str) -> torch.device:
     """The device of a name; "auto" is a CUDA device where there is one. Raises LuxloopError where there is none of that name."""
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    if name == "cuda" and not torch.cuda.is_available():
+    device = torch.device(name)
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
         raise LuxloopError(
-            f"--device cuda: torch {torch.__version__} finds no CUDA device here; give --device cpu, or see `luxloop doctor`"
+            f"device {name}: torch {torch.__version__} finds no such CUDA device here; give the device cpu, or see `luxloop doctor`"
         )
-    return torch.device(name)
+    return device

@@ -7,9 +7,13 @@ import sys
 import tomllib
 import zipfile
 from collections.abc import Callable
+from functools import cache
+from importlib import metadata
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 pytestmark = pytest.mark.slow
 
@@ -71,12 +75,58 @@ def test_what_the_documentation_names_is_copied_from_the_wheel(luxloop: Callable
     assert (luxloop("new", "--like", like) / file).stat().st_size > 100
 
 
-def test_constraints_meet_what_the_project_asks_for() -> None:
-    from packaging.requirements import Requirement
+@cache
+def needed(name: str) -> frozenset[str]:
+    """Names of the packages that an installed package needs, and of those that they need."""
+    try:
+        asked = map(Requirement, metadata.requires(name) or [])
+    except metadata.PackageNotFoundError:
+        return frozenset()
+    names = {canonicalize_name(r.name) for r in asked if r.marker is None or r.marker.evaluate({"extra": ""})}
+    return frozenset(names.union(*(needed(each) for each in names))) - {"setuptools"}
 
+
+def test_constraints_meet_what_the_project_asks_for() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    asked = {r.name: r for r in map(Requirement, sum(project["optional-dependencies"].values(), project["dependencies"]))}
+    asked = {
+        canonicalize_name(r.name): r for r in map(Requirement, sum(project["optional-dependencies"].values(), project["dependencies"]))
+    }
     lines = [line for line in (ROOT / "constraints.txt").read_text().splitlines() if not line.startswith("#")]
-    pinned = {r.name: next(iter(r.specifier)).version for r in map(Requirement, lines)}
-    assert pinned.keys() == asked.keys()
-    assert all(asked[name].specifier.contains(version) for name, version in pinned.items())
+    pinned = {canonicalize_name(r.name): next(iter(r.specifier)).version for r in map(Requirement, lines)}
+    assert asked.keys() | set().union(*(needed(name) for name in asked)) <= pinned.keys()
+    assert all(each.specifier.contains(pinned[name]) for name, each in asked.items())
+
+
+PIP = [sys.executable, "-m", "pip", "install", "--quiet"]
+ADAM = """
+import torch
+from world.rendering.rasterise import Rasteriser
+Rasteriser()
+weight = torch.nn.Parameter(torch.ones(2))
+optimiser = torch.optim.Adam([weight])
+weight.sum().backward()
+optimiser.step()
+"""
+
+
+def test_an_optimiser_follows_rendering_beside_triton(tmp_path: Path) -> None:
+    """As it comes with the CUDA build of torch: its LLVM and that of Mesa crashed in one process."""
+    subprocess.run([*PIP, "--no-deps", "--target", tmp_path, "triton"], check=True)
+    environment = {**os.environ, "PYTHONPATH": f"{tmp_path}:{ROOT}"}
+    subprocess.run([sys.executable, "-c", f"{ADAM}import triton._C.libtriton"], env=environment, check=True)
+
+
+def test_the_lowest_versions_that_the_project_allows_run_the_main_job(tmp_path: Path) -> None:
+    """With the torch of the constraints, since older ones are gigabytes that PyPI has with CUDA alone."""
+    subprocess.run([*PIP, "--target", tmp_path / "uv", "uv"], check=True)
+    (tmp_path / "override.txt").write_text(f"torch=={metadata.version('torch')}\n")
+    lowest = ["--resolution", "lowest-direct", "--override", "override.txt", "--index-strategy", "unsafe-best-match"]
+    compiled = [tmp_path / "uv/bin/uv", "pip", "compile", *lowest, "--quiet", "--python", sys.executable, "-o", "low.txt"]
+    torch = ["--extra-index-url", "https://download.pytorch.org/whl/cpu"]
+    subprocess.run([*compiled, *torch, ROOT / "pyproject.toml"], cwd=tmp_path, check=True)
+    subprocess.run([sys.executable, "-m", "venv", tmp_path / "venv"], check=True)
+    python = tmp_path / "venv/bin/python"
+    subprocess.run([python, "-m", "pip", "install", "--quiet", *torch, "--no-deps", "-r", "low.txt"], cwd=tmp_path, check=True)
+    for arguments in (["run", "snowflake", "--steps", "2"], ["headlight", "show", "hd84", "--out", "lamp.png"]):
+        command = [python, "-m", "loop.commands.cli", *arguments]
+        subprocess.run(command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True)

@@ -3,13 +3,13 @@
 import re
 from typing import Annotated, Any, Final
 
-from annotated_types import Gt
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, WithJsonSchema, field_validator
 
 SMALLEST: Final = 1e-12  # least value of a number that has to be positive: what is divided by its square stays finite in single precision
 
 Metres = Annotated[float, Field(ge=-10_000, le=10_000)]
 Degrees = Annotated[float, Field(ge=-180, le=180)]
+ModuleName = Annotated[str, Field(min_length=1, max_length=80, pattern=r"^[^/]+$")]  # a part of names of files
 PLAIN = "[a-z][a-z0-9_]*"
 
 
@@ -32,7 +32,7 @@ class Params(BaseModel):
     @field_validator("*")
     @classmethod
     def _not_vanishing(cls, value: Any, info: ValidationInfo) -> Any:
-        positive = any(isinstance(each, Gt) and each.gt == 0 for each in cls.model_fields[str(info.field_name)].metadata)
+        positive = any(getattr(each, "gt", None) == 0 for each in cls.model_fields[str(info.field_name)].metadata)
         if positive and isinstance(value, float) and value < SMALLEST:
             raise ValueError(f"{value:g} is too close to 0 to compute with; give at least {SMALLEST:g}")
         return value

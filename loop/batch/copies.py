@@ -24,6 +24,7 @@ from perception.extraction import Crop, Loss
 from perception.judge import Verdict
 from world.errors import LuxloopError
 from world.light.illumination import Transport, added_light
+from world.process import check_process
 from world.spmv import Csr, multiply
 
 Lights = tuple[Utilisation, ...]
@@ -116,6 +117,7 @@ class Copies:
 
     def show(self, projection: ProjectionCommand | Tensor) -> Light:
         """The light of the symbol for B projections, or for poses `[B, 4]`: x, y in m, roll, pitch in rad."""
+        check_process()
         if isinstance(projection, Tensor):
             projection = ProjectionCommand(projection)
         crops = self.projector.footprints(projection, self.sensor.model.eye.view, self.sensor.params.footprint_margin_m)

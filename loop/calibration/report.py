@@ -6,9 +6,11 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from loop.calibration.digitise import Digitised
+from loop.recording.style import DEFAULTS
 from world.arrays import write_npz
 from world.files import whole
 
@@ -39,6 +41,7 @@ def facts(module: Digitised) -> dict[str, Any]:
     }
 
 
+@rc_context(DEFAULTS)
 def write(stem: Path, modules: Sequence[Digitised]) -> list[Path]:
     """Write `STEM.json`, `STEM.png` and `STEM_pixels.npz` beside a lamp file; returns the paths."""
     text, picture, pixels = stem.with_suffix(".json"), stem.with_suffix(".png"), stem.with_name(f"{stem.name}_pixels.npz")

@@ -10,6 +10,7 @@ import traceback
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Any, Literal
 
 from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensError
@@ -27,6 +28,7 @@ from loop.terminal.options import DIFFERS, FAILED, INTERRUPTED, OK, UNREAD, WRON
 from world.errors import LuxloopError, did_you_mean
 
 DEBUG = "--debug"
+INSTALL = "--install-completion"
 
 
 def version() -> str:
@@ -52,7 +54,7 @@ for command in (studio, schema, doctor, data_app, headlight_app, export_app, rig
     app.command(command)
 for study in (evaluate, campaign, dataset, tune, optimise_beam, train_detector):
     app.command(study)
-app.register_install_completion_command(help="Install shell completion for bash, zsh or fish.")
+app.register_install_completion_command(INSTALL, help="Install shell completion for bash, zsh or fish.")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -60,6 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # SIGTERM ends a command as Ctrl-C does
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as nohup has it
         signal.signal(signal.SIGHUP, signal.default_int_handler)  # so does the end of a terminal: a rig goes dark
+    os.environ["PYTHONSAFEPATH"] = "1"  # child processes import nothing from the working folder
+    os.environ["MPLBACKEND"] = "agg"  # Jupyter's is not importable everywhere
     gc.set_threshold(10_000)  # imports make 240,000 objects that stay, which the default of 700 goes over again and again
     atexit.register(gc.freeze)  # and the end of the process, too
     warnings.simplefilter("ignore")
@@ -89,10 +93,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
             traceback.print_exception(error)
         print(f"error: {error}", file=sys.stderr)
         return WRONG
+    except OSError as error:
+        if error.filename is None or INSTALL not in tokens:
+            raise
+        _say(f"error: {INSTALL}: {error.filename}: cannot be written ({error.strerror}); check HOME and its permissions")
+        return WRONG
     except CycloptsError as error:
         _say(f"error: {_complaint(error)}")
         return WRONG
     except KeyboardInterrupt as error:
+        for each in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(each, signal.SIG_IGN)  # a second one would kill the process while it ends
         _say(f"interrupted{f': {error}' if str(error) else ''}")
         return INTERRUPTED
     except BrokenPipeError:
@@ -156,7 +167,10 @@ def new(file: Path | None = None, /, *, like: str | None = None, traffic: int | 
         raise LuxloopError(f"{file}: exists already; name another file, or remove it first") from error
     except OSError as error:
         raise LuxloopError(f"{file}: cannot be written ({error.strerror}); check its folder") from error
-    print(f"{file} written; {'its first lines say how to use it' if like in examples() else f'run it with: luxloop run {file}'}")
+    print(
+        f"{file} written; "
+        + ("its first lines say how to use it" if like in examples() else f"run it with: luxloop run {quote(str(file))}")
+    )
 
 
 @app.command
@@ -282,7 +296,7 @@ def run(
 
         scenario = to_the_end(scenario)
     kept = {"video": video, "report": report, "frames": frames, "labels": labels, "masks": masks, "depth": depth, "lux": lux}
-    folder = out or Path("runs") / Path(name).stem
+    folder = out or Path("runs") / Path(os.path.abspath(name)).stem
     if rig is not None and scenario.digitised is not None:
         from loop.commands.rig_live import run_live
 

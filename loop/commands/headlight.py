@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Literal
 
 from cyclopts import App
@@ -178,7 +179,7 @@ def build(description: Path, /, *, out: Path | None = None) -> None:
     save(target, lamp)
     tables.show(headlight_tables.built(report))
     _tell_what_beams_keep(lamp)
-    print(f"{target} written, {target.stat().st_size / 1e6:.1f} MB; look at it with: luxloop headlight show {target}")
+    print(f"{target} written, {target.stat().st_size / 1e6:.1f} MB; look at it with: luxloop headlight show {quote(str(target))}")
 
 
 @headlight_app.command

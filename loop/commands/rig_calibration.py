@@ -1,6 +1,7 @@
 """The commands `luxloop rig board|calibrate|digitise|fit`: calibrate a rig's camera and geometry, digitise its lamp, fit a scenario."""
 
 import math
+import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -151,7 +152,7 @@ def calibrate(
     tables.show(tables.facts(rows_shown))
     keys = steps.overrides(done.calibration, modules[0])
     print(f"--set {' '.join(f'{key}={value:g}' for key, value in keys.items())}")
-    print(f"{out} written; digitise the lamp with: luxloop rig digitise {name} --calibration {out}")
+    print(f"{out} written; digitise the lamp with: luxloop rig digitise {shlex.join([name, '--calibration', str(out)])}")
 
 
 def digitise(
@@ -256,7 +257,9 @@ def digitise(
         print("no --lux: intensities are in the camera's own unit; give a reading for candela")
     elif len(readings) > 1:
         print(f"the luxmeter's readings differ by {100 * scatter:.2g} % from the digitised light")
-    print(f"{out} written, with {', '.join(each.name for each in written)}; look at it with: luxloop headlight show {out}")
+    print(
+        f"{out} written, with {', '.join(each.name for each in written)}; look at it with: luxloop headlight show {shlex.quote(str(out))}"
+    )
 
 
 def fit(

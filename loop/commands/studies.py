@@ -147,8 +147,8 @@ def tune(
 
     tuned = tuple(ranges.parse(each, scenarios) for each in key or [])
     task = Task(scenarios, tuned, objectives.parse(objective), seeds, seed, str(torch_device(device)))
-    taken = "" if controller is None else f" --controller {controller}"
-    do_tune(task, out or Path("runs") / f"tune-{scenarios[0].name}", trials, jobs, gradient, f"{names[0]}{taken}")
+    played_by = shlex.join([names[0], *([] if controller is None else ["--controller", controller])])
+    do_tune(task, out or Path("runs") / f"tune-{Path(names[0]).stem}", trials, jobs, gradient, played_by)
 
 
 def optimise_beam(

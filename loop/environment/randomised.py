@@ -11,6 +11,7 @@ from loop.environment.single import SymbolEnv
 from loop.environment.vector import SymbolVectorEnv
 from loop.studies import ranges
 from loop.studies.ranges import Range
+from world.errors import LuxloopError
 
 
 class Randomised(gymnasium.Wrapper[Any, Any, Any, Any]):
@@ -53,6 +54,8 @@ class _Drawn:
     def __init__(self, env: Any, keys: Sequence[str], every: int) -> None:
         assert isinstance(env, SymbolEnv | SymbolVectorEnv)
         scenario = env.scenario if isinstance(env, SymbolEnv) else env.single.scenario
+        if every < 1:
+            raise LuxloopError(f"every: {every} is too few episodes; give 1 or more")
         self.env, self.every, self.episode = env, every, 0
         self.ranges = [ranges.parse(key, [scenario]) for key in keys]
         self.generator, self.values = np.random.default_rng(), dict[str, float | int]()

@@ -9,6 +9,7 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
+from gymnasium.utils import EzPickle
 
 from controllers.symbol.sensing.symbol_sensor import Measurement
 from loop.environment.acting import ACTIONS
@@ -17,6 +18,7 @@ from loop.lighting.result import SimulationState, StepResult
 from loop.lighting.simulation import Simulation
 from loop.plant.simulated import as_simulated
 from loop.report.picture import frame_picture, white_of
+from loop.run import torch_device
 from loop.scenario.edits import changed
 from loop.scenario.model import Scenario, load, only
 from perception.extraction import Loss
@@ -26,7 +28,7 @@ FPS = 10
 SEEDS = 2**63
 
 
-class SymbolEnv(gymnasium.Env[Any, Floats]):
+class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
     """A scenario with exactly one held symbol, whose controller the agent replaces.
 
     An observation is float32:
@@ -51,7 +53,8 @@ class SymbolEnv(gymnasium.Env[Any, Floats]):
 
     The reward is that of `loop.environment.task.Reward`, its terms are in `info["terms"]`; `info["verdict"]` has all values of the judge.
     An episode is truncated after the scenario's steps and never terminates before. `reset(seed=n)` draws the noise of seed n in the same
-    world; `options={"start": [x, y, roll, pitch]}` sets the start pose (m, rad).
+    world; `options={"start": [x, y, roll, pitch]}` sets the start pose (m, rad). A copy, and what is pickled, is made anew with the same
+    arguments: call `reset` next.
     """
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's name)
@@ -71,8 +74,9 @@ class SymbolEnv(gymnasium.Env[Any, Floats]):
 
         Raises LuxloopError if there is no such scenario, if it has not exactly one held symbol, or if its plant does not know the truth.
         """
+        EzPickle.__init__(self, scenario, overrides, action=action, image=image, render_mode=render_mode, device=device)
         self.scenario = changed(load(str(scenario)) if isinstance(scenario, str | Path) else scenario, [*overrides, "judge_every=1"])
-        self.render_mode, self.image, self._device, self._action = render_mode, image, device, known_action(action)
+        self.render_mode, self.image, self._device, self._action = render_mode, image, torch_device(device), known_action(action)
         self._simulation: Simulation | None = None
         self.prepare({})
         low, high = bounds(self.acting)
@@ -103,7 +107,7 @@ class SymbolEnv(gymnasium.Env[Any, Floats]):
         scenario = simulation.scenario.model_copy(update={"seed": drawn})
         self.simulation = replace(simulation, scenario=scenario, plant=plant)
         state, symbol = self.simulation.start(), self.simulation.symbol
-        pose = start_of(options, symbol.function.start_pose.pose).to(symbol.projector.target)
+        pose = start_of(options, symbol.function.start_pose.pose, (4,)).to(symbol.projector.target)
         ((name, held),) = state.held.items()
         self._state = replace(state, held={name: replace(held, controller=self.acting.start(pose))})
         self._result = None
@@ -179,12 +183,13 @@ def known_action(action: str) -> str:
     return action
 
 
-def start_of(options: dict[str, Any] | None, pose: torch.Tensor) -> torch.Tensor:
-    """The start pose `[..., 4]` in `options`, by default `pose`. Raises LuxloopError if it is not a pose."""
+def start_of(options: dict[str, Any] | None, pose: torch.Tensor, *shapes: tuple[int, ...]) -> torch.Tensor:
+    """The start pose in `options`, by default `pose` `[4]`. Raises LuxloopError if it has none of the shapes, or is not finite."""
     given = (options or {}).get("start")
     if given is None:
         return pose
     start = torch.as_tensor(np.asarray(given, np.float32))
-    if start.shape[-1:] != (4,) or not bool(start.isfinite().all()):
-        raise LuxloopError("reset: options['start']: is no pose; give x and y in m, roll and pitch in rad")
+    if start.shape not in shapes or not bool(start.isfinite().all()):
+        wanted = " or ".join(map(str, shapes))
+        raise LuxloopError(f"reset: options['start']: is no pose; give x and y in m, roll and pitch in rad, in the shape {wanted}")
     return start

@@ -9,6 +9,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 import torch
+from gymnasium.utils import EzPickle
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
@@ -30,7 +31,7 @@ from world.errors import LuxloopError
 Mask = npt.NDArray[np.bool_]
 
 
-class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]]):
+class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]], EzPickle):
     """`num_envs` copies of `SymbolEnv` in one standing world; observations, actions and rewards of each are those of `SymbolEnv`.
 
     autoreset_mode: of Gymnasium; with DISABLED, `reset(options={"reset_mask": [num_envs] bool})` resets some copies. `reset(seed=n)` gives
@@ -49,8 +50,11 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]])
         device: str = "cpu",
     ) -> None:
         """Parameters and errors as of `SymbolEnv`; also raises LuxloopError unless the symbol is the only function in a standing world."""
+        if num_envs < 1:
+            raise LuxloopError(f"num_envs: {num_envs} is too few copies; give 1 or more")
         if action == "heights":
             raise LuxloopError("action: 'heights' is drawn one by one; take luxloop.make, or moves or gains")
+        EzPickle.__init__(self, scenario, num_envs, overrides, action=action, image=image, autoreset_mode=autoreset_mode, device=device)
         self.single = SymbolEnv(scenario, overrides, action=action, image=image, device=device)
         self.num_envs, self.image, self.mode = num_envs, image, AutoresetMode(autoreset_mode)
         self.metadata = {"autoreset_mode": self.mode, "render_modes": []}
@@ -83,7 +87,11 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]])
         if self._state is None and not fresh.all():
             raise LuxloopError("reset: options['reset_mask']: all copies must begin once first")
         symbol = self.copies.symbol
-        pose = start_of(options, symbol.function.start_pose.pose).to(symbol.projector.target).expand(self.num_envs, 4)
+        pose = (
+            start_of(options, symbol.function.start_pose.pose, (4,), (self.num_envs, 4))
+            .to(symbol.projector.target)
+            .expand(self.num_envs, 4)
+        )
         start = self.acting.start(pose)
         if self._state is None:
             self._state, self._age, self._seeds, self._looks = start, np.zeros(self.num_envs, int), seeds, list[Look]()

@@ -6,12 +6,14 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from loop.evaluation.evaluate import FIXED_A_M, Evaluation, Row
 from loop.evaluation.jobs import headlight, light_of
+from loop.recording.style import DEFAULTS
 from world.beams.rectangles import SETPOINT_CD, Rectangle
 from world.files import whole
 
@@ -21,6 +23,7 @@ ERRORS = {"mae": "MAE", "rmse": "RMSE", "dssim": "DSSIM"}
 SHOWN = [Rectangle(0, 0, 3.75, height) for height in (1, 2, 3)]  # of T figures 8.9 and 8.10
 
 
+@rc_context(DEFAULTS)
 def draw(evaluation: Evaluation, folder: Path, prefix: str = "") -> list[Path]:
     """Draw all figures of all lamps as PNG files whose names begin with the prefix; returns the files."""
     folder.mkdir(parents=True, exist_ok=True)

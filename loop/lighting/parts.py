@@ -16,10 +16,12 @@ from loop.plant.build import build_plant
 from loop.scenario.model import Scenario
 from loop.scenario.shipped import named
 from perception.camera import camera_view
+from world.process import check_process
 
 
 def parts(scenario: Scenario, device: torch.device, made: Made) -> dict[str, Any]:
-    """Fields of `Simulation`. Raises LuxloopError where something is missing, beams included, or broken."""
+    """Fields of `Simulation`. Raises LuxloopError where something is missing, beams included, or broken, and as `check_process`."""
+    check_process()
     planner = Planner.prepare(scenario.functions, scenario.lighting, lambda image: named(image, "symbols"))
     modules = shining_modules(scenario, device, made)
     check_names(scenario, modules)

@@ -40,6 +40,7 @@ from perception.egomotion import Ego, Samples, ego_of, newest
 from world.errors import LuxloopError, located
 from world.frames import inverse
 from world.headlight.lamp import REST, Commands
+from world.process import check_process
 from world.view import View
 
 BEAMS: Mapping[OtherLight, BeamName] = {"full_light": "full", "low_beam": "low"}
@@ -192,6 +193,7 @@ class Simulation:
 
         Where symbols are held all light is shown first, and for the rest of the step all but the symbols whose turn it is.
         """
+        check_process()
         clock = Clock()
         ego, now, commands = self._sense(state)
         plan = self._plan(state, now, ego)

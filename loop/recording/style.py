@@ -2,10 +2,13 @@
 
 from typing import Any
 
+from matplotlib import rcParamsDefault
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 
-STYLE: Any = {
+# Of matplotlib, whatever a matplotlibrc in the working folder says, which could start LaTeX
+DEFAULTS: Any = {key: value for key, value in rcParamsDefault.items() if key != "backend"}
+STYLE: Any = DEFAULTS | {
     "font.size": 9,
     "axes.titlesize": 9.5,
     "axes.titlelocation": "left",

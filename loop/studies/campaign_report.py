@@ -6,9 +6,11 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib import rc_context
 from rich.table import Table
 
 from loop.jobs.executors import dask, local
+from loop.recording.style import DEFAULTS
 from loop.run import torch_device
 from loop.studies.campaign import TABLE, Campaign, Row, run_campaign
 from loop.terminal import tables
@@ -96,6 +98,7 @@ def _groups(rows: Iterable[Row], names: Sequence[str]) -> list[tuple[tuple[str, 
     return list(groups.items())
 
 
+@rc_context(DEFAULTS)
 def _draw(campaign: Campaign, file: Path) -> None:
     """One panel per metric: scenarios along x, a colour for each controller and variant, a dot for each seed."""
     kinds = [kind for kind in SHOWN if any(row.get(kind) is not None for row in campaign.rows)] or ["settle_step"]

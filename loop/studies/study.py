@@ -65,7 +65,7 @@ def _mend(file: Path, digest: str) -> None:
     if content.startswith(_START) or _START.startswith(content):  # else it is no journal
         try:
             json.loads(last if last.endswith(b"\n") else b"")
-        except ValueError:
+        except (ValueError, RecursionError):
             os.truncate(file, len(content) - len(last))
     study = _opened(file, digest)
     for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
@@ -77,8 +77,12 @@ def _opened(file: Path, digest: str) -> optuna.Study:
         storage = JournalStorage(JournalFileBackend(str(file)))
         pruner = optuna.pruners.MedianPruner(n_startup_trials=PRUNING_AFTER)
         study = optuna.create_study(storage=storage, study_name="tune", pruner=pruner, load_if_exists=True)
-    except (ValueError, KeyError) as error:
-        raise LuxloopError(f"{file}: is not a study's journal ({error}); give another folder with --out") from error
+    except OSError:
+        raise
+    except Exception as error:  # Optuna raises whatever a damaged journal provokes
+        raise LuxloopError(
+            f"{file}: is not a study's journal ({str(error) or type(error).__name__}); give another folder with --out"
+        ) from error
     if study.user_attrs.setdefault("task", digest) != digest:
         raise LuxloopError(
             f"{file.parent}: holds a study of other settings or of another luxloop; give another folder with --out, or remove it"

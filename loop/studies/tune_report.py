@@ -1,15 +1,18 @@
 """Run a tuning and write its report: history of the cost, importance of keys, best against given values."""
 
 from pathlib import Path
+from shlex import quote
 
 import matplotlib.pyplot as plt
 import numpy as np
 import optuna
+from matplotlib import rc_context
 from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
 from optuna.trial import TrialState
 
 from loop import objective
 from loop.jobs.executors import local
+from loop.recording.style import DEFAULTS
 from loop.studies import ranges
 from loop.studies.gradient import tune_by_gradient
 from loop.studies.study import FINISHED, STUDY
@@ -46,7 +49,7 @@ def do_tune(task: Task, folder: Path, trials: int, processes: int | None, gradie
     if notes := _notes(tuned):
         print(notes.strip())
     if values:
-        print(f"{folder / BEST} and {folder / REPORT} written; run it with: luxloop run {played_by} --set {folder / BEST}")
+        print(f"{folder / BEST} and {folder / REPORT} written; run it with: luxloop run {played_by} --set {quote(str(folder / BEST))}")
     else:
         print(f"no trial is better than the given values; {folder / REPORT} written")
     return tuned
@@ -109,6 +112,7 @@ def _importances(tuned: Tuned) -> dict[str, float]:
     return dict(get_param_importances(tuned.study, evaluator=PedAnovaImportanceEvaluator()))
 
 
+@rc_context(DEFAULTS)
 def _draw(tuned: Tuned, file: Path) -> None:
     """Costs over trials, then over each key."""
     trials: list[optuna.trial.FrozenTrial] = tuned.study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))

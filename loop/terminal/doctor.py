@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
@@ -116,7 +117,8 @@ def opengl_check(environment: Mapping[str, str]) -> Check:
         return Check("OpenGL", "warn", _last_line(probe.stderr).removeprefix("world.rendering.rasterise.NoOpenGL: "), remedy)
     renderer = _last_line(probe.stdout)
     kind = "software" if re.search("llvmpipe|softpipe|swrast", renderer) else "GPU"
-    return Check("OpenGL", "ok", f"{renderer}, {kind}")
+    beside = "; triton is loaded before it, since it crashes after it" if find_spec("triton") else ""
+    return Check("OpenGL", "ok", f"{renderer}, {kind}{beside}")
 
 
 @_failing_with("ray caster", f"{PIP} --force-reinstall embreex trimesh")

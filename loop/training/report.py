@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from loop.recording.style import FOUR, STYLE
+from loop.recording.style import DEFAULTS, FOUR, STYLE
 from loop.terminal import tables
 from loop.terminal.tables import number
 from loop.training.judge import AGREE, ALONE_LX, AROUND_LX, FOUND_IOU, HEIGHT_PX, JUDGED_LX, VISIBLE
@@ -120,6 +120,7 @@ def confidence_figure(report: Report) -> Figure:
         return figure
 
 
+@rc_context(DEFAULTS)
 def write_report(report: Report, out: Path) -> None:
     """Write page and picture into a folder. Raises LuxloopError if they cannot be written."""
     with whole(out / PICTURE) as file:

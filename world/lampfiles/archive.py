@@ -20,7 +20,7 @@ from world.errors import LuxloopError, located
 from world.files import reading, whole
 from world.headlight import Headlight
 from world.headlight.lamp import Lamp, Module
-from world.params import Params
+from world.params import ModuleName, Params
 from world.spmv import Csr
 from world.validation import sentences
 
@@ -35,7 +35,7 @@ RIGID = 1e-6  # tolerance of rotation matrices
 class ModuleHeader(Params):
     """Properties of a module besides its arrays."""
 
-    name: str
+    name: ModuleName
     headlight: str
     rows: int = Field(ge=1)
     cols: int = Field(ge=1)

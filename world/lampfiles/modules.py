@@ -20,7 +20,7 @@ from world.headlight.overlap import Method, OverlapErrors, errors, reduce, stand
 from world.headlight.parametric import BlurredRectangles, GaussianPixels
 from world.headlight.pixel_sources import FileSource, FolderSource, TableSource
 from world.headlight.pixels import CUTOFF, TEXELS_A_PIXEL, Assembled, PixelArray, affordable, assemble, border_share, default_grid, describe
-from world.params import Degrees, Params
+from world.params import Degrees, ModuleName, Params
 from world.photometry.distribution import Array
 from world.presets.modules import headlight
 from world.spmv import Csr
@@ -118,7 +118,7 @@ class MountParams(Params):
 class ModuleParams(Params):
     """One module of a lamp."""
 
-    name: str = Field(min_length=1, max_length=80, examples=["fine"], description="name in tables and scenarios")
+    name: ModuleName = Field(examples=["fine"], description="name in tables, scenarios and names of files")
     source: SourceParams = Field(examples=[{"kind": "preset", "name": "hd84"}], description="source of its pixels' light")
     texture: TextureParams = Field(TextureParams(), description="size and field of the light texture")
     cutoff: float = Field(CUTOFF, ge=0, lt=1, description="share of a pixel's peak below which its measured light is dropped")

@@ -83,7 +83,7 @@ class DeferredRenderer:
     def _draw(self, bodies: Sequence[Placed], view: View, part: Part) -> Tensor:
         from OpenGL import GL
 
-        context()._platform.make_current()
+        context()
         _delete_gone()
         program = _program()
         GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, _sized_framebuffer(view.width, view.height))

@@ -1,6 +1,7 @@
 """Which triangle each pixel of a view sees, by OpenGL: pyrender, offscreen, on a GPU or in software."""
 
 import os
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,13 @@ import torch
 from torch import Tensor
 
 from world.errors import LuxloopError
+from world.process import check_process
 from world.scene.body import Body
 from world.scene.triangles import Triangles
 from world.view import View
 
 NEAR_M, FAR_M = 0.3, 1000.0  # 24 bits of depth between them: 0.7 mm at 60 m
+EGL_BAD_ACCESS = 0x3002
 GL_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL looks along -z, with y up
 
 
@@ -28,7 +31,7 @@ class Rasteriser:
 
     def __init__(self) -> None:
         """Raises NoOpenGL."""
-        self._context = context()
+        context()
         self._meshes: WeakKeyDictionary[Body, list[Any]] = WeakKeyDictionary()
         self.name = f"OpenGL ({_renderer_name()})"
 
@@ -47,8 +50,9 @@ class Rasteriser:
                 node = scene.add(mesh, pose=placed.T_world_body.numpy(), name=f"{len(first_ids):06}")
                 # pyrender clears to 0, so ids in the picture begin with 1
                 first_ids[node] = [((first + 1) >> shift) & 255 for shift in (0, 8, 16)]
-        self._context.viewport_width, self._context.viewport_height = view.width, view.height
-        rgb, _ = self._context.render(scene, pyrender.RenderFlags.SEG, first_ids)
+        renderer = context()
+        renderer.viewport_width, renderer.viewport_height = view.width, view.height
+        rgb, _ = renderer.render(scene, pyrender.RenderFlags.SEG, first_ids)
         red, green, blue = torch.from_numpy(rgb.copy()).permute(2, 0, 1).long()
         return red + (green << 8) + (blue << 16) - 1
 
@@ -81,11 +85,31 @@ def _ordered_scene() -> Any:
     return OrderedScene()
 
 
-@cache
 def context() -> Any:
-    """The one OffscreenRenderer of the process: pyrender's meshes belong to the context that they were first drawn in."""
+    """The one OffscreenRenderer of the process, current in this thread: pyrender's meshes belong to the context that first drew them.
+
+    Raises NoOpenGL; LuxloopError as `check_process`, in a second thread, and where others have ended EGL.
+    """
+    check_process()
+    renderer = _context()
+    from OpenGL.error import GLError
+
+    try:
+        renderer._platform.make_current()
+    except GLError as error:
+        if error.err == EGL_BAD_ACCESS:
+            raise LuxloopError("another thread of this process renders; use luxloop from one thread, or from a process each") from error
+        remedy = "do not call pyrender's OffscreenRenderer.delete() before the last step, or take renderer=raycast"
+        raise LuxloopError(f"this process's OpenGL context is gone, since other code has ended EGL; {remedy}") from error
+    return renderer
+
+
+@cache
+def _context() -> Any:
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
     os.environ.setdefault("PYGLET_HEADLESS", "true")  # pyrender imports its viewer, which would ask for an X server
+    with suppress(ImportError):  # its LLVM crashes if it is loaded after that of Mesa's llvmpipe; torch's optimisers load it
+        import triton  # noqa: F401
     try:
         import pyrender
         from pyrender.shader_program import ShaderProgramCache
@@ -102,5 +126,5 @@ def context() -> Any:
 def _renderer_name() -> str:
     from OpenGL.GL import GL_RENDERER, glGetString
 
-    context()._platform.make_current()
+    context()
     return glGetString(GL_RENDERER).decode()

@@ -316,6 +316,26 @@ def test_doctor(lux: Lux, monkeypatch: pytest.MonkeyPatch) -> None:
     assert lux("doctor")[0] == 0
 
 
+def test_the_working_folder_runs_no_code(tmp_path: Path) -> None:
+    """Neither in the workers of a campaign nor by what draws its report; Jupyter's backend of Matplotlib is not asked for."""
+    ran = tmp_path / "ran"
+    for name in ("joblib.py", "threading.py", "torch.py"):
+        (tmp_path / name).write_text(f"open({str(ran)!r}, 'w')\n")
+    (tmp_path / "matplotlibrc").write_text("text.usetex: True\n")
+    (tmp_path / "latex").write_text(f"#!/bin/sh\ntouch {ran}; exit 1\n")
+    (tmp_path / "latex").chmod(0o755)
+    small = 'headlight.model = "hd84"\ncamera = { width_px = 160, height_px = 90, oversampling = 1 }\nrenderer = "raycast"\n'
+    small += "functions.symbol = { width_m = 4.0, length_m = 8.0 }\n"
+    (tmp_path / "c.toml").write_text(
+        f'scenarios = ["snowflake"]\nseeds = [1]\ncontrollers = ["open", "luxloop"]\n[set]\nsteps = 1\n{small}'
+    )
+    program = "import sys; sys.path.pop(0); from loop.commands.cli import main; sys.exit(main())"  # which -c puts first, and `luxloop` not
+    there = {"PYTHONPATH": str(ROOT), "PATH": f"{tmp_path}:{os.environ['PATH']}", "MPLBACKEND": "module://no_such.backend"}
+    command = [sys.executable, "-c", program, "campaign", "c.toml", "--jobs", "2"]
+    done = subprocess.run(command, cwd=tmp_path, env={**os.environ, **there}, capture_output=True, text=True)
+    assert (done.returncode, ran.exists()) == (0, False), done.stderr
+
+
 def test_process_starts_quickly_and_takes_a_closed_pipe_calmly() -> None:
     """What help and lists import is what makes them slow: torch alone takes a second."""
     program = (

@@ -1,13 +1,19 @@
 """Environments: Gymnasium's own check, seeds, what actions do, and many copies that are the single one."""
 
+import copy
+import pickle
 import subprocess
 import sys
 import warnings
+from math import nan
+from multiprocessing import get_context
 from pathlib import Path
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
@@ -16,6 +22,7 @@ from loop.environment.acting import HEIGHT_RATE_M
 from loop.environment.randomised import Randomised, RandomisedVector
 from loop.environment.registered import register
 from loop.environment.single import SymbolEnv
+from loop.environment.task import reward
 from perception.extraction import Loss
 from world.errors import LuxloopError
 
@@ -74,6 +81,26 @@ def test_moves_move_the_symbol_as_far_as_the_controller_may(env: SymbolEnv) -> N
     assert info["terms"]["action"] == pytest.approx(-0.01 * (1 + 0.25 + 0 + 1) / 4)
     assert info["terms"]["iou"] == pytest.approx(float(info["verdict"]["iou"]))
     assert before[CODES].argmax() == Loss.NO_FRAME and after[CODES].argmax() == Loss.SEEN
+
+
+def test_the_reward_is_for_overlap_and_against_distance_and_action() -> None:
+    said = {"iou": [1.0, 0.3, nan], "centroid_percent": [[0.0, 0.0], [60.0, -80.0], [nan, nan]]}
+    verdict = SimpleNamespace(**{key: torch.tensor(each) for key, each in said.items()})
+    action = torch.tensor([[0.0, 0.0], [1.0, -1.0], [0.0, 1.0]])
+    assert reward(verdict, action).reward.tolist() == pytest.approx([1.0, 0.3 - 0.5 - 0.01, -0.5 - 0.005])
+
+
+def test_a_copy_is_as_made_anew(env: SymbolEnv) -> None:
+    actions = np.full((2, 4), 0.2, np.float32)
+    for copied in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
+        assert all(map(np.array_equal, played(copied, actions, 5), played(env, actions, 5)))
+
+
+def test_a_fork_says_so_and_does_not_hang(env: SymbolEnv) -> None:
+    env.reset(seed=0)
+    env.step(np.zeros(4, np.float32))
+    with get_context("fork").Pool(1) as pool, pytest.raises(LuxloopError, match=r"forked .* 'spawn'"):
+        pool.apply_async(luxloop.make, ("snowflake", *SMALL)).get(timeout=120)
 
 
 def test_an_episode_ends_with_the_scenarios_steps(env: SymbolEnv) -> None:
@@ -191,6 +218,10 @@ def test_worlds_are_drawn_from_the_seed_and_shared_by_episodes() -> None:
         (lambda: luxloop.make_vec("snowflake", 2, *SMALL, action="heights"), "drawn one by one"),
         (lambda: luxloop.make_vec("snowflake", 2, *SMALL, "vehicle.course=[{ speed_m_s=10.0 }]"), "in which nothing moves"),
         (lambda: luxloop.make("snowflake", *SMALL).reset(options={"start": [1.0, 2.0]}), "give x and y in m"),
+        (lambda: luxloop.make("snowflake", *SMALL).reset(options={"start": [[9.0, 0.0, 0.0, 0.0]] * 3}), r"in the shape \(4,\)"),
+        (lambda: luxloop.make("snowflake", *SMALL, device="cuda:99"), "cuda"),
+        (lambda: luxloop.make_vec("snowflake", 0, *SMALL), "num_envs: 0"),
+        (lambda: Randomised(luxloop.make("snowflake", *SMALL), ["road.seed=1:2"], every=0), "every: 0"),
         (lambda: Randomised(luxloop.make("snowflake", *SMALL), ["road.sed=1:2"]), r"road\.sed"),
     ],
 )

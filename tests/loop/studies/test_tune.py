@@ -19,7 +19,7 @@ from loop.lighting.simulation import Simulation
 from loop.scenario.model import Scenario, load
 from loop.studies import gradient, ranges
 from loop.studies import tune as module
-from loop.studies.study import FINISHED, STUDY
+from loop.studies.study import FINISHED, STUDY, study_in
 from loop.studies.surrogate import Learned, near
 from loop.studies.tune import Task, Trace, Tuned, tune
 from loop.studies.tune_report import BEST, PICTURE, REPORT, write
@@ -294,6 +294,17 @@ def test_an_option_that_a_class_of_ones_own_lacks_is_refused_before_anything_is_
     said = " ".join(capsys.readouterr().err.split())
     assert "controller.options.wieght: " in said and "did you mean 'weight'?" in said
     assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("line", [b"{}", b"[]", b'{"op_code": 4}', b"[" * 100_000, b'{"op_code": 99, "worker_id": ""}'])
+def test_a_damaged_journal_is_one_sentence(line: bytes, tmp_path: Path) -> None:
+    with study_in(tmp_path, "digest") as study:
+        study.tell(study.ask(), 1.0)
+    file = tmp_path / STUDY
+    kept = file.read_bytes().splitlines()
+    file.write_bytes(b"\n".join([*kept[:1], line, *kept[1:], b""]))
+    with pytest.raises(LuxloopError, match=r"study\.log: is not a study's journal"), study_in(tmp_path, "digest"):
+        pass
 
 
 def test_other_settings_need_another_folder(tuned: Tuned, scenario: Scenario, tmp_path: Path) -> None:
