@@ -25,12 +25,10 @@ from loop.scenario.overrides import TAGS
 from loop.scenario.shipped import shipped
 from loop.studies.campaign import CampaignParams
 from loop.studio.page import PAGE
-from tests.parts import parts_serve_again, simulations_end_with_the_file
 from world.lampfiles import description
 from world.lampfiles.description import LampDescription
 from world.validation import validated
 
-__all__ = ["parts_serve_again", "simulations_end_with_the_file"]
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md"))]
 

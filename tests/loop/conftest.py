@@ -15,16 +15,14 @@ from loop.lighting.simulation import Simulation
 from loop.plant.protocol import Exposure
 from loop.plant.simulated import SimulatedPlant
 from loop.scenario.model import Scenario, validate
-from tests.parts import parts_serve_again, simulations_end_with_the_file, unshared
-
-__all__ = ["parts_serve_again", "simulations_end_with_the_file", "unshared"]
+from tests.lamps import SMALL_LAMP
 
 SMALL: dict[str, Any] = {
     "name": "small",
     "steps": 12,
     "camera": {"width_px": 320, "height_px": 180},
     "surface": {"grain": 0.0},
-    "headlight": {"model": "idealised-332x1024", "lamps": ["left"]},
+    "headlight": {"model": SMALL_LAMP, "lamps": ["left"]},
     "renderer": "raycast",
     "functions": {
         "symbol": {
@@ -36,7 +34,7 @@ SMALL: dict[str, Any] = {
     },
 }
 
-FILE = """
+FILE = f"""
 name = "small"
 steps = 3
 renderer = "raycast"
@@ -46,13 +44,13 @@ grain = 0.0
 width_px = 320
 height_px = 180
 [headlight]
-model = "idealised-332x1024"
+model = "{SMALL_LAMP}"
 lamps = ["left"]
 [functions.symbol]
 kind = "symbol"
 image = "chevrons"
 controller = "luxloop"
-start = { x_m = 18.0, roll_deg = 2.0 }
+start = {{ x_m = 18.0, roll_deg = 2.0 }}
 """
 
 Lux = Callable[..., tuple[int, str, str]]

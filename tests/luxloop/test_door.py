@@ -10,11 +10,12 @@ from pathlib import Path
 import pytest
 
 import luxloop
+from tests.lamps import SMALL_LAMP
 from world.errors import LuxloopError
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "scenarios" / "examples").glob("*.py"))]
-SMALL = ["camera.width_px=320", "camera.height_px=180"]
+SMALL = [f"headlight.model={SMALL_LAMP}", "camera.width_px=320", "camera.height_px=180"]
 UNITS = r"_(m|deg|s|px|cd|percent)$"
 
 

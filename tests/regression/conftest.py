@@ -2,10 +2,6 @@
 
 import pytest
 
-from tests.parts import parts_serve_again, simulations_end_with_the_file
-
-__all__ = ["parts_serve_again", "simulations_end_with_the_file"]
-
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(

@@ -1,14 +1,8 @@
 """Parts of one simulation serve in the next."""
 
-from itertools import islice
 from typing import Any
 
-import pytest
-
 from loop.assembly.made import Made
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import Scenario
-from tests.parts import Remembering, made_by
 from world.roads.shapes import Bumps, Flat
 
 
@@ -40,13 +34,3 @@ def test_parts_of_the_one_before_the_last_are_let_go() -> None:
     parts(second)  # which has no parts
     assert second.before("part 0", None) is None and Made(second).before("part 0", None) is None
     assert Made(first).before("part 0", None) is not None
-
-
-@pytest.mark.usefixtures("unshared")
-def test_parts_that_tests_share_do_as_those_that_are_made_anew(small_scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
-    alone = Simulation.prepare(small_scenario)
-    made_by(Remembering, monkeypatch)
-    first, shared = (Simulation.prepare(small_scenario) for _ in range(2))
-    assert shared.modules[0].controller is first.modules[0].controller is not alone.modules[0].controller
-    for a, b in zip(islice(alone.run(), 4), islice(shared.run(), 4), strict=True):
-        assert a.symbol.pose.equal(b.symbol.pose) and all(u.equal(v) for u, v in zip(a.lights, b.lights, strict=True))

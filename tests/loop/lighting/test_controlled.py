@@ -20,13 +20,14 @@ from loop.plant.protocol import Arrivals, Exposure
 from loop.run import run as luxloop_run
 from loop.scenario.model import load, validate
 from perception.extraction import Loss
+from tests.lamps import SMALL_LAMP
 from world.errors import LuxloopError
 
 WORLD: dict[str, Any] = {
     "name": "held",
     "steps": 10,
     "road": {"kind": "bumps", "seed": 3},
-    "headlight": {"model": "idealised-332x1024", "lamps": ["left"]},
+    "headlight": {"model": SMALL_LAMP, "lamps": ["left"]},
     "camera": {"width_px": 320, "height_px": 180, "oversampling": 2},
     "light": {"ambient_lx": 0.3},
 }

@@ -13,7 +13,6 @@ from tests.loop.conftest import SMALL
 SYMBOL = SMALL["functions"]["symbol"] | {"controller": "luxloop"}
 
 
-@pytest.mark.usefixtures("unshared")
 @pytest.mark.parametrize("vehicle", [None, {"course": [{"speed_m_s": 10.0}]}], ids=["stands", "drives"])
 def test_a_simulation_goes_with_its_last_user(vehicle: dict[str, Any] | None) -> None:
     simulation = Simulation.prepare(validate(SMALL | {"vehicle": vehicle, "functions": {"symbol": SYMBOL}}, "freed"))

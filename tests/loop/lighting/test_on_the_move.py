@@ -8,6 +8,7 @@ import torch
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.scenario.model import validate
+from tests.lamps import SMALL_LAMP
 from world.frames import inverse, transform
 
 NODS = {"course": [{"speed_m_s": 20.0}], "oscillation": {"pitch_deg": 1.0, "rate_hz": 1.25}}
@@ -68,7 +69,7 @@ def test_a_symbol_stays_in_its_place_ahead_of_the_car() -> None:
 def test_the_road_of_a_crest_leaves_the_plane_of_the_ground_with_the_square_of_the_distance(drives: bool) -> None:
     crest = {"kind": "profile", "grades": [{"x_m": 0, "percent": -5, "curve_m": 75}]}  # a radius of 1500 m
     held = {"kind": "symbol", "image": "chevrons", "controller": "luxloop"}
-    lamp = {"model": "idealised-332x1024", "lamps": ["left"]}
+    lamp = {"model": SMALL_LAMP, "lamps": ["left"]}
     vehicle = {"course": [{"speed_m_s": 20.0}]} if drives else None
     symbol = simulation(road=crest, headlight=lamp, vehicle=vehicle, functions={"symbol": held}).symbol
     assert symbol.judge is not None

@@ -16,6 +16,7 @@ from loop.lighting.simulation import Simulation
 from loop.lighting.summary import shown
 from loop.run import run
 from loop.scenario.model import validate
+from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import Lux, assert_one_sentence
 from world.errors import LuxloopError
 
@@ -105,7 +106,7 @@ def test_a_symbol_is_held_on_a_plant_without_truth() -> None:
     flake = {"kind": "symbol", "image": "snowflake", "controller": "thesis_pid", "start": {"x_m": 18.0}}
     camera = {"width_px": 320, "height_px": 180}
     held = {
-        "headlight": {"model": "idealised-332x1024", "lamps": ["left"]},
+        "headlight": {"model": SMALL_LAMP, "lamps": ["left"]},
         "camera": camera,
         "functions": {"flake": flake},
         "vehicle": None,

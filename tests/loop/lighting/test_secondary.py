@@ -13,6 +13,7 @@ from loop.lighting.simulation import Simulation
 from loop.scenario.model import Scenario, load, validate
 from loop.scenario.shipped import shipped
 from perception.camera import CameraParams
+from tests.lamps import SMALL_LAMP
 
 CARPET = {"kind": "lane", "quantity": "E_v", "value": 1.0, "lane_width_m": 3.0, "near_m": 14.0, "far_m": 30.0}
 WANTED_LX = 1.0  # a single lamp of 50 kcd can give it up to 33 m ahead
@@ -49,14 +50,14 @@ def on_road(simulation: Simulation, result: StepResult, aside_m: float = 0.0) ->
 
 def test_lamps_share_a_setpoint_so_that_light_is_not_doubled() -> None:
     """idealised pixels are 0.06 deg wide, 2 m of road at 26 m, so the mean over the patch keeps to the setpoint within some percent."""
-    fine = {"headlight": {"model": "idealised-332x1024"}}
+    fine = {"headlight": {"model": SMALL_LAMP}}
     shared, doubled = (on_road(*run({"share": share}, **fine)) for share in (True, False))
     assert shared == pytest.approx(WANTED_LX, rel=0.06)
     assert doubled == pytest.approx(2 * shared, rel=0.02)
 
 
 def test_a_lamp_makes_up_for_one_that_is_blocked() -> None:
-    fine = {"headlight": {"model": "idealised-332x1024"}, "objects": [BARRIER]}
+    fine = {"headlight": {"model": SMALL_LAMP}, "objects": [BARRIER]}
     dim, made_up = (on_road(*run({"shadow_rays": rays}, **fine), aside_m=0.4) for rays in (False, True))
     assert dim < 0.8 * WANTED_LX < made_up
 
@@ -64,7 +65,7 @@ def test_a_lamp_makes_up_for_one_that_is_blocked() -> None:
 def test_street_light_is_taken_off() -> None:
     lit = {
         "light": {"street_lamps": [{"position_m": [22.0, 0.0, 8.0], "intensity_cd": 19.2}]},
-        "headlight": {"model": "idealised-332x1024"},
+        "headlight": {"model": SMALL_LAMP},
     }
     with_offset, without = (on_road(*run({"street_lamps": off}, **lit)) for off in (True, False))
     assert without - with_offset == pytest.approx(19.2 / 64, rel=0.15)  # E = I / h^2 right below; less towards the patch's ends
@@ -74,7 +75,7 @@ def test_an_observer_sees_the_picture_upright() -> None:
     """The light is where the observer's picture is bright: nothing of it lies on the road before the picture's lower edge."""
     picture = {"centre_m": [15.0, 0.0, 0.5], "width_m": 1.0, "height_m": 0.4, "eye_m": [-1.6, 0.0, 1.4]}
     symbol = {"kind": "symbol", "image": "warning_triangle", "observer": picture}
-    simulation, result = run({}, symbol, headlight={"model": "idealised-332x1024"})
+    simulation, result = run({}, symbol, headlight={"model": SMALL_LAMP})
     x, y, _ = simulation.world.lit(0.0).surfaces.position[:, result.illuminance > 0.5]
     assert len(x) > 50
     # The picture's lower edge at z = 0.3 m is seen on the road at x = -1.6 + 16.6 * 1.4 / 1.1, its upper one at 0.7 m at 31.6 m.
@@ -86,7 +87,7 @@ def test_what_an_observer_sees_is_measured_from_their_eye() -> None:
     """From where the symbol is meant to be seen it is the wanted picture; 2 m beside, from where it leans, it is not."""
     picture = {"centre_m": [14.0, 0.0, 0.5], "width_m": 2.0, "height_m": 0.5, "eye_m": [-1.6, 0.0, 1.3]}
     symbol = {"kind": "symbol", "image": "warning_triangle", "observer": picture}
-    simulation, result = run({}, symbol, headlight={"model": "idealised-332x1024"})
+    simulation, result = run({}, symbol, headlight={"model": SMALL_LAMP})
     assert result.symbol_iou_min is not None and result.symbol_iou_min > 0.85  # pixels are a fortieth of the picture in height
     primitives = result.plan.primitives
     assert primitives is not None and primitives.observer is not None

@@ -22,6 +22,7 @@ from loop.report.watched import PAST_SYMBOLS, Gathered, Watched
 from loop.run import run
 from loop.scenario.model import Scenario, validate
 from perception.extraction import Loss
+from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import SMALL
 from world.view import View
 
@@ -76,7 +77,7 @@ def test_page_of_an_unlucky_run(which: str, tmp_path: Path, small_simulation: Si
 
 @pytest.mark.slow
 def test_page_of_two_lamps_seen_from_above(tmp_path: Path) -> None:
-    lamps = {"model": "idealised-332x1024", "lamps": ["left", "right"]}
+    lamps = {"model": SMALL_LAMP, "lamps": ["left", "right"]}
     symbol = SYMBOL | {"modules": ["left", "right"], "features": {"view": "birdseye", "shape": "moments"}}
     simulation = Simulation.prepare(validate(SMALL | {"headlight": lamps, "functions": {"symbol": symbol}, "steps": 2}, "two lamps"))
     assert len(simulation.symbol.projector.modules) == 2

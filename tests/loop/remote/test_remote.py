@@ -15,6 +15,7 @@ import pytest
 
 from loop.run import RunResult, run
 from loop.scenario.model import validate
+from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
 from tests.loop.remote.conftest import free_port
 
@@ -24,7 +25,7 @@ ENGINE = ROOT / "scenarios/examples/game_engine.py"
 DRIVES: dict[str, Any] = {
     **SMALL,
     "steps": 4,
-    "headlight": {"model": "idealised-332x1024"},
+    "headlight": {"model": SMALL_LAMP},
     "functions": {
         "symbol": SMALL["functions"]["symbol"] | {"controller": {"name": "luxloop"}, "modules": ["left"]},
         "dimmed": {"kind": "command", "modules": ["right"], "intensity": 0.5},

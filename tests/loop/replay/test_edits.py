@@ -13,10 +13,19 @@ from loop.replay.edited import edited
 from loop.replay.replay import load, replay, rerun
 from loop.scenario.edits import Edit, changed
 from loop.scenario.model import load as scenario
+from tests.lamps import SMALL_LAMP
 from world.errors import LuxloopError
 from world.parquet import read_parquet
 
-SMALL = ("renderer=raycast", "camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "judge_every=0", "steps=9")
+SMALL = (
+    f"headlight.model={SMALL_LAMP}",
+    "renderer=raycast",
+    "camera.width_px=320",
+    "camera.height_px=180",
+    "camera.oversampling=1",
+    "judge_every=0",
+    "steps=9",
+)
 EDITS_MADE = {
     2: ("functions.symbol.controller.position.kp=0.3",),
     4: ("light.ambient_lx=0.6", 'functions.light={kind = "marker", categories = ["pedestrian"]}'),

@@ -142,7 +142,6 @@ def test_a_campaign_whose_runs_all_fail_says_why(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("unshared")
 def test_runs_that_share_a_simulation_are_as_those_that_do_not() -> None:
     small = ["steps=3", "headlight.model=hd84", "camera={ width_px=160, height_px=90 }", "functions.symbol={ width_m=4.0, length_m=8.0 }"]
     first, other = (load("flat", [*small, f"seed={seed}"]) for seed in (1, 2))

@@ -11,9 +11,17 @@ from websockets.asyncio.server import Server
 
 from loop.studio.server import Studio, Tokens
 from loop.studio.sources import Source
+from tests.lamps import SMALL_LAMP
 
 # a process has one OpenGL context, in one thread, which other tests of the process use
-SMALL = ("renderer=raycast", "camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "steps=6")
+SMALL = (
+    f"headlight.model={SMALL_LAMP}",
+    "renderer=raycast",
+    "camera.width_px=320",
+    "camera.height_px=180",
+    "camera.oversampling=1",
+    "steps=6",
+)
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,11 @@ from loop.lighting.simulation import Simulation
 from loop.run import prepare
 from loop.scenario.model import load
 from perception.extraction import Loss
+from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import frames_of
 
 SMALL = [
+    f"headlight.model={SMALL_LAMP}",
     "camera={width_px=640, height_px=480}",
     "functions.symbol.start={x_m=17.0, y_m=0.0, roll_deg=0.0, pitch_deg=0.0}",
     "functions.symbol.controller={name='open'}",
