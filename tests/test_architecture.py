@@ -7,8 +7,6 @@ from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parents[1]
 ORDER = ("world", "perception", "controllers", "loop", "luxloop")  # each may import those before it
 DATA = {"scenarios"}  # of loop only
@@ -27,8 +25,10 @@ GROWS = r"\.(add|append|clear|extend|insert|pop|popitem|remove|setdefault|update
 TRICKS = re.compile(r"object\.__setattr__|\bcopy\.copy\(|from copy import copy\b|vars\(.*?\)\[.*\] = |^ +global ", re.M)
 NEIGHBOURS = 7  # folders of its package, half of those of loop, that a folder imports from
 
-each_module = pytest.mark.parametrize("module", MODULES, ids=str)
-each_folder = pytest.mark.parametrize("folder", FOLDERS, ids=str)
+
+@cache
+def text_of(module: Path) -> str:
+    return (ROOT / module).read_text("utf-8")
 
 
 @cache
@@ -67,7 +67,7 @@ def folder_of(name: str) -> Path | None:
 @cache
 def arrows(folder: Path) -> set[Path]:
     """The other folders from which its modules import."""
-    sources = [(ROOT / module).read_text() for module in MODULES if module.parent == folder]
+    sources = [text_of(module) for module in MODULES if module.parent == folder]
     return {found for source in sources for name in imported(source) if (found := folder_of(name))} - {folder}
 
 
@@ -78,81 +78,79 @@ def test_imports_are_found_wherever_they_stand() -> None:
     assert {folder_of(name) for name in names} == {Path("world"), Path("world/headlight"), Path("world/light"), None}
 
 
-@each_module
-def test_arrows_point_one_way(module: Path) -> None:
-    package = module.parts[0]
-    names = tops(imported((ROOT / module).read_text()))
-    assert "." not in names, f"{module}: name the package in imports"
-    higher = set(ORDER[ORDER.index(package) + 1 :]) | (DATA if package != "loop" else set())
-    assert not names & higher, f"{module}: {package} must not import {names & higher}"
-    assert not names & {"tests", "benchmarks", "examples"}
+def test_imports_point_one_way() -> None:
+    wrong = []
+    for module in MODULES:
+        package, names = module.parts[0], tops(imported(text_of(module)))
+        barred = {*ORDER[ORDER.index(package) + 1 :], *(DATA if package != "loop" else ()), "tests", "benchmarks", "examples"}
+        wrong += [f"{module}: {package} must not import {name}" for name in sorted(names & barred)]
+        wrong += [f"{module}: name the package in imports"] * ("." in names)
+    for test in TESTS:
+        package = test.parts[1]
+        higher = tuple(f"{name}." for name in (*ORDER[ORDER.index(package) + 1 :], "benchmarks"))
+        found = {name for name in imported(text_of(test)) if name.removeprefix("tests.").startswith(higher)}
+        wrong += [f"{test}: move it to tests/loop, where it may import {name}" for name in sorted(found)]
+    assert not wrong, "\n".join(wrong)
 
 
 def test_no_folders_import_each_other() -> None:
     TopologicalSorter({folder: arrows(folder) for folder in FOLDERS}).prepare()  # raises CycleError, which names them
 
 
-@pytest.mark.parametrize("package", ORDER[:-1])
-def test_package_names_its_folders(package: str) -> None:
-    text = ast.get_docstring(ast.parse((ROOT / package / "__init__.py").read_text())) or ""
-    unnamed = [folder.name for folder in FOLDERS if folder.parent == Path(package) and f"`{folder.name}" not in text]
-    assert not unnamed, f"{package}/__init__.py: say what these offer: {unnamed}"
+def test_packages_name_their_folders() -> None:
+    wrong = []
+    for package in ORDER[:-1]:
+        text = ast.get_docstring(parsed(text_of(Path(package, "__init__.py")))) or ""
+        unnamed = [folder.name for folder in FOLDERS if folder.parent == Path(package) and f"`{folder.name}" not in text]
+        wrong += [f"{package}/__init__.py: say what {name} offers" for name in unnamed]
+    assert not wrong, "\n".join(wrong)
 
 
-@each_folder
-def test_folder_can_be_held_in_mind(folder: Path) -> None:
-    assert sum(module.parent == folder and module.name != "__init__.py" for module in MODULES) <= FULLEST
+def test_only_doors_import_from_everywhere() -> None:
+    wrong = []
+    for folder in FOLDERS:
+        wrong += [f"{folder}: must not import {door}" for door in arrows(folder) & DOORS]
+        neighbours = {other for other in arrows(folder) if other.parts[0] == folder.parts[0]}
+        if folder not in DOORS and len(neighbours) > NEIGHBOURS:
+            wrong.append(f"{folder}: imports from {len(neighbours)} folders, more than {NEIGHBOURS}")
+    assert not wrong, "\n".join(wrong)
 
 
-@each_folder
-def test_only_doors_import_from_everywhere(folder: Path) -> None:
-    assert not arrows(folder) & DOORS
-    neighbours = {other for other in arrows(folder) if other.parts[0] == folder.parts[0]}
-    assert folder in DOORS or len(neighbours) <= NEIGHBOURS
+def test_opengl_stays_in_its_room() -> None:
+    assert "PYGLET_HEADLESS" in text_of(OPENGL_AT), f"{OPENGL_AT}: without it pyrender needs X libraries, which a server has not"
+    allowed = {OPENGL_AT: OPENGL, DRAWS_WITH_IT: {"OpenGL"}}
+    wrong = [module for module in MODULES if tops(imported(text_of(module))) & OPENGL - allowed.get(module, set())]
+    assert not wrong, f"OpenGL belongs in {OPENGL_AT} and {DRAWS_WITH_IT}, not in {', '.join(map(str, wrong))}"
 
 
-@pytest.mark.parametrize("test", TESTS, ids=str)
-def test_tests_import_nothing_higher_than_they_test(test: Path) -> None:
-    package = test.parts[1]
-    higher = (*ORDER[ORDER.index(package) + 1 :], "benchmarks")
-    found = {name for name in imported((ROOT / test).read_text()) if name.removeprefix("tests.").startswith(tuple(f"{h}." for h in higher))}
-    assert not found, f"{test}: move it to tests/loop, where it may import {found}"
+def test_modules_folders_and_functions_can_be_held_in_mind() -> None:
+    lines = {module: len(text_of(module).splitlines()) for module in MODULES}
+    wrong = [f"{module}: {n} lines, more than {LONGEST}" for module, n in lines.items() if n > LONGEST]
+    for folder in FOLDERS:
+        n = sum(module.parent == folder and module.name != "__init__.py" for module in MODULES)
+        wrong += [f"{folder}: {n} modules, more than {FULLEST}"] * (n > FULLEST)
+    for module in MODULES:
+        for node in ast.walk(parsed(text_of(module))):
+            if isinstance(node, ast.FunctionDef) and "Parameters\n---" not in (ast.get_docstring(node) or ""):  # as those of commands have
+                names = [each.arg for each in (*node.args.args, *node.args.kwonlyargs) if each.arg not in ("self", "cls")]
+                if len(names) > PARAMETERS and f"{module.name}: {node.name}" not in MANY:
+                    wrong.append(f"{module}: {node.name} takes {len(names)} values, more than {PARAMETERS}")
+    assert not wrong, "\n".join(wrong)
 
 
-@each_module
-def test_opengl_stays_in_its_room(module: Path) -> None:
-    source = (ROOT / module).read_text()
-    if module == OPENGL_AT:
-        assert "PYGLET_HEADLESS" in source, f"{module}: without it pyrender needs X libraries, which a server has not"
-    else:
-        allowed = {"OpenGL"} if module == DRAWS_WITH_IT else set()
-        assert not tops(imported(source)) & OPENGL - allowed, f"{module}: OpenGL belongs in {OPENGL_AT} and {DRAWS_WITH_IT}"
-
-
-@each_module
-def test_module_can_be_held_in_mind(module: Path) -> None:
-    assert len((ROOT / module).read_text().splitlines()) <= LONGEST
-
-
-@each_module
-def test_values_stay_as_they_are(module: Path) -> None:
-    tree = parsed((ROOT / module).read_text())
-    source = ast.unparse(tree)
-    assert not TRICKS.search(source), f"{module}: make another value with `replace`"
-    for name in re.findall(r"^(\w+)(?:: .+)? = ", source, re.M):
-        assert not re.search(rf"^ +{name}(\[.*\] = |{GROWS})", source, re.M), f"{module}: {name} is written while it runs"
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ClassDef) and any("frozen=True" in ast.unparse(each) for each in node.decorator_list):
-            written = re.search(rf"^ +self\.\w+(\[.*\])? [-+*/|]?= |\bself\.\w+{GROWS}", ast.unparse(node), re.M)
-            assert not written, f"{module}: {node.name} is frozen"
-
-
-@each_module
-def test_functions_take_few_values(module: Path) -> None:
-    for node in ast.walk(parsed((ROOT / module).read_text())):
-        if isinstance(node, ast.FunctionDef) and "Parameters\n---" not in (ast.get_docstring(node) or ""):  # as those of commands have
-            names = [each.arg for each in (*node.args.args, *node.args.kwonlyargs) if each.arg not in ("self", "cls")]
-            assert len(names) <= PARAMETERS or f"{module.name}: {node.name}" in MANY, f"{module}: {node.name} takes {len(names)}"
+def test_values_stay_as_they_are() -> None:
+    wrong = []
+    for module in MODULES:
+        tree = parsed(text_of(module))
+        source = ast.unparse(tree)
+        wrong += [f"{module}: make another value with `replace`"] * bool(TRICKS.search(source))
+        for name in re.findall(r"^(\w+)(?:: .+)? = ", source, re.M):
+            wrong += [f"{module}: {name} is written while it runs"] * bool(re.search(rf"^ +{name}(\[.*\] = |{GROWS})", source, re.M))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef) and any("frozen=True" in ast.unparse(each) for each in node.decorator_list):
+                written = re.search(rf"^ +self\.\w+(\[.*\])? [-+*/|]?= |\bself\.\w+{GROWS}", ast.unparse(node), re.M)
+                wrong += [f"{module}: {node.name} is frozen"] * bool(written)
+    assert not wrong, "\n".join(wrong)
 
 
 def test_the_page_of_the_house_names_every_folder_and_only_files_that_exist() -> None:
