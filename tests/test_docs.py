@@ -183,32 +183,32 @@ def test_parts_of_ones_own_run(code: str, module: str, tables: str, tmp_path: Pa
     assert verdict is None or verdict.iou > 0.7, "each of them brings the symbol to its place, or leaves it there"
 
 
-@pytest.mark.parametrize("page", with_blocks("toml lamp"))
-def test_lamp_snippets_are_valid(page: Path) -> None:
-    for block in blocks(page, "toml lamp"):
-        description.validate(tomllib.loads(block), str(page))
+def test_lamp_snippets_are_valid() -> None:
+    for page in PAGES:
+        for block in blocks(page, "toml lamp"):
+            description.validate(tomllib.loads(block), str(page))
 
 
-@pytest.mark.parametrize("page", with_blocks("toml rig"))
-def test_rig_snippets_are_valid(page: Path) -> None:
-    for block in blocks(page, "toml rig"):
-        validated(RigParams, tomllib.loads(block), str(page))
+def test_rig_snippets_are_valid() -> None:
+    for page in PAGES:
+        for block in blocks(page, "toml rig"):
+            validated(RigParams, tomllib.loads(block), str(page))
 
 
-@pytest.mark.parametrize("page", with_blocks("toml"))
-def test_scenario_snippets_are_valid(page: Path) -> None:
+def test_scenario_snippets_are_valid() -> None:
     held = {"symbol": {"kind": "symbol", "image": "snowflake", "controller": "thesis_pid"}}  # of which checks may speak
-    for block in blocks(page, "toml"):
-        validate({"name": "snippet", "functions": held, **tomllib.loads(block)}, str(page))
+    for page in PAGES:
+        for block in blocks(page, "toml"):
+            validate({"name": "snippet", "functions": held, **tomllib.loads(block)}, str(page))
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_links_lead_somewhere(page: Path) -> None:
-    for target, anchor in re.findall(r"\]\((?!https?:)([^)#\s]*)#?([^)\s]*)\)", page.read_text("utf-8")):
-        file = (page.parent / target).resolve() if target else page
-        assert file.exists(), f"{page.name}: {target} does not exist"
-        if anchor:
-            assert anchor in headings(file), f"{page.name}: {target}#{anchor} does not exist"
+def test_links_lead_somewhere() -> None:
+    for page in PAGES:
+        for target, anchor in re.findall(r"\]\((?!https?:)([^)#\s]*)#?([^)\s]*)\)", page.read_text("utf-8")):
+            file = (page.parent / target).resolve() if target else page
+            assert file.exists(), f"{page.name}: {target} does not exist"
+            if anchor:
+                assert anchor in headings(file), f"{page.name}: {target}#{anchor} does not exist"
 
 
 def test_the_index_leads_to_every_page() -> None:
@@ -226,10 +226,10 @@ def headings(page: Path) -> list[str]:
     return [re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_constants_have_the_values_that_are_written(page: Path) -> None:
-    for module, name, value in re.findall(r"`([a-z_.]+)\.([A-Z_]+) = ([^`]+)`", page.read_text("utf-8")):
-        assert repr(getattr(import_module(module), name)) == value, f"{page.name}: {module}.{name}"
+def test_constants_have_the_values_that_are_written() -> None:
+    for page in PAGES:
+        for module, name, value in re.findall(r"`([a-z_.]+)\.([A-Z_]+) = ([^`]+)`", page.read_text("utf-8")):
+            assert repr(getattr(import_module(module), name)) == value, f"{page.name}: {module}.{name}"
 
 
 def test_pictures_are_small() -> None:
