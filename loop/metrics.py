@@ -26,7 +26,6 @@ from loop.scenario.plant import SimulatedPlantParams
 from perception.extraction import Loss
 
 Figures = dict[str, float | str | None]
-KEPT = 4  # simulations made ready, half a gigabyte each
 WORST = {  # figures of symbols that are held, and which of several is the worst
     "settle_step": max,
     "overshoot_percent": max,
@@ -132,7 +131,7 @@ class _Shared:
     files: tuple[tuple[str, str], ...]
 
 
-@lru_cache(KEPT)
+@lru_cache(1)  # half a gigabyte; runs of a campaign that share one follow each other
 def _prepared(shared: _Shared) -> Simulation:
     return prepare(shared.scenario, shared.device)
 

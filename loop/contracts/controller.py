@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any
 
 import torch
@@ -67,10 +66,14 @@ def check_controller(controller: type, options: Mapping[str, Any] | None = None,
     input; where a state is no data; where a projection has another shape, dtype or device than the pose `[4]` that `start` is given, is not
     finite, or not in m and rad; and where the symbol is moved away from its target.
     """
+    check_in(world(device), controller, options or {})
+
+
+def check_in(simulation: Simulation, controller: type, options: Mapping[str, Any]) -> None:
+    """Raises LuxloopError as `check_controller`, of a controller in a world that others can share."""
     name = name_of(controller)
     check_methods(controller, f"{KEY}: {name}", METHODS)
-    simulation = _world(device)
-    own = made(controller, name, KEY, {"sensor": simulation.symbol.sensor}, options or {})
+    own = made(controller, name, KEY, {"sensor": simulation.symbol.sensor}, options)
     check_calls(own, CALLS)
     symbol = simulation.symbol
     watched = replace(simulation, controlled={"symbol": replace(symbol, controller=Watched(own, symbol))})
@@ -84,8 +87,7 @@ def check_controller(controller: type, options: Mapping[str, Any] | None = None,
         )
 
 
-@cache
-def _world(device: str) -> Simulation:
+def world(device: str) -> Simulation:
     return prepare(validate(SCENARIO, "check_controller"), device)
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any, TypeVar
 
 from controllers.functions.own import KEY, CheckedAdaptive, CheckedFunction, OwnFunction, checked, function_of
@@ -52,13 +51,17 @@ def check_function(function: type, options: Mapping[str, Any] | None = None, dev
     for the same input; where a state is no data, or a share of the base beam is not within 0..1; where it does not give a list of what
     `rectangle` makes, finite and with possible setpoints; and where nothing that it draws changes the light.
     """
-    name = name_of(function)
+    check_in(world(device), function, options or {})
+
+
+def check_in(world: tuple[Simulation, list[StepResult]], function: type, options: Mapping[str, Any]) -> None:
+    """Raises LuxloopError as `check_function`, of a function in a world that others can share."""
+    name, (simulation, bare) = name_of(function), world
     with located("check_function"):
-        made = function_of(function, OwnFunction(kind=name, options=dict(options or {})))
+        made = function_of(function, OwnFunction(kind=name, options=dict(options)))
         calls = ADAPTIVE_CALLS if isinstance(made, CheckedAdaptive) else CALLS
         check_calls(made.own, calls | ({"commands": ("now",)} if hasattr(function, "commands") else {}))
         watched = WatchedFunction(made.own) if isinstance(made, CheckedFunction) else WatchedAdaptive(made)
-        simulation, bare = _world(device)
         results = _steps(replace(simulation, planner=replace(simulation.planner, functions={NAME: watched})))
         if hasattr(function, "commands"):
             for each in results:
@@ -73,8 +76,7 @@ def check_function(function: type, options: Mapping[str, Any] | None = None, dev
             )
 
 
-@cache
-def _world(device: str) -> tuple[Simulation, list[StepResult]]:
+def world(device: str) -> tuple[Simulation, list[StepResult]]:
     """With what the lamps do there without a function."""
     simulation = prepare(validate(SCENARIO, "check_function"), device)
     return simulation, _steps(simulation)

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 from torch import Tensor
@@ -47,10 +46,15 @@ def check_plant(plant: type, options: Mapping[str, Any] | None = None, device: s
     is no tensor `[height, width]` of whole digital numbers within `camera.bits`; where a sample is of no sensor that there is, or has other
     values than that; and where no frame comes at all.
     """
+    check_in(worlds(device), plant, options or {})
+
+
+def check_in(worlds: tuple[Simulation, Simulation], plant: type, options: Mapping[str, Any]) -> None:
+    """Raises LuxloopError as `check_plant`, of a plant in worlds that others can share."""
     name = name_of(plant)
     check_methods(plant, f"{KEY}: {name}", METHODS)
-    _check_shown(plant, name, options or {}, _world(device), EXPOSURES)
-    _check_shown(plant, name, options or {}, _world(device, latency_steps=1), UNDER_WAY)
+    for simulation, exposures in zip(worlds, (EXPOSURES, UNDER_WAY), strict=True):
+        _check_shown(plant, name, options, simulation, exposures)
 
 
 def _check_shown(plant: type, name: Name, options: Mapping[str, Any], simulation: Simulation, exposures: int) -> None:
@@ -82,10 +86,11 @@ def _check_shown(plant: type, name: Name, options: Mapping[str, Any], simulation
             )
 
 
-@cache
-def _world(device: str, latency_steps: int = 0) -> Simulation:
-    camera = SCENARIO["camera"] | {"latency_steps": latency_steps}
-    return prepare(validate(SCENARIO | {"camera": camera}, SCENARIO["name"]), device)
+def worlds(device: str) -> tuple[Simulation, Simulation]:
+    """One whose camera is in time, and one whose camera is a step late."""
+    in_time = prepare(validate(SCENARIO, SCENARIO["name"]), device)
+    late = validate(SCENARIO | {"camera": SCENARIO["camera"] | {"latency_steps": 1}}, SCENARIO["name"])
+    return in_time, Simulation.prepare(late, in_time.device, in_time)
 
 
 @dataclass(frozen=True)

@@ -121,7 +121,7 @@ def _still_seen(scene: DarkScene, object_id: Tensor) -> tuple[Labelled, ...]:
 def draw(seed: int, folder: str) -> dict[str, Any]:
     """Render the scene of a seed into `folder/SEED.npy` and return its row. Raises LuxloopError if it cannot be written."""
     scenario = _scenario(seed)
-    ground, source = _road(_road_seed(seed))
+    ground, source = _road(road_seed(seed))
     scene = Scene((ground, *(item.build() for item in scenario.all_objects)), 0.0, scenario.light.street_lamps)
     time_s = float(np.random.default_rng([seed, 2]).uniform(0, MOMENTS_S))
     triangles, view = scene.at(time_s), camera_view(CAMERA)
@@ -177,12 +177,12 @@ def _scenario(seed: int) -> Scenario:
     return validate({"name": "training", "lighting": {}, **tables(seed)}, f"seed {seed}")
 
 
-def _road_seed(seed: int) -> int:
+def road_seed(seed: int) -> int:
     first = HELD_OUT if seed >= HELD_OUT else TRAINING
     return first + seed % ROADS
 
 
-@lru_cache(ROADS)
+@lru_cache(1)  # 0.1 GB
 def _road(seed: int) -> tuple[Ground, SurfaceSource]:
     scenario = _scenario(seed).model_copy(update={"objects": (), "traffic": None})
     ground = build_scene(scenario).bodies[0]

@@ -92,12 +92,13 @@ def _learnt(rows: Sequence[dict[str, Any]], epochs: int, seed: int) -> tuple[Net
 def drawn(out: Path, first: int, number: int, executor: Executor, title: str) -> list[dict[str, Any]]:
     """Rows of so many scenes from a first seed on, drawn unless they are in the folder. Raises LuxloopError where some cannot be."""
     folder = str(out / FOLDER)
-    jobs = [Job(f"scene {seed}", {"seed": seed, "folder": folder}) for seed in range(first, first + number)]
+    seeds = sorted(range(first, first + number), key=scenes.road_seed)  # those on one road follow each other
+    jobs = [Job(f"scene {seed}", {"seed": seed, "folder": folder}) for seed in seeds]
     results: Results = run(scenes.draw, jobs, out / JOBS, version=VERSION, executor=executor, title=title)
     if results.failures:
         key, reason = next(iter(results.failures.items()))
         raise LuxloopError(f"{out}: {len(results.failures)} scenes cannot be drawn, first {key}: {reason}")
-    return results.rows
+    return sorted(results.rows, key=lambda row: int(row["seed"]))
 
 
 def train_detector(out: Path, number: int, held_out: int, epochs: int, seed: int, processes: int | None) -> None:

@@ -8,7 +8,13 @@ import torch
 from torch import Tensor
 
 import luxloop
+from loop.contracts.controller import check_in, world
 from luxloop import Loss, LuxloopError, Observation, ProjectionCommand, SymbolSensor, check_controller
+
+
+@pytest.fixture(scope="module")
+def shared() -> Any:
+    return world("auto")
 
 
 @dataclass(frozen=True)
@@ -192,16 +198,16 @@ BROKEN: dict[Any, list[str]] = {
 
 
 @pytest.mark.parametrize("broken", BROKEN, ids=lambda each: each.__name__)
-def test_each_way_to_break_the_contract_is_told_in_a_sentence(broken: Any, device: torch.device) -> None:
+def test_each_way_to_break_the_contract_is_told_in_a_sentence(broken: Any, shared: Any) -> None:
     with pytest.raises(LuxloopError) as caught:
-        check_controller(broken, device=device.type)
+        check_in(shared, broken, {})
     (sentence,) = caught.value.args
     assert f"controller.name: {__name__}:{broken.__name__}: " in sentence
     assert all(words in sentence for words in BROKEN[broken]), sentence
 
 
 @pytest.mark.parametrize("name", ["thesis_pid", "gauss_newton", "open"])
-def test_controllers_that_are_shipped_keep_the_contract(name: str, device: torch.device) -> None:
+def test_controllers_that_are_shipped_keep_the_contract(name: str, shared: Any) -> None:
     params = luxloop.load("flat", [f"functions.symbol.controller.name={name}"]).symbol.controller
     assert params is not None
 
@@ -218,7 +224,7 @@ def test_controllers_that_are_shipped_keep_the_contract(name: str, device: torch
         def step(self, state: Any, observation: Observation) -> Any:
             return self.law.step(state, observation)
 
-    check_controller(Shipped, device=device.type)
+    check_in(shared, Shipped, {})
 
 
 def test_options_are_those_of_the_scenario(device: torch.device) -> None:

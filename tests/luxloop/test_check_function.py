@@ -6,7 +6,13 @@ from typing import Any
 import pytest
 import torch
 
+from loop.contracts.function import check_in, world
 from luxloop import LuxloopError, ModuleCommand, Situation, check_function, rectangle
+
+
+@pytest.fixture(scope="module")
+def shared() -> Any:
+    return world("auto")
 
 
 class Line:
@@ -174,17 +180,17 @@ BROKEN: dict[Any, list[str]] = {
 
 
 @pytest.mark.parametrize("broken", BROKEN, ids=lambda each: each.__name__)
-def test_each_way_to_break_the_contract_is_told_in_a_sentence(broken: Any, device: torch.device) -> None:
+def test_each_way_to_break_the_contract_is_told_in_a_sentence(broken: Any, shared: Any) -> None:
     with pytest.raises(LuxloopError) as caught:
-        check_function(broken, device=device.type)
+        check_in(shared, broken, {})
     (sentence,) = caught.value.args
     assert sentence.startswith("check_function: ") and f"kind: {__name__}:{broken.__name__}: " in sentence
     assert all(words in sentence for words in BROKEN[broken]), sentence
 
 
 @pytest.mark.parametrize("kept", [Line, Nothing, Learning, Levels])
-def test_what_keeps_the_contract_passes(kept: Any, device: torch.device) -> None:
-    check_function(kept, device=device.type)
+def test_what_keeps_the_contract_passes(kept: Any, shared: Any) -> None:
+    check_in(shared, kept, {})
 
 
 def test_options_are_those_of_the_scenario(device: torch.device) -> None:

@@ -8,7 +8,13 @@ from typing import Any
 import pytest
 import torch
 
+from loop.contracts.plant import check_in, worlds
 from luxloop import Arrivals, Exposure, Frame, LuxloopError, Sample, Utilisation, check_plant, simulated_plant
+
+
+@pytest.fixture(scope="module")
+def shared() -> Any:
+    return worlds("auto")
 
 
 class Kept:
@@ -82,13 +88,13 @@ class Sampling(Kept):
 
 
 @pytest.mark.parametrize("kept", [Kept, Warming, Losing, Dropping, Slow, Sampling])
-def test_what_keeps_the_contract_passes(kept: Any, device: torch.device) -> None:
-    check_plant(kept, device=device.type)
+def test_what_keeps_the_contract_passes(kept: Any, shared: Any) -> None:
+    check_in(shared, kept, {})
 
 
 @pytest.mark.parametrize("late", [1, 5, 20])
-def test_frames_may_come_late(late: int, device: torch.device) -> None:
-    check_plant(Kept, {"late": late}, device.type)
+def test_frames_may_come_late(late: int, shared: Any) -> None:
+    check_in(shared, Kept, {"late": late})
 
 
 class NoShow:
@@ -338,9 +344,9 @@ BROKEN: dict[Any, list[str]] = {
 
 
 @pytest.mark.parametrize("broken", BROKEN, ids=lambda each: each.__name__)
-def test_each_way_to_break_the_contract_is_told_in_a_sentence(broken: Any, device: torch.device) -> None:
+def test_each_way_to_break_the_contract_is_told_in_a_sentence(broken: Any, shared: Any) -> None:
     with pytest.raises(LuxloopError) as caught:
-        check_plant(broken, device=device.type)
+        check_in(shared, broken, {})
     (sentence,) = caught.value.args
     assert f"plant.kind: {__name__}:{broken.__name__}: " in sentence
     assert all(words in sentence for words in BROKEN[broken]), sentence

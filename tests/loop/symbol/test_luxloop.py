@@ -4,7 +4,7 @@ import ctypes
 import math
 import sys
 from dataclasses import replace
-from functools import cache
+from functools import cache, lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -161,7 +161,7 @@ def test_neighbours_settle_what_is_ambiguous() -> None:
     assert (semi_global(costs) == 3).all()
 
 
-@cache
+@lru_cache(2)  # of some 0.4 GB
 def simulation(road: str, *more: str) -> Simulation:
     return prepare(load("flat", [*SMALL, f"road={road}", "functions.symbol.controller={name='luxloop'}", *more]), "cpu")
 
