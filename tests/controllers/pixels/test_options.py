@@ -1,6 +1,7 @@
 """Granularity, sharpening (T 7.5.2) and corrections help: smaller errors of rectangles of light, on lamps that are like the thesis'."""
 
 import itertools
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ def rectangle(light: Headlight, h_deg: float, v_deg: float, width_deg: float, he
     return CD * ((along.abs() <= width_deg / 2) & (across.abs() <= height_deg / 2)).float()
 
 
+@cache
 def mean_error(name: str, **options: Any) -> float:
     """Mean of the MAE (T 8.3) over the rectangles."""
     light = lamp(name).modules[0].headlight

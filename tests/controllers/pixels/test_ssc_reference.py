@@ -121,7 +121,7 @@ def random_case(seed: int) -> tuple[Headlight, np.ndarray, Primitives, torch.Ten
     return light, A, scene, default
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=70)
 @given(st.integers(0, 2**32 - 1), parameters, st.booleans())
 def test_equals_the_reference(seed: int, params: MrpcParams, asks: bool) -> None:
     light, A, scene, default = random_case(seed)
@@ -156,7 +156,7 @@ def stacked(scenes: list[Primitives]) -> Primitives:
 @pytest.mark.parametrize("asks", [False, True], ids=["primary", "secondary"])
 def test_float32_on_every_device(asks: bool, a_x: float, bounds: dict[str, float], device: torch.device) -> None:
     excepted = 0
-    for seed in range(40):
+    for seed in range(15):
         light, A, scene, default = random_case(seed)
         secondary, asked = random_secondary(np.random.default_rng(seed), light, A) if asks else (None, None)
         params = MrpcParams(a_x=a_x, a_r=2, a_ac=0.2, **bounds)
@@ -173,8 +173,8 @@ def test_float32_on_every_device(asks: bool, a_x: float, bounds: dict[str, float
         at_threshold = close | (A[apart] > 0).any(0)
         excepted += at_threshold.sum()
         np.testing.assert_allclose(u.cpu().numpy()[~at_threshold], expected[~at_threshold], rtol=0, atol=1e-5)
-    # Of 320 pixels: rays that hit an outline within a rounding.
-    assert excepted <= 8
+    # Of 120 pixels: rays that hit an outline within a rounding.
+    assert excepted <= 4
 
 
 def test_a_list_in_any_order_gives_the_same_light() -> None:

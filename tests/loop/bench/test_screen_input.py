@@ -51,15 +51,18 @@ def test_pixels_are_those_that_were_sent_in_their_order() -> None:
 
 
 def test_it_is_dark_without_word_of_the_loop_and_says_so() -> None:
-    with showing(1.0) as (light, _, timeline):  # a busy machine stops for some tenths of a second
+    with showing(1.0) as (light, _, timeline):
+        began_s = last_s = time.monotonic()
         assert light.show(shine(1)) is None
-        for _ in range(4):
-            time.sleep(0.3)
-            assert light.show(shine(1)) is None, "the same light says that the loop is alive"
-        assert timeline.state().lit
+        while time.monotonic() < began_s + 1.5:
+            time.sleep(0.2)
+            lit = light.show(shine(1)) is None and timeline.state().lit
+            now_s = time.monotonic()
+            assert lit or now_s > last_s + 1.0, "the same light says that the loop is alive, unless a busy machine stood still"
+            last_s = now_s
         assert eventually(lambda: not timeline.state().lit)
         assert eventually(lambda: "darkened by itself" in str(light.show(shine(1))))
-        assert light.show(shine(1)) is None and timeline.state().lit, "it is sent whole again"
+        assert eventually(lambda: light.show(shine(1)) is None and timeline.state().lit), "it is sent whole again"
 
 
 def test_a_picture_of_another_size_is_not_shown() -> None:
