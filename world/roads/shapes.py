@@ -49,6 +49,9 @@ class Flat(RoadModel):
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
         return np.zeros(np.broadcast_shapes(np.shape(x), np.shape(y)))
 
+    def grid(self) -> MeshGrid:
+        return MeshGrid(spacing_m=(0.5, 0.5))  # a plane needs no more
+
 
 class Grade(RoadModel):
     """A change of grade and crossfall ahead; a constant slope under the vehicle would not be visible from it."""

@@ -40,7 +40,7 @@ def test_finite_and_level_under_the_vehicle(road: Road) -> None:
 @each_kind
 def test_mesh_lies_on_the_road_with_normals_up(road: Road) -> None:
     mesh = road_mesh(road)
-    assert 150_000 <= len(mesh.faces) <= 400_000
+    assert 150_000 <= len(mesh.faces) <= 400_000 or (isinstance(road, Flat) and len(mesh.faces) < 10_000)
     np.testing.assert_array_equal(mesh.vertices[:, 2], road.z(mesh.vertices[:, 0], mesh.vertices[:, 1]))
     assert (mesh.face_normals[:, 2] > 0).all()
     np.testing.assert_allclose(mesh.bounds[:, :2], np.stack([SCENE_X_M, SCENE_Y_M], axis=1))
