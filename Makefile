@@ -20,7 +20,7 @@ demo: environment opengl
 
 # One thread a worker: two workers whose OpenMP threads spin against each other are many times slower.
 test: test-environment opengl
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses=4 --dist worksteal $(PYTEST_FLAGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses=4 --dist loadfile --no-loadscope-reorder $(PYTEST_FLAGS)
 
 docs: docs-environment
 	$(BIN)/python scripts/build_docs.py
