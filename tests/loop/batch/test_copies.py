@@ -12,11 +12,10 @@ from loop.batch.copies import Copies
 from loop.batch.looking import Taken
 from loop.lighting.simulation import Simulation
 from loop.scenario.model import load
-from tests.lamps import SMALL_LAMP
 from world.errors import LuxloopError
 
 SMALL = [
-    *("functions.symbol.controller.name=thesis_pid", f"headlight.model={SMALL_LAMP}", "functions.symbol={ width_m=3.0, length_m=8.0 }"),
+    *("functions.symbol.controller.name=thesis_pid", "headlight.model=ssl-hd-lores", "functions.symbol={ width_m=3.0, length_m=8.0 }"),
     *("camera={ width_px=240, height_px=135, oversampling=1 }", "renderer=raycast", "seed=3", "steps=4"),
 ]
 

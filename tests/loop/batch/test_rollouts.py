@@ -14,14 +14,13 @@ from loop.lighting.lamps import ShiningModule, shining_modules
 from loop.lighting.simulation import Simulation
 from loop.scenario.model import Scenario, load
 from loop.studies.ranges import changed, value_of
-from tests.lamps import SMALL_LAMP
 from world.errors import LuxloopError
 from world.symbols import load_still
 
 SMALL = [
     *(
         "functions.symbol.controller.name=thesis_pid",
-        f"headlight.model={SMALL_LAMP}",
+        "headlight.model=ssl-hd-lores",
         "functions.symbol={ width_m=3.0, length_m=8.0 }",
         "functions.symbol.start.x_m=15.0",
     ),

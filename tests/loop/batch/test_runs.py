@@ -13,11 +13,10 @@ from loop.batch.courses import course_of
 from loop.lighting.simulation import Simulation
 from loop.metrics import ready, traced
 from loop.scenario.model import Scenario, load
-from tests.lamps import SMALL_LAMP
 from world.errors import LuxloopError
 
 SMALL = (
-    *(f"headlight.model={SMALL_LAMP}", "functions.symbol={ width_m=3.0, length_m=8.0 }", "functions.symbol.start.x_m=15.0"),
+    *("headlight.model=ssl-hd-lores", "functions.symbol={ width_m=3.0, length_m=8.0 }", "functions.symbol.start.x_m=15.0"),
     *("camera={ width_px=240, height_px=135, oversampling=1 }", "renderer=raycast", "road.kind=flat", "steps=8"),
 )
 SLOW = "functions.symbol.controller={ position={ kp=0.1, ki=0.1, kd=0.0 }, rotation={ kp=0.1, ki=0.05, kd=0.0 } }"

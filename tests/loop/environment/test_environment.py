@@ -24,11 +24,10 @@ from loop.environment.registered import register
 from loop.environment.single import SymbolEnv
 from loop.environment.task import reward
 from perception.extraction import Loss
-from tests.lamps import SMALL_LAMP
 from world.errors import LuxloopError
 
 SMALL = (
-    *(f"headlight.model={SMALL_LAMP}", "functions.symbol={ width_m=3.0, length_m=8.0 }", "renderer=raycast"),
+    *("headlight.model=ssl-hd-lores", "functions.symbol={ width_m=3.0, length_m=8.0 }", "renderer=raycast"),
     *("camera={ width_px=240, height_px=135, oversampling=1 }", "steps=5"),
 )
 LATE = ("camera.latency_steps=2", "camera.drop_probability=0.4")

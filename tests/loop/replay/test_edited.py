@@ -13,10 +13,9 @@ from loop.scenario.edits import changed
 from loop.scenario.model import Scenario, load
 from loop.studio.messages import VIEWS
 from loop.studio.runs import Run
-from tests.lamps import SMALL_LAMP
 from world.errors import LuxloopError
 
-SMALL = (f"headlight.model={SMALL_LAMP}", "camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "judge_every=0")
+SMALL = ("camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "judge_every=0")
 
 
 def scenario(*overrides: str) -> Scenario:

@@ -23,7 +23,6 @@ from loop.studies.study import FINISHED, STUDY, study_in
 from loop.studies.surrogate import Learned, near
 from loop.studies.tune import Task, Trace, Tuned, tune
 from loop.studies.tune_report import BEST, PICTURE, REPORT, write
-from tests.lamps import SMALL_LAMP
 from world.errors import LuxloopError
 
 SMALL = [
@@ -344,7 +343,7 @@ SEEN = [
     *(
         "steps=4",
         "functions.symbol.controller.name=thesis_pid",
-        f"headlight.model={SMALL_LAMP}",
+        "headlight.model=ssl-hd-lores",
         "functions.symbol={ width_m=3.0, length_m=8.0 }",
         "functions.symbol.start.x_m=15.0",
     ),

@@ -13,11 +13,9 @@ from loop.lighting.simulation import Simulation
 from loop.run import prepare
 from loop.scenario.model import load
 from perception.extraction import Loss
-from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import frames_of
 
 SMALL = [
-    f"headlight.model={SMALL_LAMP}",
     "camera={width_px=640, height_px=480}",
     "functions.symbol.start={x_m=17.0, y_m=0.0, roll_deg=0.0, pitch_deg=0.0}",
     "functions.symbol.controller={name='open'}",
@@ -118,7 +116,7 @@ def test_a_symbol_that_is_plainly_in_the_image_is_never_lost() -> None:
 @pytest.mark.parametrize(("percent", "least"), [(-2.0, 0.72), (2.0, 0.90), (4.0, 0.85)])
 def test_two_looks_lay_the_symbol_straight_on_a_grade(percent: float, least: float) -> None:
     """As well as exact inverse ray tracing onto the true road does, which leaves the light of near parts as bright as it is."""
-    changes = [*SMALL[:3], f"road={grade(percent)}", "functions.symbol.controller={name='luxloop'}"]
+    changes = [*SMALL[:2], f"road={grade(percent)}", "functions.symbol.controller={name='luxloop'}"]
     *_, last = prepare(load("snowflake", changes, steps=4), "cpu").run()
     assert float(last.symbol.verdict.iou) > least - 0.01
 
@@ -128,7 +126,7 @@ NOISY = "sensors={attitude={noise_deg=0.05, heave_noise_m=0.002}, gyro={noise_de
 
 def test_a_car_that_stands_acquires_the_road_whatever_noise_its_sensors_have() -> None:
     standing = ["vehicle={course=[{speed_m_s=0.0}]}", NOISY]
-    changes = [*SMALL[:3], f"road={grade(3.0)}", "functions.symbol.controller={name='luxloop'}", *standing]
+    changes = [*SMALL[:2], f"road={grade(3.0)}", "functions.symbol.controller={name='luxloop'}", *standing]
     *_, last = prepare(load("snowflake", changes, steps=4), "cpu").run()
     assert last.symbol.verdict.iou > 0.95 * 0.87  # what lamp and camera allow
 
@@ -145,7 +143,7 @@ def test_a_car_that_stands_acquires_the_road_whatever_noise_its_sensors_have() -
 def test_what_is_known_of_a_road_does_not_get_worse(road: str, image: str, x_m: float, latency: int, steps: int, least: float) -> None:
     start = f"functions.symbol.start={{x_m={x_m * 21 / 17}, y_m=2.6, roll_deg=5.0, pitch_deg=-2.0}}"
     symbol = f"functions.symbol={{image='{image}', x_m={x_m}, y_m=0.0, controller={{name='luxloop'}}}}"
-    changes = [*SMALL[:2], start, f"camera.latency_steps={latency}", symbol, f"road={road}"]
+    changes = [SMALL[0], start, f"camera.latency_steps={latency}", symbol, f"road={road}"]
     *_, last = prepare(load("flat", changes, steps=steps), "cpu").run()
     assert last.symbol.verdict.iou > least
 

@@ -7,11 +7,10 @@ from controllers.symbol.heights.feedforward import relief_of
 from loop.run import prepare
 from loop.scenario.model import load
 from perception.birdseye import Region
-from tests.lamps import SMALL_LAMP
 from world.errors import LuxloopError
 from world.roads.shapes import Curb, Flat
 
-SMALL = [f"headlight.model={SMALL_LAMP}", "camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"]
+SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"]
 LIFTED = '{kind="curb", y_m=-8.0, ramp_m=0.03, height_m=0.03}'  # a plane 3 cm too high, from well before the symbol on
 GIVEN = f"{{name='feedforward', road={LIFTED}}}"
 

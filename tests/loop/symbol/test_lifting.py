@@ -15,15 +15,10 @@ from loop.run import prepare
 from loop.scenario.model import load
 from perception.extraction import Loss
 from perception.judge import Verdict
-from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import frames_of
 from world.frames import inverse, pose, rotation, transform
 
-SMALL = [
-    f"headlight.model={SMALL_LAMP}",
-    "camera={width_px=640, height_px=480}",
-    "functions.symbol.start={x_m=17.0, y_m=0.0, roll_deg=0.0, pitch_deg=0.0}",
-]
+SMALL = ["camera={width_px=640, height_px=480}", "functions.symbol.start={x_m=17.0, y_m=0.0, roll_deg=0.0, pitch_deg=0.0}"]
 PLANE = torch.tensor([0.21, 0.02, -0.015, 0.0])
 ASIDE = torch.tensor([17.5, 0.3, 0.03, -0.01])  # m and rad
 

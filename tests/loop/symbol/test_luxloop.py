@@ -27,13 +27,12 @@ from loop.lighting.simulation import Simulation
 from loop.run import prepare
 from loop.scenario.model import DisturbanceParams, load
 from perception.birdseye import Region
-from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import frames_of
 
 REGION = Region(13.0, 21.0, 2.0, -2.0)
 EYE, LAMP = torch.tensor([-1.6, 0.0, 1.35]), torch.tensor([0.0, 0.6, 0.75])
 M_PERTURB = -6  # of glibc's mallopt
-SMALL = [f"headlight.model={SMALL_LAMP}", "camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"]
+SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"]
 
 
 def relief(height: float, brightness: float = 1.0) -> Relief:

@@ -5,7 +5,6 @@ import pytest
 from controllers.symbol.sensing.projection import ProjectionCommand
 from loop.run import prepare
 from loop.scenario.model import load
-from tests.lamps import SMALL_LAMP
 from world.errors import LuxloopError
 
 OWN = """
@@ -25,7 +24,7 @@ class Speechless:
     def __init__(self, sensor):
         pass
 """
-SMALL = [f"headlight.model={SMALL_LAMP}", "camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
+SMALL = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
 
 
 @pytest.mark.usefixtures("own")

@@ -10,7 +10,6 @@ from loop.lighting.simulation import Simulation
 from loop.run import prepare
 from loop.scenario.model import load
 from perception.extraction import ExtractionParams, OwnExtractionParams, symbol_image
-from tests.lamps import SMALL_LAMP
 from world.errors import LuxloopError
 
 OWN = """
@@ -38,7 +37,7 @@ class Elsewhere(Ours):
 class Blind:
     pass
 """
-SMALL = [f"headlight.model={SMALL_LAMP}", "camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
+SMALL = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
 
 
 def looked(*overrides: Any) -> tuple[Simulation, Tensor]:

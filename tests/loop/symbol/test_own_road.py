@@ -8,7 +8,6 @@ import pytest
 from controllers.symbol import FeedforwardParams
 from loop.run import prepare
 from loop.scenario.model import load
-from tests.lamps import SMALL_LAMP
 from world.errors import LuxloopError
 from world.roads.own import OwnRoad
 from world.roads.shapes import SpeedBump
@@ -47,7 +46,7 @@ class Heightless:
     def grid(self):
         return MeshGrid()
 """
-SMALL = [f"headlight.model={SMALL_LAMP}", "camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
+SMALL = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
 
 
 @pytest.mark.usefixtures("own")

@@ -12,11 +12,9 @@ from loop.run import prepare
 from loop.scenario.model import load
 from perception.birdseye import birds_eye, cells, region_around
 from perception.camera import CameraParams, camera_view
-from tests.lamps import SMALL_LAMP
 from world.errors import LuxloopError
 
 SMALL = [
-    f"headlight.model={SMALL_LAMP}",
     "camera={width_px=640, height_px=480}",
     "functions.symbol.start={x_m=17.0, y_m=0.0, roll_deg=0.0, pitch_deg=0.0}",
     "functions.symbol.controller={name='luxloop'}",

@@ -9,16 +9,9 @@ from controllers.symbol.laws.alignment import Alignment, Placement
 from loop.lighting.simulation import Simulation
 from loop.run import prepare
 from loop.scenario.model import load
-from tests.lamps import SMALL_LAMP
 from world.errors import LuxloopError
 
-SMALL = [
-    f"headlight.model={SMALL_LAMP}",
-    "camera.width_px=640",
-    "camera.height_px=360",
-    "camera.oversampling=2",
-    "functions.symbol.image=snowflake",
-]
+SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2", "functions.symbol.image=snowflake"]
 ROUGH = ["road.kind=bumps", "road.seed=3"]
 BOX = 'objects=[{kind="box", name="box", size_m=[0.4, 0.5, 0.3], albedo=0.2, track=[{position_m=[15.5, 0.2, 0.0]}]}]'
 

@@ -10,10 +10,9 @@ from loop.lighting.simulation import Simulation
 from loop.run import prepare
 from loop.scenario.model import load
 from loop.scenario.overrides import resolve_paths
-from tests.lamps import SMALL_LAMP
 from world.errors import LuxloopError
 
-SMALL = [f"headlight.model={SMALL_LAMP}", "camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"]
+SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"]
 LIFTED = 'road={kind="curb", y_m=-8.0, ramp_m=0.03, height_m=0.03}'  # a plane 3 cm too high
 SURVEY = "functions.symbol.controller={name='feedforward', survey=true}"
 
