@@ -27,7 +27,7 @@ docs: docs-environment
 	@echo "The documentation begins at $(CURDIR)/build/site/index.html"
 
 studio: environment
-	$(BIN)/python -c "from loop.studio.page import page; print('The page is', page())"
+	$(BIN)/python -c "from luxloop.loop.studio.page import page; print('The page is', page())"
 
 lint: test-environment
 	$(BIN)/ruff check .
@@ -60,7 +60,7 @@ $(BIN)/pip:
 	$(PYTHON) -m venv $(VENV)
 
 opengl: | environment
-	@$(BIN)/python -c 'from world.rendering.rasterise import Rasteriser; Rasteriser()' 2>/dev/null \
+	@$(BIN)/python -c 'from luxloop.world.rendering.rasterise import Rasteriser; Rasteriser()' 2>/dev/null \
 		|| scripts/apt_install.sh libegl1 libgl1 libgl1-mesa-dri \
 		|| echo "Going on without OpenGL: luxloop casts rays instead."
 

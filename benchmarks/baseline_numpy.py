@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, maximum_filter, uniform_filter
 
-from controllers.symbol.sensing.flat_model import PAIRED
-from controllers.symbol.sensing.projection import ProjectionCommand
-from loop.lighting.simulation import Simulation
-from perception.camera import camera_view
-from perception.extraction import NEIGHBOURHOOD, WHOLLY_LIT
-from world.rendering.flat_road import flat_road
-from world.rendering.gbuffer import GBuffer, gbuffer
-from world.rendering.rasterise import FAR_M, GL_OPENCV, NEAR_M
-from world.rendering.raycast import sees
+from luxloop.controllers.symbol.sensing.flat_model import PAIRED
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.perception.camera import camera_view
+from luxloop.perception.extraction import NEIGHBOURHOOD, WHOLLY_LIT
+from luxloop.world.rendering.flat_road import flat_road
+from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
+from luxloop.world.rendering.rasterise import FAR_M, GL_OPENCV, NEAR_M
+from luxloop.world.rendering.raycast import sees
 
 Floats = NDArray[np.float32]
 Lap = Callable[[str], None]

@@ -14,11 +14,11 @@ import torch
 from bench import machine, on_one_thread
 from rich.table import Table
 
-from loop.batch.copies import Copies
-from loop.batch.looking import Taken
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import load
-from loop.terminal import tables
+from luxloop.loop.batch.copies import Copies
+from luxloop.loop.batch.looking import Taken
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import load
+from luxloop.loop.terminal import tables
 
 SIZES = ((640, 480), (1280, 720))  # px
 BATCHES, STEPS = (1, 16, 64), 12

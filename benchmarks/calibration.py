@@ -8,11 +8,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from controllers.jpo.mae import least_error
-from controllers.jpo.part import wanted
-from world.beams.rectangles import RECTANGLES, Rectangle
-from world.headlight import Headlight
-from world.presets import lamp
+from luxloop.controllers.jpo.mae import least_error
+from luxloop.controllers.jpo.part import wanted
+from luxloop.world.beams.rectangles import RECTANGLES, Rectangle
+from luxloop.world.headlight import Headlight
+from luxloop.world.presets import lamp
 
 PUBLISHED = {"hd84": 0.81, "ssl-hd-lores": 0.19}  # mean error, T 8.4
 

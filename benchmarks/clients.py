@@ -19,12 +19,12 @@ from rich.table import Table
 from websockets.sync.client import connect
 from websockets.sync.server import ServerConnection, serve
 
-from loop.client.decoding import unpacked
-from loop.client.shared import Mapped
-from loop.studio.shared import Blocks
-from loop.terminal import tables
-from world.messages.arrays import raw
-from world.messages.packing import packed
+from luxloop.loop.client.decoding import unpacked
+from luxloop.loop.client.shared import Mapped
+from luxloop.loop.studio.shared import Blocks
+from luxloop.loop.terminal import tables
+from luxloop.world.messages.arrays import raw
+from luxloop.world.messages.packing import packed
 
 SIZES = ((640, 360), (1920, 1080))
 ROUNDS = 40

@@ -11,14 +11,14 @@ from typing import Any
 
 import rich.progress
 
-from loop.lighting.record import row, schema
-from loop.recording.columns import of_one
-from loop.recording.files import table_of
-from loop.recording.summary import summarise
-from loop.run import prepare
-from loop.scenario import data
-from loop.scenario.model import Scenario, load
-from loop.terminal.tables import markdown, number
+from luxloop.loop.lighting.record import row, schema
+from luxloop.loop.recording.columns import of_one
+from luxloop.loop.recording.files import table_of
+from luxloop.loop.recording.summary import summarise
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario import data
+from luxloop.loop.scenario.model import Scenario, load
+from luxloop.loop.terminal.tables import markdown, number
 
 SYMBOLS = ("distance_warning", "chevrons", "snowflake", "warning_triangle")
 ROADS = ("flat", "bumps", "grade", "mixed")

@@ -12,17 +12,17 @@ import cv2
 import numpy as np
 import torch
 
-from loop.jobs.executors import local
-from loop.training.judge import SURE, judge
-from loop.training.light import luminance
-from loop.training.report import confidence_figure, page
-from loop.training.scenes import CAMERA, HELD_OUT, DarkScene, read
-from loop.training.train import LEAST_SCORE, drawn
-from perception.camera import expose
-from perception.detection.build import WEIGHTS, detector
-from perception.detection.params import HogParams, NetworkParams
-from perception.detection.protocol import Detector
-from perception.noise import FrameNoise
+from luxloop.loop.jobs.executors import local
+from luxloop.loop.training.judge import SURE, judge
+from luxloop.loop.training.light import luminance
+from luxloop.loop.training.report import confidence_figure, page
+from luxloop.loop.training.scenes import CAMERA, HELD_OUT, DarkScene, read
+from luxloop.loop.training.train import LEAST_SCORE, drawn
+from luxloop.perception.camera import expose
+from luxloop.perception.detection.build import WEIGHTS, detector
+from luxloop.perception.detection.params import HogParams, NetworkParams
+from luxloop.perception.detection.protocol import Detector
+from luxloop.perception.noise import FrameNoise
 
 ROOT = Path(__file__).parents[1]
 REPORT = (ROOT / "perception" / "detection" / WEIGHTS).with_suffix(".json")

@@ -17,10 +17,10 @@ import torch
 from bench import machine, on_one_thread
 from rich.table import Table
 
-from loop.batch.rollouts import rollouts
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import load
-from loop.terminal import tables
+from luxloop.loop.batch.rollouts import rollouts
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import load
+from luxloop.loop.terminal import tables
 
 PID = "functions.symbol.controller.name=thesis_pid"
 RUNS: dict[str, tuple[str, tuple[str, ...]]] = {

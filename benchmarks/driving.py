@@ -17,13 +17,13 @@ import torch
 from bench import Goal, judged, machine, on_one_thread, show_goals
 from rich.table import Table
 
-from loop.lighting.result import SimulationState, StepResult
-from loop.lighting.simulation import Simulation
-from loop.plant.world import World
-from loop.scenario.model import load
-from loop.terminal import tables
-from world.light.illumination import added_light
-from world.rendering.surfaces import QuickSurfaces, surface_source
+from luxloop.loop.lighting.result import SimulationState, StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.plant.world import World
+from luxloop.loop.scenario.model import load
+from luxloop.loop.terminal import tables
+from luxloop.world.light.illumination import added_light
+from luxloop.world.rendering.surfaces import QuickSurfaces, surface_source
 
 BOX = '{ kind = "box", name = "box", size_m = [1, 1, 1], track = [{ position_m = [20, 2, 0] }, { time_s = 2, position_m = [20, -2, 0] }] }'
 CASES: tuple[tuple[str, tuple[str, ...]], ...] = (

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from bench import machine
 
-from loop.terminal.tables import markdown
-from world.roads.base import Road
-from world.roads.shapes import GradeParams, Iso8608, Profile
-from world.scene.vehicle import LOW_PASS_M, CourseParams, VehicleParams, followed
+from luxloop.loop.terminal.tables import markdown
+from luxloop.world.roads.base import Road
+from luxloop.world.roads.shapes import GradeParams, Iso8608, Profile
+from luxloop.world.scene.vehicle import LOW_PASS_M, CourseParams, VehicleParams, followed
 
 VEHICLE = VehicleParams(course=(CourseParams(speed_m_s=20.0),))
 AHEAD_M = (12.0, 17.0)

@@ -21,24 +21,24 @@ import matplotlib.pyplot as plt  # noqa: E402
 from bench import processor  # noqa: E402
 from torch import Tensor  # noqa: E402
 
-from controllers.jpo.controller import Jpo  # noqa: E402
-from controllers.jpo.mae import least_error  # noqa: E402
-from controllers.jpo.part import Wanted, wanted  # noqa: E402
-from controllers.jpo.squares import least_squares  # noqa: E402
-from controllers.pixels.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints  # noqa: E402
-from controllers.pixels.primitives import I_V, Primitives, rectangle  # noqa: E402
-from controllers.pixels.rthc import Setpoints  # noqa: E402
-from controllers.pixels.ssc import Ssc  # noqa: E402
-from controllers.pixels.windows import whole  # noqa: E402
-from loop.assembly.build import symbol_path  # noqa: E402
-from loop.terminal.tables import markdown  # noqa: E402
-from perception.metrics import mae  # noqa: E402
-from world.beams.rectangles import RECTANGLES  # noqa: E402
-from world.frames import pose_from_degrees  # noqa: E402
-from world.headlight import Headlight  # noqa: E402
-from world.presets import lamp  # noqa: E402
-from world.spmv import multiply  # noqa: E402
-from world.symbols import load_still  # noqa: E402
+from luxloop.controllers.jpo.controller import Jpo  # noqa: E402
+from luxloop.controllers.jpo.mae import least_error  # noqa: E402
+from luxloop.controllers.jpo.part import Wanted, wanted  # noqa: E402
+from luxloop.controllers.jpo.squares import least_squares  # noqa: E402
+from luxloop.controllers.pixels.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints  # noqa: E402
+from luxloop.controllers.pixels.primitives import I_V, Primitives, rectangle  # noqa: E402
+from luxloop.controllers.pixels.rthc import Setpoints  # noqa: E402
+from luxloop.controllers.pixels.ssc import Ssc  # noqa: E402
+from luxloop.controllers.pixels.windows import whole  # noqa: E402
+from luxloop.loop.assembly.build import symbol_path  # noqa: E402
+from luxloop.loop.terminal.tables import markdown  # noqa: E402
+from luxloop.perception.metrics import mae  # noqa: E402
+from luxloop.world.beams.rectangles import RECTANGLES  # noqa: E402
+from luxloop.world.frames import pose_from_degrees  # noqa: E402
+from luxloop.world.headlight import Headlight  # noqa: E402
+from luxloop.world.presets import lamp  # noqa: E402
+from luxloop.world.spmv import multiply  # noqa: E402
+from luxloop.world.symbols import load_still  # noqa: E402
 
 TEMPLATE = Path(__file__).with_name("jpo_page.md")
 DOCS = Path(__file__).parents[1] / "docs"

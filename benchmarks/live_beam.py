@@ -18,14 +18,14 @@ from bench import machine, on_one_thread
 from rich.table import Table
 from rig_bench import ALBEDO, Effects, rig, wall
 
-from loop.calibration.bench import Array, SimulatedBench
-from loop.calibration.files import Calibration
-from loop.calibration.response import Response
-from loop.live.digitiser import Digitiser
-from loop.terminal import tables
-from perception.camera import saturation_luminance
-from world.headlight import Headlight
-from world.presets.ideal import idealised
+from luxloop.loop.calibration.bench import Array, SimulatedBench
+from luxloop.loop.calibration.files import Calibration
+from luxloop.loop.calibration.response import Response
+from luxloop.loop.live.digitiser import Digitiser
+from luxloop.loop.terminal import tables
+from luxloop.perception.camera import saturation_luminance
+from luxloop.world.headlight import Headlight
+from luxloop.world.presets.ideal import idealised
 
 CAMERAS = ((640, 272), (1280, 544), (1920, 800))
 TEXELS = ((1, 1), (4, 2))  # rows and columns a pixel: 332 x 1024 and 1328 x 2048 texels

@@ -21,15 +21,15 @@ from object_based_cases import COMES, FULL, LOW, NEWCOMER, OURS, beam_lights, ca
 from object_based_goals import FOUND, Measured, measures, track_rows, zone_rows
 from object_based_parts import agreement, pair_jobs, track_jobs, tracked, zone_jobs, zones
 
-from loop.jobs.executors import local
-from loop.jobs.runner import Job, Results, digest_of, run
-from loop.lighting.lamps import flux_by_side
-from loop.lighting.simulation import Simulation
-from loop.recording.digest import digest_of_code
-from loop.training.report import goals as detector_goals
-from perception.camera import expose
-from perception.detection.build import WEIGHTS
-from perception.noise import FrameNoise
+from luxloop.loop.jobs.executors import local
+from luxloop.loop.jobs.runner import Job, Results, digest_of, run
+from luxloop.loop.lighting.lamps import flux_by_side
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.recording.digest import digest_of_code
+from luxloop.loop.training.report import goals as detector_goals
+from luxloop.perception.camera import expose
+from luxloop.perception.detection.build import WEIGHTS
+from luxloop.perception.noise import FrameNoise
 
 ROOT = Path(__file__).parents[1]
 DOCS, NETWORK = ROOT / "docs" / "results", ROOT / "perception" / "detection" / WEIGHTS

@@ -9,18 +9,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from controllers.obl.function import ObjectBasedState
-from loop.lighting.detection import DetectionPipeline, pairs
-from loop.lighting.lamps import flux_by_side
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.plant.world import LitScene
-from loop.scenario.model import Scenario, load, validate
-from loop.scenario.overrides import Override
-from perception.camera import CameraParams, expose
-from perception.ground_truth import GroundTruth
-from perception.noise import FrameNoise
-from world.traffic.generator import varied
+from luxloop.controllers.obl.function import ObjectBasedState
+from luxloop.loop.lighting.detection import DetectionPipeline, pairs
+from luxloop.loop.lighting.lamps import flux_by_side
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.plant.world import LitScene
+from luxloop.loop.scenario.model import Scenario, load, validate
+from luxloop.loop.scenario.overrides import Override
+from luxloop.perception.camera import CameraParams, expose
+from luxloop.perception.ground_truth import GroundTruth
+from luxloop.perception.noise import FrameNoise
+from luxloop.world.traffic.generator import varied
 
 CAMERA = {"width_px": 640, "height_px": 360, "pitch_deg": 1.5, "oversampling": 1, "saturation_e": 2000.0}
 WORLD: dict[str, Any] = {

@@ -10,16 +10,16 @@ from object_based_cases import CAMERA, FIRST, WORLD, lit, scenario
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from loop.jobs.runner import Job
-from loop.lighting.detection import pairs
-from loop.lighting.simulation import Simulation
-from loop.plant.world import World
-from perception.camera import expose
-from perception.detection.protocol import Detections
-from perception.detection.suppression import SAME, overlaps
-from perception.metrics import dssim
-from perception.noise import FrameNoise
-from world.headlight.overlap import reduce
+from luxloop.loop.jobs.runner import Job
+from luxloop.loop.lighting.detection import pairs
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.plant.world import World
+from luxloop.perception.camera import expose
+from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.detection.suppression import SAME, overlaps
+from luxloop.perception.metrics import dssim
+from luxloop.perception.noise import FrameNoise
+from luxloop.world.headlight.overlap import reduce
 
 REFLECTANCES = (0.05, 0.1, 0.2, 0.4, 0.8)
 PLACES = ((17.0, 3.0), (25.0, 0.0), (17.0, -3.0))  # of walls, x and y in m

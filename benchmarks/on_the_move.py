@@ -16,20 +16,20 @@ import torch
 from bench import machine, on_one_thread
 from torch import Tensor
 
-from controllers.symbol.heights.feedforward import relief_of
-from controllers.symbol.heights.luxloop import LuxloopParams, region_of
-from controllers.symbol.heights.patch import drawn_on
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.protocol import Observation
-from controllers.symbol.sensing.symbol_sensor import SymbolSensor
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import load
-from loop.terminal import tables
-from perception.camera import camera_view
-from perception.egomotion import Ego
-from world.frames import inverse, transform
-from world.roads.base import Road
-from world.scene.vehicle import Motion
+from luxloop.controllers.symbol.heights.feedforward import relief_of
+from luxloop.controllers.symbol.heights.luxloop import LuxloopParams, region_of
+from luxloop.controllers.symbol.heights.patch import drawn_on
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.protocol import Observation
+from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import load
+from luxloop.loop.terminal import tables
+from luxloop.perception.camera import camera_view
+from luxloop.perception.egomotion import Ego
+from luxloop.world.frames import inverse, transform
+from luxloop.world.roads.base import Road
+from luxloop.world.scene.vehicle import Motion
 
 STEPS, FROM = 60, 10
 ROAD_SEEDS = {"C": 0, "D": 15}

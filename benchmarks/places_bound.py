@@ -7,14 +7,14 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from controllers.pixels.ssc import Utilisation
-from controllers.symbol.sensing.projector import DrawingModule
-from loop.batch.copies import Lights
-from loop.lighting.simulation import Simulation
-from perception.birdseye import rectify
-from perception.judge import THRESHOLD
-from world.rendering.raycast import depths, first_hits
-from world.scene.triangles import Triangles
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.symbol.sensing.projector import DrawingModule
+from luxloop.loop.batch.copies import Lights
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.perception.birdseye import rectify
+from luxloop.perception.judge import THRESHOLD
+from luxloop.world.rendering.raycast import depths, first_hits
+from luxloop.world.scene.triangles import Triangles
 
 SOME = 4  # along and across, one of so many texels tells where the symbol's light goes
 OFF = 9.0  # a place that is not on the symbol, which lies from -1 to 1

@@ -9,9 +9,9 @@ import torch
 from places_bound import bound
 from symbol_control_cases import SMALL, finite, shared, side_by_side, uncontrolled
 
-from loop.recording.summary import AXES, column
-from loop.scenario import data
-from loop.scenario.model import Scenario, load
+from luxloop.loop.recording.summary import AXES, column
+from luxloop.loop.scenario import data
+from luxloop.loop.scenario.model import Scenario, load
 
 FEEDFORWARD = "feedforward, true road"
 CONTROLLERS = ("open", "thesis_pid", "gauss_newton", "model_reference", FEEDFORWARD, "luxloop")

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from places_cases import FEEDFORWARD, Place
 from symbol_control_goals import DARK, END
 
-from loop.recording.summary import AXES
+from luxloop.loop.recording.summary import AXES
 
 VISIBLE = 0.8  # share of the target's cells that lamp and camera allow at least where goals hold
 LOOKS = 3  # after the first frame, within which a symbol is found

@@ -20,16 +20,16 @@ from bench import machine, on_one_thread
 from rich.table import Table
 from websockets.sync.client import connect
 
-from controllers.pixels.ssc import Utilisation
-from loop.client.decoding import unpacked
-from loop.plant.clock import FromZero
-from loop.plant.protocol import Arrivals, Exposure, Frame, Plant
-from loop.plant.remote import RemotePlant
-from loop.run import prepare
-from loop.scenario.model import load
-from loop.terminal import tables
-from world.messages.arrays import raw
-from world.messages.packing import packed
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.client.decoding import unpacked
+from luxloop.loop.plant.clock import FromZero
+from luxloop.loop.plant.protocol import Arrivals, Exposure, Frame, Plant
+from luxloop.loop.plant.remote import RemotePlant
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
+from luxloop.loop.terminal import tables
+from luxloop.world.messages.arrays import raw
+from luxloop.world.messages.packing import packed
 
 SIZES = ((640, 360), (1280, 720))
 STEPS = 100

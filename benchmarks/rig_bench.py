@@ -8,16 +8,16 @@ import numpy as np
 import torch
 from scipy.ndimage import gaussian_filter
 
-from loop.calibration.bench import Array, SimulatedBench, simulated_bench
-from loop.calibration.board import Corners
-from loop.calibration.geometry import CameraModel, Geometry, Pose
-from loop.calibration.intrinsics import lens
-from loop.lighting.lamps import lamp_modules, shining_modules
-from loop.scenario.model import Scenario, validate
-from perception.camera import camera_view
-from world.headlight import Headlight
-from world.headlight.lamp import Lamp, Module
-from world.lampfiles import archive
+from luxloop.loop.calibration.bench import Array, SimulatedBench, simulated_bench
+from luxloop.loop.calibration.board import Corners
+from luxloop.loop.calibration.geometry import CameraModel, Geometry, Pose
+from luxloop.loop.calibration.intrinsics import lens
+from luxloop.loop.lighting.lamps import lamp_modules, shining_modules
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.perception.camera import camera_view
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import Lamp, Module
+from luxloop.world.lampfiles import archive
 
 SCREEN_M = 5.95  # of the screen before the lamp
 ALBEDO = 0.8

@@ -15,14 +15,14 @@ import numpy as np
 import torch
 from rig_bench import ALBEDO, Effects, Rig, model, rig, seen_at, wall
 
-from loop.calibration.bench import Array
-from loop.calibration.digitise import Digitised, Nominal, Reading, Settings, digitised, lux, scaled, take
-from loop.calibration.geometry import Geometry, candela_factor
-from loop.calibration.response import Response
-from loop.calibration.shots import Shots
-from loop.terminal.tables import markdown
-from world.headlight import Headlight
-from world.presets.ideal import idealised
+from luxloop.loop.calibration.bench import Array
+from luxloop.loop.calibration.digitise import Digitised, Nominal, Reading, Settings, digitised, lux, scaled, take
+from luxloop.loop.calibration.geometry import Geometry, candela_factor
+from luxloop.loop.calibration.response import Response
+from luxloop.loop.calibration.shots import Shots
+from luxloop.loop.terminal.tables import markdown
+from luxloop.world.headlight import Headlight
+from luxloop.world.presets.ideal import idealised
 
 CASES = {
     "nothing": Effects(),

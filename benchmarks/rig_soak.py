@@ -26,18 +26,18 @@ from bench import Goal, judged, machine, on_one_thread, show_goals
 from rich.table import Table
 from torch import Tensor
 
-from loop.commands.rig_runs import pixel_grids
-from loop.lighting.lamps import lamp_modules
-from loop.plant.build import from_zero
-from loop.plant.protocol import Exposure
-from loop.rig.judged import Judged
-from loop.rig.params import RigParams
-from loop.rig.plant import RigPlant
-from loop.rig.rig import Rig, await_camera, opened
-from loop.run import run
-from loop.scenario.model import load
-from loop.terminal import tables
-from world.validation import validated
+from luxloop.loop.commands.rig_runs import pixel_grids
+from luxloop.loop.lighting.lamps import lamp_modules
+from luxloop.loop.plant.build import from_zero
+from luxloop.loop.plant.protocol import Exposure
+from luxloop.loop.rig.judged import Judged
+from luxloop.loop.rig.params import RigParams
+from luxloop.loop.rig.plant import RigPlant
+from luxloop.loop.rig.rig import Rig, await_camera, opened
+from luxloop.loop.run import run
+from luxloop.loop.scenario.model import load
+from luxloop.loop.terminal import tables
+from luxloop.world.validation import validated
 
 ROOT = Path(__file__).parents[1]
 KEYS = ("camera.width_px=640", "camera.height_px=360", "camera.oversampling=2", "renderer=raycast")
@@ -57,7 +57,7 @@ class Enough(KeyboardInterrupt):
 def rig_process() -> Iterator[int]:
     """Its process number; it is ready to be used."""
     ports = ("--light-port", str(LIGHT), "--camera-port", str(CAMERA), "--truth-port", str(TRUTH))
-    command = [sys.executable, "-m", "loop.commands.cli", "rig", "simulate", "snowflake", "--set", *KEYS, *FAULTS, *ports]
+    command = [sys.executable, "-m", "luxloop.loop.commands.cli", "rig", "simulate", "snowflake", "--set", *KEYS, *FAULTS, *ports]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)}) as process:
         assert process.stdout is not None
         try:

@@ -22,25 +22,25 @@ from bench import Goal, judged, machine, on_one_thread, show_goals
 from float64_rays import hidden
 from torch import Tensor
 
-from loop.lighting.simulation import Simulation
-from loop.plant.world import World
-from loop.scenario import data
-from loop.scenario.model import load
-from loop.terminal import tables
-from world.frames import pose, pose_from_degrees
-from world.headlight import Headlight
-from world.light.illumination import illuminance, reach
-from world.rendering.face_source import face_source
-from world.rendering.gbuffer import GBuffer
-from world.rendering.raycast import TOLERANCE_M, depths, first_hits, sees
-from world.rendering.surfaces import ExactSurfaces, surface_source
-from world.roads.mesh import road_mesh
-from world.roads.shapes import Bumps, Curb, Flat, Grade, Iso8608, Mixed, OpenCrgRoad, Pothole, Road, SpeedBump, Step
-from world.scene.body import Body
-from world.scene.road_tiles import RoadTiles
-from world.scene.scene import Scene
-from world.scene.triangles import Triangles
-from world.view import View
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.plant.world import World
+from luxloop.loop.scenario import data
+from luxloop.loop.scenario.model import load
+from luxloop.loop.terminal import tables
+from luxloop.world.frames import pose, pose_from_degrees
+from luxloop.world.headlight import Headlight
+from luxloop.world.light.illumination import illuminance, reach
+from luxloop.world.rendering.face_source import face_source
+from luxloop.world.rendering.gbuffer import GBuffer
+from luxloop.world.rendering.raycast import TOLERANCE_M, depths, first_hits, sees
+from luxloop.world.rendering.surfaces import ExactSurfaces, surface_source
+from luxloop.world.roads.mesh import road_mesh
+from luxloop.world.roads.shapes import Bumps, Curb, Flat, Grade, Iso8608, Mixed, OpenCrgRoad, Pothole, Road, SpeedBump, Step
+from luxloop.world.scene.body import Body
+from luxloop.world.scene.road_tiles import RoadTiles
+from luxloop.world.scene.scene import Scene
+from luxloop.world.scene.triangles import Triangles
+from luxloop.world.view import View
 
 SHAPES: dict[str, Road] = {
     "flat": Flat(),

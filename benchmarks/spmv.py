@@ -26,9 +26,9 @@ from spmv_lamps import FIXED_SIDE, SIZES, THESIS_ADAPTIVE_US, THESIS_FIXED_US, L
 from spmv_timing import Copy, Step, interleaved, statistics
 from spmv_updates import FIGURE_PIXELS, FIGURE_TEXELS, measure_figure, measure_updates
 
-from loop.terminal import tables
-from world import presets
-from world.spmv import Csr, zeros
+from luxloop.loop.terminal import tables
+from luxloop.world import presets
+from luxloop.world.spmv import Csr, zeros
 
 ROOT = Path(__file__).parents[1]
 ROUNDS = 15

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 
-from world.texels import TexelGrid
+from luxloop.world.texels import TexelGrid
 
 SIZES = ((45, 90), (125, 250), (390, 780), (670, 1340), (870, 1740))  # rows x columns of pixels
 THESIS_FIXED_US = (429.7, 432.9, 480.3, 454.9, 454.9)  # medians of table A.1, Nvidia 2080 Ti

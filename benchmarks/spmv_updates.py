@@ -8,7 +8,7 @@ from sparse.incremental import Bands, ChangedPixels
 from spmv_lamps import Lamp, disjoint
 from spmv_timing import Step, interleaved
 
-from world.spmv import Csr
+from luxloop.world.spmv import Csr
 
 FIGURE_TEXELS = (128, 256, 512, 1024)  # rows of a texture of aspect 4:1
 FIGURE_PIXELS = (32, 64, 128, 256, 512, 1024, 2048)  # columns

@@ -18,10 +18,10 @@ from rich.table import Table
 from spmv_timing import Step, interleaved, statistics
 from ssc_scenes import T_WORLD_LAMP, Plain, covered, lamp, many, symbol
 
-from controllers.pixels.primitives import Primitives
-from controllers.pixels.ssc import Ssc
-from loop.terminal import tables
-from world.headlight import Headlight
+from luxloop.controllers.pixels.primitives import Primitives
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.loop.terminal import tables
+from luxloop.world.headlight import Headlight
 
 ROUNDS = 11
 GPU_ROUNDS = 500

@@ -7,11 +7,11 @@ import torch
 from spmv_lamps import overlapping
 from torch import Tensor
 
-from controllers.pixels.primitives import Primitives, concatenate, rectangle, road_symbol
-from world.frames import pose_from_degrees
-from world.headlight import Headlight
-from world.spmv import Csr
-from world.texels import TexelGrid
+from luxloop.controllers.pixels.primitives import Primitives, concatenate, rectangle, road_symbol
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight import Headlight
+from luxloop.world.spmv import Csr
+from luxloop.world.texels import TexelGrid
 
 T_WORLD_LAMP = pose_from_degrees((0.0, 0.6, 0.75))
 HALF_WIDTH_DEG, HALF_HEIGHT_DEG = 10.0, 5.0
@@ -57,7 +57,7 @@ def many() -> Primitives:
 
 def covered(scene: Primitives, light: Headlight) -> float:
     """Share of the texture that primitives cover."""
-    from controllers.pixels.rthc import trace
+    from luxloop.controllers.pixels.rthc import trace
 
     return trace(scene, light, T_WORLD_LAMP).hit.double().mean().item()
 

@@ -23,15 +23,15 @@ from baseline_numpy import Baseline, Lap, Picture
 from bench import machine, on_one_thread
 from rich.table import Table
 
-from controllers.symbol.sensing.protocol import Observation, Shown
-from loop.lighting.result import SimulationState
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import Scenario, load
-from loop.terminal import tables
-from perception.camera import expose
-from perception.noise import FrameNoise
-from world.light.illumination import added_light
-from world.partial import PartialImage
+from luxloop.controllers.symbol.sensing.protocol import Observation, Shown
+from luxloop.loop.lighting.result import SimulationState
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import Scenario, load
+from luxloop.loop.terminal import tables
+from luxloop.perception.camera import expose
+from luxloop.perception.noise import FrameNoise
+from luxloop.world.light.illumination import added_light
+from luxloop.world.partial import PartialImage
 
 SIZES = ((640, 480), (1280, 720))  # px
 QUICK_SIZES = ((320, 180),)

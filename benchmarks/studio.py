@@ -23,13 +23,13 @@ from typing import Any
 from bench import machine, on_one_thread
 from rich.table import Table
 
-from loop.studio.feed import Feed
-from loop.studio.messages import VIEWS, Button, Request
-from loop.studio.server import Studio, Tokens
-from loop.studio.session import Session
-from loop.studio.sources import Source
-from loop.terminal import tables
-from world.messages.packing import LENGTH
+from luxloop.loop.studio.feed import Feed
+from luxloop.loop.studio.messages import VIEWS, Button, Request
+from luxloop.loop.studio.server import Studio, Tokens
+from luxloop.loop.studio.session import Session
+from luxloop.loop.studio.sources import Source
+from luxloop.loop.terminal import tables
+from luxloop.world.messages.packing import LENGTH
 
 SMALL = ("camera.width_px=640", "camera.height_px=360", "judge_every=0")
 STEPS = {"snowflake": 240, "gfhb": 60, "driving": 80}  # some four to eight seconds each
@@ -148,7 +148,7 @@ def watched_from_outside(port: int | str, token: str, sleeps_s: float, views: st
 def first_picture_s(name: str) -> float:
     """From the command to the first step at a client."""
     began_s = time.perf_counter()
-    command = [sys.executable, "-m", "loop.commands.cli", "studio", name, "--no-open", "--port", "0"]
+    command = [sys.executable, "-m", "luxloop.loop.commands.cli", "studio", name, "--no-open", "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         assert server.stdout is not None
         address = next(line.split()[-1] for line in server.stdout if line.startswith("To watch"))

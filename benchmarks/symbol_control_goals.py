@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from symbol_control_cases import DISTURBED, DRIVING, STANDING, UNDISTURBED, UNTIL, Case
 
-from loop.recording.summary import AXES
+from luxloop.loop.recording.summary import AXES
 
 BEGUN = 11  # from this step on the symbol is compared with the open loop, and judged while the car moves
 END = 5  # steps of which the mean is the end, as in summaries

@@ -12,7 +12,7 @@ import numpy as np
 from symbol_control_cases import CONTROLLERS, DISTURBED, DRIVING, FROM, STANDING, UNTIL, Case
 from symbol_control_goals import BEGUN, DISTURBANCES, GOALS, Judged, Row
 
-from loop.terminal.tables import markdown
+from luxloop.loop.terminal.tables import markdown
 
 TEMPLATE = Path(__file__).with_suffix(".md")
 PICTURE = "symbol-control.png"

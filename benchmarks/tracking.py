@@ -12,14 +12,14 @@ import torch
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import validate
-from loop.terminal.tables import markdown
-from perception.camera import CameraParams, camera_view
-from perception.detection.protocol import Detections
-from perception.detection.suppression import SAME, overlaps
-from perception.tracking import Tracker, TrackerParams
-from world.traffic.tracked import Category
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import validate
+from luxloop.loop.terminal.tables import markdown
+from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.detection.suppression import SAME, overlaps
+from luxloop.perception.tracking import Tracker, TrackerParams
+from luxloop.world.traffic.tracked import Category
 
 CLASSES: tuple[Category, ...] = ("pedestrian", "cyclist", "car", "animal")
 CAMERA = {"width_px": 640, "height_px": 360, "hfov_deg": 30.0, "pitch_deg": 1.5, "oversampling": 1, "saturation_e": 2000.0}

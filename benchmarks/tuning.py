@@ -17,15 +17,15 @@ import numpy as np
 import torch
 from optuna.trial import TrialState
 
-from loop import objective
-from loop.batch.rollouts import rollouts
-from loop.jobs.executors import Executor, local
-from loop.run import prepare
-from loop.scenario.model import Scenario, load
-from loop.studies import ranges
-from loop.studies.tune import Task, Tuned, ran
-from loop.studies.tune_report import do_tune
-from loop.terminal import tables
+from luxloop.loop import objective
+from luxloop.loop.batch.rollouts import rollouts
+from luxloop.loop.jobs.executors import Executor, local
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import Scenario, load
+from luxloop.loop.studies import ranges
+from luxloop.loop.studies.tune import Task, Tuned, ran
+from luxloop.loop.studies.tune_report import do_tune
+from luxloop.loop.terminal import tables
 
 DOCS = Path(__file__).parents[1] / "docs" / "tuning.md"
 HEADING = "## What it brings"

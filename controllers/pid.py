@@ -14,8 +14,8 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from world.errors import LuxloopError
-from world.params import Params
+from luxloop.world.errors import LuxloopError
+from luxloop.world.params import Params
 
 Form = Literal["position", "incremental"]
 

@@ -8,17 +8,17 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from controllers.geometry import Place
-from controllers.pixels.primitives import Primitives, rectangle
-from controllers.pixels.secondary import Light
-from world.frames import inverse, transform
-from world.headlight.lamp import Commands
-from world.params import Params
-from world.scene.body import Body
-from world.scene.figure import Figure
-from world.symbols import SymbolSource
-from world.traffic.tracked import Category
-from world.view import View
+from luxloop.controllers.geometry import Place
+from luxloop.controllers.pixels.primitives import Primitives, rectangle
+from luxloop.controllers.pixels.secondary import Light
+from luxloop.world.frames import inverse, transform
+from luxloop.world.headlight.lamp import Commands
+from luxloop.world.params import Params
+from luxloop.world.scene.body import Body
+from luxloop.world.scene.figure import Figure
+from luxloop.world.symbols import SymbolSource
+from luxloop.world.traffic.tracked import Category
+from luxloop.world.view import View
 
 LAYERS = 16  # most layers of primitives that a function may stack
 Side = Literal["left", "right"]

@@ -9,21 +9,21 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from controllers.functions.symbol import SymbolFunctionParams
-from loop.assembly.build import build_symbol_controller
-from loop.lighting.controlled import Held
-from loop.lighting.record import row, schema, summary_of
-from loop.lighting.result import Rollout, StepResult
-from loop.lighting.simulation import Simulation
-from loop.plant.simulated import SimulatedPlant
-from loop.recording.columns import of_one
-from loop.recording.files import table_of
-from loop.recording.manifest import digests
-from loop.recording.summary import column, judged
-from loop.run import prepare
-from loop.scenario.model import Scenario, only
-from loop.scenario.plant import SimulatedPlantParams
-from perception.extraction import Loss
+from luxloop.controllers.functions.symbol import SymbolFunctionParams
+from luxloop.loop.assembly.build import build_symbol_controller
+from luxloop.loop.lighting.controlled import Held
+from luxloop.loop.lighting.record import row, schema, summary_of
+from luxloop.loop.lighting.result import Rollout, StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.plant.simulated import SimulatedPlant
+from luxloop.loop.recording.columns import of_one
+from luxloop.loop.recording.files import table_of
+from luxloop.loop.recording.manifest import digests
+from luxloop.loop.recording.summary import column, judged
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import Scenario, only
+from luxloop.loop.scenario.plant import SimulatedPlantParams
+from luxloop.perception.extraction import Loss
 
 Figures = dict[str, float | str | None]
 WORST = {  # figures of symbols that are held, and which of several is the worst

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from world.errors import LuxloopError, did_you_mean
+from luxloop.world.errors import LuxloopError, did_you_mean
 
 FAILED = 2.0  # a term without a value: as dear as if the symbol settled only after twice the run; no term costs more
 

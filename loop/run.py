@@ -12,24 +12,24 @@ from typing import Any
 import pyarrow as pa
 import torch
 
-from controllers.symbol.sensing.field import SIDES, cut
-from controllers.symbol.sensing.projection import ProjectionCommand
-from loop.labels.labelled import Labels, Layout
-from loop.lighting.commanded import unmoved
-from loop.lighting.controlled import ControlledSymbol
-from loop.lighting.record import refuse_unknown_columns, row
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.plant.digitised import DigitisedPlant, needs_rig
-from loop.plant.protocol import Plant
-from loop.recording.checks import Checks
-from loop.recording.files import REPORT, TRAJECTORY, VIDEO
-from loop.recording.remedies import of_target
-from loop.scenario.model import Scenario, load
-from loop.scenario.plant import shadow_of
-from world.errors import LuxloopError, located
-from world.folders import output_folder
-from world.parquet import read_parquet
+from luxloop.controllers.symbol.sensing.field import SIDES, cut
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.loop.labels.labelled import Labels, Layout
+from luxloop.loop.lighting.commanded import unmoved
+from luxloop.loop.lighting.controlled import ControlledSymbol
+from luxloop.loop.lighting.record import refuse_unknown_columns, row
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.plant.digitised import DigitisedPlant, needs_rig
+from luxloop.loop.plant.protocol import Plant
+from luxloop.loop.recording.checks import Checks
+from luxloop.loop.recording.files import REPORT, TRAJECTORY, VIDEO
+from luxloop.loop.recording.remedies import of_target
+from luxloop.loop.scenario.model import Scenario, load
+from luxloop.loop.scenario.plant import shadow_of
+from luxloop.world.errors import LuxloopError, located
+from luxloop.world.folders import output_folder
+from luxloop.world.parquet import read_parquet
 
 VIDEO_FPS = 10  # slower than most loops, so that the eye can follow their steps
 
@@ -90,10 +90,10 @@ def run(
     first step is done.
     """
     # What records, for which a preparation alone does not wait.
-    from loop.lighting.recorder import Recorder, refuse_foreign
-    from loop.recording.video import VideoWriter
-    from loop.report.picture import frame_picture, white_of
-    from loop.report.watched import Watched
+    from luxloop.loop.lighting.recorder import Recorder, refuse_foreign
+    from luxloop.loop.recording.video import VideoWriter
+    from luxloop.loop.report.picture import frame_picture, white_of
+    from luxloop.loop.report.watched import Watched
 
     if folder is not None and not isinstance(folder, str | Path):
         raise LuxloopError(f"run: folder is a {type(folder).__name__}, not a path; give other values of keys as overrides=[...]")
@@ -119,7 +119,7 @@ def run(
         run_checks = Checks(scenario.checks, (lambda light: map(row, simulation.lit_by(light).run())) if checks else None)
 
         def page(table: pa.Table, summary: dict[str, Any]) -> None:
-            from loop.report.page import write_report  # Matplotlib, for which the first step does not wait
+            from luxloop.loop.report.page import write_report  # Matplotlib, for which the first step does not wait
 
             write_report(folder / REPORT, simulation, watched, table, summary)
 

@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, pad
 
-from perception.appearance import Axes
-from world.resampling import resampled
-from world.view import View
+from luxloop.perception.appearance import Axes
+from luxloop.world.resampling import resampled
+from luxloop.world.view import View
 
 NOWHERE_PX = -1e6
 

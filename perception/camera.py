@@ -16,11 +16,11 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from perception.noise import FrameNoise
-from world.budget import afford
-from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
-from world.params import Params
-from world.view import View
+from luxloop.perception.noise import FrameNoise
+from luxloop.world.budget import afford
+from luxloop.world.frames import R_ISO_OPENCV, pose, pose_from_degrees
+from luxloop.world.params import Params
+from luxloop.world.view import View
 
 BYTES_A_SAMPLE: Final = 350  # of a frame with G-buffer and shading, measured
 

@@ -8,8 +8,8 @@ from typing import Final, Literal
 import torch
 from torch import Tensor
 
-from world.frames import pose, rotation
-from world.scene.vehicle import VehicleParams, body_pose, ground_pose
+from luxloop.world.frames import pose, rotation
+from luxloop.world.scene.vehicle import VehicleParams, body_pose, ground_pose
 
 STANDS_M_S = 0.1  # below any driving speed, and above the noise of a speed sensor at rest
 

@@ -10,10 +10,10 @@ from pydantic import Field, Tag
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, pad
 
-from perception.camera import CameraParams, luminance_of, noise_std
-from world import plugin
-from world.errors import LuxloopError
-from world.params import Params
+from luxloop.perception.camera import CameraParams, luminance_of, noise_std
+from luxloop.world import plugin
+from luxloop.world.errors import LuxloopError
+from luxloop.world.params import Params
 
 NEIGHBOURHOOD = (3, 7)  # rows, columns in px: wider than an edge, narrower than the change of light over a symbol
 WHOLLY_LIT = 0.6  # share of the brightest contrast nearby above which a pixel counts fully, so that noise inside the symbol has no effect

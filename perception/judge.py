@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
-from perception.appearance import Appearance, appearance
-from perception.birdseye import BirdsEye, rectify, span
-from perception.metrics import iou, ssim
+from luxloop.perception.appearance import Appearance, appearance
+from luxloop.perception.birdseye import BirdsEye, rectify, span
+from luxloop.perception.metrics import iou, ssim
 
 THRESHOLD = 0.25  # of the target's median: far parts of a symbol are several times darker than near ones
 CELL_M = 0.02  # at 4 cm the mask's edges would jump by half a percent of the symbol's length

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from world.traffic.tracked import Category
+from luxloop.world.traffic.tracked import Category
 
 SHINE: frozenset[Category] = frozenset({"car", "truck"})
 BRIGHT = 0.95  # of the largest digital number: threshold of light sources

@@ -3,10 +3,10 @@
 import torch
 from torch import Tensor
 
-from world.frames import inverse, transform
-from world.materials.library import MaterialName
-from world.rendering.gbuffer import GBuffer
-from world.scene.triangles import Placed, Triangles
+from luxloop.world.frames import inverse, transform
+from luxloop.world.materials.library import MaterialName
+from luxloop.world.rendering.gbuffer import GBuffer
+from luxloop.world.scene.triangles import Placed, Triangles
 
 
 def material_picture(surfaces: GBuffer, triangles: Triangles) -> tuple[Tensor, tuple[MaterialName, ...]]:

@@ -5,7 +5,7 @@ import math
 import torch
 from torch import Tensor
 
-from world.errors import LuxloopError
+from luxloop.world.errors import LuxloopError
 
 MARE_OFFSET = 1e-12  # cd; a texel that should be dark counts with its light over this
 

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from perception.placing import road_rows
-from world.traffic.tracked import Category
-from world.view import View
+from luxloop.perception.placing import road_rows
+from luxloop.world.traffic.tracked import Category
+from luxloop.world.view import View
 
 HEIGHTS_M: Mapping[Category, tuple[float, float]] = {  # of the lowest and of the highest on the road
     "pedestrian": (1.0, 2.05),

@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor
 
-from world.frames import inverse
-from world.view import View
+from luxloop.world.frames import inverse
+from luxloop.world.view import View
 
 
 def box_region(view: View, T_world_box: Tensor, low: Tensor, high: Tensor) -> Tensor:

@@ -10,9 +10,9 @@ import numpy as np
 from pydantic import Field
 from torch import Tensor
 
-from perception.egomotion import Sample, Sensor
-from world.params import Params
-from world.scene.vehicle import Motion, VehicleState
+from luxloop.perception.egomotion import Sample, Sensor
+from luxloop.world.params import Params
+from luxloop.world.scene.vehicle import Motion, VehicleState
 
 NOISE_KEY = 3  # beside the camera's generators of a step
 DRAWN: Final[Mapping[Sensor, list[int]]] = {  # a sensor's places in the noise that is drawn for the number of a sample

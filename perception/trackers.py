@@ -7,15 +7,15 @@ import torch
 from pydantic import Field, Tag
 from torch import Tensor
 
-from perception.detection.protocol import Detections
-from perception.tracking import Tracker, TrackerParams
-from perception.tracks import ObjectTracker, TrackedBoxes
-from world import plugin
-from world.errors import LuxloopError
-from world.params import Params
-from world.plugin import OWN, known_or_own
-from world.traffic.tracked import Category
-from world.view import View
+from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.tracking import Tracker, TrackerParams
+from luxloop.perception.tracks import ObjectTracker, TrackedBoxes
+from luxloop.world import plugin
+from luxloop.world.errors import LuxloopError
+from luxloop.world.params import Params
+from luxloop.world.plugin import OWN, known_or_own
+from luxloop.world.traffic.tracked import Category
+from luxloop.world.view import View
 
 KEY = "tracker.kind"
 METHODS = ("start", "follow", "report")

@@ -15,15 +15,15 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn.functional import one_hot
 
-from perception.detection.protocol import Detections
-from perception.detection.suppression import SAME, overlaps
-from perception.lamps import SHINE, by_lamps
-from perception.parts import MEASURED, SOLID, alike, are_parts, belonging, completed, hiding, limits_m, spread_of, standing, uncut
-from perception.placing import nearness
-from perception.tracks import EACH, TrackedBoxes, Tracks
-from world.params import Params
-from world.traffic.tracked import Category
-from world.view import View
+from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.detection.suppression import SAME, overlaps
+from luxloop.perception.lamps import SHINE, by_lamps
+from luxloop.perception.parts import MEASURED, SOLID, alike, are_parts, belonging, completed, hiding, limits_m, spread_of, standing, uncut
+from luxloop.perception.placing import nearness
+from luxloop.perception.tracks import EACH, TrackedBoxes, Tracks
+from luxloop.world.params import Params
+from luxloop.world.traffic.tracked import Category
+from luxloop.world.view import View
 
 STARTS = (4.0, 0.5)  # of a new track's rates, in sizes a second: 4 m/s across for a pedestrian's size, less up and down
 CHANGES = (1.0, 0.3)  # of how rates change, in sizes and the root of a second

@@ -6,7 +6,7 @@ from typing import Any, Protocol, Self
 import torch
 from torch import Tensor
 
-from perception.detection.protocol import Detections
+from luxloop.perception.detection.protocol import Detections
 
 
 @dataclass(frozen=True, eq=False)

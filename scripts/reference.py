@@ -16,16 +16,16 @@ from typing import Any
 from citations import cited_table
 from pydantic import BaseModel
 
-from loop.bench.faults import FaultParams
-from loop.lighting import record
-from loop.plant.frames import COLUMNS
-from loop.recording import columns as recorded
-from loop.recording.comparison import TOLERANCES
-from loop.rig.params import RigParams
-from loop.scenario.model import Scenario
-from loop.scenario.overrides import TAGS
-from loop.terminal.tables import markdown
-from world.lampfiles.description import LampDescription
+from luxloop.loop.bench.faults import FaultParams
+from luxloop.loop.lighting import record
+from luxloop.loop.plant.frames import COLUMNS
+from luxloop.loop.recording import columns as recorded
+from luxloop.loop.recording.comparison import TOLERANCES
+from luxloop.loop.rig.params import RigParams
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.scenario.overrides import TAGS
+from luxloop.loop.terminal.tables import markdown
+from luxloop.world.lampfiles.description import LampDescription
 
 FILES: dict[str, type[BaseModel]] = {
     "scenarios.md": Scenario,

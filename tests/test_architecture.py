@@ -10,6 +10,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 ORDER = ("world", "perception", "controllers", "loop", "luxloop")  # each may import those before it
 DATA = {"scenarios"}  # of loop only
+INSIDE = {*ORDER[:-1], *DATA}  # what is imported as luxloop.NAME
 MODULES = [path.relative_to(ROOT) for package in ORDER for path in sorted((ROOT / package).rglob("*.py"))]
 FOLDERS = sorted({module.parent for module in MODULES})
 TESTS = [path.relative_to(ROOT) for package in ORDER for path in sorted((ROOT / "tests" / package).rglob("*.py"))]
@@ -20,7 +21,7 @@ DRAWS_WITH_IT = Path("world/rendering/deferred.py")
 LONGEST = 450  # lines: beyond that a module holds more than one idea
 FULLEST = 20  # modules in a folder: beyond that its name says too little of them
 PARAMETERS = 7  # of a function; with more, some of them should be one value
-MANY = {"primitives.py: rectangle", "headlight.py: show", "run.py: run"}  # each value stands by itself
+MANY = {"primitives.py: rectangle", "headlight.py: show_headlight", "run.py: run"}  # each value stands by itself
 GROWS = r"\.(add|append|clear|extend|insert|pop|popitem|remove|setdefault|update)\("
 TRICKS = re.compile(r"object\.__setattr__|\bcopy\.copy\(|from copy import copy\b|vars\(.*?\)\[.*\] = |^ +global ", re.M)
 NEIGHBOURS = 7  # folders of its package, half of those of loop, that a folder imports from
@@ -38,8 +39,16 @@ def parsed(source: str) -> ast.Module:
 
 @cache
 def imported(source: str) -> set[str]:
-    """All that a module imports, at its head or inside functions: `a.b.c` of `from a.b import c`, what begins with "." of relative
-    imports."""
+    """All that a module imports, at its head or inside functions: `a.b.c` of `from a.b import c`, `world.c` of `from luxloop.world import
+    c`, what begins with "." of relative imports."""
+    return {name.removeprefix("luxloop.") if name.split(".")[1] in INSIDE else name for name in named_in(source) if "." in name} | {
+        name for name in named_in(source) if "." not in name
+    }
+
+
+@cache
+def named_in(source: str) -> set[str]:
+    """Names of imports as they stand."""
     names = set()
     for node in ast.walk(parsed(source)):
         if isinstance(node, ast.Import):
@@ -74,7 +83,10 @@ def arrows(folder: Path) -> set[Path]:
 def test_imports_are_found_wherever_they_stand() -> None:
     source = "import a.b, c as d\nfrom e.f import g\ndef h():\n    from . import i\n    import j\n"
     assert tops(imported(source)) == {"a", "c", "e", ".", "j"}
-    names = imported("from world import plugin\nfrom world.headlight import Headlight\nimport world.light.ambient\nimport torch.fft\n")
+    names = imported(
+        "from luxloop.world import plugin\nfrom luxloop.world.headlight import Headlight\n"
+        "import luxloop.world.light.ambient\nimport torch.fft\n"
+    )
     assert {folder_of(name) for name in names} == {Path("world"), Path("world/headlight"), Path("world/light"), None}
 
 
@@ -85,6 +97,7 @@ def test_imports_point_one_way() -> None:
         barred = {*ORDER[ORDER.index(package) + 1 :], *(DATA if package != "loop" else ()), "tests", "benchmarks", "examples"}
         wrong += [f"{module}: {package} must not import {name}" for name in sorted(names & barred)]
         wrong += [f"{module}: name the package in imports"] * ("." in names)
+        wrong += [f"{module}: import luxloop.{name}" for name in sorted(tops(named_in(text_of(module))) & INSIDE)]
     for test in TESTS:
         package = test.parts[1]
         higher = tuple(f"{name}." for name in (*ORDER[ORDER.index(package) + 1 :], "benchmarks"))

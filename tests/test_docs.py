@@ -16,18 +16,18 @@ from typing import Any
 import pytest
 import reference
 
-from loop.commands import cli
-from loop.commands.given import scenario_of
-from loop.rig.params import RigParams
-from loop.run import prepare
-from loop.scenario.model import Scenario, load, validate
-from loop.scenario.overrides import TAGS
-from loop.scenario.shipped import shipped
-from loop.studies.campaign import CampaignParams
-from loop.studio.page import PAGE
-from world.lampfiles import description
-from world.lampfiles.description import LampDescription
-from world.validation import validated
+from luxloop.loop.commands import cli
+from luxloop.loop.commands.given import scenario_of
+from luxloop.loop.rig.params import RigParams
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import Scenario, load, validate
+from luxloop.loop.scenario.overrides import TAGS
+from luxloop.loop.scenario.shipped import shipped
+from luxloop.loop.studies.campaign import CampaignParams
+from luxloop.loop.studio.page import PAGE
+from luxloop.world.lampfiles import description
+from luxloop.world.lampfiles.description import LampDescription
+from luxloop.world.validation import validated
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -27,7 +27,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     source = folder / "source"
     for package in PACKAGES:
-        shutil.copytree(ROOT / package, source / package, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(ROOT / package, source / package, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
     subprocess.run([sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, source], check=True)
@@ -38,13 +38,13 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_wheel_holds_every_file_of_the_packages(wheel: Path) -> None:
     shipped = set(zipfile.ZipFile(wheel).namelist())
     ours = {
-        path.relative_to(ROOT).as_posix()
+        ("" if package == "luxloop" else "luxloop/") + path.relative_to(ROOT).as_posix()
         for package in PACKAGES
         for path in (ROOT / package).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
     assert ours - shipped == set()
-    assert {name.split("/")[0] for name in shipped if ".dist-info/" not in name} == set(PACKAGES)
+    assert {name.split("/")[0] for name in shipped if ".dist-info/" not in name} == {"luxloop"}
     assert any(name.endswith("licenses/LICENSE") for name in shipped)
 
 
@@ -53,9 +53,7 @@ def luxloop(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[.
     """Run a command line with what the wheel holds, away from the checkout; gives the folder that it ran in."""
     site, folder = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("work")
     zipfile.ZipFile(wheel).extractall(site)
-    program = (
-        "import sys, loop.commands.cli; assert loop.commands.cli.__file__.startswith(sys.argv.pop(1)); sys.exit(loop.commands.cli.main())"
-    )
+    program = "import sys; from luxloop.loop.commands import cli; assert cli.__file__.startswith(sys.argv.pop(1)); sys.exit(cli.main())"
 
     def run(*arguments: str) -> Path:
         environment = {**os.environ, "PYTHONPATH": str(site)}
@@ -100,7 +98,7 @@ def test_constraints_meet_what_the_project_asks_for() -> None:
 PIP = [sys.executable, "-m", "pip", "install", "--quiet"]
 ADAM = """
 import torch
-from world.rendering.rasterise import Rasteriser
+from luxloop.world.rendering.rasterise import Rasteriser
 Rasteriser()
 weight = torch.nn.Parameter(torch.ones(2))
 optimiser = torch.optim.Adam([weight])
@@ -128,5 +126,5 @@ def test_the_lowest_versions_that_the_project_allows_run_the_main_job(tmp_path: 
     python = tmp_path / "venv/bin/python"
     subprocess.run([python, "-m", "pip", "install", "--quiet", *torch, "--no-deps", "-r", "low.txt"], cwd=tmp_path, check=True)
     for arguments in (["run", "snowflake", "--steps", "2"], ["headlight", "show", "hd84", "--out", "lamp.png"]):
-        command = [python, "-m", "loop.commands.cli", *arguments]
+        command = [python, "-m", "luxloop.loop.commands.cli", *arguments]
         subprocess.run(command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True)

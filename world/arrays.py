@@ -10,7 +10,7 @@ from typing import IO, Any, Final
 import numpy as np
 from numpy.lib import format as npy
 
-from world.budget import afford
+from luxloop.world.budget import afford
 
 BYTES_A_NUMBER: Final = 16  # readers turn most numbers into float64, and copy them once
 REMEDY: Final = "save fewer numbers in it"

@@ -5,7 +5,7 @@ A few bytes can declare any size: an array's header, a picture, a lamp, a camera
 
 from typing import Final
 
-from world.errors import LuxloopError
+from luxloop.world.errors import LuxloopError
 
 BUDGET_BYTES: Final = 3_000_000_000  # enough for a camera of 1920 x 1080 px at 4 samples, and fits on a machine with 8 GB
 

@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from world.budget import afford
-from world.errors import LuxloopError
+from luxloop.world.budget import afford
+from luxloop.world.errors import LuxloopError
 
 PARTS: Final = ".*.[0-9]*.part"  # pattern of the names of half-written files
 BYTES_A_BYTE: Final = 8  # of a file while it is read: its bytes, its text, its numbers

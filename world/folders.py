@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from world.errors import LuxloopError
-from world.files import PARTS
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import PARTS
 
 
 @contextmanager

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from PIL import ExifTags, Image
 
-from world.budget import afford
+from luxloop.world.budget import afford
 
 BYTES_A_PIXEL: Final = 32  # of a colour picture of 16 bits with transparency, and the same in single precision beside it
 FLIPS: Final = {2: 1, 3: -1, 4: 0, 6: 1, 7: -1, 8: 0}  # of an EXIF orientation, as OpenCV numbers them

@@ -7,9 +7,9 @@ from typing import Final
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from world.budget import afford
-from world.errors import LuxloopError
-from world.files import reading
+from luxloop.world.budget import afford
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import reading
 
 BYTES_A_VALUE: Final = 16  # of a table while it is read, however well it was compressed
 ROWS: Final = 65_536  # read at once, so that no column reserves memory for as many values as it claims to have

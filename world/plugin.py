@@ -17,7 +17,7 @@ from typing import Annotated, Any, Final, get_args
 from pydantic import BaseModel, Discriminator, Field, GetCoreSchemaHandler, ValidationError
 from pydantic_core.core_schema import CoreSchema, no_info_after_validator_function, str_schema
 
-from world.errors import MOST_ERRORS, LuxloopError, all_of, did_you_mean, near
+from luxloop.world.errors import MOST_ERRORS, LuxloopError, all_of, did_you_mean, near
 
 OWN: Final = "package.module:Name"
 PATTERN: Final = r"^(.*/)?[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*$"

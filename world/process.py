@@ -5,7 +5,7 @@ import resource
 from functools import cache
 from typing import Final
 
-from world.errors import LuxloopError
+from luxloop.world.errors import LuxloopError
 
 LEAST_ADDRESSES: Final = 6_000_000_000  # bytes of address space, of which torch, embree and OpenGL use little
 

@@ -7,9 +7,9 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from world.errors import LuxloopError
-from world.frames import R_ISO_OPENCV, pose
-from world.view import View
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import R_ISO_OPENCV, pose
+from luxloop.world.view import View
 
 LARGEST_ANGLE_DEG = 80.0  # beyond it the plane x = 1 wastes its texels
 

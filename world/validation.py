@@ -11,9 +11,9 @@ from typing import Any, TypeVar, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from world.errors import LuxloopError, all_of, did_you_mean, near, redacted
-from world.files import content, reading
-from world.plugin import OWN, dotted
+from luxloop.world.errors import LuxloopError, all_of, did_you_mean, near, redacted
+from luxloop.world.files import content, reading
+from luxloop.world.plugin import OWN, dotted
 
 WANTED = {
     "int_type": "a whole number",

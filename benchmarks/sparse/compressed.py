@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor
 
+from luxloop.world.spmv import Csr, row_of_entries, settled
 from sparse.protocol import SparseFormat, Storage, lit_rows, lit_window
-from world.spmv import Csr, row_of_entries, settled
 
 
 class Coo(SparseFormat):

@@ -1,12 +1,12 @@
 """The sparse formats by name."""
 
+from luxloop.world.errors import LuxloopError, did_you_mean
+from luxloop.world.spmv import Csr
 from sparse.compressed import Coo, CsrRows, Lgc, Submatrix, Window
 from sparse.padded import Ell, Sell
 from sparse.protocol import SparseFormat, lit_rows
 from sparse.scipy_window import ScipyWindow
 from sparse.tiles import Tiles, Tiles64
-from world.errors import LuxloopError, did_you_mean
-from world.spmv import Csr
 
 LARGEST = 3  # times the bytes of CSR: what a format may store to be considered
 LONG_ROWS = 6  # entries a lit row from which tiles can pay

@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor, cuda
 
+from luxloop.world.errors import LuxloopError
 from sparse.protocol import SparseFormat
-from world.errors import LuxloopError
 
 WARM_UPS = 3  # libraries make their workspaces in the first calls, which must not be captured
 

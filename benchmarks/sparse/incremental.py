@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from world.spmv import Csr, segment_bounds, zeros
+from luxloop.world.spmv import Csr, segment_bounds, zeros
 
 
 class Bands:

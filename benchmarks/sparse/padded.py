@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor
 
+from luxloop.world.spmv import Csr, row_of_entries, zeros
 from sparse.protocol import SparseFormat, Storage, row_lengths
-from world.spmv import Csr, row_of_entries, zeros
 
 
 class Ell(SparseFormat):

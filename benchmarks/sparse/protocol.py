@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 import torch
 from torch import Tensor
 
-from world.spmv import Csr, zeros
+from luxloop.world.spmv import Csr, zeros
 
 INDEX_BYTES = 4
 

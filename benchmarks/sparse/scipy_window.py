@@ -2,9 +2,9 @@
 
 from torch import Tensor
 
+from luxloop.world.errors import LuxloopError
+from luxloop.world.spmv import Csr
 from sparse.protocol import SparseFormat, Storage, lit_window
-from world.errors import LuxloopError
-from world.spmv import Csr
 
 ROWS_AT_ONCE = 2**16  # SciPy makes a fresh result at each product: so large that it stays in the cache
 

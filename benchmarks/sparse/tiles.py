@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from luxloop.world.spmv import Csr, row_of_entries, settled, zeros
 from sparse.padded import equal_runs
 from sparse.protocol import SparseFormat, Storage, lit_rows, lit_window
-from world.spmv import Csr, row_of_entries, settled, zeros
 
 
 class Tiles(SparseFormat):

@@ -8,8 +8,8 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from world.params import Params
-from world.symbols import SymbolSource
+from luxloop.world.params import Params
+from luxloop.world.symbols import SymbolSource
 
 Direction = Literal["away", "towards", "left", "right"]
 

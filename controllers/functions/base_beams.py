@@ -6,9 +6,9 @@ from typing import Literal
 
 from pydantic import Field
 
-from controllers.pixels.morphing import Morph, turn
-from controllers.situation import Situation
-from world.params import Params
+from luxloop.controllers.pixels.morphing import Morph, turn
+from luxloop.controllers.situation import Situation
+from luxloop.world.params import Params
 
 BeamName = Literal["low", "high", "town", "motorway", "adverse", "full", "off"]
 AUTOMATIC: tuple[BeamName, ...] = ("low", "town", "motorway", "adverse")  # what `chosen` chooses from

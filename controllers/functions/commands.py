@@ -10,11 +10,11 @@ from typing import Any, ClassVar, Final, Literal, Protocol, Self, runtime_checka
 import numpy as np
 from pydantic import Field, model_validator
 
-from controllers.functions.base_beams import bend_of_course
-from controllers.pixels.primitives import Primitives, meant
-from controllers.situation import Situation, Timed
-from world.headlight.lamp import REST, Commands, ModuleCommand, Range
-from world.params import Params
+from luxloop.controllers.functions.base_beams import bend_of_course
+from luxloop.controllers.pixels.primitives import Primitives, meant
+from luxloop.controllers.situation import Situation, Timed
+from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand, Range
+from luxloop.world.params import Params
 
 Movement = Literal["swivel_deg", "level_deg", "intensity"]
 MOVED: Final[Mapping[Movement, str]] = {"swivel_deg": "swivelled", "level_deg": "levelled", "intensity": "dimmed"}

@@ -8,12 +8,12 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from controllers.geometry import cuboid
-from controllers.pixels.primitives import Primitives, rectangle
-from controllers.situation import LAYERS, MASK, SelectionParams, Situation, TrackedObject, fade
-from perception.tracking import LINGER_S
-from world.frames import inverse, transform
-from world.params import Params
+from luxloop.controllers.geometry import cuboid
+from luxloop.controllers.pixels.primitives import Primitives, rectangle
+from luxloop.controllers.situation import LAYERS, MASK, SelectionParams, Situation, TrackedObject, fade
+from luxloop.perception.tracking import LINGER_S
+from luxloop.world.frames import inverse, transform
+from luxloop.world.params import Params
 
 FADING = 1e6  # weight of a fading mask: above all others but the infinite weight of full masks, with which it must not be averaged
 CLEARANCE = 0.8  # share of the gap between a box and a nearby lamp that a margin may take

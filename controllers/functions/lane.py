@@ -6,10 +6,10 @@ from typing import Literal, Self
 import torch
 from pydantic import Field, model_validator
 
-from controllers.functions.path import Drawing
-from controllers.geometry import strip
-from controllers.pixels.primitives import Primitives
-from controllers.situation import Drawn, Situation
+from luxloop.controllers.functions.path import Drawing
+from luxloop.controllers.geometry import strip
+from luxloop.controllers.pixels.primitives import Primitives
+from luxloop.controllers.situation import Drawn, Situation
 
 QUARTER_TURN = math.pi / 2  # rad, the largest arc that one cubic curve approximates
 STRAIGHT_1_M = 1e-5  # a curve of less curvature leaves its tangent by 2 cm in 60 m

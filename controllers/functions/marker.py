@@ -5,12 +5,12 @@ from typing import Literal
 import torch
 from pydantic import Field
 
-from controllers.functions.animations import Animated, AnimationParams
-from controllers.geometry import Place, facing, strip
-from controllers.pixels.primitives import Primitives
-from controllers.situation import Category, Drawn, SelectionParams, Situation, TrackedObject
-from world.frames import inverse, transform
-from world.symbols import Still
+from luxloop.controllers.functions.animations import Animated, AnimationParams
+from luxloop.controllers.geometry import Place, facing, strip
+from luxloop.controllers.pixels.primitives import Primitives
+from luxloop.controllers.situation import Category, Drawn, SelectionParams, Situation, TrackedObject
+from luxloop.world.frames import inverse, transform
+from luxloop.world.symbols import Still
 
 SHORTEST_M = 0.5  # shorter lines are not drawn
 WHITE = Still(torch.ones(1, 1))

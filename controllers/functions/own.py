@@ -7,13 +7,13 @@ from typing import Any
 
 from pydantic import Field
 
-from controllers.functions.commands import Given, Movable
-from controllers.pixels.primitives import QUANTITIES, Primitives, meant
-from controllers.situation import AdaptiveFunction, LightingFunction, Situation
-from world import plugin
-from world.errors import LuxloopError
-from world.headlight.lamp import ModuleCommand
-from world.params import Params
+from luxloop.controllers.functions.commands import Given, Movable
+from luxloop.controllers.pixels.primitives import QUANTITIES, Primitives, meant
+from luxloop.controllers.situation import AdaptiveFunction, LightingFunction, Situation
+from luxloop.world import plugin
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.lamp import ModuleCommand
+from luxloop.world.params import Params
 
 KEY = "kind"
 METHODS = ("primitives",)

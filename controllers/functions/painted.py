@@ -13,10 +13,10 @@ import torch
 from pydantic import Field, field_validator
 from torch import Tensor
 
-from controllers.pixels.ssc import Utilisation
-from world.errors import LuxloopError
-from world.images import decoded
-from world.params import Params
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.world.errors import LuxloopError
+from luxloop.world.images import decoded
+from luxloop.world.params import Params
 
 Picture = np.ndarray  # `[rows, columns]` uint8
 LONGEST = 2**24  # characters of a picture: 1.3 million pixels of noise are half of it

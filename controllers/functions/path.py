@@ -10,11 +10,11 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from controllers.functions.bezier import closest, derivative, length_at, point
-from controllers.geometry import Place, on_road
-from controllers.pixels.primitives import Primitives
-from controllers.situation import Drawn, Situation
-from world.params import Metres
+from luxloop.controllers.functions.bezier import closest, derivative, length_at, point
+from luxloop.controllers.geometry import Place, on_road
+from luxloop.controllers.pixels.primitives import Primitives
+from luxloop.controllers.situation import Drawn, Situation
+from luxloop.world.params import Metres
 
 Point = tuple[float, float]
 MOST_TEXELS = 1e7  # limit of a drawing: 250 m x 100 m at 5 cm

@@ -9,27 +9,35 @@ from typing import Annotated, Any, Final, cast
 import torch
 from pydantic import AfterValidator, Field, Tag, TypeAdapter
 
-from controllers.functions.base_beams import BaseBeam, BaseBeamParams, RawParams
-from controllers.functions.commands import BendingParams, CommandingFunction, DimmingParams, DirectParams, Given, LevellingParams, Movable
-from controllers.functions.glare_free import GlareFreeParams
-from controllers.functions.lane import LaneParams, WidthParams
-from controllers.functions.marker import MarkerParams
-from controllers.functions.own import OwnFunction, own_commands, own_function
-from controllers.functions.painted import Painted, PaintedParams, painted_layers
-from controllers.functions.path import PathParams
-from controllers.functions.primitive import PrimitiveParams
-from controllers.functions.sign import SignParams
-from controllers.functions.symbol import SymbolFunctionParams
-from controllers.obl.function import ObjectBasedParams
-from controllers.pixels.primitives import Primitives, concatenate
-from controllers.pixels.ssc import Utilisation
-from controllers.situation import AdaptiveFunction, Indicator, LightingFunction, Situation
-from controllers.zones.material import MaterialParams
-from controllers.zones.zone import ZoneParams
-from world.errors import located
-from world.params import Params, PlainName
-from world.plugin import OWN, known_or_own
-from world.symbols import SymbolSource, load
+from luxloop.controllers.functions.base_beams import BaseBeam, BaseBeamParams, RawParams
+from luxloop.controllers.functions.commands import (
+    BendingParams,
+    CommandingFunction,
+    DimmingParams,
+    DirectParams,
+    Given,
+    LevellingParams,
+    Movable,
+)
+from luxloop.controllers.functions.glare_free import GlareFreeParams
+from luxloop.controllers.functions.lane import LaneParams, WidthParams
+from luxloop.controllers.functions.marker import MarkerParams
+from luxloop.controllers.functions.own import OwnFunction, own_commands, own_function
+from luxloop.controllers.functions.painted import Painted, PaintedParams, painted_layers
+from luxloop.controllers.functions.path import PathParams
+from luxloop.controllers.functions.primitive import PrimitiveParams
+from luxloop.controllers.functions.sign import SignParams
+from luxloop.controllers.functions.symbol import SymbolFunctionParams
+from luxloop.controllers.obl.function import ObjectBasedParams
+from luxloop.controllers.pixels.primitives import Primitives, concatenate
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.situation import AdaptiveFunction, Indicator, LightingFunction, Situation
+from luxloop.controllers.zones.material import MaterialParams
+from luxloop.controllers.zones.zone import ZoneParams
+from luxloop.world.errors import located
+from luxloop.world.params import Params, PlainName
+from luxloop.world.plugin import OWN, known_or_own
+from luxloop.world.symbols import SymbolSource, load
 
 FunctionParams = Annotated[
     Annotated[GlareFreeParams, Tag("glare_free")]

@@ -5,12 +5,12 @@ from typing import Final, Literal
 import torch
 from pydantic import Field
 
-from controllers.functions.animations import Animated, AnimationParams
-from controllers.geometry import Place
-from controllers.pixels.primitives import Primitives
-from controllers.situation import Drawn, Situation
-from world.frames import pose_from_degrees
-from world.symbols import Still
+from luxloop.controllers.functions.animations import Animated, AnimationParams
+from luxloop.controllers.geometry import Place
+from luxloop.controllers.pixels.primitives import Primitives
+from luxloop.controllers.situation import Drawn, Situation
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.symbols import Still
 
 WHITE: Final = Still(torch.ones(1, 1))
 

@@ -5,9 +5,9 @@ from typing import Literal, Self
 import torch
 from pydantic import Field, model_validator
 
-from controllers.geometry import cuboid
-from controllers.pixels.primitives import Primitives, rectangle
-from controllers.situation import LAYERS, Category, SelectionParams, Situation, TrackedObject, check_share
+from luxloop.controllers.geometry import cuboid
+from luxloop.controllers.pixels.primitives import Primitives, rectangle
+from luxloop.controllers.situation import LAYERS, Category, SelectionParams, Situation, TrackedObject, check_share
 
 
 class SignParams(SelectionParams):

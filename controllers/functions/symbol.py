@@ -7,19 +7,19 @@ import torch
 from pydantic import Field, ValidationError, model_validator
 from torch import Tensor
 
-from controllers.functions.animations import Animated, AnimationParams
-from controllers.geometry import Place, on_road
-from controllers.pixels.anamorphic import drawing_rectangle
-from controllers.pixels.primitives import Observer, Primitives
-from controllers.situation import Category, Drawn, SelectionParams, Situation
-from controllers.symbol import ControllerParams, refuse_place, refuse_start
-from controllers.symbol.sensing.flat_model import FeatureParams
-from controllers.symbol.sensing.projector import StartParams, SymbolParams
-from perception.extraction import Extraction, ExtractionParams
-from world.errors import LuxloopError
-from world.frames import transform
-from world.params import Metres, Params
-from world.validation import sentences
+from luxloop.controllers.functions.animations import Animated, AnimationParams
+from luxloop.controllers.geometry import Place, on_road
+from luxloop.controllers.pixels.anamorphic import drawing_rectangle
+from luxloop.controllers.pixels.primitives import Observer, Primitives
+from luxloop.controllers.situation import Category, Drawn, SelectionParams, Situation
+from luxloop.controllers.symbol import ControllerParams, refuse_place, refuse_start
+from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
+from luxloop.controllers.symbol.sensing.projector import StartParams, SymbolParams
+from luxloop.perception.extraction import Extraction, ExtractionParams
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import transform
+from luxloop.world.params import Metres, Params
+from luxloop.world.validation import sentences
 
 CONTROLLED: Final = ("start", "target", "features", "extraction")  # keys of symbols that a controller holds
 UNCONTROLLED: Final = ("yaw_deg", "animation", "observer", "share")  # keys of the others

@@ -1,7 +1,7 @@
 """Joint pixel optimisation (JPO, T 3.5.2, 8.4): the utilisations of all pixels together that come closest to the wanted light.
 
-`Jpo` minimises absolute deviations (`controllers.jpo.mae`) or squares (`controllers.jpo.squares`) with a budget of iterations per step,
-starts from SSC, and has the protocol of all pixel controllers.
+`Jpo` minimises absolute deviations (`luxloop.controllers.jpo.mae`) or squares (`luxloop.controllers.jpo.squares`) with a budget of
+iterations per step, starts from SSC, and has the protocol of all pixel controllers.
 """
 
 from dataclasses import dataclass, replace
@@ -11,16 +11,16 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from controllers.jpo.mae import least_error
-from controllers.jpo.part import Wanted, reaching, wanted
-from controllers.jpo.squares import least_squares
-from controllers.pixels.mrpc import MrpcParams
-from controllers.pixels.primitives import E_V, I_V, U_REL, Primitives
-from controllers.pixels.rthc import Setpoints
-from controllers.pixels.secondary import SecondaryRays
-from controllers.pixels.ssc import Ssc, Utilisation
-from world.headlight import Headlight
-from world.params import Params
+from luxloop.controllers.jpo.mae import least_error
+from luxloop.controllers.jpo.part import Wanted, reaching, wanted
+from luxloop.controllers.jpo.squares import least_squares
+from luxloop.controllers.pixels.mrpc import MrpcParams
+from luxloop.controllers.pixels.primitives import E_V, I_V, U_REL, Primitives
+from luxloop.controllers.pixels.rthc import Setpoints
+from luxloop.controllers.pixels.secondary import SecondaryRays
+from luxloop.controllers.pixels.ssc import Ssc, Utilisation
+from luxloop.world.headlight import Headlight
+from luxloop.world.params import Params
 
 
 class JpoParams(Params):
@@ -34,7 +34,7 @@ class JpoParams(Params):
 
 @dataclass(frozen=True)
 class Jpo:
-    """A pixel controller (see `controllers.pixels.ssc.PixelController`) that starts from SSC and then optimises all pixels jointly.
+    """A pixel controller (see `luxloop.controllers.pixels.ssc.PixelController`) that starts from SSC and then optimises all pixels jointly.
 
     full: `[rows, cols]` cd, with all pixels on. Texels that no primitive covers have the default's light as setpoint. As with SSC, pixels
     that reach no hit keep their default.

@@ -11,8 +11,8 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
-from controllers.jpo.part import Wanted, anywhere, every_nth_column, reached_rows, submatrix, without_fixed
-from world.spmv import Csr, multiply
+from luxloop.controllers.jpo.part import Wanted, anywhere, every_nth_column, reached_rows, submatrix, without_fixed
+from luxloop.world.spmv import Csr, multiply
 
 SUBSETS = 8  # of the texels, each spread over the whole texture: more help little, and each costs calls, which small lamps notice
 PRIMAL_WEIGHT = 0.2  # size of primal against dual steps, in mean utilisations; measured in docs/jpo.md

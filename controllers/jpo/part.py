@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from world.errors import LuxloopError
-from world.headlight import Headlight
-from world.spmv import Csr, multiply, row_of_entries
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight import Headlight
+from luxloop.world.spmv import Csr, multiply, row_of_entries
 
 HARD = 1_000.0  # limit of weights of positive setpoints, infinite ones too: a lamp can be forced to be dark but not to give light
 

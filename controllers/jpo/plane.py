@@ -12,13 +12,13 @@ import scipy.sparse as sp
 import torch
 from torch import Tensor
 
-from controllers.jpo.part import Wanted
-from controllers.jpo.squares import least_squares
-from world.errors import LuxloopError
-from world.frames import inverse, transform
-from world.headlight import Headlight
-from world.spmv import Csr, multiply
-from world.texels import TexelGrid, bilinear
+from luxloop.controllers.jpo.part import Wanted
+from luxloop.controllers.jpo.squares import least_squares
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import inverse, transform
+from luxloop.world.headlight import Headlight
+from luxloop.world.spmv import Csr, multiply
+from luxloop.world.texels import TexelGrid, bilinear
 
 ITERATIONS = 150
 KEPT = 0.1  # weight of cells where nothing is wanted, which shall stay as they are; 1 where something is

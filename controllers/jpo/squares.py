@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from controllers.jpo.part import Wanted, anywhere, reached_rows, submatrix, without_fixed
-from world.errors import LuxloopError
-from world.headlight import Headlight, fit
-from world.spmv import Csr, multiply
+from luxloop.controllers.jpo.part import Wanted, anywhere, reached_rows, submatrix, without_fixed
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight import Headlight, fit
+from luxloop.world.spmv import Csr, multiply
 
 FEW_PIXELS = 2_000  # most pixels whose pseudo-inverse takes seconds
 

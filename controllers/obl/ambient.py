@@ -6,7 +6,7 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from world.params import Params
+from luxloop.world.params import Params
 
 
 @dataclass(frozen=True)

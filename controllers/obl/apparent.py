@@ -6,8 +6,8 @@ from typing import Self
 
 from torch import Tensor
 
-from controllers.obl.light import NEAREST_M
-from controllers.situation import TrackedObject
+from luxloop.controllers.obl.light import NEAREST_M
+from luxloop.controllers.situation import TrackedObject
 
 ALIKE = 1.5  # largest ratio of two apparent heights of the same object
 

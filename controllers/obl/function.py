@@ -7,14 +7,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from controllers.obl.ambient import Ambient, AmbientLoopParams
-from controllers.obl.apparent import Apparent
-from controllers.obl.light import ObjectLightParams
-from controllers.obl.object_loop import ObjectLoop, ObjectLoopParams
-from controllers.pixels.primitives import Primitives
-from controllers.situation import SelectionParams, Situation, TrackedObject, fade
-from perception.tracking import LINGER_S
-from world.traffic.tracked import Category
+from luxloop.controllers.obl.ambient import Ambient, AmbientLoopParams
+from luxloop.controllers.obl.apparent import Apparent
+from luxloop.controllers.obl.light import ObjectLightParams
+from luxloop.controllers.obl.object_loop import ObjectLoop, ObjectLoopParams
+from luxloop.controllers.pixels.primitives import Primitives
+from luxloop.controllers.situation import SelectionParams, Situation, TrackedObject, fade
+from luxloop.perception.tracking import LINGER_S
+from luxloop.world.traffic.tracked import Category
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from world.params import Params
+from luxloop.world.params import Params
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,12 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from controllers.geometry import Place
-from controllers.pixels.primitives import Primitives, rectangle
-from controllers.situation import LAYERS, MASK, TrackedObject
-from world.frames import transform
-from world.params import Params
-from world.traffic.tracked import ROAD_USERS, Category
+from luxloop.controllers.geometry import Place
+from luxloop.controllers.pixels.primitives import Primitives, rectangle
+from luxloop.controllers.situation import LAYERS, MASK, TrackedObject
+from luxloop.world.frames import transform
+from luxloop.world.params import Params
+from luxloop.world.traffic.tracked import ROAD_USERS, Category
 
 NEAREST_M = 1.0  # objects nearer to a lamp are not lit; no lamp's light falls on heads there
 TEXEL_RAD = 1e-3  # of a light texture, which interpolates light between texels

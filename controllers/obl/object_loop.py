@@ -6,10 +6,10 @@ from typing import Annotated
 
 from pydantic import Field
 
-from controllers.obl.laws import LowerParams, RaiseParams, Trial, means
-from controllers.situation import TrackedObject
-from world.params import Params
-from world.traffic.tracked import Category
+from luxloop.controllers.obl.laws import LowerParams, RaiseParams, Trial, means
+from luxloop.controllers.situation import TrackedObject
+from luxloop.world.params import Params
+from luxloop.world.traffic.tracked import Category
 
 RECENT = 0.3  # weight of the newest frame in the recent mean
 FOLLOWING = 0.2  # weight of a new mean in the expected confidence of a settled object, to follow slow changes with other causes than light

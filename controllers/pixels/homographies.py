@@ -12,10 +12,10 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from controllers.pixels.anamorphic import sight
-from controllers.pixels.primitives import Primitives
-from controllers.pixels.windows import NEAREST_M
-from world.texels import TexelGrid
+from luxloop.controllers.pixels.anamorphic import sight
+from luxloop.controllers.pixels.primitives import Primitives
+from luxloop.controllers.pixels.windows import NEAREST_M
+from luxloop.world.texels import TexelGrid
 
 ROUNDINGS = 4  # error bound of a plane; below 1 in thousands of random scenes
 

@@ -3,12 +3,12 @@
 import torch
 from torch import Tensor
 
-from controllers.pixels.map_sums import Band, Sums
-from controllers.pixels.mrpc_params import MrpcParams
-from controllers.pixels.pixel_major import PixelMajor
-from controllers.pixels.primitives import E_V, I_V, U_REL
-from controllers.pixels.rthc import Setpoints
-from world.spmv import row_of_entries
+from luxloop.controllers.pixels.map_sums import Band, Sums
+from luxloop.controllers.pixels.mrpc_params import MrpcParams
+from luxloop.controllers.pixels.pixel_major import PixelMajor
+from luxloop.controllers.pixels.primitives import E_V, I_V, U_REL
+from luxloop.controllers.pixels.rthc import Setpoints
+from luxloop.world.spmv import row_of_entries
 
 
 def by_entries(setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, default: Tensor, place: Band) -> Sums:

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from controllers.pixels.map_sums import Band, Sums
-from controllers.pixels.mrpc_params import MrpcParams
-from controllers.pixels.pixel_major import PixelMajor
-from controllers.pixels.primitives import E_V, HEAVIEST, I_V, U_ABS, U_REL
-from controllers.pixels.rthc import Casting, Setpoints, Stroke, expanded
-from controllers.pixels.windows import Window
-from world.spmv import Csr, multiply
+from luxloop.controllers.pixels.map_sums import Band, Sums
+from luxloop.controllers.pixels.mrpc_params import MrpcParams
+from luxloop.controllers.pixels.pixel_major import PixelMajor
+from luxloop.controllers.pixels.primitives import E_V, HEAVIEST, I_V, U_ABS, U_REL
+from luxloop.controllers.pixels.rthc import Casting, Setpoints, Stroke, expanded
+from luxloop.controllers.pixels.windows import Window
+from luxloop.world.spmv import Csr, multiply
 
 RULING = 1e36  # stands for an infinite weight of a zero setpoint; no sum of finite weights comes near it
 RULED = 2 * HEAVIEST  # sums from here on contain an infinite weight; no sum of finite weights is rounded up to it

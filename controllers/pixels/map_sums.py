@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from controllers.pixels.pixel_major import PixelMajor
-from controllers.pixels.windows import Window
-from world.spmv import span_of
-from world.texels import TexelGrid
+from luxloop.controllers.pixels.pixel_major import PixelMajor
+from luxloop.controllers.pixels.windows import Window
+from luxloop.world.spmv import span_of
+from luxloop.world.texels import TexelGrid
 
 MOST = 0.7  # share of all pixels from which on a part of the matrix costs more than it saves
 

@@ -6,11 +6,11 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from controllers.pixels.mrpc_params import MrpcParams
-from controllers.pixels.primitives import Primitives, rectangle
-from controllers.pixels.ssc import Ssc
-from world.frames import pose, rotation
-from world.headlight import Headlight
+from luxloop.controllers.pixels.mrpc_params import MrpcParams
+from luxloop.controllers.pixels.primitives import Primitives, rectangle
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.world.frames import pose, rotation
+from luxloop.world.headlight import Headlight
 
 SCREEN_M = 25.0  # the usual distance of measuring screens; for rotations about the lamp it has no influence
 STRAIGHT = MrpcParams(a_d=1.0)  # edge darkening, since a moved hot spot would light the border of the field (T fig. 7.18)

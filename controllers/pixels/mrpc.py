@@ -8,14 +8,14 @@ never arise.
 import torch
 from torch import Tensor
 
-from controllers.pixels.map_entries import by_entries
-from controllers.pixels.map_products import by_products
-from controllers.pixels.map_sums import Band, Sums
-from controllers.pixels.mrpc_params import MrpcParams
-from controllers.pixels.pixel_major import PixelMajor, pixel_major
-from controllers.pixels.primitives import E_V, I_V, U_REL
-from controllers.pixels.rthc import Casting, Setpoints
-from controllers.pixels.sharpening import corrected, sharpened
+from luxloop.controllers.pixels.map_entries import by_entries
+from luxloop.controllers.pixels.map_products import by_products
+from luxloop.controllers.pixels.map_sums import Band, Sums
+from luxloop.controllers.pixels.mrpc_params import MrpcParams
+from luxloop.controllers.pixels.pixel_major import PixelMajor, pixel_major
+from luxloop.controllers.pixels.primitives import E_V, I_V, U_REL
+from luxloop.controllers.pixels.rthc import Casting, Setpoints
+from luxloop.controllers.pixels.sharpening import corrected, sharpened
 
 __all__ = ["MrpcParams", "PixelMajor", "pixel_major", "reduce_setpoints"]
 

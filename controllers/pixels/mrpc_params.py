@@ -4,8 +4,8 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from controllers.pixels.sampling import Sampling
-from world.params import Params
+from luxloop.controllers.pixels.sampling import Sampling
+from luxloop.world.params import Params
 
 
 class MrpcParams(Params):

@@ -1,7 +1,7 @@
 """Tuning of MapReduce control for one wanted light texture: the best a_m, a_x and a_r (T 8.4, 8.5).
 
 Only pixels that reach a lit setpoint matter, and a trial costs little more than one pass over their entries: a tenth of the time of
-`controllers.pixels.mrpc`, which transposes the matrix for each set of parameters. Tests hold the two together.
+`luxloop.controllers.pixels.mrpc`, which transposes the matrix for each set of parameters. Tests hold the two together.
 """
 
 import math
@@ -16,11 +16,11 @@ from scipy.ndimage import gaussian_filter
 from scipy.optimize import differential_evolution, minimize
 from torch import Tensor
 
-from controllers.pixels.sampling import pixel_spread
-from controllers.pixels.sharpening import FAINT
-from world.errors import LuxloopError
-from world.headlight import Headlight
-from world.spmv import Csr
+from luxloop.controllers.pixels.sampling import pixel_spread
+from luxloop.controllers.pixels.sharpening import FAINT
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight import Headlight
+from luxloop.world.spmv import Csr
 
 Floats = NDArray[np.float32]
 THESIS = ("a_m", "a_x", "a_r")  # the parameters tuned in T 8.4
@@ -86,7 +86,7 @@ class Trial:
 
     a_m: None gives every pixel the whole setpoint (no mapping). a_x: exclusion by a pixel's intensity. shape: rectangle uses all texels
     with light in the bounding rectangle of those that are not excluded, like controls with simplified pixels (T 3.5.1, 8.5). The others are
-    those of `controllers.pixels.mrpc_params`.
+    those of `luxloop.controllers.pixels.mrpc_params`.
     """
 
     a_m: float | None = 1.0

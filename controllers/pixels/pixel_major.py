@@ -8,10 +8,10 @@ from fractions import Fraction
 import torch
 from torch import Tensor
 
-from controllers.pixels.mrpc_params import MrpcParams
-from controllers.pixels.sampling import pixel_spread, rectangular, sample_weights
-from world.headlight import Headlight
-from world.spmv import Csr, row_of_entries, segment_bounds
+from luxloop.controllers.pixels.mrpc_params import MrpcParams
+from luxloop.controllers.pixels.sampling import pixel_spread, rectangular, sample_weights
+from luxloop.world.headlight import Headlight
+from luxloop.world.spmv import Csr, row_of_entries, segment_bounds
 
 LEAST = 1e-16  # of a pixel's greatest I_m^a_r: smaller weights vanish in sums, but a mask must act wherever there is any light
 Reduce = Callable[[Tensor, str], Tensor]  # values `[nnz]` of entries, not below zero, and sum or amax

@@ -3,9 +3,9 @@
 import torch
 from torch import Tensor
 
-from world.errors import LuxloopError
-from world.headlight import Headlight
-from world.spmv import row_of_entries
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight import Headlight
+from luxloop.world.spmv import row_of_entries
 
 
 def limit_power(u: Tensor, power: Tensor | float, limit: float | Tensor) -> tuple[Tensor, Tensor]:

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from world.errors import LuxloopError
-from world.frames import rotation
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import rotation
 
 Quantity = Literal["I_v", "E_v", "u_abs", "u_rel"]
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)  # a quantity's code is its place in here

@@ -14,13 +14,13 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from controllers.pixels.homographies import Homographies, homographies
-from controllers.pixels.primitives import E_V, HEAVIEST, U_ABS, U_REL, Primitives
-from controllers.pixels.secondary import SecondaryRays
-from controllers.pixels.windows import NOWHERE, SLACK, Window, banded, union, whole
-from world.errors import LuxloopError
-from world.kept import keeping
-from world.texels import TexelGrid
+from luxloop.controllers.pixels.homographies import Homographies, homographies
+from luxloop.controllers.pixels.primitives import E_V, HEAVIEST, U_ABS, U_REL, Primitives
+from luxloop.controllers.pixels.secondary import SecondaryRays
+from luxloop.controllers.pixels.windows import NOWHERE, SLACK, Window, banded, union, whole
+from luxloop.world.errors import LuxloopError
+from luxloop.world.kept import keeping
+from luxloop.world.texels import TexelGrid
 
 PARALLEL = 1e-6  # tolerance of the cosine between a given normal and that of the edges
 GRAZING = 1e-12  # least d.n for sampling a symbol, m^2: every hit has more, and samples of other rays stay finite

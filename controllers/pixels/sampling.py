@@ -7,8 +7,8 @@ import scipy.sparse as sp
 import torch
 from torch import Tensor
 
-from world.spmv import Csr, row_of_entries
-from world.texels import TexelGrid
+from luxloop.world.spmv import Csr, row_of_entries
+from luxloop.world.texels import TexelGrid
 
 Sampling = Literal["all", "brightest", "centroid", "uniform", "rotated", "n_rooks", "quincunx"]
 

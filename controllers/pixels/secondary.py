@@ -11,14 +11,14 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from controllers.pixels.primitives import U_ABS, Primitives, meant
-from world.frames import inverse, transform
-from world.headlight import Headlight
-from world.headlight.lamp import ModuleCommand
-from world.rendering.raycast import sees
-from world.scene.scene import StreetLamp
-from world.scene.triangles import Triangles
-from world.texels import TexelGrid
+from luxloop.controllers.pixels.primitives import U_ABS, Primitives, meant
+from luxloop.world.frames import inverse, transform
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import ModuleCommand
+from luxloop.world.rendering.raycast import sees
+from luxloop.world.scene.scene import StreetLamp
+from luxloop.world.scene.triangles import Triangles
+from luxloop.world.texels import TexelGrid
 
 Caster = Callable[[Tensor, Tensor], Tensor]  # (points [3, N], target [3]) -> [N] bool: something lies between them
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from controllers.pixels.pixel_major import PixelMajor
-from controllers.pixels.primitives import E_V, I_V, U_REL
-from controllers.pixels.rthc import Setpoints
-from world.spmv import multiply
+from luxloop.controllers.pixels.pixel_major import PixelMajor
+from luxloop.controllers.pixels.primitives import E_V, I_V, U_REL
+from luxloop.controllers.pixels.rthc import Setpoints
+from luxloop.world.spmv import multiply
 
 FAINT = 1e-6  # share of a wanted setpoint that a correction leaves at least, so that a lit setpoint stays lit
 

@@ -7,12 +7,12 @@ from typing import Protocol, Self
 import torch
 from torch import Tensor
 
-from controllers.pixels.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints
-from controllers.pixels.primitives import Primitives
-from controllers.pixels.rthc import Casting, Setpoints, masks
-from controllers.pixels.secondary import SecondaryRays
-from controllers.pixels.windows import projected_windows
-from world.headlight import Headlight
+from luxloop.controllers.pixels.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints
+from luxloop.controllers.pixels.primitives import Primitives
+from luxloop.controllers.pixels.rthc import Casting, Setpoints, masks
+from luxloop.controllers.pixels.secondary import SecondaryRays
+from luxloop.controllers.pixels.windows import projected_windows
+from luxloop.world.headlight import Headlight
 
 
 @dataclass(frozen=True)

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from controllers.pixels.map_products import light_of
-from controllers.pixels.map_sums import Band
-from controllers.pixels.mrpc import same_for_all_pixels
-from controllers.pixels.primitives import Primitives
-from controllers.pixels.rthc import Casting
-from controllers.pixels.ssc import PixelController, Ssc
-from controllers.pixels.windows import Window
-from world.spmv import Csr, multiply, numbers, row_of_entries
+from luxloop.controllers.pixels.map_products import light_of
+from luxloop.controllers.pixels.map_sums import Band
+from luxloop.controllers.pixels.mrpc import same_for_all_pixels
+from luxloop.controllers.pixels.primitives import Primitives
+from luxloop.controllers.pixels.rthc import Casting
+from luxloop.controllers.pixels.ssc import PixelController, Ssc
+from luxloop.controllers.pixels.windows import Window
+from luxloop.world.spmv import Csr, multiply, numbers, row_of_entries
 
 
 @dataclass(frozen=True, eq=False)

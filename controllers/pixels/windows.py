@@ -10,8 +10,8 @@ from functools import reduce
 
 from torch import Tensor
 
-from controllers.pixels.primitives import Primitives
-from world.texels import TexelGrid
+from luxloop.controllers.pixels.primitives import Primitives
+from luxloop.world.texels import TexelGrid
 
 NEAREST_M = 1e-3  # distance ahead of the photometric centre at which primitives that reach behind the lamp are clipped
 SLACK = 0.01  # texels, margin for rounding

@@ -4,17 +4,17 @@ from typing import Annotated
 
 from pydantic import Tag
 
-from controllers.symbol.heights.feedforward import Feedforward, FeedforwardParams, Surveyed
-from controllers.symbol.heights.luxloop import Luxloop, LuxloopParams
-from controllers.symbol.laws.feedback import Feedback, GaussNewtonParams, ModelReferenceParams
-from controllers.symbol.laws.open_loop import OpenLoop, OpenLoopParams
-from controllers.symbol.laws.own import OwnParams, own_controller
-from controllers.symbol.laws.stages import StagedParams, staged
-from controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams
-from controllers.symbol.sensing.projector import StartParams
-from controllers.symbol.sensing.protocol import SymbolController
-from controllers.symbol.sensing.symbol_sensor import SymbolSensor
-from world.plugin import OWN, known_or_own
+from luxloop.controllers.symbol.heights.feedforward import Feedforward, FeedforwardParams, Surveyed
+from luxloop.controllers.symbol.heights.luxloop import Luxloop, LuxloopParams
+from luxloop.controllers.symbol.laws.feedback import Feedback, GaussNewtonParams, ModelReferenceParams
+from luxloop.controllers.symbol.laws.open_loop import OpenLoop, OpenLoopParams
+from luxloop.controllers.symbol.laws.own import OwnParams, own_controller
+from luxloop.controllers.symbol.laws.stages import StagedParams, staged
+from luxloop.controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams
+from luxloop.controllers.symbol.sensing.projector import StartParams
+from luxloop.controllers.symbol.sensing.protocol import SymbolController
+from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.world.plugin import OWN, known_or_own
 
 NamedParams = LuxloopParams | OpenLoopParams | FeedforwardParams | ThesisPidParams | GaussNewtonParams | ModelReferenceParams
 AnyParams = NamedParams | OwnParams

@@ -12,13 +12,13 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from controllers.geometry import Place, facing, on_road
-from controllers.pixels.primitives import Observer, Primitives, rectangle
-from controllers.situation import LAYERS, Category, SelectionParams, Situation
-from world.errors import LuxloopError
-from world.materials.library import MaterialName
-from world.params import Metres, Params
-from world.view import View
+from luxloop.controllers.geometry import Place, facing, on_road
+from luxloop.controllers.pixels.primitives import Observer, Primitives, rectangle
+from luxloop.controllers.situation import LAYERS, Category, SelectionParams, Situation
+from luxloop.world.errors import LuxloopError
+from luxloop.world.materials.library import MaterialName
+from luxloop.world.params import Metres, Params
+from luxloop.world.view import View
 
 GROUND = frozenset({"asphalt", "wet_asphalt", "lane_paint"})  # materials in the road's plane; all others stand on it
 Quantity = Literal["lx", "luminance"]

@@ -4,26 +4,26 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from controllers.symbol import AnyParams, build_controller
-from controllers.symbol.heights.feedforward import FeedforwardParams
-from controllers.symbol.sensing.protocol import SymbolController
-from controllers.symbol.sensing.symbol_sensor import SymbolSensor
-from loop.assembly.made import Made
-from loop.scenario import data
-from loop.scenario.model import Scenario
-from loop.scenario.shipped import named
-from world.errors import located
-from world.materials.spots import SpottedTexture
-from world.roads.base import Road
-from world.roads.scan import OpenCrgRoad
-from world.scene.body import Body
-from world.scene.figure import Figure
-from world.scene.road_patches import RoadPatches
-from world.scene.road_tiles import AROUND_M, SIGHT_M, RoadTiles
-from world.scene.scene import Ground, Scene
-from world.scene.standing_road import StandingRoad
-from world.scene.vehicle import STANDING, Motion, drive
-from world.traffic.objects import ObjectParams
+from luxloop.controllers.symbol import AnyParams, build_controller
+from luxloop.controllers.symbol.heights.feedforward import FeedforwardParams
+from luxloop.controllers.symbol.sensing.protocol import SymbolController
+from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.loop.assembly.made import Made
+from luxloop.loop.scenario import data
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.scenario.shipped import named
+from luxloop.world.errors import located
+from luxloop.world.materials.spots import SpottedTexture
+from luxloop.world.roads.base import Road
+from luxloop.world.roads.scan import OpenCrgRoad
+from luxloop.world.scene.body import Body
+from luxloop.world.scene.figure import Figure
+from luxloop.world.scene.road_patches import RoadPatches
+from luxloop.world.scene.road_tiles import AROUND_M, SIGHT_M, RoadTiles
+from luxloop.world.scene.scene import Ground, Scene
+from luxloop.world.scene.standing_road import StandingRoad
+from luxloop.world.scene.vehicle import STANDING, Motion, drive
+from luxloop.world.traffic.objects import ObjectParams
 
 
 def build_road(scenario: Scenario) -> Road:

@@ -7,12 +7,12 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
-from loop.scenario.model import HeadlightParams
-from world.errors import LuxloopError, located
-from world.frames import pose_from_degrees
-from world.headlight import Headlight
-from world.headlight.lamp import Lamp, Module, Range
-from world.lampfiles.description import load_lamp
+from luxloop.loop.scenario.model import HeadlightParams
+from luxloop.world.errors import LuxloopError, located
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import Lamp, Module, Range
+from luxloop.world.lampfiles.description import load_lamp
 
 TurnedPart = TypeVar("TurnedPart", Lamp, Module)
 

@@ -2,12 +2,12 @@
 
 from typing import cast
 
-from controllers.jpo.controller import Jpo
-from controllers.pixels.ssc import PixelController, Ssc
-from loop.scenario.model import Scenario
-from world.errors import LuxloopError
-from world.headlight import Headlight
-from world.plugin import Guarded, Name, load, running
+from luxloop.controllers.jpo.controller import Jpo
+from luxloop.controllers.pixels.ssc import PixelController, Ssc
+from luxloop.loop.scenario.model import Scenario
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight import Headlight
+from luxloop.world.plugin import Guarded, Name, load, running
 
 
 def pixel_controller(scenario: Scenario, headlight: Headlight) -> PixelController:

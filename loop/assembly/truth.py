@@ -8,13 +8,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from loop.scenario.disturbances import AimParams, DisturbanceParams, WearParams
-from loop.scenario.model import Scenario
-from perception.camera import CameraParams
-from world.errors import LuxloopError
-from world.frames import pose_from_degrees
-from world.headlight import Headlight
-from world.light.illumination import TextureSource
+from luxloop.loop.scenario.disturbances import AimParams, DisturbanceParams, WearParams
+from luxloop.loop.scenario.model import Scenario
+from luxloop.perception.camera import CameraParams
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight import Headlight
+from luxloop.world.light.illumination import TextureSource
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from loop.plant.simulated import LATENCY_KEY, LOSS_KEY
-from loop.scenario.model import Scenario
+from luxloop.loop.plant.simulated import LATENCY_KEY, LOSS_KEY
+from luxloop.loop.scenario.model import Scenario
 
 Arrival = int | None  # step in which the frames were taken, None for lost ones
 

@@ -8,24 +8,24 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-from controllers.pixels.ssc import Ssc, Utilisation
-from controllers.pixels.windowed import serves
-from controllers.pixels.windows import Window
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.symbol_sensor import Measurement
-from loop.batch.drawing import Reached, casting, utilisations
-from loop.batch.judging import judged
-from loop.batch.looking import Scene, Taken, joined, look, rendered
-from loop.batch.windows import EMPTY, Windows, hull
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import Scenario, only
-from loop.scenario.plant import SimulatedPlantParams
-from perception.extraction import Crop, Loss
-from perception.judge import Verdict
-from world.errors import LuxloopError
-from world.light.illumination import Transport, added_light
-from world.process import check_process
-from world.spmv import Csr, multiply
+from luxloop.controllers.pixels.ssc import Ssc, Utilisation
+from luxloop.controllers.pixels.windowed import serves
+from luxloop.controllers.pixels.windows import Window
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
+from luxloop.loop.batch.drawing import Reached, casting, utilisations
+from luxloop.loop.batch.judging import judged
+from luxloop.loop.batch.looking import Scene, Taken, joined, look, rendered
+from luxloop.loop.batch.windows import EMPTY, Windows, hull
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import Scenario, only
+from luxloop.loop.scenario.plant import SimulatedPlantParams
+from luxloop.perception.extraction import Crop, Loss
+from luxloop.perception.judge import Verdict
+from luxloop.world.errors import LuxloopError
+from luxloop.world.light.illumination import Transport, added_light
+from luxloop.world.process import check_process
+from luxloop.world.spmv import Csr, multiply
 
 Lights = tuple[Utilisation, ...]
 AROUND_PX = 16  # by which a crop that is kept reaches beyond what was asked for, since poses move on

@@ -6,20 +6,20 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from controllers.symbol.laws.lifting import Lifting
-from controllers.symbol.sensing.field import cut
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.protocol import Observation, Shown
-from controllers.symbol.sensing.symbol_sensor import Measurement
-from loop.batch.arrivals import Arrival, arrivals
-from loop.batch.copies import Copies
-from loop.batch.laws import asking, asks, law_of, rows
-from loop.batch.looking import Taken, at_ends
-from loop.batch.searching import finds_another_road
-from loop.lighting.controlled import ControlledSymbol
-from loop.scenario.model import Scenario
-from perception.extraction import Loss
-from perception.judge import Verdict
+from luxloop.controllers.symbol.laws.lifting import Lifting
+from luxloop.controllers.symbol.sensing.field import cut
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.protocol import Observation, Shown
+from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
+from luxloop.loop.batch.arrivals import Arrival, arrivals
+from luxloop.loop.batch.copies import Copies
+from luxloop.loop.batch.laws import asking, asks, law_of, rows
+from luxloop.loop.batch.looking import Taken, at_ends
+from luxloop.loop.batch.searching import finds_another_road
+from luxloop.loop.lighting.controlled import ControlledSymbol
+from luxloop.loop.scenario.model import Scenario
+from luxloop.perception.extraction import Loss
+from luxloop.perception.judge import Verdict
 
 Copy = tuple[Scenario, ControlledSymbol]
 
@@ -27,7 +27,7 @@ Copy = tuple[Scenario, ControlledSymbol]
 @dataclass(frozen=True, eq=False)
 class Course:
     """One step of B copies. projection: what is shown. measurement: of the newest frames that came. cut: `[B, 4]`, see
-    `controllers.symbol.sensing.field`. sums: `[B, m, 2]`, see `Light`. verdict: None where nobody judges.
+    `luxloop.controllers.symbol.sensing.field`. sums: `[B, m, 2]`, see `Light`. verdict: None where nobody judges.
     """
 
     projection: ProjectionCommand

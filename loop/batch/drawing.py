@@ -7,15 +7,15 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from controllers.pixels.map_products import light_of
-from controllers.pixels.primitives import U_ABS, Primitives
-from controllers.pixels.rthc import GRAZING, Casting
-from controllers.pixels.ssc import Ssc
-from controllers.pixels.windowed import WindowedSsc
-from controllers.pixels.windows import Window, banded
-from perception.extraction import Crop
-from world.light.illumination import Transport
-from world.spmv import Csr, multiply, numbers, row_of_entries
+from luxloop.controllers.pixels.map_products import light_of
+from luxloop.controllers.pixels.primitives import U_ABS, Primitives
+from luxloop.controllers.pixels.rthc import GRAZING, Casting
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.controllers.pixels.windowed import WindowedSsc
+from luxloop.controllers.pixels.windows import Window, banded
+from luxloop.perception.extraction import Crop
+from luxloop.world.light.illumination import Transport
+from luxloop.world.spmv import Csr, multiply, numbers, row_of_entries
 
 AROUND_TEXELS = 32  # by which a window that is kept reaches beyond what was asked for, since poses move on
 

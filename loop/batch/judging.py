@@ -1,15 +1,15 @@
-"""`perception.judge.judge` of many images at once, with fewer passes over them: the places in the image, and what is known of the target,
-are the same for all.
+"""`luxloop.perception.judge.judge` of many images at once, with fewer passes over them: the places in the image, and what is known of the
+target, are the same for all.
 """
 
 import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, grid_sample, pad
 
-from perception.appearance import appearance
-from perception.birdseye import BirdsEye, span
-from perception.judge import SSIM_RADIUS, THRESHOLD, Target, Verdict, around, hull
-from perception.metrics import gaussian
+from luxloop.perception.appearance import appearance
+from luxloop.perception.birdseye import BirdsEye, span
+from luxloop.perception.judge import SSIM_RADIUS, THRESHOLD, Target, Verdict, around, hull
+from luxloop.perception.metrics import gaussian
 
 
 def judged(luminance: Tensor, view: BirdsEye, goal: Target, u_start: int, v_start: int) -> Verdict:
@@ -40,7 +40,7 @@ def judged(luminance: Tensor, view: BirdsEye, goal: Target, u_start: int, v_star
 
 
 def _rectified(view: BirdsEye, images: Tensor, u_start: int, v_start: int) -> Tensor:
-    """`perception.birdseye.rectify` of images `[B, h, w]`, as channels of one, since all are sampled at the same places."""
+    """`luxloop.perception.birdseye.rectify` of images `[B, h, w]`, as channels of one, since all are sampled at the same places."""
     if not images.numel():
         return images.new_zeros(len(images), *view.map_u.shape)
     half = view.columns // 2
@@ -59,7 +59,7 @@ def _in_pairs(plane: Tensor, goal: Target) -> Tensor:
 
 
 def _similarity(a: Tensor, b: Tensor) -> Tensor:
-    """The mean of `perception.metrics.ssim` is that of these `[B, rows, cols]`, of images a `[B, rows, cols]` and b `[rows, cols]`."""
+    """Similarity `[B, rows, cols]` of images a `[B, rows, cols]` and b `[rows, cols]`; `luxloop.perception.metrics.ssim` is their mean."""
     mean_b, mean_bb = gaussian(torch.stack([b, b * b]), SSIM_RADIUS)
     mean_a, mean_aa, mean_ab = gaussian(torch.stack([a, a * a, a * b]), SSIM_RADIUS)
     product, squares = mean_a * mean_b, mean_a * mean_a + mean_b * mean_b

@@ -8,17 +8,17 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from controllers.pid import PidGains
-from controllers.pixels.ssc import Utilisation
-from controllers.symbol import AnyParams
-from controllers.symbol.laws.feedback import Feedback, FeedbackParams, ModelReferenceParams
-from controllers.symbol.laws.lifting import Lifting
-from controllers.symbol.laws.stages import StagedParams
-from controllers.symbol.laws.thesis_pid import ThesisPid
-from controllers.symbol.sensing.flat_model import FlatModel
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.protocol import SymbolController
-from world.errors import LuxloopError
+from luxloop.controllers.pid import PidGains
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.symbol import AnyParams
+from luxloop.controllers.symbol.laws.feedback import Feedback, FeedbackParams, ModelReferenceParams
+from luxloop.controllers.symbol.laws.lifting import Lifting
+from luxloop.controllers.symbol.laws.stages import StagedParams
+from luxloop.controllers.symbol.laws.thesis_pid import ThesisPid
+from luxloop.controllers.symbol.sensing.flat_model import FlatModel
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.protocol import SymbolController
+from luxloop.world.errors import LuxloopError
 
 LAWS = ("open", "thesis_pid", "gauss_newton", "model_reference")
 

@@ -7,16 +7,16 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from controllers.symbol.sensing.flat_model import Eye
-from controllers.symbol.sensing.symbol_sensor import ENDS, LIT, Measurement, SymbolSensor
-from loop.batch.noise import normal
-from loop.batch.windows import Windows
-from loop.scenario.disturbances import UNDISTURBED, DisturbanceParams
-from perception.appearance import Appearance, Axes, appearance, area
-from perception.birdseye import rectify
-from perception.camera import CameraParams, expose, luminance_of
-from perception.extraction import Extraction, OwnExtractionParams, gate, noise_limit, symbol_image
-from perception.noise import FrameNoise
+from luxloop.controllers.symbol.sensing.flat_model import Eye
+from luxloop.controllers.symbol.sensing.symbol_sensor import ENDS, LIT, Measurement, SymbolSensor
+from luxloop.loop.batch.noise import normal
+from luxloop.loop.batch.windows import Windows
+from luxloop.loop.scenario.disturbances import UNDISTURBED, DisturbanceParams
+from luxloop.perception.appearance import Appearance, Axes, appearance, area
+from luxloop.perception.birdseye import rectify
+from luxloop.perception.camera import CameraParams, expose, luminance_of
+from luxloop.perception.extraction import Extraction, OwnExtractionParams, gate, noise_limit, symbol_image
+from luxloop.perception.noise import FrameNoise
 
 DARK = -1e30  # contrast beside a crop: below every threshold, and finite, as infinities have no gradients
 
@@ -116,7 +116,7 @@ def _exposed(luminance: Tensor, scene: Scene, camera: CameraParams, frames: Sequ
 
 
 def _mean_around(light: Tensor, inside: Tensor) -> Tensor:
-    """Mean of 3 x 3 pixels of each crop `[B, height, width]`, less those beside it, as `perception.extraction.threshold` takes it."""
+    """Mean of the 3 x 3 pixels in each crop `[B, height, width]`, as in `luxloop.perception.extraction.threshold`."""
     counted = inside.to(light)
     return _sum_around(light * counted) / _sum_around(counted).clamp(min=1)
 

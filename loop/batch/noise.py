@@ -1,10 +1,10 @@
-"""The noise of `perception.noise` in many windows at once, to the same bits."""
+"""The noise of `luxloop.perception.noise` in many windows at once, to the same bits."""
 
 import torch
 from torch import Tensor
 
-from loop.batch.windows import Windows
-from perception.noise import FIRST, GOLDEN, PARTS, SECOND, FrameNoise, tables
+from luxloop.loop.batch.windows import Windows
+from luxloop.perception.noise import FIRST, GOLDEN, PARTS, SECOND, FrameNoise, tables
 
 
 def normal(frames: list[FrameNoise], windows: Windows, like: Tensor) -> Tensor:

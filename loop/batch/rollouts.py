@@ -8,18 +8,18 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from controllers.symbol.laws.lifting import Lifting
-from controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.protocol import Observation, Shown
-from controllers.symbol.sensing.symbol_sensor import Measurement
-from loop.batch import copies
-from loop.batch.copies import Copies
-from loop.batch.looking import Taken
-from loop.lighting.result import Rollout
-from loop.lighting.simulation import Simulation
-from perception.extraction import Loss
-from world.errors import LuxloopError, did_you_mean
+from luxloop.controllers.symbol.laws.lifting import Lifting
+from luxloop.controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.protocol import Observation, Shown
+from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
+from luxloop.loop.batch import copies
+from luxloop.loop.batch.copies import Copies
+from luxloop.loop.batch.looking import Taken
+from luxloop.loop.lighting.result import Rollout
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.perception.extraction import Loss
+from luxloop.world.errors import LuxloopError, did_you_mean
 
 # Keys of thesis_pid that are tensors in its law: the gains' field, which of the loops x, y, roll, pitch, and the key's unit in theirs.
 GAINS: dict[str, tuple[str, tuple[int, ...], float]] = {

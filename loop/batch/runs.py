@@ -1,4 +1,4 @@
-"""Runs of many scenarios at once that differ in numbers alone: metrics and trace of `loop.metrics.traced` for each."""
+"""Runs of many scenarios at once that differ in numbers alone: metrics and trace of `luxloop.loop.metrics.traced` for each."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -8,19 +8,19 @@ from typing import Any
 
 from torch import Tensor
 
-from controllers.symbol.sensing.projection import ProjectionCommand
-from loop.assembly.build import build_symbol_controller
-from loop.batch.copies import Copies, refuse_scenario
-from loop.batch.courses import Course, Courses, course_of
-from loop.batch.laws import refuse_controller, shape_of
-from loop.lighting.controlled import Held
-from loop.lighting.lamps import LampPower, mean_powers
-from loop.lighting.result import Rollout, StepResult
-from loop.lighting.simulation import Simulation
-from loop.metrics import Figures, ready, tabulated, traced
-from loop.scenario.model import Scenario, only
-from perception.judge import Verdict
-from world.errors import LuxloopError
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.loop.assembly.build import build_symbol_controller
+from luxloop.loop.batch.copies import Copies, refuse_scenario
+from luxloop.loop.batch.courses import Course, Courses, course_of
+from luxloop.loop.batch.laws import refuse_controller, shape_of
+from luxloop.loop.lighting.controlled import Held
+from luxloop.loop.lighting.lamps import LampPower, mean_powers
+from luxloop.loop.lighting.result import Rollout, StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.metrics import Figures, ready, tabulated, traced
+from luxloop.loop.scenario.model import Scenario, only
+from luxloop.perception.judge import Verdict
+from luxloop.world.errors import LuxloopError
 
 # What may differ within a batch, beside the seed, the controller's numbers and the start of the symbol.
 OF_CAMERA = {"latency_steps", "latency_spread_steps", "drop_probability"}
@@ -48,7 +48,7 @@ def refuse(scenario: Scenario) -> None:
 
 
 def runs(scenarios: Sequence[Scenario], device: str = "cpu") -> list[Run]:
-    """Metrics and trace of each scenario, all of one `kind`, as of `loop.metrics.traced` up to single-precision rounding.
+    """Metrics and trace of each scenario, all of one `kind`, as of `luxloop.loop.metrics.traced` up to single-precision rounding.
 
     A scenario whose symbol is lost in a step is run again alone, since a single run then searches the whole image and may draw for
     another road. Scenarios that need more than a window of the lamps' light also run alone, since a batch of them is no faster. device:

@@ -1,17 +1,17 @@
 """Whether a single run whose symbol reaches the end of the footprint would find a road other than the plane z = 0.
 
-It then draws for that road (`controllers.symbol.laws.lifting`), as no copy of a batch does.
+It then draws for that road (`luxloop.controllers.symbol.laws.lifting`), as no copy of a batch does.
 """
 
 import torch
 from torch import Tensor
 
-from controllers.pixels.ssc import Utilisation
-from controllers.symbol.laws.lifting import SURE
-from loop.batch.copies import Copies, Light
-from loop.batch.looking import Taken
-from perception.camera import expose
-from perception.noise import FrameNoise
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.symbol.laws.lifting import SURE
+from luxloop.loop.batch.copies import Copies, Light
+from luxloop.loop.batch.looking import Taken
+from luxloop.perception.camera import expose
+from luxloop.perception.noise import FrameNoise
 
 
 def finds_another_road(copies: Copies, light: Light, k: int, taken: Taken) -> bool:

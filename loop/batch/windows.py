@@ -7,8 +7,8 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from perception.appearance import Axes
-from perception.extraction import Crop
+from luxloop.perception.appearance import Axes
+from luxloop.perception.extraction import Crop
 
 LEAST_PX = 2  # a crop of fewer rows or columns is empty
 EMPTY = Crop(0, 0, 0, 0)

@@ -9,16 +9,16 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from loop.lighting.simulation import Simulation
-from loop.plant.world import LitScene
-from perception.camera import expose, luminance_of, noise_std
-from perception.detection.network import Network, NetworkDetector, boxes_of, middles, prepared
-from perception.detection.protocol import Detector
-from perception.detection.suppression import SAME, overlaps
-from perception.noise import FrameNoise
-from perception.visibility import edge_definition, unevenness, weber_contrast
-from world.errors import LuxloopError
-from world.params import Params
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.plant.world import LitScene
+from luxloop.perception.camera import expose, luminance_of, noise_std
+from luxloop.perception.detection.network import Network, NetworkDetector, boxes_of, middles, prepared
+from luxloop.perception.detection.protocol import Detector
+from luxloop.perception.detection.suppression import SAME, overlaps
+from luxloop.perception.noise import FrameNoise
+from luxloop.perception.visibility import edge_definition, unevenness, weber_contrast
+from luxloop.world.errors import LuxloopError
+from luxloop.world.params import Params
 
 Metric = Literal["detector", "weber_contrast", "edges"]
 FAINTEST = 1e-6  # of a score, so that its logarithm stays finite

@@ -9,26 +9,26 @@ import numpy as np
 import torch
 from pydantic import ValidationError
 
-from loop.beams.goal import BeamGoal, BeamJudge, Metric
-from loop.beams.picture import write_picture
-from loop.beams.search import Found, Lights, alike, begin, descend, sample
-from loop.lighting.lamps import flux_by_side
-from loop.lighting.record import schema
-from loop.lighting.simulation import Simulation
-from loop.recording.manifest import write_json
-from loop.run import torch_device
-from loop.scenario.model import Scenario
-from loop.scenario.overrides import toml_key
-from loop.terminal import tables
-from loop.terminal.progress import progress
-from perception.detection.build import detector
-from perception.detection.network import NetworkDetector
-from perception.detection.params import NetworkParams, TruthParams
-from perception.detection.protocol import Detector
-from world.errors import LuxloopError, all_of, located
-from world.files import whole
-from world.folders import output_folder
-from world.validation import sentences
+from luxloop.loop.beams.goal import BeamGoal, BeamJudge, Metric
+from luxloop.loop.beams.picture import write_picture
+from luxloop.loop.beams.search import Found, Lights, alike, begin, descend, sample
+from luxloop.loop.lighting.lamps import flux_by_side
+from luxloop.loop.lighting.record import schema
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.recording.manifest import write_json
+from luxloop.loop.run import torch_device
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.scenario.overrides import toml_key
+from luxloop.loop.terminal import tables
+from luxloop.loop.terminal.progress import progress
+from luxloop.perception.detection.build import detector
+from luxloop.perception.detection.network import NetworkDetector
+from luxloop.perception.detection.params import NetworkParams, TruthParams
+from luxloop.perception.detection.protocol import Detector
+from luxloop.world.errors import LuxloopError, all_of, located
+from luxloop.world.files import whole
+from luxloop.world.folders import output_folder
+from luxloop.world.validation import sentences
 
 Method = Literal["auto", "gradient", "sampling"]
 STEPS: Mapping[str, int] = {"gradient": 80, "sampling": 150}

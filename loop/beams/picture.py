@@ -10,13 +10,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from loop.beams.goal import BeamJudge
-from loop.beams.search import Lights
-from loop.recording.style import NIGHT, STYLE
-from loop.report.marks import Mark, readable
-from loop.report.picture import WALL_DEG, wall_light
-from perception.camera import luminance_of
-from world.files import whole
+from luxloop.loop.beams.goal import BeamJudge
+from luxloop.loop.beams.search import Lights
+from luxloop.loop.recording.style import NIGHT, STYLE
+from luxloop.loop.report.marks import Mark, readable
+from luxloop.loop.report.picture import WALL_DEG, wall_light
+from luxloop.perception.camera import luminance_of
+from luxloop.world.files import whole
 
 WALL_COLUMNS = 360
 FAINTEST_LX = 0.1  # on the wall, that is shown as black

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from loop.beams.goal import BeamJudge
+from luxloop.loop.beams.goal import BeamJudge
 
 RATE = 0.02  # of Adam, in utilisation a step at most or so
 START = 0.1  # utilisation of all pixels where the scenario has no base beam

@@ -11,14 +11,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from loop.bench.faults import ShownBoardParams
-from loop.bench.lens import Image, Lens, distorted, focal_px
-from loop.bench.scene import LitBench
-from loop.calibration.board import BoardParams, picture
-from perception.camera import CameraParams, luminance_of
-from world.errors import LuxloopError
-from world.headlight import Headlight
-from world.kept import keeping
+from luxloop.loop.bench.faults import ShownBoardParams
+from luxloop.loop.bench.lens import Image, Lens, distorted, focal_px
+from luxloop.loop.bench.scene import LitBench
+from luxloop.loop.calibration.board import BoardParams, picture
+from luxloop.perception.camera import CameraParams, luminance_of
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight import Headlight
+from luxloop.world.kept import keeping
 
 Floats = NDArray[np.float64]
 POSES: Final = 20

@@ -15,16 +15,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from loop.bench.board import ShownBoard
-from loop.bench.faults import CameraErrorParams, FaultParams, FlickerParams
-from loop.bench.lens import Image
-from loop.bench.scene import LitBench, sensor_of
-from loop.bench.timeline import Segment, Timeline
-from loop.wire.mjpeg import JPEG, PNG, Part
-from loop.wire.png import png
-from perception.camera import CameraParams, expose
-from perception.noise import FrameNoise
-from world.errors import LuxloopError
+from luxloop.loop.bench.board import ShownBoard
+from luxloop.loop.bench.faults import CameraErrorParams, FaultParams, FlickerParams
+from luxloop.loop.bench.lens import Image
+from luxloop.loop.bench.scene import LitBench, sensor_of
+from luxloop.loop.bench.timeline import Segment, Timeline
+from luxloop.loop.wire.mjpeg import JPEG, PNG, Part
+from luxloop.loop.wire.png import png
+from luxloop.perception.camera import CameraParams, expose
+from luxloop.perception.noise import FrameNoise
+from luxloop.world.errors import LuxloopError
 
 WAIT_S: Final = 0.1  # in which the end of the process is noticed
 UNSENT: Final = 128  # frames under way to the sender at most

@@ -6,11 +6,11 @@ from typing import Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from loop.scenario.disturbances import PoseErrorParams
-from loop.scenario.overrides import overridden
-from world.errors import located
-from world.params import Params
-from world.validation import read_toml, validated
+from luxloop.loop.scenario.disturbances import PoseErrorParams
+from luxloop.loop.scenario.overrides import overridden
+from luxloop.world.errors import located
+from luxloop.world.params import Params
+from luxloop.world.validation import read_toml, validated
 
 PREFIX: Final = "faults"
 

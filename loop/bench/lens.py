@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from loop.bench.faults import LensParams
-from perception.camera import CameraParams
-from world.errors import LuxloopError
+from luxloop.loop.bench.faults import LensParams
+from luxloop.perception.camera import CameraParams
+from luxloop.world.errors import LuxloopError
 
 Image = NDArray[np.float32]
 Floats = NDArray[np.float64]

@@ -6,11 +6,11 @@ import threading
 import time
 from typing import Final, NamedTuple
 
-from loop.bench.faults import LightInputParams
-from loop.bench.timeline import Timeline
-from loop.wire.addresses import REFUSED, reason_of
-from loop.wire.ddp import LARGEST_PACKET, Assembler
-from world.errors import LuxloopError
+from luxloop.loop.bench.faults import LightInputParams
+from luxloop.loop.bench.timeline import Timeline
+from luxloop.loop.wire.addresses import REFUSED, reason_of
+from luxloop.loop.wire.ddp import LARGEST_PACKET, Assembler
+from luxloop.world.errors import LuxloopError
 
 BUFFER_BYTES: Final = 2**22  # of the socket; systems may give less
 LOOK_S: Final = 0.2  # between two looks at whether the end has come

@@ -11,20 +11,20 @@ import cv2
 import numpy as np
 import torch
 
-from loop.bench.board import readings
-from loop.bench.camera import BenchCamera, End, Exposed
-from loop.bench.faults import FaultParams
-from loop.bench.light_input import DdpInput
-from loop.bench.scene import LitBench
-from loop.bench.screen_input import ScreenInput
-from loop.bench.sensors import SensorSender
-from loop.bench.timeline import Timeline
-from loop.bench.truth import TruthServer
-from loop.scenario.model import Scenario
-from loop.wire.ddp import LightFrame
-from loop.wire.mjpeg import Part, PictureServer
-from perception.sensors import Sensors
-from world.scene.vehicle import STANDING
+from luxloop.loop.bench.board import readings
+from luxloop.loop.bench.camera import BenchCamera, End, Exposed
+from luxloop.loop.bench.faults import FaultParams
+from luxloop.loop.bench.light_input import DdpInput
+from luxloop.loop.bench.scene import LitBench
+from luxloop.loop.bench.screen_input import ScreenInput
+from luxloop.loop.bench.sensors import SensorSender
+from luxloop.loop.bench.timeline import Timeline
+from luxloop.loop.bench.truth import TruthServer
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.wire.ddp import LightFrame
+from luxloop.loop.wire.mjpeg import Part, PictureServer
+from luxloop.perception.sensors import Sensors
+from luxloop.world.scene.vehicle import STANDING
 
 SWITCH_S: Final = 0.0005  # after which a thread that waits for Python gets it, so that no packet is late
 

@@ -9,20 +9,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from controllers.pixels.ssc import Utilisation
-from loop.assembly.lamps import mounted
-from loop.assembly.truth import LampModule, true_modules
-from loop.bench.faults import FaultParams, LampErrorParams, ScreenParams
-from loop.bench.lens import Image, Lens
-from loop.plant.simulated import simulated_plant
-from loop.plant.world import LitScene, World
-from loop.scenario.disturbances import AimParams, DisturbanceParams, PoseErrorParams, WearParams
-from loop.scenario.model import Scenario
-from loop.wire.ddp import LightFrame, WireCommand, utilisations_of
-from perception.camera import CameraParams
-from world.frames import unit
-from world.headlight.lamp import REST, Commands, ModuleCommand
-from world.view import View
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.assembly.lamps import mounted
+from luxloop.loop.assembly.truth import LampModule, true_modules
+from luxloop.loop.bench.faults import FaultParams, LampErrorParams, ScreenParams
+from luxloop.loop.bench.lens import Image, Lens
+from luxloop.loop.plant.simulated import simulated_plant
+from luxloop.loop.plant.world import LitScene, World
+from luxloop.loop.scenario.disturbances import AimParams, DisturbanceParams, PoseErrorParams, WearParams
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.wire.ddp import LightFrame, WireCommand, utilisations_of
+from luxloop.perception.camera import CameraParams
+from luxloop.world.frames import unit
+from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand
+from luxloop.world.view import View
 
 KEPT: Final = 8  # images of lights, of which an on and an off frame alternate
 STUCK_KEY: Final = 1  # of the generator of stuck pixels, beside that of dead ones

@@ -10,11 +10,11 @@ import numpy as np
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-from loop.bench.light_input import LOOK_S, Counts
-from loop.bench.timeline import Timeline
-from loop.wire.addresses import REFUSED
-from loop.wire.ddp import LightFrame
-from loop.wire.screen import HEAD, understood, unstacked
+from luxloop.loop.bench.light_input import LOOK_S, Counts
+from luxloop.loop.bench.timeline import Timeline
+from luxloop.loop.wire.addresses import REFUSED
+from luxloop.loop.wire.ddp import LightFrame
+from luxloop.loop.wire.screen import HEAD, understood, unstacked
 
 AGAIN_S: Final = 0.2  # between two tries to reach a loop
 PATIENCE_S: Final = 2.0  # in which a loop answers a try

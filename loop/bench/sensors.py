@@ -8,12 +8,12 @@ from typing import Final
 
 import torch
 
-from loop.bench.timeline import Timeline
-from loop.wire import datagrams
-from loop.wire.addresses import REFUSED, reason_of
-from perception.egomotion import Sample
-from perception.sensors import Sensors
-from world.errors import LuxloopError
+from luxloop.loop.bench.timeline import Timeline
+from luxloop.loop.wire import datagrams
+from luxloop.loop.wire.addresses import REFUSED, reason_of
+from luxloop.perception.egomotion import Sample
+from luxloop.perception.sensors import Sensors
+from luxloop.world.errors import LuxloopError
 
 PERIOD_S: Final = 0.002  # in which samples that have become due are sent
 STANDING_S: Final = 0.05  # before the drive, the samples of its beginning come again and again

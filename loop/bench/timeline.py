@@ -5,7 +5,7 @@ import time
 from collections import deque
 from dataclasses import dataclass
 
-from loop.wire.ddp import LightFrame
+from luxloop.loop.wire.ddp import LightFrame
 
 MOST_KEPT = 128  # frames of light, of which some are as large as a third of a megabyte
 KEPT_S = 2.5  # longer than an exposure with its readout

@@ -9,8 +9,8 @@ from http.server import BaseHTTPRequestHandler
 from typing import Any, Final
 from urllib.parse import parse_qs, urlsplit
 
-from loop.bench.camera import Exposed
-from loop.wire.mjpeg import server_of
+from luxloop.loop.bench.camera import Exposed
+from luxloop.loop.wire.mjpeg import server_of
 
 MOST_FRAMES: Final = 4096
 

@@ -10,14 +10,14 @@ import scipy.sparse as sp
 import torch
 from numpy.typing import NDArray
 
-from loop.assembly.truth import LampModule
-from loop.plant.simulated import simulated_plant
-from loop.plant.world import World
-from loop.scenario.model import Scenario
-from perception.camera import CameraParams, expose
-from perception.noise import FrameNoise
-from world.errors import LuxloopError
-from world.light.illumination import Transport
+from luxloop.loop.assembly.truth import LampModule
+from luxloop.loop.plant.simulated import simulated_plant
+from luxloop.loop.plant.world import World
+from luxloop.loop.scenario.model import Scenario
+from luxloop.perception.camera import CameraParams, expose
+from luxloop.perception.noise import FrameNoise
+from luxloop.world.errors import LuxloopError
+from luxloop.world.light.illumination import Transport
 
 Array = NDArray[np.floating[Any]]
 Indices = NDArray[np.intp]

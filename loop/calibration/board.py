@@ -9,10 +9,10 @@ import numpy as np
 from PIL import Image as Picture
 from pydantic import Field
 
-from loop.calibration.bench import Array, Image, Indices
-from world.errors import LuxloopError
-from world.files import whole
-from world.params import Params
+from luxloop.loop.calibration.bench import Array, Image, Indices
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import whole
+from luxloop.world.params import Params
 
 PAPERS: Final = {"a4": (210.0, 297.0), "a3": (297.0, 420.0), "letter": (215.9, 279.4)}  # mm
 DPI: Final = 300

@@ -8,19 +8,19 @@ from typing import Final
 import cv2
 import numpy as np
 
-from loop.assembly.truth import LampModule
-from loop.calibration.bench import Array
-from loop.calibration.board import Corners
-from loop.calibration.charts import Places
-from loop.calibration.codes import patterns
-from loop.calibration.digitise import Nominal, Reading, Settings, located
-from loop.calibration.files import Calibration
-from loop.calibration.geometry import ISO, MOST_PX, CameraModel, Geometry, Pose, Seen, adjusted
-from loop.calibration.intrinsics import Lens, brightness
-from loop.calibration.response import Response, response_curve
-from loop.calibration.shots import Shots
-from perception.camera import CameraParams, camera_view
-from world.errors import LuxloopError
+from luxloop.loop.assembly.truth import LampModule
+from luxloop.loop.calibration.bench import Array
+from luxloop.loop.calibration.board import Corners
+from luxloop.loop.calibration.charts import Places
+from luxloop.loop.calibration.codes import patterns
+from luxloop.loop.calibration.digitise import Nominal, Reading, Settings, located
+from luxloop.loop.calibration.files import Calibration
+from luxloop.loop.calibration.geometry import ISO, MOST_PX, CameraModel, Geometry, Pose, Seen, adjusted
+from luxloop.loop.calibration.intrinsics import Lens, brightness
+from luxloop.loop.calibration.response import Response, response_curve
+from luxloop.loop.calibration.shots import Shots
+from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.world.errors import LuxloopError
 
 LADDER: Final = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 0.75, 1.0)  # utilisations, for a camera with one exposure
 AVERAGED: Final = 8  # frames of each rung

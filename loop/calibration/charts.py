@@ -7,8 +7,8 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from scipy.ndimage import uniform_filter
 
-from loop.calibration.bench import Array
-from loop.calibration.codes import Decoded
+from luxloop.loop.calibration.bench import Array
+from luxloop.loop.calibration.codes import Decoded
 
 DEGREE: Final = 7  # of the polynomials in either direction: a lens of 15 % distortion leaves 0.001 px
 FITTED: Final = 20_000  # points at most that a map is fitted to

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from loop.calibration.bench import Array
+from luxloop.loop.calibration.bench import Array
 
 PERIOD: Final = 16  # pixels
 STEPS: Final = 8

@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from loop.calibration.bench import Array, Indices
-from loop.calibration.charts import Chart
+from luxloop.loop.calibration.bench import Array, Indices
+from luxloop.loop.calibration.charts import Chart
 
 SPACING: Final = 5  # pixels between those of a comb, in either direction: the light of a pixel reaches REACH
 REACH: Final = 1.5  # pixels from its centre, to all sides

@@ -8,16 +8,16 @@ import numpy as np
 import torch
 from scipy.ndimage import median_filter
 
-from loop.calibration.bench import Array, Indices
-from loop.calibration.charts import Chart, Places, places
-from loop.calibration.codes import decode, patterns
-from loop.calibration.combs import Windows, combs, windows
-from loop.calibration.geometry import Geometry, Seen, adjusted
-from loop.calibration.lamp import grid_over, headlight
-from loop.calibration.shapes import Measured, measure
-from loop.calibration.shots import Shots
-from world.errors import LuxloopError
-from world.headlight import Headlight
+from luxloop.loop.calibration.bench import Array, Indices
+from luxloop.loop.calibration.charts import Chart, Places, places
+from luxloop.loop.calibration.codes import decode, patterns
+from luxloop.loop.calibration.combs import Windows, combs, windows
+from luxloop.loop.calibration.geometry import Geometry, Seen, adjusted
+from luxloop.loop.calibration.lamp import grid_over, headlight
+from luxloop.loop.calibration.shapes import Measured, measure
+from luxloop.loop.calibration.shots import Shots
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight import Headlight
 
 LOCATED: Final = 0.5  # share of a lamp's pixels that have to be found
 REFINED: Final = (16, 16)  # one of so many pixels is measured in each round that refines the charts

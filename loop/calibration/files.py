@@ -7,12 +7,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from loop.calibration.bench import Array
-from loop.calibration.geometry import DISTORTION, CameraModel, Geometry, Pose
-from loop.calibration.response import Response
-from world.arrays import read_npz, write_npz
-from world.errors import LuxloopError
-from world.files import content, reading, whole
+from luxloop.loop.calibration.bench import Array
+from luxloop.loop.calibration.geometry import DISTORTION, CameraModel, Geometry, Pose
+from luxloop.loop.calibration.response import Response
+from luxloop.world.arrays import read_npz, write_npz
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import content, reading, whole
 
 FORMAT: Final = "luxloop rig calibration"
 AGAIN: Final = "run `luxloop rig calibrate` again"

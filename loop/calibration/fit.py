@@ -11,19 +11,19 @@ from scipy.ndimage import gaussian_filter
 from scipy.optimize import least_squares
 from torch import Tensor
 
-from controllers.pixels.ssc import Utilisation
-from loop.assembly.made import Made
-from loop.calibration.bench import Array
-from loop.calibration.geometry import SIDE, blocks, covariance_of, grouped
-from loop.lighting.lamps import lamp_modules, shining_modules
-from loop.plant.frames import image_file, light_file, read_image, read_light
-from loop.plant.recorded import inside, recorded_rows
-from loop.plant.simulated import simulated_plant
-from loop.scenario.model import Scenario
-from perception.camera import CameraParams, expose, luminance_of
-from perception.metrics import ssim
-from world.errors import LuxloopError
-from world.headlight.lamp import Commands
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.assembly.made import Made
+from luxloop.loop.calibration.bench import Array
+from luxloop.loop.calibration.geometry import SIDE, blocks, covariance_of, grouped
+from luxloop.loop.lighting.lamps import lamp_modules, shining_modules
+from luxloop.loop.plant.frames import image_file, light_file, read_image, read_light
+from luxloop.loop.plant.recorded import inside, recorded_rows
+from luxloop.loop.plant.simulated import simulated_plant
+from luxloop.loop.scenario.model import Scenario
+from luxloop.perception.camera import CameraParams, expose, luminance_of
+from luxloop.perception.metrics import ssim
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.lamp import Commands
 
 BLUR: Final = "blur_px"  # a value of the fit that no scenario has: standard deviation of the picture's blur
 MOST_PIXELS: Final = 200_000  # of all frames, that are compared in a fit

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from loop.calibration.bench import Array, Indices
-from perception.camera import CameraParams, camera_view
-from world.errors import LuxloopError
+from luxloop.loop.calibration.bench import Array, Indices
+from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.world.errors import LuxloopError
 
 DISTORTION: Final = ("k1", "k2", "p1", "p2", "k3")  # OpenCV's, in its order
 ISO: Final = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])  # OpenCV axes of ISO 8855 vectors

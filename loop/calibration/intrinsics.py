@@ -7,10 +7,10 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from loop.calibration.bench import Array
-from loop.calibration.board import Corners
-from loop.calibration.geometry import MOST_PX, CameraModel, Pose, covariance_of, rms_of
-from world.errors import LuxloopError
+from luxloop.loop.calibration.bench import Array
+from luxloop.loop.calibration.board import Corners
+from luxloop.loop.calibration.geometry import MOST_PX, CameraModel, Pose, covariance_of, rms_of
+from luxloop.world.errors import LuxloopError
 
 FEWEST: Final = 5  # views
 LARGEST_STD: Final = 0.03  # standard deviation, relative to focal length and picture, of a lens that is determined

@@ -9,17 +9,17 @@ import numpy as np
 import scipy.sparse as sp
 import torch
 
-from loop.calibration.bench import Array
-from loop.calibration.charts import Chart
-from loop.calibration.combs import REACH
-from loop.calibration.shapes import Blocks, Measured
-from loop.lighting.lamps import shining_modules
-from loop.scenario.model import Scenario
-from world.errors import LuxloopError
-from world.headlight import Headlight
-from world.headlight.lamp import Lamp
-from world.spmv import Csr
-from world.texels import TexelGrid
+from luxloop.loop.calibration.bench import Array
+from luxloop.loop.calibration.charts import Chart
+from luxloop.loop.calibration.combs import REACH
+from luxloop.loop.calibration.shapes import Blocks, Measured
+from luxloop.loop.lighting.lamps import shining_modules
+from luxloop.loop.scenario.model import Scenario
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import Lamp
+from luxloop.world.spmv import Csr
+from luxloop.world.texels import TexelGrid
 
 LEAST: Final = 3e-3  # share of a pixel's peak, below which its light is left out
 MARGIN: Final = math.ceil(REACH - 0.5)  # pixels beyond the outermost, whose light may reach there

@@ -11,13 +11,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from loop.calibration.bench import Array, Image
-from loop.rig.light import Shine
-from loop.rig.params import RigParams
-from loop.rig.rectified import Rectifier, grey
-from loop.rig.rig import CAMERA_S, Rig, opened
-from perception.camera import CameraParams
-from world.errors import LuxloopError, located
+from luxloop.loop.calibration.bench import Array, Image
+from luxloop.loop.rig.light import Shine
+from luxloop.loop.rig.params import RigParams
+from luxloop.loop.rig.rectified import Rectifier, grey
+from luxloop.loop.rig.rig import CAMERA_S, Rig, opened
+from luxloop.perception.camera import CameraParams
+from luxloop.world.errors import LuxloopError, located
 
 TRIES: Final = 20  # of one frame, or of light that a limit slows down
 

@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from loop.calibration.digitise import Digitised
-from loop.recording.style import DEFAULTS
-from world.arrays import write_npz
-from world.files import whole
+from luxloop.loop.calibration.digitise import Digitised
+from luxloop.loop.recording.style import DEFAULTS
+from luxloop.world.arrays import write_npz
+from luxloop.world.files import whole
 
 SHOWN: Final = 2.5  # standard deviations from the median, which colours span
 LISTED: Final = 200  # faulty pixels in the facts

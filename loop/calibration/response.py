@@ -6,8 +6,8 @@ from typing import Final, Self
 
 import numpy as np
 
-from loop.calibration.bench import Array, Image
-from world.errors import LuxloopError
+from luxloop.loop.calibration.bench import Array, Image
+from luxloop.world.errors import LuxloopError
 
 KNOTS: Final = 32
 SAMPLES: Final = 400  # camera pixels

@@ -14,8 +14,8 @@ from typing import Final, Self
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from loop.calibration.bench import Array, Indices
-from loop.calibration.combs import REACH, Windows
+from luxloop.loop.calibration.bench import Array, Indices
+from luxloop.loop.calibration.combs import REACH, Windows
 
 BLOCK: Final = 16  # pixels along a side that have one shape, together with the blocks around them
 ROUGHNESS: Final = 1e-3  # weight of the second differences, relative to the mean of the normal matrix' diagonal

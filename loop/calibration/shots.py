@@ -10,11 +10,11 @@ from typing import Final
 import cv2
 import numpy as np
 
-from loop.calibration.bench import Array, Bench, Image
-from loop.calibration.response import Response
-from world.errors import LuxloopError
-from world.files import content, reading, whole
-from world.images import decoded
+from luxloop.loop.calibration.bench import Array, Bench, Image
+from luxloop.loop.calibration.response import Response
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import content, reading, whole
+from luxloop.world.images import decoded
 
 NOTE: Final = "bench.json"
 SATURATED: Final = 0.98  # of the largest digital number

@@ -12,16 +12,16 @@ import numpy as np
 import pyarrow as pa
 import torch
 
-from loop.assembly.truth import LampModule
-from loop.calibration.fit import scores
-from loop.calibration.twin_picture import draw_twin
-from loop.plant.frames import image_file, light_file, read_image, read_light, twin_file, write_image
-from loop.plant.recorded import inside, recorded_rows
-from loop.plant.simulated import SimulatedPlant, simulated_plant
-from loop.recording.files import TWIN, TWIN_PICTURE, table_of, write_table
-from loop.rig.mark import surroundings
-from loop.rig.params import MarkParams
-from loop.scenario.model import Scenario
+from luxloop.loop.assembly.truth import LampModule
+from luxloop.loop.calibration.fit import scores
+from luxloop.loop.calibration.twin_picture import draw_twin
+from luxloop.loop.plant.frames import image_file, light_file, read_image, read_light, twin_file, write_image
+from luxloop.loop.plant.recorded import inside, recorded_rows
+from luxloop.loop.plant.simulated import SimulatedPlant, simulated_plant
+from luxloop.loop.recording.files import TWIN, TWIN_PICTURE, table_of, write_table
+from luxloop.loop.rig.mark import surroundings
+from luxloop.loop.rig.params import MarkParams
+from luxloop.loop.scenario.model import Scenario
 
 # name: (type, unit, description)
 COLUMNS: Final[dict[str, tuple[pa.DataType, str, str]]] = {

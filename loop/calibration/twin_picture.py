@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from loop.recording.style import SHARES, STYLE
-from world.files import whole
+from luxloop.loop.recording.style import SHARES, STYLE
+from luxloop.world.files import whole
 
 WIDE_IN, DPI, TITLES_IN = 13.0, 130, 1.1
 BAR: Final = 0.04  # height of the scale, of a frame's

@@ -12,15 +12,15 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake
 from websockets.sync.client import ClientConnection
 from websockets.sync.client import connect as open_socket
 
-from loop.client.decoding import unpacked
-from loop.client.received import Received
-from loop.client.shared import Mapped
-from loop.client.state import State
-from loop.studio.messages import View
-from world.errors import LuxloopError
-from world.messages.arrays import coded
-from world.messages.packing import packed
-from world.validation import toml
+from luxloop.loop.client.decoding import unpacked
+from luxloop.loop.client.received import Received
+from luxloop.loop.client.shared import Mapped
+from luxloop.loop.client.state import State
+from luxloop.loop.studio.messages import View
+from luxloop.world.errors import LuxloopError
+from luxloop.world.messages.arrays import coded
+from luxloop.world.messages.packing import packed
+from luxloop.world.validation import toml
 
 VIEWS: Final[tuple[View, ...]] = ("frames", "light", "matrix")
 LOOK_S: Final = 0.5  # between two looks at what ends a program, while it waits

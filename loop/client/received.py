@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from loop.client.state import State
+from luxloop.loop.client.state import State
 
 
 class Received:

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from loop.studio.shared import ALIGNED, HEAD, MAGIC, NUMBER, NUMBER_AT, VERSION
-from world.errors import LuxloopError
+from luxloop.loop.studio.shared import ALIGNED, HEAD, MAGIC, NUMBER, NUMBER_AT, VERSION
+from luxloop.world.errors import LuxloopError
 
 
 class Mapped:

@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from world.errors import LuxloopError
-from world.headlight.lamp import Lamp
-from world.regulation import Result, aim, check, rule_set
-from world.regulation.results import Traffic
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.lamp import Lamp
+from luxloop.world.regulation import Result, aim_beam, check_beam, rule_set
+from luxloop.world.regulation.results import Traffic
 
 RULE_OF_BEAM: Mapping[str, str] = MappingProxyType(
     {"low": "r149-passing-c", "adverse": "r149-passing-c", "motorway": "r149-passing-c", "town": "r149-passing-v", "high": "r149-driving-b"}
@@ -30,11 +30,11 @@ def judge(
         beam = wanted if wanted in lamp.beams else "full"
     intensity = lamp.lit(lamp.beam(beam))
     rules = rules or rule_set(RULE_OF_BEAM[beam])
-    turn = aim(intensity, rules.id, traffic=traffic) if aimed else (0.0, 0.0)
+    turn = aim_beam(intensity, rules.id, traffic=traffic) if aimed else (0.0, 0.0)
     turned = f", aimed by {turn[0]:+.2f} deg to the right and {turn[1]:+.2f} deg up" if aimed else ""
     only = sum(module.headlight.n_pixels for module in lamp.modules) <= 1
     what = lamp.name if only else f"{lamp.name}, beam {beam}"
-    return f"{what}: {rules.title}{turned}", check(intensity, rules.id, aim=turn, traffic=traffic)
+    return f"{what}: {rules.title}{turned}", check_beam(intensity, rules.id, aim=turn, traffic=traffic)
 
 
 def kept(lamp: Lamp) -> list[str]:

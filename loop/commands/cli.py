@@ -15,17 +15,17 @@ from typing import Any, Literal
 
 from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensError
 
-from loop.commands.exports import export_app
-from loop.commands.given import recorded_scenario_of, scenario_of
-from loop.commands.headlight import headlight_app
-from loop.commands.listing import data_app, doctor, list_, schema
-from loop.commands.rig import rig_app
-from loop.commands.studies import campaign, dataset, evaluate, optimise_beam, train_detector, tune
-from loop.commands.studio import studio
-from loop.scenario.shipped import TEMPLATE, copied, examples, original
-from loop.terminal import tables
-from loop.terminal.options import DIFFERS, FAILED, INTERRUPTED, OK, UNREAD, WRONG, AllowCode, Device, Flag, Json, Keys
-from world.errors import LuxloopError, did_you_mean
+from luxloop.loop.commands.exports import export_app
+from luxloop.loop.commands.given import recorded_scenario_of, scenario_of
+from luxloop.loop.commands.headlight import headlight_app
+from luxloop.loop.commands.listing import data_app, doctor, list_, schema
+from luxloop.loop.commands.rig import rig_app
+from luxloop.loop.commands.studies import campaign, dataset, evaluate, optimise_beam, train_detector, tune
+from luxloop.loop.commands.studio import studio
+from luxloop.loop.scenario.shipped import TEMPLATE, copied, examples, original
+from luxloop.loop.terminal import tables
+from luxloop.loop.terminal.options import DIFFERS, FAILED, INTERRUPTED, OK, UNREAD, WRONG, AllowCode, Device, Flag, Json, Keys
+from luxloop.world.errors import LuxloopError, did_you_mean
 
 DEBUG = "--debug"
 INSTALL = "--install-completion"
@@ -153,7 +153,7 @@ def new(file: Path | None = None, /, *, like: str | None = None, traffic: int | 
             raise LuxloopError(f"{file}: --like {like} copies a {source.suffix} file; give its copy the same ending")
         text = copied(source, file.stem)
     elif file is not None and traffic is not None:
-        from loop.scenario.night import night
+        from luxloop.loop.scenario.night import night
 
         text = night(file.stem, traffic)
     elif file is not None:
@@ -190,8 +190,8 @@ def check(name: str, /, *, controller: str | None = None, set: Keys = None, json
     """
     try:
         scenario = scenario_of(name, set, controller, allow_code=allow_code)
-        from loop.run import check as check_scenario
-        from loop.run import in_words
+        from luxloop.loop.run import check as check_scenario
+        from luxloop.loop.run import in_words
 
         found = check_scenario(scenario)
     except LuxloopError as error:
@@ -286,25 +286,25 @@ def run(
     given |= {} if rig is None else {"plant": {"kind": "rig"}}
     scenario = (recorded_scenario_of if itself else scenario_of)(name, set, controller, allow_code=allow_code, **given)
     if scenario.digitised is not None and rig is None and plant is None:
-        from loop.plant.digitised import needs_rig
+        from luxloop.loop.plant.digitised import needs_rig
 
         raise LuxloopError(f"{scenario.source}: {needs_rig(f'modules.{scenario.digitised}')}")
-    from loop.commands.runs import run_scenario
+    from luxloop.loop.commands.runs import run_scenario
 
     if plant is not None and steps is None:
-        from loop.plant.recorded import to_the_end
+        from luxloop.loop.plant.recorded import to_the_end
 
         scenario = to_the_end(scenario)
     kept = {"video": video, "report": report, "frames": frames, "labels": labels, "masks": masks, "depth": depth, "lux": lux}
     folder = out or Path("runs") / Path(os.path.abspath(name)).stem
     if rig is not None and scenario.digitised is not None:
-        from loop.commands.rig_live import run_live
+        from luxloop.loop.commands.rig_live import run_live
 
         if twin:
             raise LuxloopError("--twin compares a rig's frames with simulated ones, but here all frames are simulated; leave it out")
         passed = run_live(scenario, folder, (rig, arm, allow_code), device, kept)
     elif rig is not None:
-        from loop.commands.rig_runs import run_on_rig
+        from luxloop.loop.commands.rig_runs import run_on_rig
 
         passed = run_on_rig(scenario, folder, (rig, arm, allow_code), device, kept, twin)
     else:
@@ -325,8 +325,8 @@ def replay(directory: Path, /, *, compare: bool | None = None, csv: Path | None 
     csv
         File to write the recorded steps to, as comma-separated values.
     """
-    from loop.commands.runs import compare_recording
-    from loop.replay.replay import to_csv
+    from luxloop.loop.commands.runs import compare_recording
+    from luxloop.loop.replay.replay import to_csv
 
     if csv is not None:
         to_csv(directory, csv)

@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Final
 
-from loop.dataset.drawn import read
-from loop.dataset.make import make_dataset
-from loop.terminal import tables
+from luxloop.loop.dataset.drawn import read
+from luxloop.loop.dataset.make import make_dataset
+from luxloop.loop.terminal import tables
 
 SHOWN: Final = 6  # classes in the closing line
 

@@ -5,9 +5,9 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from loop.commands.given import scenario_of
-from loop.terminal import tables
-from loop.terminal.options import AllowCode, Keys
+from luxloop.loop.commands.given import scenario_of
+from luxloop.loop.terminal import tables
+from luxloop.loop.terminal.options import AllowCode, Keys
 
 At = Annotated[float, Parameter(name="--at")]
 export_app = App(name="export", help="Scene and light of a scenario at one time, as files for other programs.")
@@ -29,8 +29,8 @@ def scene(name: str, /, *, out: Path, at_s: At = 0.0, set: Keys = None, allow_co
         Keys to change, as key=value in TOML syntax, or a TOML file of them.
     """
     scenario = scenario_of(name, set, allow_code=allow_code)
-    from loop.export.scene import write_scene
-    from loop.run import prepare
+    from luxloop.loop.export.scene import write_scene
+    from luxloop.loop.run import prepare
 
     written = write_scene(prepare(scenario, "cpu"), at_s, out)
     nodes, faces = len(written.graph.nodes), sum(len(each.faces) for each in written.geometry.values())
@@ -55,8 +55,8 @@ def light(name: str, /, *, out: Path, at_s: At = 0.0, step_deg: float = 0.1, set
         Keys to change, as key=value in TOML syntax, or a TOML file of them.
     """
     scenario = scenario_of(name, set, allow_code=allow_code)
-    from loop.export.light import write_light
-    from loop.run import prepare
+    from luxloop.loop.export.light import write_light
+    from luxloop.loop.run import prepare
 
     files = write_light(prepare(scenario, "cpu"), at_s, out, step_deg)
     print(f"{', '.join(map(str, files))} written: {scenario.name} at {at_s:g} s, {tables.counted(len(files), 'file')}")

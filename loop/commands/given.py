@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from loop.scenario.shipped import find
+from luxloop.loop.scenario.shipped import find
 
 if TYPE_CHECKING:
-    from loop.scenario.model import Scenario
+    from luxloop.loop.scenario.model import Scenario
 
 
 def scenario_of(name: str, set: Sequence[str] | None, controller: str | None = None, **given: Any) -> "Scenario":
@@ -17,7 +17,7 @@ def scenario_of(name: str, set: Sequence[str] | None, controller: str | None = N
     Raises LuxloopError, for an unknown name at once: the import of the model, which takes seconds, comes after.
     """
     find(name)
-    from loop.scenario.model import load
+    from luxloop.loop.scenario.model import load
 
     if controller is not None:
         given["controller"] = {"name": controller}
@@ -31,8 +31,8 @@ def recorded_scenario_of(
 
     Raises LuxloopError where it is no recording, and as `load`.
     """
-    from loop.recording.manifest import Manifest
-    from loop.scenario.model import changed_as_given
+    from luxloop.loop.recording.manifest import Manifest
+    from luxloop.loop.scenario.model import changed_as_given
 
     if controller is not None:
         given["controller"] = {"name": controller}

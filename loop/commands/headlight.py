@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Literal
 
 from cyclopts import App
 
-from loop.terminal import tables
-from loop.terminal.options import DIFFERS, AllowCode
+from luxloop.loop.terminal import tables
+from luxloop.loop.terminal.options import DIFFERS, AllowCode
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from world.headlight.lamp import Commands, Lamp
+    from luxloop.world.headlight.lamp import Commands, Lamp
 
 headlight_app = App(name="headlight", help="Lamps and photometric files: facts, pictures, lamp files, and the regulations' test points.")
 PHOTOMETRIC = (".ies", ".ldt")
@@ -24,7 +24,7 @@ PHOTOMETRIC = (".ies", ".ldt")
 @headlight_app.command(name="list")
 def list_() -> None:
     """Show the lamps that come with luxloop."""
-    from loop.commands.headlight_tables import presets
+    from luxloop.loop.commands.headlight_tables import presets
 
     tables.show(presets())
 
@@ -38,14 +38,14 @@ def info(lamp: str, /) -> None:
     lamp
         Name of a preset (see `luxloop headlight list`), a lamp file (.npz), a description (.toml) or a photometric file (.ies, .ldt).
     """
-    from loop.commands import headlight_tables
+    from luxloop.loop.commands import headlight_tables
 
     if Path(lamp).suffix.lower() in PHOTOMETRIC:
-        from world.photometry import read_all
+        from luxloop.world.photometry import read_all
 
         tables.show(headlight_tables.photometry(*read_all([Path(lamp)])))
         return
-    from world.lampfiles.description import load_lamp
+    from luxloop.world.lampfiles.description import load_lamp
 
     described = load_lamp(lamp)
     print(f"{described.name}\n{described.notes}\n" if described.notes else described.name)
@@ -97,8 +97,8 @@ def show(
     out
         Picture to write (.png, .jpg, .pdf or .svg); by default named after lamp, beam and view.
     """
-    from loop.pictures.styles import check_out, style_of
-    from world.errors import LuxloopError
+    from luxloop.loop.pictures.styles import check_out, style_of
+    from luxloop.world.errors import LuxloopError
 
     stem = Path(lamp).stem
     if view is not None or style is not None:
@@ -115,8 +115,8 @@ def show(
         "visibility-m": visibility_m,
     }
     if Path(lamp).suffix.lower() in PHOTOMETRIC and view is None:
-        from loop.pictures.photometry import show_distribution
-        from world.photometry import read_all
+        from luxloop.loop.pictures.photometry import show_distribution
+        from luxloop.world.photometry import read_all
 
         for name, value in chosen.items():
             if value is not None:
@@ -124,10 +124,10 @@ def show(
         (photometry,) = read_all([Path(lamp)])
         print(f"{show_distribution(photometry, out or Path(f'{stem}.png'))} written")
     else:
-        from loop.commands.shown import lights_by_side
-        from loop.pictures.headlight import show as show_lamps
-        from loop.scenario.model import load
-        from world.lampfiles.description import for_traffic, load_lamp
+        from luxloop.loop.commands.shown import lights_by_side
+        from luxloop.loop.pictures.headlight import show_headlight
+        from luxloop.loop.scenario.model import load
+        from luxloop.world.lampfiles.description import for_traffic, load_lamp
 
         if time_s is not None and (scenario is None or not 0 <= time_s < math.inf):
             raise LuxloopError("--time-s: is a time in a --scenario, in s from its start; give both, and a number of 0 or more")
@@ -143,7 +143,7 @@ def show(
             (pattern, commands), shown = lights_by_side(world, lamp, time_s or 0.0), f"{world.name} at {time_s or 0.0:g} s"
             lamps = {each: lamps[each] for each in lamps if each in pattern} or lamps
             world = None if view in ("pixels", "texture") else world
-        written = show_lamps(
+        written = show_headlight(
             lamps,
             target,
             beam=pattern,
@@ -169,9 +169,9 @@ def build(description: Path, /, *, out: Path | None = None) -> None:
     out
         Lamp file to write; by default the description's name, ending in .npz.
     """
-    from loop.commands import headlight_tables
-    from world.lampfiles.archive import save
-    from world.lampfiles.description import build as build_lamp
+    from luxloop.loop.commands import headlight_tables
+    from luxloop.world.lampfiles.archive import save
+    from luxloop.world.lampfiles.description import build as build_lamp
 
     with _pixels_done() as on_progress:
         lamp, report = build_lamp(description, on_progress=on_progress)
@@ -210,8 +210,8 @@ def export(
     step_deg
         Step of both angles in deg; in EULUMDAT of gamma, whose planes are 1 deg apart.
     """
-    from loop.export.photometric import export as export_beam
-    from world.lampfiles.description import for_traffic, load_lamp
+    from luxloop.loop.export.photometric import export as export_beam
+    from luxloop.world.lampfiles.description import for_traffic, load_lamp
 
     exported = for_traffic(load_lamp(lamp, side), traffic)
     name = beam or exported.default_beam
@@ -223,7 +223,7 @@ def export(
 @headlight_app.command
 def rules() -> None:
     """Show the sets of test points that `check` knows, and the confidence in their numbers."""
-    from loop.commands import headlight_tables
+    from luxloop.loop.commands import headlight_tables
 
     tables.show(headlight_tables.rules())
 
@@ -256,11 +256,11 @@ def check(
     traffic
         Side of the road that the traffic drives on; for the left, the tables are mirrored and default beams are fitted to it.
     """
-    from loop.commands import headlight_tables
-    from loop.commands.check import judge
-    from world.lampfiles.description import for_traffic, load_lamp
-    from world.lampfiles.measured import measured_lamp
-    from world.regulation import passes
+    from luxloop.loop.commands import headlight_tables
+    from luxloop.loop.commands.check import judge
+    from luxloop.world.lampfiles.description import for_traffic, load_lamp
+    from luxloop.world.lampfiles.measured import measured_lamp
+    from luxloop.world.regulation import passes
 
     photometric = Path(lamp).suffix.lower() in PHOTOMETRIC
     judged = for_traffic(measured_lamp(Path(lamp), side) if photometric else load_lamp(lamp, side), traffic)
@@ -270,7 +270,7 @@ def check(
 
 
 def _tell_what_beams_keep(lamp: "Lamp") -> None:
-    from loop.commands.check import kept
+    from luxloop.loop.commands.check import kept
 
     lines = kept(lamp)
     if lines:
@@ -280,7 +280,7 @@ def _tell_what_beams_keep(lamp: "Lamp") -> None:
 @contextmanager
 def _pixels_done() -> Iterator[Callable[[str, int, int], None]]:
     """A progress bar for each module; yields a function of the module's name, its pixels done and its number of pixels."""
-    from loop.terminal.progress import progress
+    from luxloop.loop.terminal.progress import progress
 
     with ExitStack() as bars:
         advance: list[Callable[[], None]] = []

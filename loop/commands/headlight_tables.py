@@ -7,13 +7,13 @@ import torch
 from rich.markup import escape
 from rich.table import Table
 
-from loop.pictures.facts import borders_deg, flux_lm, peak
-from loop.terminal.tables import facts, number, plain
-from world.headlight.lamp import Lamp
-from world.lampfiles.modules import ModuleReport
-from world.photometry import Photometry
-from world.presets import SUMMARIES
-from world.regulation import Result, passes, sets
+from luxloop.loop.pictures.facts import borders_deg, flux_lm, peak
+from luxloop.loop.terminal.tables import facts, number, plain
+from luxloop.world.headlight.lamp import Lamp
+from luxloop.world.lampfiles.modules import ModuleReport
+from luxloop.world.photometry import Photometry
+from luxloop.world.presets import SUMMARIES
+from luxloop.world.regulation import Result, passes, sets
 
 VERDICTS = {"pass": "green", "fail": "red", "not applicable": "dim"}
 KINDS = {

@@ -6,10 +6,10 @@ from pathlib import Path
 from cyclopts import App
 from rich.markup import escape
 
-from loop.scenario import data
-from loop.terminal import tables
-from loop.terminal.listing import USES, Kind, listing
-from loop.terminal.options import DIFFERS, OK, Json
+from luxloop.loop.scenario import data
+from luxloop.loop.terminal import tables
+from luxloop.loop.terminal.listing import USES, Kind, listing
+from luxloop.loop.terminal.options import DIFFERS, OK, Json
 
 data_app = App(name="data", help="Measured roads and light distributions from their public sources.")
 COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}  # by status of a check
@@ -42,7 +42,7 @@ def list_(kind: Kind = "scenarios", /, *, json: Json = False) -> None:
 
 def schema() -> None:
     """Print the JSON Schema of scenario files, for editors."""
-    from loop.scenario.model import Scenario
+    from luxloop.loop.scenario.model import Scenario
 
     tables.show_json(Scenario.model_json_schema())
 
@@ -55,7 +55,7 @@ def doctor(*, json: Json = False) -> int:
     json
         Print a JSON object: ok, and checks, a list of objects with name, status, found and remedy.
     """
-    from loop.terminal.doctor import all_good, checks
+    from luxloop.loop.terminal.doctor import all_good, checks
 
     found = checks()
     if json:

@@ -5,37 +5,37 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from loop.commands.rig_runs import await_rig, in_words, of_run, refuse_failed
-from loop.terminal import tables
-from world.errors import located, redacted
+from luxloop.loop.commands.rig_runs import await_rig, in_words, of_run, refuse_failed
+from luxloop.loop.terminal import tables
+from luxloop.world.errors import located, redacted
 
 if TYPE_CHECKING:
-    from loop.live.plant import LivePlant
-    from loop.scenario.model import Scenario
+    from luxloop.loop.live.plant import LivePlant
+    from luxloop.loop.scenario.model import Scenario
 
 
 def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool], device: str, kept: Mapping[str, Any]) -> bool:
     """Run a scenario in its simulated world with one module digitised from a real lamp; returns whether all evaluated checks passed.
 
     out: folder of the recording. rig_file: its path, whether the lamp is lit, and whether modules that it names may run. device: to compute
-    on. kept: what is recorded, keyword arguments of `loop.run.run`. Checks that compare with another light are left out. Raises
+    on. kept: what is recorded, keyword arguments of `luxloop.loop.run.run`. Checks that compare with another light are left out. Raises
     LuxloopError if the rig cannot be opened or does not fit the scenario, and KeyboardInterrupt that says what was kept; the lamp is dark
     then. Raises LuxloopError after a run to which too few frames came.
     """
     import torch
 
-    from loop.assembly.lamps import mounted
-    from loop.calibration.files import load
-    from loop.commands.runs import run_scenario
-    from loop.live.picture import draw_beam
-    from loop.live.plant import live_plant, refuse_unfit
-    from loop.plant.digitised import digitised_number
-    from loop.recording.files import BEAM, RIG
-    from loop.recording.manifest import write_json
-    from loop.rig.params import load_rig
-    from loop.rig.plant import grids_of
-    from loop.rig.rig import opened
-    from loop.scenario.plant import SimulatedPlantParams
+    from luxloop.loop.assembly.lamps import mounted
+    from luxloop.loop.calibration.files import load
+    from luxloop.loop.commands.runs import run_scenario
+    from luxloop.loop.live.picture import draw_beam
+    from luxloop.loop.live.plant import live_plant, refuse_unfit
+    from luxloop.loop.plant.digitised import digitised_number
+    from luxloop.loop.recording.files import BEAM, RIG
+    from luxloop.loop.recording.manifest import write_json
+    from luxloop.loop.rig.params import load_rig
+    from luxloop.loop.rig.plant import grids_of
+    from luxloop.loop.rig.rig import opened
+    from luxloop.loop.scenario.plant import SimulatedPlantParams
 
     file, armed, allow_code = rig_file
     params = load_rig(file, allow_code=allow_code)

@@ -4,12 +4,12 @@ import time
 from pathlib import Path
 from typing import Any
 
-from loop.commands.given import scenario_of
-from loop.commands.rig_runs import Named, await_rig, pixel_grids
-from loop.terminal.options import AllowCode, Flag, Keys
-from loop.terminal.progress import progress
-from world.errors import LuxloopError, located
-from world.files import whole
+from luxloop.loop.commands.given import scenario_of
+from luxloop.loop.commands.rig_runs import Named, await_rig, pixel_grids
+from luxloop.loop.terminal.options import AllowCode, Flag, Keys
+from luxloop.loop.terminal.progress import progress
+from luxloop.world.errors import LuxloopError, located
+from luxloop.world.files import whole
 
 
 def take(file: Path, /, *, out: Path = Path("boards"), count: int = 20, every_s: float = 1.0, allow_code: AllowCode = False) -> None:
@@ -28,9 +28,9 @@ def take(file: Path, /, *, out: Path = Path("boards"), count: int = 20, every_s:
     """
     import cv2
 
-    from loop.rig.params import load_rig
-    from loop.rig.rectified import grey
-    from loop.rig.rig import CAMERA_S, opened
+    from luxloop.loop.rig.params import load_rig
+    from luxloop.loop.rig.rectified import grey
+    from luxloop.loop.rig.rig import CAMERA_S, opened
 
     single = out.suffix == ".png"
     if out.exists():
@@ -91,9 +91,9 @@ def light(
     """
     import numpy as np
 
-    from loop.rig.light import Shine
-    from loop.rig.params import load_rig
-    from loop.rig.rig import opened
+    from luxloop.loop.rig.light import Shine
+    from luxloop.loop.rig.params import load_rig
+    from luxloop.loop.rig.rig import opened
 
     if not 0 < level <= 1 or not 0 < seconds <= 3600:
         raise LuxloopError("--level is a utilisation above 0, up to 1; --seconds up to 3600")

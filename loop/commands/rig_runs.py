@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from loop.commands.given import scenario_of
-from loop.terminal import tables
-from loop.terminal.options import AllowCode, Flag, Keys
-from loop.terminal.progress import progress
-from world.errors import LuxloopError, located, redacted
-from world.files import whole
+from luxloop.loop.commands.given import scenario_of
+from luxloop.loop.terminal import tables
+from luxloop.loop.terminal.options import AllowCode, Flag, Keys
+from luxloop.loop.terminal.progress import progress
+from luxloop.world.errors import LuxloopError, located, redacted
+from luxloop.world.files import whole
 
 if TYPE_CHECKING:
-    from loop.plant.simulated import SimulatedPlant
-    from loop.rig.blink import Blinked
-    from loop.rig.params import MarkParams
-    from loop.rig.rig import Rig
-    from loop.scenario.model import Scenario
+    from luxloop.loop.plant.simulated import SimulatedPlant
+    from luxloop.loop.rig.blink import Blinked
+    from luxloop.loop.rig.params import MarkParams
+    from luxloop.loop.rig.rig import Rig
+    from luxloop.loop.scenario.model import Scenario
 
 Named = Annotated[str, Parameter(name="--scenario")]
 JUDGED = "the rig's own camera, by its view of the plane that it is calibrated to; the truth is not known, and its columns are empty"
@@ -33,18 +33,18 @@ def run_on_rig(
     """Run a scenario on a rig and record it; returns whether all evaluated checks passed.
 
     out: folder of the recording. rig_file: its path, whether the lamp is lit, and whether modules that it names may run. device: to compute
-    on. kept: what is recorded, keyword arguments of `loop.run.run`. twin: whether the exposures are also simulated and compared with the
-    rig's frames, which are kept then. Checks that need the truth are left out. Raises LuxloopError if the rig cannot be opened, and
-    KeyboardInterrupt that says what was kept; the lamp is dark then. Raises LuxloopError after a run to which too few frames came.
+    on. kept: what is recorded, keyword arguments of `luxloop.loop.run.run`. twin: whether the exposures are also simulated and compared
+    with the rig's frames, which are kept then. Checks that need the truth are left out. Raises LuxloopError if the rig cannot be opened,
+    and KeyboardInterrupt that says what was kept; the lamp is dark then. Raises LuxloopError after a run to which too few frames came.
     """
-    from loop.commands.runs import run_scenario
-    from loop.plant.build import from_zero
-    from loop.recording.files import RIG
-    from loop.recording.manifest import write_json
-    from loop.rig.judged import Judged
-    from loop.rig.params import load_rig
-    from loop.rig.plant import RigPlant
-    from loop.rig.rig import opened
+    from luxloop.loop.commands.runs import run_scenario
+    from luxloop.loop.plant.build import from_zero
+    from luxloop.loop.recording.files import RIG
+    from luxloop.loop.recording.manifest import write_json
+    from luxloop.loop.rig.judged import Judged
+    from luxloop.loop.rig.params import load_rig
+    from luxloop.loop.rig.plant import RigPlant
+    from luxloop.loop.rig.rig import opened
 
     file, armed, allow_code = rig_file
     params = load_rig(file, allow_code=allow_code)
@@ -61,12 +61,12 @@ def run_on_rig(
         simulated: SimulatedPlant | None = None
 
         def plant(simulation: Any) -> Any:
-            from loop.lighting.lamps import lamp_modules
+            from luxloop.loop.lighting.lamps import lamp_modules
 
             nonlocal judged, simulated
             modules, judged = lamp_modules(simulation.modules), Judged(simulation.controlled, scenario.camera, params.mark)
             if twin:
-                from loop.calibration.twin import twin_plant
+                from luxloop.loop.calibration.twin import twin_plant
 
                 simulated = twin_plant(scenario, modules)
             own = RigPlant.of(rig, modules, scenario.steps * len(scenario.shares))
@@ -101,10 +101,10 @@ def check(file: Path, /, *, scenario: Named = "snowflake", set: Keys = None, all
     set
         Keys of the scenario to change, as key=value in TOML syntax.
     """
-    from loop.rig.light import open_light
-    from loop.rig.look import look
-    from loop.rig.params import load_rig
-    from loop.rig.rig import opened
+    from luxloop.loop.rig.light import open_light
+    from luxloop.loop.rig.look import look
+    from luxloop.loop.rig.params import load_rig
+    from luxloop.loop.rig.rig import opened
 
     params = load_rig(file, allow_code=allow_code)
     given = scenario_of(scenario, set, allow_code=allow_code)
@@ -159,9 +159,9 @@ def blink(
     write
         Write the result as [timing] into the rig file.
     """
-    from loop.rig.blink import blink as measure
-    from loop.rig.params import load_rig
-    from loop.rig.rig import opened
+    from luxloop.loop.rig.blink import blink as measure
+    from luxloop.loop.rig.params import load_rig
+    from luxloop.loop.rig.rig import opened
 
     params = load_rig(file, allow_code=allow_code)
     if not 0 < level <= 1:
@@ -212,8 +212,8 @@ def pixel_grids(scenario: "Scenario") -> tuple[tuple[int, int], ...]:
     """Rows and columns of the pixels of the scenario's modules."""
     import torch
 
-    from loop.assembly.lamps import mounted
-    from loop.rig.plant import grids_of
+    from luxloop.loop.assembly.lamps import mounted
+    from luxloop.loop.rig.plant import grids_of
 
     with located(scenario.source):
         return grids_of(tuple(mounted(scenario.headlight, torch.device("cpu"), lambda lamp: lamp.modules)))
@@ -221,8 +221,8 @@ def pixel_grids(scenario: "Scenario") -> tuple[tuple[int, int], ...]:
 
 def await_rig(rig: "Rig") -> None:
     """Wait for the page of a screen and for the camera. Raises LuxloopError if no page connects or no picture comes."""
-    from loop.rig.rig import await_camera
-    from loop.rig.screen import ScreenLight
+    from luxloop.loop.rig.rig import await_camera
+    from luxloop.loop.rig.screen import ScreenLight
 
     if isinstance(rig.light, ScreenLight):
         rig.light.await_page(lambda address: print(f"Open {address} on the projector, in full screen.", flush=True))
@@ -232,7 +232,7 @@ def await_rig(rig: "Rig") -> None:
 
 def _without_truth(scenario: "Scenario") -> tuple["Scenario", list[str]]:
     """The scenario without checks that a rig cannot evaluate, and their names."""
-    from loop.recording.columns import of_truth
+    from luxloop.loop.recording.columns import of_truth
 
     left_out = [name for name, each in scenario.checks.items() if of_truth(each.metric) or each.compare is not None]
     kept = {name: each for name, each in scenario.checks.items() if name not in left_out}
@@ -241,7 +241,7 @@ def _without_truth(scenario: "Scenario") -> tuple["Scenario", list[str]]:
 
 def _twin(out: Path, simulated: "SimulatedPlant", mark: "MarkParams | None", exposures: int) -> dict[str, Any]:
     """Simulate the exposures of the rig. exposures: their largest number. Raises KeyboardInterrupt that says what was kept."""
-    from loop.calibration.twin import write_twin
+    from luxloop.loop.calibration.twin import write_twin
 
     try:
         with progress("twin", exposures) as advance:

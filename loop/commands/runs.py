@@ -9,17 +9,17 @@ from typing import Any
 import torch
 from rich.markup import escape
 
-from loop.lighting.result import StepResult
-from loop.lighting.summary import shown
-from loop.recording.checks import passed
-from loop.recording.files import TRAJECTORY
-from loop.recording.manifest import Manifest
-from loop.replay.replay import replay
-from loop.run import run
-from loop.scenario.model import Scenario
-from loop.terminal import tables
-from loop.terminal.progress import progress
-from world.parquet import read_parquet
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.summary import shown
+from luxloop.loop.recording.checks import passed
+from luxloop.loop.recording.files import TRAJECTORY
+from luxloop.loop.recording.manifest import Manifest
+from luxloop.loop.replay.replay import replay
+from luxloop.loop.run import run
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.terminal import tables
+from luxloop.loop.terminal.progress import progress
+from luxloop.world.parquet import read_parquet
 
 
 def _one_thread() -> None:

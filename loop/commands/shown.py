@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import Scenario
-from world.errors import LuxloopError
-from world.headlight.lamp import REST, Commands, ModuleCommand
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import Scenario
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand
 
 
 def lights_by_side(scenario: Scenario, lamp: str, time_s: float) -> tuple[Mapping[str, Sequence[Tensor]], Mapping[str, Commands]]:

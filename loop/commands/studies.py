@@ -4,8 +4,8 @@ import shlex
 from pathlib import Path
 from typing import Literal
 
-from loop.commands.given import scenario_of
-from loop.terminal.options import DIFFERS, OK, AllowCode, Device, Keys
+from luxloop.loop.commands.given import scenario_of
+from luxloop.loop.terminal.options import DIFFERS, OK, AllowCode, Device, Keys
 
 
 def evaluate(
@@ -29,7 +29,7 @@ def evaluate(
     jobs
         Processes, each with one thread; by default one per core.
     """
-    from loop.evaluation.report import run_evaluation
+    from luxloop.loop.evaluation.report import run_evaluation
 
     return OK if run_evaluation(out, lamp, quick, jobs) else DIFFERS
 
@@ -59,7 +59,7 @@ def campaign(
     device
         Device to compute on; auto takes CUDA if available.
     """
-    from loop.studies.campaign_report import do_campaign
+    from luxloop.loop.studies.campaign_report import do_campaign
 
     return OK if do_campaign(file, out, jobs, scheduler, device, allow_code) else DIFFERS
 
@@ -86,7 +86,7 @@ def dataset(
     jobs
         Processes, each with one thread; by default one per core.
     """
-    from loop.commands.datasets import do_dataset
+    from luxloop.loop.commands.datasets import do_dataset
 
     return OK if do_dataset(file, scenes, out, jobs, allow_code) else DIFFERS
 
@@ -139,11 +139,11 @@ def tune(
         nothing moves.
     """
     scenarios = tuple(scenario_of(name, set, controller, allow_code=allow_code) for name in names)
-    from loop import objective as objectives
-    from loop.run import torch_device
-    from loop.studies import ranges
-    from loop.studies.tune import Task
-    from loop.studies.tune_report import do_tune
+    from luxloop.loop import objective as objectives
+    from luxloop.loop.run import torch_device
+    from luxloop.loop.studies import ranges
+    from luxloop.loop.studies.tune import Task
+    from luxloop.loop.studies.tune_report import do_tune
 
     tuned = tuple(ranges.parse(each, scenarios) for each in key or [])
     task = Task(scenarios, tuned, objectives.parse(objective), seeds, seed, str(torch_device(device)))
@@ -193,7 +193,7 @@ def optimise_beam(
         Device to compute on; auto takes CUDA if available.
     """
     scenario = scenario_of(name, set, allow_code=allow_code)
-    from loop.beams.optimise import optimise_beam
+    from luxloop.loop.beams.optimise import optimise_beam
 
     goal = {"metric": metric, "energy": energy, "unevenness": unevenness, "glare": glare}
     played_by = shlex.join([name, "--set", *(set or [])])
@@ -226,6 +226,6 @@ def train_detector(
     jobs
         Processes that render scenes; by default one per core.
     """
-    from loop.training.train import train_detector
+    from luxloop.loop.training.train import train_detector
 
     train_detector(out, scenes, held_out, epochs, seed, jobs)

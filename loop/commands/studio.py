@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from loop.terminal.options import INTERRUPTED, AllowCode, Device, Keys
+from luxloop.loop.terminal.options import INTERRUPTED, AllowCode, Device, Keys
 
 
 def studio(
@@ -46,9 +46,9 @@ def studio(
     device
         Where torch computes.
     """
-    from loop.studio.page import page
-    from loop.studio.server import Studio, Tokens
-    from loop.studio.sources import Source
+    from luxloop.loop.studio.page import page
+    from luxloop.loop.studio.server import Studio, Tokens
+    from luxloop.loop.studio.sources import Source
 
     overrides, files, tokens = tuple(set or ()), page(), Tokens()
     sources = tuple(

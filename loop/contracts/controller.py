@@ -8,18 +8,18 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from controllers.symbol.laws.own import KEY, METHODS
-from controllers.symbol.sensing.projection import ProjectionCommand, Warp
-from controllers.symbol.sensing.protocol import Observation
-from loop.contracts.values import check_calls, check_state, check_tensor, name_of, pure
-from loop.lighting.controlled import ControlledSymbol, Frames
-from loop.lighting.simulation import Simulation
-from loop.run import prepare
-from loop.scenario.model import validate
-from perception.egomotion import Ego, Sample, Samples, Sensor, ego_of
-from perception.extraction import Loss
-from world.errors import LuxloopError, located
-from world.plugin import Guarded, check_methods, made
+from luxloop.controllers.symbol.laws.own import KEY, METHODS
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
+from luxloop.controllers.symbol.sensing.protocol import Observation
+from luxloop.loop.contracts.values import check_calls, check_state, check_tensor, name_of, pure
+from luxloop.loop.lighting.controlled import ControlledSymbol, Frames
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import validate
+from luxloop.perception.egomotion import Ego, Sample, Samples, Sensor, ego_of
+from luxloop.perception.extraction import Loss
+from luxloop.world.errors import LuxloopError, located
+from luxloop.world.plugin import Guarded, check_methods, made
 
 CALLS = {"start": ("pose",), "projection": ("state", "ego"), "step": ("state", "observation")}
 SCENARIO: dict[str, Any] = {

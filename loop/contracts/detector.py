@@ -8,14 +8,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from loop.contracts.values import check_calls, name_of, pure
-from loop.run import prepare, torch_device
-from loop.scenario.model import validate
-from perception.detection.build import KEY, METHODS, CheckedDetector, own_detector
-from perception.detection.params import OwnDetector
-from perception.detection.protocol import Detections
-from world.errors import LuxloopError
-from world.plugin import check_methods
+from luxloop.loop.contracts.values import check_calls, name_of, pure
+from luxloop.loop.run import prepare, torch_device
+from luxloop.loop.scenario.model import validate
+from luxloop.perception.detection.build import KEY, METHODS, CheckedDetector, own_detector
+from luxloop.perception.detection.params import OwnDetector
+from luxloop.perception.detection.protocol import Detections
+from luxloop.world.errors import LuxloopError
+from luxloop.world.plugin import check_methods
 
 SIZE_PX = (640, 360)
 SCENARIO: dict[str, Any] = {

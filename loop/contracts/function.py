@@ -4,16 +4,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
-from controllers.functions.own import KEY, CheckedAdaptive, CheckedFunction, OwnFunction, checked, function_of
-from controllers.pixels.primitives import Primitives
-from controllers.situation import Situation
-from loop.contracts.values import check_calls, check_state, name_of, pure
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.run import prepare
-from loop.scenario.model import validate
-from world.errors import LuxloopError, located
-from world.plugin import Guarded
+from luxloop.controllers.functions.own import KEY, CheckedAdaptive, CheckedFunction, OwnFunction, checked, function_of
+from luxloop.controllers.pixels.primitives import Primitives
+from luxloop.controllers.situation import Situation
+from luxloop.loop.contracts.values import check_calls, check_state, name_of, pure
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import validate
+from luxloop.world.errors import LuxloopError, located
+from luxloop.world.plugin import Guarded
 
 Result = TypeVar("Result")
 CALLS = {"primitives": ("now",)}

@@ -7,17 +7,17 @@ from typing import Any
 
 from torch import Tensor
 
-from loop.contracts.values import Parts, check_calls, check_state, copied, difference, name_of, pure
-from loop.lighting.lamps import lamp_modules
-from loop.lighting.simulation import Simulation
-from loop.plant.build import KEY, METHODS
-from loop.plant.checked import ROUNDING_S, check_frames, check_image, check_objects, check_samples, check_time, pair
-from loop.plant.protocol import Arrivals, Exposure, Frame
-from loop.plant.world import World
-from loop.run import prepare
-from loop.scenario.model import validate
-from world.errors import LuxloopError, located
-from world.plugin import Guarded, Name, check_methods, made
+from luxloop.loop.contracts.values import Parts, check_calls, check_state, copied, difference, name_of, pure
+from luxloop.loop.lighting.lamps import lamp_modules
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.plant.build import KEY, METHODS
+from luxloop.loop.plant.checked import ROUNDING_S, check_frames, check_image, check_objects, check_samples, check_time, pair
+from luxloop.loop.plant.protocol import Arrivals, Exposure, Frame
+from luxloop.loop.plant.world import World
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import validate
+from luxloop.world.errors import LuxloopError, located
+from luxloop.world.plugin import Guarded, Name, check_methods, made
 
 CALLS = {"start": (), "show": ("state", "exposure")}
 GIVES = "(state, arrivals)"

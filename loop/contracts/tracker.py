@@ -8,17 +8,17 @@ from typing import Any
 
 from torch import Tensor
 
-from loop.contracts.values import check_calls, check_state, name_of, pure
-from loop.lighting.detection import pairs
-from loop.run import prepare
-from loop.scenario.model import validate
-from perception.detection.protocol import Detections
-from perception.trackers import KEY, METHODS, CheckedTracker, OwnTracker, own_tracker
-from perception.tracks import TrackedBoxes
-from world.errors import LuxloopError, located
-from world.plugin import check_methods
-from world.traffic.tracked import Category
-from world.view import View
+from luxloop.loop.contracts.values import check_calls, check_state, name_of, pure
+from luxloop.loop.lighting.detection import pairs
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import validate
+from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.trackers import KEY, METHODS, CheckedTracker, OwnTracker, own_tracker
+from luxloop.perception.tracks import TrackedBoxes
+from luxloop.world.errors import LuxloopError, located
+from luxloop.world.plugin import check_methods
+from luxloop.world.traffic.tracked import Category
+from luxloop.world.view import View
 
 CALLS = {"start": (), "follow": ("state", "found", "frame", "time_s"), "report": ("state", "time_s")}
 RATE_HZ = 10.0

@@ -12,9 +12,9 @@ import torch
 from pydantic import BaseModel
 from torch import Tensor
 
-from world.errors import LuxloopError
-from world.partial import PartialImage
-from world.plugin import Guarded, Name
+from luxloop.world.errors import LuxloopError
+from luxloop.world.partial import PartialImage
+from luxloop.world.plugin import Guarded, Name
 
 DATA = (Tensor, np.ndarray, np.generic, bool, int, float, complex, str, bytes, type(None), Enum, Path, torch.device, torch.dtype)
 Parts = dict[str, Any]  # what a value consists of, by its place: "state.gains[0]"

@@ -8,15 +8,15 @@ from typing import Annotated, Any, Final
 import numpy as np
 from pydantic import Field
 
-from loop.labels.labelled import Labels, Layout
-from loop.scenario.model import Scenario, validate
-from loop.scenario.overrides import overridden, resolve_paths
-from loop.studies.ranges import Range, changed, parse
-from loop.training.scenes import tables
-from world.errors import LuxloopError, located
-from world.params import Params
-from world.plugin import refuse_code
-from world.validation import read_toml, validated
+from luxloop.loop.labels.labelled import Labels, Layout
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.loop.scenario.overrides import overridden, resolve_paths
+from luxloop.loop.studies.ranges import Range, changed, parse
+from luxloop.loop.training.scenes import tables
+from luxloop.world.errors import LuxloopError, located
+from luxloop.world.params import Params
+from luxloop.world.plugin import refuse_code
+from luxloop.world.validation import read_toml, validated
 
 DRAWING: Final = 3  # of what is drawn for a scene, beside its world
 

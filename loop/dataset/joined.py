@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from loop.labels import coco
-from loop.labels.files import CALIB, COCO, FOLDER, IMAGE_2, IMAGES, LABEL_2
-from loop.labels.labelled import Layout
-from world.errors import LuxloopError
-from world.files import content, link, part_of, reading, whole
-from world.validation import parsed_json
+from luxloop.loop.labels import coco
+from luxloop.loop.labels.files import CALIB, COCO, FOLDER, IMAGE_2, IMAGES, LABEL_2
+from luxloop.loop.labels.labelled import Layout
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import content, link, part_of, reading, whole
+from luxloop.world.validation import parsed_json
 
 FILES: Final = ("file_name", "light", "instances", "parts", "depth", "lux")  # of an image, which may not have all
 SCENES, TRAINING, ALL_COCO, ALL_IMAGES = "scenes", "training", "coco.json", "images.json"

@@ -7,18 +7,18 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
-from loop.dataset.drawn import Dataset, DrawnScene, facts
-from loop.dataset.joined import SCENES, Counts, join, unjoin
-from loop.jobs.executors import local
-from loop.jobs.runner import Job, identity_of, run
-from loop.labels.labelled import Labels
-from loop.recording.digest import digest_of_code
-from loop.recording.manifest import digests
-from loop.run import run as run_scenario
-from loop.studies.campaign import checked
-from world.errors import LuxloopError
-from world.files import PARTS
-from world.folders import output_folder
+from luxloop.loop.dataset.drawn import Dataset, DrawnScene, facts
+from luxloop.loop.dataset.joined import SCENES, Counts, join, unjoin
+from luxloop.loop.jobs.executors import local
+from luxloop.loop.jobs.runner import Job, identity_of, run
+from luxloop.loop.labels.labelled import Labels
+from luxloop.loop.recording.digest import digest_of_code
+from luxloop.loop.recording.manifest import digests
+from luxloop.loop.run import run as run_scenario
+from luxloop.loop.studies.campaign import checked
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import PARTS
+from luxloop.world.folders import output_folder
 
 JOBS: Final = "scenes.jsonl"
 MADE_FROM: Final = "made_from.txt"  # in a scene's folder: the identity of the job that made it
@@ -45,7 +45,8 @@ def make(scenario: Mapping[str, Any], inputs: dict[str, str], labels: Mapping[st
 def make_dataset(dataset: Dataset, out: Path, processes: int | None) -> tuple[Counts, dict[str, str]]:
     """Make the scenes that the folder does not have yet, and join the labels of all; returns numbers, and reasons of failures by scene.
 
-    Raises what `loop.jobs.runner.run` and `world.folders.output_folder` raise, and LuxloopError where the folder holds something else.
+    Raises what `luxloop.loop.jobs.runner.run` and `luxloop.world.folders.output_folder` raise, and LuxloopError where the folder holds
+    something else.
     """
     executor, version = local(processes), digest_of_code()
     jobs = [_job(each, dataset.labels, out / SCENES / each.name, version) for each in dataset.scenes]

@@ -8,14 +8,14 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from controllers.symbol.heights.feedforward import CELL_M, region_around, shown_on
-from controllers.symbol.heights.relief import Relief
-from controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams, ThesisPidState
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.protocol import Observation
-from controllers.symbol.sensing.symbol_sensor import SymbolSensor
-from perception.camera import camera_view
-from perception.egomotion import Ego
+from luxloop.controllers.symbol.heights.feedforward import CELL_M, region_around, shown_on
+from luxloop.controllers.symbol.heights.relief import Relief
+from luxloop.controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams, ThesisPidState
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.protocol import Observation
+from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.perception.camera import camera_view
+from luxloop.perception.egomotion import Ego
 
 GAIN_SPAN: Final = 4.0  # by which an action of 1 multiplies a gain
 HEIGHT_CELLS: Final = (8, 4)  # along and across, of the heights that actions move

@@ -3,12 +3,12 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from loop.scenario.model import Scenario
-from world.errors import LuxloopError
+from luxloop.loop.scenario.model import Scenario
+from luxloop.world.errors import LuxloopError
 
 if TYPE_CHECKING:
-    from loop.environment.single import SymbolEnv
-    from loop.environment.vector import SymbolVectorEnv
+    from luxloop.loop.environment.single import SymbolEnv
+    from luxloop.loop.environment.vector import SymbolVectorEnv
 
 
 def make(
@@ -27,7 +27,7 @@ def make(
     camera's view, "human" if a window shows it. device: "cpu" or "cuda". Raises LuxloopError if Gymnasium is missing, and as `SymbolEnv`.
     """
     _needs_gymnasium()
-    from loop.environment.single import SymbolEnv
+    from luxloop.loop.environment.single import SymbolEnv
 
     return SymbolEnv(scenario, overrides, action=action, image=image, render_mode=render_mode, device=device)
 
@@ -48,7 +48,7 @@ def make_vec(
     errors: as for `make`; also raises LuxloopError if something else moves, or the symbol is not the only function.
     """
     _needs_gymnasium()
-    from loop.environment.vector import SymbolVectorEnv
+    from luxloop.loop.environment.vector import SymbolVectorEnv
 
     return SymbolVectorEnv(scenario, num_envs, overrides, action=action, image=image, autoreset_mode=autoreset_mode, device=device)
 

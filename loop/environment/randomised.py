@@ -7,11 +7,11 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from loop.environment.single import SymbolEnv
-from loop.environment.vector import SymbolVectorEnv
-from loop.studies import ranges
-from loop.studies.ranges import Range
-from world.errors import LuxloopError
+from luxloop.loop.environment.single import SymbolEnv
+from luxloop.loop.environment.vector import SymbolVectorEnv
+from luxloop.loop.studies import ranges
+from luxloop.loop.studies.ranges import Range
+from luxloop.world.errors import LuxloopError
 
 
 class Randomised(gymnasium.Wrapper[Any, Any, Any, Any]):

@@ -6,11 +6,11 @@ from typing import Final
 
 import gymnasium
 
-from loop.scenario.shipped import shipped
+from luxloop.loop.scenario.shipped import shipped
 
 IDS: Final[Mapping[str, str]] = {"": "moves", "Gains": "gains", "Heights": "heights"}
-SINGLE: Final = "loop.environment.single:SymbolEnv"
-VECTOR: Final = "loop.environment.vector:SymbolVectorEnv"
+SINGLE: Final = "luxloop.loop.environment.single:SymbolEnv"
+VECTOR: Final = "luxloop.loop.environment.vector:SymbolVectorEnv"
 
 
 def register() -> tuple[str, ...]:

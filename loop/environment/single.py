@@ -11,18 +11,18 @@ import torch
 from gymnasium import spaces
 from gymnasium.utils import EzPickle
 
-from controllers.symbol.sensing.symbol_sensor import Measurement
-from loop.environment.acting import ACTIONS
-from loop.environment.task import Floats, Look, action_of, as_gymnasium, bounds, observation, reward
-from loop.lighting.result import SimulationState, StepResult
-from loop.lighting.simulation import Simulation
-from loop.plant.simulated import as_simulated
-from loop.report.picture import frame_picture, white_of
-from loop.run import torch_device
-from loop.scenario.edits import changed
-from loop.scenario.model import Scenario, load, only
-from perception.extraction import Loss
-from world.errors import LuxloopError, did_you_mean
+from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
+from luxloop.loop.environment.acting import ACTIONS
+from luxloop.loop.environment.task import Floats, Look, action_of, as_gymnasium, bounds, observation, reward
+from luxloop.loop.lighting.result import SimulationState, StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.plant.simulated import as_simulated
+from luxloop.loop.report.picture import frame_picture, white_of
+from luxloop.loop.run import torch_device
+from luxloop.loop.scenario.edits import changed
+from luxloop.loop.scenario.model import Scenario, load, only
+from luxloop.perception.extraction import Loss
+from luxloop.world.errors import LuxloopError, did_you_mean
 
 FPS = 10
 SEEDS = 2**63
@@ -51,10 +51,10 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
     kp, ki, kd of position, then of rotation, are multiplied by 4 ** action. "heights" `[32]`: changes of the assumed road heights, 8 rows
     from far to near with 4 cells from left to right; 1 is 3 cm.
 
-    The reward is that of `loop.environment.task.Reward`, its terms are in `info["terms"]`; `info["verdict"]` has all values of the judge.
-    An episode is truncated after the scenario's steps and never terminates before. `reset(seed=n)` draws the noise of seed n in the same
-    world; `options={"start": [x, y, roll, pitch]}` sets the start pose (m, rad). A copy, and what is pickled, is made anew with the same
-    arguments: call `reset` next.
+    The reward is that of `luxloop.loop.environment.task.Reward`, its terms are in `info["terms"]`; `info["verdict"]` has all values of the
+    judge. An episode is truncated after the scenario's steps and never terminates before. `reset(seed=n)` draws the noise of seed n in the
+    same world; `options={"start": [x, y, roll, pitch]}` sets the start pose (m, rad). A copy, and what is pickled, is made anew with the
+    same arguments: call `reset` next.
     """
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's name)

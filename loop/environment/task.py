@@ -9,12 +9,12 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from controllers.symbol.sensing.symbol_sensor import Measurement
-from loop.environment.acting import Acting
-from perception.egomotion import Ego
-from perception.extraction import Loss
-from perception.judge import Verdict
-from world.errors import LuxloopError
+from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
+from luxloop.loop.environment.acting import Acting
+from luxloop.perception.egomotion import Ego
+from luxloop.perception.extraction import Loss
+from luxloop.perception.judge import Verdict
+from luxloop.world.errors import LuxloopError
 
 Floats = npt.NDArray[np.float32]
 

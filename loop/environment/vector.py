@@ -14,19 +14,19 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.protocol import Observation, Shown
-from controllers.symbol.sensing.symbol_sensor import Measurement
-from loop.batch.copies import Copies
-from loop.batch.laws import rows
-from loop.batch.looking import Taken
-from loop.environment.single import SEEDS, SymbolEnv, start_of
-from loop.environment.task import Floats, Look, Reward, action_of, as_gymnasium, observation, reward
-from loop.plant.simulated import as_simulated
-from loop.scenario.model import Scenario
-from perception.extraction import Loss
-from perception.judge import Verdict
-from world.errors import LuxloopError
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.protocol import Observation, Shown
+from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
+from luxloop.loop.batch.copies import Copies
+from luxloop.loop.batch.laws import rows
+from luxloop.loop.batch.looking import Taken
+from luxloop.loop.environment.single import SEEDS, SymbolEnv, start_of
+from luxloop.loop.environment.task import Floats, Look, Reward, action_of, as_gymnasium, observation, reward
+from luxloop.loop.plant.simulated import as_simulated
+from luxloop.loop.scenario.model import Scenario
+from luxloop.perception.extraction import Loss
+from luxloop.perception.judge import Verdict
+from luxloop.world.errors import LuxloopError
 
 Mask = npt.NDArray[np.bool_]
 

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from controllers.pixels.mrpc_tuning import OPTIONS, THESIS
-from loop.evaluation import jobs
-from loop.jobs.executors import ALL_CORES, Executor
-from loop.jobs.runner import Job, Results, digest_of, run
-from loop.recording.digest import digest_of_code
-from world.beams.rectangles import QUICK, RECTANGLES, Rectangle
-from world.folders import output_folder
+from luxloop.controllers.pixels.mrpc_tuning import OPTIONS, THESIS
+from luxloop.loop.evaluation import jobs
+from luxloop.loop.jobs.executors import ALL_CORES, Executor
+from luxloop.loop.jobs.runner import Job, Results, digest_of, run
+from luxloop.loop.recording.digest import digest_of_code
+from luxloop.world.beams.rectangles import QUICK, RECTANGLES, Rectangle
+from luxloop.world.folders import output_folder
 
 LAMPS = ("hd84", "ssl-hd-lores")
 JOBS, SETPOINTS, TABLES, SENSITIVITY = "jobs.jsonl", "setpoints.parquet", "tables.parquet", "sensitivity.parquet"
@@ -66,8 +66,8 @@ def evaluate(
     """Compute the results that `out` does not hold yet, and write three Parquet files into it.
 
     quick: 45 instead of 1,215 rectangles, evenly spread over all five degrees of freedom, and coarser sensitivities. executor: by default a
-    process per core. setpoints, grid: other rectangles, and another number of steps per parameter. Raises what `loop.jobs.runner.run` and
-    `world.folders.output_folder` raise.
+    process per core. setpoints, grid: other rectangles, and another number of steps per parameter. Raises what
+    `luxloop.loop.jobs.runner.run` and `luxloop.world.folders.output_folder` raise.
     """
     chosen = setpoints or (QUICK if quick else RECTANGLES)
     parts: dict[str, tuple[Callable[..., Row], list[Job]]] = {

@@ -11,11 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from loop.evaluation.evaluate import FIXED_A_M, Evaluation, Row
-from loop.evaluation.jobs import headlight, light_of
-from loop.recording.style import DEFAULTS
-from world.beams.rectangles import SETPOINT_CD, Rectangle
-from world.files import whole
+from luxloop.loop.evaluation.evaluate import FIXED_A_M, Evaluation, Row
+from luxloop.loop.evaluation.jobs import headlight, light_of
+from luxloop.loop.recording.style import DEFAULTS
+from luxloop.world.beams.rectangles import SETPOINT_CD, Rectangle
+from luxloop.world.files import whole
 
 DPI = 100
 MARKERS = ("o", "^", "s", "D", "v", "P", "X", "*")

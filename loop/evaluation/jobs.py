@@ -1,4 +1,4 @@
-"""The jobs of an evaluation for `loop.jobs.runner`, each a function of plain values."""
+"""The jobs of an evaluation for `luxloop.loop.jobs.runner`, each a function of plain values."""
 
 from dataclasses import replace
 from typing import Any
@@ -8,13 +8,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from controllers.jpo.mae import least_error
-from controllers.jpo.part import wanted
-from controllers.pixels.mrpc_tuning import OPTIONS, THESIS, Part, TextureControl, Trial, part, tune
-from perception.metrics import dssim, mae, mare, rmse
-from world.beams.rectangles import Rectangle
-from world.headlight import Headlight
-from world.presets import lamp
+from luxloop.controllers.jpo.mae import least_error
+from luxloop.controllers.jpo.part import wanted
+from luxloop.controllers.pixels.mrpc_tuning import OPTIONS, THESIS, Part, TextureControl, Trial, part, tune
+from luxloop.perception.metrics import dssim, mae, mare, rmse
+from luxloop.world.beams.rectangles import Rectangle
+from luxloop.world.headlight import Headlight
+from luxloop.world.presets import lamp
 
 # One set for all setpoints, beside the default: medians of the thesis' optima (T B.4).
 THESIS_MEDIAN = {"hd84": Trial(0.99, 0.87, 0.001), "ssl-hd-lores": Trial(1.025, 0.98, 0.001)}

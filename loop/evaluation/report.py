@@ -4,13 +4,13 @@ from pathlib import Path
 
 from rich.table import Table
 
-from loop.evaluation import figures
-from loop.evaluation.evaluate import LAMPS, ROWS, Evaluation, evaluate, summary
-from loop.jobs.executors import local
-from loop.terminal import tables
-from loop.terminal.tables import number
-from world.errors import LuxloopError
-from world.files import whole
+from luxloop.loop.evaluation import figures
+from luxloop.loop.evaluation.evaluate import LAMPS, ROWS, Evaluation, evaluate, summary
+from luxloop.loop.jobs.executors import local
+from luxloop.loop.terminal import tables
+from luxloop.loop.terminal.tables import number
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import whole
 
 REPORT, FIGURES = "report.md", "figures"
 
@@ -58,7 +58,7 @@ CAPTIONS = {
 def run_evaluation(out: Path, lamp: str | None, quick: bool, processes: int | None) -> bool:
     """Evaluate, write the report, print its first table and the failed jobs; returns whether all jobs succeeded.
 
-    Raises LuxloopError for a lamp that cannot be evaluated, and what `loop.jobs.runner.run` raises.
+    Raises LuxloopError for a lamp that cannot be evaluated, and what `luxloop.loop.jobs.runner.run` raises.
     """
     if lamp is not None and lamp not in LAMPS:
         raise LuxloopError(f"--lamp: {lamp!r} cannot be evaluated; the lamps are {', '.join(LAMPS)}")

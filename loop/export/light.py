@@ -10,13 +10,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from loop.export.photometric import SUFFIXES, write_texture
-from loop.lighting.simulation import Simulation
-from world.arrays import write_npz
-from world.errors import LuxloopError
-from world.files import whole
-from world.headlight import Headlight
-from world.headlight.lamp import REST, Commands
+from luxloop.loop.export.photometric import SUFFIXES, write_texture
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.world.arrays import write_npz
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import whole
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import REST, Commands
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 from torch import Tensor
 
-from world.errors import LuxloopError
-from world.headlight import Headlight
-from world.headlight.lamp import Lamp
-from world.photometry import Distribution, sample, write, write_eulumdat
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import Lamp
+from luxloop.world.photometry import Distribution, sample, write, write_eulumdat
 
 LEAST_STEP_DEG, MOST_STEP_DEG, MOST_NODES = 0.01, 5.0, 4_000_000
 PLANES: Final = 360  # of EULUMDAT, all round

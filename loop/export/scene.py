@@ -11,14 +11,14 @@ from PIL import Image
 from torch import Tensor
 from trimesh.visual.material import PBRMaterial
 
-from loop.export.light import modules_at, refuse_time
-from loop.lighting.simulation import Simulation
-from world.errors import LuxloopError
-from world.files import whole
-from world.scene.albedo import albedo_picture
-from world.scene.body import Body
-from world.scene.triangles import Placed
-from world.view import View
+from luxloop.loop.export.light import modules_at, refuse_time
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import whole
+from luxloop.world.scene.albedo import albedo_picture
+from luxloop.world.scene.body import Body
+from luxloop.world.scene.triangles import Placed
+from luxloop.world.view import View
 
 ROOT, SCENE, CAMERA = "world y-up", "world z-up", "front camera"  # names that no object can have
 ALBEDO: Final = "albedo "  # before its number in the name of a material of one colour

@@ -12,8 +12,8 @@ from typing import Any, Final, Protocol, TypeVar
 from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky import process_executor
 
-from loop.recording.digest import digest_of_code
-from world.errors import LuxloopError
+from luxloop.loop.recording.digest import digest_of_code
+from luxloop.world.errors import LuxloopError
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")

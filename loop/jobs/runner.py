@@ -16,12 +16,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from loop.jobs.bundles import bundles, told
-from loop.jobs.executors import ALL_CORES, Executor, WorkersLostError
-from loop.terminal import tables
-from loop.terminal.progress import progress
-from world.errors import LuxloopError
-from world.validation import parsed_json
+from luxloop.loop.jobs.bundles import bundles, told
+from luxloop.loop.jobs.executors import ALL_CORES, Executor, WorkersLostError
+from luxloop.loop.terminal import tables
+from luxloop.loop.terminal.progress import progress
+from luxloop.world.errors import LuxloopError
+from luxloop.world.validation import parsed_json
 
 Values = Mapping[str, Any]  # what JSON can hold, by name
 NAMED = 4  # most jobs named in a message
@@ -64,7 +64,7 @@ class Results:
         """Write the rows as Parquet, whole or not at all. Raises LuxloopError if that fails."""
         import pyarrow as pa  # imported here, since workers do not need it and start faster
 
-        from loop.recording.files import write_table
+        from luxloop.loop.recording.files import write_table
 
         try:
             with _writing(file):

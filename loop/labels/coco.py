@@ -8,10 +8,10 @@ from typing import Any, Final, get_args
 import numpy as np
 from torch import Tensor
 
-from loop.labels.labelled import LabelledImage
-from perception.ground_truth import Box
-from world.traffic.tracked import Category
-from world.view import View
+from luxloop.loop.labels.labelled import LabelledImage
+from luxloop.perception.ground_truth import Box
+from luxloop.world.traffic.tracked import Category
+from luxloop.world.view import View
 
 Entry = dict[str, Any]
 CATEGORIES: Final[tuple[Category, ...]] = get_args(Category)  # numbered from 1 on

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Final
 
-from loop.plant.frames import FOLDER as FRAMES
-from loop.plant.frames import image_file, light_file
+from luxloop.loop.plant.frames import FOLDER as FRAMES
+from luxloop.loop.plant.frames import image_file, light_file
 
 FOLDER: Final = "labels"
 COCO, IMAGES = f"{FOLDER}/coco.json", f"{FOLDER}/images.json"

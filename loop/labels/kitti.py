@@ -6,11 +6,11 @@ from typing import Final
 
 from torch import Tensor
 
-from loop.labels.labelled import LabelledImage
-from loop.plant.world import TrueObject
-from world.frames import inverse, transform
-from world.traffic.tracked import Category
-from world.view import View
+from luxloop.loop.labels.labelled import LabelledImage
+from luxloop.loop.plant.world import TrueObject
+from luxloop.world.frames import inverse, transform
+from luxloop.world.traffic.tracked import Category
+from luxloop.world.view import View
 
 TYPES: Final[Mapping[Category, str]] = {"car": "Car", "truck": "Truck", "pedestrian": "Pedestrian", "cyclist": "Cyclist"}
 OTHER: Final = "Misc"

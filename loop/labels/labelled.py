@@ -7,12 +7,12 @@ from typing import Any, Literal, get_args
 import numpy as np
 from torch import Tensor
 
-from loop.plant.protocol import Exposure
-from loop.plant.world import TrueObject, World
-from world.errors import LuxloopError
-from world.scene.figure import Figure
-from world.scene.vehicle import VehicleState
-from world.view import View
+from luxloop.loop.plant.protocol import Exposure
+from luxloop.loop.plant.world import TrueObject, World
+from luxloop.world.errors import LuxloopError
+from luxloop.world.scene.figure import Figure
+from luxloop.world.scene.vehicle import VehicleState
+from luxloop.world.view import View
 
 Layout = Literal["coco", "kitti"]
 

@@ -8,15 +8,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from loop.labels import coco, kitti
-from loop.labels.files import CALIB, COCO, FOLDER, IMAGE_2, IMAGES, LABEL_2, frame_name, light_name, mask_name, values_name
-from loop.labels.labelled import LabelledImage, Labels, part_names
-from loop.plant.frames import QUICK
-from loop.plant.protocol import Exposure, Showing
-from loop.plant.world import World
-from loop.recording.frames import FrameRecorder
-from world.arrays import write_npz
-from world.files import link, whole
+from luxloop.loop.labels import coco, kitti
+from luxloop.loop.labels.files import CALIB, COCO, FOLDER, IMAGE_2, IMAGES, LABEL_2, frame_name, light_name, mask_name, values_name
+from luxloop.loop.labels.labelled import LabelledImage, Labels, part_names
+from luxloop.loop.plant.frames import QUICK
+from luxloop.loop.plant.protocol import Exposure, Showing
+from luxloop.loop.plant.world import World
+from luxloop.loop.recording.frames import FrameRecorder
+from luxloop.world.arrays import write_npz
+from luxloop.world.files import link, whole
 
 
 class LabelRecorder:

@@ -2,15 +2,24 @@
 
 from collections.abc import Mapping, Sequence
 
-from controllers.functions.commands import MOVED, BendingParams, CommandParams, DirectParams, Given, LevellingParams, Movement, composed
-from controllers.functions.planner import Planner
-from controllers.situation import Situation
-from loop.lighting.controlled import ControlledSymbol
-from loop.lighting.lamps import ShiningModule
-from loop.scenario.model import Scenario
-from loop.scenario.plant import SimulatedPlantParams
-from world.errors import LuxloopError
-from world.headlight.lamp import REST
+from luxloop.controllers.functions.commands import (
+    MOVED,
+    BendingParams,
+    CommandParams,
+    DirectParams,
+    Given,
+    LevellingParams,
+    Movement,
+    composed,
+)
+from luxloop.controllers.functions.planner import Planner
+from luxloop.controllers.situation import Situation
+from luxloop.loop.lighting.controlled import ControlledSymbol
+from luxloop.loop.lighting.lamps import ShiningModule
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.scenario.plant import SimulatedPlantParams
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.lamp import REST
 
 
 def commanded(

@@ -8,9 +8,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from loop.lighting.lamps import ShiningModule, flux_by_side
-from loop.lighting.simulation import Simulation
-from loop.recording.summary import column
+from luxloop.loop.lighting.lamps import ShiningModule, flux_by_side
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.recording.summary import column
 
 LOW, STANDBY = "low", "standby"
 

@@ -8,35 +8,35 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from controllers.functions.planner import Plan, Planner
-from controllers.functions.symbol import SymbolFunctionParams
-from controllers.pixels.primitives import Primitives, concatenate, meant
-from controllers.pixels.ssc import Utilisation
-from controllers.situation import LAYERS, Situation
-from controllers.symbol import ControllerParams
-from controllers.symbol.laws.open_loop import OpenLoopParams
-from controllers.symbol.sensing.field import cut
-from controllers.symbol.sensing.flat_model import flat_model
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.projector import DrawingModule, Projector
-from controllers.symbol.sensing.protocol import Observation, Shown, SymbolController
-from controllers.symbol.sensing.symbol_sensor import Measurement, SymbolSensor
-from loop.assembly.build import build_road, build_symbol_controller
-from loop.assembly.made import Made
-from loop.lighting.feasible import brightness, refuse_undrawable, refuse_unseen
-from loop.lighting.judging import Judge
-from loop.lighting.lamps import ShiningModule
-from loop.plant.pairing import Arrived
-from loop.plant.world import World
-from loop.scenario.model import Scenario
-from loop.scenario.shipped import named
-from perception.camera import CameraParams, camera_view
-from perception.egomotion import Ego
-from perception.extraction import Crop, Loss
-from perception.judge import Verdict
-from world.errors import located
-from world.headlight.lamp import pixel_area
-from world.symbols import load_still
+from luxloop.controllers.functions.planner import Plan, Planner
+from luxloop.controllers.functions.symbol import SymbolFunctionParams
+from luxloop.controllers.pixels.primitives import Primitives, concatenate, meant
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.situation import LAYERS, Situation
+from luxloop.controllers.symbol import ControllerParams
+from luxloop.controllers.symbol.laws.open_loop import OpenLoopParams
+from luxloop.controllers.symbol.sensing.field import cut
+from luxloop.controllers.symbol.sensing.flat_model import flat_model
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector
+from luxloop.controllers.symbol.sensing.protocol import Observation, Shown, SymbolController
+from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement, SymbolSensor
+from luxloop.loop.assembly.build import build_road, build_symbol_controller
+from luxloop.loop.assembly.made import Made
+from luxloop.loop.lighting.feasible import brightness, refuse_undrawable, refuse_unseen
+from luxloop.loop.lighting.judging import Judge
+from luxloop.loop.lighting.lamps import ShiningModule
+from luxloop.loop.plant.pairing import Arrived
+from luxloop.loop.plant.world import World
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.scenario.shipped import named
+from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.perception.egomotion import Ego
+from luxloop.perception.extraction import Crop, Loss
+from luxloop.perception.judge import Verdict
+from luxloop.world.errors import located
+from luxloop.world.headlight.lamp import pixel_area
+from luxloop.world.symbols import load_still
 
 Frames = tuple[Tensor, Tensor]
 SAME = 1e-4  # of a utilisation, which more than rounding changes
@@ -57,7 +57,7 @@ class HeldState:
 @dataclass(frozen=True, eq=False)
 class Held:
     """A symbol in one step. projection: what was shown. cut: `[4]`, shares beyond the borders of the lamps' field
-    (`controllers.symbol.sensing.field`). measurement: what was made of the newest frames. verdict: None where nobody judged.
+    (`luxloop.controllers.symbol.sensing.field`). measurement: what was made of the newest frames. verdict: None where nobody judged.
     """
 
     projection: ProjectionCommand

@@ -7,19 +7,19 @@ from typing import Any, get_args
 import torch
 from torch import Tensor
 
-from controllers.situation import TrackedObject
-from loop.plant.world import LitScene
-from perception.detection.build import detector
-from perception.detection.params import AnyParams, TruthParams
-from perception.detection.protocol import Detections, Detector
-from perception.detection.suppression import SAME, overlaps
-from perception.placing import placed
-from perception.trackers import OwnTracker
-from perception.trackers import tracker as build_tracker
-from perception.tracking import TrackerParams
-from perception.tracks import ObjectTracker, TrackedBoxes
-from world.traffic.tracked import Category
-from world.view import View
+from luxloop.controllers.situation import TrackedObject
+from luxloop.loop.plant.world import LitScene
+from luxloop.perception.detection.build import detector
+from luxloop.perception.detection.params import AnyParams, TruthParams
+from luxloop.perception.detection.protocol import Detections, Detector
+from luxloop.perception.detection.suppression import SAME, overlaps
+from luxloop.perception.placing import placed
+from luxloop.perception.trackers import OwnTracker
+from luxloop.perception.trackers import tracker as build_tracker
+from luxloop.perception.tracking import TrackerParams
+from luxloop.perception.tracks import ObjectTracker, TrackedBoxes
+from luxloop.world.traffic.tracked import Category
+from luxloop.world.view import View
 
 LEAST_PX = 24.0  # height from which on a detector ought to find somebody
 

@@ -10,20 +10,29 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from controllers.functions.planner import Plan, Planner
-from loop.lighting.acts import Control, Parts, Perception, Reception, StepDrive, StepPlan, without
-from loop.lighting.controlled import ControlledSymbol, Held
-from loop.lighting.detection import DetectionPipeline, false_positives, recognised
-from loop.lighting.judging import over_setpoint
-from loop.lighting.lamps import LampDriver
-from loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
-from loop.lighting.on_materials import InZone, OnMaterial, in_zones, on_materials
-from loop.lighting.on_objects import DUE_S, OnObject, light_on_objects, must_be_dark, near_enough, on_eyes, on_objects, told_as
-from loop.lighting.result import FrameDetections, SimulationState
-from loop.plant.world import ObjectLight, World, categories
-from loop.scenario.model import Scenario
-from perception.detection.protocol import Detections
-from perception.judge import Verdict
+from luxloop.controllers.functions.planner import Plan, Planner
+from luxloop.loop.lighting.controlled import ControlledSymbol, Held
+from luxloop.loop.lighting.detection import DetectionPipeline, false_positives, recognised
+from luxloop.loop.lighting.judging import over_setpoint
+from luxloop.loop.lighting.lamps import LampDriver
+from luxloop.loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
+from luxloop.loop.lighting.on_materials import InZone, OnMaterial, in_zones, on_materials
+from luxloop.loop.lighting.on_objects import DUE_S, OnObject, light_on_objects, must_be_dark, near_enough, on_eyes, on_objects, told_as
+from luxloop.loop.lighting.result import (
+    Control,
+    FrameDetections,
+    Parts,
+    Perception,
+    Reception,
+    SimulationState,
+    StepDrive,
+    StepPlan,
+    without,
+)
+from luxloop.loop.plant.world import ObjectLight, World, categories
+from luxloop.loop.scenario.model import Scenario
+from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.judge import Verdict
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +41,8 @@ class Evaluation:
     luminance: in cd/m^2 with all other light. The camera sees both; they are computed where they are read, None without the truth.
 
     objects: by name, those that are there and have a category. look: None without a detector. symbols: those meant for an observer, from
-    their eyes. held: those that controllers hold; zones, materials: all by name. road_lx_ratio_max: see `loop.lighting.judging`, None where
-    nobody judged.
+    their eyes. held: those that controllers hold; zones, materials: all by name. road_lx_ratio_max: see `luxloop.loop.lighting.judging`,
+    None where nobody judged.
     """
 
     masked: frozenset[str]

@@ -5,18 +5,18 @@ import math
 import torch
 from torch import Tensor
 
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
-from controllers.symbol.sensing.symbol_sensor import SymbolSensor
-from loop.assembly.truth import true_camera
-from loop.lighting.judging import Judge
-from loop.plant.world import World
-from loop.scenario.model import Scenario
-from perception.camera import CameraParams, camera_view, saturation_luminance
-from perception.judge import THRESHOLD
-from world.errors import LuxloopError
-from world.light.ambient import ambient_luminance
-from world.rendering.flat_road import flat_road
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
+from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.loop.assembly.truth import true_camera
+from luxloop.loop.lighting.judging import Judge
+from luxloop.loop.plant.world import World
+from luxloop.loop.scenario.model import Scenario
+from luxloop.perception.camera import CameraParams, camera_view, saturation_luminance
+from luxloop.perception.judge import THRESHOLD
+from luxloop.world.errors import LuxloopError
+from luxloop.world.light.ambient import ambient_luminance
+from luxloop.world.rendering.flat_road import flat_road
 
 LEAST_PX = 4  # of the target in either direction; quadrants need two pixels each
 

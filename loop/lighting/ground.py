@@ -5,9 +5,9 @@ import math
 import torch
 from torch import Tensor
 
-from perception.egomotion import Ego
-from world.frames import inverse, transform
-from world.scene.scene import StreetLamp
+from luxloop.perception.egomotion import Ego
+from luxloop.world.frames import inverse, transform
+from luxloop.world.scene.scene import StreetLamp
 
 
 def attitude(ego: Ego | None) -> Tensor:

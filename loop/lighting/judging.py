@@ -7,21 +7,21 @@ import torch
 from torch import Tensor
 from torch.nn.functional import max_pool2d
 
-from controllers.functions.planner import Plan
-from controllers.pixels.primitives import E_V, I_V, U_ABS, U_REL
-from controllers.pixels.rthc import trace
-from controllers.pixels.secondary import Light
-from controllers.pixels.ssc import Utilisation
-from controllers.symbol.sensing.projector import SymbolParams
-from loop.lighting.lamps import ShiningModule
-from loop.plant.world import LitScene, World
-from perception.birdseye import BirdsEye, Region, birds_eye, cells, region_around
-from perception.judge import CELL_M, Target, Verdict, judge, target
-from world.frames import inverse, transform
-from world.headlight import Headlight
-from world.roads.base import Road
-from world.scene.vehicle import STANDING
-from world.view import View
+from luxloop.controllers.functions.planner import Plan
+from luxloop.controllers.pixels.primitives import E_V, I_V, U_ABS, U_REL
+from luxloop.controllers.pixels.rthc import trace
+from luxloop.controllers.pixels.secondary import Light
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.symbol.sensing.projector import SymbolParams
+from luxloop.loop.lighting.lamps import ShiningModule
+from luxloop.loop.plant.world import LitScene, World
+from luxloop.perception.birdseye import BirdsEye, Region, birds_eye, cells, region_around
+from luxloop.perception.judge import CELL_M, Target, Verdict, judge, target
+from luxloop.world.frames import inverse, transform
+from luxloop.world.headlight import Headlight
+from luxloop.world.roads.base import Road
+from luxloop.world.scene.vehicle import STANDING
+from luxloop.world.view import View
 
 LEAST_LX = 1.0  # on a surface that faces the lamps: of less nobody on the road sees anything
 

@@ -7,28 +7,28 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from controllers.functions.base_beams import BaseBeam
-from controllers.functions.planner import Plan
-from controllers.pixels.morphing import Morphing
-from controllers.pixels.power import limit_power, pixel_flux
-from controllers.pixels.primitives import Primitives, meant
-from controllers.pixels.secondary import SecondaryRays, scene_caster
-from controllers.pixels.ssc import PixelController, Utilisation
-from controllers.pixels.windows import projected_windows
-from controllers.situation import Situation
-from loop.assembly.lamps import MountedModule, mounted
-from loop.assembly.made import Made
-from loop.assembly.pixel_control import pixel_controller
-from loop.assembly.truth import LampModule
-from loop.lighting.ground import seen_from
-from loop.plant.world import World
-from loop.scenario.model import Scenario
-from loop.scenario.shipped import named
-from world.errors import LuxloopError, located
-from world.headlight import Headlight
-from world.headlight.lamp import Commands, ModuleCommand
-from world.lampfiles.utilisations import RawUtilisation, read_sequence
-from world.scene.scene import StreetLamp
+from luxloop.controllers.functions.base_beams import BaseBeam
+from luxloop.controllers.functions.planner import Plan
+from luxloop.controllers.pixels.morphing import Morphing
+from luxloop.controllers.pixels.power import limit_power, pixel_flux
+from luxloop.controllers.pixels.primitives import Primitives, meant
+from luxloop.controllers.pixels.secondary import SecondaryRays, scene_caster
+from luxloop.controllers.pixels.ssc import PixelController, Utilisation
+from luxloop.controllers.pixels.windows import projected_windows
+from luxloop.controllers.situation import Situation
+from luxloop.loop.assembly.lamps import MountedModule, mounted
+from luxloop.loop.assembly.made import Made
+from luxloop.loop.assembly.pixel_control import pixel_controller
+from luxloop.loop.assembly.truth import LampModule
+from luxloop.loop.lighting.ground import seen_from
+from luxloop.loop.plant.world import World
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.scenario.shipped import named
+from luxloop.world.errors import LuxloopError, located
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import Commands, ModuleCommand
+from luxloop.world.lampfiles.utilisations import RawUtilisation, read_sequence
+from luxloop.world.scene.scene import StreetLamp
 
 
 @dataclass(frozen=True, eq=False)

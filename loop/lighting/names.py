@@ -2,12 +2,12 @@
 
 from typing import Any
 
-from loop.lighting.lamps import ShiningModule
-from loop.recording.columns import of_truth
-from loop.scenario.model import Scenario, objects_named
-from loop.scenario.plant import shadow_of
-from perception.detection.params import TruthParams
-from world.errors import LuxloopError, all_of, did_you_mean
+from luxloop.loop.lighting.lamps import ShiningModule
+from luxloop.loop.recording.columns import of_truth
+from luxloop.loop.scenario.model import Scenario, objects_named
+from luxloop.loop.scenario.plant import shadow_of
+from luxloop.perception.detection.params import TruthParams
+from luxloop.world.errors import LuxloopError, all_of, did_you_mean
 
 
 def check_names(scenario: Scenario, modules: tuple[ShiningModule, ...]) -> None:

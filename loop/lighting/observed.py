@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from controllers.functions.planner import Plan
-from controllers.pixels.primitives import Primitives
-from controllers.situation import Situation
-from loop.plant.world import World
-from perception.metrics import iou
-from world.view import View
+from luxloop.controllers.functions.planner import Plan
+from luxloop.controllers.pixels.primitives import Primitives
+from luxloop.controllers.situation import Situation
+from luxloop.loop.plant.world import World
+from luxloop.perception.metrics import iou
+from luxloop.world.view import View
 
 WIDTH_PX = 640  # of a wanted picture in the observer's camera, which it fills
 LIT = 0.5  # of what there would be if the picture were white

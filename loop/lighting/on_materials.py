@@ -7,12 +7,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from controllers.situation import Situation
-from controllers.zones.material import MaterialLightParams, MaterialParams, MaterialState, Quantity
-from controllers.zones.zone import ZoneParams, region_of
-from loop.plant.world import LitScene, World
-from world.frames import inverse, transform
-from world.view import View
+from luxloop.controllers.situation import Situation
+from luxloop.controllers.zones.material import MaterialLightParams, MaterialParams, MaterialState, Quantity
+from luxloop.controllers.zones.zone import ZoneParams, region_of
+from luxloop.loop.plant.world import LitScene, World
+from luxloop.world.frames import inverse, transform
+from luxloop.world.view import View
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,14 @@ from typing import Any
 
 from torch import Tensor
 
-from controllers.functions.glare_free import GlareFreeParams
-from controllers.pixels.rthc import masks
-from controllers.situation import Situation, TrackedObject
-from loop.lighting.detection import LEAST_PX, Recognised, name_of
-from loop.plant.protocol import Showing
-from loop.plant.world import LitScene, ObjectLight, World
-from world.traffic.objects import ObjectParams
-from world.traffic.tracked import ROAD_USERS
+from luxloop.controllers.functions.glare_free import GlareFreeParams
+from luxloop.controllers.pixels.rthc import masks
+from luxloop.controllers.situation import Situation, TrackedObject
+from luxloop.loop.lighting.detection import LEAST_PX, Recognised, name_of
+from luxloop.loop.plant.protocol import Showing
+from luxloop.loop.plant.world import LitScene, ObjectLight, World
+from luxloop.world.traffic.objects import ObjectParams
+from luxloop.world.traffic.tracked import ROAD_USERS
 
 DRIVEN = ROAD_USERS - {"pedestrian"}
 DUE_S = 0.3 - 1e-6  # the time that it has for that, less the rounding of clocks

@@ -4,19 +4,19 @@ from typing import Any
 
 import torch
 
-from controllers.functions.planner import Planner
-from controllers.pixels.secondary import Light
-from loop.assembly.made import Made
-from loop.lighting.commanded import refuse_commands
-from loop.lighting.controlled import controlled_symbols
-from loop.lighting.detection import DetectionPipeline
-from loop.lighting.lamps import lamp_modules, shining_modules
-from loop.lighting.names import check_names, refuse_unknown
-from loop.plant.build import build_plant
-from loop.scenario.model import Scenario
-from loop.scenario.shipped import named
-from perception.camera import camera_view
-from world.process import check_process
+from luxloop.controllers.functions.planner import Planner
+from luxloop.controllers.pixels.secondary import Light
+from luxloop.loop.assembly.made import Made
+from luxloop.loop.lighting.commanded import refuse_commands
+from luxloop.loop.lighting.controlled import controlled_symbols
+from luxloop.loop.lighting.detection import DetectionPipeline
+from luxloop.loop.lighting.lamps import lamp_modules, shining_modules
+from luxloop.loop.lighting.names import check_names, refuse_unknown
+from luxloop.loop.plant.build import build_plant
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.scenario.shipped import named
+from luxloop.perception.camera import camera_view
+from luxloop.world.process import check_process
 
 
 def parts(scenario: Scenario, device: torch.device, made: Made) -> dict[str, Any]:

@@ -7,21 +7,21 @@ from typing import Any
 import pyarrow as pa
 import torch
 
-from loop.lighting.commanded import moved
-from loop.lighting.compared import compared, low_beam_lm
-from loop.lighting.controlled import Held
-from loop.lighting.on_materials import quantities
-from loop.lighting.redrawn import covering, opened
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.lighting.summary import of_modules, summarise
-from loop.recording.checks import lights, refuse_unknown
-from loop.recording.columns import AIM, CENTROIDS, CUT, ERRORS, LOOKING_OF_TRUTH, POSE, SYMBOL, loss_name, of_one
-from loop.recording.summary import Circumstances
-from loop.recording.summary import summarise as summarise_symbol
-from loop.scenario.plant import shadow_of
-from perception.judge import Verdict
-from world.errors import located
+from luxloop.loop.lighting.commanded import moved
+from luxloop.loop.lighting.compared import compared, low_beam_lm
+from luxloop.loop.lighting.controlled import Held
+from luxloop.loop.lighting.on_materials import quantities
+from luxloop.loop.lighting.redrawn import covering, opened
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.lighting.summary import of_modules, summarise
+from luxloop.loop.recording.checks import lights, refuse_unknown
+from luxloop.loop.recording.columns import AIM, CENTROIDS, CUT, ERRORS, LOOKING_OF_TRUTH, POSE, SYMBOL, loss_name, of_one
+from luxloop.loop.recording.summary import Circumstances
+from luxloop.loop.recording.summary import summarise as summarise_symbol
+from luxloop.loop.scenario.plant import shadow_of
+from luxloop.perception.judge import Verdict
+from luxloop.world.errors import located
 
 # name: (type, unit, description); lamps and objects have columns of their own.
 STEP = {

@@ -11,21 +11,21 @@ from typing import Any, Self
 
 import pyarrow as pa
 
-from loop.labels import files as label_files
-from loop.labels.labelled import Labels
-from loop.labels.recorder import LabelRecorder
-from loop.lighting.record import row, schema, summary_of
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.plant import frames as frame_files
-from loop.recording.files import EDITS, FILES, SUMMARY, TRAJECTORY, table_of, write_table
-from loop.recording.frames import FrameRecorder
-from loop.recording.manifest import Manifest, write_json
-from loop.recording.shadow import ShadowTally
-from loop.scenario.edits import Edit, add
-from loop.scenario.plant import shadow_of
-from perception.extraction import Loss
-from world.errors import LuxloopError
+from luxloop.loop.labels import files as label_files
+from luxloop.loop.labels.labelled import Labels
+from luxloop.loop.labels.recorder import LabelRecorder
+from luxloop.loop.lighting.record import row, schema, summary_of
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.plant import frames as frame_files
+from luxloop.loop.recording.files import EDITS, FILES, SUMMARY, TRAJECTORY, table_of, write_table
+from luxloop.loop.recording.frames import FrameRecorder
+from luxloop.loop.recording.manifest import Manifest, write_json
+from luxloop.loop.recording.shadow import ShadowTally
+from luxloop.loop.scenario.edits import Edit, add
+from luxloop.loop.scenario.plant import shadow_of
+from luxloop.perception.extraction import Loss
+from luxloop.world.errors import LuxloopError
 
 FOLDED = 256  # rows as Python's values, which take ten times the memory of the table
 REST = 10  # times what a write takes pass between two: recording costs a tenth at most, and a kill the last 50 ms or so

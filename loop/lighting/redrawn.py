@@ -3,12 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from controllers.pixels.primitives import Primitives
-from controllers.pixels.ssc import Utilisation
-from controllers.symbol.sensing.projection import ProjectionCommand
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from world.frames import inverse
+from luxloop.controllers.pixels.primitives import Primitives
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.world.frames import inverse
 
 TAKEN = 0.01  # of a symbol's light; less covers nothing
 Pair = tuple[tuple[Utilisation, ...], tuple[Utilisation, ...]]

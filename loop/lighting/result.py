@@ -1,31 +1,111 @@
-"""What happened in a step, and what is known before the next."""
+"""What the acts of a step hand on, what happened in it, and what is known before the next."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from torch import Tensor
 
-from controllers.functions.commands import Given
-from controllers.functions.planner import Plan, States
-from controllers.situation import Situation
-from loop.lighting.controlled import Frames, Held, HeldState, Moment
-from loop.lighting.detection import Recognised
-from loop.lighting.lamps import LampPower
-from loop.lighting.observed import ObservedSymbol
-from loop.lighting.on_materials import InZone, OnMaterial
-from loop.lighting.on_objects import OnObject
-from loop.plant.pairing import UnderWay
-from loop.plant.protocol import Arrivals, Frame, Showing
-from loop.scenario.model import only
-from perception.detection.protocol import Detections
-from perception.egomotion import Samples
-from perception.tracks import TrackedBoxes
-from world.partial import PartialImage
-from world.view import View
+from luxloop.controllers.functions.commands import Given
+from luxloop.controllers.functions.planner import Plan, States
+from luxloop.controllers.pixels.primitives import Primitives
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.situation import Situation
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
+from luxloop.loop.lighting.controlled import Frames, Held, HeldState, Moment
+from luxloop.loop.lighting.detection import Recognised
+from luxloop.loop.lighting.lamps import LampPower
+from luxloop.loop.lighting.observed import ObservedSymbol
+from luxloop.loop.lighting.on_materials import InZone, OnMaterial
+from luxloop.loop.lighting.on_objects import OnObject
+from luxloop.loop.plant.pairing import UnderWay
+from luxloop.loop.plant.protocol import Arrivals, Frame, Showing
+from luxloop.loop.scenario.model import only
+from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.egomotion import Ego, Samples
+from luxloop.perception.tracks import TrackedBoxes
+from luxloop.world.partial import PartialImage
+from luxloop.world.view import View
 
 OUTSIDE = ("plant", "look")  # parts of a step that no car computes
+
+
+Lights = tuple[Utilisation, ...]  # of all modules
+Parts = Mapping[str, Sequence[Primitives]]  # that functions draw, by name
+Projections = Mapping[str, ProjectionCommand]  # of the symbols that are shown, by name
+
+
+@dataclass(frozen=True, eq=False)
+class StepPlan:
+    """What is to be lit. ego, now: motion and situation. projections: by symbol. drawn: primitives by function.
+
+    measured: names of the symbols that are off in all exposures but the first. plans: with all symbols, and without the measured ones.
+    """
+
+    ego: Ego | None
+    now: Situation
+    projections: Projections
+    drawn: Parts
+    measured: tuple[str, ...]
+    plans: tuple[Plan, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class StepDrive:
+    """exposures: utilisations of each. projections: symbols that each shows. powers: of each plan, by the lamps' sides."""
+
+    exposures: tuple[Lights, ...]
+    projections: tuple[Projections, ...]
+    powers: tuple[Mapping[str, LampPower], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Reception:
+    """What the plant gave for the exposures of a step. plant: its state. samples: the newest of each sensor.
+
+    frames: all that wait for their partner, of which `new` came in this step.
+    """
+
+    plant: Any
+    arrivals: Arrivals
+    samples: Samples
+    frames: tuple[Frame, ...]
+    new: tuple[Frame, ...]
+    showings: tuple[Showing, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Perception:
+    """What detector, tracker and learning functions know. view: of the camera from the ground frame, as the car believes.
+
+    found, image: of the newest frame, None where none came; taken_s: its time, else that of the step. believed: views of the exposures
+    whose frames have not come yet, by their number.
+    """
+
+    view: View
+    tracks: Any
+    functions: States
+    found: Detections | None
+    image: Tensor | None
+    taken_s: float
+    believed: Mapping[int, View]
+
+
+@dataclass(frozen=True, eq=False)
+class Control:
+    """held: states of the controllers. measurements: of the symbols whose frames came. under_way, unpaired: exposures and frames that wait.
+
+    frames: the newest on and off frame, taken at taken_s, None and NaN where none came.
+    """
+
+    held: Mapping[str, HeldState]
+    measurements: Mapping[str, Measurement]
+    under_way: UnderWay[Moment]
+    unpaired: tuple[Frame, ...]
+    frames: Frames | None
+    taken_s: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +161,7 @@ class StepResult:
     frame: digital numbers of the newest frame that came in this step, None where none came. frames: the newest on and off frame that
     controllers got, taken at taken_s, NaN where none came. objects: by name, those that are there and have
     a category. look: None without a detector. symbols: those that are meant for an observer, from their eyes. held: those that controllers
-    hold; zones, materials: all by name. road_lx_ratio_max: see `loop.lighting.judging`, None where nobody judged. showings: the
+    hold; zones, materials: all by name. road_lx_ratio_max: see `luxloop.loop.lighting.judging`, None where nobody judged. showings: the
     exposures. timings: ms by part. processing_ms: see `Clock`.
     """
 
@@ -162,3 +242,8 @@ class Clock:
 
 def _times_s() -> tuple[float, ...]:
     return time.perf_counter(), time.thread_time(), *PartialImage.spent_s
+
+
+def without(drawn: Parts, names: Collection[str]) -> dict[str, Sequence[Primitives]]:
+    """What the other functions draw."""
+    return {name: each for name, each in drawn.items() if name not in names}

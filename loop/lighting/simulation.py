@@ -9,39 +9,50 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from controllers.functions.base_beams import BaseBeamParams, BeamName
-from controllers.functions.commands import Given
-from controllers.functions.planner import Planner
-from controllers.pixels.secondary import Light
-from controllers.pixels.ssc import Utilisation
-from controllers.situation import Seen, Situation, Timed, TrackedObject
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.protocol import SymbolController
-from controllers.symbol.sensing.symbol_sensor import Measurement
-from loop.assembly.made import Made
-from loop.lighting.acts import Control, Lights, Parts, Perception, Reception, StepDrive, StepPlan, without
-from loop.lighting.commanded import commanded
-from loop.lighting.controlled import ControlledSymbol, Moment, turn
-from loop.lighting.detection import DetectionPipeline
-from loop.lighting.evaluator import Evaluator
-from loop.lighting.ground import attitude, moved
-from loop.lighting.lamps import LampDriver, ShiningModule, in_reach, mean_powers
-from loop.lighting.parts import parts
-from loop.lighting.result import Clock, SimulationState, StepResult
-from loop.plant.pairing import paired
-from loop.plant.protocol import Arrivals, Exposure, Objects, Plant, Showing, closed
-from loop.plant.simulated import as_simulated
-from loop.plant.world import LitScene, World
-from loop.scenario.checks import Light as OtherLight
-from loop.scenario.model import Scenario, only
-from loop.scenario.shown import Shown
-from perception.camera import luminance_of, saturation_luminance
-from perception.egomotion import Ego, Samples, ego_of, newest
-from world.errors import LuxloopError, located
-from world.frames import inverse
-from world.headlight.lamp import REST, Commands
-from world.process import check_process
-from world.view import View
+from luxloop.controllers.functions.base_beams import BaseBeamParams, BeamName
+from luxloop.controllers.functions.commands import Given
+from luxloop.controllers.functions.planner import Planner
+from luxloop.controllers.pixels.secondary import Light
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.situation import Seen, Situation, Timed, TrackedObject
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.protocol import SymbolController
+from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
+from luxloop.loop.assembly.made import Made
+from luxloop.loop.lighting.commanded import commanded
+from luxloop.loop.lighting.controlled import ControlledSymbol, Moment, turn
+from luxloop.loop.lighting.detection import DetectionPipeline
+from luxloop.loop.lighting.evaluator import Evaluator
+from luxloop.loop.lighting.ground import attitude, moved
+from luxloop.loop.lighting.lamps import LampDriver, ShiningModule, in_reach, mean_powers
+from luxloop.loop.lighting.parts import parts
+from luxloop.loop.lighting.result import (
+    Clock,
+    Control,
+    Lights,
+    Parts,
+    Perception,
+    Reception,
+    SimulationState,
+    StepDrive,
+    StepPlan,
+    StepResult,
+    without,
+)
+from luxloop.loop.plant.pairing import paired
+from luxloop.loop.plant.protocol import Arrivals, Exposure, Objects, Plant, Showing, closed
+from luxloop.loop.plant.simulated import as_simulated
+from luxloop.loop.plant.world import LitScene, World
+from luxloop.loop.scenario.checks import Light as OtherLight
+from luxloop.loop.scenario.model import Scenario, only
+from luxloop.loop.scenario.shown import Shown
+from luxloop.perception.camera import luminance_of, saturation_luminance
+from luxloop.perception.egomotion import Ego, Samples, ego_of, newest
+from luxloop.world.errors import LuxloopError, located
+from luxloop.world.frames import inverse
+from luxloop.world.headlight.lamp import REST, Commands
+from luxloop.world.process import check_process
+from luxloop.world.view import View
 
 BEAMS: Mapping[OtherLight, BeamName] = {"full_light": "full", "low_beam": "low"}
 
@@ -143,7 +154,7 @@ class Simulation:
 
     @property
     def watched(self) -> Mapping[str, int]:
-        """See `loop.lighting.evaluator.Evaluator.watched`."""
+        """See `luxloop.loop.lighting.evaluator.Evaluator.watched`."""
         return self._evaluator.watched
 
     def situation(self, time_s: float, tracks: Any = None, ego: Ego | None = None, told: Objects | None = None) -> Situation:

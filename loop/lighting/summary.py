@@ -8,14 +8,14 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from rich.table import Table
 
-from controllers.functions.commands import MOVED, Movable
-from controllers.zones.material import Quantity
-from loop.lighting.detection import LEAST_PX
-from loop.recording.checks import lines
-from loop.recording.remedies import of_frames, remedies, unjudged
-from loop.recording.summary import column
-from loop.terminal.tables import counted, facts, number
-from world.headlight.lamp import REST
+from luxloop.controllers.functions.commands import MOVED, Movable
+from luxloop.controllers.zones.material import Quantity
+from luxloop.loop.lighting.detection import LEAST_PX
+from luxloop.loop.recording.checks import lines
+from luxloop.loop.recording.remedies import of_frames, remedies, unjudged
+from luxloop.loop.recording.summary import column
+from luxloop.loop.terminal.tables import counted, facts, number
+from luxloop.world.headlight.lamp import REST
 
 START_UP_S = 1.0  # in which functions that learn begin with more light than they come to need
 SETTLED = 0.05  # greatest deviation of a zone from its target, as a share of it

@@ -5,7 +5,7 @@ from typing import Any
 
 from torch import Tensor
 
-from loop.rig.statistics import Lateness
+from luxloop.loop.rig.statistics import Lateness
 
 
 class Beam:

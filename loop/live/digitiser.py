@@ -10,12 +10,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from loop.calibration.files import Calibration
-from loop.calibration.geometry import Geometry, on_plane
-from loop.calibration.intrinsics import brightness
-from world.errors import LuxloopError
-from world.headlight.matrix import LUMINANCE
-from world.texels import TexelGrid
+from luxloop.loop.calibration.files import Calibration
+from luxloop.loop.calibration.geometry import Geometry, on_plane
+from luxloop.loop.calibration.intrinsics import brightness
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.matrix import LUMINANCE
+from luxloop.world.texels import TexelGrid
 
 Picture = NDArray[Any]
 SEEN: Final = 0.5  # least share of the texels that the camera has to see

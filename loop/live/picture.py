@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from torch import Tensor
 
-from loop.live.digitiser import luminous
-from loop.recording.style import SHARES, STYLE
-from world.files import whole
-from world.headlight import Headlight
+from luxloop.loop.live.digitiser import luminous
+from luxloop.loop.recording.style import SHARES, STYLE
+from luxloop.world.files import whole
+from luxloop.world.headlight import Headlight
 
 WIDE_IN, DPI, TITLE_IN = 8.0, 130, 0.45
 BRIGHT: Final = 0.998  # quantile of the textures that is shown as white, and of their difference that has the full colour

@@ -14,22 +14,22 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from controllers.pixels.ssc import Utilisation
-from loop.calibration.files import Calibration
-from loop.live.beam import Beam
-from loop.live.digitiser import ONE_FORMAT, Digitiser, luminous
-from loop.plant.digitised import DigitisedPlant
-from loop.plant.protocol import Arrivals, Exposure, Frame
-from loop.plant.simulated import UnderWay
-from loop.plant.world import World
-from loop.rig.params import RigParams
-from loop.rig.plant import RigPlant
-from loop.rig.rectified import AS_SENT, Rectifier, WrongPicture, camera_picture
-from loop.rig.rig import Rig
-from loop.wire.poses import BodyPose, PoseSender
-from perception.camera import CameraParams
-from world.errors import LuxloopError
-from world.headlight.lamp import REST
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.calibration.files import Calibration
+from luxloop.loop.live.beam import Beam
+from luxloop.loop.live.digitiser import ONE_FORMAT, Digitiser, luminous
+from luxloop.loop.plant.digitised import DigitisedPlant
+from luxloop.loop.plant.protocol import Arrivals, Exposure, Frame
+from luxloop.loop.plant.simulated import UnderWay
+from luxloop.loop.plant.world import World
+from luxloop.loop.rig.params import RigParams
+from luxloop.loop.rig.plant import RigPlant
+from luxloop.loop.rig.rectified import AS_SENT, Rectifier, WrongPicture, camera_picture
+from luxloop.loop.rig.rig import Rig
+from luxloop.loop.wire.poses import BodyPose, PoseSender
+from luxloop.perception.camera import CameraParams
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.lamp import REST
 
 DARKS: Final = 8  # frames without light before the run, whose mean is subtracted
 FIRST: Final = 40  # number of the run's first exposure on the rig; the numbers below it are for the dark frames, which may be lost

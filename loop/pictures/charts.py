@@ -12,8 +12,8 @@ from matplotlib.patches import Polygon, Rectangle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, MultipleLocator, NullLocator
 
-from loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, Image, Seen, grey
-from loop.recording.style import SHARES
+from luxloop.loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, Image, Seen, grey
+from luxloop.loop.recording.style import SHARES
 
 FALSE_COLOURS = "turbo"
 MOST_LINES, DECADES = 8, 3

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from world.headlight.lamp import Lamp, direction
-from world.photometry.texture import solid_angles
-from world.texels import TexelGrid
+from luxloop.world.headlight.lamp import Lamp, direction
+from luxloop.world.photometry.texture import solid_angles
+from luxloop.world.texels import TexelGrid
 
 STEP_DEG = 0.1  # of the search for a beam's peak
 EVEN_SHARE, EVEN_PART = 0.995, 0.02  # a peak that more than 2 % of all directions reach but for 0.5 % has no place

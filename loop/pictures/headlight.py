@@ -9,18 +9,18 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from loop.assembly.lamps import turned
-from loop.pictures import charts
-from loop.pictures.overview import draw_overview
-from loop.pictures.panels import WALL_M, draw_birdseye, draw_eye, draw_pixels, draw_texture, draw_wall
-from loop.pictures.styles import check_out, style_of
-from loop.pictures.views import SIDES, LitCar, Road, beside, birdseye, driver
-from loop.recording.style import STYLE
-from loop.scenario.model import HeadlightParams, Scenario
-from world.errors import LuxloopError
-from world.files import whole
-from world.headlight.lamp import Commands, Lamp
-from world.light.volumetric import Medium
+from luxloop.loop.assembly.lamps import turned
+from luxloop.loop.pictures import charts
+from luxloop.loop.pictures.overview import draw_overview
+from luxloop.loop.pictures.panels import WALL_M, draw_birdseye, draw_eye, draw_pixels, draw_texture, draw_wall
+from luxloop.loop.pictures.styles import check_out, style_of
+from luxloop.loop.pictures.views import SIDES, LitCar, Road, beside, birdseye, driver
+from luxloop.loop.recording.style import STYLE
+from luxloop.loop.scenario.model import HeadlightParams, Scenario
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import whole
+from luxloop.world.headlight.lamp import Commands, Lamp
+from luxloop.world.light.volumetric import Medium
 
 DPI = 110
 VISIBILITY_M = 100.0
@@ -35,7 +35,7 @@ ROAD = {"isolux": "illuminance of the road in lx", "falsecolour": "illuminance o
 DRIVER = {"isolux": "illuminance in lx, for the driver", "falsecolour": "luminance for the driver", "luminance": "the driver's view"}
 
 
-def show(
+def show_headlight(
     lamps: Mapping[str, Lamp],
     out: Path,
     *,

@@ -8,14 +8,14 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from loop.pictures import charts
-from loop.pictures.facts import borders_deg, flux_lm, peak
-from loop.pictures.panels import WALL_M, draw_birdseye, draw_eye, draw_wall
-from loop.pictures.views import LitCar, Road, birdseye, driver, grey, picture
-from loop.terminal.tables import counted
-from world.headlight import Headlight
-from world.light.emitters import surface_light
-from world.rendering.flat_road import flat_road
+from luxloop.loop.pictures import charts
+from luxloop.loop.pictures.facts import borders_deg, flux_lm, peak
+from luxloop.loop.pictures.panels import WALL_M, draw_birdseye, draw_eye, draw_wall
+from luxloop.loop.pictures.views import LitCar, Road, birdseye, driver, grey, picture
+from luxloop.loop.terminal.tables import counted
+from luxloop.world.headlight import Headlight
+from luxloop.world.light.emitters import surface_light
+from luxloop.world.rendering.flat_road import flat_road
 
 REACHES_LX = (1.0, 3.0, 10.0)
 NAME = 15  # characters that fit before a value; longer names have a line of their own

@@ -9,10 +9,10 @@ from matplotlib.colors import PowerNorm
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from torch import Tensor
 
-from loop.pictures import charts
-from loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, Image, LitCar, Seen, grey, picture
-from world.headlight import Headlight
-from world.light.emitters import wall_illuminance
+from luxloop.loop.pictures import charts
+from luxloop.loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, Image, LitCar, Seen, grey, picture
+from luxloop.world.headlight import Headlight
+from luxloop.world.light.emitters import wall_illuminance
 
 WALL_M, WALL_POINTS = 25.0, (641, 321)
 WHITE_WALL = 0.8  # albedo

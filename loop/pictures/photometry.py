@@ -9,12 +9,12 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from loop.pictures import charts
-from loop.pictures.headlight import DPI, write
-from loop.pictures.styles import check_out
-from loop.pictures.views import Image
-from loop.recording.style import FOUR, STYLE
-from world.photometry import Distribution, Photometry
+from luxloop.loop.pictures import charts
+from luxloop.loop.pictures.headlight import DPI, write
+from luxloop.loop.pictures.styles import check_out
+from luxloop.loop.pictures.views import Image
+from luxloop.loop.recording.style import FOUR, STYLE
+from luxloop.world.photometry import Distribution, Photometry
 
 SAMPLES = (721, 541)  # of the map, horizontally and vertically
 FAINT, NEEDLE_DEG = 0.02, 40.0  # a beam whose brighter parts lie within so many degrees is no curve around a lamp

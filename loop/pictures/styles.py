@@ -4,7 +4,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from world.errors import LuxloopError, did_you_mean
+from luxloop.world.errors import LuxloopError, did_you_mean
 
 # Styles of each view; the first one unless another is asked for.
 VIEWS: Mapping[str, tuple[str, ...]] = {

@@ -11,21 +11,21 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from loop.assembly.build import build_scene
-from loop.assembly.lamps import T_world_lamp
-from loop.scenario.model import HeadlightParams, Scenario, validate
-from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
-from world.headlight.lamp import Commands, Lamp, direction
-from world.headlight.matrix import LUMINANCE
-from world.light.ambient import ambient_luminance
-from world.light.emitters import Source, sources, surface_light
-from world.light.volumetric import Medium, airlight
-from world.rendering.face_source import FaceSource, face_source
-from world.rendering.gbuffer import GBuffer, gbuffer
-from world.rendering.shadow import ShadowMap, shadow_map
-from world.scene.scene import Scene
-from world.scene.triangles import Triangles
-from world.view import View
+from luxloop.loop.assembly.build import build_scene
+from luxloop.loop.assembly.lamps import T_world_lamp
+from luxloop.loop.scenario.model import HeadlightParams, Scenario, validate
+from luxloop.world.frames import R_ISO_OPENCV, pose, pose_from_degrees
+from luxloop.world.headlight.lamp import Commands, Lamp, direction
+from luxloop.world.headlight.matrix import LUMINANCE
+from luxloop.world.light.ambient import ambient_luminance
+from luxloop.world.light.emitters import Source, sources, surface_light
+from luxloop.world.light.volumetric import Medium, airlight
+from luxloop.world.rendering.face_source import FaceSource, face_source
+from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
+from luxloop.world.rendering.shadow import ShadowMap, shadow_map
+from luxloop.world.scene.scene import Scene
+from luxloop.world.scene.triangles import Triangles
+from luxloop.world.view import View
 
 SIDES = ("left", "right")
 SHADOW_PX = 1024  # width of a shadow map

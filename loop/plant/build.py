@@ -3,17 +3,17 @@
 from collections.abc import Sequence
 from typing import cast
 
-from loop.assembly.made import Made
-from loop.assembly.truth import LampModule
-from loop.plant.clock import FromZero
-from loop.plant.digitised import digitised_plant
-from loop.plant.protocol import Plant
-from loop.plant.simulated import simulated_plant
-from loop.plant.unconnected import Unconnected
-from loop.scenario.model import Scenario
-from loop.scenario.plant import RecordedPlantParams, RemotePlantParams, RigPlantParams, SimulatedPlantParams
-from world import plugin
-from world.errors import LuxloopError
+from luxloop.loop.assembly.made import Made
+from luxloop.loop.assembly.truth import LampModule
+from luxloop.loop.plant.clock import FromZero
+from luxloop.loop.plant.digitised import digitised_plant
+from luxloop.loop.plant.protocol import Plant
+from luxloop.loop.plant.simulated import simulated_plant
+from luxloop.loop.plant.unconnected import Unconnected
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.scenario.plant import RecordedPlantParams, RemotePlantParams, RigPlantParams, SimulatedPlantParams
+from luxloop.world import plugin
+from luxloop.world.errors import LuxloopError
 
 KEY = "plant.kind"
 METHODS = ("start", "show")
@@ -30,13 +30,13 @@ def build_plant(scenario: Scenario, modules: Sequence[LampModule], made: Made | 
     if isinstance(params, SimulatedPlantParams):
         return simulated_plant(scenario, modules, made) if scenario.digitised is None else digitised_plant(scenario, modules, made)
     if isinstance(params, RecordedPlantParams):
-        from loop.plant.recorded import recorded_plant
+        from luxloop.loop.plant.recorded import recorded_plant
 
         return recorded_plant(scenario, params, modules)
     if isinstance(params, RigPlantParams):
         return Unconnected()
     if isinstance(params, RemotePlantParams):
-        from loop.plant.remote import remote_plant
+        from luxloop.loop.plant.remote import remote_plant
 
         return from_zero(remote_plant(scenario, params, modules), scenario, modules)
     given = {"scenario": scenario, "modules": modules}

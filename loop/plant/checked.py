@@ -7,13 +7,13 @@ from typing import Any
 from pydantic import ValidationError
 from torch import Tensor
 
-from controllers.situation import TrackedObject
-from loop.plant.objects import row_of
-from loop.plant.protocol import Arrivals, Exposure, Frame
-from perception.camera import CameraParams
-from perception.egomotion import VALUES, Sample
-from world.errors import LuxloopError, did_you_mean, located
-from world.plugin import in_a_line
+from luxloop.controllers.situation import TrackedObject
+from luxloop.loop.plant.objects import row_of
+from luxloop.loop.plant.protocol import Arrivals, Exposure, Frame
+from luxloop.perception.camera import CameraParams
+from luxloop.perception.egomotion import VALUES, Sample
+from luxloop.world.errors import LuxloopError, did_you_mean, located
+from luxloop.world.plugin import in_a_line
 
 ROUNDING_S = 1e-6  # of sums of periods and of clocks that count from 1970
 TIME = "give the plant's time in s, as a number"

@@ -5,12 +5,12 @@ from typing import Any
 
 from torch import Tensor
 
-from controllers.situation import TrackedObject
-from loop.plant.checked import check_frame, check_frames, check_objects, check_samples, check_time, pair
-from loop.plant.protocol import Arrivals, Exposure, Frame, Plant
-from loop.plant.world import World
-from perception.camera import CameraParams
-from world.errors import located
+from luxloop.controllers.situation import TrackedObject
+from luxloop.loop.plant.checked import check_frame, check_frames, check_objects, check_samples, check_time, pair
+from luxloop.loop.plant.protocol import Arrivals, Exposure, Frame, Plant
+from luxloop.loop.plant.world import World
+from luxloop.perception.camera import CameraParams
+from luxloop.world.errors import located
 
 
 @dataclass(frozen=True, eq=False)

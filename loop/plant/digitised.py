@@ -8,15 +8,15 @@ from typing import Any, Final
 import torch
 from torch import Tensor
 
-from controllers.pixels.primitives import meant
-from loop.assembly.made import Made
-from loop.assembly.truth import LampModule
-from loop.plant.protocol import Arrivals, Exposure
-from loop.plant.simulated import SimulatedPlant, simulated_plant
-from loop.plant.world import World
-from loop.scenario.model import Scenario
-from world.errors import LuxloopError
-from world.headlight import Headlight
+from luxloop.controllers.pixels.primitives import meant
+from luxloop.loop.assembly.made import Made
+from luxloop.loop.assembly.truth import LampModule
+from luxloop.loop.plant.protocol import Arrivals, Exposure
+from luxloop.loop.plant.simulated import SimulatedPlant, simulated_plant
+from luxloop.loop.plant.world import World
+from luxloop.loop.scenario.model import Scenario
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight import Headlight
 
 KEPT: Final = 8  # light textures, of which those of an on and an off exposure alternate
 

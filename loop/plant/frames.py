@@ -18,19 +18,19 @@ import pyarrow as pa
 import torch
 from torch import Tensor
 
-from controllers.pixels.ssc import Utilisation
-from controllers.symbol.sensing.projection import ProjectionCommand, Warp
-from loop.plant.objects import read_objects
-from loop.plant.protocol import Exposure
-from perception.camera import CameraParams
-from perception.egomotion import VALUES, Sample
-from world.arrays import Arrays, read_npz, write_npz
-from world.errors import LuxloopError
-from world.files import content, reading, regular, whole
-from world.headlight.lamp import Commands, ModuleCommand
-from world.images import decoded
-from world.params import PLAIN
-from world.parquet import read_parquet
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
+from luxloop.loop.plant.objects import read_objects
+from luxloop.loop.plant.protocol import Exposure
+from luxloop.perception.camera import CameraParams
+from luxloop.perception.egomotion import VALUES, Sample
+from luxloop.world.arrays import Arrays, read_npz, write_npz
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import content, reading, regular, whole
+from luxloop.world.headlight.lamp import Commands, ModuleCommand
+from luxloop.world.images import decoded
+from luxloop.world.params import PLAIN
+from luxloop.world.parquet import read_parquet
 
 FOLDER: Final = "frames"
 TABLE: Final = f"{FOLDER}/exposures.parquet"

@@ -8,9 +8,9 @@ from typing import Final
 import torch
 from pydantic import TypeAdapter
 
-from controllers.situation import TrackedObject
-from loop.plant.protocol import Objects
-from loop.remote.answers import ObjectHead
+from luxloop.controllers.situation import TrackedObject
+from luxloop.loop.plant.protocol import Objects
+from luxloop.loop.remote.answers import ObjectHead
 
 LINGER_S: Final = 5.0  # for which an object that is gone stays, while functions fade out
 

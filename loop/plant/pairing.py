@@ -7,7 +7,7 @@ from typing import Generic, TypeVar
 
 from torch import Tensor
 
-from loop.plant.protocol import Frame
+from luxloop.loop.plant.protocol import Frame
 
 What = TypeVar("What")
 UnderWay = tuple[tuple[int, What], ...]  # what was shown, by the number of its on exposure

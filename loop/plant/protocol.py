@@ -7,11 +7,11 @@ from typing import Any, Protocol
 
 from torch import Tensor
 
-from controllers.pixels.ssc import Utilisation
-from controllers.situation import TrackedObject
-from controllers.symbol.sensing.projection import ProjectionCommand
-from perception.egomotion import Sample
-from world.headlight.lamp import Commands
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.situation import TrackedObject
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.perception.egomotion import Sample
+from luxloop.world.headlight.lamp import Commands
 
 Objects = tuple[TrackedObject, ...]
 
@@ -75,8 +75,8 @@ class Plant(Protocol):
     """Its state is a value; a plant of hardware holds the connection and returns what is known of it.
 
     Frames come in the order of their exposures. Its clock may begin at any time; a scenario's times count from the arrivals of `start`.
-    One that knows the truth has an attribute `truth`, a `loop.plant.world.World`, whose time counts from there as well. One that holds
-    something open has a method `close`, called at the end of a run.
+    One that knows the truth has an attribute `truth`, a `luxloop.loop.plant.world.World`, whose time counts from there as well. One that
+    holds something open has a method `close`, called at the end of a run.
     """
 
     def start(self) -> tuple[Any, Arrivals]:

@@ -9,14 +9,14 @@ from typing import Any
 
 from torch import Tensor
 
-from loop.assembly.truth import LampModule
-from loop.plant.frames import TABLE, Row, image_file, light_file, read_exposures, read_image, read_light, read_samples
-from loop.plant.objects import read_objects
-from loop.plant.protocol import Arrivals, Exposure, Frame
-from loop.scenario.model import Scenario
-from loop.scenario.plant import RecordedPlantParams
-from perception.camera import CameraParams
-from world.errors import LuxloopError, located
+from luxloop.loop.assembly.truth import LampModule
+from luxloop.loop.plant.frames import TABLE, Row, image_file, light_file, read_exposures, read_image, read_light, read_samples
+from luxloop.loop.plant.objects import read_objects
+from luxloop.loop.plant.protocol import Arrivals, Exposure, Frame
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.scenario.plant import RecordedPlantParams
+from luxloop.perception.camera import CameraParams
+from luxloop.world.errors import LuxloopError, located
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,18 +9,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from loop.assembly.truth import LampModule
-from loop.plant.objects import object_of, told_again
-from loop.plant.protocol import Arrivals, Exposure, Frame, Objects
-from loop.remote.answers import Answer
-from loop.remote.link import Link
-from loop.scenario.model import Scenario
-from loop.scenario.plant import RemotePlantParams
-from perception.camera import camera_view, saturation_luminance
-from perception.egomotion import Sample
-from world.errors import LuxloopError
-from world.headlight.lamp import REST
-from world.messages.arrays import Arrays, Coded, raw
+from luxloop.loop.assembly.truth import LampModule
+from luxloop.loop.plant.objects import object_of, told_again
+from luxloop.loop.plant.protocol import Arrivals, Exposure, Frame, Objects
+from luxloop.loop.remote.answers import Answer
+from luxloop.loop.remote.link import Link
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.scenario.plant import RemotePlantParams
+from luxloop.perception.camera import camera_view, saturation_luminance
+from luxloop.perception.egomotion import Sample
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.lamp import REST
+from luxloop.world.messages.arrays import Arrays, Coded, raw
 
 Window = tuple[int, int, int, int]  # first row, end row, first column, end column
 

@@ -7,23 +7,23 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from loop.assembly.build import build_motion, build_scene
-from loop.assembly.made import Made
-from loop.assembly.truth import LampModule, true_camera, true_modules
-from loop.plant.protocol import Arrivals, Exposure, Frame, Plant
-from loop.plant.world import World
-from loop.scenario.disturbances import UNDISTURBED, DisturbanceParams
-from loop.scenario.model import Scenario
-from perception.camera import expose
-from perception.egomotion import Sample
-from perception.glare import glare
-from perception.noise import FrameNoise
-from perception.sensors import EXACT, SensorParams, Sensors
-from world.errors import LuxloopError
-from world.partial import Part, PartialImage
-from world.rendering.face_source import FirstFound, face_source
-from world.scene.late_body import LateBody
-from world.scene.vehicle import STANDING, Motion
+from luxloop.loop.assembly.build import build_motion, build_scene
+from luxloop.loop.assembly.made import Made
+from luxloop.loop.assembly.truth import LampModule, true_camera, true_modules
+from luxloop.loop.plant.protocol import Arrivals, Exposure, Frame, Plant
+from luxloop.loop.plant.world import World
+from luxloop.loop.scenario.disturbances import UNDISTURBED, DisturbanceParams
+from luxloop.loop.scenario.model import Scenario
+from luxloop.perception.camera import expose
+from luxloop.perception.egomotion import Sample
+from luxloop.perception.glare import glare
+from luxloop.perception.noise import FrameNoise
+from luxloop.perception.sensors import EXACT, SensorParams, Sensors
+from luxloop.world.errors import LuxloopError
+from luxloop.world.partial import Part, PartialImage
+from luxloop.world.rendering.face_source import FirstFound, face_source
+from luxloop.world.scene.late_body import LateBody
+from luxloop.world.scene.vehicle import STANDING, Motion
 
 LOSS_KEY, LATENCY_KEY = 2, 4  # of what is drawn for a step, beside its frames' noise and the sensors'
 

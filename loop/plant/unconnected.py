@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from loop.plant.protocol import Arrivals, Exposure
-from world.errors import LuxloopError
+from luxloop.loop.plant.protocol import Arrivals, Exposure
+from luxloop.world.errors import LuxloopError
 
 
 class Unconnected:

@@ -10,29 +10,29 @@ from typing import Any, Self, TypeVar, cast
 import torch
 from torch import Tensor
 
-from controllers.pixels.ssc import Utilisation
-from controllers.situation import TrackedObject
-from loop.assembly.truth import LampModule
-from perception.camera import CameraParams, average_rows, camera_view
-from perception.detection.params import TruthParams
-from perception.detection.protocol import Detections
-from perception.ground_truth import Box, GroundTruth, ground_truth, part_mask, part_picture
-from perception.materials import material_picture
-from world.headlight.lamp import REST, Commands, ModuleCommand
-from world.light.ambient import ambient_luminance
-from world.light.illumination import DirectTransport, LastTextures, LightTransport, Shadows, added_light, reach, transport
-from world.materials.library import MaterialName
-from world.partial import Part, PartialImage
-from world.rendering.face_source import FaceSource
-from world.rendering.gbuffer import GBuffer
-from world.rendering.surfaces import SurfaceSource, surface_source
-from world.scene.scene import Scene
-from world.scene.triangles import NOTHING, Triangles
-from world.scene.vehicle import STANDING, Motion, VehicleState
-from world.traffic.making import EYES
-from world.traffic.objects import ObjectParams
-from world.traffic.tracked import ROAD_USERS, Category
-from world.view import View
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.situation import TrackedObject
+from luxloop.loop.assembly.truth import LampModule
+from luxloop.perception.camera import CameraParams, average_rows, camera_view
+from luxloop.perception.detection.params import TruthParams
+from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.ground_truth import Box, GroundTruth, ground_truth, part_mask, part_picture
+from luxloop.perception.materials import material_picture
+from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand
+from luxloop.world.light.ambient import ambient_luminance
+from luxloop.world.light.illumination import DirectTransport, LastTextures, LightTransport, Shadows, added_light, reach, transport
+from luxloop.world.materials.library import MaterialName
+from luxloop.world.partial import Part, PartialImage
+from luxloop.world.rendering.face_source import FaceSource
+from luxloop.world.rendering.gbuffer import GBuffer
+from luxloop.world.rendering.surfaces import SurfaceSource, surface_source
+from luxloop.world.scene.scene import Scene
+from luxloop.world.scene.triangles import NOTHING, Triangles
+from luxloop.world.scene.vehicle import STANDING, Motion, VehicleState
+from luxloop.world.traffic.making import EYES
+from luxloop.world.traffic.objects import ObjectParams
+from luxloop.world.traffic.tracked import ROAD_USERS, Category
+from luxloop.world.view import View
 
 Made = TypeVar("Made")
 KEPT_VIEWS = 4  # on and off frame, before and after a change

@@ -7,9 +7,9 @@ from typing import Any, get_args
 import numpy as np
 import pyarrow as pa
 
-from loop.recording.summary import column
-from loop.scenario.checks import By, CheckParams, Light
-from world.errors import LuxloopError, did_you_mean
+from luxloop.loop.recording.summary import column
+from luxloop.loop.scenario.checks import By, CheckParams, Light
+from luxloop.world.errors import LuxloopError, did_you_mean
 
 ROUNDING_S = 1e-6  # of sums of periods and of clocks that count from 1970, at a window's ends
 NOTHING = "nothing was there to check"

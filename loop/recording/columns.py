@@ -2,8 +2,8 @@
 
 import pyarrow as pa
 
-from controllers.symbol.sensing.field import SIDES
-from perception.extraction import Loss
+from luxloop.controllers.symbol.sensing.field import SIDES
+from luxloop.perception.extraction import Loss
 
 CUT = tuple(f"cut_{side}" for side in SIDES)
 AIM = ("aim_x_m", "aim_y_m")

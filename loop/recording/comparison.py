@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from controllers.symbol.sensing.flat_model import FeatureParams
-from loop.recording.columns import AIM, CENTROIDS, CUT, ERRORS, of_one
-from loop.recording.summary import AXES, steady_step
+from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
+from luxloop.loop.recording.columns import AIM, CENTROIDS, CUT, ERRORS, of_one
+from luxloop.loop.recording.summary import AXES, steady_step
 
 SHEAR = (0.005, "a quarter of what counts as settled")
 # Largest difference between two machines that is no difference in behaviour, and why. Timings are excepted, all else is exact.

@@ -27,10 +27,10 @@ SHOWING = tuple(f"loop/{folder}/" for folder in NO_FIGURE)  # folders that decid
 def digest_of_code() -> str:
     """SHA-256, hexadecimal, of all files of world, perception, controllers and loop, but for those in folders that decide no figure."""
     digest = hashlib.sha256()
+    root = Path(str(files("luxloop")))
     for package in PACKAGES:
-        folder = Path(str(files(package)))
-        for path in sorted(folder.rglob("*")):
-            name = path.relative_to(folder.parent).as_posix()
+        for path in sorted((root / package).rglob("*")):
+            name = path.relative_to(root).as_posix()
             if path.is_file() and path.suffix != ".pyc" and not name.startswith(SHOWING):
                 digest.update(name.encode() + path.read_bytes())
     return digest.hexdigest()

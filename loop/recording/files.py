@@ -6,8 +6,8 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from loop.recording.manifest import FILE as MANIFEST
-from world.files import whole
+from luxloop.loop.recording.manifest import FILE as MANIFEST
+from luxloop.world.files import whole
 
 TRAJECTORY, SUMMARY, REPORT, VIDEO, EDITS = "trajectory.parquet", "summary.json", "report.png", "video.mp4", "edits.json"
 RIG = "rig.json"  # of a run on a rig: its file, and how frames came

@@ -8,11 +8,22 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from loop.plant.frames import FOLDER, SCHEMA, TABLE, Row, image_file, light_arrays, light_file, sample_values, write_image, write_light
-from loop.plant.objects import object_values
-from loop.plant.protocol import Arrivals, Exposure, Frame, Showing
-from world.arrays import Arrays
-from world.files import whole
+from luxloop.loop.plant.frames import (
+    FOLDER,
+    SCHEMA,
+    TABLE,
+    Row,
+    image_file,
+    light_arrays,
+    light_file,
+    sample_values,
+    write_image,
+    write_light,
+)
+from luxloop.loop.plant.objects import object_values
+from luxloop.loop.plant.protocol import Arrivals, Exposure, Frame, Showing
+from luxloop.world.arrays import Arrays
+from luxloop.world.files import whole
 
 
 class FrameRecorder:

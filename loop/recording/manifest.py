@@ -13,22 +13,22 @@ from typing import Any, Final, Literal
 import torch
 from pydantic import Field, ValidationError
 
-from loop.assembly.build import symbol_path
-from loop.plant.frames import TABLE
-from loop.recording.sources import sources_of
-from loop.scenario import data
-from loop.scenario.model import Scenario
-from loop.scenario.plant import RecordedPlantParams
-from loop.scenario.shipped import named
-from world.errors import LuxloopError
-from world.files import content, files_at, reading, regular, whole
-from world.lampfiles.description import lamp_files
-from world.lampfiles.utilisations import sequence_files
-from world.params import Params
-from world.plugin import named as named_parts
-from world.roads.shapes import OpenCrgRoad
-from world.traffic.objects import MeshParams
-from world.validation import parsed_json, sentences
+from luxloop.loop.assembly.build import symbol_path
+from luxloop.loop.plant.frames import TABLE
+from luxloop.loop.recording.sources import sources_of
+from luxloop.loop.scenario import data
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.scenario.plant import RecordedPlantParams
+from luxloop.loop.scenario.shipped import named
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import content, files_at, reading, regular, whole
+from luxloop.world.lampfiles.description import lamp_files
+from luxloop.world.lampfiles.utilisations import sequence_files
+from luxloop.world.params import Params
+from luxloop.world.plugin import named as named_parts
+from luxloop.world.roads.shapes import OpenCrgRoad
+from luxloop.world.traffic.objects import MeshParams
+from luxloop.world.validation import parsed_json, sentences
 
 FILE = "manifest.json"
 FORMAT_VERSION: Final = 1

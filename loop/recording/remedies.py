@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from loop.recording.summary import FINAL, OFF_PERCENT
+from luxloop.loop.recording.summary import FINAL, OFF_PERCENT
 
 CUT = 0.02  # of a symbol; less than that costs no more IoU than two runs may differ by in docs/results/symbol_control.md
 PLANE_M = 0.2  # roads nearer to the plane of the ground are drawn for on it
@@ -38,7 +38,7 @@ def unjudged(values: dict[str, Any]) -> str | None:
 
 
 def remedies(name: str, values: dict[str, Any]) -> list[str]:
-    """Of the symbol of a name and its summary (`loop.recording.summary.summarise`); empty where nothing went wrong."""
+    """Of the symbol of a name and its summary (`luxloop.loop.recording.summary.summarise`); empty where nothing went wrong."""
     return [each.replace("NAME", f"functions.{name}") for each in _remedies(values)]
 
 

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
-from controllers.pixels.ssc import Utilisation
-from loop.plant.protocol import Showing
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.plant.protocol import Showing
 
 Lights = tuple[Utilisation, ...]
 

@@ -9,10 +9,10 @@ from importlib.machinery import PathFinder
 from importlib.util import resolve_name
 from pathlib import Path
 
-from world.errors import LuxloopError
-from world.plugin import PACKAGE, file_of
+from luxloop.world.errors import LuxloopError
+from luxloop.world.plugin import PACKAGE, file_of
 
-OURS = ("world", "perception", "controllers", "loop", "scenarios")  # which have a version of their own
+OURS = "luxloop"  # which has a version of its own
 PYTHONS_OWN = Path(sysconfig.get_path("stdlib"))
 INSTALLED = {Path(site.getusersitepackages()), *(Path(sysconfig.get_path(kind)) for kind in ("purelib", "platlib"))}
 
@@ -26,7 +26,7 @@ def sources_of(module: str, folder: Path | None = None) -> dict[str, Path]:
     """
     top = module.partition(".")[0]
     folder = folder or _folder_of(top)
-    if folder in (None, PYTHONS_OWN) or top in OURS:
+    if folder in (None, PYTHONS_OWN) or top == OURS:
         return {}
     only_its_own = folder in INSTALLED
     found: dict[str, Path] = {}
@@ -34,7 +34,7 @@ def sources_of(module: str, folder: Path | None = None) -> dict[str, Path]:
     while waiting:
         name = waiting.pop()
         start = name.partition(".")[0]
-        if name in found or start in OURS or (only_its_own and start != top):
+        if name in found or start == OURS or (only_its_own and start != top):
             continue
         file = file_of(folder, name)
         if file is not None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from controllers.symbol.sensing.field import SIDES
+from luxloop.controllers.symbol.sensing.field import SIDES
 
 FINAL = 10  # steps whose mean is the final value, and for which a symbol at rest has to stay
 END = 5  # steps whose mean error of the centroid is that at the end
@@ -41,7 +41,7 @@ class Circumstances:
 def summarise(
     table: pa.Table, controller: str, iou_open: float, covered_by: Sequence[str] = (), run: Circumstances = Circumstances()
 ) -> dict[str, Any]:
-    """Summary of one symbol's columns (`loop.recording.columns.of_one`), ready for JSON: None where a value does not exist.
+    """Summary of one symbol's columns (`luxloop.loop.recording.columns.of_one`), ready for JSON: None where a value does not exist.
 
     iou_open: what the judge says of the open loop at the last step, NaN where there is none. centroid_error_percent: [x, y], signed, mean
     of the last five steps.

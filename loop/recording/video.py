@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from world.errors import LuxloopError
-from world.files import part_of
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import part_of
 
 Picture = np.ndarray  # [H, W, 3] uint8, RGB
 

@@ -6,11 +6,11 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, TypeAdapter
 
-from perception.egomotion import Sensor
-from world.messages.arrays import Arrays, given_arrays
-from world.messages.packing import LARGEST_HEAD, LENGTH, parted, understood
-from world.params import Params
-from world.traffic.tracked import Category
+from luxloop.perception.egomotion import Sensor
+from luxloop.world.messages.arrays import Arrays, given_arrays
+from luxloop.world.messages.packing import LARGEST_HEAD, LENGTH, parted, understood
+from luxloop.world.params import Params
+from luxloop.world.traffic.tracked import Category
 
 PROTOCOL: Final = 1
 MOST_FRAMES: Final = 8  # in an answer
@@ -58,7 +58,7 @@ class FrameHead(Params):
 
 
 class SampleHead(Params):
-    """A sample of a sensor of the vehicle, as `perception.egomotion.Sample`."""
+    """A sample of a sensor of the vehicle, as `luxloop.perception.egomotion.Sample`."""
 
     sensor: Sensor
     measured_s: Seconds

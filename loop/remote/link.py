@@ -12,10 +12,10 @@ from typing import Any, Final
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import ServerConnection, serve
 
-from loop.remote.answers import PROTOCOL, Answer, Failed, Hello, Message, largest, read
-from world.errors import LuxloopError
-from world.messages.arrays import Arrays, Coded
-from world.messages.packing import packed
+from luxloop.loop.remote.answers import PROTOCOL, Answer, Failed, Hello, Message, largest, read
+from luxloop.world.errors import LuxloopError
+from luxloop.world.messages.arrays import Arrays, Coded
+from luxloop.world.messages.packing import packed
 
 GREET_S: Final = 10.0  # in which a program that has connected must say hello
 CLOSE_S: Final = 1.0  # in which it must answer the end of its connection

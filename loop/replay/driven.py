@@ -3,9 +3,9 @@
 from dataclasses import replace
 from functools import partial
 
-from loop.lighting.simulation import Simulation
-from loop.plant.simulated import SimulatedPlant, driven_plant
-from loop.scenario.model import Scenario
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.plant.simulated import SimulatedPlant, driven_plant
+from luxloop.loop.scenario.model import Scenario
 
 
 def driven_on(simulation: Simulation, scenario: Scenario) -> Simulation | None:

@@ -7,14 +7,14 @@ from typing import Any
 from pydantic import BaseModel
 from torch import Tensor
 
-from loop.lighting.record import refuse_unknown_columns
-from loop.lighting.result import SimulationState
-from loop.lighting.simulation import Simulation
-from loop.replay.driven import driven_on
-from loop.scenario.acts import acts
-from loop.scenario.model import Scenario
-from loop.scenario.overrides import TAGS
-from world.errors import LuxloopError
+from luxloop.loop.lighting.record import refuse_unknown_columns
+from luxloop.loop.lighting.result import SimulationState
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.replay.driven import driven_on
+from luxloop.loop.scenario.acts import acts
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.scenario.overrides import TAGS
+from luxloop.world.errors import LuxloopError
 
 
 def edited(
@@ -25,7 +25,7 @@ def edited(
     state: after the last step, which a simulation of `reached_by` has done; None where that is this one's. So edits between two steps act
     as one, whatever came between them.
     Functions and controllers of the same kind whose state still fits go on from it; others start. Frames under way show what was there
-    when they were taken. Raises LuxloopError as `loop.run.prepare`, and where the scenario needs a simulation that starts anew.
+    when they were taken. Raises LuxloopError as `luxloop.loop.run.prepare`, and where the scenario needs a simulation that starts anew.
     """
     reached_by = reached_by or simulation.scenario
     if acts(simulation.scenario, scenario) == "restart":

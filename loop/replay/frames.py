@@ -6,10 +6,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from loop.plant.frames import TABLE, image_file, read_exposures, read_image
-from loop.plant.recorded import inside
-from loop.scenario.model import Scenario
-from world.errors import LuxloopError
+from luxloop.loop.plant.frames import TABLE, image_file, read_exposures, read_image
+from luxloop.loop.plant.recorded import inside
+from luxloop.loop.scenario.model import Scenario
+from luxloop.world.errors import LuxloopError
 
 
 class KeptFrames:

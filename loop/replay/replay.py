@@ -11,22 +11,22 @@ import pyarrow.csv
 import torch
 from pydantic import TypeAdapter
 
-from controllers.symbol.sensing.flat_model import FeatureParams
-from loop.lighting.record import row, schema
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.recording.comparison import Comparison, compare
-from loop.recording.files import EDITS, TRAJECTORY, table_of
-from loop.recording.manifest import FILE, Manifest
-from loop.replay.edited import edited
-from loop.scenario.driving import repeated
-from loop.scenario.edits import Edit
-from loop.scenario.model import Scenario, validate
-from world.errors import LuxloopError, located
-from world.files import content, reading, whole
-from world.parquet import read_parquet
-from world.plugin import refuse_code
-from world.validation import parsed_json
+from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
+from luxloop.loop.lighting.record import row, schema
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.recording.comparison import Comparison, compare
+from luxloop.loop.recording.files import EDITS, TRAJECTORY, table_of
+from luxloop.loop.recording.manifest import FILE, Manifest
+from luxloop.loop.replay.edited import edited
+from luxloop.loop.scenario.driving import repeated
+from luxloop.loop.scenario.edits import Edit
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.world.errors import LuxloopError, located
+from luxloop.world.files import content, reading, whole
+from luxloop.world.parquet import read_parquet
+from luxloop.world.plugin import refuse_code
+from luxloop.world.validation import parsed_json
 
 
 @dataclass(frozen=True)

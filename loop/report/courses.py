@@ -10,14 +10,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
 from matplotlib.ticker import LogFormatter
 
-from controllers.functions.commands import MOVED
-from loop.lighting.compared import compared
-from loop.lighting.simulation import Simulation
-from loop.lighting.summary import START_UP_S, UNITS, materials_of, named, spoken, zones_of
-from loop.recording.columns import held_in
-from loop.recording.style import FOUR, headed
-from loop.recording.summary import column
-from loop.terminal.tables import counted
+from luxloop.controllers.functions.commands import MOVED
+from luxloop.loop.lighting.compared import compared
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.lighting.summary import START_UP_S, UNITS, materials_of, named, spoken, zones_of
+from luxloop.loop.recording.columns import held_in
+from luxloop.loop.recording.style import FOUR, headed
+from luxloop.loop.recording.summary import column
+from luxloop.loop.terminal.tables import counted
 
 COLOURS = (*FOUR, "#56b4e9", "#d55e00", "#000000", "#999999")
 GREYS = (":", "--", "-.")  # lines of what power is compared with

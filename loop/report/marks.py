@@ -9,16 +9,16 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from controllers.situation import TrackedObject
-from controllers.symbol.sensing.projector import SymbolParams
-from controllers.zones.zone import ZoneParams
-from loop.lighting.detection import name_of
-from loop.lighting.result import FrameDetections, StepResult
-from loop.lighting.simulation import Simulation
-from loop.lighting.summary import spoken
-from world.frames import transform
-from world.traffic.tracked import Category
-from world.view import View
+from luxloop.controllers.situation import TrackedObject
+from luxloop.controllers.symbol.sensing.projector import SymbolParams
+from luxloop.controllers.zones.zone import ZoneParams
+from luxloop.loop.lighting.detection import name_of
+from luxloop.loop.lighting.result import FrameDetections, StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.lighting.summary import spoken
+from luxloop.world.frames import transform
+from luxloop.world.traffic.tracked import Category
+from luxloop.world.view import View
 
 Point = tuple[int, int]
 LINES = 3  # at which a text may stand, each above the other

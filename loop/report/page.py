@@ -18,24 +18,24 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
-from loop.lighting.lamps import under
-from loop.lighting.observed import ObservedSymbol
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.lighting.summary import processing
-from loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
-from loop.recording.columns import of_one
-from loop.recording.remedies import SHADOW
-from loop.recording.style import SHARES, STYLE
-from loop.report.courses import write_courses
-from loop.report.marks import marks, readable
-from loop.report.picture import WALL_DEG, measured, wall_light, white_of
-from loop.report.symbol import HIGH_IN, draw_symbol
-from loop.report.watched import Watched
-from loop.scenario.plant import shadow_of
-from world.files import whole
-from world.frames import transform
-from world.view import View
+from luxloop.loop.lighting.lamps import under
+from luxloop.loop.lighting.observed import ObservedSymbol
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.lighting.summary import processing
+from luxloop.loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
+from luxloop.loop.recording.columns import of_one
+from luxloop.loop.recording.remedies import SHADOW
+from luxloop.loop.recording.style import SHARES, STYLE
+from luxloop.loop.report.courses import write_courses
+from luxloop.loop.report.marks import marks, readable
+from luxloop.loop.report.picture import WALL_DEG, measured, wall_light, white_of
+from luxloop.loop.report.symbol import HIGH_IN, draw_symbol
+from luxloop.loop.report.watched import Watched
+from luxloop.loop.scenario.plant import shadow_of
+from luxloop.world.files import whole
+from luxloop.world.frames import transform
+from luxloop.world.view import View
 
 WIDE_IN, DPI = 13.0, 130
 LIGHT_IN, ABOVE_IN = 8.6, 3.4  # of the part about all light, and in it of the row of pictures from above

@@ -8,20 +8,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from controllers.symbol.sensing.symbol_sensor import Measurement
-from loop.lighting.controlled import Held
-from loop.lighting.judging import Judge
-from loop.lighting.lamps import ShiningModule, under
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.recording.columns import loss_name
-from loop.recording.video import Picture, tone_map
-from loop.report.marks import marks, readable
-from loop.scenario.plant import shadow_of
-from perception.birdseye import rectify
-from perception.camera import expose, luminance_of
-from world.frames import pose_from_degrees
-from world.light.emitters import Source, wall_illuminance
+from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
+from luxloop.loop.lighting.controlled import Held
+from luxloop.loop.lighting.judging import Judge
+from luxloop.loop.lighting.lamps import ShiningModule, under
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.recording.columns import loss_name
+from luxloop.loop.recording.video import Picture, tone_map
+from luxloop.loop.report.marks import marks, readable
+from luxloop.loop.scenario.plant import shadow_of
+from luxloop.perception.birdseye import rectify
+from luxloop.perception.camera import expose, luminance_of
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.light.emitters import Source, wall_illuminance
 
 TRACKED_RGB, MASKED_RGB, FOUND_RGB, TEXT_RGB = (90, 220, 120), (255, 170, 40), (110, 130, 160), (235, 235, 235)
 TARGET_RGB, SEEN_RGB, LOST_RGB = (80, 170, 255), (255, 170, 40), (255, 90, 80)

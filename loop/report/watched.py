@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from perception.appearance import appearance, image_axes
-from perception.extraction import Crop, Loss
-from perception.tracking import TrackerParams
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.perception.appearance import appearance, image_axes
+from luxloop.perception.extraction import Crop, Loss
+from luxloop.perception.tracking import TrackerParams
 
 MOMENTS = 4  # that the page shows
 PAST_SYMBOLS = 12

@@ -8,12 +8,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from loop.rig.camera import CameraPicture
-from loop.rig.light import Shine
-from loop.rig.matching import needed_s
-from loop.rig.rectified import WrongPicture, grey
-from loop.rig.rig import Rig, await_camera
-from world.errors import LuxloopError
+from luxloop.loop.rig.camera import CameraPicture
+from luxloop.loop.rig.light import Shine
+from luxloop.loop.rig.matching import needed_s
+from luxloop.loop.rig.rectified import WrongPicture, grey
+from luxloop.loop.rig.rig import Rig, await_camera
+from luxloop.world.errors import LuxloopError
 
 LEARNT: Final = 2  # switches from which the levels are learnt
 HOLD_S: Final = 0.4  # of a light at least, longer than any camera's latency

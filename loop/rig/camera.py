@@ -10,10 +10,10 @@ from typing import Any, Final, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from loop.rig.matching import Regularity
-from loop.rig.params import Cameras, DeviceCameraParams, FolderCameraParams, HttpCameraParams, StreamCameraParams
-from world import plugin
-from world.errors import LuxloopError
+from luxloop.loop.rig.matching import Regularity
+from luxloop.loop.rig.params import Cameras, DeviceCameraParams, FolderCameraParams, HttpCameraParams, StreamCameraParams
+from luxloop.world import plugin
+from luxloop.world.errors import LuxloopError
 
 METHODS: Final = ("read", "close")
 KEY: Final = "camera.kind"
@@ -53,8 +53,8 @@ def opener(params: Cameras) -> Callable[[], CameraSource]:
 
     Raises LuxloopError if a camera of the user's own cannot be loaded.
     """
-    from loop.rig.http_camera import HttpCamera
-    from loop.rig.video_camera import DeviceCamera, FolderCamera, StreamCamera
+    from luxloop.loop.rig.http_camera import HttpCamera
+    from luxloop.loop.rig.video_camera import DeviceCamera, FolderCamera, StreamCamera
 
     match params:
         case HttpCameraParams():

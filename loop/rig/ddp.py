@@ -5,11 +5,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from loop.rig.light import Shine, places
-from loop.rig.params import DdpLightParams
-from loop.wire.addresses import REFUSED, reason_of
-from loop.wire.ddp import Codes, WireCommand, codes_of, packets, send, sequence
-from world.errors import LuxloopError
+from luxloop.loop.rig.light import Shine, places
+from luxloop.loop.rig.params import DdpLightParams
+from luxloop.loop.wire.addresses import REFUSED, reason_of
+from luxloop.loop.wire.ddp import Codes, WireCommand, codes_of, packets, send, sequence
+from luxloop.world.errors import LuxloopError
 
 FAREWELLS = 3  # times that darkness is sent, since a packet may be lost
 

@@ -8,13 +8,13 @@ from typing import Any, Final, Protocol, cast
 
 from torch import Tensor
 
-from loop.rig.params import Egos, NoEgoParams, UdpEgoParams
-from loop.wire.addresses import REFUSED, reason_of
-from loop.wire.datagrams import LARGEST as LARGEST_DATAGRAM
-from loop.wire.datagrams import SensorDatagram, decoded
-from perception.egomotion import LARGEST, VALUES, Sample
-from world import plugin
-from world.errors import LuxloopError
+from luxloop.loop.rig.params import Egos, NoEgoParams, UdpEgoParams
+from luxloop.loop.wire.addresses import REFUSED, reason_of
+from luxloop.loop.wire.datagrams import LARGEST as LARGEST_DATAGRAM
+from luxloop.loop.wire.datagrams import SensorDatagram, decoded
+from luxloop.perception.egomotion import LARGEST, VALUES, Sample
+from luxloop.world import plugin
+from luxloop.world.errors import LuxloopError
 
 KEY: Final = "ego.kind"
 METHODS: Final = ("samples", "close")

@@ -7,12 +7,12 @@ from contextlib import suppress
 import cv2
 import numpy as np
 
-from loop.rig.light import Shine
-from loop.rig.params import FilesLightParams
-from loop.wire.ddp import Codes, codes_of
-from loop.wire.screen import stacked
-from world.errors import LuxloopError
-from world.files import whole
+from luxloop.loop.rig.light import Shine
+from luxloop.loop.rig.params import FilesLightParams
+from luxloop.loop.wire.ddp import Codes, codes_of
+from luxloop.loop.wire.screen import stacked
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import whole
 
 PICTURE, ABOUT = "light.png", "light.json"
 

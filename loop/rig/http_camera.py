@@ -9,11 +9,11 @@ from typing import Final
 from urllib.parse import unquote, urljoin, urlsplit
 from urllib.request import AbstractDigestAuthHandler, HTTPPasswordMgrWithDefaultRealm, Request, parse_http_list, parse_keqv_list
 
-from loop.rig.camera import CameraPicture
-from loop.rig.params import HttpCameraParams
-from loop.wire.addresses import REFUSED, reason_of
-from loop.wire.mjpeg import LONGEST_LINE, parts
-from world.errors import LuxloopError
+from luxloop.loop.rig.camera import CameraPicture
+from luxloop.loop.rig.params import HttpCameraParams
+from luxloop.loop.wire.addresses import REFUSED, reason_of
+from luxloop.loop.wire.mjpeg import LONGEST_LINE, parts
+from luxloop.world.errors import LuxloopError
 
 MOST_HEAD: Final = 16_384  # bytes of the answer's head
 MOST_ANSWERS: Final = 4  # redirects and a login before the pictures

@@ -11,13 +11,13 @@ from typing import Any, Self
 
 from torch import Tensor
 
-from loop.lighting.controlled import ControlledSymbol
-from loop.plant.protocol import Exposure
-from loop.rig.mark import surroundings
-from loop.rig.params import MarkParams
-from perception.birdseye import BirdsEye, birds_eye, region_around
-from perception.camera import CameraParams, camera_view, luminance_of
-from perception.judge import CELL_M, Target, Verdict, judge, target
+from luxloop.loop.lighting.controlled import ControlledSymbol
+from luxloop.loop.plant.protocol import Exposure
+from luxloop.loop.rig.mark import surroundings
+from luxloop.loop.rig.params import MarkParams
+from luxloop.perception.birdseye import BirdsEye, birds_eye, region_around
+from luxloop.perception.camera import CameraParams, camera_view, luminance_of
+from luxloop.perception.judge import CELL_M, Target, Verdict, judge, target
 
 LAST = 10  # pairs of frames
 

@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from loop.rig.light import Light, Shine, checked_reason
-from loop.rig.params import LightParams
+from luxloop.loop.rig.light import Light, Shine, checked_reason
+from luxloop.loop.rig.params import LightParams
 
 STILL: Final = 0.8  # of the lamp's own time-out, within which light that was sent surely stands
 CLOSE_S: Final = 2.0  # for which the end waits for a device or a thread that hangs

@@ -7,10 +7,10 @@ from typing import Any, Final, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from loop.rig.params import DdpLightParams, FilesLightParams, Lights, ScanParams, ScreenLightParams
-from world import plugin
-from world.errors import LuxloopError
-from world.headlight.lamp import REST, Commands
+from luxloop.loop.rig.params import DdpLightParams, FilesLightParams, Lights, ScanParams, ScreenLightParams
+from luxloop.world import plugin
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.lamp import REST, Commands
 
 Picture = NDArray[np.float32]  # utilisations [rows, columns] of a module in 0..1, row 0 on top, column 0 on the left
 METHODS: Final = ("show", "dark", "close")
@@ -68,9 +68,9 @@ class NoLight:
 
 def open_light(params: Lights, grids: Sequence[tuple[int, int]]) -> Light:
     """The light of a rig file. grids: rows and columns of the modules' pixels. Raises LuxloopError if it cannot be opened."""
-    from loop.rig.ddp import DdpLight
-    from loop.rig.files import FilesLight
-    from loop.rig.screen import ScreenLight
+    from luxloop.loop.rig.ddp import DdpLight
+    from luxloop.loop.rig.files import FilesLight
+    from luxloop.loop.rig.screen import ScreenLight
 
     match params:
         case DdpLightParams():

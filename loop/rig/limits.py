@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from loop.rig.light import Picture, Shine
-from loop.rig.params import LimitParams
+from luxloop.loop.rig.light import Picture, Shine
+from luxloop.loop.rig.params import LimitParams
 
 
 @dataclass(frozen=True, eq=False)

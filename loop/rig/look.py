@@ -6,9 +6,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from loop.rig.rectified import WrongPicture, grey
-from loop.rig.rig import Rig, await_camera
-from world.errors import LuxloopError
+from luxloop.loop.rig.rectified import WrongPicture, grey
+from luxloop.loop.rig.rig import Rig, await_camera
+from luxloop.world.errors import LuxloopError
 
 LOOK_S: Final = 3.0
 

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from loop.rig.light import Picture
-from loop.rig.params import LimitParams, MarkParams
-from world.errors import LuxloopError
+from luxloop.loop.rig.light import Picture
+from luxloop.loop.rig.params import LimitParams, MarkParams
+from luxloop.world.errors import LuxloopError
 
 CODES = 4
 INNER = 0.25  # of a cell's width and height, left out at each border

@@ -8,7 +8,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from loop.rig.params import TimingParams
+from luxloop.loop.rig.params import TimingParams
 
 Verdict = Literal["old", "mixed", "clear"]
 GAPS: Final = 61  # between pictures, whose median is the camera's period

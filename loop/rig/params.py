@@ -6,10 +6,10 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, Tag, model_validator
 
-from world.errors import LuxloopError, located
-from world.params import Params
-from world.plugin import OWN, OwnName, beside, known_or_own, refuse_code
-from world.validation import read_toml, validated
+from luxloop.world.errors import LuxloopError, located
+from luxloop.world.params import Params
+from luxloop.world.plugin import OWN, OwnName, beside, known_or_own, refuse_code
+from luxloop.world.validation import read_toml, validated
 
 Port = Annotated[int, Field(ge=1, le=65535)]
 Host = Annotated[str, Field(min_length=1, max_length=255)]

@@ -10,12 +10,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from controllers.pixels.ssc import Utilisation
-from loop.assembly.truth import LampModule
-from loop.plant.protocol import Arrivals, Exposure, Frame
-from loop.rig.light import Shine
-from loop.rig.limits import Limited
-from loop.rig.rig import Rig
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.assembly.truth import LampModule
+from luxloop.loop.plant.protocol import Arrivals, Exposure, Frame
+from luxloop.loop.rig.light import Shine
+from luxloop.loop.rig.limits import Limited
+from luxloop.loop.rig.rig import Rig
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from loop.rig.params import CameraSourceParams, RigParams
-from perception.camera import CameraParams, camera_view
-from world.arrays import read_npz
-from world.errors import LuxloopError
-from world.files import reading, regular
-from world.images import decoded
+from luxloop.loop.rig.params import CameraSourceParams, RigParams
+from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.world.arrays import read_npz
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import reading, regular
+from luxloop.world.images import decoded
 
 AS_SENT: Final = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION  # a camera that is mounted upside down is calibrated so
 GREY: Final = cv2.IMREAD_GRAYSCALE | AS_SENT

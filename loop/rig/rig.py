@@ -9,17 +9,17 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from loop.rig import mark
-from loop.rig.camera import Camera, CameraPicture, opener
-from loop.rig.ego import Ego, open_ego
-from loop.rig.keeper import Keeper
-from loop.rig.light import Light, NoLight, Picture, Shine, open_light
-from loop.rig.limits import Limited, limited
-from loop.rig.matching import shows
-from loop.rig.params import LimitParams, RigParams, refuse_module
-from loop.rig.rectified import Rectifier, WrongPicture
-from loop.rig.statistics import Statistics
-from perception.camera import CameraParams
+from luxloop.loop.rig import mark
+from luxloop.loop.rig.camera import Camera, CameraPicture, opener
+from luxloop.loop.rig.ego import Ego, open_ego
+from luxloop.loop.rig.keeper import Keeper
+from luxloop.loop.rig.light import Light, NoLight, Picture, Shine, open_light
+from luxloop.loop.rig.limits import Limited, limited
+from luxloop.loop.rig.matching import shows
+from luxloop.loop.rig.params import LimitParams, RigParams, refuse_module
+from luxloop.loop.rig.rectified import Rectifier, WrongPicture
+from luxloop.loop.rig.statistics import Statistics
+from luxloop.perception.camera import CameraParams
 
 CAMERA_S = 5.0  # for a camera's first picture
 BEAT_S = 0.05  # between two beats at most, half of the least limits.loop_s

@@ -19,12 +19,12 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from loop.rig.light import Shine, places
-from loop.rig.params import ScreenLightParams
-from loop.wire.addresses import REFUSED, reason_of
-from loop.wire.ddp import codes_of
-from loop.wire.screen import message_of, stacked
-from world.errors import LuxloopError
+from luxloop.loop.rig.light import Shine, places
+from luxloop.loop.rig.params import ScreenLightParams
+from luxloop.loop.wire.addresses import REFUSED, reason_of
+from luxloop.loop.wire.ddp import codes_of
+from luxloop.loop.wire.screen import message_of, stacked
+from luxloop.world.errors import LuxloopError
 
 PAGE: Final = Path(__file__).parent / "page" / "screen.html"
 LARGEST_ANSWER: Final = 1000  # bytes

@@ -5,10 +5,10 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
-from loop.rig.camera import CameraPicture
-from loop.rig.params import DeviceCameraParams, FolderCameraParams, StreamCameraParams
-from world.errors import LuxloopError
-from world.files import content
+from luxloop.loop.rig.camera import CameraPicture
+from luxloop.loop.rig.params import DeviceCameraParams, FolderCameraParams, StreamCameraParams
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import content
 
 WAITED_S: Final = 0.001  # a read that takes less has found its picture in a buffer
 RATE_SHARE: Final = 0.02  # by which a driver's rate may differ: 29.97 Hz is asked for as 30

@@ -2,7 +2,7 @@
 
 from typing import Final, Literal
 
-from loop.scenario.model import Scenario
+from luxloop.loop.scenario.model import Scenario
 
 Acts = Literal["step", "prepared", "restart"]
 

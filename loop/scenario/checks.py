@@ -5,7 +5,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from world.params import Params
+from luxloop.world.params import Params
 
 Light = Literal["open_loop", "full_light", "low_beam"]
 By = Literal["ratio", "difference", "recall"]

@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Literal
 
-from world.errors import LuxloopError, did_you_mean
+from luxloop.world.errors import LuxloopError, did_you_mean
 
 FOLDER_VARIABLE = "LUXLOOP_DATA"  # folder with copies at hand
 MIRROR_VARIABLE = "LUXLOOP_DATA_URL"  # address that has the files under the registry's paths, in place of their sources

@@ -6,8 +6,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from perception.glare import OncomingParams
-from world.params import Params
+from luxloop.perception.glare import OncomingParams
+from luxloop.world.params import Params
 
 FRAMES = ("on", "off")
 

@@ -3,14 +3,14 @@
 from collections.abc import Iterator
 from typing import Any
 
-from loop.scenario.edits import Edit, changed
-from loop.scenario.model import Scenario
-from loop.scenario.overrides import tables
-from world.errors import LuxloopError
-from world.scene.driver import Controls, driven, let_go, taken_over
-from world.scene.vehicle import CourseParams, VehicleParams
-from world.traffic.generator import DriveParams
-from world.validation import toml, validated
+from luxloop.loop.scenario.edits import Edit, changed
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.scenario.overrides import tables
+from luxloop.world.errors import LuxloopError
+from luxloop.world.scene.driver import Controls, driven, let_go, taken_over
+from luxloop.world.scene.vehicle import CourseParams, VehicleParams
+from luxloop.world.traffic.generator import DriveParams
+from luxloop.world.validation import toml, validated
 
 MOST_STEPS = 100_000
 

@@ -5,11 +5,11 @@ from typing import Any
 
 from pydantic import Field
 
-from loop.scenario.model import Scenario, validate
-from loop.scenario.overrides import TAGS, overridden
-from world.errors import LuxloopError
-from world.params import Params
-from world.validation import toml
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.loop.scenario.overrides import TAGS, overridden
+from luxloop.world.errors import LuxloopError
+from luxloop.world.params import Params
+from luxloop.world.validation import toml
 
 
 class Edit(Params):

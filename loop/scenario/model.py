@@ -11,32 +11,32 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from controllers.functions.planner import Functions, LightingParams
-from controllers.functions.symbol import SymbolFunctionParams
-from controllers.jpo.controller import JpoParams
-from controllers.pixels.mrpc import MrpcParams
-from loop.scenario.checks import CheckParams, Light, refuse_lights
-from loop.scenario.disturbances import DisturbanceParams
-from loop.scenario.modules import ModuleSourceParams
-from loop.scenario.overrides import Override, is_file, overridden, resolve_paths, tables, texts
-from loop.scenario.plant import PlantParams, SimulatedPlantParams, refuse_long_exposures
-from loop.scenario.shipped import find
-from perception.camera import CameraParams
-from perception.detection.params import DetectorParams
-from perception.sensors import SensorParams
-from perception.trackers import AnyTracker
-from perception.tracking import TrackerParams
-from world.errors import LuxloopError, did_you_mean, located
-from world.materials.library import RoadSurfaceParams
-from world.materials.spots import SpotParams
-from world.params import Params, PlainName
-from world.plugin import PATTERN, Name, dotted, refuse_code
-from world.roads.shapes import Flat, RoadParams
-from world.scene.scene import StreetLamp
-from world.scene.vehicle import VehicleParams
-from world.traffic.generator import TrafficParams
-from world.traffic.objects import ObjectParams
-from world.validation import read_toml, validated
+from luxloop.controllers.functions.planner import Functions, LightingParams
+from luxloop.controllers.functions.symbol import SymbolFunctionParams
+from luxloop.controllers.jpo.controller import JpoParams
+from luxloop.controllers.pixels.mrpc import MrpcParams
+from luxloop.loop.scenario.checks import CheckParams, Light, refuse_lights
+from luxloop.loop.scenario.disturbances import DisturbanceParams
+from luxloop.loop.scenario.modules import ModuleSourceParams
+from luxloop.loop.scenario.overrides import Override, is_file, overridden, resolve_paths, tables, texts
+from luxloop.loop.scenario.plant import PlantParams, SimulatedPlantParams, refuse_long_exposures
+from luxloop.loop.scenario.shipped import find
+from luxloop.perception.camera import CameraParams
+from luxloop.perception.detection.params import DetectorParams
+from luxloop.perception.sensors import SensorParams
+from luxloop.perception.trackers import AnyTracker
+from luxloop.perception.tracking import TrackerParams
+from luxloop.world.errors import LuxloopError, did_you_mean, located
+from luxloop.world.materials.library import RoadSurfaceParams
+from luxloop.world.materials.spots import SpotParams
+from luxloop.world.params import Params, PlainName
+from luxloop.world.plugin import PATTERN, Name, dotted, refuse_code
+from luxloop.world.roads.shapes import Flat, RoadParams
+from luxloop.world.scene.scene import StreetLamp
+from luxloop.world.scene.vehicle import VehicleParams
+from luxloop.world.traffic.generator import TrafficParams
+from luxloop.world.traffic.objects import ObjectParams
+from luxloop.world.validation import read_toml, validated
 
 SCHEMA_VERSION: Final = 1
 PIXEL_CONTROLLERS = ("ssc", "jpo")

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from world.params import Params
+from luxloop.world.params import Params
 
 
 class ModuleSourceParams(Params):

@@ -2,8 +2,8 @@
 
 from typing import Final
 
-from world.traffic.generator import varied
-from world.validation import toml
+from luxloop.world.traffic.generator import varied
+from luxloop.world.validation import toml
 
 HEAD: Final = """\
 # A night on the road, drawn from a seed. Check it with `luxloop check FILE`, run it with `luxloop run FILE`.

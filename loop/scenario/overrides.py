@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from world import plugin
-from world.errors import LuxloopError
-from world.validation import parsed_toml, read_toml
+from luxloop.world import plugin
+from luxloop.world.errors import LuxloopError
+from luxloop.world.validation import parsed_toml, read_toml
 
 Override = str | Mapping[str, Any]
 INDEX = re.compile(r"\[(\d+)\]")  # of a list's item in --set objects[0].albedo=0.5

@@ -4,8 +4,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag
 
-from world.params import Params
-from world.plugin import OWN, OwnName, known_or_own
+from luxloop.world.params import Params
+from luxloop.world.plugin import OWN, OwnName, known_or_own
 
 
 class SimulatedPlantParams(Params):

@@ -7,24 +7,24 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Final
 
-from world.errors import LuxloopError, did_you_mean
+from luxloop.world.errors import LuxloopError, did_you_mean
 
-TEMPLATE: Final = Path(str(files("scenarios") / "template" / "template.toml"))
+TEMPLATE: Final = Path(str(files("luxloop.scenarios") / "template" / "template.toml"))
 
 
 def shipped() -> dict[str, Path]:
     """Scenario files that come with luxloop, by name."""
-    return {path.stem: path for path in sorted(Path(str(files("scenarios"))).glob("*.toml"))}
+    return {path.stem: path for path in sorted(Path(str(files("luxloop.scenarios"))).glob("*.toml"))}
 
 
 def examples() -> dict[str, Path]:
     """Files of campaigns and data sets, a lamp's description and programs that come with luxloop, by the name of the file."""
-    return {path.name: path for path in sorted(Path(str(files("scenarios") / "examples")).glob("*.*"))}
+    return {path.name: path for path in sorted(Path(str(files("luxloop.scenarios") / "examples")).glob("*.*"))}
 
 
 def shipped_files(kind: str) -> dict[str, Path]:
     """What scenarios name that comes with luxloop, "symbols" or "utilisations", by name."""
-    return {path.stem: path for path in sorted(Path(str(files("scenarios") / kind)).iterdir())}
+    return {path.stem: path for path in sorted(Path(str(files("luxloop.scenarios") / kind)).iterdir())}
 
 
 def named(name: str, kind: str) -> Path:

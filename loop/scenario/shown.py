@@ -6,18 +6,18 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final, Self
 
-from loop.scenario.edits import changed
-from loop.scenario.model import Scenario, load
-from loop.scenario.written import written
-from world.errors import LuxloopError
-from world.plugin import refuse_code
+from luxloop.loop.scenario.edits import changed
+from luxloop.loop.scenario.model import Scenario, load
+from luxloop.loop.scenario.written import written
+from luxloop.world.errors import LuxloopError
+from luxloop.world.plugin import refuse_code
 
 HEIGHT_PX: Final = 720
 PATIENCE_S: Final = 10.0  # with a process that shall end
 SERVE: Final = """
 import os, signal, sys, threading
 threading.Thread(target=lambda: (sys.stdin.read(), os.kill(os.getpid(), signal.SIGTERM)), daemon=True).start()
-from loop.commands.cli import main
+from luxloop.loop.commands.cli import main
 sys.exit(main(sys.argv[1:]))
 """  # it ends with the program that has started it, whose end of the pipe closes
 

@@ -6,9 +6,9 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from loop.scenario.model import Scenario
-from loop.scenario.overrides import TAGS
-from world.validation import toml
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.scenario.overrides import TAGS
+from luxloop.world.validation import toml
 
 
 def written(scenario: Scenario) -> str:

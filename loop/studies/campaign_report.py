@@ -9,13 +9,13 @@ import numpy as np
 from matplotlib import rc_context
 from rich.table import Table
 
-from loop.jobs.executors import dask, local
-from loop.recording.style import DEFAULTS
-from loop.run import torch_device
-from loop.studies.campaign import TABLE, Campaign, Row, run_campaign
-from loop.terminal import tables
-from world.errors import LuxloopError
-from world.files import whole
+from luxloop.loop.jobs.executors import dask, local
+from luxloop.loop.recording.style import DEFAULTS
+from luxloop.loop.run import torch_device
+from luxloop.loop.studies.campaign import TABLE, Campaign, Row, run_campaign
+from luxloop.loop.terminal import tables
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import whole
 
 REPORT, PICTURE = "report.md", "report.png"
 # metric: (label, whether more is better)

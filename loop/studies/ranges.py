@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from loop.run import prepare
-from loop.scenario.model import Scenario, validate
-from loop.scenario.overrides import INDEX, overridden, toml_key
-from world.errors import LuxloopError, located
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.loop.scenario.overrides import INDEX, overridden, toml_key
+from luxloop.world.errors import LuxloopError, located
 
 Values = Mapping[str, float | int]
 

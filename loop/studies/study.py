@@ -14,8 +14,8 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
-from world.errors import LuxloopError
-from world.folders import shared_folder, turn
+from luxloop.world.errors import LuxloopError
+from luxloop.world.folders import shared_folder, turn
 
 STUDY = "study.log"
 FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)

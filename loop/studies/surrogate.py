@@ -6,18 +6,18 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from controllers.symbol.sensing.symbol_sensor import Measurement
-from loop.batch.rollouts import loops
-from loop.lighting.result import Rollout
-from loop.lighting.simulation import Simulation
-from loop.recording.summary import FINAL
-from perception.extraction import Loss
+from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
+from luxloop.loop.batch.rollouts import loops
+from luxloop.loop.lighting.result import Rollout
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.recording.summary import FINAL
+from luxloop.perception.extraction import Loss
 
 NEAR = 0.02  # of the symbol's size: approximate error of a settled symbol
 
 
 def near(simulation: Simulation) -> Tensor:
-    """Errors `[4]` in x, y (m), roll and pitch (rad) of a symbol at the limit of being settled (`loop.recording.summary`).
+    """Errors `[4]` in x, y (m), roll and pitch (rad) of a symbol at the limit of being settled (`luxloop.loop.recording.summary`).
 
     A rotation of the primitive by a share of the lamp's grazing angle at the road shears or stretches the symbol by that share.
     """

@@ -10,18 +10,18 @@ from matplotlib import rc_context
 from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
 from optuna.trial import TrialState
 
-from loop import objective
-from loop.jobs.executors import local
-from loop.recording.style import DEFAULTS
-from loop.studies import ranges
-from loop.studies.gradient import tune_by_gradient
-from loop.studies.study import FINISHED, STUDY
-from loop.studies.tune import Task, Tuned, told_together, tune
-from loop.terminal import tables
-from loop.terminal.tables import number
-from world.errors import LuxloopError
-from world.files import whole
-from world.folders import turn
+from luxloop.loop import objective
+from luxloop.loop.jobs.executors import local
+from luxloop.loop.recording.style import DEFAULTS
+from luxloop.loop.studies import ranges
+from luxloop.loop.studies.gradient import tune_by_gradient
+from luxloop.loop.studies.study import FINISHED, STUDY
+from luxloop.loop.studies.tune import Task, Tuned, told_together, tune
+from luxloop.loop.terminal import tables
+from luxloop.loop.terminal.tables import number
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import whole
+from luxloop.world.folders import turn
 
 BEST, REPORT, PICTURE = "best.toml", "report.md", "report.png"
 LEAST_FOR_IMPORTANCES = 10  # trials

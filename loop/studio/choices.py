@@ -7,14 +7,14 @@ from typing import Any, Final
 
 import pyarrow.parquet as pq
 
-from loop.recording.files import TRAJECTORY
-from loop.recording.manifest import FILE, Manifest
-from loop.scenario.shipped import shipped_files
-from loop.studio.sources import RUNS
-from loop.terminal.listing import listing
-from world.errors import LuxloopError
-from world.presets import SUMMARIES
-from world.regulation.tables import sets
+from luxloop.loop.recording.files import TRAJECTORY
+from luxloop.loop.recording.manifest import FILE, Manifest
+from luxloop.loop.scenario.shipped import shipped_files
+from luxloop.loop.studio.sources import RUNS
+from luxloop.loop.terminal.listing import listing
+from luxloop.world.errors import LuxloopError
+from luxloop.world.presets import SUMMARIES
+from luxloop.world.regulation.tables import sets
 
 MOST: Final = 200  # recordings, the newest
 

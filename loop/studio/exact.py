@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.studio.messages import View
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.studio.messages import View
 
 Told = tuple[dict[str, Any], dict[str, np.ndarray]]  # what a head says of it, and arrays
 

@@ -7,15 +7,15 @@ from typing import Any, Final
 import numpy as np
 import torch
 
-from loop.studio.messages import Request, View
-from loop.studio.runs import Run
-from loop.studio.session import Published
-from loop.studio.shapes import merged
-from loop.studio.shared import Blocks
-from loop.studio.snapshot import Snapshot
-from world.headlight import Headlight
-from world.messages.arrays import Coded, coded, grey, raw
-from world.messages.packing import packed
+from luxloop.loop.studio.messages import Request, View
+from luxloop.loop.studio.runs import Run
+from luxloop.loop.studio.session import Published
+from luxloop.loop.studio.shapes import merged
+from luxloop.loop.studio.shared import Blocks
+from luxloop.loop.studio.snapshot import Snapshot
+from luxloop.world.headlight import Headlight
+from luxloop.world.messages.arrays import Coded, coded, grey, raw
+from luxloop.world.messages.packing import packed
 
 MOST_UNSHOWN: Final = 2  # steps of a run that a client may not have shown yet: one on its way, and one that it is at
 PERIOD_S: Final = 0.05  # between two steps of a run that plays, at least

@@ -5,10 +5,10 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final, Literal
 
-from world.errors import LuxloopError
+from luxloop.world.errors import LuxloopError
 
 if TYPE_CHECKING:
-    from loop.scenario.model import Scenario
+    from luxloop.loop.scenario.model import Scenario
 
     Scenarios = tuple[Scenario, ...]  # of all runs
 

@@ -7,10 +7,10 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field, TypeAdapter
 
-from world.errors import LuxloopError
-from world.messages.arrays import Arrays, given_arrays
-from world.messages.packing import parted, understood
-from world.params import Metres, Params
+from luxloop.world.errors import LuxloopError
+from luxloop.world.messages.arrays import Arrays, given_arrays
+from luxloop.world.messages.packing import parted, understood
+from luxloop.world.params import Metres, Params
 
 PROTOCOL: Final = 1
 LARGEST: Final = 2**22  # bytes of a client's message

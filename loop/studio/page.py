@@ -6,10 +6,10 @@ import subprocess
 from pathlib import Path
 from typing import Final
 
-from world.errors import LuxloopError
+from luxloop.world.errors import LuxloopError
 
 PAGE: Final = Path(__file__).parent / "page"
-SOURCES: Final = Path(__file__).parents[2] / "studio"  # of a checkout; a wheel has the page alone
+SOURCES: Final = Path(__file__).parents[3] / "studio"  # of a checkout; a wheel has the page alone
 
 
 def page() -> Path:

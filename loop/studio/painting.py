@@ -4,12 +4,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from controllers.functions.painted import PaintedParams, Picture
-from loop.lighting.simulation import Simulation
-from loop.studio.messages import Paint
-from world.errors import LuxloopError
-from world.messages.arrays import Arrays
-from world.validation import toml
+from luxloop.controllers.functions.painted import PaintedParams, Picture
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.studio.messages import Paint
+from luxloop.world.errors import LuxloopError
+from luxloop.world.messages.arrays import Arrays
+from luxloop.world.validation import toml
 
 
 def painted(simulation: Simulation, paint: Paint, arrays: Arrays) -> str:

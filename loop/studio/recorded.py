@@ -10,10 +10,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from loop.replay.frames import KeptFrames
-from loop.replay.replay import Recording
-from loop.scenario.edits import Edit
-from loop.studio.snapshot import Pictures, Snapshot, coded_frame, plain
+from luxloop.loop.replay.frames import KeptFrames
+from luxloop.loop.replay.replay import Recording
+from luxloop.loop.scenario.edits import Edit
+from luxloop.loop.studio.snapshot import Pictures, Snapshot, coded_frame, plain
 
 KEPT: Final = 16  # steps whose frames were read last
 AHEAD: Final = "recorded: the curves and, where they were kept, the frames; light and poses follow when this step has been run again"

@@ -12,34 +12,34 @@ import numpy as np
 import pyarrow as pa
 import torch
 
-from controllers.pixels.ssc import Utilisation
-from loop.lighting.record import schema
-from loop.lighting.recorder import Recorder, Tally
-from loop.lighting.redrawn import unpainted
-from loop.lighting.result import SimulationState, StepResult
-from loop.lighting.simulation import Simulation
-from loop.recording.checks import Checks
-from loop.recording.files import REPORT
-from loop.replay.edited import edited
-from loop.report.picture import white_of
-from loop.report.watched import Watched
-from loop.run import prepare
-from loop.scenario.acts import ACTS
-from loop.scenario.driving import repeated
-from loop.scenario.edits import Edit, replaces
-from loop.scenario.model import Scenario
-from loop.studio.messages import VIEWS, View
-from loop.studio.recorded import Recorded
-from loop.studio.shapes import Shapes
-from loop.studio.snapshot import Snapshot, bodies_at, snapshot
-from loop.studio.sources import Source, loaded
-from perception.camera import camera_view, saturation_luminance
-from world.errors import LuxloopError, located
-from world.folders import output_folder
-from world.frames import inverse
-from world.headlight.lamp import Lamp, Module
-from world.regulation import check
-from world.scene.triangles import NOTHING
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.lighting.record import schema
+from luxloop.loop.lighting.recorder import Recorder, Tally
+from luxloop.loop.lighting.redrawn import unpainted
+from luxloop.loop.lighting.result import SimulationState, StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.recording.checks import Checks
+from luxloop.loop.recording.files import REPORT
+from luxloop.loop.replay.edited import edited
+from luxloop.loop.report.picture import white_of
+from luxloop.loop.report.watched import Watched
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.acts import ACTS
+from luxloop.loop.scenario.driving import repeated
+from luxloop.loop.scenario.edits import Edit, replaces
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.studio.messages import VIEWS, View
+from luxloop.loop.studio.recorded import Recorded
+from luxloop.loop.studio.shapes import Shapes
+from luxloop.loop.studio.snapshot import Snapshot, bodies_at, snapshot
+from luxloop.loop.studio.sources import Source, loaded
+from luxloop.perception.camera import camera_view, saturation_luminance
+from luxloop.world.errors import LuxloopError, located
+from luxloop.world.folders import output_folder
+from luxloop.world.frames import inverse
+from luxloop.world.headlight.lamp import Lamp, Module
+from luxloop.world.regulation import check_beam
+from luxloop.world.scene.triangles import NOTHING
 
 KEPT_BYTES: Final = 2**30  # of light and pictures of steps that are over; the oldest are forgotten beyond
 UNITS: Final = {"flux": "lm", "sharpness": "decades in 0.1 deg", "straightness": "deg"}  # of requirements by kind, else cd
@@ -147,10 +147,10 @@ class Run:
         self.end_recording()
 
         def report(table: pa.Table, summary: dict[str, Any]) -> None:
-            from loop.report.page import write_report  # Matplotlib, for which a start does not wait
+            from luxloop.loop.report.page import write_report  # Matplotlib, for which a start does not wait
 
             write_report(directory / REPORT, self.simulation, self.watched, table, summary)
-            gc.collect()  # see `loop.run`
+            gc.collect()  # see `luxloop.loop.run`
 
         with ExitStack() as stack:
             stack.enter_context(output_folder(directory))
@@ -252,7 +252,7 @@ class Run:
                 "limit": each.limits,
                 "passed": verdicts[each.verdict],
             }
-            for each in check(Lamp(side, tuple(modules)).lit(lights), rule)
+            for each in check_beam(Lamp(side, tuple(modules)).lit(lights), rule)
         ]
 
     def facts(self) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request as HttpRequest
 from websockets.http11 import Response
 
-from loop.studio.messages import (
+from luxloop.loop.studio.messages import (
     LARGEST,
     PROTOCOL,
     AskBeam,
@@ -40,13 +40,13 @@ from loop.studio.messages import (
     ask_of,
     read,
 )
-from loop.studio.session import Session
-from loop.studio.sources import Source
-from world.errors import LuxloopError
-from world.messages.packing import packed
+from luxloop.loop.studio.session import Session
+from luxloop.loop.studio.sources import Source
+from luxloop.world.errors import LuxloopError
+from luxloop.world.messages.packing import packed
 
 if TYPE_CHECKING:
-    from loop.studio.feed import Feed
+    from luxloop.loop.studio.feed import Feed
 
 HELLO_S: Final = 10.0  # in which a client must say its token
 UNKNOWN: Final = 4401  # code by which a connection with another token is closed
@@ -307,7 +307,7 @@ class Studio:
                 soon = True
                 self._loop.call_later(waits_s, client.changed.set)
             if published.runs:
-                from loop.studio.feed import Feed  # which imports PyTorch, as the session has done by now
+                from luxloop.loop.studio.feed import Feed  # which imports PyTorch, as the session has done by now
 
                 client.feed = client.feed or Feed()
                 messages = client.feed.messages(published, client.request)

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from loop.studio.history import History
-from loop.studio.messages import (
+from luxloop.loop.studio.history import History
+from luxloop.loop.studio.messages import (
     VIEWS,
     AskBeam,
     AskSchema,
@@ -28,14 +28,14 @@ from loop.studio.messages import (
     View,
     Wish,
 )
-from loop.studio.sources import RUNS, Source, file_of, loaded, named
-from loop.studio.watched import WatchedFile
-from world.errors import LuxloopError
-from world.messages.arrays import Arrays
+from luxloop.loop.studio.sources import RUNS, Source, file_of, loaded, named
+from luxloop.loop.studio.watched import WatchedFile
+from luxloop.world.errors import LuxloopError
+from luxloop.world.messages.arrays import Arrays
 
 if TYPE_CHECKING:
-    from loop.scenario.model import Scenario
-    from loop.studio.runs import Run
+    from luxloop.loop.scenario.model import Scenario
+    from luxloop.loop.studio.runs import Run
 
 PATIENCE_S, REPORT_S = 5.0, 60.0  # with a step, and with the report of a recording, when all shall end
 LOOK: Final = "look"
@@ -183,7 +183,7 @@ class Session:
         self._changed()
 
     def _do(self, asked: Asked) -> None:
-        from loop.scenario.written import written
+        from luxloop.loop.scenario.written import written
 
         match asked.message:
             case Button(type="play"):
@@ -205,7 +205,7 @@ class Session:
                 self._let_go()
                 self._start_anew()
             case Button(type="undo" | "redo" as way):
-                from loop.scenario.driving import as_driven
+                from luxloop.loop.scenario.driving import as_driven
 
                 before = self._scenarios()
                 self._become(tuple(as_driven(*pair) for pair in zip(self._history.newest(way), before, strict=True)))
@@ -224,7 +224,7 @@ class Session:
                 self._refuse(overrides)
                 self._edit(overrides)
             case Paint() as paint:
-                from loop.studio.painting import painted
+                from luxloop.loop.studio.painting import painted
 
                 self._edit((painted(self._run(0).simulation, paint, asked.arrays),), paint.stroke)
             case Drive(throttle=float(throttle), steering=float(steering)):
@@ -245,7 +245,7 @@ class Session:
                 asked.reply({**beam.model_dump(exclude={"ask"}), "points": self._run(beam.run).beam(beam.rule, beam.side, beam.step)})
 
     def _paint_light(self, asks: Place | Wish, asked: Asked) -> None:
-        from loop.studio.wishes import placed, wished
+        from luxloop.loop.studio.wishes import placed, wished
 
         if isinstance(asks, Wish):
             self._publish(progress="finding the pixels for the light wanted")
@@ -269,7 +269,7 @@ class Session:
 
     def _refuse(self, overrides: Sequence[str]) -> None:
         if not self._allow_code:
-            from loop.studio.trust import refuse_foreign
+            from luxloop.loop.studio.trust import refuse_foreign
 
             refuse_foreign(overrides)
 
@@ -281,7 +281,7 @@ class Session:
 
     def _taken_over(self) -> Driven:
         """Somebody drives from the next step on."""
-        from loop.scenario.driving import begun
+        from luxloop.loop.scenario.driving import begun
 
         before = self._scenarios()
         self._become(tuple(begun(each, len(run.snapshots)) for each, run in zip(before, self.published.runs, strict=True)))
@@ -289,7 +289,7 @@ class Session:
 
     def _let_go(self) -> None:
         """Nobody drives any more."""
-        from loop.scenario.driving import ended
+        from luxloop.loop.scenario.driving import ended
 
         driven, self._driven = self._driven, None
         if driven is not None:
@@ -299,8 +299,8 @@ class Session:
 
     def _drive(self, driven: Driven) -> None:
         """The course goes on for the next step of all runs."""
-        from loop.scenario.driving import driven_on
-        from world.scene.driver import Controls
+        from luxloop.loop.scenario.driving import driven_on
+        from luxloop.world.scene.driver import Controls
 
         for run in self.published.runs:
             scenario, told = driven_on(run.simulation.scenario, len(run.snapshots), Controls(driven.throttle, driven.steering))
@@ -338,7 +338,7 @@ class Session:
 
     def _edit(self, overrides: tuple[str, ...], stroke: int = 0) -> None:
         """Other values of keys in all runs. stroke: as of `History.add`. Raises LuxloopError where one cannot have them."""
-        from loop.scenario.edits import changed
+        from luxloop.loop.scenario.edits import changed
 
         before = self._scenarios()
         told = [(*overrides, *source.apart) for source in self._sources]
@@ -349,8 +349,8 @@ class Session:
         """Other values of keys: while the runs go on, as far as that can be, else in runs that start anew. overrides: that make each of
         the one there is; None for what tells them apart.
         """
-        from loop.scenario.acts import acts
-        from loop.scenario.edits import differences
+        from luxloop.loop.scenario.acts import acts
+        from luxloop.loop.scenario.edits import differences
 
         runs = self.published.runs
         before = self._scenarios()
@@ -369,7 +369,7 @@ class Session:
 
     def _reload(self) -> None:
         """What has changed in the file is an edit."""
-        from loop.scenario.edits import changed, differences
+        from luxloop.loop.scenario.edits import changed, differences
 
         before, after = self._file.scenario, loaded(self._sources[0], self._allow_code)[0]
         if before is not None and self.published.runs and (told := differences(before, after)):
@@ -387,7 +387,7 @@ class Session:
 
     def _compare(self, compared: Compare) -> None:
         """Two runs from their first step on, the first one with all edits."""
-        from loop.scenario.edits import changed
+        from luxloop.loop.scenario.edits import changed
 
         overrides, (first, *_), kept = compared.overrides or (), self._sources, (*self._kept(), None)[0]
         self._refuse(overrides)
@@ -413,7 +413,7 @@ class Session:
 
     def _choose(self) -> None:
         """Tell what there is to choose from, where that has changed."""
-        from loop.studio.choices import choices
+        from luxloop.loop.studio.choices import choices
 
         if (found := choices()) != self.published.choices:
             self._publish(choices=found)
@@ -424,7 +424,7 @@ class Session:
         scenarios: in place of the sources' own, None of one that is read, from its files as they are now. Raises LuxloopError.
         """
         self._publish(progress="importing PyTorch and the renderer")
-        from loop.studio.runs import Starting, head
+        from luxloop.loop.studio.runs import Starting, head
 
         self._choose()
         read, runs = scenarios[0] is None, self.published.runs
@@ -445,6 +445,6 @@ class Session:
 
 @cache
 def _schema() -> dict[str, Any]:
-    from loop.scenario.model import Scenario
+    from luxloop.loop.scenario.model import Scenario
 
     return Scenario.model_json_schema()

@@ -7,9 +7,9 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from world.scene.albedo import albedo_picture
-from world.scene.body import Body
-from world.scene.triangles import Placed
+from luxloop.world.scene.albedo import albedo_picture
+from luxloop.world.scene.body import Body
+from luxloop.world.scene.triangles import Placed
 
 KEPT_BYTES: Final = 2**28  # of meshes: those of some 1.5 km of road
 

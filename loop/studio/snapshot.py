@@ -10,17 +10,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.recording.columns import loss_name
-from loop.report.marks import marks
-from loop.report.picture import captions
-from loop.studio.exact import exact
-from loop.studio.messages import View
-from world.frames import transform
-from world.headlight.lamp import REST
-from world.scene.body import Spotlight
-from world.scene.triangles import NOTHING, Placed, Triangles
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.recording.columns import loss_name
+from luxloop.loop.report.marks import marks
+from luxloop.loop.report.picture import captions
+from luxloop.loop.studio.exact import exact
+from luxloop.loop.studio.messages import View
+from luxloop.world.frames import transform
+from luxloop.world.headlight.lamp import REST
+from luxloop.world.scene.body import Spotlight
+from luxloop.world.scene.triangles import NOTHING, Placed, Triangles
 
 Pictures = dict[str, np.ndarray]  # `[height, width]` uint8, by name
 

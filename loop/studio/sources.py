@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from loop.studio.messages import Compare, Open
-from world.errors import LuxloopError
+from luxloop.loop.studio.messages import Compare, Open
+from luxloop.world.errors import LuxloopError
 
 if TYPE_CHECKING:
-    from loop.replay.replay import Recording
-    from loop.scenario.model import Scenario
+    from luxloop.loop.replay.replay import Recording
+    from luxloop.loop.scenario.model import Scenario
 
 
 RUNS: Final = Path("runs")  # the folder in which recordings are made and found
@@ -41,7 +41,7 @@ def named(asked: Open | Compare, given: Sequence[Source], recordings: Collection
 
     Raises LuxloopError for all else.
     """
-    from loop.scenario.shipped import shipped
+    from luxloop.loop.scenario.shipped import shipped
 
     name = asked.name if isinstance(asked, Open) else ""
     recording = None if asked.recording is None else Path(asked.recording)
@@ -56,16 +56,16 @@ def named(asked: Open | Compare, given: Sequence[Source], recordings: Collection
 
 def file_of(source: Source) -> Path | None:
     """The file of a scenario of somebody's own."""
-    from loop.scenario.shipped import find, shipped
+    from luxloop.loop.scenario.shipped import find, shipped
 
     return None if source.recording or source.name in shipped() else find(source.name)
 
 
 def loaded(source: Source, allow_code: bool) -> tuple["Scenario", "Recording | None"]:
     """The scenario of a source, and the recording that it comes from. Raises LuxloopError."""
-    from loop.replay import replay
-    from loop.scenario.model import load, validate
-    from loop.scenario.overrides import overridden
+    from luxloop.loop.replay import replay
+    from luxloop.loop.scenario.model import load, validate
+    from luxloop.loop.scenario.overrides import overridden
 
     if source.recording is None:
         return load(source.name, source.all, allow_code=allow_code), None

@@ -4,12 +4,12 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
-from loop.scenario import data
-from loop.scenario.overrides import is_file, tables
-from loop.scenario.shipped import shipped_files
-from world.errors import LuxloopError
-from world.plugin import PATTERN
-from world.presets import SUMMARIES
+from luxloop.loop.scenario import data
+from luxloop.loop.scenario.overrides import is_file, tables
+from luxloop.loop.scenario.shipped import shipped_files
+from luxloop.world.errors import LuxloopError
+from luxloop.world.plugin import PATTERN
+from luxloop.world.presets import SUMMARIES
 
 FILES: Final = ("file", "folder", "image", "model", "weights")  # keys that may name one
 

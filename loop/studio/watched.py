@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from loop.scenario.model import Scenario
+    from luxloop.loop.scenario.model import Scenario
 
 
 @dataclass

@@ -7,15 +7,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from controllers.functions.painted import Picture
-from controllers.jpo.plane import Raster, granted, lighting
-from loop.report.picture import WALL_M
-from loop.studio.messages import Place, Wish
-from loop.studio.painting import layer, override
-from loop.studio.runs import Run
-from world.errors import LuxloopError
-from world.frames import inverse
-from world.messages.arrays import Arrays
+from luxloop.controllers.functions.painted import Picture
+from luxloop.controllers.jpo.plane import Raster, granted, lighting
+from luxloop.loop.report.picture import WALL_M
+from luxloop.loop.studio.messages import Place, Wish
+from luxloop.loop.studio.painting import layer, override
+from luxloop.loop.studio.runs import Run
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import inverse
+from luxloop.world.messages.arrays import Arrays
 
 MOST_CELLS: Final = 20_000
 MOST_LX: Final = 100_000.0

@@ -83,7 +83,7 @@ def package_checks() -> list[Check]:
     try:
         requirements = metadata.requires("luxloop") or []
     except metadata.PackageNotFoundError:
-        return [Check("luxloop", "fail", "not installed", f"{PIP} -e {Path(__file__).parents[2]}")]
+        return [Check("luxloop", "fail", "not installed", f"{PIP} -e {Path(__file__).parents[3]}")]
     return [package_check(requirement) for requirement in requirements if "extra ==" not in requirement]
 
 
@@ -105,8 +105,8 @@ def package_check(requirement: str) -> Check:
 def opengl_check(environment: Mapping[str, str]) -> Check:
     """Start the rasteriser in another process, which has the given environment variables and may crash, and report what renders."""
     remedy = OPENGL_LIBRARIES if environment.get("PYOPENGL_PLATFORM", "egl") == "egl" else "unset PYOPENGL_PLATFORM"
-    command = [sys.executable, "-c", "from world.rendering.rasterise import Rasteriser; print(Rasteriser().name)"]
-    packages = Path(__file__).parents[2]
+    command = [sys.executable, "-c", "from luxloop.world.rendering.rasterise import Rasteriser; print(Rasteriser().name)"]
+    packages = Path(__file__).parents[3]
     try:
         probe = subprocess.run(command, cwd=packages, env=dict(environment), capture_output=True, text=True, timeout=60)
     except subprocess.TimeoutExpired:
@@ -114,7 +114,7 @@ def opengl_check(environment: Mapping[str, str]) -> Check:
     if probe.returncode < 0:
         return Check("OpenGL", "warn", f"the driver crashed with signal {-probe.returncode}", remedy)
     if probe.returncode > 0:
-        return Check("OpenGL", "warn", _last_line(probe.stderr).removeprefix("world.rendering.rasterise.NoOpenGL: "), remedy)
+        return Check("OpenGL", "warn", _last_line(probe.stderr).removeprefix("luxloop.world.rendering.rasterise.NoOpenGL: "), remedy)
     renderer = _last_line(probe.stdout)
     kind = "software" if re.search("llvmpipe|softpipe|swrast", renderer) else "GPU"
     beside = "; triton is loaded before it, since it crashes after it" if find_spec("triton") else ""
@@ -154,7 +154,7 @@ def video_check() -> Check:
 @_failing_with("data", "unset LUXLOOP_DATA")
 def data_check() -> Check:
     """Road scans and photometric files of the registry, in the folder that `LUXLOOP_DATA` names or among what was fetched."""
-    from loop.scenario import data
+    from luxloop.loop.scenario import data
 
     rows, own = data.rows(), os.environ.get(data.FOLDER_VARIABLE)
     here = sum(row.path is not None for row in rows)

@@ -3,8 +3,8 @@
 import tomllib
 from typing import Any, Literal, get_args
 
-from loop.scenario import data
-from loop.scenario.shipped import examples, shipped, shipped_files
+from luxloop.loop.scenario import data
+from luxloop.loop.scenario.shipped import examples, shipped, shipped_files
 
 Kind = Literal["scenarios", "functions", "controllers", "roads", "symbols", "detectors", "lamps", "plants", "examples"]
 USES: dict[Kind, str] = {
@@ -33,27 +33,27 @@ def listing(kind: Kind) -> list[dict[str, Any]]:
         case "examples":
             return [{"name": name, "description": _first_line(path.read_text("utf-8"))} for name, path in examples().items()]
         case "lamps":
-            from world.presets import SUMMARIES
+            from luxloop.world.presets import SUMMARIES
 
             return [{"name": name, "description": summary} for name, summary in SUMMARIES.items()]
         case "controllers":
-            from controllers.symbol import ControllerParams
+            from luxloop.controllers.symbol import ControllerParams
 
             return _variants(ControllerParams)
         case "functions":
-            from controllers.functions.planner import FunctionParams
+            from luxloop.controllers.functions.planner import FunctionParams
 
             return _variants(FunctionParams)
         case "plants":
-            from loop.scenario.plant import PlantParams
+            from luxloop.loop.scenario.plant import PlantParams
 
             return _variants(PlantParams)
         case "roads":
-            from world.roads.shapes import RoadParams
+            from luxloop.world.roads.shapes import RoadParams
 
             return _variants(RoadParams)
         case "detectors":
-            from perception.detection.params import DetectorParams
+            from luxloop.perception.detection.params import DetectorParams
 
             return _variants(DetectorParams)
 
@@ -97,7 +97,7 @@ def _first_line(text: str) -> str:
 
 def _variants(union: Any) -> list[dict[str, Any]]:
     """The variants of a table that luxloop has, each by its tag and the first sentence of its docstring; own parts have no name to list."""
-    from world.plugin import OWN
+    from luxloop.world.plugin import OWN
 
     models = {get_args(each)[1].tag: get_args(each)[0] for each in get_args(get_args(union)[0])}
     return [{"name": tag, "description": _first_sentence(model.__doc__)} for tag, model in models.items() if tag != OWN]

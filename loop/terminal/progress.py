@@ -7,7 +7,7 @@ from typing import Protocol
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from loop.terminal import tables
+from luxloop.loop.terminal import tables
 
 LINE_S = 30.0  # between two lines at least
 

@@ -9,10 +9,10 @@ from scipy.optimize import minimize
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
-from loop.training.judge import JUDGED_LX, boxes_right, object_based, seen
-from loop.training.scenes import CLASSES, read
-from perception.detection.network import NetworkDetector
-from world.errors import LuxloopError
+from luxloop.loop.training.judge import JUDGED_LX, boxes_right, object_based, seen
+from luxloop.loop.training.scenes import CLASSES, read
+from luxloop.perception.detection.network import NetworkDetector
+from luxloop.world.errors import LuxloopError
 
 SUREST = 1e-6  # least distance of a score to 1, where the logit diverges
 
@@ -20,7 +20,7 @@ SUREST = 1e-6  # least distance of a score to 1, where the logit diverges
 def calibrate(detector: NetworkDetector, rows: Sequence[Mapping[str, Any]]) -> tuple[float, float]:
     """Calibrate the logits of the detector's network so that scores are shares of correct boxes; returns slope and shift.
 
-    rows: from `loop.training.scenes.draw`, of scenes not used in training; each is seen in full and in object-based light. Raises
+    rows: from `luxloop.loop.training.scenes.draw`, of scenes not used in training; each is seen in full and in object-based light. Raises
     LuxloopError if the scores do not separate correct boxes from wrong ones.
     """
     asked: list[tuple[float, bool]] = []

@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from loop.training.light import WELL_LIT_LX, all_light, full_light, lit_share, luminance, object_light
-from loop.training.scenes import CAMERA, CLASSES, DarkScene, read
-from perception.camera import expose
-from perception.detection.network import STRIDE, middles
-from perception.noise import FrameNoise
+from luxloop.loop.training.light import WELL_LIT_LX, all_light, full_light, lit_share, luminance, object_light
+from luxloop.loop.training.scenes import CAMERA, CLASSES, DarkScene, read
+from luxloop.perception.camera import expose
+from luxloop.perception.detection.network import STRIDE, middles
+from luxloop.perception.noise import FrameNoise
 
 SIZE = (256, 384)  # rows, columns of an example
 LEAST_HEIGHT_PX, LEAST_VISIBLE, LEAST_INSIDE = 16, 0.35, 0.4  # of objects that must be detected; others may be

@@ -10,9 +10,9 @@ from torch import Tensor
 from torch.nn.functional import smooth_l1_loss
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from loop.training.examples import Examples
-from loop.training.scenes import CLASSES
-from perception.detection.network import Network, boxes_of, prepared
+from luxloop.loop.training.examples import Examples
+from luxloop.loop.training.scenes import CLASSES
+from luxloop.perception.detection.network import Network, boxes_of, prepared
 
 BATCH = 8  # scenes, each in two lights
 RATE = 4e-3
@@ -23,7 +23,7 @@ RARE = 0.02  # initial score of the network: share of cells with an object
 def fit(rows: Sequence[dict[str, Any]], steps: int, seed: int, on_step: Callable[[float], None]) -> Network:
     """Train a network on `steps` batches; returns it ready to detect, with the mean of its late weights. on_step: called with the loss.
 
-    rows: of scenes, as `loop.training.scenes.draw` gives them.
+    rows: of scenes, as `luxloop.loop.training.scenes.draw` gives them.
     """
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)

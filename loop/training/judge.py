@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from controllers.obl.light import ObjectLightParams
-from loop.training.light import lit_alone, luminance
-from loop.training.scenes import CAMERA, CLASSES, DarkScene, Labelled, read
-from perception.camera import expose
-from perception.detection.protocol import Detections, Detector
-from perception.detection.suppression import overlaps
-from perception.noise import FrameNoise
+from luxloop.controllers.obl.light import ObjectLightParams
+from luxloop.loop.training.light import lit_alone, luminance
+from luxloop.loop.training.scenes import CAMERA, CLASSES, DarkScene, Labelled, read
+from luxloop.perception.camera import expose
+from luxloop.perception.detection.protocol import Detections, Detector
+from luxloop.perception.detection.suppression import overlaps
+from luxloop.perception.noise import FrameNoise
 
 ILLUMINANCES_LX = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
 JUDGED_LX = 10.0
@@ -45,7 +45,7 @@ class Verdict:
 
 
 def judge(detector: Detector, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Metrics of a detector on the scenes that `loop.training.scenes.draw` returned as rows.
+    """Metrics of a detector on the scenes that `luxloop.loop.training.scenes.draw` returned as rows.
 
     At x lx every surface facing the lamps gets x lx at any distance: the intensity grows with the square of the distance. Confidence
     against illuminance is computed without any other light, and with the scene's night light, as are all other metrics.

@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from loop.training.scenes import CLASSES, DarkScene, Labelled
-from world.traffic.tracked import Category
+from luxloop.loop.training.scenes import CLASSES, DarkScene, Labelled
+from luxloop.world.traffic.tracked import Category
 
 WELL_LIT_LX = 5.0  # least illuminance on objects in training
 FULL_LX = (WELL_LIT_LX, 150.0)  # of full light, in which near surfaces often saturate the camera

@@ -11,12 +11,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from loop.recording.style import DEFAULTS, FOUR, STYLE
-from loop.terminal import tables
-from loop.terminal.tables import number
-from loop.training.judge import AGREE, ALONE_LX, AROUND_LX, FOUND_IOU, HEIGHT_PX, JUDGED_LX, VISIBLE
-from loop.training.scenes import CLASSES
-from world.files import whole
+from luxloop.loop.recording.style import DEFAULTS, FOUR, STYLE
+from luxloop.loop.terminal import tables
+from luxloop.loop.terminal.tables import number
+from luxloop.loop.training.judge import AGREE, ALONE_LX, AROUND_LX, FOUND_IOU, HEIGHT_PX, JUDGED_LX, VISIBLE
+from luxloop.loop.training.scenes import CLASSES
+from luxloop.world.files import whole
 
 PAGE, PICTURE = "report.md", "confidence.jpg"
 DPI = 110

@@ -12,22 +12,22 @@ import scipy.sparse as sp
 import torch
 from torch import Tensor
 
-from loop.assembly.build import build_scene
-from loop.scenario.model import Scenario, validate
-from perception.camera import CameraParams, camera_view
-from perception.ground_truth import ground_truth
-from world.files import whole
-from world.frames import pose_from_degrees
-from world.headlight import Headlight
-from world.light.ambient import ambient_luminance
-from world.light.illumination import luminance, reach
-from world.rendering.face_source import face_source
-from world.rendering.gbuffer import GBuffer
-from world.rendering.surfaces import SurfaceSource, surface_source
-from world.scene.scene import Ground, Scene
-from world.scene.triangles import Triangles
-from world.spmv import Csr
-from world.traffic.generator import varied
+from luxloop.loop.assembly.build import build_scene
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.perception.ground_truth import ground_truth
+from luxloop.world.files import whole
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight import Headlight
+from luxloop.world.light.ambient import ambient_luminance
+from luxloop.world.light.illumination import luminance, reach
+from luxloop.world.rendering.face_source import face_source
+from luxloop.world.rendering.gbuffer import GBuffer
+from luxloop.world.rendering.surfaces import SurfaceSource, surface_source
+from luxloop.world.scene.scene import Ground, Scene
+from luxloop.world.scene.triangles import Triangles
+from luxloop.world.spmv import Csr
+from luxloop.world.traffic.generator import varied
 
 CAMERA: Final = CameraParams(width_px=640, height_px=360, pitch_deg=1.5, oversampling=1, saturation_e=2000)
 LAMPS_M: Final = ((0.0, 0.6, 0.75), (0.0, -0.6, 0.75))

@@ -7,20 +7,20 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from loop.jobs.executors import Executor, local
-from loop.jobs.runner import Job, Results, digest_of, run
-from loop.terminal import tables
-from loop.terminal.progress import progress
-from loop.training import scenes
-from loop.training.calibrate import calibrate
-from loop.training.fit import BATCH, fit
-from loop.training.judge import judge
-from loop.training.report import overview, write_report
-from perception.detection.network import NetworkDetector, save
-from perception.detection.params import NetworkParams
-from world.errors import LuxloopError
-from world.files import whole
-from world.folders import output_folder
+from luxloop.loop.jobs.executors import Executor, local
+from luxloop.loop.jobs.runner import Job, Results, digest_of, run
+from luxloop.loop.terminal import tables
+from luxloop.loop.terminal.progress import progress
+from luxloop.loop.training import scenes
+from luxloop.loop.training.calibrate import calibrate
+from luxloop.loop.training.fit import BATCH, fit
+from luxloop.loop.training.judge import judge
+from luxloop.loop.training.report import overview, write_report
+from luxloop.perception.detection.network import NetworkDetector, save
+from luxloop.perception.detection.params import NetworkParams
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import whole
+from luxloop.world.folders import output_folder
 
 JOBS, FOLDER, WEIGHTS = "scenes.jsonl", "scenes", "detector.pt"
 LEAST_SCORE = 0.01  # of what is asked and judged

@@ -17,7 +17,7 @@ MOST_VALUES: Final = 64
 
 @dataclass(frozen=True)
 class SensorDatagram:
-    """A sample as it goes over the network. values: as in `perception.egomotion.Sample`. Times in s of the sender's clock."""
+    """A sample as it goes over the network. values: as in `luxloop.perception.egomotion.Sample`. Times in s of the sender's clock."""
 
     sensor: str
     measured_s: float

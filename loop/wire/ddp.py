@@ -30,7 +30,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from world.errors import LuxloopError
+from luxloop.world.errors import LuxloopError
 
 PORT: Final = 4048
 DATA_BYTES: Final = 1440  # of a packet at most, so that it fits into an Ethernet frame

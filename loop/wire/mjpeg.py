@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Final, Protocol
 
-from loop.wire.addresses import REFUSED, reason_of
-from world.errors import LuxloopError
+from luxloop.loop.wire.addresses import REFUSED, reason_of
+from luxloop.world.errors import LuxloopError
 
 BOUNDARY: Final = b"--frame"
 JPEG, PNG = "image/jpeg", "image/png"

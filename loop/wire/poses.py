@@ -10,8 +10,8 @@ import socket
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 
-from loop.wire.addresses import REFUSED, reason_of
-from world.errors import LuxloopError
+from luxloop.loop.wire.addresses import REFUSED, reason_of
+from luxloop.world.errors import LuxloopError
 
 
 @dataclass(frozen=True)

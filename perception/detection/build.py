@@ -9,15 +9,15 @@ from typing import Any, cast, get_args
 import torch
 from torch import Tensor
 
-from perception.detection.hog import HogDetector
-from perception.detection.network import NetworkDetector, load
-from perception.detection.onnx import OnnxDetector
-from perception.detection.params import HogParams, NetworkParams, OnnxParams, OwnDetector, RunParams
-from perception.detection.protocol import Detections, Detector
-from perception.detection.yolo import SHARES
-from world import plugin
-from world.errors import LuxloopError, located
-from world.traffic.tracked import Category
+from luxloop.perception.detection.hog import HogDetector
+from luxloop.perception.detection.network import NetworkDetector, load
+from luxloop.perception.detection.onnx import OnnxDetector
+from luxloop.perception.detection.params import HogParams, NetworkParams, OnnxParams, OwnDetector, RunParams
+from luxloop.perception.detection.protocol import Detections, Detector
+from luxloop.perception.detection.yolo import SHARES
+from luxloop.world import plugin
+from luxloop.world.errors import LuxloopError, located
+from luxloop.world.traffic.tracked import Category
 
 KEY = "detector.kind"
 METHODS = ("detect",)
@@ -54,7 +54,7 @@ def network_detector(params: NetworkParams, device: torch.device) -> NetworkDete
         with located("detector.weights"):
             network, classes = load(Path(params.weights), device)
     else:
-        with as_file(files("perception.detection") / WEIGHTS) as file:
+        with as_file(files("luxloop.perception.detection") / WEIGHTS) as file:
             network, classes = load(file, device)
     return NetworkDetector(network, classes, params.threshold, params.overlap)
 

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from perception.detection.coded import coded
-from perception.detection.params import HogParams
-from perception.detection.protocol import Detections
-from perception.detection.suppression import suppressed
-from world.traffic.tracked import Category
+from luxloop.perception.detection.coded import coded
+from luxloop.perception.detection.params import HogParams
+from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.detection.suppression import suppressed
+from luxloop.world.traffic.tracked import Category
 
 SHRINK = (0.55, 0.75)  # of its window of 64 x 128 px, in whose middle a person of 96 px stands
 

@@ -13,11 +13,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate, max_pool2d
 
-from perception.detection.protocol import Detections
-from perception.detection.suppression import suppressed
-from world.budget import afford
-from world.files import reading
-from world.traffic.tracked import Category
+from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.detection.suppression import suppressed
+from luxloop.world.budget import afford
+from luxloop.world.files import reading
+from luxloop.world.traffic.tracked import Category
 
 STRIDE = 8  # px of the frame per cell of the output
 CODE = 0.75  # exponent on the light: between 1, where dark clothes vanish beside bright ones, and 0.5, where shot noise is uniform

@@ -7,14 +7,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from perception.detection.coded import coded
-from perception.detection.onnx_file import by, opened, said
-from perception.detection.params import COCO, COCO_CLASSES, OnnxParams
-from perception.detection.protocol import Detections
-from perception.detection.suppression import suppressed
-from perception.detection.yolo import LAYOUTS, Layout, one_a_cell, read
-from world.errors import LuxloopError
-from world.traffic.tracked import Category
+from luxloop.perception.detection.coded import coded
+from luxloop.perception.detection.onnx_file import by, opened, said
+from luxloop.perception.detection.params import COCO, COCO_CLASSES, OnnxParams
+from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.detection.suppression import suppressed
+from luxloop.perception.detection.yolo import LAYOUTS, Layout, one_a_cell, read
+from luxloop.world.errors import LuxloopError
+from luxloop.world.traffic.tracked import Category
 
 GREY = 114  # around a frame that is fitted in, as in training
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import cv2
 
-from perception.detection.params import MOST_PX, OnnxParams
-from world.budget import afford
-from world.errors import LuxloopError
+from luxloop.perception.detection.params import MOST_PX, OnnxParams
+from luxloop.world.budget import afford
+from luxloop.world.errors import LuxloopError
 
 if TYPE_CHECKING:
     import onnx

@@ -4,11 +4,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag
 
-from perception.detection.yolo import Layout
-from world import plugin
-from world.params import Params
-from world.plugin import OWN, known_or_own
-from world.traffic.tracked import Category
+from luxloop.perception.detection.yolo import Layout
+from luxloop.world import plugin
+from luxloop.world.params import Params
+from luxloop.world.plugin import OWN, known_or_own
+from luxloop.world.traffic.tracked import Category
 
 # What COCO's numbers of classes, which most networks of others know, are here; all else that they find is left out.
 COCO: dict[int, Category] = {

@@ -6,7 +6,7 @@ from typing import Protocol
 
 from torch import Tensor
 
-from world.traffic.tracked import Category
+from luxloop.world.traffic.tracked import Category
 
 
 @dataclass(frozen=True)

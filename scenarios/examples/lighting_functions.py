@@ -27,7 +27,7 @@ from luxloop import (
 
 MOUNTS = {"left": pose_from_degrees((0.0, 0.6, 0.75)), "right": pose_from_degrees((0.0, -0.6, 0.75))}
 TOP, BOTTOM = 0.25, 0.75  # of the picture: above is the sky, below the road before the light
-SYMBOLS = Path(str(files("scenarios"))) / "symbols"
+SYMBOLS = Path(str(files("luxloop.scenarios"))) / "symbols"
 
 CAR = ("car", "car", (32.0, 2.6, 0.0), 180.0, (4.4, 1.8, 1.5))
 ANNA = ("anna", "pedestrian", (24.0, -2.6, 0.0), 90.0, (0.4, 0.5, 1.75))

@@ -12,14 +12,14 @@ from typing import TypeVar
 
 import cv2
 
-from loop.assembly.build import build_scene
 from luxloop import load, prepare, validate
-from perception.camera import CameraParams, camera_view
-from perception.ground_truth import ground_truth
-from world.rendering.face_source import face_source
-from world.rendering.surfaces import ExactSurfaces, surface_source
-from world.scene.scene import Scene
-from world.traffic.generator import varied
+from luxloop.loop.assembly.build import build_scene
+from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.perception.ground_truth import ground_truth
+from luxloop.world.rendering.face_source import face_source
+from luxloop.world.rendering.surfaces import ExactSurfaces, surface_source
+from luxloop.world.scene.scene import Scene
+from luxloop.world.traffic.generator import varied
 
 T = TypeVar("T")
 SCENES = 8

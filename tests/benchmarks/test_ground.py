@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from ground import AHEAD_M, STRAIGHT_M, VEHICLE, hills, off_mm
 
-from world.roads.shapes import GradeParams, Profile
+from luxloop.world.roads.shapes import GradeParams, Profile
 
 ROOT = Path(__file__).parents[2]
 

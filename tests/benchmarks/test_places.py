@@ -11,8 +11,8 @@ import places_cases
 import pytest
 from places_goals import GOALS
 
-from loop.run import prepare
-from loop.scenario.model import load
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
 
 TINY = ("camera={width_px=320, height_px=240}",)
 

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from rig_bench import Rig, model, rig, wall
 from rig_calibration import CASES, figures, lamp, measured
 
-from world.errors import LuxloopError
+from luxloop.world.errors import LuxloopError
 
 
 @pytest.fixture(scope="module")

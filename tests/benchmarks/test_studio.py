@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from loop.studio.page import PAGE
+from luxloop.loop.studio.page import PAGE
 
 ROOT = Path(__file__).parents[2]
 

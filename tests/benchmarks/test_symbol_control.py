@@ -13,8 +13,8 @@ from symbol_control_cases import controlled, trajectories, uncontrolled
 from symbol_control_goals import GOALS, Goal
 from symbol_control_page import goals
 
-from loop.run import prepare
-from loop.scenario.model import load
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
 
 TINY = ("camera={width_px=320, height_px=240}",)
 

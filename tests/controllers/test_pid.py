@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from torch import Tensor
 
-from controllers.pid import PidGains, PidParams, PidState, pid_gains, pid_reset, pid_step
-from world.errors import LuxloopError
+from luxloop.controllers.pid import PidGains, PidParams, PidState, pid_gains, pid_reset, pid_step
+from luxloop.world.errors import LuxloopError
 
 gain = st.integers(0, 2000).map(lambda n: n / 1000)
 small_gain = st.integers(0, 400).map(lambda n: n / 1000)

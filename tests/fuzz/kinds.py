@@ -14,46 +14,46 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
 
-from controllers.pixels.ssc import Utilisation
-from controllers.symbol.sensing.projection import ProjectionCommand, Warp
-from loop.bench import faults
-from loop.bench.lens import Lens
-from loop.calibration import files as calibrations
-from loop.calibration.geometry import CameraModel, Pose
-from loop.calibration.response import Response
-from loop.dataset import drawn
-from loop.jobs.runner import run as run_jobs
-from loop.plant import frames
-from loop.plant.protocol import Exposure
-from loop.recording.manifest import Manifest
-from loop.replay import replay
-from loop.rig.params import load_rig
-from loop.rig.rectified import load_lens
-from loop.run import check
-from loop.scenario.model import load, validate
-from loop.scenario.shipped import examples, shipped
-from loop.studies import campaign
-from perception.camera import CameraParams
-from perception.detection import network
-from perception.egomotion import Sample
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
+from luxloop.loop.bench import faults
+from luxloop.loop.bench.lens import Lens
+from luxloop.loop.calibration import files as calibrations
+from luxloop.loop.calibration.geometry import CameraModel, Pose
+from luxloop.loop.calibration.response import Response
+from luxloop.loop.dataset import drawn
+from luxloop.loop.jobs.runner import run as run_jobs
+from luxloop.loop.plant import frames
+from luxloop.loop.plant.protocol import Exposure
+from luxloop.loop.recording.manifest import Manifest
+from luxloop.loop.replay import replay
+from luxloop.loop.rig.params import load_rig
+from luxloop.loop.rig.rectified import load_lens
+from luxloop.loop.run import check
+from luxloop.loop.scenario.model import load, validate
+from luxloop.loop.scenario.shipped import examples, shipped
+from luxloop.loop.studies import campaign
+from luxloop.perception.camera import CameraParams
+from luxloop.perception.detection import network
+from luxloop.perception.egomotion import Sample
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import Lamp, Module, ModuleCommand
+from luxloop.world.headlight.pixel_sources import TableSource
+from luxloop.world.lampfiles import archive, description
+from luxloop.world.lampfiles.utilisations import read_utilisation
+from luxloop.world.opencrg import Crg
+from luxloop.world.parquet import read_parquet
+from luxloop.world.photometry import lm63
+from luxloop.world.photometry.distribution import Distribution
+from luxloop.world.photometry.files import read_photometry
+from luxloop.world.roads.scan import OpenCrgRoad
+from luxloop.world.spmv import Csr
+from luxloop.world.symbols import load_still, video
+from luxloop.world.traffic.objects import MeshParams
+from luxloop.world.traffic.tracked import KeyframeParams
 from tests.fuzz import messages, mutations
 from tests.world.opencrg.writer import write_crg
 from tests.world.traffic.test_mesh_files import RIGHT
-from world.headlight import Headlight
-from world.headlight.lamp import Lamp, Module, ModuleCommand
-from world.headlight.pixel_sources import TableSource
-from world.lampfiles import archive, description
-from world.lampfiles.utilisations import read_utilisation
-from world.opencrg import Crg
-from world.parquet import read_parquet
-from world.photometry import lm63
-from world.photometry.distribution import Distribution
-from world.photometry.files import read as read_photometry
-from world.roads.scan import OpenCrgRoad
-from world.spmv import Csr
-from world.symbols import load_still, video
-from world.traffic.objects import MeshParams
-from world.traffic.tracked import KeyframeParams
 
 SMALL = ["camera.width_px=160", "camera.height_px=90", "camera.oversampling=1", "renderer=raycast", "steps=2"]
 RECORDING = Path(__file__).parents[2] / "scenarios" / "recordings" / "flat.parquet"

@@ -11,23 +11,23 @@ from typing import Any
 import numpy as np
 import torch
 
-from loop.plant.clock import FromZero
-from loop.plant.protocol import Exposure
-from loop.plant.remote import RemotePlant
-from loop.remote import answers
-from loop.remote.link import Link
-from loop.scenario.edits import changed
-from loop.studio.messages import Paint, Place, Set, Wish, read
-from loop.studio.painting import painted
-from loop.studio.runs import Run, Starting
-from loop.studio.sources import Source
-from loop.studio.trust import refuse_foreign
-from loop.studio.wishes import placed, wished
-from perception.camera import CameraParams
+from luxloop.loop.plant.clock import FromZero
+from luxloop.loop.plant.protocol import Exposure
+from luxloop.loop.plant.remote import RemotePlant
+from luxloop.loop.remote import answers
+from luxloop.loop.remote.link import Link
+from luxloop.loop.scenario.edits import changed
+from luxloop.loop.studio.messages import Paint, Place, Set, Wish, read
+from luxloop.loop.studio.painting import painted
+from luxloop.loop.studio.runs import Run, Starting
+from luxloop.loop.studio.sources import Source
+from luxloop.loop.studio.trust import refuse_foreign
+from luxloop.loop.studio.wishes import placed, wished
+from luxloop.perception.camera import CameraParams
+from luxloop.world.messages.arrays import Arrays
 from tests.fuzz import mutations
 from tests.loop.studio.clients import message
 from tests.loop.studio.conftest import SMALL
-from world.messages.arrays import Arrays
 
 SIZE = (90, 160)
 PICTURE = {name: np.full((20, 30), 7, np.uint8) for name in ("value", "painted")}

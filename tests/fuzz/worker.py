@@ -14,8 +14,8 @@ import traceback
 import warnings
 from pathlib import Path
 
+from luxloop.world.errors import LONGEST_SENTENCE, LuxloopError
 from tests.fuzz.kinds import ALL, BUILT, Kind
-from world.errors import LONGEST_SENTENCE, LuxloopError
 
 MEMORY_BYTES = 4 << 30
 LIMIT_S, HANGS_S = 20, 200  # of processor time, and on the clock of a machine that is busy with other things

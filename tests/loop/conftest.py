@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 from torch import Tensor
 
-from controllers.pixels.ssc import Utilisation
-from loop.commands import cli
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.plant.protocol import Exposure
-from loop.plant.simulated import SimulatedPlant
-from loop.scenario.model import Scenario, validate
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.commands import cli
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.plant.protocol import Exposure
+from luxloop.loop.plant.simulated import SimulatedPlant
+from luxloop.loop.scenario.model import Scenario, validate
 from tests.lamps import SMALL_LAMP
 
 SMALL: dict[str, Any] = {

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 import luxloop
-from loop.contracts.controller import check_in, world
 from luxloop import Loss, LuxloopError, Observation, ProjectionCommand, SymbolSensor, check_controller
+from luxloop.loop.contracts.controller import check_in, world
 
 
 @pytest.fixture(scope="module")
@@ -145,7 +145,7 @@ class Raised(Halfway):
 
 class Warped(Halfway):
     def projection(self, state: State, ego: Any) -> ProjectionCommand:
-        from controllers.symbol.sensing.projection import Warp
+        from luxloop.controllers.symbol.sensing.projection import Warp
 
         return ProjectionCommand(
             state.pose, warp=Warp(torch.zeros(1, 2, 4, 4).to(state.pose), 2 * torch.ones(1, 4, 4).to(state.pose), (4.0, 2.0))

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from luxloop import Detections, LuxloopError, check_detector
-from perception.detection.build import network_detector
-from perception.detection.params import NetworkParams
+from luxloop.perception.detection.build import network_detector
+from luxloop.perception.detection.params import NetworkParams
 
 
 class Brightest:

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 import torch
 
-from loop.contracts.function import check_in, world
 from luxloop import LuxloopError, ModuleCommand, Situation, check_function, rectangle
+from luxloop.loop.contracts.function import check_in, world
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 import torch
 
-from loop.contracts.plant import check_in, worlds
 from luxloop import Arrivals, Exposure, Frame, LuxloopError, Sample, Utilisation, check_plant, simulated_plant
+from luxloop.loop.contracts.plant import check_in, worlds
 
 
 @pytest.fixture(scope="module")

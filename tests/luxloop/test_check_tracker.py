@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 import torch
 
-from loop.scenario.shipped import examples
 from luxloop import LuxloopError, TrackedBoxes, check_tracker
-from perception.tracking import Tracker, TrackerParams
+from luxloop.loop.scenario.shipped import examples
+from luxloop.perception.tracking import Tracker, TrackerParams
 
 
 class Kept:

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 import torch
 
-from loop.run import prepare
-from loop.scenario.model import load
 from luxloop import ProjectionCommand, check_controller
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
 
 EXAMPLES = Path(__file__).parents[2] / "scenarios" / "examples"
 SETTLED = 10  # steps

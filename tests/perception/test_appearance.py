@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from perception.appearance import Axes, appearance, errors, features, image_axes
+from luxloop.perception.appearance import Axes, appearance, errors, features, image_axes
 
 H, W = 60, 80
 AXES = image_axes(H, W, like=torch.zeros((), dtype=torch.float64))

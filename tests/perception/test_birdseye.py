@@ -7,12 +7,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from perception.appearance import appearance
-from perception.birdseye import Region, birds_eye, rectify, region_around
-from perception.camera import CameraParams, camera_view
-from perception.extraction import Crop
-from world.rendering.flat_road import flat_road
-from world.view import View
+from luxloop.perception.appearance import appearance
+from luxloop.perception.birdseye import Region, birds_eye, rectify, region_around
+from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.perception.extraction import Crop
+from luxloop.world.rendering.flat_road import flat_road
+from luxloop.world.view import View
 
 VIEW = camera_view(CameraParams())
 REGION = region_around(17.0, 0.0, 4.0, 2.0)

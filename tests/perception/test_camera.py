@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from perception.camera import CameraParams, camera_view, expose, luminance_of, noise_std
-from perception.noise import FrameNoise
-from world.frames import inverse, pose_from_degrees, transform
+from luxloop.perception.camera import CameraParams, camera_view, expose, luminance_of, noise_std
+from luxloop.perception.noise import FrameNoise
+from luxloop.world.frames import inverse, pose_from_degrees, transform
 
 BITS = [8, 10, 12]
 PER_ELECTRON = 1 / (0.025 * 30_000)  # cd/m^2 of the default camera

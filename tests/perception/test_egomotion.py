@@ -6,11 +6,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from perception.egomotion import Ego, Sample, ego_of, newest
-from perception.sensors import SensorParams, Sensors
-from world.frames import inverse
-from world.roads.shapes import Flat, Iso8608
-from world.scene.vehicle import STANDING, CourseParams, Motion, OscillationParams, VehicleParams, drive
+from luxloop.perception.egomotion import Ego, Sample, ego_of, newest
+from luxloop.perception.sensors import SensorParams, Sensors
+from luxloop.world.frames import inverse
+from luxloop.world.roads.shapes import Flat, Iso8608
+from luxloop.world.scene.vehicle import STANDING, CourseParams, Motion, OscillationParams, VehicleParams, drive
 
 PERIOD_S = 1 / 30
 CAR = VehicleParams(course=(CourseParams(speed_m_s=0.0),))

@@ -11,10 +11,10 @@ from scipy.ndimage import maximum_filter
 from torch import Tensor
 from torch.nn.functional import avg_pool1d
 
-from perception.appearance import appearance, image_axes
-from perception.camera import CameraParams, expose, luminance_of
-from perception.extraction import Crop, ExtractionParams, Loss, difference, gate, symbol_image, threshold
-from perception.noise import FrameNoise
+from luxloop.perception.appearance import appearance, image_axes
+from luxloop.perception.camera import CameraParams, expose, luminance_of
+from luxloop.perception.extraction import Crop, ExtractionParams, Loss, difference, gate, symbol_image, threshold
+from luxloop.perception.noise import FrameNoise
 
 PARAMS = ExtractionParams()
 SOFT = ExtractionParams(edges="soft")

@@ -5,17 +5,17 @@ from dataclasses import replace
 import pytest
 import torch
 
-from perception.ground_truth import GroundTruth, ground_truth, part_mask
+from luxloop.perception.ground_truth import GroundTruth, ground_truth, part_mask
+from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
+from luxloop.world.rendering.raycast import RayCaster
+from luxloop.world.scene.body import Body
+from luxloop.world.scene.scene import Scene
+from luxloop.world.scene.triangles import Triangles
+from luxloop.world.traffic.car import CarParams
+from luxloop.world.traffic.making import EYES
+from luxloop.world.traffic.objects import BoxParams
+from luxloop.world.traffic.road_users import PedestrianParams
 from tests.world.grids import camera, flat
-from world.rendering.gbuffer import GBuffer, gbuffer
-from world.rendering.raycast import RayCaster
-from world.scene.body import Body
-from world.scene.scene import Scene
-from world.scene.triangles import Triangles
-from world.traffic.car import CarParams
-from world.traffic.making import EYES
-from world.traffic.objects import BoxParams
-from world.traffic.road_users import PedestrianParams
 
 VIEW = camera(480, 270)
 ROAD = Body("road", flat(), smooth=True)

@@ -5,11 +5,11 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
-from perception.birdseye import birds_eye, rectify, region_around
-from perception.camera import CameraParams, average_rows, camera_view
-from perception.judge import SSIM_RADIUS, Target, judge, target
-from perception.metrics import ssim
-from world.rendering.flat_road import flat_road
+from luxloop.perception.birdseye import birds_eye, rectify, region_around
+from luxloop.perception.camera import CameraParams, average_rows, camera_view
+from luxloop.perception.judge import SSIM_RADIUS, Target, judge, target
+from luxloop.perception.metrics import ssim
+from luxloop.world.rendering.flat_road import flat_road
 
 CAMERA = CameraParams()
 LENGTH, WIDTH = 4.0, 2.0

@@ -5,11 +5,11 @@ from typing import get_args
 import pytest
 import torch
 
-from perception.camera import CameraParams, camera_view
-from perception.detection.protocol import Detections
-from perception.lamps import ABOVE_M
-from perception.tracking import Tracker, TrackerParams
-from world.traffic.tracked import Category
+from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.lamps import ABOVE_M
+from luxloop.perception.tracking import Tracker, TrackerParams
+from luxloop.world.traffic.tracked import Category
 
 VIEW = camera_view(CameraParams(width_px=640, height_px=360, pitch_deg=1.5, oversampling=1))
 RATE_HZ, FOUND, ALL = 30.0, 5, 40  # frames with the car's box, and in all

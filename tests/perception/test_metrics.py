@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
-from perception.metrics import dssim, iou, mae, mare, rmse, ssim
-from world.errors import LuxloopError
+from luxloop.perception.metrics import dssim, iou, mae, mare, rmse, ssim
+from luxloop.world.errors import LuxloopError
 
 
 def scipy_ssim(a: np.ndarray, b: np.ndarray, radius: float, data_range: float) -> float:

@@ -9,7 +9,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from perception.noise import GOLDEN, PARTS, FrameNoise, tables
+from luxloop.perception.noise import GOLDEN, PARTS, FrameNoise, tables
 
 HEIGHT, WIDTH = 1000, 1000
 N = HEIGHT * WIDTH

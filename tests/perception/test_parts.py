@@ -5,9 +5,21 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from perception.camera import CameraParams, camera_view
-from perception.parts import HEIGHTS_M, LEANS, MEASURED, MISSING, USUAL_HEIGHTS_M, belonging, completed, hiding, spread_of, standing, uncut
-from perception.placing import placed
+from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.perception.parts import (
+    HEIGHTS_M,
+    LEANS,
+    MEASURED,
+    MISSING,
+    USUAL_HEIGHTS_M,
+    belonging,
+    completed,
+    hiding,
+    spread_of,
+    standing,
+    uncut,
+)
+from luxloop.perception.placing import placed
 
 VIEW = camera_view(CameraParams(width_px=640, height_px=360, pitch_deg=1.5))
 

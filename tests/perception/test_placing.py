@@ -5,10 +5,10 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from perception.camera import CameraParams, camera_view
-from perception.placing import FARTHEST_M, LENGTH_M, placed
-from world.frames import transform
-from world.view import View
+from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.perception.placing import FARTHEST_M, LENGTH_M, placed
+from luxloop.world.frames import transform
+from luxloop.world.view import View
 
 VIEW = camera_view(CameraParams(width_px=640, height_px=360, pitch_deg=1.5, yaw_deg=3.0))
 

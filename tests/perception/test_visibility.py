@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from perception.visibility import around, edge_definition, unevenness, weber_contrast
+from luxloop.perception.visibility import around, edge_definition, unevenness, weber_contrast
 
 MASK = torch.zeros(40, 60, dtype=torch.bool)
 MASK[10:30, 20:40] = True

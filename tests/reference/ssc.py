@@ -8,9 +8,9 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.pixels.mrpc import MrpcParams
-from controllers.pixels.primitives import QUANTITIES, Primitives
-from world.headlight import Headlight
+from luxloop.controllers.pixels.mrpc import MrpcParams
+from luxloop.controllers.pixels.primitives import QUANTITIES, Primitives
+from luxloop.world.headlight import Headlight
 
 Array = NDArray[np.float64]
 Place = tuple[int, int]

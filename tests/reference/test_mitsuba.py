@@ -15,19 +15,19 @@ import torch
 from scipy.ndimage import maximum_filter, minimum_filter
 from torch import Tensor
 
+from luxloop.world.frames import R_ISO_OPENCV, pose, pose_from_degrees
+from luxloop.world.headlight import Headlight
+from luxloop.world.light.illumination import illuminance, reach
+from luxloop.world.presets import idealised
+from luxloop.world.rendering.face_source import face_source
+from luxloop.world.rendering.gbuffer import gbuffer
+from luxloop.world.roads.mesh import road_mesh
+from luxloop.world.roads.shapes import Bumps, Iso8608, Mixed
+from luxloop.world.scene.body import Body
+from luxloop.world.scene.scene import Scene
+from luxloop.world.traffic.objects import BoxParams
+from luxloop.world.view import View
 from tests.world.grids import camera
-from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
-from world.headlight import Headlight
-from world.light.illumination import illuminance, reach
-from world.presets import idealised
-from world.rendering.face_source import face_source
-from world.rendering.gbuffer import gbuffer
-from world.roads.mesh import road_mesh
-from world.roads.shapes import Bumps, Iso8608, Mixed
-from world.scene.body import Body
-from world.scene.scene import Scene
-from world.traffic.objects import BoxParams
-from world.view import View
 
 # Mitsuba's camera looks along z with x to the left and y up.
 MITSUBA_OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])

@@ -8,18 +8,18 @@ import torch
 import trimesh
 
 from benchmarks.float64_rays import hidden
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.rendering.face_source import face_source
+from luxloop.world.rendering.gbuffer import gbuffer
+from luxloop.world.rendering.raycast import TOLERANCE_M, sees
+from luxloop.world.roads.mesh import road_mesh
+from luxloop.world.roads.shapes import Bumps, Flat, Grade, Iso8608, Road
+from luxloop.world.scene.body import Body, PoseTrack
+from luxloop.world.scene.scene import Scene
+from luxloop.world.scene.triangles import Triangles
+from luxloop.world.texels import TexelGrid
+from luxloop.world.traffic.objects import BoxParams
 from tests.world.grids import bumpy, camera, flat, grid, lamp
-from world.frames import pose_from_degrees
-from world.rendering.face_source import face_source
-from world.rendering.gbuffer import gbuffer
-from world.rendering.raycast import TOLERANCE_M, sees
-from world.roads.mesh import road_mesh
-from world.roads.shapes import Bumps, Flat, Grade, Iso8608, Road
-from world.scene.body import Body, PoseTrack
-from world.scene.scene import Scene
-from world.scene.triangles import Triangles
-from world.texels import TexelGrid
-from world.traffic.objects import BoxParams
 
 LAMP = lamp()
 # as wide as lamps of which the road is in the light from 5 m on

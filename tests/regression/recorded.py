@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from loop.recording.comparison import Difference
-from loop.recording.files import write_table
+from luxloop.loop.recording.comparison import Difference
+from luxloop.loop.recording.files import write_table
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "scenarios" / "recordings"

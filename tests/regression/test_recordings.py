@@ -17,17 +17,17 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
-from controllers.symbol.sensing.flat_model import FeatureParams
-from loop.lighting.record import row, schema
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.recording.comparison import compare
-from loop.recording.files import table_of
-from loop.scenario import data
-from loop.scenario.model import Scenario, load
-from loop.scenario.shipped import shipped
+from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
+from luxloop.loop.lighting.record import row, schema
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.recording.comparison import compare
+from luxloop.loop.recording.files import table_of
+from luxloop.loop.scenario import data
+from luxloop.loop.scenario.model import Scenario, load
+from luxloop.loop.scenario.shipped import shipped
+from luxloop.world.roads.shapes import OpenCrgRoad
 from tests.regression.recorded import FOLDER, ROOT, file_of, replace, told
-from world.roads.shapes import OpenCrgRoad
 
 # Thin extraction on these roads amplifies the rounding of another processor a hundredfold in ten steps, from about step 25 visibly.
 SHORTENED = {"rough_course": ["steps=15"], "torsion_track": ["steps=15"]}

@@ -6,8 +6,8 @@ import numpy as np
 import torch
 import trimesh
 
-from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
-from world.view import View
+from luxloop.world.frames import R_ISO_OPENCV, pose, pose_from_degrees
+from luxloop.world.view import View
 
 
 def grid(z: Callable[[np.ndarray, np.ndarray], np.ndarray], x: np.ndarray, y: np.ndarray) -> trimesh.Trimesh:

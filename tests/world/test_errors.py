@@ -4,7 +4,7 @@ import pickle
 
 import pytest
 
-from world.errors import LuxloopError, all_of, did_you_mean, located, redacted
+from luxloop.world.errors import LuxloopError, all_of, did_you_mean, located, redacted
 
 KNOWN = ("zones", "flat", "gfhb", "belgian_block", "kp")
 

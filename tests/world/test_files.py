@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from world.errors import LuxloopError
-from world.files import whole
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import whole
 
 
 def test_a_file_takes_its_place_when_it_is_whole(tmp_path: Path) -> None:

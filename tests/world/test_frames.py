@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from world.frames import R_ISO_OPENCV, inverse, pose, pose_from_degrees, rotation, transform, unit
+from luxloop.world.frames import R_ISO_OPENCV, inverse, pose, pose_from_degrees, rotation, transform, unit
 
 angle = st.floats(-math.pi, math.pi)
 metre = st.floats(-1000, 1000)

@@ -4,7 +4,7 @@ import gc
 import weakref
 from dataclasses import dataclass
 
-from world.kept import keeping
+from luxloop.world.kept import keeping
 
 
 @dataclass

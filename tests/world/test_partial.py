@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from world.partial import AROUND_PX, Part, PartialImage
+from luxloop.world.partial import AROUND_PX, Part, PartialImage
 
 WHOLE = torch.arange(200.0 * 300).view(200, 300)
 

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 from pydantic import Field
 
-from world import plugin
-from world.errors import LuxloopError
-from world.params import Params
+from luxloop.world import plugin
+from luxloop.world.errors import LuxloopError
+from luxloop.world.params import Params
 
 PARTS = """
 class Part:
@@ -156,7 +156,7 @@ def test_a_method_that_fails_is_said_as_init_is() -> None:
 def test_a_class_of_the_main_program_is_placed_as_well(tmp_path: Path) -> None:
     """As in a script or a notebook."""
     (file := tmp_path / "script.py").write_text(
-        "from world import plugin\n\nclass Part:\n    def work(self):\n        return None.frames\n\n"
+        "from luxloop.world import plugin\n\nclass Part:\n    def work(self):\n        return None.frames\n\n"
         "plugin.made(Part, plugin.Name('__main__:Part'), 'road.kind', {}, {}).work()\n"
     )
     done = subprocess.run(

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from world.rendering.face_source import face_source
-from world.rendering.rasterise import NoOpenGL
+from luxloop.world.rendering.face_source import face_source
+from luxloop.world.rendering.rasterise import NoOpenGL
 
 ROOT = Path(__file__).parents[2]
 RENDER = """
 import threading
-from world.rendering.rasterise import context
+from luxloop.world.rendering.rasterise import context
 context()
 def say():
     try:
@@ -29,7 +29,7 @@ def said(program: str) -> str:
 
 def test_few_addresses_are_refused_before_libraries_crash() -> None:
     limit = "import resource; resource.setrlimit(resource.RLIMIT_AS, (3_000_000_000, 3_000_000_000))"
-    ask = "from world.process import check_process\ntry: check_process()\nexcept ValueError as error: print(error)"
+    ask = "from luxloop.world.process import check_process\ntry: check_process()\nexcept ValueError as error: print(error)"
     assert "ulimit -v" in said(f"{limit}\n{ask}") and said(ask) == ""
 
 

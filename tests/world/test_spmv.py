@@ -7,8 +7,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from luxloop.world.spmv import Csr, multiply, numbers, row_of_entries, segment_bounds
 from tests.world.spmv_matrices import matrices, random_matrix
-from world.spmv import Csr, multiply, numbers, row_of_entries, segment_bounds
 
 
 def close(actual: torch.Tensor, expected: np.ndarray) -> None:

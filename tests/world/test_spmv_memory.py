@@ -7,8 +7,8 @@ import pytest
 import torch
 from sparse.formats import build
 
+from luxloop.world.spmv import LARGE, Csr, settled, zeros
 from tests.world.spmv_matrices import random_matrix
-from world.spmv import LARGE, Csr, settled, zeros
 
 DTYPES = (torch.float32, torch.float64, torch.int32)
 

@@ -5,10 +5,10 @@ from typing import Annotated, Any, Literal
 import pytest
 from pydantic import Field, Tag
 
-from world.errors import LuxloopError
-from world.params import Params
-from world.plugin import OWN, OwnName, known_or_own
-from world.validation import validated
+from luxloop.world.errors import LuxloopError
+from luxloop.world.params import Params
+from luxloop.world.plugin import OWN, OwnName, known_or_own
+from luxloop.world.validation import validated
 
 
 class Disc(Params):

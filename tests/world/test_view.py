@@ -6,8 +6,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
-from world.view import View
+from luxloop.world.frames import R_ISO_OPENCV, pose, pose_from_degrees
+from luxloop.world.view import View
 
 T_ISO_VIEW = pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
 

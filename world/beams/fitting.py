@@ -5,15 +5,15 @@ import scipy.sparse as sp
 import torch
 from torch import Tensor
 
-from world.beams.patterns import Pattern
-from world.headlight import Headlight
-from world.headlight.fit import solve
-from world.headlight.lamp import Lamp, Module, direction
-from world.regulation import Requirement, rule_set
-from world.regulation.checking import samples_of
-from world.regulation.results import Traffic
-from world.spmv import Csr, multiply
-from world.texels import bilinear
+from luxloop.world.beams.patterns import Pattern
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.fit import solve
+from luxloop.world.headlight.lamp import Lamp, Module, direction
+from luxloop.world.regulation import Requirement, rule_set
+from luxloop.world.regulation.checking import samples_of
+from luxloop.world.regulation.results import Traffic
+from luxloop.world.spmv import Csr, multiply
+from luxloop.world.texels import bilinear
 
 EVEN_CD = 500.0  # errors count relative to the light, but not below this
 RIM = 0.1  # share of the greatest intensity: where the lamp gives less, at the rim of its field, errors count less
@@ -28,8 +28,8 @@ LEAST_PIXELS = 8
 def fit(lamp: Lamp, pattern: Pattern, traffic: Traffic = "right") -> tuple[Tensor, ...]:
     """Utilisations `[n_p]`, one per module, with which the lamp comes closest to a pattern.
 
-    The limits of the pattern's rules take precedence over its form if the lamp can meet those within its field (`world.regulation.check`).
-    traffic: on the left, the pattern and its rules are mirrored.
+    The limits of the pattern's rules take precedence over its form if the lamp can meet those within its field
+    (`luxloop.check_beam`). traffic: on the left, the pattern and its rules are mirrored.
     """
     return Sampled(lamp).fit(pattern, traffic)
 

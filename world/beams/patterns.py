@@ -6,8 +6,8 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from world.errors import LuxloopError, did_you_mean
-from world.params import Params
+from luxloop.world.errors import LuxloopError, did_you_mean
+from luxloop.world.params import Params
 
 SHOULDER_SLOPE = math.tan(math.radians(15.0))
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from world.errors import LuxloopError
-from world.texels import TexelGrid
+from luxloop.world.errors import LuxloopError
+from luxloop.world.texels import TexelGrid
 
 SETPOINT_CD = 10_000.0
 

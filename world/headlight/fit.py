@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from world.spmv import Csr, multiply
+from luxloop.world.spmv import Csr, multiply
 
 CHECKED_EVERY = 10  # iterations between checks of the progress, each of which waits for the device
 

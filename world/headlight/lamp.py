@@ -7,9 +7,9 @@ from types import MappingProxyType
 import torch
 from torch import Tensor
 
-from world.errors import LuxloopError
-from world.frames import pose_from_degrees
-from world.headlight import Headlight
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight import Headlight
 
 Range = tuple[float, float]
 _MIRROR = torch.diag(torch.tensor([1.0, -1.0, 1.0, 1.0], dtype=torch.float64))

@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from world.spmv import Csr, multiply, row_of_entries, segment_bounds, zeros
-from world.texels import TexelGrid, bilinear
+from luxloop.world.spmv import Csr, multiply, row_of_entries, segment_bounds, zeros
+from luxloop.world.texels import TexelGrid, bilinear
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of the channels of linear sRGB
 

@@ -9,8 +9,8 @@ import numpy.typing as npt
 import scipy.sparse as sp
 import torch
 
-from world.errors import LuxloopError
-from world.spmv import Csr
+from luxloop.world.errors import LuxloopError
+from luxloop.world.spmv import Csr
 
 Method = Literal["threshold", "proportional", "least_squares"]
 Array = npt.NDArray[np.float64]

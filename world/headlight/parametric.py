@@ -12,9 +12,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from world.budget import afford
-from world.params import Params
-from world.texels import TexelGrid
+from luxloop.world.budget import afford
+from luxloop.world.params import Params
+from luxloop.world.texels import TexelGrid
 
 Floats = NDArray[np.float64]
 Matrix = tuple[sp.csr_array, int, int]

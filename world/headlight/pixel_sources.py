@@ -8,15 +8,15 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from world.errors import LuxloopError
-from world.frames import pose_from_degrees
-from world.headlight.parametric import MOST_PIXELS
-from world.headlight.pixel_tables import read_table
-from world.headlight.pixels import Pixel, PixelArray
-from world.params import Params
-from world.photometry.distribution import Aim
-from world.photometry.files import read_all
-from world.texels import LARGEST_ANGLE_DEG
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight.parametric import MOST_PIXELS
+from luxloop.world.headlight.pixel_tables import read_table
+from luxloop.world.headlight.pixels import Pixel, PixelArray
+from luxloop.world.params import Params
+from luxloop.world.photometry.distribution import Aim
+from luxloop.world.photometry.files import read_all
+from luxloop.world.texels import LARGEST_ANGLE_DEG
 
 SUFFIXES = (".ies", ".ldt")
 SHOWN = 5  # names in a message

@@ -9,12 +9,12 @@ import pyarrow as pa
 import pyarrow.csv
 from numpy.typing import NDArray
 
-from world.arrays import read_npz
-from world.errors import LuxloopError
-from world.files import reading, regular
-from world.headlight.matrix import LUMINANCE
-from world.headlight.pixels import Pixel, PixelArray
-from world.photometry.distribution import EDGE_DEG, Array, Distribution
+from luxloop.world.arrays import read_npz
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import reading, regular
+from luxloop.world.headlight.matrix import LUMINANCE
+from luxloop.world.headlight.pixels import Pixel, PixelArray
+from luxloop.world.photometry.distribution import EDGE_DEG, Array, Distribution
 
 ANGLES = ("horizontal_deg", "vertical_deg")
 CHANNELS = ("red", "green", "blue")

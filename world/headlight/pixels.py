@@ -10,12 +10,12 @@ import scipy  # whose parts are loaded when they are first named
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from world.budget import BUDGET_BYTES, afford
-from world.errors import LuxloopError
-from world.headlight.matrix import LUMINANCE
-from world.photometry.distribution import EDGE_DEG, Aim, Array, Distribution, directions_of
-from world.photometry.texture import PROBES, Window, light_texture, solid_angles, squared_error
-from world.texels import LARGEST_ANGLE_DEG, TexelGrid
+from luxloop.world.budget import BUDGET_BYTES, afford
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.matrix import LUMINANCE
+from luxloop.world.photometry.distribution import EDGE_DEG, Aim, Array, Distribution, directions_of
+from luxloop.world.photometry.texture import PROBES, Window, light_texture, solid_angles, squared_error
+from luxloop.world.texels import LARGEST_ANGLE_DEG, TexelGrid
 
 CUTOFF = 1e-4  # share of a pixel's peak below which its light is left out: fewer entries, and next to nothing is lost
 MOST_TEXELS = 2048  # along a side, unless a user wants more

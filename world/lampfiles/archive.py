@@ -14,15 +14,15 @@ import torch
 from pydantic import ConfigDict, Field, ValidationError, model_validator
 from torch import Tensor
 
-from world.arrays import Arrays, read_npz, write_npz
-from world.budget import afford
-from world.errors import LuxloopError, located
-from world.files import reading, whole
-from world.headlight import Headlight
-from world.headlight.lamp import Lamp, Module
-from world.params import ModuleName, Params
-from world.spmv import Csr
-from world.validation import sentences
+from luxloop.world.arrays import Arrays, read_npz, write_npz
+from luxloop.world.budget import afford
+from luxloop.world.errors import LuxloopError, located
+from luxloop.world.files import reading, whole
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import Lamp, Module
+from luxloop.world.params import ModuleName, Params
+from luxloop.world.spmv import Csr
+from luxloop.world.validation import sentences
 
 FORMAT: Final = "luxloop lamp"
 VERSION: Final = 1

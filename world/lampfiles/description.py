@@ -12,19 +12,19 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from world import presets
-from world.errors import LuxloopError, did_you_mean, located
-from world.files import files_at
-from world.headlight.lamp import Lamp
-from world.headlight.pixel_sources import SUFFIXES, FileSource
-from world.lampfiles import archive
-from world.lampfiles.modules import ModuleParams, ModuleReport, build_module
-from world.lampfiles.utilisations import read_utilisation
-from world.params import Params
-from world.photometry.distribution import Array
-from world.presets.beams import FittedBeams
-from world.regulation.results import Traffic
-from world.validation import read_toml, validated
+from luxloop.world import presets
+from luxloop.world.errors import LuxloopError, did_you_mean, located
+from luxloop.world.files import files_at
+from luxloop.world.headlight.lamp import Lamp
+from luxloop.world.headlight.pixel_sources import SUFFIXES, FileSource
+from luxloop.world.lampfiles import archive
+from luxloop.world.lampfiles.modules import ModuleParams, ModuleReport, build_module
+from luxloop.world.lampfiles.utilisations import read_utilisation
+from luxloop.world.params import Params
+from luxloop.world.photometry.distribution import Array
+from luxloop.world.presets.beams import FittedBeams
+from luxloop.world.regulation.results import Traffic
+from luxloop.world.validation import read_toml, validated
 
 Side = Literal["left", "right"]
 Progress = Callable[[str, int, int], None]

@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from world.headlight.lamp import Lamp
-from world.headlight.pixel_sources import FileSource
-from world.lampfiles.modules import warn_of_oddities
-from world.photometry import Distribution
+from luxloop.world.headlight.lamp import Lamp
+from luxloop.world.headlight.pixel_sources import FileSource
+from luxloop.world.lampfiles.modules import warn_of_oddities
+from luxloop.world.photometry import Distribution
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,21 +10,31 @@ from typing import Annotated, Any, Literal, Self
 import torch
 from pydantic import Field, model_validator
 
-from world import presets
-from world.budget import afford
-from world.errors import LuxloopError
-from world.frames import pose_from_degrees
-from world.headlight import Headlight
-from world.headlight.lamp import Module
-from world.headlight.overlap import Method, OverlapErrors, errors, reduce, standard_use_cases, strongest
-from world.headlight.parametric import BlurredRectangles, GaussianPixels
-from world.headlight.pixel_sources import FileSource, FolderSource, TableSource
-from world.headlight.pixels import CUTOFF, TEXELS_A_PIXEL, Assembled, PixelArray, affordable, assemble, border_share, default_grid, describe
-from world.params import Degrees, ModuleName, Params
-from world.photometry.distribution import Array
-from world.presets.modules import headlight
-from world.spmv import Csr
-from world.texels import LARGEST_ANGLE_DEG, TexelGrid
+from luxloop.world import presets
+from luxloop.world.budget import afford
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import Module
+from luxloop.world.headlight.overlap import Method, OverlapErrors, errors, reduce, standard_use_cases, strongest
+from luxloop.world.headlight.parametric import BlurredRectangles, GaussianPixels
+from luxloop.world.headlight.pixel_sources import FileSource, FolderSource, TableSource
+from luxloop.world.headlight.pixels import (
+    CUTOFF,
+    TEXELS_A_PIXEL,
+    Assembled,
+    PixelArray,
+    affordable,
+    assemble,
+    border_share,
+    default_grid,
+    describe,
+)
+from luxloop.world.params import Degrees, ModuleName, Params
+from luxloop.world.photometry.distribution import Array
+from luxloop.world.presets.modules import headlight
+from luxloop.world.spmv import Csr
+from luxloop.world.texels import LARGEST_ANGLE_DEG, TexelGrid
 
 DARK_CD = 1e-3  # no lamp is so dim, but what rounding leaves of a model far away
 TOLD = 0.01  # of flux or peak, beyond which it is told that a texture does not hold them

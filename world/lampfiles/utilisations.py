@@ -11,14 +11,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from world.arrays import read_npy, read_npz
-from world.budget import afford
-from world.errors import LuxloopError
-from world.files import content, reading
-from world.headlight.pixel_tables import separators
-from world.images import decoded
-from world.photometry.distribution import Array
-from world.symbols import FOLDER_HZ, VIDEOS, frame_at, video
+from luxloop.world.arrays import read_npy, read_npz
+from luxloop.world.budget import afford
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import content, reading
+from luxloop.world.headlight.pixel_tables import separators
+from luxloop.world.images import decoded
+from luxloop.world.photometry.distribution import Array
+from luxloop.world.symbols import FOLDER_HZ, VIDEOS, frame_at, video
 
 BYTES_A_VALUE = 8  # of a sequence: single precision, and its frames beside it until they are joined
 

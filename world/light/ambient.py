@@ -6,10 +6,10 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from world.frames import unit
-from world.rendering.gbuffer import GBuffer
-from world.scene.body import Spotlight
-from world.scene.scene import StreetLamp
+from luxloop.world.frames import unit
+from luxloop.world.rendering.gbuffer import GBuffer
+from luxloop.world.scene.body import Spotlight
+from luxloop.world.scene.scene import StreetLamp
 
 
 def ambient_luminance(

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from world.headlight import Headlight
-from world.headlight.lamp import Lamp, direction
-from world.light.illumination import illuminance, luminance, reach
-from world.rendering.gbuffer import GBuffer
-from world.scene.triangles import Triangles
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import Lamp, direction
+from luxloop.world.light.illumination import illuminance, luminance, reach
+from luxloop.world.rendering.gbuffer import GBuffer
+from luxloop.world.scene.triangles import Triangles
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,15 +11,15 @@ import scipy.sparse as sp
 import torch
 from torch import Tensor
 
-from world.frames import inverse, transform, unit
-from world.headlight import Headlight
-from world.kept import keeping
-from world.materials.brdf import luminance_factor
-from world.rendering.gbuffer import GBuffer
-from world.rendering.raycast import sees
-from world.scene.triangles import Triangles
-from world.spmv import Csr, multiply, numbers, row_of_entries, segment_bounds, span_of
-from world.texels import bilinear
+from luxloop.world.frames import inverse, transform, unit
+from luxloop.world.headlight import Headlight
+from luxloop.world.kept import keeping
+from luxloop.world.materials.brdf import luminance_factor
+from luxloop.world.rendering.gbuffer import GBuffer
+from luxloop.world.rendering.raycast import sees
+from luxloop.world.scene.triangles import Triangles
+from luxloop.world.spmv import Csr, multiply, numbers, row_of_entries, segment_bounds, span_of
+from luxloop.world.texels import bilinear
 
 KEPT_TEXTURES: Final = 2  # of an on and an off exposure
 

@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from world.frames import inverse
-from world.light.emitters import Source
-from world.rendering.shadow import ShadowMap, visible
+from luxloop.world.frames import inverse
+from luxloop.world.light.emitters import Source
+from luxloop.world.rendering.shadow import ShadowMap, visible
 
 CHUNK = 1 << 18  # samples that are in memory at a time
 NEAREST_M = 0.02  # a ray through a module itself would see an infinitely bright point

@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from world.errors import LuxloopError
-from world.frames import unit
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import unit
 
 NODES = 128  # of the tables over the angle, even in the root of its cosine, since grazing angles change fastest
 MARGIN = 1e-3  # by which the tables overstate what is reflected, more than quadrature and interpolation are off

@@ -8,8 +8,8 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from world.materials.brdf import LAMBERTIAN, Material
-from world.params import Params
+from luxloop.world.materials.brdf import LAMBERTIAN, Material
+from luxloop.world.params import Params
 
 MaterialName = Literal[
     "matt",

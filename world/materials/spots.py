@@ -11,10 +11,10 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn.functional import pad
 
-from world.kept import keeping
-from world.materials.brdf import Material
-from world.materials.library import MATERIALS, MaterialName, RoadSurfaceParams, Texture
-from world.params import Params
+from luxloop.world.kept import keeping
+from luxloop.world.materials.brdf import Material
+from luxloop.world.materials.library import MATERIALS, MaterialName, RoadSurfaceParams, Texture
+from luxloop.world.params import Params
 
 SPARE_M = 0.01  # beyond a spot, for rounding in float32 some hundred metres ahead
 TOGETHER = 64  # neighbouring points

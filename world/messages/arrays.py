@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import Field
 
-from world.params import Params
+from luxloop.world.params import Params
 
 CODES: Final = {"uint8": "u1", "uint16": "u2", "uint32": "u4", "float16": "f2", "float32": "f4"}
 MOST_BYTES: Final = 2**22  # of an array of a studio's client, decoded

@@ -9,10 +9,10 @@ from typing import Any, Final
 import numpy as np
 from pydantic import Field, ValidationError
 
-from world.errors import LuxloopError
-from world.messages.arrays import ArrayHead, Coded
-from world.params import Params
-from world.plugin import in_a_line
+from luxloop.world.errors import LuxloopError
+from luxloop.world.messages.arrays import ArrayHead, Coded
+from luxloop.world.params import Params
+from luxloop.world.plugin import in_a_line
 
 LENGTH: Final = struct.Struct("<I")
 LARGEST_HEAD: Final = 2**20  # bytes

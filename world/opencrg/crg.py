@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from world.errors import LuxloopError
+from luxloop.world.errors import LuxloopError
 
 KINDS = {"LRFI": None, "LDFI": None, "KRBI": np.dtype(">f4"), "KDBI": np.dtype(">f8")}
 FINEST_M = 1e-5  # between points of a grid: no road is measured as finely

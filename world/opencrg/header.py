@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from world.files import content
-from world.opencrg.crg import KINDS, CrgError
+from luxloop.world.files import content
+from luxloop.world.opencrg.crg import KINDS, CrgError
 
 LARGEST = 1e9  # no number of a road's header is larger, so that products of a few stay finite
 _END = re.compile(rb"^\$\$[^\n]*(?:\n|\Z)", re.MULTILINE)

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from world.opencrg.crg import Crg, CrgError, filled
-from world.opencrg.surface import CrgSurface
+from luxloop.world.opencrg.crg import Crg, CrgError, filled
+from luxloop.world.opencrg.surface import CrgSurface
 
 # What OpenCRG libraries do to a file that has no $ROAD_CRG_MODS: fill NaN, start at the origin with heading 0.
 LIBRARY_DEFAULTS = {"grid_nan_mode": 2.0, "refpoint_phi": 0.0}

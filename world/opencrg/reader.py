@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from world.opencrg.crg import FINEST_M, KINDS, TEXT_WIDTH, Crg, CrgError
-from world.opencrg.header import Channels, Header, read_channels, read_header
+from luxloop.world.opencrg.crg import FINEST_M, KINDS, TEXT_WIDTH, Crg, CrgError
+from luxloop.world.opencrg.header import Channels, Header, read_channels, read_header
 
 LINE_WIDTH = 80  # characters of a line of text data, at most
 NUMERALS = b"0123456789+-.,eEdD*unsedmig \t\r\n\x1a"  # what a text data block is made of

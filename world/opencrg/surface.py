@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from world.opencrg.crg import FINEST_M, Crg, CrgError
+from luxloop.world.opencrg.crg import FINEST_M, Crg, CrgError
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from world.errors import LuxloopError
+from luxloop.world.errors import LuxloopError
 
 Kind = Literal["A", "B", "C"]
 Aim = Literal["beam", "nadir"]

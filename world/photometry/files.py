@@ -4,12 +4,12 @@ import warnings
 from collections.abc import Iterable
 from pathlib import Path
 
-from world.photometry import eulumdat, lm63
-from world.photometry.record import Photometry
-from world.photometry.text import load
+from luxloop.world.photometry import eulumdat, lm63
+from luxloop.world.photometry.record import Photometry
+from luxloop.world.photometry.text import load
 
 
-def read(path: str | Path) -> Photometry:
+def read_photometry(path: str | Path) -> Photometry:
     """Read an IES LM-63 or EULUMDAT file at path, by what it holds; where that does not tell, by its suffix, .ies or not.
 
     Raises PhotometryError, a LuxloopError, with the line and what was expected there.
@@ -22,7 +22,7 @@ def read(path: str | Path) -> Photometry:
 
 def read_all(paths: Iterable[str | Path]) -> list[Photometry]:
     """Read files as `read` does, and warn of what is odd in them: of each kind once, for the first file and the number of others."""
-    files = [read(path) for path in paths]
+    files = [read_photometry(path) for path in paths]
     odd: dict[str, list[Path]] = {}
     for file in files:
         for each in file.warnings:

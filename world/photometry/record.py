@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from world.photometry.distribution import Distribution
+from luxloop.world.photometry.distribution import Distribution
 
 
 @dataclass(frozen=True, eq=False)

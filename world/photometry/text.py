@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from world.errors import LuxloopError
-from world.files import content
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import content
 
 LARGEST = 1e15  # no number of photometry comes near it, and products of a few stay finite
 

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from world.photometry.distribution import EDGE_DEG, Aim, Array, Distribution, angles_of, directions_of
-from world.texels import TexelGrid, bilinear
+from luxloop.world.photometry.distribution import EDGE_DEG, Aim, Array, Distribution, angles_of, directions_of
+from luxloop.world.texels import TexelGrid, bilinear
 
 FINE_STEPS = 0.52  # of a step, up to which a texel is interpolated: half of one, and a little as texels are seen aslant
 SAMPLES_PER_STEP = 4  # in each direction: the file is bilinear within a step

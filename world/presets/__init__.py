@@ -6,12 +6,12 @@ from functools import lru_cache
 from types import MappingProxyType
 from typing import Literal
 
-from world.errors import LuxloopError, did_you_mean
-from world.headlight import Headlight
-from world.headlight.lamp import Lamp, Module
-from world.presets import dmd, hd84, ideal, ssl_hd
-from world.presets.beams import FittedBeams
-from world.presets.ideal import idealised
+from luxloop.world.errors import LuxloopError, did_you_mean
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import Lamp, Module
+from luxloop.world.presets import dmd, hd84, ideal, ssl_hd
+from luxloop.world.presets.beams import FittedBeams
+from luxloop.world.presets.ideal import idealised
 
 __all__ = ["NAMES", "SUMMARIES", "idealised", "lamp"]
 

@@ -4,9 +4,9 @@ from collections.abc import Iterator, Mapping
 
 from torch import Tensor
 
-from world.beams import PATTERNS, fit
-from world.headlight.lamp import Lamp
-from world.regulation.results import Traffic
+from luxloop.world.beams import PATTERNS, fit
+from luxloop.world.headlight.lamp import Lamp
+from luxloop.world.regulation.results import Traffic
 
 
 class FittedBeams(Mapping[str, tuple[Tensor, ...]]):

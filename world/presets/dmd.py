@@ -1,9 +1,9 @@
 """A projector with 1.3 million micromirrors."""
 
-from world.headlight import Headlight
-from world.headlight.parametric import BlurredRectangles
-from world.presets.modules import headlight
-from world.texels import TexelGrid
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.parametric import BlurredRectangles
+from luxloop.world.presets.modules import headlight
+from luxloop.world.texels import TexelGrid
 
 NOTES = """Published (Driving Vision News, January 2025, of the first such module): 1.3 million mirrors on 14 x 7 deg, 50 kcd at most.
 Guessed: 1152 x 1152 mirrors, twice as wide as high, from 2 deg up to 5 deg down, even light, sharp edges."""

@@ -1,9 +1,9 @@
 """The HD84 module: 84 Gaussian pixels in three unequal rows."""
 
-from world.headlight import Headlight
-from world.headlight.parametric import GaussianPixels
-from world.presets.modules import headlight
-from world.texels import TexelGrid
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.parametric import GaussianPixels
+from luxloop.world.presets.modules import headlight
+from luxloop.world.texels import TexelGrid
 
 NOTES = """Published (thesis, T 2.4, 8.4): 3 x 28 pixels, +-20 x +-5 deg, rows of unequal height, pixels like Gaussians.
 Guessed: all else; widths of the Gaussians by calibration."""

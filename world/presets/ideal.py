@@ -5,9 +5,9 @@ import math
 import numpy as np
 import scipy.sparse as sp
 
-from world.errors import LuxloopError
-from world.headlight import Headlight
-from world.spmv import Csr
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight import Headlight
+from luxloop.world.spmv import Csr
 
 NOTES = """Published (thesis, T 9.4.3): 332 x 1024 pixels, +-10 deg by +1.5 to -3.5 deg, minimal overlap.
 Guessed: 50 kcd over the whole field, pixels of equal pitch on the texture's plane, linear edges 0.2 pitches to either side."""

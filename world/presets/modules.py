@@ -5,11 +5,11 @@ import scipy.sparse as sp
 import torch
 from torch import Tensor
 
-from world.headlight import Headlight
-from world.headlight.matrix import LUMINANCE
-from world.headlight.parametric import BlurredRectangles, GaussianPixels
-from world.spmv import Csr
-from world.texels import TexelGrid
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.matrix import LUMINANCE
+from luxloop.world.headlight.parametric import BlurredRectangles, GaussianPixels
+from luxloop.world.spmv import Csr
+from luxloop.world.texels import TexelGrid
 
 
 def headlight(name: str, model: GaussianPixels | BlurredRectangles, grid: TexelGrid, chromatic_shift: float = 0.0) -> Headlight:

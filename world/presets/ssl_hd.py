@@ -1,11 +1,11 @@
 """The SSL|HD lamp: two HD modules of 64 x 256 pixels, an auxiliary high beam, a courtesy light and a static cornering light."""
 
-from world.frames import pose_from_degrees
-from world.headlight import Headlight
-from world.headlight.lamp import Module
-from world.headlight.parametric import BlurredRectangles, GaussianPixels
-from world.presets.modules import headlight
-from world.texels import TexelGrid
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import Module
+from luxloop.world.headlight.parametric import BlurredRectangles, GaussianPixels
+from luxloop.world.presets.modules import headlight
+from luxloop.world.texels import TexelGrid
 
 NOTES = """Published (thesis, T 2.2, 5.1, 8.4): modules LoRes and HiRes of 64 x 256 pixels each, +-20 x +-5 deg and half of it, 0.156 and
 0.078 deg a pixel, pixels like blurred rectangles that overlap their neighbours and widen slightly to the sides; six LEDs more for courtesy

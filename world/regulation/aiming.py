@@ -2,11 +2,11 @@
 
 import torch
 
-from world.headlight.lamp import direction
-from world.regulation import cutoff, sampling
-from world.regulation.checking import IMAX_FIELD, STEP_DEG, aimed, evaluate
-from world.regulation.results import Intensity, Traffic, least_margin, passes
-from world.regulation.tables import Cutoff, Point, RuleSet, rule_set
+from luxloop.world.headlight.lamp import direction
+from luxloop.world.regulation import cutoff, sampling
+from luxloop.world.regulation.checking import IMAX_FIELD, STEP_DEG, aimed, evaluate
+from luxloop.world.regulation.results import Intensity, Traffic, least_margin, passes
+from luxloop.world.regulation.tables import Cutoff, Point, RuleSet, rule_set
 
 SHOULDER_H_DEG = (1.0, 2.0, 3.0)
 SHOULDER_SHARPNESS = 0.08
@@ -16,7 +16,7 @@ SEARCH_STEP_DEG = 0.25  # of the points while aims are tried
 AIMS = 5  # tried in each direction
 
 
-def aim(intensity: Intensity, set_id: str, *, traffic: Traffic = "right") -> Point:
+def aim_beam(intensity: Intensity, set_id: str, *, traffic: Traffic = "right") -> Point:
     """The aim `(h, v)` in deg, right and up positive, at which this set checks the lamp.
 
     intensity: cd `[N]` of directions `[3, N]` of the lamp frame. set_id: such as "r149-passing-c". traffic: side of the road it keeps to. A

@@ -6,18 +6,18 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from world.frames import rotation
-from world.headlight.lamp import direction
-from world.regulation import cutoff, sampling
-from world.regulation.results import Intensity, Result, Traffic, Verdict, margin
-from world.regulation.tables import Point, Requirement, RuleSet, rule_set
+from luxloop.world.frames import rotation
+from luxloop.world.headlight.lamp import direction
+from luxloop.world.regulation import cutoff, sampling
+from luxloop.world.regulation.results import Intensity, Result, Traffic, Verdict, margin
+from luxloop.world.regulation.tables import Point, Requirement, RuleSet, rule_set
 
 IMAX_FIELD = ((-45.0, -20.0), (45.0, -20.0), (45.0, 20.0), (-45.0, 20.0))  # deg; no headlamp has its maximum outside
 STEP_DEG = 0.05
 FLUX_STEP_DEG = 0.1
 
 
-def check(
+def check_beam(
     intensity: Intensity,
     set_id: str,
     *,

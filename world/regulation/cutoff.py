@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import torch
 
-from world.headlight.lamp import direction
-from world.regulation.results import Intensity, Result, Verdict, least_margin, margin
-from world.regulation.tables import Cutoff, RuleSet
+from luxloop.world.headlight.lamp import direction
+from luxloop.world.regulation.results import Intensity, Result, Verdict, least_margin, margin
+from luxloop.world.regulation.tables import Cutoff, RuleSet
 
 SCAN_STEP_DEG = 0.05
 GRADIENT_STEPS = 2  # 0.1 deg

@@ -7,7 +7,7 @@ from typing import Literal
 
 from torch import Tensor
 
-from world.regulation.tables import Point
+from luxloop.world.regulation.tables import Point
 
 Intensity = Callable[[Tensor], Tensor]  # directions [3, N] of the lamp frame -> cd [N]
 Verdict = Literal["pass", "fail", "not applicable"]

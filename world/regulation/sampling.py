@@ -5,7 +5,7 @@ import math
 import torch
 from torch import Tensor
 
-from world.regulation.tables import Point
+from luxloop.world.regulation.tables import Point
 
 MOST_SAMPLES = 400_000  # of a zone; a larger one is sampled more coarsely and refined around its extremes
 EXTREMES = 8  # samples around which the search is refined

@@ -7,8 +7,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from world.errors import LuxloopError, did_you_mean
-from world.params import Params
+from luxloop.world.errors import LuxloopError, did_you_mean
+from luxloop.world.params import Params
 
 Point = tuple[float, float]
 

@@ -11,12 +11,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from world.frames import inverse
-from world.partial import Part
-from world.rendering.rasterise import FAR_M, NEAR_M, context
-from world.scene.body import Body
-from world.scene.triangles import Placed, Triangles
-from world.view import View
+from luxloop.world.frames import inverse
+from luxloop.world.partial import Part
+from luxloop.world.rendering.rasterise import FAR_M, NEAR_M, context
+from luxloop.world.scene.body import Body
+from luxloop.world.scene.triangles import Placed, Triangles
+from luxloop.world.view import View
 
 PART_BITS = 6  # of a body: its number and that of a part share a float of 24 bits
 MOST_PARTS = 2**PART_BITS
@@ -206,7 +206,7 @@ def _program() -> int:
     from OpenGL import GL
     from OpenGL.GL import shaders
 
-    folder = files("world.rendering") / "shaders"
+    folder = files("luxloop.world.rendering") / "shaders"
     kinds = ((GL.GL_VERTEX_SHADER, "surfaces.vert"), (GL.GL_FRAGMENT_SHADER, "surfaces.frag"))
     return int(shaders.compileProgram(*(shaders.compileShader((folder / name).read_text(), kind) for kind, name in kinds)))
 

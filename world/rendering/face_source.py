@@ -6,10 +6,10 @@ from typing import Literal, Protocol
 
 from torch import Tensor
 
-from world.rendering.rasterise import NoOpenGL, Rasteriser
-from world.rendering.raycast import RayCaster
-from world.scene.triangles import Triangles
-from world.view import View
+from luxloop.world.rendering.rasterise import NoOpenGL, Rasteriser
+from luxloop.world.rendering.raycast import RayCaster
+from luxloop.world.scene.triangles import Triangles
+from luxloop.world.view import View
 
 
 class FaceSource(Protocol):

@@ -2,9 +2,9 @@
 
 import torch
 
-from world.materials.brdf import LAMBERTIAN, Material
-from world.rendering.gbuffer import Finish, GBuffer
-from world.view import View
+from luxloop.world.materials.brdf import LAMBERTIAN, Material
+from luxloop.world.rendering.gbuffer import Finish, GBuffer
+from luxloop.world.view import View
 
 
 def flat_road(view: View, albedo: float, dtype: torch.dtype = torch.float32, material: Material = LAMBERTIAN) -> GBuffer:

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from world.frames import inverse, transform, unit
-from world.materials.brdf import LAMBERTIAN, Material
-from world.materials.library import MATERIALS
-from world.rendering.raycast import hits_on
-from world.scene.triangles import Placed, Triangles
-from world.view import View
+from luxloop.world.frames import inverse, transform, unit
+from luxloop.world.materials.brdf import LAMBERTIAN, Material
+from luxloop.world.materials.library import MATERIALS
+from luxloop.world.rendering.raycast import hits_on
+from luxloop.world.scene.triangles import Placed, Triangles
+from luxloop.world.view import View
 
 
 @dataclass(frozen=True)

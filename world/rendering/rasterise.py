@@ -11,11 +11,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from world.errors import LuxloopError
-from world.process import check_process
-from world.scene.body import Body
-from world.scene.triangles import Triangles
-from world.view import View
+from luxloop.world.errors import LuxloopError
+from luxloop.world.process import check_process
+from luxloop.world.scene.body import Body
+from luxloop.world.scene.triangles import Triangles
+from luxloop.world.view import View
 
 NEAR_M, FAR_M = 0.3, 1000.0  # 24 bits of depth between them: 0.7 mm at 60 m
 EGL_BAD_ACCESS = 0x3002

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from world.scene.triangles import Hits, Placed, Triangles, intersect, on_planes
-from world.view import View
+from luxloop.world.scene.triangles import Hits, Placed, Triangles, intersect, on_planes
+from luxloop.world.view import View
 
 TOLERANCE_M = 2e-3  # by which a surface lies before itself: what OpenGL interpolates is 1 mm off where light grazes a road 60 m ahead
 MARGIN_M = 1e-3  # around a body, which may be flat

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from world.rendering.face_source import FaceSource
-from world.rendering.raycast import depths
-from world.scene.triangles import Triangles
-from world.view import View
+from luxloop.world.rendering.face_source import FaceSource
+from luxloop.world.rendering.raycast import depths
+from luxloop.world.scene.triangles import Triangles
+from luxloop.world.view import View
 
 
 @dataclass(frozen=True, eq=False)

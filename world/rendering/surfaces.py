@@ -5,14 +5,14 @@ from typing import Protocol
 
 import torch
 
-from world.materials.brdf import LAMBERTIAN, Material
-from world.partial import Part
-from world.rendering.deferred import DeferredRenderer
-from world.rendering.face_source import FaceSource, FirstFound
-from world.rendering.gbuffer import Finish, GBuffer, gbuffer, reflection
-from world.rendering.rasterise import Rasteriser
-from world.scene.triangles import Placed, Triangles
-from world.view import View
+from luxloop.world.materials.brdf import LAMBERTIAN, Material
+from luxloop.world.partial import Part
+from luxloop.world.rendering.deferred import DeferredRenderer
+from luxloop.world.rendering.face_source import FaceSource, FirstFound
+from luxloop.world.rendering.gbuffer import Finish, GBuffer, gbuffer, reflection
+from luxloop.world.rendering.rasterise import Rasteriser
+from luxloop.world.scene.triangles import Placed, Triangles
+from luxloop.world.view import View
 
 
 class SurfaceSource(Protocol):

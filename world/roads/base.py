@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from world.params import Params
+from luxloop.world.params import Params
 
 Floats = NDArray[np.float64]
 

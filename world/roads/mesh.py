@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from world.roads.base import Floats, Road
-from world.roads.own import OwnRoad
-from world.roads.scan import OpenCrgRoad
+from luxloop.world.roads.base import Floats, Road
+from luxloop.world.roads.own import OwnRoad
+from luxloop.world.roads.scan import OpenCrgRoad
 
 if TYPE_CHECKING:
     import trimesh

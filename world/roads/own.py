@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from world import plugin
-from world.errors import LuxloopError
-from world.roads.base import Floats, MeshGrid, Road, RoadModel
+from luxloop.world import plugin
+from luxloop.world.errors import LuxloopError
+from luxloop.world.roads.base import Floats, MeshGrid, Road, RoadModel
 
 
 class OwnRoad(RoadModel):

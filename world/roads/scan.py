@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from world.errors import LuxloopError
-from world.opencrg import CrgSurface, filled, modified, read_crg
-from world.roads.base import Floats, MeshGrid, RoadModel, ahead, smoothstep
+from luxloop.world.errors import LuxloopError
+from luxloop.world.opencrg import CrgSurface, filled, modified, read_crg
+from luxloop.world.roads.base import Floats, MeshGrid, RoadModel, ahead, smoothstep
 
 # Where the tyres touch: front axle 0.8 m behind the lamps, wheelbase 2.8 m, track 1.6 m.
 WHEELS_M = np.array([[-0.8, 0.8], [-0.8, -0.8], [-3.6, 0.8], [-3.6, -0.8]])

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, Tag, field_validator, model_validator
 
-from world.params import Metres, Params
-from world.plugin import OWN, known_or_own
-from world.roads.base import Floats, MeshGrid, Road, RoadModel, ahead, smoothstep
-from world.roads.iso8608 import roughness
-from world.roads.own import OwnRoad
-from world.roads.scan import OpenCrgRoad
+from luxloop.world.params import Metres, Params
+from luxloop.world.plugin import OWN, known_or_own
+from luxloop.world.roads.base import Floats, MeshGrid, Road, RoadModel, ahead, smoothstep
+from luxloop.world.roads.iso8608 import roughness
+from luxloop.world.roads.own import OwnRoad
+from luxloop.world.roads.scan import OpenCrgRoad
 
 __all__ = [
     "Bumps",

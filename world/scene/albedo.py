@@ -5,7 +5,7 @@ from typing import Final
 import torch
 from torch import Tensor
 
-from world.scene.body import Body
+from luxloop.world.scene.body import Body
 
 TEXEL_M: Final = 0.05
 MOST_TEXELS: Final = 2_000_000

@@ -9,12 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from world.frames import pose, rotation
-from world.kept import keeping
-from world.materials.brdf import LAMBERTIAN, Material
-from world.materials.library import MaterialName, Texture
-from world.materials.spots import SpottedTexture
-from world.roads.base import Road
+from luxloop.world.frames import pose, rotation
+from luxloop.world.kept import keeping
+from luxloop.world.materials.brdf import LAMBERTIAN, Material
+from luxloop.world.materials.library import MaterialName, Texture
+from luxloop.world.materials.spots import SpottedTexture
+from luxloop.world.roads.base import Road
 
 if TYPE_CHECKING:
     import trimesh

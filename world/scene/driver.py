@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from world.scene.vehicle import CourseParams, VehicleParams
+from luxloop.world.scene.vehicle import CourseParams, VehicleParams
 
 FASTEST_M_S: Final = 50.0
 PULLS_M_S2, BRAKES_M_S2 = 3.0, 8.0

@@ -8,7 +8,7 @@ from typing import Final
 import torch
 from torch import Tensor
 
-from world.scene.body import Body, PoseTrack
+from luxloop.world.scene.body import Body, PoseTrack
 
 SHAPES: Final = 32  # of a cycle; a walker has one for every 5 cm
 

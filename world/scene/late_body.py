@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Self
 
-from world.scene.vehicle import STANDING, Motion, VehicleState
+from luxloop.world.scene.vehicle import STANDING, Motion, VehicleState
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from world.kept import keeping
-from world.materials.library import Texture
-from world.materials.spots import SpottedTexture
-from world.roads.base import Road
-from world.roads.mesh import axis, grid_mesh
-from world.scene.body import Body, PoseTrack
-from world.scene.triangles import Placed
+from luxloop.world.kept import keeping
+from luxloop.world.materials.library import Texture
+from luxloop.world.materials.spots import SpottedTexture
+from luxloop.world.roads.base import Road
+from luxloop.world.roads.mesh import axis, grid_mesh
+from luxloop.world.scene.body import Body, PoseTrack
+from luxloop.world.scene.triangles import Placed
 
 LENGTH_M: Final = 6.0  # of a tile
 SIGHT_M: Final = 90.0

@@ -6,14 +6,14 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from world.frames import transform
-from world.params import Metres, Params
-from world.scene.body import Body, PoseTrack, Spotlight
-from world.scene.figure import Figure
-from world.scene.road_patches import RoadPatches
-from world.scene.road_tiles import RoadTiles
-from world.scene.standing_road import StandingRoad
-from world.scene.triangles import NOTHING, Placed, Triangles
+from luxloop.world.frames import transform
+from luxloop.world.params import Metres, Params
+from luxloop.world.scene.body import Body, PoseTrack, Spotlight
+from luxloop.world.scene.figure import Figure
+from luxloop.world.scene.road_patches import RoadPatches
+from luxloop.world.scene.road_tiles import RoadTiles
+from luxloop.world.scene.standing_road import StandingRoad
+from luxloop.world.scene.triangles import NOTHING, Placed, Triangles
 
 __all__ = ["Body", "Ground", "PoseTrack", "Scene", "StreetLamp"]
 

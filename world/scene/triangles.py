@@ -8,8 +8,8 @@ from typing import Final
 import torch
 from torch import Tensor
 
-from world.frames import inverse
-from world.scene.body import Body
+from luxloop.world.frames import inverse
+from luxloop.world.scene.body import Body
 
 CHUNK: Final = 2**15  # rays at a time, whose numbers stay in the processor's cache
 

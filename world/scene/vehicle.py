@@ -18,11 +18,11 @@ import torch
 from pydantic import AfterValidator, Field
 from torch import Tensor
 
-from world.budget import afford
-from world.frames import pose, rotation
-from world.kept import keeping
-from world.params import Params
-from world.roads.base import Floats, Road, smoothstep
+from luxloop.world.budget import afford
+from luxloop.world.frames import pose, rotation
+from luxloop.world.kept import keeping
+from luxloop.world.params import Params
+from luxloop.world.roads.base import Floats, Road, smoothstep
 
 COLUMNS: Final = (
     *("x_m", "y_m", "yaw_rad", "speed_m_s", "yaw_rate_rad_s", "acceleration_m_s2", "lateral_m_s2", "ground_m", "slope_rad"),

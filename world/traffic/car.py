@@ -6,11 +6,11 @@ import numpy as np
 import torch
 from pydantic import Field
 
-from world.materials.library import MaterialName
-from world.scene.body import Body, Spotlight
-from world.traffic.making import MadeParams
-from world.traffic.shapes import Floats, Piece, ellipsoid, plate, tube, xyz
-from world.traffic.tracked import Category
+from luxloop.world.materials.library import MaterialName
+from luxloop.world.scene.body import Body, Spotlight
+from luxloop.world.traffic.making import MadeParams
+from luxloop.world.traffic.shapes import Floats, Piece, ellipsoid, plate, tube, xyz
+from luxloop.world.traffic.tracked import Category
 
 Style = Literal["hatchback", "saloon", "van"]
 # Length, width, height in m; then in shares of the length from the rear: foot of the rear window, its top, top of the windscreen, its foot.

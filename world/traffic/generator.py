@@ -10,16 +10,16 @@ from typing import Any, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from world.budget import afford
-from world.params import Params
-from world.scene.vehicle import Course, VehicleParams
-from world.traffic.animal import AnimalParams
-from world.traffic.car import CarParams
-from world.traffic.objects import ObjectParams
-from world.traffic.road_users import CyclistParams, PedestrianParams
-from world.traffic.roadside import ClutterParams, TrafficSignParams
-from world.traffic.route import LANE_M, Met, Route
-from world.traffic.tracked import WayParams
+from luxloop.world.budget import afford
+from luxloop.world.params import Params
+from luxloop.world.scene.vehicle import Course, VehicleParams
+from luxloop.world.traffic.animal import AnimalParams
+from luxloop.world.traffic.car import CarParams
+from luxloop.world.traffic.objects import ObjectParams
+from luxloop.world.traffic.road_users import CyclistParams, PedestrianParams
+from luxloop.world.traffic.roadside import ClutterParams, TrafficSignParams
+from luxloop.world.traffic.route import LANE_M, Met, Route
+from luxloop.world.traffic.tracked import WayParams
 
 SIGHT = 0.26  # of what is placed, |y| / x at most: within 15 deg
 TRIES = 200

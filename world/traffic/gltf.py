@@ -12,9 +12,9 @@ import trimesh
 from numpy.typing import NDArray
 from trimesh.transformations import quaternion_matrix, translation_matrix
 
-from world.budget import afford
-from world.errors import LuxloopError
-from world.files import content
+from luxloop.world.budget import afford
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import content
 
 # Beginnings of the names of required extensions that change no triangles, and of the one that is decoded.
 READ: Final = ("KHR_mesh_quantization", "KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_", "KHR_xmp")

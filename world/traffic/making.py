@@ -6,12 +6,12 @@ import numpy as np
 import torch
 from pydantic import Field
 
-from world.errors import LuxloopError, did_you_mean
-from world.materials.library import MaterialName
-from world.params import Params
-from world.scene.body import Body, Part, PoseTrack, Spotlight
-from world.traffic.shapes import Piece, joined
-from world.traffic.tracked import TrackedParams
+from luxloop.world.errors import LuxloopError, did_you_mean
+from luxloop.world.materials.library import MaterialName
+from luxloop.world.params import Params
+from luxloop.world.scene.body import Body, Part, PoseTrack, Spotlight
+from luxloop.world.traffic.shapes import Piece, joined
+from luxloop.world.traffic.tracked import TrackedParams
 
 Looks = Mapping[str, tuple[MaterialName, float]]  # material and albedo of parts, by their names
 

@@ -10,9 +10,9 @@ from typing import cast
 import numpy as np
 import trimesh
 
-from world.errors import LuxloopError
-from world.files import content, reading
-from world.traffic import gltf
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import content, reading
+from luxloop.world.traffic import gltf
 
 MESHES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 

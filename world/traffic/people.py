@@ -5,8 +5,8 @@ from typing import Literal
 
 import numpy as np
 
-from world.materials.library import MaterialName
-from world.traffic.shapes import Floats, Piece, ellipsoid, limb, tube, xyz
+from luxloop.world.materials.library import MaterialName
+from luxloop.world.traffic.shapes import Floats, Piece, ellipsoid, limb, tube, xyz
 
 UPPER_ARM, FOREARM, THIGH, SHANK, FOOT = 0.186, 0.20, 0.245, 0.246, 0.11
 TRUNK = 0.29  # from the hips to the line of the shoulders

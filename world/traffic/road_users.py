@@ -5,11 +5,11 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from world.materials.library import MaterialName
-from world.scene.body import Body
-from world.scene.figure import Figure
-from world.traffic.making import MadeParams
-from world.traffic.people import (
+from luxloop.world.materials.library import MaterialName
+from luxloop.world.scene.body import Body
+from luxloop.world.scene.figure import Figure
+from luxloop.world.traffic.making import MadeParams
+from luxloop.world.traffic.people import (
     FOOT,
     FOREARM,
     SHANK,
@@ -27,8 +27,8 @@ from world.traffic.people import (
     standing,
     walking,
 )
-from world.traffic.shapes import Floats, Piece, block, ellipsoid, limb, xyz
-from world.traffic.tracked import Category
+from luxloop.world.traffic.shapes import Floats, Piece, block, ellipsoid, limb, xyz
+from luxloop.world.traffic.tracked import Category
 
 CLOTHING = "Albedo of the clothes: dark to 0.1, mixed to 0.45, light from 0.35 on, vest: with reflective bands; left out: by the seed"
 STRIDE = 0.83  # of a walker's height

@@ -5,11 +5,11 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from world.materials.library import MaterialName
-from world.scene.body import Body
-from world.traffic.making import MadeParams
-from world.traffic.shapes import Piece, blob, block, limb, plate, polygon, tube, xyz
-from world.traffic.tracked import Category
+from luxloop.world.materials.library import MaterialName
+from luxloop.world.scene.body import Body
+from luxloop.world.traffic.making import MadeParams
+from luxloop.world.traffic.shapes import Piece, blob, block, limb, plate, polygon, tube, xyz
+from luxloop.world.traffic.tracked import Category
 
 SignShape = Literal["round", "triangle", "square", "octagon"]
 CORNERS: dict[SignShape, tuple[int, float]] = {

@@ -7,9 +7,9 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from world.budget import afford
-from world.roads.base import Floats
-from world.scene.vehicle import VehicleParams, course
+from luxloop.world.budget import afford
+from luxloop.world.roads.base import Floats
+from luxloop.world.scene.vehicle import VehicleParams, course
 
 LANE_M: Final = 3.5  # width; the own lane's middle is the way, the oncoming lane lies to its left
 OWN_M: Final = 5.0  # that the own vehicle reaches behind its lamps

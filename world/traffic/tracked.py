@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from pydantic import Field, model_validator
 
-from world.frames import pose_from_degrees
-from world.params import Metres, Params, PlainName
-from world.scene.body import PoseTrack
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.params import Metres, Params, PlainName
+from luxloop.world.scene.body import PoseTrack
 
 PATH_STEP_M = 0.5  # between the poses along a curve
 

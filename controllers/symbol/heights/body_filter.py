@@ -11,10 +11,10 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from controllers.symbol.heights.springs import PARTS, followed, news, other
-from perception.egomotion import Ego
-from world.params import Params
-from world.scene.vehicle import body_pose
+from luxloop.controllers.symbol.heights.springs import PARTS, followed, news, other
+from luxloop.perception.egomotion import Ego
+from luxloop.world.params import Params
+from luxloop.world.scene.vehicle import body_pose
 
 ROUGH_M: Final = 1e-4  # m^2/m by which a wheel's height walks: between classes C and D of ISO 8608, 2 pi^2 n0^2 Gd(n0)
 CELL_M: Final = 0.2  # of the road's strip, along

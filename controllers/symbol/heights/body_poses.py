@@ -5,11 +5,11 @@ from typing import Final
 
 from torch import Tensor
 
-from controllers.symbol.heights.body_filter import BodyFilter, exact
-from controllers.symbol.sensing.planes import HERE
-from controllers.symbol.sensing.protocol import Observation
-from perception.egomotion import Ego
-from world.frames import inverse
+from luxloop.controllers.symbol.heights.body_filter import BodyFilter, exact
+from luxloop.controllers.symbol.sensing.planes import HERE
+from luxloop.controllers.symbol.sensing.protocol import Observation
+from luxloop.perception.egomotion import Ego
+from luxloop.world.frames import inverse
 
 EVEN = 2e-3  # in m and rad: smaller movements of a body that stands are taken for errors of its sensors
 LATER_S = 0.2  # a quarter of a slow oscillation, after which one that swings through its rest is furthest from it

@@ -9,23 +9,23 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from controllers.symbol.heights.luxloop import region_of
-from controllers.symbol.heights.patch import drawn_on
-from controllers.symbol.heights.relief import Relief
-from controllers.symbol.heights.survey import Survey, SurveyState
-from controllers.symbol.sensing.planes import HERE, touching
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.projector import SymbolParams
-from controllers.symbol.sensing.protocol import Observation
-from controllers.symbol.sensing.symbol_sensor import SymbolSensor
-from perception.birdseye import Region
-from perception.camera import camera_view
-from perception.egomotion import Ego
-from world.errors import located
-from world.frames import inverse, transform
-from world.params import Params
-from world.roads.base import Floats
-from world.roads.shapes import Flat, RoadParams
+from luxloop.controllers.symbol.heights.luxloop import region_of
+from luxloop.controllers.symbol.heights.patch import drawn_on
+from luxloop.controllers.symbol.heights.relief import Relief
+from luxloop.controllers.symbol.heights.survey import Survey, SurveyState
+from luxloop.controllers.symbol.sensing.planes import HERE, touching
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.projector import SymbolParams
+from luxloop.controllers.symbol.sensing.protocol import Observation
+from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.perception.birdseye import Region
+from luxloop.perception.camera import camera_view
+from luxloop.perception.egomotion import Ego
+from luxloop.world.errors import located
+from luxloop.world.frames import inverse, transform
+from luxloop.world.params import Params
+from luxloop.world.roads.base import Floats
+from luxloop.world.roads.shapes import Flat, RoadParams
 
 CELL_M = 0.1
 BEYOND_M = (1.2, 1.5, 0.6)  # how far a road is looked at beyond the symbol: near, far, sides

@@ -9,16 +9,16 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, grid_sample
 
-from controllers.symbol.sensing.planes import HERE
-from controllers.symbol.sensing.symbol_sensor import SymbolSensor
-from perception.birdseye import Region
-from perception.camera import CameraParams, average_rows, camera_view, luminance_of
-from perception.extraction import Crop, Extraction, difference, symbol_image, threshold
-from world.frames import inverse
-from world.headlight import Headlight
-from world.resampling import resampled
-from world.spmv import Csr, multiply
-from world.view import View
+from luxloop.controllers.symbol.sensing.planes import HERE
+from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.perception.birdseye import Region
+from luxloop.perception.camera import CameraParams, average_rows, camera_view, luminance_of
+from luxloop.perception.extraction import Crop, Extraction, difference, symbol_image, threshold
+from luxloop.world.frames import inverse
+from luxloop.world.headlight import Headlight
+from luxloop.world.resampling import resampled
+from luxloop.world.spmv import Csr, multiply
+from luxloop.world.view import View
 
 SIGMAS = 1.4826  # of a normal distribution, in its median deviations
 BESIDE_PX = 2  # of a place in an image, pixels that its value may come from

@@ -8,29 +8,29 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from controllers.symbol.heights.body_filter import BodyFilter, BodyParams
-from controllers.symbol.heights.body_poses import AT_REST, BodyPoses, Following, ground_at
-from controllers.symbol.heights.forward_model import ForwardModel
-from controllers.symbol.heights.patch import drawn_on
-from controllers.symbol.heights.registration import HEIGHT_M, ITERATIONS, Heights, Registration
-from controllers.symbol.heights.road_map import RoadMap
-from controllers.symbol.heights.sweep import sweep
-from controllers.symbol.sensing.aim import aimed, elsewhere
-from controllers.symbol.sensing.planes import HERE, placed
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.projector import SymbolParams
-from controllers.symbol.sensing.protocol import Observation
-from controllers.symbol.sensing.shape import reached
-from controllers.symbol.sensing.symbol_sensor import SymbolSensor
-from perception.birdseye import Region
-from perception.camera import camera_view
-from perception.egomotion import Ego
-from perception.extraction import Loss
-from world.frames import inverse, transform
-from world.frames import pose as pose_of
-from world.kept import keeping
-from world.params import Params
-from world.scene.vehicle import LEARNT_M
+from luxloop.controllers.symbol.heights.body_filter import BodyFilter, BodyParams
+from luxloop.controllers.symbol.heights.body_poses import AT_REST, BodyPoses, Following, ground_at
+from luxloop.controllers.symbol.heights.forward_model import ForwardModel
+from luxloop.controllers.symbol.heights.patch import drawn_on
+from luxloop.controllers.symbol.heights.registration import HEIGHT_M, ITERATIONS, Heights, Registration
+from luxloop.controllers.symbol.heights.road_map import RoadMap
+from luxloop.controllers.symbol.heights.sweep import sweep
+from luxloop.controllers.symbol.sensing.aim import aimed, elsewhere
+from luxloop.controllers.symbol.sensing.planes import HERE, placed
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.projector import SymbolParams
+from luxloop.controllers.symbol.sensing.protocol import Observation
+from luxloop.controllers.symbol.sensing.shape import reached
+from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.perception.birdseye import Region
+from luxloop.perception.camera import camera_view
+from luxloop.perception.egomotion import Ego
+from luxloop.perception.extraction import Loss
+from luxloop.world.frames import inverse, transform
+from luxloop.world.frames import pose as pose_of
+from luxloop.world.kept import keeping
+from luxloop.world.params import Params
+from luxloop.world.scene.vehicle import LEARNT_M
 
 LEAST_LIT_PX = 20.0  # fewer lit pixels are no symbol
 HEIGHTS = 57  # that a sweep tries

@@ -6,11 +6,11 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from controllers.symbol.heights.relief import Relief
-from controllers.symbol.sensing.planes import LEAST_HEIGHT_M, below_lamps, holding, placed
-from controllers.symbol.sensing.projection import ProjectionCommand, Warp
-from controllers.symbol.sensing.projector import SymbolParams
-from world.frames import inverse, pose, transform
+from luxloop.controllers.symbol.heights.relief import Relief
+from luxloop.controllers.symbol.sensing.planes import LEAST_HEIGHT_M, below_lamps, holding, placed
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
+from luxloop.controllers.symbol.sensing.projector import SymbolParams
+from luxloop.world.frames import inverse, pose, transform
 
 CELLS = (256, 256)  # along and across: finer than the texels of a lamp
 FOLLOWED = 4  # light is followed for every fourth cell along and across, and interpolated between them

@@ -7,8 +7,8 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from controllers.symbol.heights import banded
-from controllers.symbol.heights.forward_model import ForwardModel
+from luxloop.controllers.symbol.heights import banded
+from luxloop.controllers.symbol.heights.forward_model import ForwardModel
 
 BLURS = ((1.0, 4.0, 0.4), (0.6, 2.5, 0.25))  # rows and camera columns, and half the residual of an outlier
 HIDDEN = 0.6  # outliers begin so much earlier where light is missing, since it may be hidden

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from perception.birdseye import Region
+from luxloop.perception.birdseye import Region
 
 LAYERS = 33  # heights between which the way of light is interpolated
 ROUNDS = 10  # in which the line of sight to a place of the road is found

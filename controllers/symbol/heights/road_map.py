@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from controllers.symbol.heights.registration import Heights
-from controllers.symbol.heights.relief import Relief
-from controllers.symbol.sensing.planes import HERE
-from controllers.symbol.sensing.projection import ProjectionCommand
-from perception.birdseye import Region
-from world.frames import inverse, transform
+from luxloop.controllers.symbol.heights.registration import Heights
+from luxloop.controllers.symbol.heights.relief import Relief
+from luxloop.controllers.symbol.sensing.planes import HERE
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.perception.birdseye import Region
+from luxloop.world.frames import inverse, transform
 
 PATIENCE = 5  # observations in a row without a lower residual, after which a standing vehicle keeps its best heights: more would fit noise
 CHANGED = 4.0  # ratio of an observation's residual to that of the kept heights, above which the road has changed

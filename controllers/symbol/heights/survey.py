@@ -7,12 +7,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from controllers.symbol.heights.forward_model import ForwardModel
-from controllers.symbol.heights.relief import Relief
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.protocol import Observation
-from controllers.symbol.sensing.symbol_sensor import SymbolSensor
-from perception.birdseye import Region
+from luxloop.controllers.symbol.heights.forward_model import ForwardModel
+from luxloop.controllers.symbol.heights.relief import Relief
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.protocol import Observation
+from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.perception.birdseye import Region
 
 CELL_M = (0.15, 0.1)
 HIGHEST_M = 0.2  # farther up or down is a wrong code

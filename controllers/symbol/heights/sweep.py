@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from controllers.symbol.heights.forward_model import ForwardModel
+from luxloop.controllers.symbol.heights.forward_model import ForwardModel
 
 CAPS = (0.25, 0.6)  # a pixel costs no more than this where light is missing, which may be hidden, and where it comes from nowhere
 PIXEL = 0.4  # of the camera, cost as much as one height step between neighbours

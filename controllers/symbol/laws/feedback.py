@@ -14,15 +14,15 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from controllers.pixels.ssc import Utilisation
-from controllers.symbol.laws.stages import StagedParams
-from controllers.symbol.sensing.flat_model import PROBE, FlatModel
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.protocol import Observation
-from controllers.symbol.sensing.symbol_sensor import SymbolSensor
-from perception.egomotion import Ego
-from perception.extraction import Loss
-from world.params import Degrees, Metres
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.symbol.laws.stages import StagedParams
+from luxloop.controllers.symbol.sensing.flat_model import PROBE, FlatModel
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.protocol import Observation
+from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.perception.egomotion import Ego
+from luxloop.perception.extraction import Loss
+from luxloop.world.params import Degrees, Metres
 
 
 class FeedbackParams(StagedParams):

@@ -5,11 +5,11 @@ from typing import Any
 
 from torch import Tensor
 
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.protocol import Observation, SymbolController
-from controllers.symbol.sensing.symbol_sensor import SymbolSensor
-from perception.egomotion import Ego
-from perception.extraction import Loss
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.protocol import Observation, SymbolController
+from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.perception.egomotion import Ego
+from luxloop.perception.extraction import Loss
 
 SURE = 0.85  # match with which a road is believed though the symbol is seen as on another; on grades it is above 0.9
 LOSSES = 4  # in a row, after which a shape is given up: more than after which controllers show their target again

@@ -5,10 +5,10 @@ from typing import Literal
 
 from torch import Tensor
 
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.protocol import Observation
-from perception.egomotion import Ego
-from world.params import Params
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.protocol import Observation
+from luxloop.perception.egomotion import Ego
+from luxloop.world.params import Params
 
 
 class OpenLoopParams(Params):

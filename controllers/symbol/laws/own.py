@@ -4,10 +4,10 @@ from typing import Any, cast
 
 from pydantic import Field
 
-from controllers.symbol.laws.stages import StagedParams
-from controllers.symbol.sensing.protocol import SymbolController
-from controllers.symbol.sensing.symbol_sensor import SymbolSensor
-from world import plugin
+from luxloop.controllers.symbol.laws.stages import StagedParams
+from luxloop.controllers.symbol.sensing.protocol import SymbolController
+from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.world import plugin
 
 KEY = "controller.name"
 METHODS = ("start", "projection", "step")

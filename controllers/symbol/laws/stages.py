@@ -2,12 +2,12 @@
 
 from pydantic import Field
 
-from controllers.symbol.laws.lifting import Lifting
-from controllers.symbol.laws.supervising import Supervising, SupervisorParams
-from controllers.symbol.laws.warping import Warping, WarpParams
-from controllers.symbol.sensing.protocol import SymbolController
-from controllers.symbol.sensing.symbol_sensor import SymbolSensor
-from world.params import Params
+from luxloop.controllers.symbol.laws.lifting import Lifting
+from luxloop.controllers.symbol.laws.supervising import Supervising, SupervisorParams
+from luxloop.controllers.symbol.laws.warping import Warping, WarpParams
+from luxloop.controllers.symbol.sensing.protocol import SymbolController
+from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.world.params import Params
 
 
 class StagedParams(Params):

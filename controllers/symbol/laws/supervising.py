@@ -7,13 +7,13 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from controllers.symbol.laws.alignment import Alignment
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.protocol import Observation, SymbolController
-from controllers.symbol.sensing.symbol_sensor import SymbolSensor
-from perception.egomotion import Ego
-from perception.extraction import Loss
-from world.params import Params
+from luxloop.controllers.symbol.laws.alignment import Alignment
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.protocol import Observation, SymbolController
+from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.perception.egomotion import Ego
+from luxloop.perception.extraction import Loss
+from luxloop.world.params import Params
 
 
 class SupervisorParams(Params):

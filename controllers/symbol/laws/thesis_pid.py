@@ -12,13 +12,13 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from controllers.pid import PidGains, PidParams, PidState, pid_gains, pid_reset, pid_step
-from controllers.symbol.laws.stages import StagedParams
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.protocol import Observation
-from perception.egomotion import Ego
-from perception.extraction import Loss
-from world.params import Degrees, Metres, Params
+from luxloop.controllers.pid import PidGains, PidParams, PidState, pid_gains, pid_reset, pid_step
+from luxloop.controllers.symbol.laws.stages import StagedParams
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.protocol import Observation
+from luxloop.perception.egomotion import Ego
+from luxloop.perception.extraction import Loss
+from luxloop.world.params import Degrees, Metres, Params
 
 
 class PidTuning(Params):

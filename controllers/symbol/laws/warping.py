@@ -7,13 +7,13 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from controllers.symbol.laws.alignment import Alignment, Kind, Placement
-from controllers.symbol.sensing.projection import CELLS, ProjectionCommand, Warp
-from controllers.symbol.sensing.protocol import Observation, SymbolController
-from controllers.symbol.sensing.symbol_sensor import SymbolSensor
-from perception.egomotion import Ego
-from perception.extraction import Loss
-from world.params import Params
+from luxloop.controllers.symbol.laws.alignment import Alignment, Kind, Placement
+from luxloop.controllers.symbol.sensing.projection import CELLS, ProjectionCommand, Warp
+from luxloop.controllers.symbol.sensing.protocol import Observation, SymbolController
+from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.perception.egomotion import Ego
+from luxloop.perception.extraction import Loss
+from luxloop.world.params import Params
 
 BEYOND = (0.4, 0.15)  # of the symbol's length and width, by which a warp's rectangle is larger on every side
 LEAST_SHARE = 0.2  # of a placement: after a few that did not help there is nothing more to be had

@@ -14,12 +14,12 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, pad
 
-from controllers.symbol.sensing.projector import DrawingModule, Projector
-from controllers.symbol.sensing.shape import reached
-from perception.camera import CameraParams, camera_view
-from world.resampling import resampled
-from world.texels import TexelGrid
-from world.view import View
+from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector
+from luxloop.controllers.symbol.sensing.shape import reached
+from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.world.resampling import resampled
+from luxloop.world.texels import TexelGrid
+from luxloop.world.view import View
 
 GRID = (28, 16)  # rays of a pattern, along and across
 MARGIN = 0.5  # of the pattern's extent, that is compared around it and has to be dark

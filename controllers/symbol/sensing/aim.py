@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from controllers.symbol.sensing.field import beyond
-from controllers.symbol.sensing.planes import HERE, LEAST_HEIGHT_M, touching
-from controllers.symbol.sensing.projector import DrawingModule, SymbolParams
-from controllers.symbol.sensing.shape import height, reached
-from world.frames import inverse, transform
+from luxloop.controllers.symbol.sensing.field import beyond
+from luxloop.controllers.symbol.sensing.planes import HERE, LEAST_HEIGHT_M, touching
+from luxloop.controllers.symbol.sensing.projector import DrawingModule, SymbolParams
+from luxloop.controllers.symbol.sensing.shape import height, reached
+from luxloop.world.frames import inverse, transform
 
 FARTHEST = 2.4  # of the target's distance: where light is too far off for an appearance
 PLACES_M, STEP_M = (5.0, 60.0), 0.25  # ahead, where the symbol may go in place of its target

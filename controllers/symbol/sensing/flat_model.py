@@ -10,19 +10,19 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from controllers.pixels.ssc import Utilisation
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.projector import Projector
-from perception.appearance import Appearance, Axes, appearance, area, features, image_axes
-from perception.birdseye import BirdsEye, birds_eye, rectify, region_around
-from perception.camera import CameraParams, average_rows, camera_view
-from perception.extraction import Crop, Extraction, noise_limit, symbol_image
-from world.light.ambient import ambient_luminance
-from world.light.illumination import Transport, added_light, reach, transport
-from world.materials.library import RoadSurfaceParams
-from world.params import Params
-from world.rendering.flat_road import flat_road
-from world.view import View
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.projector import Projector
+from luxloop.perception.appearance import Appearance, Axes, appearance, area, features, image_axes
+from luxloop.perception.birdseye import BirdsEye, birds_eye, rectify, region_around
+from luxloop.perception.camera import CameraParams, average_rows, camera_view
+from luxloop.perception.extraction import Crop, Extraction, noise_limit, symbol_image
+from luxloop.world.light.ambient import ambient_luminance
+from luxloop.world.light.illumination import Transport, added_light, reach, transport
+from luxloop.world.materials.library import RoadSurfaceParams
+from luxloop.world.params import Params
+from luxloop.world.rendering.flat_road import flat_road
+from luxloop.world.view import View
 
 # Steps of the symbol's x, y (m), roll, pitch (rad) about the target that measure the plant's gains: wide enough to drown pixel edges.
 PROBE = (0.3, 0.1, math.radians(1.0), math.radians(0.5))

@@ -5,7 +5,7 @@ from typing import Final
 import torch
 from torch import Tensor
 
-from world.frames import pose, rotation, transform
+from luxloop.world.frames import pose, rotation, transform
 
 HERE: Final = torch.eye(4, dtype=torch.float64)  # the plane z = 0 that the vehicle stands on
 LEAST_HEIGHT_M = 0.25  # of a lamp over a plane, which would be edge-on to it otherwise

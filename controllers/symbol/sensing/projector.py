@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from controllers.pixels.primitives import Primitives, Quantity, road_symbol
-from controllers.pixels.ssc import PixelController, Utilisation
-from controllers.symbol.sensing.lift import lifted
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.shape import reached
-from perception.extraction import Crop
-from world.kept import keeping
-from world.params import Params
-from world.resampling import resampled
-from world.view import View
+from luxloop.controllers.pixels.primitives import Primitives, Quantity, road_symbol
+from luxloop.controllers.pixels.ssc import PixelController, Utilisation
+from luxloop.controllers.symbol.sensing.lift import lifted
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.shape import reached
+from luxloop.perception.extraction import Crop
+from luxloop.world.kept import keeping
+from luxloop.world.params import Params
+from luxloop.world.resampling import resampled
+from luxloop.world.view import View
 
 CORNERS = 4  # of a rectangle
 AHEAD_M = 0.1  # nearer to the camera than that nothing is seen
@@ -188,8 +188,8 @@ class Projector:
     def footprint(self, projection: ProjectionCommand, view: View, margin_m: float, shape: Tensor | None = None) -> Crop:
         """Where in a camera's image the light of a projection can appear if the road is at most margin_m above or below a shape `[4]`.
 
-        shape: of the road, see `controllers.symbol.sensing.shape`; default: z = 0. One rectangle for all of a batch. Rays that do not meet
-        the road within 200 m end there.
+        shape: of the road, see `luxloop.controllers.symbol.sensing.shape`; default: z = 0. One rectangle for all of a batch. Rays that do
+        not meet the road within 200 m end there.
         """
         uv, there = self._ends(projection, view, margin_m, shape)
         uv = uv[:, there]

@@ -5,10 +5,10 @@ from typing import Any, Protocol
 
 from torch import Tensor
 
-from controllers.pixels.ssc import Utilisation
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.symbol_sensor import Measurement
-from perception.egomotion import Ego
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
+from luxloop.perception.egomotion import Ego
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,14 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from controllers.pixels.ssc import Utilisation
-from controllers.symbol.sensing.acquisition import Acquired, Acquisition
-from controllers.symbol.sensing.flat_model import PAIRED, FlatModel
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.projector import Projector
-from perception.appearance import Appearance, errors
-from perception.camera import CameraParams
-from perception.extraction import Crop, Extraction, Loss, difference, gate, symbol_image, symbol_images, threshold
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.symbol.sensing.acquisition import Acquired, Acquisition
+from luxloop.controllers.symbol.sensing.flat_model import PAIRED, FlatModel
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.projector import Projector
+from luxloop.perception.appearance import Appearance, errors
+from luxloop.perception.camera import CameraParams
+from luxloop.perception.extraction import Crop, Extraction, Loss, difference, gate, symbol_image, symbol_images, threshold
 
 LIT = 0.5  # of a pixel, that counts as the symbol's
 ENDS = 0.1  # of a footprint's rows, at its near and its far end
@@ -29,8 +29,8 @@ class Measurement:
     as well, which the motion in `Shown` explains. pose_error: `[..., 4]`, the same in m and rad of x, y, roll, pitch, each divided by its
     plant gain. area_ratio: `[...]`, seen to expected. appearance: five centroids and second moments. symbol: `[..., h, w]` in 0..1, the lit
     share of each pixel, cut from the camera's image at crop. crop: where that is, px. shape: `[4]` of the road on which it was looked for,
-    see `controllers.symbol.sensing.shape`, None for the flat one. acquired: what a search of the whole image found, None where there was no
-    search.
+    see `luxloop.controllers.symbol.sensing.shape`, None for the flat one. acquired: what a search of the whole image found, None where
+    there was no search.
     """
 
     code: Tensor

@@ -15,9 +15,9 @@ from sparse.padded import Sell
 from sparse.protocol import SparseFormat, Storage
 from sparse.scipy_window import ScipyWindow
 
+from luxloop.world.errors import LuxloopError
+from luxloop.world.spmv import Csr
 from tests.world.spmv_matrices import matrices, random_matrix
-from world.errors import LuxloopError
-from world.spmv import Csr
 
 each_format = pytest.mark.parametrize("name", FORMATS)
 

@@ -10,9 +10,9 @@ from sparse.formats import FORMATS, build
 from sparse.graph import CapturedProduct
 from sparse.incremental import Bands, ChangedPixels
 
+from luxloop.world.errors import LuxloopError
+from luxloop.world.spmv import Csr, multiply
 from tests.world.spmv_matrices import matrices, random_matrix
-from world.errors import LuxloopError
-from world.spmv import Csr, multiply
 
 changes = st.lists(st.tuples(st.integers(0, 29), st.integers(0, 30), st.integers(0, 2**32)), max_size=8)
 

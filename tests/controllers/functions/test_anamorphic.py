@@ -6,15 +6,15 @@ from pathlib import Path
 import pytest
 import torch
 
-from controllers.functions.symbol import SymbolFunctionParams
-from controllers.pixels.anamorphic import drawing_rectangle, sight
-from controllers.pixels.ssc import Ssc
-from controllers.situation import Situation
-from perception.metrics import iou
+from luxloop.controllers.functions.symbol import SymbolFunctionParams
+from luxloop.controllers.pixels.anamorphic import drawing_rectangle, sight
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.controllers.situation import Situation
+from luxloop.perception.metrics import iou
+from luxloop.world.frames import inverse, pose_from_degrees, transform
+from luxloop.world.presets import lamp
+from luxloop.world.symbols import Still, load_still
 from tests.reference.ssc import seen_at
-from world.frames import inverse, pose_from_degrees, transform
-from world.presets import lamp
-from world.symbols import Still, load_still
 
 SYMBOLS = Path(__file__).parents[3] / "scenarios" / "symbols"
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)

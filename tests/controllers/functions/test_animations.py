@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from controllers.functions.animations import Animated, BlinkingParams, RunningLightParams, WipeParams
-from world.symbols import Still
+from luxloop.controllers.functions.animations import Animated, BlinkingParams, RunningLightParams, WipeParams
+from luxloop.world.symbols import Still
 
 WHITE = Still(torch.ones(10, 20))
 

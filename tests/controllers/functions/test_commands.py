@@ -8,10 +8,10 @@ import pytest
 import torch
 from pydantic import ValidationError
 
-from controllers.functions.commands import Given, composed
-from controllers.functions.planner import LightingParams, Planner
-from controllers.situation import Situation
-from world.headlight.lamp import ModuleCommand
+from luxloop.controllers.functions.commands import Given, composed
+from luxloop.controllers.functions.planner import LightingParams, Planner
+from luxloop.controllers.situation import Situation
+from luxloop.world.headlight.lamp import ModuleCommand
 
 HERE = torch.eye(4, dtype=torch.float64)
 LAMPS = torch.tensor([[0.0, 0.6, 0.75]], dtype=torch.float64)

@@ -9,23 +9,23 @@ import trimesh
 from pydantic import ValidationError
 from torch import Tensor
 
-from controllers.functions.base_beams import BaseBeamParams, bend_of_course
-from controllers.functions.bezier import length_at, point
-from controllers.functions.glare_free import GlareFreeParams
-from controllers.functions.lane import LaneParams, WidthParams, arc
-from controllers.functions.marker import MarkerParams
-from controllers.functions.path import Drawing, PathParams
-from controllers.functions.sign import SignParams
-from controllers.functions.symbol import SymbolFunctionParams
-from controllers.pixels.primitives import Primitives
-from controllers.pixels.ssc import Ssc
-from controllers.situation import Drawn, Situation, TrackedObject, fade
-from world.errors import LuxloopError
-from world.frames import pose_from_degrees, transform
-from world.params import Params
-from world.presets import idealised
-from world.scene.body import Body, PoseTrack
-from world.symbols import Still
+from luxloop.controllers.functions.base_beams import BaseBeamParams, bend_of_course
+from luxloop.controllers.functions.bezier import length_at, point
+from luxloop.controllers.functions.glare_free import GlareFreeParams
+from luxloop.controllers.functions.lane import LaneParams, WidthParams, arc
+from luxloop.controllers.functions.marker import MarkerParams
+from luxloop.controllers.functions.path import Drawing, PathParams
+from luxloop.controllers.functions.sign import SignParams
+from luxloop.controllers.functions.symbol import SymbolFunctionParams
+from luxloop.controllers.pixels.primitives import Primitives
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.controllers.situation import Drawn, Situation, TrackedObject, fade
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import pose_from_degrees, transform
+from luxloop.world.params import Params
+from luxloop.world.presets import idealised
+from luxloop.world.scene.body import Body, PoseTrack
+from luxloop.world.symbols import Still
 
 HERE = torch.eye(4, dtype=torch.float64)
 LAMPS = torch.tensor([[0.0, 0.6, 0.75], [0.0, -0.6, 0.75]], dtype=torch.float64)

@@ -8,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from controllers.functions.glare_free import GlareFreeParams, enlarged
-from controllers.geometry import cuboid
-from controllers.pixels.primitives import Primitives, concatenate
-from controllers.pixels.ssc import Ssc
-from controllers.situation import Situation, TrackedObject
-from world.frames import inverse, pose_from_degrees, transform
-from world.headlight import Headlight
-from world.presets import idealised, lamp
+from luxloop.controllers.functions.glare_free import GlareFreeParams, enlarged
+from luxloop.controllers.geometry import cuboid
+from luxloop.controllers.pixels.primitives import Primitives, concatenate
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.controllers.situation import Situation, TrackedObject
+from luxloop.world.frames import inverse, pose_from_degrees, transform
+from luxloop.world.headlight import Headlight
+from luxloop.world.presets import idealised, lamp
 
 LAMPS = torch.tensor([[0.0, 0.6, 0.75], [0.0, -0.6, 0.75]], dtype=torch.float64)
 HERE = torch.eye(4, dtype=torch.float64)

@@ -8,12 +8,12 @@ import pytest
 import torch
 from pydantic import ValidationError
 
-from controllers.functions.planner import LightingParams, Planner
-from controllers.pixels.ssc import Ssc
-from controllers.situation import Situation, TrackedObject
-from world.errors import LuxloopError
-from world.frames import pose_from_degrees
-from world.presets import idealised
+from luxloop.controllers.functions.planner import LightingParams, Planner
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.controllers.situation import Situation, TrackedObject
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.presets import idealised
 
 HERE = torch.eye(4, dtype=torch.float64)
 LAMPS = torch.tensor([[0.0, 0.6, 0.75], [0.0, -0.6, 0.75]], dtype=torch.float64)

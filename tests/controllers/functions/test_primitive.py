@@ -6,15 +6,15 @@ import pytest
 import torch
 from pydantic import ValidationError
 
-from controllers.functions.base_beams import BaseBeamParams
-from controllers.functions.planner import LightingParams, Planner
-from controllers.functions.primitive import PrimitiveParams
-from controllers.functions.symbol import SymbolFunctionParams
-from controllers.pixels.ssc import Ssc
-from controllers.situation import Situation
-from world.frames import pose_from_degrees, transform
-from world.presets import idealised
-from world.symbols import Still
+from luxloop.controllers.functions.base_beams import BaseBeamParams
+from luxloop.controllers.functions.planner import LightingParams, Planner
+from luxloop.controllers.functions.primitive import PrimitiveParams
+from luxloop.controllers.functions.symbol import SymbolFunctionParams
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.controllers.situation import Situation
+from luxloop.world.frames import pose_from_degrees, transform
+from luxloop.world.presets import idealised
+from luxloop.world.symbols import Still
 
 HERE = torch.eye(4, dtype=torch.float64)
 LAMP = pose_from_degrees((0.0, 0.0, 0.75))

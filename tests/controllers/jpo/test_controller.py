@@ -6,15 +6,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from controllers.jpo.controller import Jpo, JpoParams
-from controllers.pixels.primitives import Primitives, concatenate, rectangle
-from controllers.pixels.secondary import Light, SecondaryRays
-from controllers.pixels.ssc import Ssc
-from perception.metrics import mae, rmse
-from world.frames import pose_from_degrees
-from world.headlight import Headlight
-from world.presets import lamp
-from world.spmv import multiply
+from luxloop.controllers.jpo.controller import Jpo, JpoParams
+from luxloop.controllers.pixels.primitives import Primitives, concatenate, rectangle
+from luxloop.controllers.pixels.secondary import Light, SecondaryRays
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.perception.metrics import mae, rmse
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight import Headlight
+from luxloop.world.presets import lamp
+from luxloop.world.spmv import multiply
 
 T_LAMP = pose_from_degrees((0.0, 0.6, 0.75))
 

@@ -4,11 +4,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from controllers.jpo.plane import Raster, granted, lighting
-from world.errors import LuxloopError
-from world.frames import inverse, pose_from_degrees, transform
-from world.headlight import Headlight
-from world.presets import lamp
+from luxloop.controllers.jpo.plane import Raster, granted, lighting
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import inverse, pose_from_degrees, transform
+from luxloop.world.headlight import Headlight
+from luxloop.world.presets import lamp
 
 RASTER = Raster(8.0, 40.0, -8.0, 8.0, 64, 32)
 POSES = (pose_from_degrees((0.0, 0.6, 0.75)), pose_from_degrees((0.0, -0.6, 0.75)))

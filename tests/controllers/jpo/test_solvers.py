@@ -10,16 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog, lsq_linear
 
-from controllers.jpo.mae import least_error
-from controllers.jpo.part import Wanted, every_nth_column, submatrix, wanted
-from controllers.jpo.squares import MoorePenrose, least_squares
-from perception.metrics import mae, rmse
-from world.beams.rectangles import RECTANGLES, Rectangle
-from world.errors import LuxloopError
-from world.headlight import Headlight
-from world.presets import lamp
-from world.spmv import Csr, multiply
-from world.texels import TexelGrid
+from luxloop.controllers.jpo.mae import least_error
+from luxloop.controllers.jpo.part import Wanted, every_nth_column, submatrix, wanted
+from luxloop.controllers.jpo.squares import MoorePenrose, least_squares
+from luxloop.perception.metrics import mae, rmse
+from luxloop.world.beams.rectangles import RECTANGLES, Rectangle
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight import Headlight
+from luxloop.world.presets import lamp
+from luxloop.world.spmv import Csr, multiply
+from luxloop.world.texels import TexelGrid
 
 EVERY = 135  # of the 1,215 rectangles, from the middle one of each: nine, of all sizes and turns
 

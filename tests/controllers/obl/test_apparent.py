@@ -5,9 +5,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controllers.obl.apparent import Apparent
-from controllers.situation import TrackedObject
-from world.frames import pose_from_degrees
+from luxloop.controllers.obl.apparent import Apparent
+from luxloop.controllers.situation import TrackedObject
+from luxloop.world.frames import pose_from_degrees
 
 LAMPS = torch.tensor([[2.0, 0.6, 0.65], [2.0, -0.6, 0.65]], dtype=torch.float64)
 

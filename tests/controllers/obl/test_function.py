@@ -10,19 +10,19 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from torch import Tensor
 
-from controllers.functions.glare_free import GlareFreeParams
-from controllers.geometry import cuboid
-from controllers.obl.ambient import Ambient
-from controllers.obl.function import ObjectBasedParams, ObjectBasedState
-from controllers.obl.light import CELLS, NEAREST_M, ObjectLightParams, frontal
-from controllers.pixels.mrpc_params import MrpcParams
-from controllers.pixels.primitives import concatenate
-from controllers.pixels.secondary import Light, SecondaryRays
-from controllers.pixels.ssc import Ssc
-from controllers.situation import AdaptiveFunction, Situation, TrackedObject
-from perception.tracking import LINGER_S
-from world.frames import inverse, pose_from_degrees, transform
-from world.presets import lamp
+from luxloop.controllers.functions.glare_free import GlareFreeParams
+from luxloop.controllers.geometry import cuboid
+from luxloop.controllers.obl.ambient import Ambient
+from luxloop.controllers.obl.function import ObjectBasedParams, ObjectBasedState
+from luxloop.controllers.obl.light import CELLS, NEAREST_M, ObjectLightParams, frontal
+from luxloop.controllers.pixels.mrpc_params import MrpcParams
+from luxloop.controllers.pixels.primitives import concatenate
+from luxloop.controllers.pixels.secondary import Light, SecondaryRays
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.controllers.situation import AdaptiveFunction, Situation, TrackedObject
+from luxloop.perception.tracking import LINGER_S
+from luxloop.world.frames import inverse, pose_from_degrees, transform
+from luxloop.world.presets import lamp
 
 HERE = torch.eye(4, dtype=torch.float64)
 PLACES = [pose_from_degrees((0.0, y, 0.65)) for y in (0.6, -0.6)]

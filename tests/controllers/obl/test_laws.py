@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from controllers.obl.laws import LowerParams, RaiseParams, Trial
-from controllers.obl.object_loop import ObjectLoop, ObjectLoopParams
-from controllers.situation import TrackedObject
-from world.traffic.tracked import Category
+from luxloop.controllers.obl.laws import LowerParams, RaiseParams, Trial
+from luxloop.controllers.obl.object_loop import ObjectLoop, ObjectLoopParams
+from luxloop.controllers.situation import TrackedObject
+from luxloop.world.traffic.tracked import Category
 
 HERE = torch.eye(4, dtype=torch.float64)
 PERSON = TrackedObject("person", "pedestrian", HERE, (0.5, 0.6, 1.7))

@@ -7,12 +7,12 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controllers.pixels.mrpc import MrpcParams
-from controllers.pixels.primitives import Primitives, concatenate, rectangle
-from controllers.pixels.rthc import trace
-from controllers.pixels.ssc import Ssc
-from world.frames import pose_from_degrees
-from world.presets import idealised, lamp
+from luxloop.controllers.pixels.mrpc import MrpcParams
+from luxloop.controllers.pixels.primitives import Primitives, concatenate, rectangle
+from luxloop.controllers.pixels.rthc import trace
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.presets import idealised, lamp
 
 LAMP = idealised(20, 40)
 T = pose_from_degrees((0.0, 0.0, 0.0))

@@ -5,12 +5,12 @@ import math
 import pytest
 import torch
 
-from controllers.pixels.morphing import Morph, Morphing, bend, level, roll
-from controllers.pixels.mrpc import MrpcParams
-from controllers.pixels.primitives import rectangle
-from controllers.pixels.ssc import Ssc
-from world.frames import pose_from_degrees
-from world.presets import idealised
+from luxloop.controllers.pixels.morphing import Morph, Morphing, bend, level, roll
+from luxloop.controllers.pixels.mrpc import MrpcParams
+from luxloop.controllers.pixels.primitives import rectangle
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.presets import idealised
 
 LAMP = idealised(20, 40)
 PLAIN = MrpcParams()

@@ -9,15 +9,15 @@ import torch
 from pydantic import ValidationError
 from torch import Tensor
 
-from controllers.pixels.mrpc import MrpcParams, pixel_major, reduce_setpoints
-from controllers.pixels.primitives import I_V, QUANTITIES, U_ABS, Quantity
-from controllers.pixels.rthc import Setpoints
-from controllers.pixels.sharpening import FAINT
-from controllers.pixels.windows import Window, whole
+from luxloop.controllers.pixels.mrpc import MrpcParams, pixel_major, reduce_setpoints
+from luxloop.controllers.pixels.primitives import I_V, QUANTITIES, U_ABS, Quantity
+from luxloop.controllers.pixels.rthc import Setpoints
+from luxloop.controllers.pixels.sharpening import FAINT
+from luxloop.controllers.pixels.windows import Window, whole
+from luxloop.world.headlight import Headlight
+from luxloop.world.presets import idealised
+from luxloop.world.spmv import Csr
 from tests.reference import ssc as reference
-from world.headlight import Headlight
-from world.presets import idealised
-from world.spmv import Csr
 
 ROWS, COLS, PIXELS = 6, 8, 12
 DARK_PIXEL, DARK_TEXEL = 5, 17

@@ -9,14 +9,14 @@ import scipy.sparse as sp
 import torch
 from numpy.typing import NDArray
 
-from controllers.pixels.mrpc import MrpcParams
-from controllers.pixels.mrpc_tuning import RANGES, Part, TextureControl, Trial, part, tune
-from controllers.pixels.primitives import rectangle
-from controllers.pixels.ssc import Ssc
-from perception.metrics import mae
-from world.errors import LuxloopError
-from world.headlight import Headlight
-from world.spmv import Csr
+from luxloop.controllers.pixels.mrpc import MrpcParams
+from luxloop.controllers.pixels.mrpc_tuning import RANGES, Part, TextureControl, Trial, part, tune
+from luxloop.controllers.pixels.primitives import rectangle
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.perception.metrics import mae
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight import Headlight
+from luxloop.world.spmv import Csr
 
 Array = NDArray[np.float64]
 ROWS, COLS, PIXELS = 6, 9, 10

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from controllers.pixels.mrpc import MrpcParams, pixel_major, reduce_setpoints
-from controllers.pixels.primitives import I_V
-from controllers.pixels.rthc import Setpoints
-from controllers.pixels.windows import whole
-from perception.metrics import mae
-from world.headlight import Headlight
-from world.presets import lamp
+from luxloop.controllers.pixels.mrpc import MrpcParams, pixel_major, reduce_setpoints
+from luxloop.controllers.pixels.primitives import I_V
+from luxloop.controllers.pixels.rthc import Setpoints
+from luxloop.controllers.pixels.windows import whole
+from luxloop.perception.metrics import mae
+from luxloop.world.headlight import Headlight
+from luxloop.world.presets import lamp
 
 CD = 10_000.0
 # Of the 1,215 rectangles of T 8.4.

@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from controllers.pixels.power import limit_power, pixel_flux
-from world.errors import LuxloopError
-from world.presets import idealised
+from luxloop.controllers.pixels.power import limit_power, pixel_flux
+from luxloop.world.errors import LuxloopError
+from luxloop.world.presets import idealised
 
 LAMP = idealised(8, 20)
 

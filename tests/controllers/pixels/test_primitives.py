@@ -9,8 +9,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controllers.pixels.primitives import QUANTITIES, Observer, Primitives, concatenate, rectangle, road_symbol
-from world.errors import LuxloopError
+from luxloop.controllers.pixels.primitives import QUANTITIES, Observer, Primitives, concatenate, rectangle, road_symbol
+from luxloop.world.errors import LuxloopError
 
 SYMBOL = torch.ones(2, 3)
 

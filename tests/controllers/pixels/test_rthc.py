@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from controllers.pixels.primitives import Primitives, concatenate, rectangle, road_symbol
-from controllers.pixels.rthc import Casting, Setpoints, trace
-from controllers.pixels.windows import NOWHERE, Window, projected_windows, whole
+from luxloop.controllers.pixels.primitives import Primitives, concatenate, rectangle, road_symbol
+from luxloop.controllers.pixels.rthc import Casting, Setpoints, trace
+from luxloop.controllers.pixels.windows import NOWHERE, Window, projected_windows, whole
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.presets import idealised
 from tests.reference import ssc as reference
-from world.frames import pose_from_degrees
-from world.presets import idealised
 
 LAMP = idealised(10, 16)  # 40 x 32 texels
 T_LEFT = pose_from_degrees((0.0, 0.6, 0.75))

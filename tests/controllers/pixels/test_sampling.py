@@ -7,15 +7,15 @@ import pytest
 import scipy.sparse as sp
 import torch
 
-from controllers.pixels.mrpc import MrpcParams, pixel_major
-from controllers.pixels.primitives import rectangle
-from controllers.pixels.sampling import Sampling, rectangular, sample_weights
-from controllers.pixels.ssc import Ssc
+from luxloop.controllers.pixels.mrpc import MrpcParams, pixel_major
+from luxloop.controllers.pixels.primitives import rectangle
+from luxloop.controllers.pixels.sampling import Sampling, rectangular, sample_weights
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight import Headlight
+from luxloop.world.presets import idealised, lamp
+from luxloop.world.spmv import Csr, row_of_entries
 from tests.reference import ssc as reference
-from world.frames import pose_from_degrees
-from world.headlight import Headlight
-from world.presets import idealised, lamp
-from world.spmv import Csr, row_of_entries
 
 LAMP = idealised(8, 20)
 T = pose_from_degrees((0.0, 0.0, 0.0))

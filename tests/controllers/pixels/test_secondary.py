@@ -6,14 +6,23 @@ import pytest
 import torch
 import trimesh
 
-from controllers.pixels.primitives import Observer, rectangle
-from controllers.pixels.rthc import trace
-from controllers.pixels.secondary import Caster, Light, SecondaryRays, less_street_light, scene_caster, seen_by, shares, street_light
-from controllers.pixels.ssc import Ssc
-from world.frames import inverse, pose_from_degrees, transform
-from world.presets import idealised
-from world.scene.body import Body, PoseTrack
-from world.scene.scene import Scene, StreetLamp
+from luxloop.controllers.pixels.primitives import Observer, rectangle
+from luxloop.controllers.pixels.rthc import trace
+from luxloop.controllers.pixels.secondary import (
+    Caster,
+    Light,
+    SecondaryRays,
+    less_street_light,
+    scene_caster,
+    seen_by,
+    shares,
+    street_light,
+)
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.world.frames import inverse, pose_from_degrees, transform
+from luxloop.world.presets import idealised
+from luxloop.world.scene.body import Body, PoseTrack
+from luxloop.world.scene.scene import Scene, StreetLamp
 
 LAMP = idealised(10, 16)
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)

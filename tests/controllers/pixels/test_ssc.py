@@ -10,17 +10,17 @@ import pytest
 import torch
 from torch import Tensor
 
-from controllers.jpo.controller import Jpo
-from controllers.pixels.mrpc import MrpcParams
-from controllers.pixels.primitives import Primitives, Quantity, concatenate, road_symbol
-from controllers.pixels.ssc import Ssc
+from luxloop.controllers.jpo.controller import Jpo
+from luxloop.controllers.pixels.mrpc import MrpcParams
+from luxloop.controllers.pixels.primitives import Primitives, Quantity, concatenate, road_symbol
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight import Headlight
+from luxloop.world.light.illumination import illuminance, reach, transport
+from luxloop.world.presets import idealised, lamp
+from luxloop.world.rendering.gbuffer import GBuffer
 from tests.reference import ssc as reference
-from world.errors import LuxloopError
-from world.frames import pose_from_degrees
-from world.headlight import Headlight
-from world.light.illumination import illuminance, reach, transport
-from world.presets import idealised, lamp
-from world.rendering.gbuffer import GBuffer
 
 LAMP = idealised(10, 16)
 T_LEFT = pose_from_degrees((0.0, 0.6, 0.75))

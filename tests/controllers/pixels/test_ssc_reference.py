@@ -10,16 +10,16 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controllers.pixels.mrpc import MrpcParams
-from controllers.pixels.primitives import QUANTITIES, Observer, Primitives, concatenate, rectangle
-from controllers.pixels.rthc import trace
-from controllers.pixels.secondary import Light, SecondaryRays
-from controllers.pixels.ssc import Ssc
+from luxloop.controllers.pixels.mrpc import MrpcParams
+from luxloop.controllers.pixels.primitives import QUANTITIES, Observer, Primitives, concatenate, rectangle
+from luxloop.controllers.pixels.rthc import trace
+from luxloop.controllers.pixels.secondary import Light, SecondaryRays
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight import Headlight
+from luxloop.world.scene.scene import StreetLamp
+from luxloop.world.spmv import Csr
 from tests.reference import ssc as reference
-from world.frames import pose_from_degrees
-from world.headlight import Headlight
-from world.scene.scene import StreetLamp
-from world.spmv import Csr
 
 ROWS, COLS, PIXELS = 7, 9, 8
 T = pose_from_degrees((0.2, 0.5, 0.7), roll_deg=2, pitch_deg=-1, yaw_deg=3)

@@ -5,13 +5,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from controllers.pixels.mrpc import MrpcParams
-from controllers.pixels.primitives import Primitives, Quantity, concatenate, road_symbol
-from controllers.pixels.ssc import Ssc
-from controllers.pixels.windowed import WindowedSsc, serves
-from controllers.pixels.windows import union
-from world.frames import pose_from_degrees
-from world.presets import idealised
+from luxloop.controllers.pixels.mrpc import MrpcParams
+from luxloop.controllers.pixels.primitives import Primitives, Quantity, concatenate, road_symbol
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.controllers.pixels.windowed import WindowedSsc, serves
+from luxloop.controllers.pixels.windows import union
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.presets import idealised
 
 LAMP = idealised(10, 16)
 T_LEFT = pose_from_degrees((0.0, 0.6, 0.75))

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from controllers.symbol.heights import banded
+from luxloop.controllers.symbol.heights import banded
 
 
 def matrix(n: int, width: int, device: torch.device) -> torch.Tensor:

@@ -2,7 +2,7 @@
 
 import torch
 
-from controllers.symbol.heights.body_filter import BODY, CELL_M, BodyFilter, BodyParams, exact
+from luxloop.controllers.symbol.heights.body_filter import BODY, CELL_M, BodyFilter, BodyParams, exact
 
 
 def test_a_measurement_gets_its_share_by_the_covariances() -> None:

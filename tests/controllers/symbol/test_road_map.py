@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import torch
 
-from controllers.symbol.heights.registration import Heights
-from controllers.symbol.heights.road_map import CHANGED, PATIENCE, RoadMap
-from controllers.symbol.sensing.projection import ProjectionCommand
-from perception.birdseye import Region
-from world.frames import pose
-from world.kept import keeping
+from luxloop.controllers.symbol.heights.registration import Heights
+from luxloop.controllers.symbol.heights.road_map import CHANGED, PATIENCE, RoadMap
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.perception.birdseye import Region
+from luxloop.world.frames import pose
+from luxloop.world.kept import keeping
 
 
 class Drawing:

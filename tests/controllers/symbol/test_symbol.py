@@ -11,27 +11,27 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from controllers.pixels.primitives import road_symbol
-from controllers.pixels.ssc import Ssc
-from controllers.symbol import CONTROLLERS, build_controller
-from controllers.symbol.laws.open_loop import OpenLoop, OpenLoopParams
-from controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams
-from controllers.symbol.sensing.flat_model import FeatureParams, FlatModel, flat_model
-from controllers.symbol.sensing.projection import ProjectionCommand, Warp
-from controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
-from controllers.symbol.sensing.protocol import Observation, Shown, SymbolController
-from controllers.symbol.sensing.symbol_sensor import Measurement, SymbolSensor
-from perception.appearance import Appearance
-from perception.camera import CameraParams, average_rows, camera_view, expose
-from perception.extraction import Crop, ExtractionParams, Loss
-from perception.noise import FrameNoise
-from world.frames import pose_from_degrees
-from world.light.ambient import ambient_luminance
-from world.light.illumination import added_light
-from world.materials.library import RoadSurfaceParams
-from world.presets import idealised
-from world.rendering.flat_road import flat_road
-from world.symbols import load_still
+from luxloop.controllers.pixels.primitives import road_symbol
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.controllers.symbol import CONTROLLERS, build_controller
+from luxloop.controllers.symbol.laws.open_loop import OpenLoop, OpenLoopParams
+from luxloop.controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams
+from luxloop.controllers.symbol.sensing.flat_model import FeatureParams, FlatModel, flat_model
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
+from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
+from luxloop.controllers.symbol.sensing.protocol import Observation, Shown, SymbolController
+from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement, SymbolSensor
+from luxloop.perception.appearance import Appearance
+from luxloop.perception.camera import CameraParams, average_rows, camera_view, expose
+from luxloop.perception.extraction import Crop, ExtractionParams, Loss
+from luxloop.perception.noise import FrameNoise
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.light.ambient import ambient_luminance
+from luxloop.world.light.illumination import added_light
+from luxloop.world.materials.library import RoadSurfaceParams
+from luxloop.world.presets import idealised
+from luxloop.world.rendering.flat_road import flat_road
+from luxloop.world.symbols import load_still
 
 SYMBOLS = ["snowflake", "chevrons", "warning_triangle", "distance_warning"]
 RAW, PLANE = FeatureParams(), FeatureParams(view="birdseye", shape="moments")

@@ -8,15 +8,15 @@ import torch
 from pydantic import ValidationError
 from torch import Tensor
 
-from controllers.pixels.primitives import Primitives
-from controllers.pixels.rthc import Setpoints, trace
-from controllers.situation import Seen, Situation, TrackedObject
-from controllers.zones.material import MaterialParams, image_plane
-from perception.camera import CameraParams, camera_view
-from perception.regions import box_region
-from world.errors import LuxloopError
-from world.frames import pose_from_degrees, transform
-from world.presets import idealised
+from luxloop.controllers.pixels.primitives import Primitives
+from luxloop.controllers.pixels.rthc import Setpoints, trace
+from luxloop.controllers.situation import Seen, Situation, TrackedObject
+from luxloop.controllers.zones.material import MaterialParams, image_plane
+from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.perception.regions import box_region
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import pose_from_degrees, transform
+from luxloop.world.presets import idealised
 
 HERE = torch.eye(4, dtype=torch.float64)
 VIEW = camera_view(CameraParams(x_m=0.0, z_m=1.0, pitch_deg=2.0, width_px=320, height_px=180))

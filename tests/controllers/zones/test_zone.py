@@ -10,15 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from controllers.pixels.primitives import E_V
-from controllers.pixels.secondary import Light
-from controllers.situation import Seen, Situation
-from controllers.zones.zone import ZoneParams
-from perception.camera import CameraParams, camera_view, expose, luminance_of, saturation_luminance
-from perception.noise import FrameNoise
-from perception.regions import box_region
-from world.frames import pose_from_degrees, transform
-from world.presets import idealised
+from luxloop.controllers.pixels.primitives import E_V
+from luxloop.controllers.pixels.secondary import Light
+from luxloop.controllers.situation import Seen, Situation
+from luxloop.controllers.zones.zone import ZoneParams
+from luxloop.perception.camera import CameraParams, camera_view, expose, luminance_of, saturation_luminance
+from luxloop.perception.noise import FrameNoise
+from luxloop.perception.regions import box_region
+from luxloop.world.frames import pose_from_degrees, transform
+from luxloop.world.presets import idealised
 
 HERE = torch.eye(4, dtype=torch.float64)
 LAMPS = torch.tensor([[0.0, 0.6, 0.75], [0.0, -0.6, 0.75]], dtype=torch.float64)

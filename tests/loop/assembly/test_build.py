@@ -5,15 +5,15 @@ from pathlib import Path
 import pytest
 import torch
 
-from loop.assembly.build import build_motion, build_scene
-from loop.lighting.lamps import shining_modules
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import Scenario, load, validate
-from world.errors import LuxloopError
-from world.frames import pose_from_degrees
-from world.headlight.lamp import Lamp, Module
-from world.lampfiles import archive
-from world.presets import idealised
+from luxloop.loop.assembly.build import build_motion, build_scene
+from luxloop.loop.lighting.lamps import shining_modules
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import Scenario, load, validate
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight.lamp import Lamp, Module
+from luxloop.world.lampfiles import archive
+from luxloop.world.presets import idealised
 
 CPU = torch.device("cpu")
 

@@ -10,16 +10,16 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from loop.run import check
-from loop.scenario.model import load
-from world import presets
-from world.errors import LuxloopError
-from world.headlight.lamp import direction
-from world.lampfiles import archive
-from world.lampfiles.description import build, describe, load_lamp
-from world.lampfiles.utilisations import read_utilisation
-from world.photometry import lm63
-from world.photometry.distribution import Distribution
+from luxloop.loop.run import check
+from luxloop.loop.scenario.model import load
+from luxloop.world import presets
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.lamp import direction
+from luxloop.world.lampfiles import archive
+from luxloop.world.lampfiles.description import build, describe, load_lamp
+from luxloop.world.lampfiles.utilisations import read_utilisation
+from luxloop.world.photometry import lm63
+from luxloop.world.photometry.distribution import Distribution
 
 ROOT = Path(__file__).parents[3]
 EXAMPLE, PAGE = ROOT / "scenarios" / "examples" / "lamp.toml", ROOT / "docs" / "lampfiles.md"

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from loop.assembly.made import Made
-from world.roads.shapes import Bumps, Flat
+from luxloop.loop.assembly.made import Made
+from luxloop.world.roads.shapes import Bumps, Flat
 
 
 def parts(made: Made, *ingredients: Any) -> list[object]:

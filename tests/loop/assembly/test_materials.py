@@ -3,13 +3,13 @@
 import pytest
 import torch
 
-from loop.assembly.build import build_scene
-from loop.scenario.model import validate
-from perception.camera import CameraParams, camera_view
-from perception.materials import material_picture
-from world.materials.library import MATERIALS
-from world.rendering.face_source import face_source
-from world.rendering.gbuffer import gbuffer
+from luxloop.loop.assembly.build import build_scene
+from luxloop.loop.scenario.model import validate
+from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.perception.materials import material_picture
+from luxloop.world.materials.library import MATERIALS
+from luxloop.world.rendering.face_source import face_source
+from luxloop.world.rendering.gbuffer import gbuffer
 
 HERE = [{"position_m": [14, 1, 0], "yaw_deg": 180}]
 OBJECTS = [

@@ -5,13 +5,13 @@ from typing import Any
 import pytest
 import torch
 
-from controllers.jpo.controller import Jpo
-from controllers.pixels.ssc import Ssc
-from loop.assembly.pixel_control import pixel_controller
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import Scenario, validate
-from perception.metrics import mae
-from world.errors import LuxloopError
+from luxloop.controllers.jpo.controller import Jpo
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.loop.assembly.pixel_control import pixel_controller
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.perception.metrics import mae
+from luxloop.world.errors import LuxloopError
 
 FLAKE = {"kind": "symbol", "image": "snowflake", "width_m": 4.0, "length_m": 8.0, "controller": "thesis_pid"}
 SYMBOL = {
@@ -24,7 +24,7 @@ SYMBOL = {
 OWN = """
 from dataclasses import dataclass, replace
 
-from controllers.pixels.ssc import Ssc, Utilisation
+from luxloop.controllers.pixels.ssc import Ssc, Utilisation
 
 
 @dataclass(frozen=True)

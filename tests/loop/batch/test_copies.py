@@ -5,14 +5,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from controllers.pixels.windowed import WindowedSsc
-from controllers.symbol.sensing.projection import ProjectionCommand
-from loop.batch import drawing
-from loop.batch.copies import Copies
-from loop.batch.looking import Taken
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import load
-from world.errors import LuxloopError
+from luxloop.controllers.pixels.windowed import WindowedSsc
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.loop.batch import drawing
+from luxloop.loop.batch.copies import Copies
+from luxloop.loop.batch.looking import Taken
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import load
+from luxloop.world.errors import LuxloopError
 
 SMALL = [
     *("functions.symbol.controller.name=thesis_pid", "headlight.model=ssl-hd-lores", "functions.symbol={ width_m=3.0, length_m=8.0 }"),

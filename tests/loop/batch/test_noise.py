@@ -2,10 +2,10 @@
 
 import torch
 
-from loop.batch.noise import normal
-from loop.batch.windows import Windows
-from perception.extraction import Crop
-from perception.noise import FrameNoise
+from luxloop.loop.batch.noise import normal
+from luxloop.loop.batch.windows import Windows
+from luxloop.perception.extraction import Crop
+from luxloop.perception.noise import FrameNoise
 
 
 def test_windows_of_noise_are_parts_of_the_frames() -> None:

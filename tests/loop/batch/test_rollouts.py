@@ -6,16 +6,16 @@ import pytest
 import torch
 from torch import Tensor
 
-from controllers.pixels.ssc import Ssc
-from controllers.symbol.laws.thesis_pid import ThesisPid
-from loop.assembly.made import Made
-from loop.batch.rollouts import GAINS, check, rollouts, with_values
-from loop.lighting.lamps import ShiningModule, shining_modules
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import Scenario, load
-from loop.studies.ranges import changed, value_of
-from world.errors import LuxloopError
-from world.symbols import load_still
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.controllers.symbol.laws.thesis_pid import ThesisPid
+from luxloop.loop.assembly.made import Made
+from luxloop.loop.batch.rollouts import GAINS, check, rollouts, with_values
+from luxloop.loop.lighting.lamps import ShiningModule, shining_modules
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import Scenario, load
+from luxloop.loop.studies.ranges import changed, value_of
+from luxloop.world.errors import LuxloopError
+from luxloop.world.symbols import load_still
 
 SMALL = [
     *(
@@ -74,8 +74,8 @@ def in_float64(scenario: Scenario, device: torch.device, made: Made) -> tuple[Sh
 
 
 def test_errors_are_differentiable_in_gains(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("loop.lighting.parts.shining_modules", in_float64)
-    monkeypatch.setattr("loop.lighting.controlled.load_still", lambda file: load_still(file).double())
+    monkeypatch.setattr("luxloop.loop.lighting.parts.shining_modules", in_float64)
+    monkeypatch.setattr("luxloop.loop.lighting.controlled.load_still", lambda file: load_still(file).double())
     loop = Simulation.prepare(scenario("functions.symbol.extraction.edges=soft", "seed=2", steps=4))
     keys = ("functions.symbol.controller.position.kp", "functions.symbol.controller.position.kd", "functions.symbol.controller.rotation.kp")
 

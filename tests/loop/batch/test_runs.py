@@ -6,14 +6,14 @@ from typing import Any
 import pytest
 import torch
 
-from loop.batch import runs as batch
-from loop.batch.arrivals import arrivals
-from loop.batch.copies import Copies
-from loop.batch.courses import course_of
-from loop.lighting.simulation import Simulation
-from loop.metrics import ready, traced
-from loop.scenario.model import Scenario, load
-from world.errors import LuxloopError
+from luxloop.loop.batch import runs as batch
+from luxloop.loop.batch.arrivals import arrivals
+from luxloop.loop.batch.copies import Copies
+from luxloop.loop.batch.courses import course_of
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.metrics import ready, traced
+from luxloop.loop.scenario.model import Scenario, load
+from luxloop.world.errors import LuxloopError
 
 SMALL = (
     *("headlight.model=ssl-hd-lores", "functions.symbol={ width_m=3.0, length_m=8.0 }", "functions.symbol.start.x_m=15.0"),

@@ -9,16 +9,16 @@ from typing import Any
 import pytest
 import torch
 
-from loop.beams.goal import BeamGoal, BeamJudge
-from loop.beams.optimise import _method
-from loop.beams.search import alike, begin, descend, sample
-from loop.commands import cli
-from loop.lighting.simulation import Simulation
-from loop.run import prepare
-from loop.scenario.model import load, validate
-from perception.detection.build import detector
-from perception.detection.params import HogParams, NetworkParams
-from world.errors import LuxloopError
+from luxloop.loop.beams.goal import BeamGoal, BeamJudge
+from luxloop.loop.beams.optimise import _method
+from luxloop.loop.beams.search import alike, begin, descend, sample
+from luxloop.loop.commands import cli
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load, validate
+from luxloop.perception.detection.build import detector
+from luxloop.perception.detection.params import HogParams, NetworkParams
+from luxloop.world.errors import LuxloopError
 
 SCENE: dict[str, Any] = {
     "name": "beam",

@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from loop.bench.faults import FaultParams, read
-from loop.bench.scene import LitBench
-from loop.scenario.model import Scenario, load
-from loop.wire.ddp import LightFrame
+from luxloop.loop.bench.faults import FaultParams, read
+from luxloop.loop.bench.scene import LitBench
+from luxloop.loop.scenario.model import Scenario, load
+from luxloop.loop.wire.ddp import LightFrame
 
 SIZE = ("camera.width_px=160", "camera.height_px=120", "camera.oversampling=1", "camera.hfov_deg=40")
 SIZE = ("camera.width_px=160", "camera.height_px=120", "camera.oversampling=1", "camera.hfov_deg=40")

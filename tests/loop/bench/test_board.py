@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from loop.bench.board import LAID_S, ShownBoard, held, readings
-from loop.bench.faults import ShownBoardParams
-from loop.bench.lens import focal_px
-from loop.bench.scene import LitBench
-from loop.calibration.board import corners
+from luxloop.loop.bench.board import LAID_S, ShownBoard, held, readings
+from luxloop.loop.bench.faults import ShownBoardParams
+from luxloop.loop.bench.lens import focal_px
+from luxloop.loop.bench.scene import LitBench
+from luxloop.loop.calibration.board import corners
 from tests.loop.bench.conftest import faults_of, scenario_of
 
 BOARD = ShownBoardParams(shown=True, columns=5, rows=7, square_mm=50)

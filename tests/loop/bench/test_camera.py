@@ -9,14 +9,14 @@ import cv2
 import numpy as np
 import pytest
 
-from loop.bench.camera import BenchCamera, End, Exposed, digitised, encoded, flicker, shares
-from loop.bench.faults import CameraErrorParams, FaultParams, FlickerParams
-from loop.bench.scene import LitBench
-from loop.bench.timeline import Segment, Timeline
-from loop.wire.mjpeg import JPEG, PNG, Part
-from perception.camera import CameraParams
+from luxloop.loop.bench.camera import BenchCamera, End, Exposed, digitised, encoded, flicker, shares
+from luxloop.loop.bench.faults import CameraErrorParams, FaultParams, FlickerParams
+from luxloop.loop.bench.scene import LitBench
+from luxloop.loop.bench.timeline import Segment, Timeline
+from luxloop.loop.wire.mjpeg import JPEG, PNG, Part
+from luxloop.perception.camera import CameraParams
+from luxloop.world.errors import LuxloopError
 from tests.loop.bench.conftest import DARK, faults_of, light, scenario_of
-from world.errors import LuxloopError
 
 
 def test_a_row_takes_of_each_light_what_falls_into_its_exposure() -> None:

@@ -15,11 +15,11 @@ from pathlib import Path
 
 import pytest
 
-from loop.commands import cli
-from loop.scenario.shipped import examples
+from luxloop.loop.commands import cli
+from luxloop.loop.scenario.shipped import examples
 
 ROOT = Path(__file__).parents[3]
-MAIN = "import sys; from loop.commands.cli import main; sys.exit(main())"
+MAIN = "import sys; from luxloop.loop.commands.cli import main; sys.exit(main())"
 FREE = "--light-port 0 --camera-port 0 --truth-port 0"
 SMALL = "headlight.model=ssl-hd-lores camera.width_px=160 camera.height_px=120 camera.oversampling=1 renderer=raycast"
 DOCUMENTED = re.findall(r"^luxloop (rig simulate .*)$", (ROOT / "docs" / "rig.md").read_text("utf-8"), re.M)

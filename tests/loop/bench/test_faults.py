@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from loop.bench.faults import FaultParams, read, split
-from loop.scenario.shipped import examples
-from world.errors import LuxloopError
+from luxloop.loop.bench.faults import FaultParams, read, split
+from luxloop.loop.scenario.shipped import examples
+from luxloop.world.errors import LuxloopError
 
 
 def test_a_file_and_changes_make_faults(tmp_path: Path) -> None:

@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from loop.bench.faults import LensParams
-from loop.bench.lens import Lens, distorted, focal_px, undistorted
-from perception.camera import CameraParams
-from world.errors import LuxloopError
+from luxloop.loop.bench.faults import LensParams
+from luxloop.loop.bench.lens import Lens, distorted, focal_px, undistorted
+from luxloop.perception.camera import CameraParams
+from luxloop.world.errors import LuxloopError
 
 CAMERA = CameraParams(width_px=160, height_px=120, hfov_deg=60)
 BARREL = LensParams(coefficients=(-0.25, 0.06, 0.002, -0.001, 0.01), centre_px=(3.2, -1.7))

@@ -14,12 +14,12 @@ import cv2
 import numpy as np
 import pytest
 
-from loop.bench.camera import End
-from loop.bench.rig import Ports, Rig
-from loop.wire import datagrams, ddp
-from loop.wire.mjpeg import parts
+from luxloop.loop.bench.camera import End
+from luxloop.loop.bench.rig import Ports, Rig
+from luxloop.loop.wire import datagrams, ddp
+from luxloop.loop.wire.mjpeg import parts
+from luxloop.world.errors import LuxloopError
 from tests.loop.bench.conftest import DARK, faults_of, scenario_of
-from world.errors import LuxloopError
 
 FREE = Ports("127.0.0.1", 0, 0, 0)
 LARGEST = 2**20

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import torch
 
-from controllers.pixels.ssc import Utilisation
-from loop.assembly.truth import LampModule
-from loop.bench.camera import digitised
-from loop.bench.faults import FaultParams, ScreenParams
-from loop.bench.scene import LitBench, gloss
-from loop.plant.simulated import simulated_plant
-from loop.scenario.model import load
-from loop.scenario.shipped import examples
-from loop.wire.ddp import LightFrame, WireCommand
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.assembly.truth import LampModule
+from luxloop.loop.bench.camera import digitised
+from luxloop.loop.bench.faults import FaultParams, ScreenParams
+from luxloop.loop.bench.scene import LitBench, gloss
+from luxloop.loop.plant.simulated import simulated_plant
+from luxloop.loop.scenario.model import load
+from luxloop.loop.scenario.shipped import examples
+from luxloop.loop.wire.ddp import LightFrame, WireCommand
 from tests.loop.bench.conftest import faults_of, light, scenario_of
 
 Images = Callable[..., np.ndarray]

@@ -6,11 +6,11 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from loop.bench.screen_input import ScreenInput
-from loop.bench.timeline import Timeline
-from loop.rig.light import Shine
-from loop.rig.params import ScreenLightParams
-from loop.rig.screen import ScreenLight
+from luxloop.loop.bench.screen_input import ScreenInput
+from luxloop.loop.bench.timeline import Timeline
+from luxloop.loop.rig.light import Shine
+from luxloop.loop.rig.params import ScreenLightParams
+from luxloop.loop.rig.screen import ScreenLight
 from tests.loop.rig.conftest import eventually
 
 GRIDS = [(2, 3), (1, 4)]

@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from loop.bench.faults import LightInputParams
-from loop.bench.light_input import DdpInput
-from loop.bench.timeline import Timeline
+from luxloop.loop.bench.faults import LightInputParams
+from luxloop.loop.bench.light_input import DdpInput
+from luxloop.loop.bench.timeline import Timeline
 from tests.loop.bench.conftest import light
 
 ON, OFF = np.full(4, 255, np.uint8), np.zeros(4, np.uint8)

@@ -8,11 +8,11 @@ import pytest
 from PIL import Image as Picture
 from rig_bench import _lens, _views
 
-from loop.calibration.board import BoardParams, Corners, corners, picture, print_board
-from loop.calibration.geometry import CameraModel
-from loop.calibration.intrinsics import brightness, lens, vignetting
-from loop.calibration.response import Response, response_curve
-from world.errors import LuxloopError
+from luxloop.loop.calibration.board import BoardParams, Corners, corners, picture, print_board
+from luxloop.loop.calibration.geometry import CameraModel
+from luxloop.loop.calibration.intrinsics import brightness, lens, vignetting
+from luxloop.loop.calibration.response import Response, response_curve
+from luxloop.world.errors import LuxloopError
 
 
 @pytest.mark.parametrize(("gamma", "levels", "black"), [(1.0, 4095, 64.0), (2.2, 255, 3.0), (1.8, 1023, 0.0)])

@@ -6,15 +6,15 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter
 
-from controllers.pixels.ssc import Utilisation
-from loop.calibration.fit import BLUR, Shown, Varied, fit
-from loop.lighting.lamps import lamp_modules, shining_modules
-from loop.plant.simulated import simulated_plant
-from loop.scenario.model import Scenario, validate
-from loop.scenario.overrides import overridden
-from perception.camera import expose
-from perception.noise import FrameNoise
-from world.errors import LuxloopError
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.calibration.fit import BLUR, Shown, Varied, fit
+from luxloop.loop.lighting.lamps import lamp_modules, shining_modules
+from luxloop.loop.plant.simulated import simulated_plant
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.loop.scenario.overrides import overridden
+from luxloop.perception.camera import expose
+from luxloop.perception.noise import FrameNoise
+from luxloop.world.errors import LuxloopError
 
 
 def scenario_with(values: Mapping[str, float]) -> Scenario:

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loop.calibration.files import Calibration, load, save
-from loop.calibration.geometry import ISO, CameraModel, Geometry, Pose, Seen, adjusted, candela_factor, on_plane
-from loop.calibration.response import Response
-from world.errors import LuxloopError
+from luxloop.loop.calibration.files import Calibration, load, save
+from luxloop.loop.calibration.geometry import ISO, CameraModel, Geometry, Pose, Seen, adjusted, candela_factor, on_plane
+from luxloop.loop.calibration.response import Response
+from luxloop.world.errors import LuxloopError
 
 CAMERA = CameraModel(640, 480, np.array([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]]), np.array([-0.1, 0.02, 0, 0, 0]))
 LAMP = Pose(Pose.of(np.block([[ISO, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])).turn, np.array([0.3, 0.2, 0.1]))

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from loop.calibration.bench import Array
-from loop.calibration.charts import Chart, places
-from loop.calibration.codes import bits, decode, patterns
+from luxloop.loop.calibration.bench import Array
+from luxloop.loop.calibration.charts import Chart, places
+from luxloop.loop.calibration.codes import bits, decode, patterns
 
 ROWS, COLS = 36, 50
 SCALE, OFF = 2.3, 7.4  # camera pixels a lamp pixel, and where the lamp's light begins

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 import torch
 
-from loop.commands import cli
-from loop.run import run
-from loop.scenario import data
-from loop.scenario.model import load
-from loop.terminal import listing
-from loop.terminal.doctor import Check
+from luxloop.loop.commands import cli
+from luxloop.loop.run import run
+from luxloop.loop.scenario import data
+from luxloop.loop.scenario.model import load
+from luxloop.loop.terminal import listing
+from luxloop.loop.terminal.doctor import Check
+from luxloop.world.opencrg import Crg
 from tests.loop.conftest import FILE, Lux, assert_one_sentence
 from tests.world.opencrg.writer import write_crg
-from world.opencrg import Crg
 
 ROOT = Path(__file__).parents[3]
 # What only a picture, a report, an object or a detector needs: each takes a tenth of a second or more.
@@ -308,7 +308,7 @@ def test_data_commands(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 def test_doctor(lux: Lux, monkeypatch: pytest.MonkeyPatch) -> None:
     found = [Check("Python", "ok", "3.11"), Check("OpenGL", "fail", "[none]", "sudo apt-get install mesa")]
-    monkeypatch.setattr("loop.terminal.doctor.checks", lambda: found)
+    monkeypatch.setattr("luxloop.loop.terminal.doctor.checks", lambda: found)
     code, out, _ = lux("doctor")
     assert code == 1
     assert "sudo apt-get install mesa" in out and "[none]" in out
@@ -329,7 +329,7 @@ def test_the_working_folder_runs_no_code(tmp_path: Path) -> None:
     (tmp_path / "c.toml").write_text(
         f'scenarios = ["snowflake"]\nseeds = [1]\ncontrollers = ["open", "luxloop"]\n[set]\nsteps = 1\n{small}'
     )
-    program = "import sys; sys.path.pop(0); from loop.commands.cli import main; sys.exit(main())"  # which -c puts first, and `luxloop` not
+    program = "import sys; sys.path.pop(0); from luxloop.loop.commands.cli import main; sys.exit(main())"  # the first is what -c adds
     there = {"PYTHONPATH": str(ROOT), "PATH": f"{tmp_path}:{os.environ['PATH']}", "MPLBACKEND": "module://no_such.backend"}
     command = [sys.executable, "-c", program, "campaign", "c.toml", "--jobs", "2"]
     done = subprocess.run(command, cwd=tmp_path, env={**os.environ, **there}, capture_output=True, text=True)
@@ -339,7 +339,7 @@ def test_the_working_folder_runs_no_code(tmp_path: Path) -> None:
 def test_process_starts_quickly_and_takes_a_closed_pipe_calmly() -> None:
     """What help and lists import is what makes them slow: torch alone takes a second."""
     program = (
-        "import sys; from loop.commands.cli import main\n"
+        "import sys; from luxloop.loop.commands.cli import main\n"
         "assert main(['--help']) == 0 and main(['list']) == 0 and main(['data', 'list']) == 0\n"
         "assert not {'torch', 'kornia', 'matplotlib', 'pyrender', 'trimesh', 'pandas'} & set(sys.modules)\n"
         "sys.exit(main(['data', 'lits']))"
@@ -348,7 +348,7 @@ def test_process_starts_quickly_and_takes_a_closed_pipe_calmly() -> None:
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     with subprocess.Popen(
-        [sys.executable, "-m", "loop.commands.cli", "data", "list"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
+        [sys.executable, "-m", "luxloop.loop.commands.cli", "data", "list"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
     ) as process:
         assert process.stdout is not None and process.stderr is not None
         process.stdout.close()

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from loop.commands import cli
-from loop.scenario.model import Scenario, load
-from loop.scenario.shipped import examples, shipped
+from luxloop.loop.commands import cli
+from luxloop.loop.scenario.model import Scenario, load
+from luxloop.loop.scenario.shipped import examples, shipped
 from tests.loop.conftest import Lux, assert_one_sentence
 
 

@@ -8,9 +8,9 @@ import av
 import pandas as pd
 import pytest
 
-from loop.lighting.simulation import Simulation
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import FILE, Lux
-from world.errors import LuxloopError
 
 FILES = {"manifest.json", "trajectory.parquet", "summary.json", "report.png", "video.mp4"}
 
@@ -74,7 +74,7 @@ def test_interrupt_before_the_first_step(lux: Lux, monkeypatch: pytest.MonkeyPat
     def prepare(*_: object) -> Simulation:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("loop.run.prepare", prepare)
+    monkeypatch.setattr("luxloop.loop.run.prepare", prepare)
     assert lux("run", "small.toml") == (130, "", "interrupted: nothing was recorded\n")
     assert not Path("runs").exists()
 

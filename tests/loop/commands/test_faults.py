@@ -21,8 +21,8 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
-from loop.commands import cli
-from loop.studies.study import FINISHED, STUDY
+from luxloop.loop.commands import cli
+from luxloop.loop.studies.study import FINISHED, STUDY
 
 ROOT = Path(__file__).parents[3]
 SMALL = """
@@ -35,7 +35,7 @@ functions.symbol = { kind = "symbol", image = "snowflake", width_m = 4.0, length
 """
 FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(
-    ["loop.commands.cli", "loop.commands.runs", "loop.lighting.simulation", "loop.studies.tune"]
+    ["luxloop.loop.commands.cli", "luxloop.loop.commands.runs", "luxloop.loop.lighting.simulation", "luxloop.loop.studies.tune"]
 )  # imported once for all processes: seconds
 
 
@@ -150,7 +150,7 @@ def test_a_full_disk_ends_a_run_as_failed(folder: Path) -> None:
     script = (
         "mount -t tmpfs -o size=200k none disk && { while [ ! -e disk/out/summary.json ] && [ ! -e disk/full ]; do sleep 0.05; "
         "[ -e disk/out/trajectory.parquet ] && cat /dev/zero > disk/full; done 2> /dev/null & } && "
-        f"{sys.executable} -m loop.commands.cli run small.toml --no-video --out disk/out; echo $? > code; cp -a disk/out seen"
+        f"{sys.executable} -m luxloop.loop.commands.cli run small.toml --no-video --out disk/out; echo $? > code; cp -a disk/out seen"
     )
     env = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     run = subprocess.run([*namespace, script], cwd=folder, env=env, capture_output=True, text=True, timeout=120)

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 import torch
 
-from loop.commands import cli
-from loop.commands.shown import lights_by_side
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import load
-from world.headlight.lamp import Lamp, Module
-from world.lampfiles.archive import save
-from world.lampfiles.description import load_lamp
-from world.photometry import Distribution, read, write
-from world.presets import idealised
+from luxloop.loop.commands import cli
+from luxloop.loop.commands.shown import lights_by_side
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import load
+from luxloop.world.headlight.lamp import Lamp, Module
+from luxloop.world.lampfiles.archive import save
+from luxloop.world.lampfiles.description import load_lamp
+from luxloop.world.photometry import Distribution, read_photometry, write
+from luxloop.world.presets import idealised
 
 EXAMPLE = Path(__file__).parents[3] / "scenarios" / "examples" / "lamp.toml"
 Lux = Callable[[str], tuple[int, str, str]]
@@ -51,7 +51,7 @@ def test_facts_of_a_preset(lux: Lux) -> None:
 def test_a_beam_goes_out_as_a_photometric_file_and_comes_back(lux: Lux) -> None:
     code, out, _ = lux("export hd84 --beam high --out high.ies --step-deg 0.5")
     assert code == 0 and "high.ies written: hd84, beam high" in out
-    file = read(Path("high.ies"))
+    file = read_photometry(Path("high.ies"))
     assert (file.distribution.type, file.warnings) == ("A", ())
     code, out, _ = lux("info high.ies")
     assert code == 0 and "hd84, beam high" in out and "type A" in out
@@ -65,7 +65,7 @@ def test_a_beam_goes_out_as_a_photometric_file_and_comes_back(lux: Lux) -> None:
 def test_the_suffix_of_an_exported_beam_is_its_format(lux: Lux) -> None:
     for name, form in (("a.IES", "LM-63-2019"), ("a.ldt", "EULUMDAT")):
         assert lux(f"export hd84 --beam high --out {name}")[0] == 0
-        file = read(Path(name))
+        file = read_photometry(Path(name))
         assert file.format == form
         at = np.array([[1.0, 1, 1], [0, 0.1, -0.1], [0, 0.02, 0]])
         lamp = load_lamp("hd84")
@@ -236,7 +236,7 @@ def test_traffic_on_the_left_gets_beams_of_its_own(lux: Lux) -> None:
     assert right.count("pass") == left.count("pass")
     lux("export hd84 --out right.ies --step-deg 0.5")
     lux("export hd84 --out left.ies --step-deg 0.5 --traffic left")
-    right, left = (read(Path(f"{side}.ies")).distribution.candela for side in ("right", "left"))
+    right, left = (read_photometry(Path(f"{side}.ies")).distribution.candela for side in ("right", "left"))
     np.testing.assert_allclose(left, right[::-1], atol=0.05 * right.max())
     assert abs(left - right).max() > 0.1 * right.max()
 

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 import torch
 
-from loop.bench.board import ShownBoard
-from loop.bench.faults import FaultParams, ShownBoardParams
-from loop.bench.scene import LitBench
-from loop.calibration.board import BoardParams, Corners, _board, corners
-from loop.calibration.files import load
-from loop.scenario.model import load as load_scenario
+from luxloop.loop.bench.board import ShownBoard
+from luxloop.loop.bench.faults import FaultParams, ShownBoardParams
+from luxloop.loop.bench.scene import LitBench
+from luxloop.loop.calibration.board import BoardParams, Corners, _board, corners
+from luxloop.loop.calibration.files import load
+from luxloop.loop.scenario.model import load as load_scenario
+from luxloop.world.headlight.lamp import Lamp, Module
+from luxloop.world.lampfiles import archive
+from luxloop.world.presets.ideal import idealised
 from tests.loop.conftest import Lux, assert_one_sentence
-from world.headlight.lamp import Lamp, Module
-from world.lampfiles import archive
-from world.presets.ideal import idealised
 
 WALL = """
 name = "wall"

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from pycocotools.coco import COCO
 
-from loop.dataset.drawn import read
-from loop.dataset.make import JOBS, make
+from luxloop.loop.dataset.drawn import read
+from luxloop.loop.dataset.make import JOBS, make
+from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import Lux, assert_one_sentence
-from world.errors import LuxloopError
 
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation")  # of pycocotools
 

@@ -18,13 +18,13 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 import luxloop
-from loop.environment.acting import HEIGHT_RATE_M
-from loop.environment.randomised import Randomised, RandomisedVector
-from loop.environment.registered import register
-from loop.environment.single import SymbolEnv
-from loop.environment.task import reward
-from perception.extraction import Loss
-from world.errors import LuxloopError
+from luxloop.loop.environment.acting import HEIGHT_RATE_M
+from luxloop.loop.environment.randomised import Randomised, RandomisedVector
+from luxloop.loop.environment.registered import register
+from luxloop.loop.environment.single import SymbolEnv
+from luxloop.loop.environment.task import reward
+from luxloop.perception.extraction import Loss
+from luxloop.world.errors import LuxloopError
 
 SMALL = (
     *("headlight.model=ssl-hd-lores", "functions.symbol={ width_m=3.0, length_m=8.0 }", "renderer=raycast"),

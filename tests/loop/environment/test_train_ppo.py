@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from loop.scenario.shipped import examples
+from luxloop.loop.scenario.shipped import examples
 
 ROOT = Path(__file__).parents[3]
 

@@ -9,19 +9,19 @@ import scipy.sparse as sp
 import torch
 from scipy.optimize import linprog
 
-from controllers.pixels.mrpc_tuning import part
-from loop.evaluation import evaluate as evaluation
-from loop.evaluation import jobs, report
-from loop.evaluation.evaluate import JOBS, ROWS, SETPOINTS, Evaluation, evaluate, summary
-from loop.jobs import runner
-from loop.jobs.executors import local
-from perception.metrics import mae
-from world.beams.rectangles import Rectangle
-from world.errors import LuxloopError
-from world.headlight import Headlight
-from world.headlight.parametric import GaussianPixels
-from world.presets.modules import headlight
-from world.texels import TexelGrid
+from luxloop.controllers.pixels.mrpc_tuning import part
+from luxloop.loop.evaluation import evaluate as evaluation
+from luxloop.loop.evaluation import jobs, report
+from luxloop.loop.evaluation.evaluate import JOBS, ROWS, SETPOINTS, Evaluation, evaluate, summary
+from luxloop.loop.jobs import runner
+from luxloop.loop.jobs.executors import local
+from luxloop.perception.metrics import mae
+from luxloop.world.beams.rectangles import Rectangle
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.parametric import GaussianPixels
+from luxloop.world.presets.modules import headlight
+from luxloop.world.texels import TexelGrid
 
 RECTANGLES = [Rectangle(0, 0, 3.75, 2), Rectangle(-5, 1, 6, 3, 15), Rectangle(2.5, -1, 1.5, 1)]
 
@@ -42,9 +42,9 @@ def small() -> Iterator[Headlight]:
     light = headlight("small", pixels, TexelGrid.from_degrees(24, 64, 14, -14, -5, 5))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(jobs, "headlight", lambda name: light)
-        patch.setattr("loop.evaluation.figures.headlight", lambda name: light)
-        patch.setattr("controllers.pixels.mrpc_tuning.POPULATION", 4)
-        patch.setattr("controllers.pixels.mrpc_tuning.GENERATIONS", 5)
+        patch.setattr("luxloop.loop.evaluation.figures.headlight", lambda name: light)
+        patch.setattr("luxloop.controllers.pixels.mrpc_tuning.POPULATION", 4)
+        patch.setattr("luxloop.controllers.pixels.mrpc_tuning.GENERATIONS", 5)
         yield light
 
 

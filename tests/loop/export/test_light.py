@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from loop.run import prepare
-from loop.scenario.model import load
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
+from luxloop.world.photometry import read_photometry
 from tests.loop.conftest import Lux, assert_one_sentence
-from world.photometry import read
 
 AT_S = 0.3
 SMALL = ["camera.width_px=320", "camera.height_px=133", "renderer=raycast"]
@@ -37,7 +37,7 @@ def test_photometric_files_give_the_same_light(suffix: str, lux: Lux, tmp_path: 
     lights, _ = simulation.lights_at(AT_S)
     rng = np.random.default_rng(0)
     for module, u in zip(simulation.world.modules, lights, strict=True):
-        file = read(tmp_path / f"light-{module.name.replace(' ', '-')}.{suffix}")
+        file = read_photometry(tmp_path / f"light-{module.name.replace(' ', '-')}.{suffix}")
         assert not file.warnings and module.name in file.luminaire
         headlight = module.headlight
         texture = headlight.light_texture(u).double()
@@ -56,7 +56,7 @@ def test_a_single_module_has_the_file_alone_and_may_be_dark(lux: Lux, tmp_path: 
     for name in ("dark.ldt", "dark.ies"):
         code, _, error = lux("export", "light", "gfhb", "--out", name, "--step-deg", "1", "--set", *dark, "checks={}")
         assert code == 0, error
-        assert not read(tmp_path / name).distribution.candela.any()
+        assert not read_photometry(tmp_path / name).distribution.candela.any()
     assert "[_POSITION_M] 0.0000 0.6000 0.7500" in (tmp_path / "dark.ies").read_text()
 
 

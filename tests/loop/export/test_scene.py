@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from loop.export.scene import SCENE, T_GLTF_WORLD, write_scene
-from loop.run import prepare
-from loop.scenario.model import load, validate
+from luxloop.loop.export.scene import SCENE, T_GLTF_WORLD, write_scene
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load, validate
 from tests.loop.conftest import Lux, assert_one_sentence
 
 AT_S = 0.5

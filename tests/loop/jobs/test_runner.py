@@ -13,17 +13,17 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from loop.jobs import runner
-from loop.jobs.executors import local
-from loop.jobs.runner import Job, Results, run
-from world.errors import LuxloopError
+from luxloop.loop.jobs import runner
+from luxloop.loop.jobs.executors import local
+from luxloop.loop.jobs.runner import Job, Results, run
+from luxloop.world.errors import LuxloopError
 
 ROOT = Path(__file__).parents[3]
 SCRIPT = """
 import signal, sys, time
 from pathlib import Path
-from loop.jobs.executors import local
-from loop.jobs.runner import Job, run
+from luxloop.loop.jobs.executors import local
+from luxloop.loop.jobs.runner import Job, run
 
 def slow(x, log):
     with open(log, "a") as stream:

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from pycocotools.coco import COCO
 
-from controllers.pixels.ssc import Utilisation
-from loop.labels.coco import run_lengths
-from loop.labels.labelled import Labels
-from loop.labels.recorder import LabelRecorder
-from loop.lighting.result import StepResult
-from loop.recording.frames import FrameRecorder
-from loop.run import prepare, run
-from loop.scenario.model import Scenario, validate
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.labels.coco import run_lengths
+from luxloop.loop.labels.labelled import Labels
+from luxloop.loop.labels.recorder import LabelRecorder
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.recording.frames import FrameRecorder
+from luxloop.loop.run import prepare, run
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import Lux, assert_one_sentence
-from world.errors import LuxloopError
 
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation")  # of pycocotools
 

@@ -12,15 +12,15 @@ import torch
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from loop.lighting.record import row, schema
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.lighting.summary import shown
-from loop.report.courses import _commanded
-from loop.run import check, run
-from loop.scenario.model import Scenario, validate
-from world.errors import LuxloopError
-from world.headlight.lamp import REST, ModuleCommand
+from luxloop.loop.lighting.record import row, schema
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.lighting.summary import shown
+from luxloop.loop.report.courses import _commanded
+from luxloop.loop.run import check, run
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.lamp import REST, ModuleCommand
 
 LAMP = """
 name = "moving"

@@ -9,19 +9,19 @@ import pytest
 import torch
 from rich.console import Console
 
-from controllers.pixels.ssc import Utilisation
-from controllers.symbol.sensing.protocol import Observation, Shown
-from loop.commands import cli
-from loop.lighting.record import row, schema
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.lighting.summary import shown
-from loop.plant.protocol import Arrivals, Exposure
-from loop.run import run as luxloop_run
-from loop.scenario.model import load, validate
-from perception.extraction import Loss
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.symbol.sensing.protocol import Observation, Shown
+from luxloop.loop.commands import cli
+from luxloop.loop.lighting.record import row, schema
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.lighting.summary import shown
+from luxloop.loop.plant.protocol import Arrivals, Exposure
+from luxloop.loop.run import run as luxloop_run
+from luxloop.loop.scenario.model import load, validate
+from luxloop.perception.extraction import Loss
+from luxloop.world.errors import LuxloopError
 from tests.lamps import SMALL_LAMP
-from world.errors import LuxloopError
 
 WORLD: dict[str, Any] = {
     "name": "held",

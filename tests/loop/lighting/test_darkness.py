@@ -5,15 +5,15 @@ from typing import Any
 import pytest
 import torch
 
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.run import prepare
-from loop.scenario.model import Scenario, load, validate
-from loop.scenario.shipped import shipped
-from perception.camera import CameraParams, camera_view
-from world.light.illumination import illuminance, reach
-from world.rendering.gbuffer import gbuffer
-from world.view import View
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import Scenario, load, validate
+from luxloop.loop.scenario.shipped import shipped
+from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.world.light.illumination import illuminance, reach
+from luxloop.world.rendering.gbuffer import gbuffer
+from luxloop.world.view import View
 
 SIZES = {  # length, width, height in m
     "pole": (0.05, 0.05, 2.0),

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import validate
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import validate
 from tests.loop.conftest import SMALL
 
 SYMBOL = SMALL["functions"]["symbol"] | {"controller": "luxloop"}

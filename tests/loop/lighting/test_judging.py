@@ -4,9 +4,9 @@ from typing import Any
 
 import pytest
 
-from loop.lighting.record import row
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import validate
+from luxloop.loop.lighting.record import row
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import validate
 
 COMING = {"kind": "car", "name": "coming", "seed": 1, "path": {"points_m": [[30, 3.5, 0], [0, 3.5, 0]], "speed_m_s": 10.0}}
 AHEAD = {"kind": "car", "name": "ahead", "seed": 1, "path": {"points_m": [[30, 0, 0], [90, 0, 0]], "speed_m_s": 10.0}}

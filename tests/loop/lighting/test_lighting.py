@@ -11,18 +11,18 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
-from loop.commands import cli
-from loop.lighting.record import schema
-from loop.lighting.simulation import Simulation
-from loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M
-from loop.report.page import lit_part
-from loop.report.picture import measured, white_of
-from loop.run import run
-from loop.scenario.model import Scenario, validate
-from perception.camera import noise_std
-from world.errors import LuxloopError
-from world.lampfiles import archive
-from world.presets import lamp
+from luxloop.loop.commands import cli
+from luxloop.loop.lighting.record import schema
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M
+from luxloop.loop.report.page import lit_part
+from luxloop.loop.report.picture import measured, white_of
+from luxloop.loop.run import run
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.perception.camera import noise_std
+from luxloop.world.errors import LuxloopError
+from luxloop.world.lampfiles import archive
+from luxloop.world.presets import lamp
 
 BOX = {
     "kind": "box",

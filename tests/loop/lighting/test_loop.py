@@ -11,18 +11,18 @@ import pytest
 import torch
 from rich.console import Console
 
-from controllers.situation import AdaptiveFunction
-from loop.commands import cli
-from loop.lighting.record import LOOKED_AT, row, schema
-from loop.lighting.simulation import Simulation
-from loop.lighting.summary import shown
-from loop.plant.world import LitScene
-from loop.recording.files import table_of
-from loop.recording.manifest import input_files
-from loop.run import run
-from loop.scenario.model import Scenario, validate
-from perception.detection.protocol import Detections
-from world.errors import LuxloopError
+from luxloop.controllers.situation import AdaptiveFunction
+from luxloop.loop.commands import cli
+from luxloop.loop.lighting.record import LOOKED_AT, row, schema
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.lighting.summary import shown
+from luxloop.loop.plant.world import LitScene
+from luxloop.loop.recording.files import table_of
+from luxloop.loop.recording.manifest import input_files
+from luxloop.loop.run import run
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.perception.detection.protocol import Detections
+from luxloop.world.errors import LuxloopError
 
 CAMERA = {"width_px": 320, "height_px": 180, "pitch_deg": 1.5, "oversampling": 1, "saturation_e": 2000}
 WALKER = {"kind": "pedestrian", "name": "walker", "seed": 3, "path": {"points_m": [[15, -2, 0], [15, 2, 0]], "speed_m_s": 1.4}}

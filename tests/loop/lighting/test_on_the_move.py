@@ -5,11 +5,11 @@ from typing import Any
 import pytest
 import torch
 
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import validate
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import validate
+from luxloop.world.frames import inverse, transform
 from tests.lamps import SMALL_LAMP
-from world.frames import inverse, transform
 
 NODS = {"course": [{"speed_m_s": 20.0}], "oscillation": {"pitch_deg": 1.0, "rate_hz": 1.25}}
 ONCOMING = {

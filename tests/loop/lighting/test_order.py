@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 import torch
 
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import Scenario, validate
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import Scenario, validate
 
 ROAD = {"x_m": 16.0, "width_m": 4.0, "length_m": 8.0}
 FUNCTIONS: dict[str, dict[str, Any]] = {  # all of one priority, and all on the same road and the same walker

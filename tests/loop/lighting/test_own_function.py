@@ -4,15 +4,15 @@ from typing import Any
 
 import pytest
 
-from loop.lighting.simulation import Simulation
-from loop.run import run
-from loop.scenario.model import Scenario, validate
-from world.errors import LuxloopError
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.run import run
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.world.errors import LuxloopError
 
 OWN = """
 import torch
 
-from controllers.pixels.primitives import rectangle
+from luxloop.controllers.pixels.primitives import rectangle
 
 class Carpet:
     def __init__(self, value=0.5, far_m=20.0):

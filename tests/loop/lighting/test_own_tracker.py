@@ -4,16 +4,16 @@ from typing import Any
 
 import pytest
 
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import Scenario, validate
-from world.errors import LuxloopError
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.world.errors import LuxloopError
 
 OWN = """
 from dataclasses import replace
 
 import torch
 
-from perception.tracking import Tracker, TrackerParams
+from luxloop.perception.tracking import Tracker, TrackerParams
 
 class Ours:
     def __init__(self, classes, view, **keys):

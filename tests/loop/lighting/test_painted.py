@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from controllers.functions.painted import Painted, PaintedParams
-from controllers.pixels.ssc import Utilisation
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import Scenario, load, validate
-from world.errors import LuxloopError
+from luxloop.controllers.functions.painted import Painted, PaintedParams
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import Scenario, load, validate
+from luxloop.world.errors import LuxloopError
 
 ROWS, COLUMNS = 3, 28  # pixels of hd84
 RNG = np.random.default_rng(3)

@@ -10,15 +10,15 @@ import pytest
 from rich.console import Console
 from torch import Tensor
 
-from loop.lighting.record import row
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.lighting.summary import shown
-from loop.run import run
-from loop.scenario.model import validate
+from luxloop.loop.lighting.record import row
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.lighting.summary import shown
+from luxloop.loop.run import run
+from luxloop.loop.scenario.model import validate
+from luxloop.world.errors import LuxloopError
 from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import Lux, assert_one_sentence
-from world.errors import LuxloopError
 
 OWN = """
 from dataclasses import replace

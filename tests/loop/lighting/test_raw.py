@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import torch
 
-from loop.lighting.simulation import Simulation
-from loop.recording.manifest import input_files
-from loop.scenario.model import Scenario, load, validate
-from world.errors import LuxloopError
-from world.lampfiles.utilisations import read_sequence
-from world.photometry.distribution import Array
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.recording.manifest import input_files
+from luxloop.loop.scenario.model import Scenario, load, validate
+from luxloop.world.errors import LuxloopError
+from luxloop.world.lampfiles.utilisations import read_sequence
+from luxloop.world.photometry.distribution import Array
 
 ROWS, COLUMNS, FRAMES = 3, 28, 4  # pixels of hd84
 MASK = {"kind": "glare_free"}
@@ -125,8 +125,8 @@ def test_paths_are_those_beside_the_file_and_every_frame_is_an_input(written: di
 
 
 def test_the_shipped_sequence_is_what_its_program_draws(tmp_path: Path) -> None:
-    from loop.scenario.shipped import shipped_files
-    from scenarios.examples.draw_utilisations import draw
+    from luxloop.loop.scenario.shipped import shipped_files
+    from luxloop.scenarios.examples.draw_utilisations import draw
 
     draw(tmp_path)
     shipped = shipped_files("utilisations")["curtain"]

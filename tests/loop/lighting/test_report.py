@@ -14,16 +14,16 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from loop.lighting.compared import compared
-from loop.lighting.detection import recognised
-from loop.lighting.simulation import Simulation
-from loop.lighting.summary import NAMED, _of_light, _of_lost, eyes_lx, lost_steps, named, shown, steps_of_nothing
-from loop.recording.style import STYLE
-from loop.report.courses import COLOURS, _materials, _on_objects, write_courses
-from loop.report.marks import Mark, readable
-from loop.run import check, in_words, run
-from loop.scenario.model import Scenario, validate
-from perception.detection.protocol import Detections
+from luxloop.loop.lighting.compared import compared
+from luxloop.loop.lighting.detection import recognised
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.lighting.summary import NAMED, _of_light, _of_lost, eyes_lx, lost_steps, named, shown, steps_of_nothing
+from luxloop.loop.recording.style import STYLE
+from luxloop.loop.report.courses import COLOURS, _materials, _on_objects, write_courses
+from luxloop.loop.report.marks import Mark, readable
+from luxloop.loop.run import check, in_words, run
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.perception.detection.protocol import Detections
 
 WALKER = {"kind": "pedestrian", "name": "walker", "seed": 3, "track": [{"position_m": [15, -2, 0]}]}
 ZONE = {"kind": "zone", "centre_m": [14, 1, 1.0], "size_m": [0, 1.6, 1.6], "luminance_cd_m2": 0.1}

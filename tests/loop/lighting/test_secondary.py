@@ -6,13 +6,13 @@ from typing import Any
 import pytest
 import torch
 
-from controllers.functions.commands import CommandParams
-from loop.lighting.observed import WIDTH_PX, observed_symbols, picture_view
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import Scenario, load, validate
-from loop.scenario.shipped import shipped
-from perception.camera import CameraParams
+from luxloop.controllers.functions.commands import CommandParams
+from luxloop.loop.lighting.observed import WIDTH_PX, observed_symbols, picture_view
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import Scenario, load, validate
+from luxloop.loop.scenario.shipped import shipped
+from luxloop.perception.camera import CameraParams
 from tests.lamps import SMALL_LAMP
 
 CARPET = {"kind": "lane", "quantity": "E_v", "value": 1.0, "lane_width_m": 3.0, "near_m": 14.0, "far_m": 30.0}

@@ -7,12 +7,12 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 
-from controllers.zones.zone import ZoneParams, region_of
-from loop.lighting.simulation import Simulation
-from loop.lighting.summary import shown
-from loop.report.marks import marks
-from loop.run import run
-from loop.scenario.model import Scenario, validate
+from luxloop.controllers.zones.zone import ZoneParams, region_of
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.lighting.summary import shown
+from luxloop.loop.report.marks import marks
+from luxloop.loop.run import run
+from luxloop.loop.scenario.model import Scenario, validate
 from tests.lamps import SMALL_LAMP
 
 CAMERA = {"width_px": 320, "height_px": 180, "oversampling": 1, "saturation_e": 2000, "pitch_deg": 1.5}

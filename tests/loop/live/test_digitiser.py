@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from loop.calibration.bench import simulated_bench
-from loop.calibration.geometry import CameraModel
-from loop.calibration.intrinsics import brightness
-from loop.live.beam import Beam
-from loop.live.digitiser import Digitiser, luminous
+from luxloop.loop.calibration.bench import simulated_bench
+from luxloop.loop.calibration.geometry import CameraModel
+from luxloop.loop.calibration.intrinsics import brightness
+from luxloop.loop.live.beam import Beam
+from luxloop.loop.live.digitiser import Digitiser, luminous
+from luxloop.world.errors import LuxloopError
 from tests.loop.live.walls import LAMP, blob, calibration, module, off_by, wall
-from world.errors import LuxloopError
 
 GOAL = 0.03  # of the request; what is left is the camera's noise, 1 to 2 %, and its pixels' width at edges
 

@@ -9,20 +9,20 @@ from pathlib import Path
 import pytest
 import torch
 
-from controllers.pixels.ssc import Utilisation
-from loop.assembly.truth import LampModule
-from loop.calibration.files import Calibration, save
-from loop.calibration.response import Response
-from loop.plant.digitised import DigitisedPlant
-from loop.plant.frames import image_file, read_image
-from loop.plant.protocol import Exposure
-from loop.run import prepare
-from loop.scenario.model import load
-from loop.wire.poses import BodyPose
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.assembly.truth import LampModule
+from luxloop.loop.calibration.files import Calibration, save
+from luxloop.loop.calibration.response import Response
+from luxloop.loop.plant.digitised import DigitisedPlant
+from luxloop.loop.plant.frames import image_file, read_image
+from luxloop.loop.plant.protocol import Exposure
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
+from luxloop.loop.wire.poses import BodyPose
+from luxloop.world.presets.ideal import idealised
 from tests.loop.conftest import Lux, assert_one_sentence
 from tests.loop.live.walls import calibration, module, wall
 from tests.loop.rig.conftest import Process, free_port
-from world.presets.ideal import idealised
 
 PIXELS = 332 * 1024
 GIVEN = ("--no-report", "--no-video", "--set", "modules.left.source=digitised")

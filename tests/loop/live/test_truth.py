@@ -15,24 +15,24 @@ import numpy as np
 import pytest
 import torch
 
-from controllers.pixels.ssc import Utilisation
-from loop.calibration.files import load
-from loop.live.plant import live_plant
-from loop.plant.digitised import DigitisedPlant
-from loop.plant.protocol import Exposure
-from loop.rig.ddp import DdpLight
-from loop.rig.params import load_rig
-from loop.rig.plant import grids_of
-from loop.rig.rig import Rig, await_camera, opened
-from loop.run import prepare
-from loop.scenario import model
-from perception.camera import camera_view
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.calibration.files import load
+from luxloop.loop.live.plant import live_plant
+from luxloop.loop.plant.digitised import DigitisedPlant
+from luxloop.loop.plant.protocol import Exposure
+from luxloop.loop.rig.ddp import DdpLight
+from luxloop.loop.rig.params import load_rig
+from luxloop.loop.rig.plant import grids_of
+from luxloop.loop.rig.rig import Rig, await_camera, opened
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario import model
+from luxloop.perception.camera import camera_view
+from luxloop.world.headlight.lamp import Lamp, Module
+from luxloop.world.lampfiles import archive
 from tests.loop.conftest import Lux
 from tests.loop.live.walls import LAMP, SCREEN_M, blob, off_by
 from tests.loop.rig.conftest import ROOT, free_port
 from tests.loop.rig.test_truth import Taken, wrong
-from world.headlight.lamp import Lamp, Module
-from world.lampfiles import archive
 
 pytestmark = pytest.mark.slow
 GOAL = 0.03
@@ -99,7 +99,7 @@ class Bench:
         (folder / "rig.toml").write_text(RIG.format(**ports))
         self.port = ports["truth"]
         given = [each for name, port in ports.items() for each in (f"--{name}-port", str(port))]
-        command = [sys.executable, "-m", "loop.commands.cli", "rig", "simulate", "wall.toml", "--set", *FAULTS, *given]
+        command = [sys.executable, "-m", "luxloop.loop.commands.cli", "rig", "simulate", "wall.toml", "--set", *FAULTS, *given]
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment, cwd=folder)
         assert self.process.stdout is not None

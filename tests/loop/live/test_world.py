@@ -6,14 +6,14 @@ from pathlib import Path
 import pytest
 import torch
 
-from controllers.pixels.ssc import Utilisation
-from loop.plant.digitised import DigitisedPlant, MeasuredTextures
-from loop.run import prepare
-from loop.scenario.model import load, validate
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.plant.digitised import DigitisedPlant, MeasuredTextures
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load, validate
+from luxloop.world.errors import LuxloopError
+from luxloop.world.scene.late_body import LateBody
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
 from tests.loop.live.walls import LAMP
-from world.errors import LuxloopError
-from world.scene.late_body import LateBody
 
 
 def test_shown_light_is_as_measured_and_other_light_simulated() -> None:

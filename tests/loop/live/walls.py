@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from loop.assembly.truth import LampModule
-from loop.calibration.bench import Array
-from loop.calibration.calibrate import SCREEN
-from loop.calibration.files import Calibration
-from loop.calibration.geometry import CameraModel, Pose
-from loop.calibration.response import Response
-from loop.scenario.model import Scenario, validate
-from perception.camera import CameraParams, camera_view, saturation_luminance
-from world.headlight import Headlight
-from world.presets.ideal import idealised
+from luxloop.loop.assembly.truth import LampModule
+from luxloop.loop.calibration.bench import Array
+from luxloop.loop.calibration.calibrate import SCREEN
+from luxloop.loop.calibration.files import Calibration
+from luxloop.loop.calibration.geometry import CameraModel, Pose
+from luxloop.loop.calibration.response import Response
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.perception.camera import CameraParams, camera_view, saturation_luminance
+from luxloop.world.headlight import Headlight
+from luxloop.world.presets.ideal import idealised
 
 SCREEN_M, ALBEDO = 5.95, 0.8
 LAMP = idealised(12, 24, (4, 2), 3.5, 1.8, -1.8)

@@ -11,22 +11,22 @@ import torch
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 
-from loop.pictures import headlight, overview, views
-from loop.pictures.charts import distance_marks, isolines, map_frame, object_outlines, steps
-from loop.pictures.facts import borders_deg, flux_lm, peak
-from loop.pictures.headlight import show
-from loop.pictures.overview import facts, reach_m
-from loop.pictures.panels import wall_angles
-from loop.pictures.styles import VIEWS
-from loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, LitCar, Road, beside, birdseye, driver, grey, picture
-from loop.scenario.model import Scenario, validate
-from world.errors import LuxloopError
-from world.frames import pose_from_degrees
-from world.headlight import Headlight
-from world.headlight.lamp import Lamp, Module
-from world.light.volumetric import Medium
-from world.presets import idealised
-from world.view import View
+from luxloop.loop.pictures import headlight, overview, views
+from luxloop.loop.pictures.charts import distance_marks, isolines, map_frame, object_outlines, steps
+from luxloop.loop.pictures.facts import borders_deg, flux_lm, peak
+from luxloop.loop.pictures.headlight import show_headlight
+from luxloop.loop.pictures.overview import facts, reach_m
+from luxloop.loop.pictures.panels import wall_angles
+from luxloop.loop.pictures.styles import VIEWS
+from luxloop.loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, LitCar, Road, beside, birdseye, driver, grey, picture
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import Lamp, Module
+from luxloop.world.light.volumetric import Medium
+from luxloop.world.presets import idealised
+from luxloop.world.view import View
 
 
 @pytest.fixture(scope="module")
@@ -264,7 +264,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, road: Road) -> None:
 @pytest.mark.usefixtures("quick")
 def test_each_view_in_each_style_is_a_readable_picture(view: str, lamps: dict[str, Lamp], tmp_path: Path) -> None:
     for style in VIEWS[view]:
-        file = show(lamps, tmp_path / f"{style}.png", view=view, style=style)
+        file = show_headlight(lamps, tmp_path / f"{style}.png", view=view, style=style)
         picture = cv2.imread(str(file))
         assert picture.shape[1] >= 500 and picture.std() > 10
     assert {path.suffix for path in tmp_path.iterdir()} == {".png"}, "nothing half-written is left"
@@ -272,7 +272,7 @@ def test_each_view_in_each_style_is_a_readable_picture(view: str, lamps: dict[st
 
 def test_a_scenario_is_shown_at_full_size(lamps: dict[str, Lamp], tmp_path: Path) -> None:
     bumpy = scenario(road={"kind": "speed_bump"}, headlight={"height_m": 0.9})
-    assert cv2.imread(str(show(lamps, tmp_path / "driver.png", view="driver", scenario=bumpy))).shape[1] == 1210
+    assert cv2.imread(str(show_headlight(lamps, tmp_path / "driver.png", view="driver", scenario=bumpy))).shape[1] == 1210
 
 
 def test_a_long_name_leaves_room_for_its_value() -> None:
@@ -285,28 +285,28 @@ def test_a_long_name_leaves_room_for_its_value() -> None:
 @pytest.mark.parametrize("view", ["wall", "pixels", "overview"])
 @pytest.mark.usefixtures("quick")
 def test_a_dark_lamp_can_be_shown(view: str, lamps: dict[str, Lamp], tmp_path: Path) -> None:
-    file = show({"right": lamps["right"]}, tmp_path / "dark.jpg", beam="off", view=view)
+    file = show_headlight({"right": lamps["right"]}, tmp_path / "dark.jpg", beam="off", view=view)
     assert cv2.imread(str(file)) is not None
 
 
 def test_own_utilisations_are_shown(lamps: dict[str, Lamp], tmp_path: Path) -> None:
     pattern = {"left": (torch.rand(800, generator=torch.Generator().manual_seed(0)),)}
-    assert show({"left": lamps["left"]}, tmp_path / "own.png", beam=pattern, view="wall", style="isocandela").is_file()
+    assert show_headlight({"left": lamps["left"]}, tmp_path / "own.png", beam=pattern, view="wall", style="isocandela").is_file()
     double = {"left": (pattern["left"][0].double(),)}
-    assert show({"left": lamps["left"]}, tmp_path / "double.png", beam=double, view="wall").is_file()
+    assert show_headlight({"left": lamps["left"]}, tmp_path / "double.png", beam=double, view="wall").is_file()
 
 
 @pytest.mark.parametrize("sides", [(), ("middle",), ("left", "rigth")])
 def test_lamps_are_on_the_left_and_on_the_right(sides: tuple[str, ...], lamps: dict[str, Lamp], tmp_path: Path) -> None:
     with pytest.raises(LuxloopError, match="'left' and 'right', or one of them"):
-        show({side: lamps["left"] for side in sides}, tmp_path / "beam.png", view="wall")
+        show_headlight({side: lamps["left"] for side in sides}, tmp_path / "beam.png", view="wall")
 
 
 def test_a_scenario_turns_the_modules_that_can_be_turned(bending: dict[str, Lamp], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cars: list[LitCar] = []
     monkeypatch.setattr(headlight, "draw_wall", lambda axes, car, style: cars.append(car))
     turned = scenario(headlight={"swivel_deg": 12.0, "height_m": 0.9})
-    show(bending, tmp_path / "wall.png", view="wall", beam="full", scenario=turned)
+    show_headlight(bending, tmp_path / "wall.png", view="wall", beam="full", scenario=turned)
     main, bend, *_ = cars[0].sources
     assert main.T_world_source.equal(pose_from_degrees((0.0, 0.6, 0.9)))
     torch.testing.assert_close(bend.T_world_source, pose_from_degrees((0.0, 0.6, 0.9), yaw_deg=12.0))
@@ -339,14 +339,14 @@ def test_a_scenario_turns_the_modules_that_can_be_turned(bending: dict[str, Lamp
 )
 def test_what_is_wrong_is_named(arguments: dict[str, object], message: str, bending: dict[str, Lamp], tmp_path: Path) -> None:
     with pytest.raises(LuxloopError, match=message):
-        show(bending, **{"out": tmp_path / "beam.png", **arguments})  # type: ignore[arg-type]
+        show_headlight(bending, **{"out": tmp_path / "beam.png", **arguments})  # type: ignore[arg-type]
     assert not list(tmp_path.iterdir())
 
 
 def test_a_folder_that_cannot_be_written_is_named(lamps: dict[str, Lamp], tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(LuxloopError, match="cannot be written"):
-        show(lamps, tmp_path / "file" / "beam.png", view="wall")
+        show_headlight(lamps, tmp_path / "file" / "beam.png", view="wall")
 
 
 def test_left_and_right_textures_are_to_one_scale_and_to_the_right(lamps: dict[str, Lamp]) -> None:

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from loop.pictures.photometry import cuts, show_distribution
-from world.errors import LuxloopError
-from world.photometry import Distribution, Photometry
+from luxloop.loop.pictures.photometry import cuts, show_distribution
+from luxloop.world.errors import LuxloopError
+from luxloop.world.photometry import Distribution, Photometry
 
 
 def lobe(kind: str) -> Distribution:

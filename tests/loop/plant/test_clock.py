@@ -5,13 +5,13 @@ from typing import Any
 
 import pytest
 
-from loop.contracts.plant import check_plant
-from loop.lighting.record import row
-from loop.lighting.result import StepResult
-from loop.run import prepare, run
-from loop.scenario.model import validate
+from luxloop.loop.contracts.plant import check_plant
+from luxloop.loop.lighting.record import row
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.run import prepare, run
+from luxloop.loop.scenario.model import validate
+from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import SMALL
-from world.errors import LuxloopError
 
 OWN = """
 from dataclasses import replace

@@ -3,10 +3,10 @@
 import pytest
 import torch
 
-from loop.lighting.simulation import Simulation
-from loop.plant.world import World
-from loop.scenario.model import load
-from world.traffic.tracked import ROAD_USERS
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.plant.world import World
+from luxloop.loop.scenario.model import load
+from luxloop.world.traffic.tracked import ROAD_USERS
 
 SMALL = ("camera.width_px=240", "camera.height_px=136", "judge_every=0")
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 import pytest
 import torch
 
-from controllers.situation import TrackedObject
-from loop.plant.clock import FromZero
-from loop.plant.objects import LINGER_S, object_values, read_objects, told_again
-from loop.plant.protocol import Arrivals
-from perception.camera import CameraParams
+from luxloop.controllers.situation import TrackedObject
+from luxloop.loop.plant.clock import FromZero
+from luxloop.loop.plant.objects import LINGER_S, object_values, read_objects, told_again
+from luxloop.loop.plant.protocol import Arrivals
+from luxloop.perception.camera import CameraParams
 
 WALKER, CAR = (
     TrackedObject(name, category, torch.eye(4, dtype=torch.float64) * k, (0.5, 0.5, 1.8))

@@ -10,21 +10,21 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
-from loop.lighting.record import row as row_of
-from loop.lighting.record import schema
-from loop.lighting.simulation import Simulation
-from loop.plant.pairing import paired
-from loop.plant.protocol import Arrivals, Exposure
-from loop.plant.simulated import SimulatedPlant
-from loop.recording.columns import of_one
-from loop.recording.files import table_of
-from loop.recording.summary import summarise
-from loop.run import check, in_words, prepare
-from loop.scenario.model import validate
-from perception.extraction import Loss
+from luxloop.loop.lighting.record import row as row_of
+from luxloop.loop.lighting.record import schema
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.plant.pairing import paired
+from luxloop.loop.plant.protocol import Arrivals, Exposure
+from luxloop.loop.plant.simulated import SimulatedPlant
+from luxloop.loop.recording.columns import of_one
+from luxloop.loop.recording.files import table_of
+from luxloop.loop.recording.summary import summarise
+from luxloop.loop.run import check, in_words, prepare
+from luxloop.loop.scenario.model import validate
+from luxloop.perception.extraction import Loss
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.lamp import ModuleCommand
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
-from world.errors import LuxloopError
-from world.headlight.lamp import ModuleCommand
 
 OWN = """
 from dataclasses import replace

@@ -14,17 +14,17 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
-from loop.lighting.record import row, schema
-from loop.lighting.simulation import Simulation
-from loop.plant.frames import TABLE, image_file, light_file
-from loop.plant.protocol import Exposure
-from loop.plant.recorded import RecordedPlant
-from loop.recording.columns import of_one
-from loop.recording.files import table_of
-from loop.run import prepare, run
-from loop.scenario.model import Scenario, load, validate
+from luxloop.loop.lighting.record import row, schema
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.plant.frames import TABLE, image_file, light_file
+from luxloop.loop.plant.protocol import Exposure
+from luxloop.loop.plant.recorded import RecordedPlant
+from luxloop.loop.recording.columns import of_one
+from luxloop.loop.recording.files import table_of
+from luxloop.loop.run import prepare, run
+from luxloop.loop.scenario.model import Scenario, load, validate
+from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
-from world.errors import LuxloopError
 
 
 def held_by(controller: str) -> dict[str, Any]:

@@ -8,16 +8,16 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from loop.lighting.record import row, schema
-from loop.lighting.simulation import Simulation
-from loop.recording.checks import Checks, lines, outcome, ratio, refuse_unknown
-from loop.recording.files import table_of
-from loop.run import check, run
-from loop.scenario.checks import CheckParams
-from loop.scenario.model import load, validate
-from loop.scenario.shipped import shipped
+from luxloop.loop.lighting.record import row, schema
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.recording.checks import Checks, lines, outcome, ratio, refuse_unknown
+from luxloop.loop.recording.files import table_of
+from luxloop.loop.run import check, run
+from luxloop.loop.scenario.checks import CheckParams
+from luxloop.loop.scenario.model import load, validate
+from luxloop.loop.scenario.shipped import shipped
+from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
-from world.errors import LuxloopError
 
 LIT: dict[str, Any] = {
     "name": "lit",

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from loop.recording import digest
+from luxloop.loop.recording import digest
 
 
 @pytest.mark.parametrize(
@@ -23,7 +23,7 @@ from loop.recording import digest
 def test_the_version_follows_a_file_that_is_added_or_changed(
     file: str, decides: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(digest, "files", lambda package: tmp_path / package)
+    monkeypatch.setattr(digest, "files", lambda package: tmp_path)
     for package in digest.PACKAGES:
         (tmp_path / package).mkdir()
     versions = [digest.digest_of_code.__wrapped__()]

@@ -10,11 +10,11 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
-from controllers.symbol.sensing.projection import ProjectionCommand, Warp
-from loop.lighting.recorder import Recorder
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.plant.frames import (
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
+from luxloop.loop.lighting.recorder import Recorder
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.plant.frames import (
     FOLDER,
     SCHEMA,
     TABLE,
@@ -28,14 +28,14 @@ from loop.plant.frames import (
     write_image,
     write_light,
 )
-from loop.plant.protocol import Exposure, Frame, Showing
-from loop.recording.manifest import Manifest
-from loop.run import run
-from loop.scenario.model import validate
-from perception.camera import CameraParams
-from perception.egomotion import Sample
+from luxloop.loop.plant.protocol import Exposure, Frame, Showing
+from luxloop.loop.recording.manifest import Manifest
+from luxloop.loop.run import run
+from luxloop.loop.scenario.model import validate
+from luxloop.perception.camera import CameraParams
+from luxloop.perception.egomotion import Sample
+from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import SMALL
-from world.errors import LuxloopError
 
 DRIVES = {
     "steps": 6,

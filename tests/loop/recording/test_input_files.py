@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from loop.metrics import figures
-from loop.objective import parse
-from loop.recording.manifest import digests, input_files
-from loop.scenario.model import load
-from loop.studies.campaign import figures_of
-from loop.studies.tune import Task
-from world.errors import LuxloopError
+from luxloop.loop.metrics import figures
+from luxloop.loop.objective import parse
+from luxloop.loop.recording.manifest import digests, input_files
+from luxloop.loop.scenario.model import load
+from luxloop.loop.studies.campaign import figures_of
+from luxloop.loop.studies.tune import Task
+from luxloop.world.errors import LuxloopError
 
 SMALL = ["steps=1", "camera={ width_px=160, height_px=90, oversampling=1 }", "functions.symbol={ width_m=4.0, length_m=8.0 }"]
 LAMP = """

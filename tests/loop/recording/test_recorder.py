@@ -17,22 +17,22 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
-from controllers.symbol.sensing.projection import ProjectionCommand
-from loop.lighting import recorder
-from loop.lighting.record import row, schema, summary_of
-from loop.lighting.recorder import Recorder
-from loop.lighting.result import Clock, StepResult
-from loop.lighting.simulation import Simulation
-from loop.recording.columns import POSE, SYMBOL, loss_name
-from loop.recording.files import table_of
-from loop.recording.manifest import Manifest
-from loop.replay.replay import load
-from loop.run import run
-from loop.scenario.model import Scenario, validate
-from perception.extraction import Loss
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.loop.lighting import recorder
+from luxloop.loop.lighting.record import row, schema, summary_of
+from luxloop.loop.lighting.recorder import Recorder
+from luxloop.loop.lighting.result import Clock, StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.recording.columns import POSE, SYMBOL, loss_name
+from luxloop.loop.recording.files import table_of
+from luxloop.loop.recording.manifest import Manifest
+from luxloop.loop.replay.replay import load
+from luxloop.loop.run import run
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.perception.extraction import Loss
+from luxloop.world.errors import LuxloopError
+from luxloop.world.partial import Part, PartialImage
 from tests.loop.conftest import SMALL
-from world.errors import LuxloopError
-from world.partial import Part, PartialImage
 
 ROOT = Path(__file__).parents[3]
 
@@ -151,9 +151,9 @@ def test_death_in_the_middle_of_a_write_leaves_the_write_before(
 RUN = """
 import itertools, json, sys
 from pathlib import Path
-from loop.lighting.recorder import Recorder
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import validate
+from luxloop.loop.lighting.recorder import Recorder
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import validate
 
 simulation = Simulation.prepare(validate(json.loads(sys.argv[2]), "test"))
 with Recorder(Path(sys.argv[1]), simulation) as recording:

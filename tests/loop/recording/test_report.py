@@ -11,20 +11,20 @@ import pytest
 import torch
 from matplotlib.figure import Figure
 
-from loop.lighting.record import row, schema, summary_of
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.recording.columns import of_one
-from loop.recording.files import REPORT, table_of
-from loop.report.page import DPI, LIGHT_IN, WIDE_IN, _from_near, write_report
-from loop.report.symbol import HIGH_IN, _courses, _title
-from loop.report.watched import PAST_SYMBOLS, Gathered, Watched
-from loop.run import run
-from loop.scenario.model import Scenario, validate
-from perception.extraction import Loss
+from luxloop.loop.lighting.record import row, schema, summary_of
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.recording.columns import of_one
+from luxloop.loop.recording.files import REPORT, table_of
+from luxloop.loop.report.page import DPI, LIGHT_IN, WIDE_IN, _from_near, write_report
+from luxloop.loop.report.symbol import HIGH_IN, _courses, _title
+from luxloop.loop.report.watched import PAST_SYMBOLS, Gathered, Watched
+from luxloop.loop.run import run
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.perception.extraction import Loss
+from luxloop.world.view import View
 from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import SMALL
-from world.view import View
 
 SYMBOL = SMALL["functions"]["symbol"]
 

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from loop.recording import sources
-from loop.recording.manifest import Manifest, digests
-from loop.recording.sources import sources_of
-from loop.run import prepare
-from loop.scenario.model import load
-from world.errors import LuxloopError
+from luxloop.loop.recording import sources
+from luxloop.loop.recording.manifest import Manifest, digests
+from luxloop.loop.recording.sources import sources_of
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
+from luxloop.world.errors import LuxloopError
 
 FILES = {
     "own_pkg/__init__.py": "raise RuntimeError('imported')",
@@ -44,7 +44,7 @@ def test_imports_are_followed_within_the_folder(folder: Path) -> None:
     assert "own_pkg" not in sys.modules
     assert sources_of("own_neighbour") == {"own_neighbour": folder / "own_neighbour.py"}
     assert sources_of("own_pkg.nothing") == {"own_pkg": folder / "own_pkg/__init__.py"}
-    assert sources_of("no_such_module_at_all") == sources_of("controllers.pixels.ssc") == sources_of("random") == {}
+    assert sources_of("no_such_module_at_all") == sources_of("luxloop.controllers.pixels.ssc") == sources_of("random") == {}
 
 
 def test_relative_imports_that_find_nothing_are_left_to_python(folder: Path) -> None:
@@ -67,7 +67,7 @@ def test_what_is_not_python_is_said_in_a_sentence(folder: Path) -> None:
 
 def test_a_replay_says_which_code_has_changed(folder: Path) -> None:
     (folder / "own_pkg/__init__.py").write_text("")
-    (folder / "own_pkg/roads.py").write_text("from world.roads.shapes import Flat\nfrom . import tables\n")
+    (folder / "own_pkg/roads.py").write_text("from luxloop.world.roads.shapes import Flat\nfrom . import tables\n")
     (folder / "own_pkg/tables.py").write_text("HEIGHT_M = 0.0\n")
     small = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
     scenario = load("flat", [*small, "road.kind=own_pkg.roads:Flat"])

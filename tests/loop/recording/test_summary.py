@@ -10,12 +10,12 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from loop.lighting import summary as of_run
-from loop.recording.columns import SYMBOL
-from loop.recording.files import table_of
-from loop.recording.remedies import remedies
-from loop.recording.summary import Circumstances, overshoot_percent, settle_step, steady_step, summarise, unsettled
-from loop.scenario.model import load
+from luxloop.loop.lighting import summary as of_run
+from luxloop.loop.recording.columns import SYMBOL
+from luxloop.loop.recording.files import table_of
+from luxloop.loop.recording.remedies import remedies
+from luxloop.loop.recording.summary import Circumstances, overshoot_percent, settle_step, steady_step, summarise, unsettled
+from luxloop.loop.scenario.model import load
 
 SCHEMA = pa.schema([("step", pa.int64()), *((name, pa.string() if name == "loss" else pa.float64()) for name in SYMBOL)])
 

@@ -9,24 +9,24 @@ from typing import Any
 
 import pytest
 
-from loop.commands import cli
-from loop.jobs.executors import local
-from loop.recording.manifest import FILE, Manifest, digests
-from loop.replay.replay import replay
-from loop.run import run
-from loop.scenario.model import load
-from loop.studies import campaign
-from world import plugin
-from world.errors import LuxloopError
+from luxloop.loop.commands import cli
+from luxloop.loop.jobs.executors import local
+from luxloop.loop.recording.manifest import FILE, Manifest, digests
+from luxloop.loop.replay.replay import replay
+from luxloop.loop.run import run
+from luxloop.loop.scenario.model import load
+from luxloop.loop.studies import campaign
+from luxloop.world import plugin
+from luxloop.world.errors import LuxloopError
 
 MINE = """
 from pathlib import Path
 
 Path(__file__).with_name("mark").touch()
 
-from controllers.symbol.sensing.projection import ProjectionCommand
-from perception import extraction
-from world.roads.shapes import Flat
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.perception import extraction
+from luxloop.world.roads.shapes import Flat
 
 class Road(Flat):
     pass

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from controllers.symbol.sensing.projection import ProjectionCommand
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.recording.video import Picture, VideoWriter, tone_map
-from loop.report.picture import LOST_RGB, SEEN_RGB, TARGET_RGB, frame_picture, white_of
-from world.errors import LuxloopError
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.recording.video import Picture, VideoWriter, tone_map
+from luxloop.loop.report.picture import LOST_RGB, SEEN_RGB, TARGET_RGB, frame_picture, white_of
+from luxloop.world.errors import LuxloopError
 
 
 def decoded(file: Path) -> list[np.ndarray]:

@@ -12,12 +12,12 @@ import torch
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from controllers.pixels.ssc import Utilisation
-from loop.plant.protocol import Arrivals, Exposure
-from loop.run import prepare
-from loop.scenario.model import validate
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.plant.protocol import Arrivals, Exposure
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import validate
+from luxloop.world.headlight.lamp import ModuleCommand
 from tests.loop.studio.clients import message, unpacked
-from world.headlight.lamp import ModuleCommand
 
 WALKER = {"name": "walker", "category": "pedestrian", "size_m": [0.5, 0.5, 1.8]}
 

@@ -18,15 +18,15 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.uri import parse_uri
 
-from loop.remote.link import Link
-from loop.run import prepare
-from loop.scenario.model import validate
+from luxloop.loop.remote.link import Link
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import validate
+from luxloop.world.errors import LuxloopError
+from luxloop.world.messages.arrays import raw
+from luxloop.world.messages.packing import packed
 from tests.loop.conftest import SMALL
 from tests.loop.remote.test_remote import free_port
 from tests.loop.studio.clients import message, unpacked
-from world.errors import LuxloopError
-from world.messages.arrays import raw
-from world.messages.packing import packed
 
 SIZE = (4, 6)
 FRAME = np.arange(24, dtype=np.uint16).reshape(SIZE)

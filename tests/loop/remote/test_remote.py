@@ -13,8 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from loop.run import RunResult, run
-from loop.scenario.model import validate
+from luxloop.loop.run import RunResult, run
+from luxloop.loop.scenario.model import validate
 from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
 from tests.loop.remote.conftest import free_port

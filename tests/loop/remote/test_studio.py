@@ -9,15 +9,15 @@ import pytest
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
-from loop.scenario.edits import changed
-from loop.scenario.model import validate
-from loop.studio.messages import VIEWS
-from loop.studio.runs import Starting
-from loop.studio.sources import Source
+from luxloop.loop.scenario.edits import changed
+from luxloop.loop.scenario.model import validate
+from luxloop.loop.studio.messages import VIEWS
+from luxloop.loop.studio.runs import Starting
+from luxloop.loop.studio.sources import Source
+from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import SMALL
 from tests.loop.remote.conftest import free_port
 from tests.loop.studio.clients import message, unpacked
-from world.errors import LuxloopError
 
 MOVED = ("functions.patch.x_m=25.0",)
 

@@ -5,15 +5,15 @@ from dataclasses import replace
 import pytest
 import torch
 
-from loop.lighting.result import SimulationState, StepResult
-from loop.lighting.simulation import Simulation
-from loop.replay.edited import edited
-from loop.scenario.acts import acts
-from loop.scenario.edits import changed
-from loop.scenario.model import Scenario, load
-from loop.studio.messages import VIEWS
-from loop.studio.runs import Run
-from world.errors import LuxloopError
+from luxloop.loop.lighting.result import SimulationState, StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.replay.edited import edited
+from luxloop.loop.scenario.acts import acts
+from luxloop.loop.scenario.edits import changed
+from luxloop.loop.scenario.model import Scenario, load
+from luxloop.loop.studio.messages import VIEWS
+from luxloop.loop.studio.runs import Run
+from luxloop.world.errors import LuxloopError
 
 SMALL = ("camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "judge_every=0")
 

@@ -6,16 +6,16 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
-from loop.lighting.recorder import Recorder
-from loop.lighting.simulation import Simulation
-from loop.recording.files import EDITS
-from loop.replay.edited import edited
-from loop.replay.replay import load, replay, rerun
-from loop.scenario.edits import Edit, changed
-from loop.scenario.model import load as scenario
+from luxloop.loop.lighting.recorder import Recorder
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.recording.files import EDITS
+from luxloop.loop.replay.edited import edited
+from luxloop.loop.replay.replay import load, replay, rerun
+from luxloop.loop.scenario.edits import Edit, changed
+from luxloop.loop.scenario.model import load as scenario
+from luxloop.world.errors import LuxloopError
+from luxloop.world.parquet import read_parquet
 from tests.lamps import SMALL_LAMP
-from world.errors import LuxloopError
-from world.parquet import read_parquet
 
 SMALL = (
     f"headlight.model={SMALL_LAMP}",

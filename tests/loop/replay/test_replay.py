@@ -15,19 +15,19 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from controllers.symbol.sensing.flat_model import FeatureParams
-from loop.lighting.record import row, schema
-from loop.lighting.recorder import Recorder
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.recording.columns import SYMBOL, of_one
-from loop.recording.comparison import CENTROID_M, CENTROID_PX, SHARE, SHEAR, compare, tolerances
-from loop.recording.files import table_of
-from loop.recording.summary import steady_step
-from loop.replay.replay import load, replay, to_csv
-from loop.scenario.model import Scenario
-from world.errors import LuxloopError
-from world.parquet import read_parquet
+from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
+from luxloop.loop.lighting.record import row, schema
+from luxloop.loop.lighting.recorder import Recorder
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.recording.columns import SYMBOL, of_one
+from luxloop.loop.recording.comparison import CENTROID_M, CENTROID_PX, SHARE, SHEAR, compare, tolerances
+from luxloop.loop.recording.files import table_of
+from luxloop.loop.recording.summary import steady_step
+from luxloop.loop.replay.replay import load, replay, to_csv
+from luxloop.loop.scenario.model import Scenario
+from luxloop.world.errors import LuxloopError
+from luxloop.world.parquet import read_parquet
 
 HELD = {"symbol": FeatureParams()}
 RAW = tolerances(FeatureParams())
@@ -73,7 +73,9 @@ def test_a_replay_with_two_threads_is_within_the_tolerances(name: str, tmp_path:
     """What docs/recordings.md says of the two scenarios whose bits depend on threads."""
     for threads, command in (("1", ["run", name, "--steps", "2", "--no-video", "--out", str(tmp_path)]), ("2", ["replay", str(tmp_path)])):
         environment = {**os.environ, "OMP_NUM_THREADS": threads}
-        done = subprocess.run([sys.executable, "-m", "loop.commands.cli", *command], env=environment, capture_output=True, text=True)
+        done = subprocess.run(
+            [sys.executable, "-m", "luxloop.loop.commands.cli", *command], env=environment, capture_output=True, text=True
+        )
         assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -139,7 +141,7 @@ def test_interrupted_recording_is_replayed_as_far_as_it_goes(recording: Path, ta
 
 def test_ray_caster_and_rasteriser_give_the_same_run(small_scenario: Scenario, table: pa.Table) -> None:
     pytest.importorskip("pyrender")
-    from world.rendering.rasterise import NoOpenGL
+    from luxloop.world.rendering.rasterise import NoOpenGL
 
     try:
         simulation = Simulation.prepare(small_scenario.model_copy(update={"renderer": "opengl"}))

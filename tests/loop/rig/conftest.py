@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from loop.rig.params import RigParams
-from world.validation import validated
+from luxloop.loop.rig.params import RigParams
+from luxloop.world.validation import validated
 
 ROOT = Path(__file__).parents[3]
 SMALL = Path(__file__).parent / "small_rig.py"

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from loop.rig import blink
-from loop.rig.matching import Regularity, shows
-from loop.rig.params import TimingParams
-from loop.rig.rig import Rig, await_camera, opened
+from luxloop.loop.rig import blink
+from luxloop.loop.rig.matching import Regularity, shows
+from luxloop.loop.rig.params import TimingParams
+from luxloop.loop.rig.rig import Rig, await_camera, opened
 from tests.loop.rig.conftest import Process, eventually
 
 PERIOD_S, EXPOSURE_S, READOUT_S, LIGHT_S, REST_S = 1 / 30, 0.015, 0.003, 0.004, 0.03

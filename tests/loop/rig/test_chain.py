@@ -11,18 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loop.bench.faults import read
-from loop.bench.lens import distorted, focal_px
-from loop.bench.scene import LitBench
-from loop.calibration.digitise import Nominal
-from loop.scenario.model import load
+from luxloop.loop.bench.faults import read
+from luxloop.loop.bench.lens import distorted, focal_px
+from luxloop.loop.bench.scene import LitBench
+from luxloop.loop.calibration.digitise import Nominal
+from luxloop.loop.scenario.model import load
+from luxloop.world.headlight import Headlight
+from luxloop.world.lampfiles import archive
 from tests.loop.rig.conftest import ROOT, free_port
-from world.headlight import Headlight
-from world.lampfiles import archive
 
 pytestmark = pytest.mark.slow
 WALL_M = 4.0
-PROGRAM = [sys.executable, "-m", "loop.commands.cli"]
+PROGRAM = [sys.executable, "-m", "luxloop.loop.commands.cli"]
 
 
 def test_half_a_day_on_a_rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,10 +8,10 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from loop.rig import keeper
-from loop.rig.keeper import Keeper
-from loop.rig.light import Shine
-from loop.rig.params import LightParams
+from luxloop.loop.rig import keeper
+from luxloop.loop.rig.keeper import Keeper
+from luxloop.loop.rig.light import Shine
+from luxloop.loop.rig.params import LightParams
 from tests.loop.rig.conftest import eventually
 
 SHINE = Shine(0, (np.ones((1, 1), np.float32),))

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loop.calibration.live import live_bench
-from loop.rig.camera import CameraPicture, checked_picture
-from loop.rig.light import Shine
-from loop.rig.look import look
-from loop.rig.params import RigParams
-from loop.rig.rig import Rig, await_camera, opened
-from perception.camera import CameraParams
-from world.errors import LuxloopError
-from world.validation import validated
+from luxloop.loop.calibration.live import live_bench
+from luxloop.loop.rig.camera import CameraPicture, checked_picture
+from luxloop.loop.rig.light import Shine
+from luxloop.loop.rig.look import look
+from luxloop.loop.rig.params import RigParams
+from luxloop.loop.rig.rig import Rig, await_camera, opened
+from luxloop.perception.camera import CameraParams
+from luxloop.world.errors import LuxloopError
+from luxloop.world.validation import validated
 
 GRID = (4, 4)
 CAMERA = CameraParams(width_px=64, height_px=48, bits=8)
@@ -24,7 +24,7 @@ OWN = """
 import threading
 import time
 import numpy as np
-from loop.rig.camera import CameraPicture
+from luxloop.loop.rig.camera import CameraPicture
 
 PICTURE = np.full((48, 64), 200, np.uint16)
 

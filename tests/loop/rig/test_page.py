@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from loop.rig.params import load_rig
+from luxloop.loop.rig.params import load_rig
 from tests.loop.rig.conftest import ROOT, free_port
 
 pytestmark = pytest.mark.slow
@@ -24,7 +24,7 @@ def test_the_first_run_of_the_page(tmp_path: Path) -> None:
     light, camera, truth = free_port(socket.SOCK_DGRAM), free_port(socket.SOCK_STREAM), free_port(socket.SOCK_STREAM)
     ports = ["--light-port", str(light), "--camera-port", str(camera), "--truth-port", str(truth)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    program = [sys.executable, "-m", "loop.commands.cli"]
+    program = [sys.executable, "-m", "luxloop.loop.commands.cli"]
     arguments = shlex.split(commands[0])[1:]
     rig = subprocess.Popen([*program, *arguments, *ports], stdout=subprocess.PIPE, text=True, env=environment, cwd=tmp_path)
     try:

@@ -18,15 +18,15 @@ import numpy as np
 import pytest
 import torch
 
-from loop.rig import http_camera, mark
-from loop.rig.camera import Camera, CameraPicture, opener
-from loop.rig.ego import UdpEgo
-from loop.rig.files import FilesLight
-from loop.rig.http_camera import HttpCamera
-from loop.rig.light import Shine, open_light, places
-from loop.rig.limits import limited
-from loop.rig.matching import Regularity, shows
-from loop.rig.params import (
+from luxloop.loop.rig import http_camera, mark
+from luxloop.loop.rig.camera import Camera, CameraPicture, opener
+from luxloop.loop.rig.ego import UdpEgo
+from luxloop.loop.rig.files import FilesLight
+from luxloop.loop.rig.http_camera import HttpCamera
+from luxloop.loop.rig.light import Shine, open_light, places
+from luxloop.loop.rig.limits import limited
+from luxloop.loop.rig.matching import Regularity, shows
+from luxloop.loop.rig.params import (
     FilesLightParams,
     HttpCameraParams,
     LimitParams,
@@ -38,14 +38,14 @@ from loop.rig.params import (
     UdpEgoParams,
     load_rig,
 )
-from loop.rig.rectified import Rectifier, WrongPicture, grey
-from loop.rig.video_camera import StreamCamera
-from loop.wire.datagrams import encoded
-from perception.camera import CameraParams
+from luxloop.loop.rig.rectified import Rectifier, WrongPicture, grey
+from luxloop.loop.rig.video_camera import StreamCamera
+from luxloop.loop.wire.datagrams import encoded
+from luxloop.perception.camera import CameraParams
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.lamp import ModuleCommand
+from luxloop.world.validation import validated
 from tests.loop.rig.conftest import eventually, free_port
-from world.errors import LuxloopError
-from world.headlight.lamp import ModuleCommand
-from world.validation import validated
 
 WHOLE = """
 [light]
@@ -403,7 +403,7 @@ OWN = """
 import time
 from itertools import pairwise
 import numpy as np
-from loop.rig.camera import CameraPicture
+from luxloop.loop.rig.camera import CameraPicture
 
 class Cam:
     def __init__(self, wrong=False):

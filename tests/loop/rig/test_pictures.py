@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
-from loop.wire.mjpeg import parts
+from luxloop.loop.wire.mjpeg import parts
+from luxloop.world.headlight.lamp import Lamp, Module
+from luxloop.world.lampfiles import archive
+from luxloop.world.presets.ideal import idealised
 from tests.loop.conftest import Lux, assert_one_sentence
 from tests.loop.rig.conftest import Process, eventually
-from world.headlight.lamp import Lamp, Module
-from world.lampfiles import archive
-from world.presets.ideal import idealised
 
 DARK, BRIGHT = 20, 220  # digital numbers of the small rig's pictures
 SCENARIO = """

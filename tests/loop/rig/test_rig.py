@@ -9,12 +9,12 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from loop.rig.blink import blink
-from loop.rig.light import Shine
-from loop.rig.rig import Rig, await_camera, opened
-from perception.camera import CameraParams
+from luxloop.loop.rig.blink import blink
+from luxloop.loop.rig.light import Shine
+from luxloop.loop.rig.rig import Rig, await_camera, opened
+from luxloop.perception.camera import CameraParams
+from luxloop.world.errors import LuxloopError
 from tests.loop.rig.conftest import Process, eventually, free_port
-from world.errors import LuxloopError
 
 GRID = (12, 16)
 PATIENT_S = 0.5  # time-out of a lamp that stays lit also where a busy machine lets the keeper come late

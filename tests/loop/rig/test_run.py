@@ -15,17 +15,17 @@ import numpy as np
 import pytest
 import torch
 
-from loop.commands.rig_runs import written
-from loop.lighting.lamps import lamp_modules, shining_modules
-from loop.plant.frames import image_file, read_light, twin_file
-from loop.plant.protocol import Exposure
-from loop.plant.simulated import simulated_plant
-from loop.rig.params import load_rig
-from loop.scenario.model import load
+from luxloop.loop.commands.rig_runs import written
+from luxloop.loop.lighting.lamps import lamp_modules, shining_modules
+from luxloop.loop.plant.frames import image_file, read_light, twin_file
+from luxloop.loop.plant.protocol import Exposure
+from luxloop.loop.plant.simulated import simulated_plant
+from luxloop.loop.rig.params import load_rig
+from luxloop.loop.scenario.model import load
+from luxloop.world.errors import LuxloopError
+from luxloop.world.parquet import read_parquet
 from tests.loop.conftest import Lux, assert_one_sentence
 from tests.loop.rig.conftest import ROOT, Process, eventually
-from world.errors import LuxloopError
-from world.parquet import read_parquet
 
 PIXELS = 332 * 1024
 PASSWORD = "Tr0ub4dor"
@@ -189,11 +189,11 @@ def test_a_loop_that_ends_leaves_the_lamp_dark(end: signal.Signals, small_rig: C
     """A killed loop by the lamp's own time-out of 0.1 s; one whose terminal closes by dark packets, which a lamp without it needs."""
     process = small_rig(PIXELS, width=320, height=180, dark_s=60.0 if end == signal.SIGHUP else 0.1)
     file = rig_file(process, tmp_path)
-    command = [sys.executable, "-m", "loop.commands.cli", "run", "small.toml", "--rig", str(file), "--arm", "--steps", "2000"]
+    command = [sys.executable, "-m", "luxloop.loop.commands.cli", "run", "small.toml", "--rig", str(file), "--arm", "--steps", "2000"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     loop = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    from loop.rig.camera import Camera, opener
-    from loop.rig.rectified import grey
+    from luxloop.loop.rig.camera import Camera, opener
+    from luxloop.loop.rig.rectified import grey
 
     camera = Camera(opener(load_rig(file).camera), 1.0)
 

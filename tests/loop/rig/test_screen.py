@@ -10,9 +10,9 @@ import pytest
 from PIL import Image
 from selenium import webdriver
 
-from loop.rig.light import Shine
-from loop.rig.params import ScreenLightParams
-from loop.rig.screen import ScreenLight
+from luxloop.loop.rig.light import Shine
+from luxloop.loop.rig.params import ScreenLightParams
+from luxloop.loop.rig.screen import ScreenLight
 
 CHROMIUM, DRIVER = (shutil.which(name) for name in ("chromium", "chromedriver"))
 FLAGS = (

@@ -10,11 +10,11 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from loop.rig.light import Shine
-from loop.rig.params import ScreenLightParams
-from loop.rig.screen import ScreenLight
+from luxloop.loop.rig.light import Shine
+from luxloop.loop.rig.params import ScreenLightParams
+from luxloop.loop.rig.screen import ScreenLight
+from luxloop.world.errors import LuxloopError
 from tests.loop.rig.conftest import eventually
-from world.errors import LuxloopError
 
 
 class Page:

@@ -13,19 +13,19 @@ from typing import Any
 
 import pytest
 
-from loop.lighting.lamps import lamp_modules
-from loop.lighting.simulation import Simulation
-from loop.plant.build import from_zero
-from loop.plant.protocol import Arrivals, Exposure
-from loop.rig.ddp import DdpLight
-from loop.rig.judged import Judged
-from loop.rig.params import RigParams
-from loop.rig.plant import RigPlant, grids_of
-from loop.rig.rig import await_camera, opened
-from loop.run import prepare
-from loop.scenario.model import load
+from luxloop.loop.lighting.lamps import lamp_modules
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.plant.build import from_zero
+from luxloop.loop.plant.protocol import Arrivals, Exposure
+from luxloop.loop.rig.ddp import DdpLight
+from luxloop.loop.rig.judged import Judged
+from luxloop.loop.rig.params import RigParams
+from luxloop.loop.rig.plant import RigPlant, grids_of
+from luxloop.loop.rig.rig import await_camera, opened
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
+from luxloop.world.validation import validated
 from tests.loop.rig.conftest import ROOT, free_port
-from world.validation import validated
 
 pytestmark = pytest.mark.slow
 SMALL = ("camera.width_px=640", "camera.height_px=360", "camera.oversampling=2", "renderer=raycast", "steps=40")
@@ -43,7 +43,7 @@ class Bench:
     def __init__(self, keys: tuple[str, ...]) -> None:
         self.light, self.camera, self.port = free_port(socket.SOCK_DGRAM), free_port(socket.SOCK_STREAM), free_port(socket.SOCK_STREAM)
         ports = ("--light-port", str(self.light), "--camera-port", str(self.camera), "--truth-port", str(self.port))
-        command = [sys.executable, "-m", "loop.commands.cli", "rig", "simulate", "snowflake", "--set", *keys, *ports]
+        command = [sys.executable, "-m", "luxloop.loop.commands.cli", "rig", "simulate", "snowflake", "--set", *keys, *ports]
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
         assert self.process.stdout is not None

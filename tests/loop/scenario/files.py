@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from loop.scenario.model import load
-from world.errors import LuxloopError
+from luxloop.loop.scenario.model import load
+from luxloop.world.errors import LuxloopError
 
 SYMBOL = """
 name = "good"

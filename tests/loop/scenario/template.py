@@ -8,17 +8,17 @@ from typing import Any, Literal, cast, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from controllers.functions.symbol import UNCONTROLLED, SymbolFunctionParams
-from controllers.symbol import CONTROLLERS, LuxloopParams
-from controllers.symbol.sensing.flat_model import FeatureParams
-from controllers.symbol.sensing.projector import StartParams
-from loop.scenario.model import Scenario
-from loop.scenario.plant import SimulatedPlantParams
-from loop.scenario.shipped import TEMPLATE, shipped_files
-from perception.extraction import ExtractionParams
-from perception.tracking import TrackerParams
-from world.roads.shapes import Mixed, RoadParams
-from world.validation import toml
+from luxloop.controllers.functions.symbol import UNCONTROLLED, SymbolFunctionParams
+from luxloop.controllers.symbol import CONTROLLERS, LuxloopParams
+from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
+from luxloop.controllers.symbol.sensing.projector import StartParams
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.scenario.plant import SimulatedPlantParams
+from luxloop.loop.scenario.shipped import TEMPLATE, shipped_files
+from luxloop.perception.extraction import ExtractionParams
+from luxloop.perception.tracking import TrackerParams
+from luxloop.world.roads.shapes import Mixed, RoadParams
+from luxloop.world.validation import toml
 
 LEFT_OUT = ("schema_version", "objects")  # said in HEAD and TAIL
 CHOSEN: dict[str, dict[str, Any]] = {

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from loop.scenario.model import load
-from loop.scenario.shipped import shipped
+from luxloop.loop.scenario.model import load
+from luxloop.loop.scenario.shipped import shipped
+from luxloop.world.errors import LuxloopError
 from tests.loop.scenario.files import BOX, GOOD, LIT, PID, SYMBOL, failure, is_one_sentence
-from world.errors import LuxloopError
 
 # what is wrong, what the file has then, what the sentence must name: the key and the remedy
 BROKEN = {

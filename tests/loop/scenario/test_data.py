@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from loop.scenario import data
-from loop.scenario.data import DataFile
-from world.errors import LuxloopError
+from luxloop.loop.scenario import data
+from luxloop.loop.scenario.data import DataFile
+from luxloop.world.errors import LuxloopError
 
 CONTENT = b"$ROAD_CRG\r\n\x00\xff a scan\n"
 REAL = data.registry()

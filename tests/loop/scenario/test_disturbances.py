@@ -7,20 +7,20 @@ import pytest
 import torch
 from torch import Tensor
 
-from controllers.pixels.ssc import Utilisation
-from loop.assembly.truth import true_camera, true_modules, worn
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.plant.simulated import SimulatedPlant
-from loop.plant.world import World
-from loop.run import prepare
-from loop.scenario.disturbances import DisturbanceParams, WearParams
-from loop.scenario.model import Scenario, validate
-from perception.camera import luminance_of, saturation_luminance
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.assembly.truth import true_camera, true_modules, worn
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.plant.simulated import SimulatedPlant
+from luxloop.loop.plant.world import World
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.disturbances import DisturbanceParams, WearParams
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.perception.camera import luminance_of, saturation_luminance
+from luxloop.world.errors import LuxloopError
+from luxloop.world.roads.shapes import Flat
+from luxloop.world.scene.vehicle import VehicleParams, drive
 from tests.loop.conftest import SMALL, frames_of
-from world.errors import LuxloopError
-from world.roads.shapes import Flat
-from world.scene.vehicle import VehicleParams, drive
 
 SYMBOL = SMALL["functions"]["symbol"]
 AT_TARGET: dict[str, Any] = {**SMALL, "functions": {"symbol": {**SYMBOL, "controller": {"name": "open"}, "start": {}}}, "steps": 1}

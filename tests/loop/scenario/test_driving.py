@@ -2,11 +2,11 @@
 
 import pytest
 
-from loop.scenario.driving import as_driven, begun, driven_on, ended, repeated
-from loop.scenario.edits import Edit, changed, differences
-from loop.scenario.model import load
-from world.errors import LuxloopError
-from world.scene.driver import Controls
+from luxloop.loop.scenario.driving import as_driven, begun, driven_on, ended, repeated
+from luxloop.loop.scenario.edits import Edit, changed, differences
+from luxloop.loop.scenario.model import load
+from luxloop.world.errors import LuxloopError
+from luxloop.world.scene.driver import Controls
 
 START = load("night_drive")
 

@@ -8,12 +8,12 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 import pytest
 from pydantic import BaseModel, TypeAdapter
 
-from controllers.symbol import LuxloopParams
-from loop.scenario.model import Scenario, load, validate
-from loop.scenario.shipped import shipped
+from luxloop.controllers.symbol import LuxloopParams
+from luxloop.loop.scenario.model import Scenario, load, validate
+from luxloop.loop.scenario.shipped import shipped
+from luxloop.world.errors import LuxloopError
+from luxloop.world.plugin import Name
 from tests.loop.scenario.files import BOX, GOOD, LIT
-from world.errors import LuxloopError
-from world.plugin import Name
 
 
 def test_manifest_gives_the_same_scenario_back(file: Path) -> None:

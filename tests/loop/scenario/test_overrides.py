@@ -5,17 +5,17 @@ from typing import Any
 
 import pytest
 
-from controllers.functions.lane import LaneParams
-from controllers.functions.planner import LightingParams
-from controllers.symbol.laws.feedback import GaussNewtonParams
-from controllers.symbol.laws.thesis_pid import ThesisPidParams
-from controllers.symbol.laws.warping import WarpParams
-from loop.scenario.model import load
-from perception.camera import CameraParams
+from luxloop.controllers.functions.lane import LaneParams
+from luxloop.controllers.functions.planner import LightingParams
+from luxloop.controllers.symbol.laws.feedback import GaussNewtonParams
+from luxloop.controllers.symbol.laws.thesis_pid import ThesisPidParams
+from luxloop.controllers.symbol.laws.warping import WarpParams
+from luxloop.loop.scenario.model import load
+from luxloop.perception.camera import CameraParams
+from luxloop.world.errors import LuxloopError
+from luxloop.world.materials.spots import SpotParams
+from luxloop.world.roads.shapes import Bumps, Flat
 from tests.loop.scenario.files import GOOD, SYMBOL, failure
-from world.errors import LuxloopError
-from world.materials.spots import SpotParams
-from world.roads.shapes import Bumps, Flat
 
 
 @pytest.mark.parametrize("override", ["steps", "=3", "", "a b=3", "steps.=3"])

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from loop.client.client import connect
-from loop.run import prepare
-from loop.scenario.model import load
-from loop.scenario.shown import show
-from loop.studio import page
+from luxloop.loop.client.client import connect
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
+from luxloop.loop.scenario.shown import show
+from luxloop.loop.studio import page
+from luxloop.world.errors import LuxloopError
 from tests.loop.studio.conftest import SMALL
-from world.errors import LuxloopError
 
 ROOT = Path(__file__).parents[3]
 

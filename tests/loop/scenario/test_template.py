@@ -1,6 +1,6 @@
 """The file that `luxloop new` copies is what the model makes of it."""
 
-from loop.scenario.shipped import TEMPLATE, copied
+from luxloop.loop.scenario.shipped import TEMPLATE, copied
 from tests.loop.scenario.template import template
 
 

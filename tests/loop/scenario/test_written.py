@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from loop.scenario.edits import changed, differences
-from loop.scenario.model import Scenario, load
-from loop.scenario.shipped import shipped
-from loop.scenario.written import written
+from luxloop.loop.scenario.edits import changed, differences
+from luxloop.loop.scenario.model import Scenario, load
+from luxloop.loop.scenario.shipped import shipped
+from luxloop.loop.scenario.written import written
 
 ALL = [load(name) for name in shipped()]
 

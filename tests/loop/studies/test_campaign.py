@@ -13,15 +13,15 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from loop.commands import cli
-from loop.jobs import runner
-from loop.jobs.executors import dask, local
-from loop.metrics import _prepared, figures
-from loop.scenario.model import load
-from loop.studies import campaign
-from loop.studies.campaign import JOBS, TABLE, read, run_campaign
-from loop.studies.campaign_report import page, write_report
-from world.errors import LuxloopError
+from luxloop.loop.commands import cli
+from luxloop.loop.jobs import runner
+from luxloop.loop.jobs.executors import dask, local
+from luxloop.loop.metrics import _prepared, figures
+from luxloop.loop.scenario.model import load
+from luxloop.loop.studies import campaign
+from luxloop.loop.studies.campaign import JOBS, TABLE, read, run_campaign
+from luxloop.loop.studies.campaign_report import page, write_report
+from luxloop.world.errors import LuxloopError
 
 ROOT = Path(__file__).parents[3]
 SMALL = """

@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from loop.scenario.model import Scenario, load
-from loop.studies.campaign import CampaignParams
-from world.errors import LuxloopError
-from world.lampfiles.description import LampDescription
+from luxloop.loop.scenario.model import Scenario, load
+from luxloop.loop.studies.campaign import CampaignParams
+from luxloop.world.errors import LuxloopError
+from luxloop.world.lampfiles.description import LampDescription
 
 LEAST, MOST = ("minimum", "exclusiveMinimum"), ("maximum", "exclusiveMaximum")
 

@@ -10,20 +10,20 @@ import pytest
 import torch
 from torch import Tensor
 
-from loop import objective
-from loop.batch.rollouts import rollouts
-from loop.commands import cli
-from loop.jobs.executors import local
-from loop.lighting.result import Rollout
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import Scenario, load
-from loop.studies import gradient, ranges
-from loop.studies import tune as module
-from loop.studies.study import FINISHED, STUDY, study_in
-from loop.studies.surrogate import Learned, near
-from loop.studies.tune import Task, Trace, Tuned, tune
-from loop.studies.tune_report import BEST, PICTURE, REPORT, write
-from world.errors import LuxloopError
+from luxloop.loop import objective
+from luxloop.loop.batch.rollouts import rollouts
+from luxloop.loop.commands import cli
+from luxloop.loop.jobs.executors import local
+from luxloop.loop.lighting.result import Rollout
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import Scenario, load
+from luxloop.loop.studies import gradient, ranges
+from luxloop.loop.studies import tune as module
+from luxloop.loop.studies.study import FINISHED, STUDY, study_in
+from luxloop.loop.studies.surrogate import Learned, near
+from luxloop.loop.studies.tune import Task, Trace, Tuned, tune
+from luxloop.loop.studies.tune_report import BEST, PICTURE, REPORT, write
+from luxloop.world.errors import LuxloopError
 
 SMALL = [
     "steps=3",
@@ -250,8 +250,8 @@ def test_another_search_has_other_trials(tuned: Tuned, scenario: Scenario, tmp_p
 
 
 FRAIL = """
-from controllers.symbol.laws.open_loop import OpenLoop
-from world.errors import LuxloopError
+from luxloop.controllers.symbol.laws.open_loop import OpenLoop
+from luxloop.world.errors import LuxloopError
 
 
 class Frail(OpenLoop):

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from websockets.asyncio.server import Server
 
-from loop.studio.server import Studio, Tokens
-from loop.studio.sources import Source
+from luxloop.loop.studio.server import Studio, Tokens
+from luxloop.loop.studio.sources import Source
 from tests.lamps import SMALL_LAMP
 
 # a process has one OpenGL context, in one thread, which other tests of the process use

@@ -17,13 +17,13 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
-from loop.studio.messages import Button, Set
-from loop.studio.page import PAGE
-from loop.studio.runs import Run
-from loop.studio.sources import Source
+from luxloop.loop.studio.messages import Button, Set
+from luxloop.loop.studio.page import PAGE
+from luxloop.loop.studio.runs import Run
+from luxloop.loop.studio.sources import Source
+from luxloop.world.light.illumination import DirectTransport, illuminance
 from tests.loop.studio.conftest import SMALL, Served, serving
 from tests.loop.studio.proxy import network
-from world.light.illumination import DirectTransport, illuminance
 
 CHROMIUM, DRIVER = (shutil.which(name) for name in ("chromium", "chromedriver"))
 FLAGS = (

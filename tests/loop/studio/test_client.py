@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loop.client.client import Client, connect
-from loop.client.shared import Mapped
-from loop.lighting.record import row
-from loop.run import prepare
-from loop.scenario.model import load
-from loop.studio.shared import Blocks
+from luxloop.loop.client.client import Client, connect
+from luxloop.loop.client.shared import Mapped
+from luxloop.loop.lighting.record import row
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
+from luxloop.loop.studio.shared import Blocks
+from luxloop.world.errors import LuxloopError
 from tests.loop.studio.conftest import SMALL, Served
-from world.errors import LuxloopError
 
 EXACT = ("frames", "depth", "instances", "materials", "truth")
 

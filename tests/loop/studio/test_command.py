@@ -11,11 +11,11 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
-from loop.studio.page import PAGE
-from loop.studio.server import Studio, Tokens
-from world.errors import LuxloopError
+from luxloop.loop.studio.page import PAGE
+from luxloop.loop.studio.server import Studio, Tokens
+from luxloop.world.errors import LuxloopError
 
-MAIN = "import sys; from loop.commands.cli import main; sys.exit(main())"
+MAIN = "import sys; from luxloop.loop.commands.cli import main; sys.exit(main())"
 STUDIO = [sys.executable, "-c", MAIN, "studio", "snowflake", "--port", "0"]
 
 

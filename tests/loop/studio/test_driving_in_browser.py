@@ -8,9 +8,9 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 
-from controllers.functions.commands import DirectParams
-from loop.studio.page import PAGE
-from loop.studio.sources import Source
+from luxloop.controllers.functions.commands import DirectParams
+from luxloop.loop.studio.page import PAGE
+from luxloop.loop.studio.sources import Source
 from tests.loop.studio.clients import watching
 from tests.loop.studio.conftest import SMALL, Served, serving
 from tests.loop.studio.test_browser import browser, opened, pytestmark, until

@@ -6,10 +6,10 @@ from pathlib import Path
 import cv2
 import pytest
 
-from loop.recording.files import REPORT
-from loop.replay.replay import load as recording
-from loop.replay.replay import replay
-from loop.studio.sources import Source
+from luxloop.loop.recording.files import REPORT
+from luxloop.loop.replay.replay import load as recording
+from luxloop.loop.replay.replay import replay
+from luxloop.loop.studio.sources import Source
 from tests.loop.studio.clients import Watcher, watching
 from tests.loop.studio.conftest import SMALL, Served, serving
 

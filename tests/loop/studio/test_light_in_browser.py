@@ -9,9 +9,9 @@ from selenium import webdriver
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 
-from controllers.jpo.plane import lighting
-from loop.studio.page import PAGE
-from loop.studio.sources import Source
+from luxloop.controllers.jpo.plane import lighting
+from luxloop.loop.studio.page import PAGE
+from luxloop.loop.studio.sources import Source
 from tests.loop.studio.conftest import SMALL, Served, serving
 from tests.loop.studio.test_browser import browser, opened, pytestmark, until
 

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from loop.studio.messages import Paint, Set, Speed, read
+from luxloop.loop.studio.messages import Paint, Set, Speed, read
+from luxloop.world.errors import LuxloopError
+from luxloop.world.messages.arrays import coded, grey
+from luxloop.world.messages.packing import LENGTH, packed
 from tests.loop.studio.clients import message, unpacked
-from world.errors import LuxloopError
-from world.messages.arrays import coded, grey
-from world.messages.packing import LENGTH, packed
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.uint32, np.float16, np.float32])

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from loop.run import prepare
-from loop.scenario.model import load
-from loop.studio.sources import Source
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
+from luxloop.loop.studio.sources import Source
+from luxloop.world.frames import inverse, transform
 from tests.loop.studio.clients import Arrays, Watcher, watching
 from tests.loop.studio.conftest import Served, serving
-from world.frames import inverse, transform
 
 BARE = ("renderer=raycast", "camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "steps=40", "functions={}", "checks={}")
 LAMPS = {"hd84": (3, 28), "idealised-332x1024": (332, 1024)}
@@ -112,7 +112,7 @@ def test_boxes_add_up_and_what_is_rubbed_out_is_as_before(lamp: Painted) -> None
 
 
 def test_strokes_are_taken_back_and_saved(lamp: Painted, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("loop.studio.history.TOGETHER_S", 0.0)  # a stroke may rest while it is drawn
+    monkeypatch.setattr("luxloop.loop.studio.history.TOGETHER_S", 0.0)  # a stroke may rest while it is drawn
     served, model = lamp
     expected = np.zeros(LAMPS[model], np.uint8)
     expected[2, 0:4] = 255

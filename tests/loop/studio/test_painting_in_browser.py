@@ -13,11 +13,11 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
-from loop.studio.page import PAGE
-from loop.studio.session import Source
+from luxloop.loop.studio.page import PAGE
+from luxloop.loop.studio.session import Source
+from luxloop.world.lampfiles.utilisations import read_utilisation
 from tests.loop.studio.conftest import SMALL, Served, serving
 from tests.loop.studio.test_browser import browser, opened, pytestmark, until
-from world.lampfiles.utilisations import read_utilisation
 
 __all__ = ["browser", "pytestmark"]  # of all tests in a browser
 ROWS, COLUMNS = 3, 28

@@ -11,9 +11,9 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select, WebDriverWait
 
-from loop.scenario.model import Scenario
-from loop.studio.page import PAGE
-from loop.studio.session import Source
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.studio.page import PAGE
+from luxloop.loop.studio.session import Source
 from tests.loop.studio.conftest import SMALL, Served, serving
 from tests.loop.studio.test_browser import WAIT_S, browser, opened, pytestmark, until
 

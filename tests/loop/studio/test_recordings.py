@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import luxloop
-from loop.recording.files import EDITS, TRAJECTORY
-from loop.studio.sources import Source
+from luxloop.loop.recording.files import EDITS, TRAJECTORY
+from luxloop.loop.studio.sources import Source
+from luxloop.world.parquet import read_parquet
 from tests.loop.studio.clients import watching
 from tests.loop.studio.conftest import SMALL, Served, serving
-from world.parquet import read_parquet
 
 KP = "functions.symbol.controller.position.kp=0.31"
 

@@ -17,12 +17,12 @@ from websockets.sync.client import connect
 from websockets.uri import parse_uri
 
 import luxloop
-from loop.lighting.record import row
-from loop.studio.feed import Feed
-from loop.studio.messages import Button, Request
-from loop.studio.server import MOST_ASKED
-from loop.studio.session import Published
-from loop.studio.trust import refuse_foreign
+from luxloop.loop.lighting.record import row
+from luxloop.loop.studio.feed import Feed
+from luxloop.loop.studio.messages import Button, Request
+from luxloop.loop.studio.server import MOST_ASKED
+from luxloop.loop.studio.session import Published
+from luxloop.loop.studio.trust import refuse_foreign
 from tests.loop.studio.clients import Watcher, message, unpacked, watching
 from tests.loop.studio.conftest import SMALL, Served
 
@@ -125,11 +125,11 @@ def test_messages_rest_while_the_session_plays_and_come_at_once_when_it_stops(se
         watcher.of("scenario")
         watcher.say(type="reset")
         watcher.of("scenario")
-    monkeypatch.setattr("loop.studio.feed.REST", 1e9)
+    monkeypatch.setattr("luxloop.loop.studio.feed.REST", 1e9)
     rested, playing = Feed(), replace(served.studio.session.published, playing=True)
     assert "step" in kinds(rested, playing, Request())
     began_s = time.monotonic()
-    monkeypatch.setattr("loop.studio.feed.LONGEST_REST_S", 3600.0)
+    monkeypatch.setattr("luxloop.loop.studio.feed.LONGEST_REST_S", 3600.0)
     feed = Feed()
     assert "step" in kinds(feed, playing, Request())
     served.studio.session.ask(Button(type="step"), print)
@@ -147,7 +147,7 @@ def kinds(feed: Feed, published: Published, request: Request) -> list[str]:
 
 
 def test_who_does_not_read_is_let_go(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("loop.studio.server.DEAF_S", 0.5)
+    monkeypatch.setattr("luxloop.loop.studio.server.DEAF_S", 0.5)
     with watching(served.port, served.tokens.edit) as watcher, socket.socket() as deaf:
         watcher.of("scenario")
         (listening,) = served.server.sockets
@@ -392,7 +392,7 @@ def test_the_protocol_page_names_every_message(served: Served) -> None:
     from pathlib import Path
 
     page = (Path(luxloop.__file__).parents[1] / "docs/studio_protocol.md").read_text("utf-8")
-    from loop.studio.messages import MESSAGE
+    from luxloop.loop.studio.messages import MESSAGE
 
     kinds = {each for part in json.loads(json.dumps(MESSAGE.json_schema()))["$defs"].values() for each in _kinds(part)}
     assert kinds and all(f"`{kind}`" in page for kind in kinds)

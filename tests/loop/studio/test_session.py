@@ -8,14 +8,14 @@ from pathlib import Path
 import cv2
 import pytest
 
-from loop.recording.files import REPORT, SUMMARY
-from loop.replay.replay import load as recording
-from loop.replay.replay import replay
-from loop.scenario.model import load
-from loop.scenario.written import written
-from loop.studio.history import TOGETHER_S
-from loop.studio.runs import Starting
-from loop.studio.sources import Source
+from luxloop.loop.recording.files import REPORT, SUMMARY
+from luxloop.loop.replay.replay import load as recording
+from luxloop.loop.replay.replay import replay
+from luxloop.loop.scenario.model import load
+from luxloop.loop.scenario.written import written
+from luxloop.loop.studio.history import TOGETHER_S
+from luxloop.loop.studio.runs import Starting
+from luxloop.loop.studio.sources import Source
 from tests.loop.studio.clients import Watcher, watching
 from tests.loop.studio.conftest import SMALL, Served, serving
 
@@ -82,7 +82,7 @@ def test_a_run_at_rest_shows_what_edits_make_of_the_next_step(own: Served, edito
 
 
 def test_edits_are_taken_back_and_made_again(own: Served, editor: Watcher, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("loop.studio.history.TOGETHER_S", 0.0)
+    monkeypatch.setattr("luxloop.loop.studio.history.TOGETHER_S", 0.0)
     first = kp(own)
     for value in (0.5, 0.6):
         editor.say(type="set", overrides=[f"{KP}={value}"])
@@ -101,7 +101,7 @@ def test_edits_are_taken_back_and_made_again(own: Served, editor: Watcher, monke
 
 
 def test_edits_of_a_drag_are_one(own: Served, editor: Watcher, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("loop.studio.history.TOGETHER_S", 60.0)  # a busy machine takes longer than TOGETHER_S for some edits
+    monkeypatch.setattr("luxloop.loop.studio.history.TOGETHER_S", 60.0)  # a busy machine takes longer than TOGETHER_S for some edits
     assert TOGETHER_S < 60
     before = own.studio.session.published.runs[0].simulation.scenario
     for x_m in (17.1, 17.2, 17.3):
@@ -188,7 +188,7 @@ def test_the_file_is_an_editor_as_well(own: Served, editor: Watcher, file: Path)
 
 
 def test_a_step_that_is_over_takes_little_memory_beside_its_light(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("loop.lighting.recorder.FOLDED", 5)
+    monkeypatch.setattr("luxloop.loop.lighting.recorder.FOLDED", 5)
     (run,) = Starting("cpu", False, print).runs((Source(str(file)),), (None,), (), frozenset(), True)
     while not run.over:
         if len(run.snapshots) == 11:

@@ -4,10 +4,10 @@ import pytest
 import torch
 import trimesh
 
-from loop.studio import shapes
-from loop.studio.shapes import Shapes
-from world.scene.body import Body
-from world.scene.triangles import Placed
+from luxloop.loop.studio import shapes
+from luxloop.loop.studio.shapes import Shapes
+from luxloop.world.scene.body import Body
+from luxloop.world.scene.triangles import Placed
 
 
 def placed(name: str) -> Placed:

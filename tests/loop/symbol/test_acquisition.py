@@ -6,13 +6,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from controllers.symbol.sensing.acquisition import Acquired
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.shape import reached
-from loop.lighting.simulation import Simulation
-from loop.run import prepare
-from loop.scenario.model import load
-from perception.extraction import Loss
+from luxloop.controllers.symbol.sensing.acquisition import Acquired
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.shape import reached
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
+from luxloop.perception.extraction import Loss
 from tests.loop.conftest import frames_of
 
 SMALL = [

@@ -5,13 +5,13 @@ from functools import cache
 import pytest
 import torch
 
-from controllers.symbol.sensing.aim import aimed, elsewhere
-from controllers.symbol.sensing.planes import HERE
-from controllers.symbol.sensing.projector import Projector, SymbolParams
-from controllers.symbol.sensing.shape import height
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import load
-from world.frames import inverse, transform
+from luxloop.controllers.symbol.sensing.aim import aimed, elsewhere
+from luxloop.controllers.symbol.sensing.planes import HERE
+from luxloop.controllers.symbol.sensing.projector import Projector, SymbolParams
+from luxloop.controllers.symbol.sensing.shape import height
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import load
+from luxloop.world.frames import inverse, transform
 
 EYE = torch.tensor([0.0, 0.0, 1.3], dtype=torch.float64)
 

@@ -6,15 +6,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.protocol import Observation
-from loop.lighting.result import StepResult
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import Scenario, validate
-from perception.egomotion import Ego
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.protocol import Observation
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.perception.egomotion import Ego
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import inverse, transform
 from tests.loop.conftest import SMALL
-from world.errors import LuxloopError
-from world.frames import inverse, transform
 
 SYMBOL = SMALL["functions"]["symbol"] | {"controller": {"name": "open"}, "start": {}}
 OPEN = {"functions": {"symbol": SYMBOL}, "steps": 3, "renderer": "auto"}

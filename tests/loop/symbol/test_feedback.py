@@ -3,12 +3,12 @@
 import pytest
 import torch
 
-from controllers.symbol.heights.feedforward import relief_of
-from loop.run import prepare
-from loop.scenario.model import load
-from perception.birdseye import Region
-from world.errors import LuxloopError
-from world.roads.shapes import Curb, Flat
+from luxloop.controllers.symbol.heights.feedforward import relief_of
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
+from luxloop.perception.birdseye import Region
+from luxloop.world.errors import LuxloopError
+from luxloop.world.roads.shapes import Curb, Flat
 
 SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"]
 LIFTED = '{kind="curb", y_m=-8.0, ramp_m=0.03, height_m=0.03}'  # a plane 3 cm too high, from well before the symbol on

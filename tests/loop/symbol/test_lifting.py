@@ -5,18 +5,18 @@ from dataclasses import replace
 import pytest
 import torch
 
-from controllers.symbol.laws.lifting import LOSSES, Lifting
-from controllers.symbol.sensing.acquisition import Acquired
-from controllers.symbol.sensing.field import cut
-from controllers.symbol.sensing.projection import ProjectionCommand
-from controllers.symbol.sensing.protocol import Observation, Shown
-from loop.lighting.simulation import Simulation
-from loop.run import prepare
-from loop.scenario.model import load
-from perception.extraction import Loss
-from perception.judge import Verdict
+from luxloop.controllers.symbol.laws.lifting import LOSSES, Lifting
+from luxloop.controllers.symbol.sensing.acquisition import Acquired
+from luxloop.controllers.symbol.sensing.field import cut
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.protocol import Observation, Shown
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
+from luxloop.perception.extraction import Loss
+from luxloop.perception.judge import Verdict
+from luxloop.world.frames import inverse, pose, rotation, transform
 from tests.loop.conftest import frames_of
-from world.frames import inverse, pose, rotation, transform
 
 SMALL = ["camera={width_px=640, height_px=480}", "functions.symbol.start={x_m=17.0, y_m=0.0, roll_deg=0.0, pitch_deg=0.0}"]
 PLANE = torch.tensor([0.21, 0.02, -0.015, 0.0])

@@ -14,19 +14,19 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from controllers.symbol.heights.patch import CELLS, FOLLOWED, _fitted, drawn_on
-from controllers.symbol.heights.relief import Relief
-from controllers.symbol.heights.sweep import semi_global, sweep
-from controllers.symbol.sensing.planes import HERE
-from controllers.symbol.sensing.projection import ProjectionCommand, Warp
-from controllers.symbol.sensing.projector import SymbolParams
-from controllers.symbol.sensing.protocol import Observation, Shown
-from controllers.symbol.sensing.shape import reached
-from loop.lighting.result import SimulationState
-from loop.lighting.simulation import Simulation
-from loop.run import prepare
-from loop.scenario.model import DisturbanceParams, load
-from perception.birdseye import Region
+from luxloop.controllers.symbol.heights.patch import CELLS, FOLLOWED, _fitted, drawn_on
+from luxloop.controllers.symbol.heights.relief import Relief
+from luxloop.controllers.symbol.heights.sweep import semi_global, sweep
+from luxloop.controllers.symbol.sensing.planes import HERE
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
+from luxloop.controllers.symbol.sensing.projector import SymbolParams
+from luxloop.controllers.symbol.sensing.protocol import Observation, Shown
+from luxloop.controllers.symbol.sensing.shape import reached
+from luxloop.loop.lighting.result import SimulationState
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import DisturbanceParams, load
+from luxloop.perception.birdseye import Region
 from tests.loop.conftest import frames_of
 
 REGION = Region(13.0, 21.0, 2.0, -2.0)

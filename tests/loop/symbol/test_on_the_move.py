@@ -10,20 +10,20 @@ import torch
 from scipy.signal import lsim
 from torch import Tensor
 
-from controllers.symbol.heights.body_filter import CELL_M, BodyFilter, BodyParams
-from controllers.symbol.heights.feedforward import relief_of
-from controllers.symbol.heights.forward_model import ForwardModel
-from controllers.symbol.heights.luxloop import Luxloop, LuxloopParams, laid
-from controllers.symbol.heights.registration import Heights
-from controllers.symbol.heights.road_map import RoadMap
-from controllers.symbol.heights.springs import PARTS, followed
-from loop.lighting.simulation import Simulation
-from loop.scenario.model import load
-from perception.birdseye import Region
-from perception.egomotion import Ego, Samples, ego_of, newest
-from perception.sensors import SensorParams, Sensors
-from world.frames import inverse, pose, rotation, transform
-from world.scene.vehicle import CourseParams, SuspensionParams, VehicleParams, body_pose, drive, ground_pose
+from luxloop.controllers.symbol.heights.body_filter import CELL_M, BodyFilter, BodyParams
+from luxloop.controllers.symbol.heights.feedforward import relief_of
+from luxloop.controllers.symbol.heights.forward_model import ForwardModel
+from luxloop.controllers.symbol.heights.luxloop import Luxloop, LuxloopParams, laid
+from luxloop.controllers.symbol.heights.registration import Heights
+from luxloop.controllers.symbol.heights.road_map import RoadMap
+from luxloop.controllers.symbol.heights.springs import PARTS, followed
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.scenario.model import load
+from luxloop.perception.birdseye import Region
+from luxloop.perception.egomotion import Ego, Samples, ego_of, newest
+from luxloop.perception.sensors import SensorParams, Sensors
+from luxloop.world.frames import inverse, pose, rotation, transform
+from luxloop.world.scene.vehicle import CourseParams, SuspensionParams, VehicleParams, body_pose, drive, ground_pose
 
 REGION, GRID = Region(14.0, 20.0, 1.5, -1.5), (60, 30)
 EYE, SWUNG = torch.tensor([-1.6, 0.0, 1.35]), torch.tensor([-1.58, 0.01, 1.38])

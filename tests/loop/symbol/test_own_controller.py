@@ -2,13 +2,13 @@
 
 import pytest
 
-from controllers.symbol.sensing.projection import ProjectionCommand
-from loop.run import prepare
-from loop.scenario.model import load
-from world.errors import LuxloopError
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
+from luxloop.world.errors import LuxloopError
 
 OWN = """
-from controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 
 class Halfway:
     def __init__(self, sensor, share=0.5):

@@ -6,15 +6,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from loop.lighting.simulation import Simulation
-from loop.run import prepare
-from loop.scenario.model import load
-from perception.extraction import ExtractionParams, OwnExtractionParams, symbol_image
-from world.errors import LuxloopError
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
+from luxloop.perception.extraction import ExtractionParams, OwnExtractionParams, symbol_image
+from luxloop.world.errors import LuxloopError
 
 OWN = """
 import torch
-from perception import extraction
+from luxloop.perception import extraction
 
 class Ours:
     def __init__(self, edges="grey"):

@@ -5,17 +5,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controllers.symbol import FeedforwardParams
-from loop.run import prepare
-from loop.scenario.model import load
-from world.errors import LuxloopError
-from world.roads.own import OwnRoad
-from world.roads.shapes import SpeedBump
+from luxloop.controllers.symbol import FeedforwardParams
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
+from luxloop.world.errors import LuxloopError
+from luxloop.world.roads.own import OwnRoad
+from luxloop.world.roads.shapes import SpeedBump
 
 OWN = """
 import numpy as np
-from world.roads.base import MeshGrid, RoadModel
-from world.roads.shapes import SpeedBump
+from luxloop.world.roads.base import MeshGrid, RoadModel
+from luxloop.world.roads.shapes import SpeedBump
 
 class Bump(SpeedBump):
     pass

@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 import torch
 
-from controllers.symbol.sensing.projection import CELLS
-from loop.lighting.result import StepResult
-from loop.run import prepare
-from loop.scenario.model import load
-from perception.birdseye import birds_eye, cells, region_around
-from perception.camera import CameraParams, camera_view
-from world.errors import LuxloopError
+from luxloop.controllers.symbol.sensing.projection import CELLS
+from luxloop.loop.lighting.result import StepResult
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
+from luxloop.perception.birdseye import birds_eye, cells, region_around
+from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.world.errors import LuxloopError
 
 SMALL = [
     "camera={width_px=640, height_px=480}",

@@ -3,13 +3,13 @@
 import pytest
 import torch
 
-from controllers.functions.base_beams import BaseBeamParams
-from controllers.symbol.sensing.projector import StartParams
-from loop.lighting.simulation import Simulation
-from loop.run import prepare
-from loop.scenario.model import Scenario, load
-from perception.camera import luminance_of
-from world.errors import LuxloopError
+from luxloop.controllers.functions.base_beams import BaseBeamParams
+from luxloop.controllers.symbol.sensing.projector import StartParams
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import Scenario, load
+from luxloop.perception.camera import luminance_of
+from luxloop.world.errors import LuxloopError
 
 
 def test_the_controller_knows_that_the_road_is_wet(small_scenario: Scenario) -> None:

@@ -5,11 +5,11 @@ import pickle
 import pytest
 import torch
 
-from controllers.symbol.laws.alignment import Alignment, Placement
-from loop.lighting.simulation import Simulation
-from loop.run import prepare
-from loop.scenario.model import load
-from world.errors import LuxloopError
+from luxloop.controllers.symbol.laws.alignment import Alignment, Placement
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
+from luxloop.world.errors import LuxloopError
 
 SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2", "functions.symbol.image=snowflake"]
 ROUGH = ["road.kind=bumps", "road.seed=3"]

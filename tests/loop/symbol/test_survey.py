@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 import torch
 
-from controllers.symbol.heights.feedforward import Surveyed
-from loop.lighting.simulation import Simulation
-from loop.run import prepare
-from loop.scenario.model import load
-from loop.scenario.overrides import resolve_paths
-from world.errors import LuxloopError
+from luxloop.controllers.symbol.heights.feedforward import Surveyed
+from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
+from luxloop.loop.scenario.overrides import resolve_paths
+from luxloop.world.errors import LuxloopError
 
 SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"]
 LIFTED = 'road={kind="curb", y_m=-8.0, ramp_m=0.03, height_m=0.03}'  # a plane 3 cm too high

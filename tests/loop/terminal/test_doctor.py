@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from loop.scenario import data
-from loop.terminal import doctor
+from luxloop.loop.scenario import data
+from luxloop.loop.terminal import doctor
 
 
 def test_every_check_reports_and_mends() -> None:

@@ -2,8 +2,8 @@
 
 import pytest
 
-from loop.terminal import progress as module
-from loop.terminal.progress import LINE_S, progress
+from luxloop.loop.terminal import progress as module
+from luxloop.loop.terminal.progress import LINE_S, progress
 
 
 def test_a_log_gets_a_line_now_and_then(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

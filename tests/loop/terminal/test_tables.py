@@ -5,7 +5,7 @@ import math
 import pytest
 from rich.console import Console
 
-from loop.terminal.tables import markdown, number, plain
+from luxloop.loop.terminal.tables import markdown, number, plain
 
 COLUMNS = ("road", "step", "IoU", "")
 ROWS = [("flat", 3, "0.98", "reached"), ("curb", 12, number(None), "")]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from loop.training.scenes import HELD_OUT, draw, read
+from luxloop.loop.training.scenes import HELD_OUT, draw, read
 from tests.loop.training.lit import Lit
 
 SEED = HELD_OUT + 3

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from loop.training.light import luminance
-from loop.training.scenes import CAMERA, DarkScene, Labelled
-from perception.camera import expose
-from perception.noise import FrameNoise
+from luxloop.loop.training.light import luminance
+from luxloop.loop.training.scenes import CAMERA, DarkScene, Labelled
+from luxloop.perception.camera import expose
+from luxloop.perception.noise import FrameNoise
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from perception.detection import network as network_file
-from perception.detection.build import detector
-from perception.detection.network import STRIDE, Network, NetworkDetector, boxes_of, load, middles, save
-from perception.detection.params import NetworkParams
-from perception.detection.suppression import overlaps
+from luxloop.perception.detection import network as network_file
+from luxloop.perception.detection.build import detector
+from luxloop.perception.detection.network import STRIDE, Network, NetworkDetector, boxes_of, load, middles, save
+from luxloop.perception.detection.params import NetworkParams
+from luxloop.perception.detection.suppression import overlaps
+from luxloop.world.errors import LuxloopError
 from tests.loop.training.lit import Lit
-from world.errors import LuxloopError
 
 SURE = 0.5
 

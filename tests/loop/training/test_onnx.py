@@ -11,13 +11,13 @@ from onnx import helper, numpy_helper
 from pydantic import ValidationError
 from torch import Tensor, nn
 
-from perception.detection.build import detector
-from perception.detection.network import CODE, Network, NetworkDetector, boxes_of
-from perception.detection.onnx import OnnxDetector
-from perception.detection.params import NetworkParams, OnnxParams
-from perception.detection.suppression import overlaps
+from luxloop.perception.detection.build import detector
+from luxloop.perception.detection.network import CODE, Network, NetworkDetector, boxes_of
+from luxloop.perception.detection.onnx import OnnxDetector
+from luxloop.perception.detection.params import NetworkParams, OnnxParams
+from luxloop.perception.detection.suppression import overlaps
+from luxloop.world.errors import LuxloopError
 from tests.loop.training.lit import Lit
-from world.errors import LuxloopError
 
 CPU, FLOAT = torch.device("cpu"), onnx.TensorProto.FLOAT
 

@@ -6,12 +6,12 @@ from typing import Any
 import pytest
 import torch
 
-from perception.detection.build import detector
-from perception.detection.params import HogParams, OwnDetector
-from perception.detection.protocol import Detections
-from perception.detection.suppression import overlaps
+from luxloop.perception.detection.build import detector
+from luxloop.perception.detection.params import HogParams, OwnDetector
+from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.detection.suppression import overlaps
+from luxloop.world.errors import LuxloopError
 from tests.loop.training.lit import Lit
-from world.errors import LuxloopError
 
 CPU = torch.device("cpu")
 
@@ -44,7 +44,7 @@ def test_hog_takes_frames_smaller_than_its_window(size: tuple[int, int]) -> None
 
 OWN = """
 import torch
-from perception.detection.protocol import Detections
+from luxloop.perception.detection.protocol import Detections
 
 class Brightest:
     classes = ("other",)

@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 import torch
 
-from loop.commands import cli
-from loop.jobs.executors import local
-from loop.training import examples, fit
-from loop.training.calibrate import calibrate, logistic
-from loop.training.examples import SIZE, Examples, targets
-from loop.training.judge import boxes_right, judge, verdict
-from loop.training.light import WELL_LIT_LX, darkened, full_light, lit_alone, lit_share, luminance, object_light
-from loop.training.report import overview, page
-from loop.training.scenes import CAMERA, CLASSES, HELD_OUT, TRAINING, DarkScene, Labelled, draw, read
-from loop.training.train import LEAST_SCORE, drawn, store
-from perception.detection.build import WEIGHTS, detector
-from perception.detection.network import STRIDE, Network, NetworkDetector
-from perception.detection.params import NetworkParams
-from perception.detection.protocol import Detections
-from world.errors import LuxloopError
+from luxloop.loop.commands import cli
+from luxloop.loop.jobs.executors import local
+from luxloop.loop.training import examples, fit
+from luxloop.loop.training.calibrate import calibrate, logistic
+from luxloop.loop.training.examples import SIZE, Examples, targets
+from luxloop.loop.training.judge import boxes_right, judge, verdict
+from luxloop.loop.training.light import WELL_LIT_LX, darkened, full_light, lit_alone, lit_share, luminance, object_light
+from luxloop.loop.training.report import overview, page
+from luxloop.loop.training.scenes import CAMERA, CLASSES, HELD_OUT, TRAINING, DarkScene, Labelled, draw, read
+from luxloop.loop.training.train import LEAST_SCORE, drawn, store
+from luxloop.perception.detection.build import WEIGHTS, detector
+from luxloop.perception.detection.network import STRIDE, Network, NetworkDetector
+from luxloop.perception.detection.params import NetworkParams
+from luxloop.perception.detection.protocol import Detections
+from luxloop.world.errors import LuxloopError
 
 CPU = torch.device("cpu")
 ROOT = Path(__file__).parents[3]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from loop.wire.datagrams import decoded, encoded
+from luxloop.loop.wire.datagrams import decoded, encoded
 
 
 def test_a_sample_comes_as_it_was_sent() -> None:

@@ -7,12 +7,12 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from loop.rig.ddp import DdpLight
-from loop.rig.light import Shine
-from loop.rig.params import DdpLightParams
-from loop.wire import ddp
-from loop.wire.ddp import Assembler, LightFrame, WireCommand, packets
-from world.errors import LuxloopError
+from luxloop.loop.rig.ddp import DdpLight
+from luxloop.loop.rig.light import Shine
+from luxloop.loop.rig.params import DdpLightParams
+from luxloop.loop.wire import ddp
+from luxloop.loop.wire.ddp import Assembler, LightFrame, WireCommand, packets
+from luxloop.world.errors import LuxloopError
 
 N = 4000  # pixels, three packets of 8 bits
 

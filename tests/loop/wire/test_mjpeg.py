@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from loop.wire.mjpeg import JPEG, PNG, Part, PictureServer, parts
-from world.errors import LuxloopError
+from luxloop.loop.wire.mjpeg import JPEG, PNG, Part, PictureServer, parts
+from luxloop.world.errors import LuxloopError
 
 DEEP = np.random.default_rng(0).integers(0, 4096, (48, 64), np.uint16)
 

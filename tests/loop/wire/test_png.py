@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from loop.wire.png import png
+from luxloop.loop.wire.png import png
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])

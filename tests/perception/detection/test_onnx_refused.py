@@ -10,9 +10,9 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
-from perception.detection.onnx import OnnxDetector
-from perception.detection.params import OnnxParams
-from world.errors import LuxloopError
+from luxloop.perception.detection.onnx import OnnxDetector
+from luxloop.perception.detection.params import OnnxParams
+from luxloop.world.errors import LuxloopError
 
 SIZE = 64  # px, of which a stride of 8 makes 64 boxes
 

@@ -6,11 +6,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from world.beams import PATTERNS, Pattern, fit, pattern
-from world.errors import LuxloopError
-from world.headlight.lamp import Lamp, direction
-from world.presets import lamp
-from world.regulation import check, passes
+from luxloop.world.beams import PATTERNS, Pattern, fit, pattern
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.lamp import Lamp, direction
+from luxloop.world.presets import lamp
+from luxloop.world.regulation import check_beam, passes
 
 DEG15 = math.tan(math.radians(15))
 
@@ -61,7 +61,7 @@ def test_an_unknown_beam_names_its_neighbour() -> None:
 
 @pytest.mark.parametrize(("beam", "rule"), [(beam, rule) for beam, values in PATTERNS.items() for rule in values.rules])
 def test_the_hd_lamp_keeps_the_rules(beam: str, rule: str, ssl_hd: Lamp, beams: dict[str, tuple[Tensor, ...]]) -> None:
-    results = check(lambda d: ssl_hd.intensity(beams[beam], d), rule)
+    results = check_beam(lambda d: ssl_hd.intensity(beams[beam], d), rule)
     assert passes(results), [each for each in results if each.verdict == "fail"]
 
 
@@ -110,7 +110,7 @@ def test_limits_win_over_the_pattern_where_the_lamp_can_keep_them() -> None:
     lores = lamp("ssl-hd-lores")
     glaring = pattern("low").model_copy(update={"above_cd": 700.0})
     loose = fit(lores, glaring.model_copy(update={"rules": ()}))
-    assert not passes(check(lambda d: lores.intensity(loose, d), "r112-passing-b"))
+    assert not passes(check_beam(lambda d: lores.intensity(loose, d), "r112-passing-b"))
     kept = fit(lores, glaring)
-    zones = {each.id: each for each in check(lambda d: lores.intensity(kept, d), "r112-passing-b")}
+    zones = {each.id: each for each in check_beam(lambda d: lores.intensity(kept, d), "r112-passing-b")}
     assert zones["Zone III"].verdict == zones["B50L"].verdict == "pass"

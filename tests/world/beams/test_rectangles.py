@@ -6,9 +6,9 @@ from itertools import combinations
 import pytest
 import torch
 
-from world.beams.rectangles import QUICK, RECTANGLES, Rectangle
-from world.errors import LuxloopError
-from world.texels import TexelGrid
+from luxloop.world.beams.rectangles import QUICK, RECTANGLES, Rectangle
+from luxloop.world.errors import LuxloopError
+from luxloop.world.texels import TexelGrid
 
 GRID = TexelGrid.from_degrees(100, 400, 20, -20, -5, 5)
 

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from world.headlight.fit import solve
-from world.spmv import Csr, multiply
+from luxloop.world.headlight.fit import solve
+from luxloop.world.spmv import Csr, multiply
 
 
 def problem(seed: int, m: int = 60, n: int = 25, signed: bool = False) -> tuple[sp.csr_array, np.ndarray, np.ndarray]:

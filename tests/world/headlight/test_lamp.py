@@ -6,12 +6,12 @@ from dataclasses import replace
 import pytest
 import torch
 
-from world.errors import LuxloopError
-from world.frames import pose_from_degrees
-from world.headlight import Headlight
-from world.headlight.lamp import Lamp, Module, direction
-from world.presets import idealised
-from world.texels import TexelGrid
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import Lamp, Module, direction
+from luxloop.world.presets import idealised
+from luxloop.world.texels import TexelGrid
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from world.frames import pose_from_degrees
-from world.headlight import Headlight
-from world.presets import idealised
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight import Headlight
+from luxloop.world.presets import idealised
 
 
 def tan(degrees: float) -> float:

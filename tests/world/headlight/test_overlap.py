@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
-from world.errors import LuxloopError
-from world.headlight.overlap import PULL, Method, errors, reduce, standard_use_cases, strongest
-from world.spmv import Csr
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.overlap import PULL, Method, errors, reduce, standard_use_cases, strongest
+from luxloop.world.spmv import Csr
 
 METHODS: tuple[Method, ...] = ("threshold", "proportional", "least_squares")
 each_method = pytest.mark.parametrize("method", METHODS)

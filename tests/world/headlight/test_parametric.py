@@ -8,8 +8,8 @@ from pydantic import ValidationError
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from world.headlight.parametric import BlurredRectangles, GaussianPixels
-from world.texels import TexelGrid
+from luxloop.world.headlight.parametric import BlurredRectangles, GaussianPixels
+from luxloop.world.texels import TexelGrid
 
 GRID = TexelGrid.from_degrees(60, 90, 12, -9, -5, 6)
 RECTANGLES = {

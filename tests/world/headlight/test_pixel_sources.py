@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from world.errors import LuxloopError
-from world.headlight.pixel_sources import FileSource, FolderSource, TableSource
-from world.headlight.pixels import PixelArray, assemble
-from world.photometry import lm63
-from world.photometry.distribution import Distribution
-from world.texels import TexelGrid
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.pixel_sources import FileSource, FolderSource, TableSource
+from luxloop.world.headlight.pixels import PixelArray, assemble
+from luxloop.world.photometry import lm63
+from luxloop.world.photometry.distribution import Distribution
+from luxloop.world.texels import TexelGrid
 
 H, V = np.linspace(-6, 6, 25), np.linspace(-3, 3, 13)
 GRID = TexelGrid.from_degrees(40, 80, 6, -6, -3, 3)

@@ -11,15 +11,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from world import budget
-from world.errors import LuxloopError
-from world.headlight import pixels
-from world.headlight.pixel_sources import FileSource
-from world.headlight.pixels import Pixel, PixelArray, _window, assemble, border_share, default_grid
-from world.photometry import files, lm63
-from world.photometry.distribution import Aim, Distribution, angles_of, directions_of
-from world.photometry.texture import light_texture, solid_angles
-from world.texels import TexelGrid
+from luxloop.world import budget
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight import pixels
+from luxloop.world.headlight.pixel_sources import FileSource
+from luxloop.world.headlight.pixels import Pixel, PixelArray, _window, assemble, border_share, default_grid
+from luxloop.world.photometry import files, lm63
+from luxloop.world.photometry.distribution import Aim, Distribution, angles_of, directions_of
+from luxloop.world.photometry.texture import light_texture, solid_angles
+from luxloop.world.texels import TexelGrid
 
 ANGLES = np.linspace(-3, 3, 25)
 GRID = TexelGrid.from_degrees(60, 80, 4, -4, -3, 3)

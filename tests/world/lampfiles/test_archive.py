@@ -15,12 +15,12 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from world.errors import LuxloopError
-from world.frames import pose_from_degrees
-from world.headlight import Headlight
-from world.headlight.lamp import Lamp, Module
-from world.lampfiles.archive import load, save
-from world.spmv import Csr
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import Lamp, Module
+from luxloop.world.lampfiles.archive import load, save
+from luxloop.world.spmv import Csr
 
 
 def headlight(dtype: torch.dtype, coloured: bool) -> Headlight:

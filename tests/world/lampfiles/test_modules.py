@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from world.errors import LuxloopError
-from world.lampfiles.modules import ModuleParams, build_module
-from world.photometry import Distribution, write
+from luxloop.world.errors import LuxloopError
+from luxloop.world.lampfiles.modules import ModuleParams, build_module
+from luxloop.world.photometry import Distribution, write
 
 ASIDE = {"left_deg": 40, "right_deg": 30}
 RECTANGLES = {

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from world.errors import LuxloopError
-from world.lampfiles.utilisations import read_utilisation
+from luxloop.world.errors import LuxloopError
+from luxloop.world.lampfiles.utilisations import read_utilisation
 
 
 def npy(array: np.ndarray) -> bytes:

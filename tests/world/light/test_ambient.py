@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import torch
 
-from world.frames import pose_from_degrees
-from world.light.ambient import ambient_luminance
-from world.materials.brdf import LAMBERTIAN, Material
-from world.rendering.gbuffer import Finish, GBuffer
-from world.scene.body import Spotlight
-from world.scene.scene import StreetLamp
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.light.ambient import ambient_luminance
+from luxloop.world.materials.brdf import LAMBERTIAN, Material
+from luxloop.world.rendering.gbuffer import Finish, GBuffer
+from luxloop.world.scene.body import Spotlight
+from luxloop.world.scene.scene import StreetLamp
 
 
 def surfaces(device: torch.device) -> GBuffer:

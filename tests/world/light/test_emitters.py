@@ -5,12 +5,12 @@ import math
 import pytest
 import torch
 
-from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
-from world.headlight.lamp import Lamp, Module, direction
-from world.light.emitters import sources, surface_light, wall_illuminance
-from world.presets import idealised
-from world.rendering.flat_road import flat_road
-from world.view import View
+from luxloop.world.frames import R_ISO_OPENCV, pose, pose_from_degrees
+from luxloop.world.headlight.lamp import Lamp, Module, direction
+from luxloop.world.light.emitters import sources, surface_light, wall_illuminance
+from luxloop.world.presets import idealised
+from luxloop.world.rendering.flat_road import flat_road
+from luxloop.world.view import View
 
 LEFT = pose_from_degrees((0.0, 0.6, 0.75))
 MIDDLE = pose_from_degrees((0.0, 0.0, 0.75))

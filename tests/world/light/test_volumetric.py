@@ -9,17 +9,17 @@ import torch
 import trimesh
 from scipy.integrate import quad
 
-from world.frames import pose_from_degrees
-from world.headlight import Headlight
-from world.headlight.lamp import Lamp, Module
-from world.light.emitters import Source, sources
-from world.light.volumetric import Medium, airlight, phase
-from world.presets import idealised
-from world.rendering.face_source import face_source
-from world.rendering.shadow import shadow_map
-from world.scene.body import Body
-from world.scene.scene import Scene
-from world.spmv import Csr
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import Lamp, Module
+from luxloop.world.light.emitters import Source, sources
+from luxloop.world.light.volumetric import Medium, airlight, phase
+from luxloop.world.presets import idealised
+from luxloop.world.rendering.face_source import face_source
+from luxloop.world.rendering.shadow import shadow_map
+from luxloop.world.scene.body import Body
+from luxloop.world.scene.scene import Scene
+from luxloop.world.spmv import Csr
 
 I_CD = 1000.0
 CLEAR = Medium(1e-9, 1e-9, 0.0)  # scatters a little and dims nothing

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from world.errors import LuxloopError
-from world.materials.brdf import LAMBERTIAN, Material, luminance_factor
-from world.materials.library import MATERIALS, WET
+from luxloop.world.errors import LuxloopError
+from luxloop.world.materials.brdf import LAMBERTIAN, Material, luminance_factor
+from luxloop.world.materials.library import MATERIALS, WET
 
 share = st.sampled_from([0.0, 1.0]) | st.floats(0, 1)
 materials = st.builds(Material, share, share, st.floats(0.02, 1), share, st.floats(0.2, 10))

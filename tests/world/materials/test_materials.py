@@ -8,18 +8,18 @@ from pydantic import ValidationError
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.light.illumination import luminance, reach, transport
+from luxloop.world.materials.brdf import LAMBERTIAN, luminance_factor
+from luxloop.world.materials.library import MATERIALS, WET, RoadSurfaceParams
+from luxloop.world.presets import idealised
+from luxloop.world.rendering.flat_road import flat_road
+from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
+from luxloop.world.rendering.raycast import RayCaster
+from luxloop.world.scene.body import Body
+from luxloop.world.scene.scene import Scene
+from luxloop.world.traffic.objects import BoxParams
 from tests.world.grids import camera, flat
-from world.frames import pose_from_degrees
-from world.light.illumination import luminance, reach, transport
-from world.materials.brdf import LAMBERTIAN, luminance_factor
-from world.materials.library import MATERIALS, WET, RoadSurfaceParams
-from world.presets import idealised
-from world.rendering.flat_road import flat_road
-from world.rendering.gbuffer import GBuffer, gbuffer
-from world.rendering.raycast import RayCaster
-from world.scene.body import Body
-from world.scene.scene import Scene
-from world.traffic.objects import BoxParams
 
 LAMP = idealised(20, 32, intensity_cd=30_000.0)
 T_LEFT = pose_from_degrees((0.0, 0.6, 0.75))

@@ -3,13 +3,13 @@
 import pytest
 import torch
 
+from luxloop.world.materials.library import MATERIALS, WET, RoadSurfaceParams
+from luxloop.world.materials.spots import SpotParams, SpottedTexture
+from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
+from luxloop.world.rendering.raycast import RayCaster
+from luxloop.world.scene.body import Body
+from luxloop.world.scene.scene import Scene
 from tests.world.grids import camera, flat
-from world.materials.library import MATERIALS, WET, RoadSurfaceParams
-from world.materials.spots import SpotParams, SpottedTexture
-from world.rendering.gbuffer import GBuffer, gbuffer
-from world.rendering.raycast import RayCaster
-from world.scene.body import Body
-from world.scene.scene import Scene
 
 DRY = RoadSurfaceParams(seed=3)
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from luxloop.world.opencrg import Crg, CrgError, CrgSurface, filled, modified, read_crg
 from tests.world.opencrg.writer import write_crg
-from world.opencrg import Crg, CrgError, CrgSurface, filled, modified, read_crg
 
 # The library keeps elevations as float32 and its x, y are printed to 1e-9 m, so we differ by 2e-9 m at most; this is the promise.
 TOLERANCE_M = 1e-6

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from world.files import whole
-from world.opencrg.crg import KINDS, TEXT_WIDTH, Crg, CrgError
+from luxloop.world.files import whole
+from luxloop.world.opencrg.crg import KINDS, TEXT_WIDTH, Crg, CrgError
 
 
 def write_crg(path: str | Path, crg: Crg, kind: str | None = None) -> None:

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import dblquad
 
-from world.errors import LuxloopError
-from world.headlight.lamp import direction
-from world.photometry import Distribution, sample
-from world.photometry.distribution import Aim, Kind, angles_of, directions_of
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.lamp import direction
+from luxloop.world.photometry import Distribution, sample
+from luxloop.world.photometry.distribution import Aim, Kind, angles_of, directions_of
 
 HALF = math.sqrt(0.5)
 AHEAD, RIGHT, UP, DOWN = (1, 0, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from luxloop.world.errors import LuxloopError
+from luxloop.world.photometry import Distribution, read_photometry, write_eulumdat
+from luxloop.world.photometry.eulumdat import parse
 from tests.world.photometry.writing import ies, ldt
-from world.errors import LuxloopError
-from world.photometry import Distribution, read, write_eulumdat
-from world.photometry.eulumdat import parse
 
 C, GAMMA = [0, 90, 180, 270], [0, 90, 180]
 TABLE = [[10.0, 20, 30], [40, 50, 60]]
@@ -70,7 +70,7 @@ def test_separated_thousands_are_refused_or_told(number: int, separator: str) ->
 @pytest.mark.parametrize("layout", [lambda t: t.replace("\n", "\r\n"), lambda t: t.replace(".", ","), lambda t: "﻿" + t])
 def test_layout_does_not_matter(layout, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     (tmp_path / "lamp.ldt").write_bytes(layout(ldt(4, C, GAMMA, [[10.5, 20, 30], [40, 50, 60]])).encode())
-    assert read(tmp_path / "lamp.ldt").distribution.candela[0, 0] == 21
+    assert read_photometry(tmp_path / "lamp.ldt").distribution.candela[0, 0] == 21
 
 
 def test_a_negative_number_of_lamps_means_absolute() -> None:
@@ -136,11 +136,11 @@ def test_truncated_files_name_their_end(lines: int) -> None:
 
 def test_what_a_file_holds_counts_more_than_its_name(tmp_path: Path) -> None:
     (tmp_path / "lamp.ldt").write_text(ies([0, 90], [0], [[1, 2]]))
-    assert read(tmp_path / "lamp.ldt").format == "LM-63-2002"
+    assert read_photometry(tmp_path / "lamp.ldt").format == "LM-63-2002"
     (tmp_path / "lamp.ies").write_text(PLAIN.replace("\nreport\n", "\nTILT = 15 deg\n"))
-    assert read(tmp_path / "lamp.ies").format == "EULUMDAT"
+    assert read_photometry(tmp_path / "lamp.ies").format == "EULUMDAT"
     (tmp_path / "lamp.txt").write_text(PLAIN)
-    assert read(tmp_path / "lamp.txt").format == "EULUMDAT"
+    assert read_photometry(tmp_path / "lamp.txt").format == "EULUMDAT"
 
 
 PIECES = st.sampled_from(["-1", "0", "nan", "1e400", "9999999999999", "\n", "\x1a", ",", "x", "ÿ", "1_0", "٣", "1e308", ""])
@@ -152,7 +152,7 @@ def test_any_damage_is_read_or_refused_with_a_sentence(tmp_path: Path, at: int, 
     file = tmp_path / "lamp.ldt"
     file.write_bytes((PLAIN[:at] + piece + ("" if truncated else PLAIN[at + cut :])).encode())
     try:
-        assert np.isfinite(read(file).distribution.candela).all()
+        assert np.isfinite(read_photometry(file).distribution.candela).all()
     except LuxloopError as error:
         assert str(file) in str(error)
 
@@ -163,7 +163,7 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
     candela[:, -2:] = 0
     written = Distribution("C", gamma, c, candela)
     write_eulumdat(tmp_path / "a.ldt", written, "a lamp, tilted")
-    again = read(tmp_path / "a.ldt")
+    again = read_photometry(tmp_path / "a.ldt")
     assert (again.warnings, again.luminaire, again.distribution.type) == ((), "a lamp, tilted", "C")
     assert np.array_equal(again.distribution.horizontal_deg, c) and np.array_equal(again.distribution.vertical_deg, gamma)
     assert again.distribution.candela == pytest.approx(candela, abs=0.01), "three decimals of cd/klm, 3 lm"

@@ -10,10 +10,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
+from luxloop.world.errors import LuxloopError
+from luxloop.world.photometry import Distribution, read_photometry, write
+from luxloop.world.photometry.lm63 import parse
 from tests.world.photometry.writing import ies
-from world.errors import LuxloopError
-from world.photometry import Distribution, read, write
-from world.photometry.lm63 import parse
 
 V, H, TABLE = [0.0, 45, 90], [0.0, 90], [[10.0, 20, 30], [40, 50, 60]]
 PLAIN = ies(V, H, TABLE)
@@ -103,7 +103,7 @@ def test_keywords_go_on_with_more() -> None:
 def test_layout_does_not_matter(layout, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     file = tmp_path / "lamp.ies"
     file.write_bytes(layout(PLAIN).encode())
-    p = read(file)
+    p = read_photometry(file)
     assert p.warnings == () and p.format == "LM-63-2002"
     np.testing.assert_array_equal(p.distribution.candela, TABLE)
 
@@ -112,7 +112,7 @@ def test_latin_1_where_utf_8_fails(tmp_path: Path) -> None:
     text = ies(V, H, TABLE, head="IESNA91\n[MANUFAC] Müller\n")
     for encoding in ("latin-1", "utf-8"):
         (tmp_path / "lamp.ies").write_bytes(text.encode(encoding))
-        assert read(tmp_path / "lamp.ies").keywords["MANUFAC"] == "Müller"
+        assert read_photometry(tmp_path / "lamp.ies").keywords["MANUFAC"] == "Müller"
 
 
 @pytest.mark.parametrize(
@@ -174,12 +174,12 @@ def test_broken_files_name_the_line_and_what_was_expected(text: str, line: int, 
 def test_what_is_no_text_is_refused(data: bytes, words: str, tmp_path: Path) -> None:
     (tmp_path / "lamp.ies").write_bytes(data)
     with pytest.raises(LuxloopError, match=words):
-        read(tmp_path / "lamp.ies")
+        read_photometry(tmp_path / "lamp.ies")
 
 
 def test_a_missing_file_is_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(LuxloopError, match=r"lamp\.ies: cannot be read"):
-        read(tmp_path / "lamp.ies")
+        read_photometry(tmp_path / "lamp.ies")
 
 
 def test_tilt_is_offered_and_not_applied(tmp_path: Path) -> None:
@@ -187,12 +187,12 @@ def test_tilt_is_offered_and_not_applied(tmp_path: Path) -> None:
     for tilt in (f"TILT=INCLUDE\n{factors}", "TILT=C:\\lamps\\lamp.tlt\n"):
         (tmp_path / "lamp.ies").write_text(ies(V, H, TABLE, tilt=tilt))
         (tmp_path / "lamp.tlt").write_text(factors)
-        p = read(tmp_path / "lamp.ies")
+        p = read_photometry(tmp_path / "lamp.ies")
         assert p.tilt_factors is not None and p.tilt_factors.geometry == 3
         np.testing.assert_array_equal(p.tilt_factors.factors, [1, 0.5])
         np.testing.assert_array_equal(p.distribution.candela, TABLE)
     (tmp_path / "lamp.tlt").unlink()
-    p = read(tmp_path / "lamp.ies")
+    p = read_photometry(tmp_path / "lamp.ies")
     assert p.tilt_factors is None and "beside" in p.warnings[0]
 
 
@@ -214,7 +214,7 @@ def distributions(draw: st.DrawFn) -> Distribution:
 @given(distributions())
 def test_what_is_written_is_read_back(tmp_path: Path, d: Distribution) -> None:
     write(tmp_path / "lamp.ies", d, {"LAMP": "one\ntwo"})
-    p = read(tmp_path / "lamp.ies")
+    p = read_photometry(tmp_path / "lamp.ies")
     assert (p.format, p.keywords["LAMP"], p.distribution.type, p.absolute) == ("LM-63-2019", "one\ntwo", d.type, True)
     np.testing.assert_array_equal(p.distribution.vertical_deg, d.vertical_deg)
     np.testing.assert_array_equal(p.distribution.horizontal_deg, d.horizontal_deg)
@@ -243,7 +243,7 @@ def test_any_damage_is_read_or_refused_with_a_sentence(tmp_path: Path, at: int, 
     file = tmp_path / f"lamp.{suffix}"
     file.write_bytes((PLAIN[:at] + piece + ("" if truncated else PLAIN[at + cut :])).encode())
     try:
-        assert np.isfinite(read(file).distribution.candela).all()
+        assert np.isfinite(read_photometry(file).distribution.candela).all()
     except LuxloopError as error:
         assert str(file) in str(error)
 
@@ -253,7 +253,7 @@ def test_any_damage_is_read_or_refused_with_a_sentence(tmp_path: Path, at: int, 
 def test_any_bytes_are_read_or_refused(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "lamp.ies").write_bytes(data)
     with pytest.raises(LuxloopError):
-        read(tmp_path / "lamp.ies")
+        read_photometry(tmp_path / "lamp.ies")
 
 
 def test_a_folder_of_pixels_is_read_quickly(tmp_path: Path) -> None:
@@ -263,6 +263,6 @@ def test_a_folder_of_pixels_is_read_quickly(tmp_path: Path) -> None:
     durations = []
     for _ in range(10):
         start = time.process_time()
-        read(tmp_path / "pixel.ies")
+        read_photometry(tmp_path / "pixel.ies")
         durations.append(time.process_time() - start)
     assert min(durations) < 0.02  # some 1 ms on a quiet machine; a reader that is slow by design takes 50

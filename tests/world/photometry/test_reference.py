@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from world.photometry import Photometry, read, write
+from luxloop.world.photometry import Photometry, read_photometry, write
 
 IES = [
     *("defined", "defined_diffuse", "display", "examp1", "medium_scatter", "parallel_beam", "three_lobe_vee"),
@@ -18,7 +18,7 @@ RTOL = 1e-6  # the goal; the reference is rounded to ten digits
 
 
 def facts(data_dir: Path, name: str) -> tuple[Photometry, dict[str, Any]]:
-    return read(data_dir / "ies" / name), json.loads((data_dir / "ies" / "reference.json").read_text("utf-8"))["files"][name]
+    return read_photometry(data_dir / "ies" / name), json.loads((data_dir / "ies" / "reference.json").read_text("utf-8"))["files"][name]
 
 
 @pytest.mark.parametrize("name", IES)
@@ -73,9 +73,9 @@ def test_eulumdat(data_dir: Path, name: str) -> None:
 
 @pytest.mark.parametrize("name", IES)
 def test_every_file_makes_the_way_back_through_the_writer(data_dir: Path, tmp_path: Path, name: str) -> None:
-    d = read(data_dir / "ies" / f"{name}.ies").distribution
+    d = read_photometry(data_dir / "ies" / f"{name}.ies").distribution
     write(tmp_path / "again.ies", d)
-    again = read(tmp_path / "again.ies").distribution
+    again = read_photometry(tmp_path / "again.ies").distribution
     assert again.type == d.type
     np.testing.assert_array_equal(again.vertical_deg, d.vertical_deg)
     np.testing.assert_array_equal(again.horizontal_deg, d.horizontal_deg)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from world.photometry import Distribution, light_texture, rmse
-from world.photometry.distribution import Kind
-from world.photometry.texture import angles_about, samples, solid_angles
-from world.texels import TexelGrid
+from luxloop.world.photometry import Distribution, light_texture, rmse
+from luxloop.world.photometry.distribution import Kind
+from luxloop.world.photometry.texture import angles_about, samples, solid_angles
+from luxloop.world.texels import TexelGrid
 
 
 def beam(step_deg: float, kind: Kind = "A") -> Distribution:

@@ -10,9 +10,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from world.errors import LuxloopError
-from world.regulation import Result, aim, check, passes, rule_set, sets
-from world.regulation.cutoff import inflection
+from luxloop.world.errors import LuxloopError
+from luxloop.world.regulation import Result, aim_beam, check_beam, passes, rule_set, sets
+from luxloop.world.regulation.cutoff import inflection
 
 Intensity = Callable[[Tensor], Tensor]
 
@@ -109,7 +109,7 @@ def test_ids_may_be_typed_loosely_and_r112_is_r149_of_the_00_series() -> None:
 
 
 def test_uniform_light_meets_minima_below_it_and_misses_maxima_under_it() -> None:
-    found = rows(check(uniform(1000.0), "r149-passing-c"))
+    found = rows(check_beam(uniform(1000.0), "r149-passing-c"))
     assert found["Zone III"].verdict == "fail" and found["Zone III"].value == 1000
     assert found["Zone III"].margin == pytest.approx(1 - 1000 / 625)
     assert found["S50 + S50LL + S50RR"].value == 3000
@@ -121,44 +121,44 @@ def test_uniform_light_meets_minima_below_it_and_misses_maxima_under_it() -> Non
 
 
 def test_flux_is_integrated_and_counts_only_on_its_condition() -> None:
-    found = rows(check(uniform(1000.0), "r149-passing-c"))["Flux 15D to 1U"]
+    found = rows(check_beam(uniform(1000.0), "r149-passing-c"))["Flux 15D to 1U"]
     solid_angle = math.radians(60) * (math.sin(math.radians(1)) + math.sin(math.radians(15)))
     assert found.value == pytest.approx(1000 * solid_angle, rel=1e-6)  # midpoint rule at 0.1 deg
     assert found.verdict == "not applicable" and found.note == "only if objective flux of the sources below 1000 lm"
-    counted = rows(check(uniform(1000.0), "r149-passing-c", conditional=True))["Flux 15D to 1U"]
+    counted = rows(check_beam(uniform(1000.0), "r149-passing-c", conditional=True))["Flux 15D to 1U"]
     assert counted.verdict == "fail" and counted.margin == pytest.approx(1000 * solid_angle / 400 - 1, rel=1e-6)
 
 
 def test_the_worst_point_of_a_ramp_is_at_the_end_of_its_segment_and_at_the_corner_of_its_zone() -> None:
-    found = rows(check(field(lambda h, v: 400 + 20 * h + 10 * v), "r149-passing-c"))
+    found = rows(check_beam(field(lambda h, v: 400 + 20 * h + 10 * v), "r149-passing-c"))
     assert found["Zone III"].where == pytest.approx((8, 4)) and found["Zone III"].value == pytest.approx(600)
     assert found["Segment 25"].where == pytest.approx((-9, -1.72)) and found["Segment 25"].value == pytest.approx(400 - 180 - 17.2)
-    left = rows(check(field(lambda h, v: 400 + 20 * h + 10 * v), "r149-passing-c", traffic="left"))
+    left = rows(check_beam(field(lambda h, v: 400 + 20 * h + 10 * v), "r149-passing-c", traffic="left"))
     assert left["P"].where == pytest.approx((7, 0)) and left["P"].value == pytest.approx(540)
 
 
 def test_both_limits_of_a_segment_are_watched() -> None:
     ramp = field(lambda h, v: 1500 + 600 * (h - 2))  # 900 to 2100 cd over 1R to 3R
-    assert rows(check(ramp, "fmvss108-lb2v"))["0.5U 1R to 3R"].where == pytest.approx((3, 0.5))
-    assert rows(check(field(lambda h, v: 600 * h.abs()), "fmvss108-lb2v"))["0.5U 1R to 3R"].where == pytest.approx((1, 0.5))
+    assert rows(check_beam(ramp, "fmvss108-lb2v"))["0.5U 1R to 3R"].where == pytest.approx((3, 0.5))
+    assert rows(check_beam(field(lambda h, v: 600 * h.abs()), "fmvss108-lb2v"))["0.5U 1R to 3R"].where == pytest.approx((1, 0.5))
 
 
 def test_the_largest_intensity_is_found_between_samples_and_h_v_is_judged_by_it() -> None:
     peak = field(lambda h, v: 50_000 * torch.exp(-(((h - 0.513) / 2) ** 2) - ((v - 0.227) / 0.5) ** 2))
-    found = rows(check(peak, "r149-driving-a"))
+    found = rows(check_beam(peak, "r149-driving-a"))
     # Refined samples lie 0.01 deg apart: at most 0.005 deg off a peak that is 0.5 deg wide.
     assert found["Imax"].value == pytest.approx(50_000, rel=2e-4)
     assert found["Imax"].where == pytest.approx((0.513, 0.227), abs=0.01)
     assert found["H-V"].min == pytest.approx(40_000, rel=2e-4) and found["H-V"].verdict == "fail"
-    turn = aim(peak, "r149-driving-a")
+    turn = aim_beam(peak, "r149-driving-a")
     assert turn == pytest.approx((-0.513, -0.227), abs=0.02)
-    assert rows(check(peak, "r149-driving-a", aim=turn))["H-V"].verdict == "pass"
+    assert rows(check_beam(peak, "r149-driving-a", aim=turn))["H-V"].verdict == "pass"
 
 
 @pytest.mark.parametrize("set_id", ["r149-passing-c", "r112-passing-b", "fmvss108-lb2v"])
 def test_finer_samples_change_nothing(set_id: str) -> None:
     bumpy = field(lambda h, v: 3000 + 1000 * torch.sin(2.1 * h + 0.3) * torch.cos(3.7 * v - 0.2))
-    pairs = zip(check(bumpy, set_id), check(bumpy, set_id, step_deg=0.02), strict=True)
+    pairs = zip(check_beam(bumpy, set_id), check_beam(bumpy, set_id, step_deg=0.02), strict=True)
     for usual, finer in pairs:
         # Second order in the step: 1000 cd * (3.7 / deg * 0.025 deg)^2 / 2 = 4 cd on lines, less where the search is refined.
         assert usual.value == pytest.approx(finer.value, abs=5), usual.id
@@ -172,35 +172,35 @@ def test_the_cut_off_is_found_at_its_height_and_as_sharp_as_it_is() -> None:
     found = inflection(low_beam(-0.8), -2.5, -0.57)
     assert found.sharpness == pytest.approx(0.25, abs=1e-9)
     assert found.v_deg == pytest.approx(-0.8, abs=0.05)  # the middle of one decade of constant slope, in steps of 0.05 deg
-    judged = rows(check(low_beam(), "r149-passing-c"))
+    judged = rows(check_beam(low_beam(), "r149-passing-c"))
     assert judged["Cut-off sharpness"].verdict == judged["Cut-off straightness"].verdict == "pass"
-    assert rows(check(low_beam(decades_per_deg=6), "r149-passing-c"))["Cut-off sharpness"].verdict == "fail"
-    assert rows(check(low_beam(h_kink_deg=-4), "r149-passing-c"))["Cut-off straightness"].verdict == "fail"
+    assert rows(check_beam(low_beam(decades_per_deg=6), "r149-passing-c"))["Cut-off sharpness"].verdict == "fail"
+    assert rows(check_beam(low_beam(h_kink_deg=-4), "r149-passing-c"))["Cut-off straightness"].verdict == "fail"
 
 
 @pytest.mark.parametrize("traffic", ["right", "left"])
 def test_a_lamp_is_aimed_by_its_cut_off(traffic: Any) -> None:
     beam = low_beam(-0.9, 0.6)
     turned = beam if traffic == "right" else lambda d: beam(d * torch.tensor([[1.0], [-1.0], [1.0]]))
-    turn = aim(turned, "r149-passing-v", traffic=traffic)
+    turn = aim_beam(turned, "r149-passing-v", traffic=traffic)
     sign = 1 if traffic == "right" else -1
     # The scan's step is 0.05 deg, and the shoulder rises by 0.27 deg per deg. The beam fails at any aim: its foreground is too bright.
     assert turn == pytest.approx((-0.6 * sign, 0.33), abs=0.2)
-    where = rows(check(turned, "r149-passing-v", aim=turn, traffic=traffic))["Cut-off sharpness"].where
+    where = rows(check_beam(turned, "r149-passing-v", aim=turn, traffic=traffic))["Cut-off sharpness"].where
     assert where == pytest.approx((-2.5 * sign, -0.57), abs=0.05)
 
 
 def test_a_lamp_is_turned_within_the_tolerance_where_that_makes_it_pass() -> None:
     beam = low_beam(decades_per_deg=1.5)  # soft: 75R lies on the slope
-    assert not passes(check(beam, "r112-passing-b"))
-    turn = aim(beam, "r112-passing-b")
+    assert not passes(check_beam(beam, "r112-passing-b"))
+    turn = aim_beam(beam, "r112-passing-b")
     assert -0.5 <= turn[0] <= 0.75 and 0 < turn[1] <= 0.25
-    assert passes(check(beam, "r112-passing-b", aim=turn))
+    assert passes(check_beam(beam, "r112-passing-b", aim=turn))
 
 
 def test_turning_the_lamp_up_raises_the_light() -> None:
     spot = field(lambda h, v: 1e5 * torch.exp(-(h**2) - v**2))
-    found = rows(check(spot, "r149-driving-a", aim=(3.0, 2.0)))
+    found = rows(check_beam(spot, "r149-driving-a", aim=(3.0, 2.0)))
     assert found["Imax"].where == pytest.approx((3, 2), abs=0.02)
 
 
@@ -235,6 +235,6 @@ def misses(set_id: str, h: float, v: float, cd: float) -> bool:
 
 
 def test_a_beam_made_of_formulas_passes_class_b_of_r112_and_fails_class_c_where_it_should() -> None:
-    assert passes(check(low_beam(), "r112-passing-b"))
-    failed = {each.id for each in check(low_beam(), "r149-passing-c") if each.verdict == "fail"}
+    assert passes(check_beam(low_beam(), "r112-passing-b"))
+    failed = {each.id for each in check_beam(low_beam(), "r149-passing-c") if each.verdict == "fail"}
     assert failed == {"75R", "Segment 10 and below"}  # less light close below the cut-off than class C wants, too much in the foreground

@@ -11,19 +11,19 @@ import trimesh
 from torch.nn.functional import max_pool2d
 from trimesh.ray.ray_pyembree import _EmbreeWrap
 
-import world.rendering.rasterise
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.materials.library import Texture
+from luxloop.world.rendering import rasterise
+from luxloop.world.rendering.face_source import FaceSource, face_source
+from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
+from luxloop.world.rendering.rasterise import NoOpenGL
+from luxloop.world.rendering.raycast import RayCaster, first_hits, hits_on
+from luxloop.world.scene.body import Body, PoseTrack
+from luxloop.world.scene.scene import Scene
+from luxloop.world.scene.triangles import Triangles
+from luxloop.world.traffic.objects import BoxParams
+from luxloop.world.view import View
 from tests.world.grids import bumpy, camera, flat, grid, lamp
-from world.frames import pose_from_degrees
-from world.materials.library import Texture
-from world.rendering.face_source import FaceSource, face_source
-from world.rendering.gbuffer import GBuffer, gbuffer
-from world.rendering.rasterise import NoOpenGL
-from world.rendering.raycast import RayCaster, first_hits, hits_on
-from world.scene.body import Body, PoseTrack
-from world.scene.scene import Scene
-from world.scene.triangles import Triangles
-from world.traffic.objects import BoxParams
-from world.view import View
 
 
 @pytest.fixture(params=["opengl", "raycast"])
@@ -169,7 +169,7 @@ def test_views_of_different_sizes_take_turns(source):
 
 def test_auto_falls_back_to_rays_with_a_warning(monkeypatch):
     monkeypatch.setenv("PYOPENGL_PLATFORM", "none")
-    monkeypatch.setattr(world.rendering.rasterise, "context", world.rendering.rasterise.context.__wrapped__)
+    monkeypatch.setattr(rasterise, "context", rasterise.context.__wrapped__)
     with pytest.warns(UserWarning, match="ray casting"):
         assert isinstance(face_source("auto"), RayCaster)
     with pytest.raises(NoOpenGL, match="libegl1"):

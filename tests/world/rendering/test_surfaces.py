@@ -6,18 +6,18 @@ from functools import cache
 import pytest
 import torch
 
+from luxloop.world.frames import inverse, pose_from_degrees, transform
+from luxloop.world.materials.library import RoadSurfaceParams
+from luxloop.world.rendering.deferred import DeferredRenderer
+from luxloop.world.rendering.face_source import face_source
+from luxloop.world.rendering.rasterise import NoOpenGL, Rasteriser
+from luxloop.world.rendering.raycast import RayCaster, sees
+from luxloop.world.rendering.surfaces import ExactSurfaces, QuickSurfaces, SurfaceSource, surface_source
+from luxloop.world.scene.body import Body, PoseTrack
+from luxloop.world.scene.scene import Scene
+from luxloop.world.scene.triangles import NOTHING
+from luxloop.world.traffic.objects import BoxParams
 from tests.world.grids import bumpy, camera, lamp
-from world.frames import inverse, pose_from_degrees, transform
-from world.materials.library import RoadSurfaceParams
-from world.rendering.deferred import DeferredRenderer
-from world.rendering.face_source import face_source
-from world.rendering.rasterise import NoOpenGL, Rasteriser
-from world.rendering.raycast import RayCaster, sees
-from world.rendering.surfaces import ExactSurfaces, QuickSurfaces, SurfaceSource, surface_source
-from world.scene.body import Body, PoseTrack
-from world.scene.scene import Scene
-from world.scene.triangles import NOTHING
-from world.traffic.objects import BoxParams
 
 SURFACE = RoadSurfaceParams(markings=True, beads=True)
 

@@ -7,13 +7,13 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 from scipy.signal import welch
 
+from luxloop.world.errors import LuxloopError
+from luxloop.world.opencrg import Crg
+from luxloop.world.roads.iso8608 import GEOMETRIC_MEAN_M3, REFERENCE_FREQUENCY, roughness
+from luxloop.world.roads.mesh import GROWTH, SCENE_X_M, SCENE_Y_M, axis, road_mesh
+from luxloop.world.roads.scan import WHEELS_M
+from luxloop.world.roads.shapes import Bumps, Curb, Flat, Grade, Iso8608, Mixed, OpenCrgRoad, Pothole, Road, RoadParams, SpeedBump, Step
 from tests.world.opencrg.writer import write_crg
-from world.errors import LuxloopError
-from world.opencrg import Crg
-from world.roads.iso8608 import GEOMETRIC_MEAN_M3, REFERENCE_FREQUENCY, roughness
-from world.roads.mesh import GROWTH, SCENE_X_M, SCENE_Y_M, axis, road_mesh
-from world.roads.scan import WHEELS_M
-from world.roads.shapes import Bumps, Curb, Flat, Grade, Iso8608, Mixed, OpenCrgRoad, Pothole, Road, RoadParams, SpeedBump, Step
 
 KINDS = [Flat(), Grade(), Bumps(), SpeedBump(), Curb(), Step(), Pothole(), Iso8608(), Mixed()]
 each_kind = pytest.mark.parametrize("road", KINDS, ids=lambda road: road.kind)

@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from world.roads.shapes import Flat, Iso8608, Road
-from world.scene.driver import BRAKES_M_S2, FASTEST_M_S, LARGEST_1_M, LATERAL_M_S2, PULLS_M_S2, Controls, driven, let_go, taken_over
-from world.scene.vehicle import CourseParams, Motion, VehicleParams, drive
+from luxloop.world.roads.shapes import Flat, Iso8608, Road
+from luxloop.world.scene.driver import BRAKES_M_S2, FASTEST_M_S, LARGEST_1_M, LATERAL_M_S2, PULLS_M_S2, Controls, driven, let_go, taken_over
+from luxloop.world.scene.vehicle import CourseParams, Motion, VehicleParams, drive
 
 RATE_HZ = 30.0
 SIDES = st.floats(-1, 1)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from world.frames import pose_from_degrees
-from world.roads.shapes import Flat, Iso8608
-from world.scene.road_patches import NEAR_M, SIDE_M, SKIRT_M, RoadPatches
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.roads.shapes import Flat, Iso8608
+from luxloop.world.scene.road_patches import NEAR_M, SIDE_M, SKIRT_M, RoadPatches
 
 ROAD = Iso8608(roughness_class="C")
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import torch
 
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.rendering.deferred import DeferredRenderer
+from luxloop.world.rendering.rasterise import NoOpenGL
+from luxloop.world.rendering.surfaces import QuickSurfaces
+from luxloop.world.roads.shapes import Curb, Iso8608, Road
+from luxloop.world.scene.road_tiles import LENGTH_M, NEAR_M, SIGHT_M, RoadTiles
+from luxloop.world.scene.triangles import Triangles
 from tests.world.grids import camera
-from world.frames import pose_from_degrees
-from world.rendering.deferred import DeferredRenderer
-from world.rendering.rasterise import NoOpenGL
-from world.rendering.surfaces import QuickSurfaces
-from world.roads.shapes import Curb, Iso8608, Road
-from world.scene.road_tiles import LENGTH_M, NEAR_M, SIGHT_M, RoadTiles
-from world.scene.triangles import Triangles
 
 ROAD = Iso8608(roughness_class="C")
 

@@ -8,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.materials.library import RoadSurfaceParams, Texture
+from luxloop.world.roads.shapes import Grade
+from luxloop.world.scene.body import Body, PoseTrack
+from luxloop.world.scene.scene import Scene
+from luxloop.world.traffic.objects import BoxParams, MeshParams, ObjectParams
 from tests.world.grids import bumpy, flat
-from world.errors import LuxloopError
-from world.frames import pose_from_degrees
-from world.materials.library import RoadSurfaceParams, Texture
-from world.roads.shapes import Grade
-from world.scene.body import Body, PoseTrack
-from world.scene.scene import Scene
-from world.traffic.objects import BoxParams, MeshParams, ObjectParams
 
 ORIGIN = {"position_m": (0.0, 0.0, 0.0)}
 TURN = [{"time_s": 1.0, "position_m": (10, 0, 0)}, {"time_s": 2.0, "position_m": (14, 2, 0), "yaw_deg": 90}]

@@ -9,10 +9,10 @@ import torch
 from numpy.typing import ArrayLike
 from pydantic import ValidationError
 
-from world.frames import transform
-from world.roads.base import Floats, MeshGrid
-from world.roads.shapes import Flat, GradeParams, Profile
-from world.scene.vehicle import COLUMNS, STANDING, CourseParams, Motion, OscillationParams, SuspensionParams, VehicleParams, drive
+from luxloop.world.frames import transform
+from luxloop.world.roads.base import Floats, MeshGrid
+from luxloop.world.roads.shapes import Flat, GradeParams, Profile
+from luxloop.world.scene.vehicle import COLUMNS, STANDING, CourseParams, Motion, OscillationParams, SuspensionParams, VehicleParams, drive
 
 LAMP = torch.tensor([[0.0], [0.0], [0.75]], dtype=torch.float64)
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from world.errors import LuxloopError
-from world.traffic.mesh_files import read_nodes
+from luxloop.world.errors import LuxloopError
+from luxloop.world.traffic.mesh_files import read_nodes
 
 CORNERS = np.array([[0, 0, 0], [4, 0, 0], [4, 2, 0], [0, 2, 0]], np.float32)
 FACES = np.array([0, 1, 2, 0, 2, 3], np.uint16)

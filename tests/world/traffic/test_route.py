@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from world.errors import LuxloopError
-from world.roads.base import Floats, MeshGrid
-from world.roads.shapes import Flat
-from world.scene.figure import Figure
-from world.scene.vehicle import Motion, VehicleParams, drive
-from world.traffic.generator import LANE_M, ROLES, TrafficParams
-from world.traffic.objects import ObjectParams
-from world.traffic.route import OWN_M
+from luxloop.world.errors import LuxloopError
+from luxloop.world.roads.base import Floats, MeshGrid
+from luxloop.world.roads.shapes import Flat
+from luxloop.world.scene.figure import Figure
+from luxloop.world.scene.vehicle import Motion, VehicleParams, drive
+from luxloop.world.traffic.generator import LANE_M, ROLES, TrafficParams
+from luxloop.world.traffic.objects import ObjectParams
+from luxloop.world.traffic.route import OWN_M
 
 DRIVE_S = 20.0
 SPEEDS = ((0, 14, 0), (2, 14, 0), (4, 11, 0.015), (9, 11, 0.015), (11, 0, 0), (13, 0, 0), (16, 12, -0.01))

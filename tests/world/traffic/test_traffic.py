@@ -8,24 +8,24 @@ import torch
 import trimesh
 from pydantic import TypeAdapter, ValidationError
 
+from luxloop.world.errors import LuxloopError
+from luxloop.world.light.ambient import ambient_luminance
+from luxloop.world.rendering.deferred import DeferredRenderer
+from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
+from luxloop.world.rendering.rasterise import NoOpenGL
+from luxloop.world.rendering.raycast import RayCaster
+from luxloop.world.rendering.surfaces import QuickSurfaces
+from luxloop.world.scene.body import Body
+from luxloop.world.scene.figure import SHAPES, Figure
+from luxloop.world.scene.scene import Scene
+from luxloop.world.traffic.car import LOW_BEAM_CD, CarParams
+from luxloop.world.traffic.generator import SIGHT, TrafficParams, varied
+from luxloop.world.traffic.objects import MeshParams, ObjectParams
+from luxloop.world.traffic.people import SHANK, THIGH, someone, walking
+from luxloop.world.traffic.road_users import STRIDE, PedestrianParams, riding
+from luxloop.world.traffic.shapes import Piece, blob, block, ellipsoid, limb, tube
+from luxloop.world.traffic.tracked import WayParams
 from tests.world.grids import camera
-from world.errors import LuxloopError
-from world.light.ambient import ambient_luminance
-from world.rendering.deferred import DeferredRenderer
-from world.rendering.gbuffer import GBuffer, gbuffer
-from world.rendering.rasterise import NoOpenGL
-from world.rendering.raycast import RayCaster
-from world.rendering.surfaces import QuickSurfaces
-from world.scene.body import Body
-from world.scene.figure import SHAPES, Figure
-from world.scene.scene import Scene
-from world.traffic.car import LOW_BEAM_CD, CarParams
-from world.traffic.generator import SIGHT, TrafficParams, varied
-from world.traffic.objects import MeshParams, ObjectParams
-from world.traffic.people import SHANK, THIGH, someone, walking
-from world.traffic.road_users import STRIDE, PedestrianParams, riding
-from world.traffic.shapes import Piece, blob, block, ellipsoid, limb, tube
-from world.traffic.tracked import WayParams
 
 HERE = ({"position_m": (0.0, 0.0, 0.0)},)
 KINDS = ["pedestrian", "cyclist", "car", "animal", "traffic_sign", "clutter"]

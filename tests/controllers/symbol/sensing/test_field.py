@@ -6,12 +6,12 @@ from dataclasses import replace
 import pytest
 import torch
 
-from controllers.pixels.ssc import Ssc
-from controllers.symbol.sensing.field import SIDES, cut
-from controllers.symbol.sensing.projection import CELLS, ProjectionCommand, Warp
-from controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
-from world.frames import pose_from_degrees
-from world.presets import idealised
+from luxloop.controllers.pixels.ssc import Ssc
+from luxloop.controllers.symbol.sensing.field import SIDES, cut
+from luxloop.controllers.symbol.sensing.projection import CELLS, ProjectionCommand, Warp
+from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.presets import idealised
 
 HEIGHT_M = 0.75
 WHITE = torch.ones(64, 32)
