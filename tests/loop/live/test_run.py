@@ -24,13 +24,13 @@ from tests.loop.conftest import Lux, assert_one_sentence
 from tests.loop.live.walls import calibration, module, wall
 from tests.loop.rig.conftest import Process, free_port
 
-PIXELS = 332 * 1024
+PIXELS = 332 * 64
 GIVEN = ("--no-report", "--no-video", "--set", "modules.left.source=digitised")
 
 
 def of_lamp(lux: float | None = 100.0) -> Calibration:
     """Of a camera of 64 x 48 px and 8 bits that sees the whole lamp."""
-    lamp: LampModule = module(idealised())
+    lamp: LampModule = module(idealised(332, 64))
     camera = wall(width_px=64, height_px=48, hfov_deg=40.0, yaw_deg=0.0).camera
     return replace(calibration(camera, lamp), response=Response.linear(255), lux=lux)
 

@@ -239,24 +239,24 @@ def of_another_lamp(folder: Path) -> None:
 
 
 def of_objects(folder: Path) -> None:
-    np.savez(light_file(folder, 2), u_0=np.array([print] * 332 * 1024, object))
+    np.savez(light_file(folder, 2), u_0=np.array([print] * 332 * 64, object))
 
 
 def of_nothing(folder: Path) -> None:
-    np.savez(light_file(folder, 2), u_0=np.full(332 * 1024, np.nan, np.float32))
+    np.savez(light_file(folder, 2), u_0=np.full(332 * 64, np.nan, np.float32))
 
 
 def of_too_much(folder: Path) -> None:
-    np.savez(light_file(folder, 2), u_0=np.full(332 * 1024, 2, np.float32))
+    np.savez(light_file(folder, 2), u_0=np.full(332 * 64, 2, np.float32))
 
 
 def of_few_pixels(folder: Path) -> None:
     projection = {"symbol.pose": np.zeros(4, np.float32), "symbol.raw_0": np.zeros(3, np.float32)}
-    np.savez(light_file(folder, 2), u_0=np.zeros(332 * 1024, np.float32), **projection)
+    np.savez(light_file(folder, 2), u_0=np.zeros(332 * 64, np.float32), **projection)
 
 
 def of_no_name(folder: Path) -> None:
-    np.savez(light_file(folder, 2), u_0=np.zeros(332 * 1024, np.float32), **{"A/b.pose": np.zeros(4, np.float32)})
+    np.savez(light_file(folder, 2), u_0=np.zeros(332 * 64, np.float32), **{"A/b.pose": np.zeros(4, np.float32)})
 
 
 def in_table(change: Callable[[pa.Table], pa.Table]) -> Callable[[Path], None]:

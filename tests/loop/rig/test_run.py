@@ -27,7 +27,7 @@ from luxloop.world.parquet import read_parquet
 from tests.loop.conftest import Lux, assert_one_sentence
 from tests.loop.rig.conftest import ROOT, Process, eventually
 
-PIXELS = 332 * 1024
+PIXELS = 332 * 64
 PASSWORD = "Tr0ub4dor"
 
 
