@@ -38,23 +38,30 @@ class DeviceCamera:
             "rate_hz": (cv2.CAP_PROP_FPS, params.rate_hz),
         }
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-        if params.fourcc is not None:
-            self._capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*params.fourcc))
+        code = None if params.fourcc is None else cv2.VideoWriter.fourcc(*params.fourcc)
+        if code is not None:
+            self._capture.set(cv2.CAP_PROP_FOURCC, code)
         for key, value in wanted.values():  # all of them first: V4L2 takes width and height together
             self._capture.set(key, value)
         for name, (key, value) in wanted.items():
             got = self._capture.get(key)
             if abs(got - value) > (RATE_SHARE * value if name == "rate_hz" else 0):
-                self._capture.release()
-                raise LuxloopError(
-                    f"camera.{name}: {params.device} gives {got:g} where {value:g} is asked for; `v4l2-ctl --list-formats-ext`"
-                )
+                self._refuse(name, f"{params.device} gives {got:g} where {value:g} is asked for; `v4l2-ctl --list-formats-ext`")
+        if code is not None and self._capture.get(cv2.CAP_PROP_FOURCC) != code:
+            self._refuse("fourcc", f"{params.device} does not give {params.fourcc} of this size; `v4l2-ctl --list-formats-ext`")
         if params.exposure is not None:
             self._capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, LOCKED)
-            self._capture.set(cv2.CAP_PROP_EXPOSURE, params.exposure)
-        if params.gain is not None:
-            self._capture.set(cv2.CAP_PROP_GAIN, params.gain)
+        for name, key, value in (
+            ("exposure", cv2.CAP_PROP_EXPOSURE, params.exposure),
+            ("gain", cv2.CAP_PROP_GAIN, params.gain),
+        ):
+            if value is not None and not self._capture.set(key, value):
+                self._refuse(name, f"{params.device} has no such control; leave it out, `v4l2-ctl --list-ctrls` shows those there are")
         self._capture.set(cv2.CAP_PROP_AUTO_WB, 0)
+
+    def _refuse(self, key: str, reason: str) -> None:
+        self._capture.release()
+        raise LuxloopError(f"camera.{key}: {reason}")
 
     def read(self, timeout_s: float) -> CameraPicture | None:
         """The next picture, as soon as the driver gives it; None if it is damaged. Raises LuxloopError if the device gives none."""

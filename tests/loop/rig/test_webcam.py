@@ -28,6 +28,9 @@ CASES: list[tuple[dict[str, Any], list[int] | str]] = [  # keys; rows, columns a
     (HD | {"rate_hz": 10}, [720, 1280, 255]),
     (HD, "camera.rate_hz"),
     ({"width_px": 1920, "height_px": 1080}, "camera.width_px"),
+    ({"fourcc": "H264"}, "camera.fourcc"),
+    ({"exposure": 100.0}, "camera.exposure"),
+    ({"gain": 1.0}, "camera.gain"),
 ]
 
 
