@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
 
 from luxloop.loop.run import check
 from luxloop.loop.scenario.model import load
@@ -233,16 +232,11 @@ def test_lamps_that_are_not_there_are_named(name: str, words: str) -> None:
     assert words in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("angles", "words"),
-    [
-        (np.linspace(-60, 60, 121), "cannot be distinguished from noise"),
-        (np.linspace(-60, 60, 13), "is out of the lamps' reach, or the symbol is too small for their pixels"),  # it falls between texels
-    ],
-)
-def test_a_pixel_too_wide_for_a_symbol_is_said_in_angles_that_there_are(angles: NDArray[np.float64], words: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("n", [121, 13])
+def test_a_pixel_too_wide_for_a_symbol_is_said_in_angles_that_there_are(n: int, tmp_path: Path) -> None:
+    angles = np.linspace(-60, 60, n)
     lm63.write(tmp_path / "wide.ies", Distribution("A", angles, angles, np.full((len(angles), len(angles)), 500.0)))
     with pytest.raises(LuxloopError) as error:
         check(load("snowflake", [f"headlight.model={tmp_path / 'wide.ies'}"]))
-    assert words in str(error.value)
+    assert "cannot be distinguished from noise" in str(error.value)
     assert "(a pixel of left wide spans about 120 x 148 deg across and down, and the symbol 6.73 x 0.602 deg" in str(error.value)

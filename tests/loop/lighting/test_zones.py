@@ -13,7 +13,6 @@ from luxloop.loop.lighting.summary import shown
 from luxloop.loop.report.marks import marks
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario, validate
-from tests.lamps import SMALL_LAMP
 
 CAMERA = {"width_px": 320, "height_px": 180, "oversampling": 1, "saturation_e": 2000, "pitch_deg": 1.5}
 WALLS = {0.05: 3.0, 0.2: 0.0, 0.8: -3.0}  # y in m by reflectance
@@ -132,7 +131,7 @@ def test_paint_gets_its_own_light() -> None:
     lights = [{"materials": ["lane_paint"], "lx": 8.0}, {"materials": ["asphalt"], "lx": 1.0}]
     function = {"kind": "material", "lights": lights}
     # pixels finer than the line is wide at 20 m, 0.34 deg; the lamp lights from 18 m on
-    simulation = Simulation.prepare(scenario({"by_material": function}, objects=[], headlight={"model": SMALL_LAMP}))
+    simulation = Simulation.prepare(scenario({"by_material": function}, objects=[], headlight={"model": "idealised-332x1024"}))
     state = simulation.start()
     for _ in range(2):
         state, result = simulation.step(state)

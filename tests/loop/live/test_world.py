@@ -34,8 +34,8 @@ def test_the_world_is_lit_by_measured_light() -> None:
     assert isinstance(plant, DigitisedPlant)
     light = simulated.modules[0].headlight
     u = torch.zeros(light.n_pixels)
-    u[120_000:200_000] = 0.5
-    lights = (Utilisation(u, slice(120_000, 200_000)),)
+    u[7_500:12_500] = 0.5
+    lights = (Utilisation(u, slice(7_500, 12_500)),)
     base = simulated.world.lit(0.0).base
     wanted = simulated.world.luminance(0.0, lights)[0] - base
     plant.measured.keep(u, 0.5 * light.light_texture(u))

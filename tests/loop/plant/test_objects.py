@@ -11,9 +11,10 @@ from luxloop.loop.plant.clock import FromZero
 from luxloop.loop.plant.objects import LINGER_S, object_values, read_objects, told_again
 from luxloop.loop.plant.protocol import Arrivals
 from luxloop.perception.camera import CameraParams
+from luxloop.world.frames import pose_from_degrees
 
 WALKER, CAR = (
-    TrackedObject(name, category, torch.eye(4, dtype=torch.float64) * k, (0.5, 0.5, 1.8))
+    TrackedObject(name, category, pose_from_degrees((k / 3, 0.1, 0.0), yaw_deg=7.0 * k), (0.5, 0.5, 1.8))
     for k, (name, category) in enumerate((("walker", "pedestrian"), ("car", "car")), 1)  # type: ignore[arg-type]
 )
 
