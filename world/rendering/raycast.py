@@ -11,7 +11,8 @@ from torch.nn.functional import pad
 from luxloop.world.scene.triangles import Hits, Placed, Triangles, intersect, on_planes
 from luxloop.world.view import View
 
-TOLERANCE_M = 2e-3  # by which a surface lies before itself: what OpenGL interpolates is 1 mm off where light grazes a road 60 m ahead
+TOLERANCE_M = 2e-3  # by which a surface lies before itself, along the ray
+BELOW_M = 1e-5  # and across its face, to float32: a ray that grazes it would meet a point there far before itself
 MARGIN_M = 1e-3  # around a body, which may be flat
 BESIDE = 1e-4  # of a face, by which a ray may pass beside it
 NEAREST_M = 1e-6  # to the origin of rays
@@ -66,22 +67,24 @@ def depths(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: T
 def sees(triangles: Triangles, eye: Tensor, points: Tensor, tolerance_m: float = TOLERANCE_M) -> Tensor:
     """Which points `[..., 3, N]` in m an eye or a lamp at `[3]` m has in sight, `[..., N]` bool.
 
-    Hidden is what lies deeper than the first face on the way to it, by more than the tolerance along the ray.
+    Hidden is what lies deeper than the first face on the way to it, by more than the tolerance along the ray and `BELOW_M` across the face.
     """
     eye = eye.double().cpu()
     ways = points.double().cpu().movedim(-2, 0).flatten(1) - eye[:, None]  # [3, ... * N]
     distance = ways.square().sum(0).sqrt_()
-    _, depth = _cast(triangles, eye, ways, (1 - tolerance_m / distance).float())
-    return ((1 - depth) * distance <= tolerance_m).to(points.device).view(points[..., 0, :].shape)
+    _, depth, across = _cast(triangles, eye, ways, (1 - tolerance_m / distance).float())
+    hidden = ((1 - depth) * distance > tolerance_m) & ((1 - depth) * across > BELOW_M)
+    return (~hidden).to(points.device).view(points[..., 0, :].shape)
 
 
-def _cast(triangles: Triangles, origin: Tensor, directions: Tensor, farthest: Tensor) -> tuple[Tensor, Tensor]:
-    """The first faces, as `first_hits`, and their depths `[N]` float64 in lengths of the directions.
+def _cast(triangles: Triangles, origin: Tensor, directions: Tensor, farthest: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """First faces, as `first_hits`, depths `[N]` float64 in lengths of the directions, and those lengths `[N]` across the face in m.
 
     farthest: `[N]` or `[1]` such lengths; faces that lie deeper need not be found.
     """
     nearest = torch.full((directions.shape[1],), -1)
     depth = torch.full((directions.shape[1],), torch.inf, dtype=torch.float64)
+    across = torch.zeros_like(depth)
     farthest = farthest.expand(directions.shape[1])
     for (first, placed), rays in zip(triangles.parts(), _towards(triangles.placed, origin, directions.float(), farthest), strict=True):
         if not len(rays):
@@ -102,7 +105,8 @@ def _cast(triangles: Triangles, origin: Tensor, directions: Tensor, farthest: Te
             closer &= towards < 0
         nearest[rays[closer]] = face[closer] + first
         depth[rays[closer]] = hit_depth[closer]
-    return nearest, depth
+        across[rays[closer]] = (towards.abs() / normal.norm(dim=0))[closer]
+    return nearest, depth, across
 
 
 def _towards(placed: Sequence[Placed], origin: Tensor, ways: Tensor, farthest: Tensor) -> Iterator[Tensor]:
