@@ -14,7 +14,9 @@ from luxloop.world.errors import LuxloopError
 
 FILES = {
     "own_pkg/__init__.py": "raise RuntimeError('imported')",
-    "own_pkg/roads.py": "import math, torch\nfrom luxloop.world.roads.base import RoadModel\nfrom . import tables\nfrom .deep.waves import wave\n",
+    "own_pkg/roads.py": (
+        "import math, torch\nfrom luxloop.world.roads.base import RoadModel\nfrom . import tables\nfrom .deep.waves import wave\n"
+    ),
     "own_pkg/tables.py": "def late():\n    import own_helper\n",
     "own_pkg/deep/waves.py": "from ..tables import late\nfrom own_pkg import roads\n",  # a circle, and a package without __init__
     "own_pkg/unused.py": "",
