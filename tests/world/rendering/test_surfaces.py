@@ -79,6 +79,19 @@ def test_the_quick_way_finds_the_same_points_in_shadow():
     assert (in_light == found).float().mean() > 0.998
 
 
+def test_far_from_the_origin_of_the_world_smooth_bumps_shade_no_points_more():
+    T, view = pose_from_degrees((1500.0, 0.0, 0.0)), camera()
+    mesh = bumpy().apply_translation((1500.0, 0.0, 0.0))
+    triangles, lamp_m = Scene((Body("road", mesh, smooth=True),)).at(0.0), lamp().origin + T[:3, 3]
+    view = replace(view, T_world_view=T @ view.T_world_view)
+    exact, fast = ExactSurfaces(RayCaster()).gbuffer(triangles, view), quick().gbuffer(triangles, view)
+    away = lamp_m.float()[:, None, None] - exact.position
+    facing = (exact.object_id == 0) & (fast.object_id == 0) & ((exact.normal * away).sum(0) > 0) & (away[0] < -3)
+    in_light, found = (sees(triangles, lamp_m, each.position[:, facing]) for each in (exact, fast))
+    # positions are float32: 0.06 mm at 1,500 m, so that a few rays that graze a bump take the other side
+    assert (~in_light).sum() > 100 and (in_light & ~found).sum() <= 5
+
+
 def test_a_view_that_moves_sees_what_a_standing_one_sees_of_a_world_that_moves_the_other_way(surfaces):
     T = pose_from_degrees((3.0, -0.4, 0.05), 1.0, 0.7, 4.0)
     view = camera()
