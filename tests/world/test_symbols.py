@@ -103,9 +103,9 @@ def test_a_still_picture_is_the_same_at_any_time() -> None:
         ("a.png", b"no picture", "cannot be read as a picture"),
         ("a.png", b"", "cannot be read as a picture"),
         ("a.svg", b"<svg", "is not a valid SVG"),
-        ("a.svgz", gzip.compress(SVG.encode())[:-9], "is not a valid SVG"),
-        ("a.svg", gzip.compress(SVG.encode())[:40] + b"0123", "is not a valid SVG"),
-        ("a.svgz", gzip.compress(SVG.encode())[:-8] + bytes(8), "is not a valid SVG"),
+        ("a.svgz", gzip.compress(SVG.encode(), mtime=0)[:-9], "is not a valid SVG"),
+        ("a.svg", gzip.compress(SVG.encode(), mtime=0)[:40] + b"0123", "is not a valid SVG"),
+        ("a.svgz", gzip.compress(SVG.encode(), mtime=0)[:-8] + bytes(8), "is not a valid SVG"),
         ("a.svg", SVG.format("black").encode(), "all black"),
         ("a.mp4", b"no video", "convert it to H.264"),
         ("a.txt", b"hello", "cannot be read as a picture"),
@@ -225,7 +225,7 @@ def test_a_video_is_turned_as_its_matrix_says(tmp_path: Path) -> None:
 
 
 def test_an_svgz_is_unpacked_no_further_than_it_may_be_long(tmp_path: Path) -> None:
-    (tmp_path / "a.svgz").write_bytes(gzip.compress(bytes(4 * LONGEST)))
+    (tmp_path / "a.svgz").write_bytes(gzip.compress(bytes(4 * LONGEST), mtime=0))
     tracemalloc.start()
     with pytest.raises(LuxloopError, match=r"a\.svgz .*longer than"):
         load(tmp_path / "a.svgz")
