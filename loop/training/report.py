@@ -88,7 +88,8 @@ An object's confidence is the best score of its class among the boxes on it, or 
 
 Object-based light is {ALONE_LX:g} lx on objects amid {AROUND_LX:g} lx, with dark heads and windscreens. \
 Of {alone["objects"]} objects that are found in {ALONE_LX:g} lx everywhere, \
-{number(alone["kept"], ".0%")} lose no more than {AGREE:g} of confidence ({kept}); the median change is {number(alone["median_change"], "+g")}.
+{number(alone["kept"], ".0%")} lose no more than {AGREE:g} of confidence ({kept}); \
+the median change is {number(alone["median_change"], "+g")}.
 
 {tables.markdown(("median confidence at lx", *(f"{each:g}" for each in lx)), medians)}
 """
