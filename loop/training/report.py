@@ -55,10 +55,7 @@ def page(report: Report) -> str:
     by_class = ", ".join(f"{name} {number(value)}" for name, value in found["recall_by_class"].items())
     rows = ((name, limit, number(value), "yes" if reached else "no") for name, limit, value, reached in goals(report))
     others = "; ".join(f"{number(each['recall'])} at {each['false_a_frame']:g} ({each['score']:g})" for each in report["by_score"])
-    right = ", ".join(
-        f"{number(each['right'])} of {each['boxes']} boxes with scores of {each['from']:g} to {each['to']:g} (mean {number(each['score'])})"
-        for each in report["right"]
-    )
+    right = ", ".join(f"{number(each['right'])} of {each['boxes']} ({each['from']:g} to {each['to']:g})" for each in report["right"])
     learnt = training["scenes"] - training["calibrated_on"]
     asked = f"{training['calibrated_on']} more" if learnt else "the same, since so few leave none for that"
     minutes = ", ".join(f"{name} {number(value)} min" for name, value in training.get("minutes", {}).items())
@@ -80,7 +77,7 @@ Recall by class: {by_class}. A frame takes {report["ms_a_frame"]:g} ms of proces
 Recall at false positives a frame, for other thresholds of the score (in brackets): {others}.
 
 Scores estimate the probability that a box is right (slope {training["slope"]:g} and shift {training["shift"]:g} of the logits). \
-Share of right boxes at {JUDGED_LX:g} lx: {right}.
+Share of right boxes at {JUDGED_LX:g} lx, by score: {right}.
 
 *x lx* means that every surface that faces the lamps gets x lx at any distance. The curves of confidence, except those *at night*, \
 are for scenes without other light: no sky, street lamps and other cars' lamps, which show many objects without the headlamps. \
