@@ -55,10 +55,7 @@ def page(report: Report) -> str:
     by_class = ", ".join(f"{name} {number(value)}" for name, value in found["recall_by_class"].items())
     rows = ((name, limit, number(value), "yes" if reached else "no") for name, limit, value, reached in goals(report))
     others = "; ".join(f"{number(each['recall'])} at {each['false_a_frame']:g} ({each['score']:g})" for each in report["by_score"])
-    right = ", ".join(
-        f"{number(each['right'])} of {each['boxes']} boxes with scores of {each['from']:g} to {each['to']:g} (mean {number(each['score'])})"
-        for each in report["right"]
-    )
+    right = ", ".join(f"{number(each['right'])} of {each['boxes']} ({each['from']:g} to {each['to']:g})" for each in report["right"])
     learnt = training["scenes"] - training["calibrated_on"]
     asked = f"{training['calibrated_on']} more" if learnt else "the same, since so few leave none for that"
     minutes = ", ".join(f"{name} {number(value)} min" for name, value in training.get("minutes", {}).items())
@@ -72,29 +69,24 @@ judged on {report["scenes"]} other scenes with {found["objects"]} objects, none 
 
 {tables.markdown(("", "goal", "measured", "reached"), rows, "llrl")}
 
-Objects count if they are at least {HEIGHT_PX} px tall and {VISIBLE:.0%} visible. An object is found if a box with a score of at least \
-{report["sure"]:g} has an IoU of {FOUND_IOU:g} or more with it. A box on no object is a false positive; a box on a smaller or more \
-occluded object counts neither way. Precision is {found["precision"]:g}, and {number(found["class_accuracy"], ".1%")} of the found \
-objects have the right class. Recall by class: {by_class}.
+Objects count if they are at least {HEIGHT_PX} px tall and {VISIBLE:.0%} visible. An object is found by a box with a score of at least \
+{report["sure"]:g} and an IoU of {FOUND_IOU:g} or more. A box on a smaller or more occluded object counts neither way. \
+Precision is {found["precision"]:g}; {number(found["class_accuracy"], ".1%")} of the found objects have the right class. \
+Recall by class: {by_class}. A frame takes {report["ms_a_frame"]:g} ms of processor time.
 
-Recall at false positives a frame, for other thresholds of the score (in brackets): {others}. \
-A frame takes {report["ms_a_frame"]:g} ms of processor time.
+Recall at false positives a frame, for other thresholds of the score (in brackets): {others}.
 
-The score of a box estimates the probability that it is right (with a slope of {training["slope"]:g} and a shift of {training["shift"]:g} \
-of the logits, fitted in light of {JUDGED_LX:g} lx and in object-based light).
+Scores estimate the probability that a box is right (slope {training["slope"]:g} and shift {training["shift"]:g} of the logits). \
+Share of right boxes at {JUDGED_LX:g} lx, by score: {right}.
 
-Share of right boxes on the scenes held out, at {JUDGED_LX:g} lx: {right}.
+*x lx* means that every surface that faces the lamps gets x lx at any distance. The curves of confidence, except those *at night*, \
+are for scenes without other light: no sky, street lamps and other cars' lamps, which show many objects without the headlamps. \
+An object's confidence is the best score of its class among the boxes on it, or 0.
 
-*x lx* means that every surface that faces the lamps gets x lx at any distance: the lamps' intensity grows with the square \
-of the distance. The curves of confidence against illuminance are for scenes without other light. *At night*, and for all other figures, \
-the scene also has its own light: the sky, street lamps, and other cars' lamps, which show many objects without the headlamps. An \
-object's confidence is the best score of its class among the boxes on it, or 0 without a box.
-
-Object-based light is {ALONE_LX:g} lx on objects amid {AROUND_LX:g} lx, with heads and windscreens roughly as dark as `object_based` \
-leaves them by default. Of {alone["objects"]} objects that are found in full light of {ALONE_LX:g} lx everywhere, \
-{number(alone["kept"], ".0%")} lose no more than {AGREE:g} of confidence ({kept}); the median change is \
-{number(alone["median_change"], "+g")}. Near 1 the same change of the logit is a smaller change of confidence: from 0.99 to 0.94 it is as \
-large as from 0.5 to 0.14.
+Object-based light is {ALONE_LX:g} lx on objects amid {AROUND_LX:g} lx, with dark heads and windscreens. \
+Of {alone["objects"]} objects that are found in {ALONE_LX:g} lx everywhere, \
+{number(alone["kept"], ".0%")} lose no more than {AGREE:g} of confidence ({kept}); \
+the median change is {number(alone["median_change"], "+g")}.
 
 {tables.markdown(("median confidence at lx", *(f"{each:g}" for each in lx)), medians)}
 """

@@ -1,4 +1,4 @@
-"""The examples of parts of one's own keep their contracts and do what docs/examples.md says of them."""
+"""The examples of parts of one's own keep their contracts and do what docs/python.md says of them."""
 
 import re
 import shutil
