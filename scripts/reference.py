@@ -29,7 +29,7 @@ from luxloop.world.lampfiles.description import LampDescription
 
 FILES: dict[str, type[BaseModel]] = {
     "scenarios.md": Scenario,
-    "lampfiles.md": LampDescription,
+    "lamps.md": LampDescription,
     "rig.md": FaultParams,
     "rig_file.md": RigParams,
 }

@@ -3,7 +3,6 @@
 import math
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -209,9 +208,3 @@ def test_on_every_device(device: torch.device) -> None:
     assert light.u.device.type == device.type
     assert (light.band is None) == (device.type != "cpu")
     torch.testing.assert_close(light.u.cpu(), expected.u, rtol=1e-4, atol=1e-5)
-
-
-def test_the_page_tells_every_parameter() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "ssc.md").read_text("utf-8")
-    missing = [name for name in MrpcParams.model_fields if f"`{name}`" not in page]
-    assert not missing

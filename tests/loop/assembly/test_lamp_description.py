@@ -21,7 +21,7 @@ from luxloop.world.photometry import lm63
 from luxloop.world.photometry.distribution import Distribution
 
 ROOT = Path(__file__).parents[3]
-EXAMPLE, PAGE = ROOT / "scenarios" / "examples" / "lamp.toml", ROOT / "docs" / "lampfiles.md"
+EXAMPLE, PAGE = ROOT / "scenarios" / "examples" / "lamp.toml", ROOT / "docs" / "lamps.md"
 MATRIX = """
 name = "small"
 [[module]]
