@@ -27,11 +27,10 @@ from luxloop.loop.scenario.overrides import TAGS
 from luxloop.loop.terminal.tables import markdown
 from luxloop.world.lampfiles.description import LampDescription
 
-FILES: dict[str, type[BaseModel]] = {
-    "scenarios.md": Scenario,
-    "lampfiles.md": LampDescription,
-    "rig.md": FaultParams,
-    "rig_file.md": RigParams,
+FILES: dict[str, tuple[type[BaseModel], ...]] = {
+    "scenarios.md": (Scenario,),
+    "lampfiles.md": (LampDescription,),
+    "rig.md": (FaultParams, RigParams),
 }
 MARKED = re.compile(r"^<!-- (keys of|fields of|calls of|columns of|cited) (\S+) -->$", re.M)
 
@@ -49,7 +48,7 @@ def models(root: type[BaseModel]) -> dict[str, Any]:
 
 @cache
 def all_models() -> dict[str, Any]:
-    return {name: schema for root in FILES.values() for name, schema in models(root).items()}
+    return {name: schema for roots in FILES.values() for root in roots for name, schema in models(root).items()}
 
 
 def written(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""Messages of the studio's socket (docs/studio_protocol.md)."""
+"""Messages of the studio's socket (docs/programs.md)."""
 
 from collections.abc import Mapping
 from contextlib import suppress

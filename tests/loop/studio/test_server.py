@@ -391,7 +391,7 @@ def test_two_watchers_see_what_the_pen_does(served: Served) -> None:
 def test_the_protocol_page_names_every_message(served: Served) -> None:
     from pathlib import Path
 
-    page = (Path(luxloop.__file__).parents[1] / "docs/studio_protocol.md").read_text("utf-8")
+    page = (Path(luxloop.__file__).parents[1] / "docs/programs.md").read_text("utf-8")
     from luxloop.loop.studio.messages import MESSAGE
 
     kinds = {each for part in json.loads(json.dumps(MESSAGE.json_schema()))["$defs"].values() for each in _kinds(part)}
