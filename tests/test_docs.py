@@ -245,6 +245,11 @@ def test_every_key_of_a_file_is_documented(page: str) -> None:
     assert len(re.findall(r"^\| `", reference.with_tables(text), re.M)) >= len(described)
 
 
+def test_messages_of_the_studio_are_documented() -> None:
+    text = reference.with_tables((ROOT / "docs" / "programs.md").read_text("utf-8"))
+    assert re.search(r"^\| `hello` \| `token`: text", text, re.M)
+
+
 FIELDS = [name for page in PAGES for kind, name in reference.MARKED.findall(page.read_text("utf-8")) if kind == "fields of"]
 
 
