@@ -1,6 +1,6 @@
 """What a plant in another process costs: `python benchmarks/remote.py [--json FILE] [--quick]`.
 
-The same exposures are shown on a plant whose frames are ready at once: in this process, and behind the socket of docs/remote.md, whose
+The same exposures are shown on a plant whose frames are ready at once: in this process, and behind the socket of docs/programs.md, whose
 other end is a process of its own. Processor time of the loop's process and steps a second, of two exposures each.
 """
 

@@ -1,8 +1,8 @@
 """Tables of the documentation that are made when the site is built, from models and docstrings.
 
-A page says where: `<!-- keys of Model -->`, `<!-- fields of module:Class -->`, `<!-- calls of module:Class -->`, `<!-- columns of runs -->`
-`<!-- cited equations -->`. The docstring of a class describes a field as `name: what it is.`, or names it in backticks in its first
-sentence, and says when it is None.
+A page says where: `<!-- keys of Model -->`, `<!-- fields of module:Class -->`, `<!-- calls of module:Class -->`,
+`<!-- messages of module:Union -->`, `<!-- columns of runs -->`, `<!-- cited equations -->`. The docstring of a class describes a field as
+`name: what it is.`, or names it in backticks in its first sentence, and says when it is None.
 """
 
 import ast
@@ -11,7 +11,7 @@ import json
 import re
 from functools import cache
 from importlib import import_module
-from typing import Any
+from typing import Any, get_args
 
 from citations import cited_table
 from pydantic import BaseModel
@@ -27,17 +27,18 @@ from luxloop.loop.scenario.overrides import TAGS
 from luxloop.loop.terminal.tables import markdown
 from luxloop.world.lampfiles.description import LampDescription
 
-FILES: dict[str, type[BaseModel]] = {
-    "scenarios.md": Scenario,
-    "lamps.md": LampDescription,
-    "rig.md": FaultParams,
-    "rig_file.md": RigParams,
+FILES: dict[str, tuple[type[BaseModel], ...]] = {
+    "scenarios.md": (Scenario,),
+    "lamps.md": (LampDescription,),
+    "rig.md": (FaultParams, RigParams),
 }
-MARKED = re.compile(r"^<!-- (keys of|fields of|calls of|columns of|cited) (\S+) -->$", re.M)
+MARKED = re.compile(r"^<!-- (keys of|fields of|calls of|columns of|messages of|cited) (\S+) -->$", re.M)
 
 
 def with_tables(text: str) -> str:
-    makers = {"keys of": keys, "fields of": fields, "calls of": calls, "columns of": columns, "cited": cited_table}
+    makers = {
+        "keys of": keys, "fields of": fields, "calls of": calls, "columns of": columns, "messages of": messages, "cited": cited_table,
+    }  # fmt: skip
     return MARKED.sub(lambda match: f"{match[0]}\n{makers[match[1]](match[2])}", text)
 
 
@@ -49,7 +50,7 @@ def models(root: type[BaseModel]) -> dict[str, Any]:
 
 @cache
 def all_models() -> dict[str, Any]:
-    return {name: schema for root in FILES.values() for name, schema in models(root).items()}
+    return {name: schema for roots in FILES.values() for root in roots for name, schema in models(root).items()}
 
 
 def written(value: Any) -> str:
@@ -91,7 +92,8 @@ def allowed(field: dict[str, Any]) -> str:
         return f"list: {allowed(field['items'])}" if "enum" in field["items"] else "list of tables"
     limits = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
     words = {"number": "number", "integer": "whole number", "boolean": "true or false", "string": "text"}
-    return ", ".join([words[field["type"]], *(f"{sign} {field[key]:g}" for key, sign in limits.items() if key in field)])
+    real = [f"{sign} {field[key]:g}" for key, sign in limits.items() if abs(field.get(key, 2**31)) < 2**31]  # not a type's size
+    return ", ".join([words[field["type"]], *real])
 
 
 def keys(name: str) -> str:
@@ -100,6 +102,23 @@ def keys(name: str) -> str:
         meaning = field.get("description", "which of the variants this is" if key in TAGS else "")
         rows.append((f"`{key}`", default(field), allowed(field), meaning))
     return markdown(("key", "default", "may be", "meaning"), rows, "l")
+
+
+def messages(path: str) -> str:
+    """Types, fields and meanings of the messages of a union of models."""
+    rows = []
+    for model in get_args(named(path)):
+        properties = model.model_json_schema()["properties"]
+        kinds = properties["type"].get("enum", [properties["type"].get("const")])
+        given = []
+        for key, field in properties.items():
+            if key in ("type", "ask"):
+                continue
+            null = " or null" if {"type": "null"} in field.get("anyOf", ()) else ""
+            given.append(f"`{key}`: {allowed(field)}{null}" + (f" = `{written(field['default'])}`" if "default" in field else ""))
+        meaning = " ".join(inspect.cleandoc(model.__doc__).split())
+        rows.append((", ".join(f"`{kind}`" for kind in kinds), "; ".join(given), meaning))
+    return markdown(("type", "fields", "meaning"), rows, "l")
 
 
 def named(path: str) -> type:

@@ -241,8 +241,13 @@ def test_pictures_are_small() -> None:
 def test_every_key_of_a_file_is_documented(page: str) -> None:
     text = (ROOT / "docs" / page).read_text("utf-8")
     described = [name for kind, name in reference.MARKED.findall(text) if kind == "keys of"]
-    assert sorted(described) == sorted(reference.models(reference.FILES[page]))
+    assert sorted(described) == sorted(name for root in reference.FILES[page] for name in reference.models(root))
     assert len(re.findall(r"^\| `", reference.with_tables(text), re.M)) >= len(described)
+
+
+def test_messages_of_the_studio_are_documented() -> None:
+    text = reference.with_tables((ROOT / "docs" / "programs.md").read_text("utf-8"))
+    assert re.search(r"^\| `hello` \| `token`: text", text, re.M)
 
 
 FIELDS = [name for page in PAGES for kind, name in reference.MARKED.findall(page.read_text("utf-8")) if kind == "fields of"]

@@ -1,4 +1,4 @@
-"""Arrays that a studio on this machine leaves in shared memory (docs/studio_protocol.md)."""
+"""Arrays that a studio on this machine leaves in shared memory (docs/programs.md)."""
 
 import os
 from collections.abc import Mapping

@@ -13,7 +13,7 @@ Arrays = Mapping[str, np.ndarray]
 class State:
     """A step of a run; what is not asked for, or not there in this step, is empty or None.
 
-    head: what is plain, as docs/studio_protocol.md has it. metrics: the values of the recording, by column, NaN where there is none.
+    head: what is plain, as docs/programs.md has it. metrics: the values of the recording, by column, NaN where there is none.
     light: `[rows, columns]` float32 cd, the texture of each module by its name. utilisations: `[rows, columns]` uint8 of its pixels, 255
     for full utilisation. arrays: all others, by name.
     """

@@ -250,7 +250,7 @@ def run(
         of NAME, which is then a recording's folder, with the scenario in it.
     rig
         Rig file of a lamp and a camera on which the scenario runs in place of the simulated world, or whose lamp lights that world if the
-        scenario digitises a module (see docs/live_beam.md).
+        scenario digitises a module (see docs/rig_calibration.md).
     arm
         With --rig: light the lamp. Without it, a dry run shows nothing.
     twin

@@ -1,4 +1,4 @@
-"""Another simulator as a plant, in lockstep over a socket (docs/remote.md): it gets light, and gives frames, samples and objects."""
+"""Another simulator as a plant, in lockstep over a socket (docs/programs.md): it gets light, and gives frames, samples and objects."""
 
 import weakref
 from collections.abc import Mapping, Sequence

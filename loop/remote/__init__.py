@@ -1,1 +1,1 @@
-"""The socket at which another simulator is the plant, and its messages (docs/remote.md). Without torch."""
+"""The socket at which another simulator is the plant, and its messages (docs/programs.md). Without torch."""

@@ -1,4 +1,4 @@
-"""Messages of a simulator that is the plant (docs/remote.md), read within strict limits."""
+"""Messages of a simulator that is the plant (docs/programs.md), read within strict limits."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal

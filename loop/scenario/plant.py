@@ -22,7 +22,7 @@ class RecordedPlantParams(Params):
 
 
 class RemotePlantParams(Params):
-    """Another simulator, which connects to the loop and runs in lockstep with it (docs/remote.md)."""
+    """Another simulator, which connects to the loop and runs in lockstep with it (docs/programs.md)."""
 
     kind: Literal["remote"]
     address: str = Field(

@@ -1,4 +1,4 @@
-"""Messages of the studio's socket (docs/studio_protocol.md)."""
+"""Messages of the studio's socket (docs/programs.md)."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -38,7 +38,10 @@ class Hello(Told):
 
 
 class Want(Told):
-    """What the client shows. shared: it reads arrays of steps from memory of the same machine."""
+    """What the client shows; nothing else is computed for it. Before the first one: scene, light, camera, matrix, marks.
+
+    shared: arrays of steps come in memory of the same machine.
+    """
 
     type: Literal["want"]
     shared: bool = False
@@ -46,7 +49,7 @@ class Want(Told):
 
 
 class Scrub(Told):
-    """A step to see again, None to follow the newest."""
+    """A step to see again, answered by `step` with `scrub`; no newer one is sent until step is null, which also goes after `scenario`."""
 
     type: Literal["scrub"]
     run: Number = 0
@@ -61,7 +64,7 @@ class AskSummary(Told):
 
 
 class AskBeam(Told):
-    """Ask for a regulation's verdict on a lamp's light in a step, None for the newest."""
+    """Ask for a regulation's verdict on a lamp's light in a step, null for the newest."""
 
     type: Literal["beam"]
     run: Number = 0
@@ -77,27 +80,27 @@ class AskSchema(Told):
 
 
 class Shown(Told):
-    """A step is shown. id: that of its message."""
+    """A step is shown. id: that of its message. While two steps of a run are not shown, no other is sent."""
 
     type: Literal["shown"]
     id: Number
 
 
 class Button(Told):
-    """What has no value."""
+    """Take the pen, run, pause, one step, start anew from step 0, undo or redo edits, ask for the scenario as it is now."""
 
     type: Literal["pen", "play", "pause", "step", "reset", "undo", "redo", "save"]
 
 
 class Speed(Told):
-    """Times real time at most, None without limit."""
+    """Times real time at most, null without limit."""
 
     type: Literal["speed"]
     factor: float | None = Field(ge=0.001, le=1000)
 
 
 class Open(Told):
-    """Another scenario or recording."""
+    """Another scenario, with values as of `--set`, or the recording in a folder."""
 
     type: Literal["open"]
     name: Text = ""
@@ -106,21 +109,21 @@ class Open(Told):
 
 
 class Set(Told):
-    """Other values of keys."""
+    """Other values of keys, `KEY=VALUE` each. Answered by `edit` if the runs can go on, else by `scenario`."""
 
     type: Literal["set"]
     overrides: Overrides
 
 
 class Record(Told):
-    """Record the first run into a folder of this name below `runs`, None to end that."""
+    """Record all steps of the first run into a folder of this name below `runs`, until null or the last step."""
 
     type: Literal["record"]
     folder: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_. -]{0,79}$")] | None
 
 
 class Drive(Told):
-    """Somebody drives the vehicles of all runs, until another message comes; both None: nobody any more."""
+    """Drive the vehicles of all runs until another message comes; both null: nobody any more. 1: full throttle, left; -1: brake, right."""
 
     type: Literal["drive"]
     throttle: float | None = Field(ge=-1, le=1)
@@ -128,7 +131,7 @@ class Drive(Told):
 
 
 class Compare(Told):
-    """A second run beside the first, None for none."""
+    """A second run beside the first, with other values or of a recording, which starts both anew; both null for none."""
 
     type: Literal["compare"]
     overrides: Overrides | None = None
@@ -139,8 +142,8 @@ class Paint(Told):
     """Pixels of a module of the first run are painted.
 
     box: first row, end row, first column, end column. Its arrays `[rows, columns]` take the place of what was painted there: value, 255 for
-    full utilisation; painted, 255 where the value holds, 0 where nothing is painted, and shares between. stroke: messages of the same one,
-    above 0, are taken back together.
+    full utilisation; painted, 255 where the value holds, 0 where nothing is painted, and shares between, both u1. over: over the light of
+    functions, else in its place. stroke: successive messages of the same one, above 0 and unlike other clients', are undone together.
     """
 
     type: Literal["paint"]
@@ -151,8 +154,9 @@ class Paint(Told):
 
 
 class Place(Told):
-    """The pixels that light a point of the world. value: what they are painted with, 255 for full utilisation; None: nothing.
-    stroke: as of `Paint`.
+    """The pixels that light a point of the world as the newest step shows it.
+
+    value: what they are painted with, 255 for full utilisation; null: nothing. stroke: as of `paint`.
     """
 
     type: Literal["place"]
@@ -163,10 +167,10 @@ class Place(Told):
 
 
 class Wish(Told):
-    """Illuminances of the road before the car, or of a wall 25 m before it, that pixels shall be painted for, by all modules together.
+    """Illuminances of the road before the car, or of a wall 25 m before it, for which the pixels of all modules are painted.
 
-    box_m: least and largest x, least and largest y on the road; on the wall heights, and y. Its arrays `[rows, columns]`, along these: lx;
-    painted, 0 where nothing is wanted.
+    box_m: least and largest x, least and largest y on the road; on the wall heights, and y. Its arrays `[rows, columns]`, along these, of
+    up to 20,000 cells: lx, f2 or f4; painted, u1, 0 where nothing is wanted.
     """
 
     type: Literal["wish"]

@@ -1,4 +1,4 @@
-"""Arrays of steps in memory that a client on the same machine reads, in place of the socket (docs/studio_protocol.md)."""
+"""Arrays of steps in memory that a client on the same machine reads, in place of the socket (docs/programs.md)."""
 
 import os
 import secrets

@@ -3,7 +3,7 @@
     luxloop run flat --set plant.kind=remote plant.sends=texture camera.bits=8 camera.gamma=2.2 camera.width_px=640 camera.height_px=360
 
 It drives a car along a road of its own, whose body pitches, past a pedestrian, and renders what its camera sees in colour, with pyrender.
-The light textures that it gets are projected onto the road, as an engine's projector textures are. docs/remote.md describes the messages.
+The light textures that it gets are projected onto the road, as an engine's projector textures are. docs/programs.md describes the messages.
 It needs no luxloop: only numpy, pyrender, trimesh and websockets.
 """
 

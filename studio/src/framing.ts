@@ -1,4 +1,4 @@
-// Frames of the socket: four bytes with the length of a JSON head, the head, and arrays (docs/studio_protocol.md).
+// Frames of the socket: four bytes with the length of a JSON head, the head, and arrays (docs/programs.md).
 
 import type { Arrays, ClientMessage, Picture, ServerMessage, Values } from "./protocol.ts";
 

@@ -1,4 +1,4 @@
-// Messages of the studio's WebSocket, as docs/studio_protocol.md describes them.
+// Messages of the studio's WebSocket, as docs/programs.md describes them.
 
 import type { Schema } from "./model/schema.ts";
 

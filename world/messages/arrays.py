@@ -1,4 +1,4 @@
-"""Arrays in the body of a message (docs/studio_protocol.md): coded for clients, and read from them within strict limits."""
+"""Arrays in the body of a message (docs/programs.md): coded for clients, and read from them within strict limits."""
 
 import struct
 import zlib

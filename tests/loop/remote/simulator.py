@@ -1,4 +1,4 @@
-"""A simulator for tests: `python simulator.py ADDRESS [how=value ...]` is luxloop's simulated world behind docs/remote.md.
+"""A simulator for tests: `python simulator.py ADDRESS [how=value ...]` is luxloop's simulated world behind docs/programs.md.
 
 It plays one run. after=N: dies without a word when exposure N is shown. objects=S: it tells of a pedestrian, who is there for S s.
 """

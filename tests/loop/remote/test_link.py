@@ -98,7 +98,7 @@ BOMB = message({"frame.1": np.zeros((4000, 4000), np.uint16)}, "deflate", **FRAM
 
 
 def test_the_bytes_that_the_page_shows_are_a_message() -> None:
-    page = (Path(__file__).parents[3] / "docs/remote.md").read_text("utf-8")
+    page = (Path(__file__).parents[3] / "docs/programs.md").read_text("utf-8")
     length, text, body = re.findall(r"```text\n(.*)\n(.*)\n(.*)\n```", page)[0]
     head, arrays = unpacked(bytes.fromhex(length) + text.encode() + bytes.fromhex(body))
     assert head["windows"] == [[2, 3, 3, 4]] and arrays["light.0"].tolist() == [[0.5]]

@@ -1,4 +1,4 @@
-"""A client of the studio for tests: what docs/studio_protocol.md says, without luxloop's own code."""
+"""A client of the studio for tests: what docs/programs.md says, without luxloop's own code."""
 
 import json
 import struct

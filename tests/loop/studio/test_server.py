@@ -1,6 +1,5 @@
 """Who is let in, who may do what, and what clients get."""
 
-import json
 import random
 import socket
 import threading
@@ -386,18 +385,3 @@ def test_two_watchers_see_what_the_pen_does(served: Served) -> None:
             last = max(k for k, (head, _) in enumerate(each.got) if head["type"] == "scenario")
             seen.append(np.concatenate([arrays["rows"] for head, arrays in each.got[last:] if head["type"] == "rows"]))
         assert len(seen[0]) == 6 and all(np.array_equal(seen[0], each, equal_nan=True) for each in seen)
-
-
-def test_the_protocol_page_names_every_message(served: Served) -> None:
-    from pathlib import Path
-
-    page = (Path(luxloop.__file__).parents[1] / "docs/studio_protocol.md").read_text("utf-8")
-    from luxloop.loop.studio.messages import MESSAGE
-
-    kinds = {each for part in json.loads(json.dumps(MESSAGE.json_schema()))["$defs"].values() for each in _kinds(part)}
-    assert kinds and all(f"`{kind}`" in page for kind in kinds)
-
-
-def _kinds(part: dict) -> list[str]:
-    given = part.get("properties", {}).get("type", {})
-    return given.get("enum", [given["const"]] if "const" in given else [])
