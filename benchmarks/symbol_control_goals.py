@@ -84,10 +84,10 @@ class Goal:
 
 
 ROADS = (*EVEN, *CURVED, *SCANS, *STEEP)
-STRAYS = "late frames: 4 steps with frames on time, 9 with frames 3 steps late"
-FINE = "heights finer than the mesh drift where the open loop is nearly right: its IoU is 0.88"
-MESH = "stones and edges of bars are finer than the heights, 20 x 15 cm apart; drawn for the exact road: 0.1 to 0.6 %"
-SHADOW = "the bump's back is in the lamp's shadow; drawn for the exact road the centroid is 1.5 % off"
+STRAYS = "4 steps with frames on time, 9 with frames 3 steps late"
+FINE = "heights finer than the mesh drift"
+MESH = "stones are finer than the mesh; drawn for the exact road: 0.1 to 0.6 %"
+SHADOW = "the bump's back is in the lamp's shadow"
 PIXELS = "heights are known to a fraction of a camera pixel, which spans 10 to 20 cm of the road there"
 BODY = "late and noisy sensors [predict the body](../control.md#on-the-move)"
 TRUE_POSE = "drawn for the true road and pose: {}"
