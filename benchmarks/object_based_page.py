@@ -89,7 +89,6 @@ def _newcomer(rows: Sequence[Row]) -> str:
 COLUMNS: dict[str, Callable[[Sequence[Row]], str]] = {
     "runs": lambda rows: str(len(rows)),
     "flux saved, median (10 % quantile)": lambda rows: f"{_percent(median_saved(rows))} ({_percent(quantile(rows, 'saved_low', 0.1))})",
-    "W saved": lambda rows: f"{quantile(rows, 'watts_saved', 0.5):.1f}",
     "every object kept": lambda rows: _percent(share_kept(rows)),
     "greatest loss, median (90 % quantile)": lambda rows: "{} ({})".format(*(number(quantile(rows, "gap", q), ".2f") for q in (0.5, 0.9))),
     "runs with one lost": lambda rows: _percent(share(row["lost"] > 0 if "lost" in row else None for row in rows)),

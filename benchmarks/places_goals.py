@@ -110,7 +110,7 @@ GOALS = (
     ),
     Goal("On the road itself: no more than 0.02 below the open loop", lambda r: r["below_open"] <= 0.02, on_the_road=True),
     Goal(
-        "The same on the road itself from -4 % on, or IoU at least 0.85",
+        "On the road itself, the same from -4 % on: IoU at least 0.85, or 0.95 x the bound",
         lambda r: r["iou"] >= min(0.85, 0.95 * r["iou_bound"]),
         kind="place, grade from 3 m",
     ),

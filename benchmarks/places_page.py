@@ -20,7 +20,6 @@ from luxloop.loop.terminal.tables import markdown
 
 TEMPLATE = Path(__file__).with_suffix(".md")
 PICTURE = "places.png"
-COLUMNS = {**dict.fromkeys(CONTROLLERS, "iou"), "bound": "iou_bound"}  # and the measure of each in a table of IoUs
 BINS = (0.0, 0.2, 0.5, VISIBLE)  # of the visible share, where less can be seen
 SHOWN = 5  # places with less to be seen in the picture
 AROUND = (0.35, 1.0)  # of the target's picture, by which more of the camera's image is shown beside it, and above and below
@@ -62,14 +61,15 @@ def goals(rows: Sequence[Row]) -> str:
 
 
 def table(rows: Sequence[Row], field: str, values: Iterable[Any]) -> str:
-    """A row for each value of the field and a column a controller and the bound: mean IoU, its worst in brackets."""
+    """A row for each value of the field and a column a controller and the bound: mean IoU, luxloop's worst in brackets."""
     lines = []
     for value in values:
         found = [row for row in rows if row[field] == value]
         own = [row for row in found if row["controller"] == "luxloop"]
-        cells = (_cell([r[measure] for r in (own if name == "bound" else _of(found, name))]) for name, measure in COLUMNS.items())
+        cells = [_cell([r["iou"] for r in _of(found, name)], name == "luxloop") for name in CONTROLLERS]
+        cells.append(_cell([r["iou_bound"] for r in own]))
         lines.append((value, len(own), *cells))
-    return markdown((field, "worlds", *COLUMNS), lines)
+    return markdown((field, "worlds", *CONTROLLERS, "bound"), lines)
 
 
 def by_grade(own: Sequence[Row]) -> str:
@@ -103,10 +103,10 @@ def _of(rows: Sequence[Row], controller: str) -> list[Row]:
     return [row for row in rows if row["controller"] == controller]
 
 
-def _cell(values: Sequence[float]) -> str:
+def _cell(values: Sequence[float], worst: bool = False) -> str:
     if not values:
         return "–"
-    return f"{np.mean(values):.2f}" + (f" ({min(values):.2f})" if len(values) > 1 else "")
+    return f"{np.mean(values):.2f}" + (f" ({min(values):.2f})" if worst and len(values) > 1 else "")
 
 
 def draw(chosen: Sequence[tuple[Place, Row]], file: Path) -> None:

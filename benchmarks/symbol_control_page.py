@@ -47,7 +47,7 @@ def page(rows: Sequence[Row], about: dict[str, Any], failed: Collection[str], ab
         standing_iou=table(on_time, "scene", STANDING, "iou"),
         standing=extremes([row for row in standing if row["latency"] == 0]),
         driving_iou=table(on_time, "scene", DRIVING, "iou"),
-        **{f"disturbed_{name}": table(on_time, "scene", DISTURBANCES, name) for name in ("iou_least", "recovery")},
+        disturbed_iou_least=table(on_time, "scene", DISTURBANCES, "iou_least"),
         late=table(standing, "latency", dict.fromkeys(row["latency"] for row in standing), "iou"),
     )
 

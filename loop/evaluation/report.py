@@ -43,8 +43,6 @@ MEASURES = {
     "a_r": "best a_r",
     "options_a_ac": "best a_ac",
     "options_sharpening": "best sharpening",
-    "corrected_a_ac": "best a_ac with corrections",
-    "corrected_sharpening": "best sharpening with corrections",
 }
 CAPTIONS = {
     "errors": "MAE of the joint optimum, and excess of MRPC's (T figures 8.5 to 8.8)",
