@@ -26,7 +26,6 @@ from luxloop.loop.jobs.runner import Job, Results, digest_of, run
 from luxloop.loop.lighting.lamps import flux_by_side
 from luxloop.loop.lighting.simulation import Simulation
 from luxloop.loop.recording.digest import digest_of_code
-from luxloop.loop.training.report import goals as detector_goals
 from luxloop.perception.camera import expose
 from luxloop.perception.detection.build import WEIGHTS
 from luxloop.perception.noise import FrameNoise
@@ -68,7 +67,7 @@ def main() -> None:
     lights = done(illuminated, [Job(key, case.parameters) for key, case in chosen.items()], "scenes").rows
     scenes = [({"scene": chosen[row["key"]].scene, "moving": chosen[row["key"]].moving}, row) for row in lights]
     light = [row for scene, result in scenes for row in measures(scene, result)]
-    measured = Measured(light, zone_rows(small[0].rows), track_rows(small[1].rows), detector_report())
+    measured = Measured(light, zone_rows(small[0].rows), track_rows(small[1].rows))
     if given.json:
         given.json.write_text(json.dumps({"light": light, "zones": measured.zones, "tracks": measured.tracks}, indent=1))
     how_much = "" if (given.scenes, given.seeds) == (SCENES, SEEDS) else f"--scenes {given.scenes} --seeds {given.seeds}"
@@ -110,12 +109,6 @@ def example() -> object_based_page.Pictures:
         flux = sum(flux_by_side(simulation.modules, each).values())
         pictures[f"{name}: {flux:.0f} lm"] = (frame.numpy(), found.boxes.tolist(), found.scores.amax(-1).tolist())
     return pictures
-
-
-def detector_report() -> list[tuple[str, str, float, bool]] | None:
-    """The goals of the report beside the network's weights, None where there is none."""
-    file = NETWORK.with_suffix(".json")
-    return detector_goals(json.loads(file.read_text("utf-8"))) if file.is_file() else None
 
 
 if __name__ == "__main__":

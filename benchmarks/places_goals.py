@@ -90,9 +90,9 @@ def _found_in_time(row: Row) -> bool:
 
 
 GOALS = (
-    Goal("IoU at least 0.95 x that of the drawing for the true road", lambda r: r["iou"] >= 0.95 * r["iou_feedforward"], share=0.95),
+    Goal("IoU at least 0.95 x feedforward's", lambda r: r["iou"] >= 0.95 * r["iou_feedforward"], share=0.95),
     Goal("IoU at least 0.85 x that", lambda r: r["iou"] >= 0.85 * r["iou_feedforward"]),
-    Goal("The drawing for the true road within 0.02 of the bound", lambda r: r["iou"] >= r["iou_bound"] - 0.02, controller=FEEDFORWARD),
+    Goal("Feedforward within 0.02 of the bound", lambda r: r["iou"] >= r["iou_bound"] - 0.02, controller=FEEDFORWARD),
     Goal("No more than 0.02 below the open loop", lambda r: r["below_open"] <= 0.02),
     Goal("No more than 0.02 below thesis_pid", lambda r: r["below_thesis"] <= 0.02),
     Goal(f"Found within latency + {LOOKS} steps", _found_in_time),
@@ -103,14 +103,14 @@ GOALS = (
         kind="grade from 3 m",
     ),
     Goal(
-        "On the road itself: IoU at least 0.95 x that of the drawing for the true road",
+        "On the road itself: IoU at least 0.95 x feedforward's",
         lambda r: r["iou"] >= 0.95 * r["iou_feedforward"],
         share=0.95,
         on_the_road=True,
     ),
     Goal("On the road itself: no more than 0.02 below the open loop", lambda r: r["below_open"] <= 0.02, on_the_road=True),
     Goal(
-        "On the road itself, grades of -4 to +4 % from 3 m on: IoU at least 0.85, or 0.95 x the bound",
+        "On the road itself, the same from -4 % on: IoU at least 0.85, or 0.95 x the bound",
         lambda r: r["iou"] >= min(0.85, 0.95 * r["iou_bound"]),
         kind="place, grade from 3 m",
     ),

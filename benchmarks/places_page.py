@@ -20,9 +20,7 @@ from luxloop.loop.terminal.tables import markdown
 
 TEMPLATE = Path(__file__).with_suffix(".md")
 PICTURE = "places.png"
-COLUMNS = {**dict.fromkeys(CONTROLLERS, "iou"), "bound": "iou_bound"}  # and the measure of each in a table of IoUs
 BINS = (0.0, 0.2, 0.5, VISIBLE)  # of the visible share, where less can be seen
-WORST = 12  # worlds that are named
 SHOWN = 5  # places with less to be seen in the picture
 AROUND = (0.35, 1.0)  # of the target's picture, by which more of the camera's image is shown beside it, and above and below
 
@@ -39,7 +37,6 @@ def write(rows: Sequence[Row], places: Sequence[Place], about: dict[str, Any], f
 
 def page(rows: Sequence[Row], about: dict[str, Any]) -> str:
     seen = [row for row in rows if row["visible"] >= VISIBLE]
-    grades = [row for row in rows if row["kind"].endswith(KINDS[0])]
     own = [row for row in rows if row["controller"] == "luxloop"]
     return TEMPLATE.read_text("utf-8").format(
         **about,
@@ -48,8 +45,7 @@ def page(rows: Sequence[Row], about: dict[str, Any]) -> str:
         share=f"{VISIBLE:g}",
         goals=goals(rows),
         kinds=table(seen, "kind", [kind for kind in KINDS if any(row["kind"] == kind for row in seen)]),
-        grades=table(grades, "world", dict.fromkeys(row["world"] for row in grades), visible=True),
-        worst=worst([row for row in own if row["visible"] >= VISIBLE]),
+        grades=by_grade([row for row in own if row["kind"].endswith(KINDS[0])]),
         outcomes=outcomes([row for row in own if row["visible"] < VISIBLE]),
     )
 
@@ -64,26 +60,32 @@ def goals(rows: Sequence[Row]) -> str:
     return markdown(("goal", "worlds", "to hold in", ""), lines, "lrrl")
 
 
-def table(rows: Sequence[Row], field: str, values: Iterable[Any], visible: bool = False) -> str:
-    """A row for each value of the field and a column a controller and the bound: mean IoU, its worst in brackets."""
+def table(rows: Sequence[Row], field: str, values: Iterable[Any]) -> str:
+    """A row for each value of the field and a column a controller and the bound: mean IoU, luxloop's worst in brackets."""
     lines = []
     for value in values:
         found = [row for row in rows if row[field] == value]
         own = [row for row in found if row["controller"] == "luxloop"]
-        cells = [_cell([r[measure] for r in (own if name == "bound" else _of(found, name))]) for name, measure in COLUMNS.items()]
-        cells += [_cell([row["visible"] for row in own])] if visible else []
+        cells = [_cell([r["iou"] for r in _of(found, name)], name == "luxloop") for name in CONTROLLERS]
+        cells.append(_cell([r["iou_bound"] for r in own]))
         lines.append((value, len(own), *cells))
-    return markdown((field, "worlds", *COLUMNS, *(["visible share"] if visible else [])), lines)
+    return markdown((field, "worlds", *CONTROLLERS, "bound"), lines)
 
 
-def worst(rows: Sequence[Row]) -> str:
-    """The worlds in which luxloop stays furthest behind the bound."""
-    lines = []
-    for row in sorted(rows, key=lambda row: row["iou"] - row["iou_bound"])[:WORST]:
-        found = "never" if row["found"] is None else row["found"]
-        ious = (f"{row[name]:.2f}" for name in ("iou_open", "iou_feedforward", "iou", "iou_bound"))
-        lines.append((row["world"], *ious, found, row["lost"], f"{row['centroid']:.0f}"))
-    return markdown(("world", "open", "feedforward", "luxloop", "bound", "found at", "lost steps", "centroid %"), lines)
+def by_grade(own: Sequence[Row]) -> str:
+    """A row for each target and measure, and a column a grade, of luxloop's rows on grades."""
+    found = {(row["kind"], row["world"].split(" %")[0]): row for row in own}
+    grades = sorted({grade for _, grade in found}, key=float)
+    lines = [
+        (
+            "on the road" if kind.startswith("place") else "appearance",
+            name,
+            *(_cell([found[kind, each][key]] if (kind, each) in found else []) for each in grades),
+        )
+        for kind in dict.fromkeys(kind for kind, _ in found)
+        for name, key in (("luxloop", "iou"), ("bound", "iou_bound"))
+    ]
+    return markdown(("target", "IoU", *(f"{each} %" for each in grades)), lines, "llr")
 
 
 def outcomes(rows: Sequence[Row]) -> str:
@@ -101,10 +103,10 @@ def _of(rows: Sequence[Row], controller: str) -> list[Row]:
     return [row for row in rows if row["controller"] == controller]
 
 
-def _cell(values: Sequence[float]) -> str:
+def _cell(values: Sequence[float], worst: bool = False) -> str:
     if not values:
         return "–"
-    return f"{np.mean(values):.2f}" + (f" ({min(values):.2f})" if len(values) > 1 else "")
+    return f"{np.mean(values):.2f}" + (f" ({min(values):.2f})" if worst and len(values) > 1 else "")
 
 
 def draw(chosen: Sequence[tuple[Place, Row]], file: Path) -> None:

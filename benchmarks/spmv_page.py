@@ -36,11 +36,9 @@ def page(results: dict[str, Any]) -> str:
         goals=goals_page(results["goals"]),
         side=fixed[0]["texels"][0],
         entries=fixed[-1]["entries"],
-        fixed=times(fixed),
+        times=times({"A.1": fixed, "A.2": results["adaptive"], "long": results["long"], "shipped": results["shipped"]}),
+        slower=slower({"A.1": fixed, "long": results["long"]}),
         flatness=", ".join(f"{ms:.2f}" for ms in results["flatness"].values()),
-        adaptive=times(results["adaptive"]),
-        long=times(results["long"]),
-        shipped=times(results["shipped"]),
         texels_a=lamp_a["texels"][0] * lamp_a["texels"][1] / lamp_a["pixels"],
         texels_b=lamp_b["texels"][0] * lamp_b["texels"][1] / lamp_b["pixels"],
         dense_name=dense["name"],
@@ -64,24 +62,48 @@ def page(results: dict[str, Any]) -> str:
     )
 
 
-def times(lamps: list[dict[str, Any]]) -> str:
-    """A row a lamp: formats in ms, the chosen one bold with its ratio, then the GPU and the thesis in µs."""
-    names = list(dict.fromkeys(name for lamp in lamps for name in lamp["ms"]))
-    thesis = any(lamp["thesis_us"] for lamp in lamps)
-    formats = [name if name == "SciPy" else f"`{name}`" for name in names]
-    header = ["pixels", "texels", "entries", *formats, "5 to 95 %", "chosen / SciPy", "of copy", "GPU µs"]
+def times(sets: dict[str, list[dict[str, Any]]]) -> str:
+    """A row a lamp: SciPy and the chosen format in ms, then the GPU where there is one, and the thesis in µs."""
+    with_gpu = any(lamp["gpu"] for lamps in sets.values() for lamp in lamps)
+    header = [
+        "lamp",
+        "texels",
+        "entries",
+        "SciPy",
+        "fastest",
+        "ms",
+        "/ SciPy",
+        "of copy",
+        *(["GPU µs"] if with_gpu else []),
+        "thesis µs",
+        "set",
+    ]
     rows = []
-    for lamp in lamps:
+    for name, lamp in ((name, lamp) for name, lamps in sets.items() for lamp in lamps):
         cells = [lamp["name"].split(",")[0], " x ".join(map(str, lamp["texels"])), f"{lamp['entries']:.2f}"]
-        for name in names:
-            ms = f"{lamp['ms'][name]['median']:.2f}" if name in lamp["ms"] else ""
-            cells.append(f"**{ms}**" if name == lamp["chosen"] else ms)
-        spread = lamp["ms"][lamp["chosen"]]
-        cells += [f"{spread['q05']:.2f} to {spread['q95']:.2f}", f"{lamp['ratio']:.2f}", f"{lamp['copy_share']:.0%}", gpu(lamp["gpu"])]
-        if thesis:
-            cells.append(f"{lamp['thesis_us']:.1f}")
-        rows.append(cells)
-    return markdown([*header, "thesis µs"] if thesis else header, rows)
+        scipy, chosen = (f"{lamp['ms'][each]['median']:.2f}" for each in ("SciPy", lamp["chosen"]))
+        cells += [scipy, f"`{lamp['chosen']}`", chosen, f"{lamp['ratio']:.2f}", f"{lamp['copy_share']:.0%}"]
+        cells += [gpu(lamp["gpu"])] if with_gpu else []
+        rows.append([*cells, f"{lamp['thesis_us']:.1f}" if lamp["thesis_us"] else "", name])
+    return markdown(header, rows, "lrrrlr")
+
+
+def slower(sets: dict[str, list[dict[str, Any]]]) -> str:
+    """A row a format: its time over the chosen format's, in each set of lamps."""
+    ratios: dict[str, dict[str, list[float]]] = {}
+    for name, lamp in ((name, lamp) for name, lamps in sets.items() for lamp in lamps):
+        chosen = lamp["ms"][lamp["chosen"]]["median"]
+        for form in lamp["ms"].keys() - {"SciPy"}:
+            ratios.setdefault(form, {}).setdefault(name, []).append(lamp["ms"][form]["median"] / chosen)
+    cells = (
+        (form, [each.get(name, []) for name in sets])
+        for form, each in sorted(ratios.items(), key=lambda item: min(map(min, item[1].values())))
+    )
+    rows = (
+        (f"`{form}`", *("–".join(dict.fromkeys(f"{each(found):.1f}" for each in (min, max))) if found else "" for found in own))
+        for form, own in cells
+    )
+    return markdown(("times the chosen", *sets), rows)
 
 
 def gpu(measured: dict[str, Any] | None) -> str:
@@ -94,15 +116,9 @@ def gpu(measured: dict[str, Any] | None) -> str:
 def bytes_of(memory: list[dict[str, Any]]) -> str:
     names = list(memory[0]["formats"])
     rows = [
-        [
-            each["name"],
-            f"{each['lit_share']:.0%}",
-            f"{each['entries']:.1f}",
-            *(f"{each['formats'][name]['bytes'] / 1e6:.1f}" for name in names),
-        ]
-        for each in memory
+        [each["name"], f"{each['lit_share']:.0%}", *(f"{each['formats'][name]['bytes'] / 1e6:.1f}" for name in names)] for each in memory
     ]
-    return markdown(["lamp", "lit", "entries", *(f"`{name}`" for name in names)], rows)
+    return markdown(["lamp", "lit", *(f"`{name}`" for name in names)], rows)
 
 
 def draw_updates(points: list[dict[str, Any]], file: Path) -> None:

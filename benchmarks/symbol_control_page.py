@@ -12,7 +12,7 @@ import numpy as np
 from symbol_control_cases import CONTROLLERS, DISTURBED, DRIVING, FROM, STANDING, UNTIL, Case
 from symbol_control_goals import BEGUN, DISTURBANCES, GOALS, Judged, Row
 
-from luxloop.loop.terminal.tables import markdown
+from luxloop.loop.terminal.tables import markdown, number
 
 TEMPLATE = Path(__file__).with_suffix(".md")
 PICTURE = "symbol-control.png"
@@ -44,11 +44,11 @@ def page(rows: Sequence[Row], about: dict[str, Any], failed: Collection[str], ab
     return TEMPLATE.read_text("utf-8").format(
         **about,
         goals=goals(rows, failed, absent),
-        **{f"standing_{name}": table(on_time, "scene", STANDING, name) for name in ("iou", "settle", "overshoot", "centroid", "gap")},
-        **{f"driving_{name}": table(on_time, "scene", DRIVING, name) for name in ("iou", "centroid", "gap")},
-        **{f"disturbed_{name}": table(on_time, "scene", DISTURBANCES, name) for name in ("iou_least", "recovery", "gap")},
+        standing_iou=table(on_time, "scene", STANDING, "iou"),
+        standing=extremes([row for row in standing if row["latency"] == 0]),
+        driving_iou=table(on_time, "scene", DRIVING, "iou"),
+        disturbed_iou_least=table(on_time, "scene", DISTURBANCES, "iou_least"),
         late=table(standing, "latency", dict.fromkeys(row["latency"] for row in standing), "iou"),
-        luxloop=all_latencies([row for row in standing if row["controller"] == "luxloop"]),
     )
 
 
@@ -86,21 +86,24 @@ def table(rows: Sequence[Row], field: str, values: Iterable[Any], measure: str) 
     )
 
 
-def all_latencies(rows: Sequence[Row]) -> str:
-    """A row for each scene and latency, and a column a measure."""
+def extremes(rows: Sequence[Row]) -> str:
+    """A row for each controller: the median step of settling, and the worst of the other measures."""
     lines = []
-    for scene, latency in dict.fromkeys((row["scene"], row["latency"]) for row in rows):
-        found = [row for row in rows if (row["scene"], row["latency"]) == (scene, latency)]
-        lines.append((scene, latency, *(_cell(found, name) for name in ("iou", "settle", "overshoot", "centroid", "gap"))))
-    return markdown(("scene", "late by", "IoU", "settled", "overshoot %", "centroid %", "below open loop"), lines)
+    for name in CONTROLLERS:
+        own = [row for row in rows if row["controller"] == name]
+        worst = (max((row[key] for row in own if row[key] is not None), default=np.nan) for key in ("overshoot", "centroid", "gap"))
+        settled = np.median([row["settle"] for row in own]) if own else np.nan
+        lines.append((name, *(number(value, form) for value, form in zip((settled, *worst), (".0f", ".0f", ".1f", ".2f"), strict=True))))
+    return markdown(("controller", "settled, median", "overshoot %, worst", "centroid %, worst", "below open loop, worst"), lines)
 
 
 def _cell(rows: Sequence[Row], measure: str) -> str:
     values = [row[measure] for row in rows if row[measure] is not None]
     if not values:
         return "–"
-    worst, digits = (min if measure.startswith("iou") else max)(values), MEASURES[measure]
-    return f"{np.mean(values):.{digits}f}" + (f" ({worst:.{digits}f})" if len(values) > 1 else "")
+    worst = (min if measure.startswith("iou") else max)(values)
+    mean, worst = (f"{value:.{MEASURES[measure]}f}" for value in (np.mean(values), worst))
+    return mean if worst == mean else f"{mean} ({worst})"
 
 
 def draw(judged: Sequence[tuple[Case, Judged]], file: Path) -> None:

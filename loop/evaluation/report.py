@@ -32,26 +32,24 @@ THESIS_ROWS = {
 MEASURES = {
     "jpo": "MAE, joint optimum",
     "mrpc": "MAE, MRPC tuned for each setpoint",
-    "mrpc_ratio": "ratio MRPC / joint, tuned for each setpoint",
+    "mrpc_ratio": "ratio MRPC / joint",
     "options_ratio": "ratio, a_ac and sharpening tuned as well",
     "corrected_ratio": "ratio, three corrections on top",
-    "ours_ratio": "ratio with one set of our parameters, with corrections",
-    "median_ratio": "ratio with the thesis' median parameters",
-    "default_ratio": "ratio with the default parameters",
-    "options_sharpening": "best sharpening",
-    "corrected_sharpening": "best sharpening with corrections",
-    "options_a_ac": "best a_ac",
-    "corrected_a_ac": "best a_ac with corrections",
+    "ours_ratio": "ratio, one set of our parameters",
+    "median_ratio": "ratio, the thesis' median parameters",
+    "default_ratio": "ratio, default parameters",
     "a_m": "best a_m",
     "a_x": "best a_x",
     "a_r": "best a_r",
+    "options_a_ac": "best a_ac",
+    "options_sharpening": "best sharpening",
 }
 CAPTIONS = {
-    "errors": "MAE of the joint optimum, and excess of that of MRPC, over all setpoints (T figures 8.5 to 8.8)",
-    "difference": "light of MRPC minus that of the joint optimum (T figures 8.9, 8.10)",
-    "profiles": "differences between the two (T figure 8.11)",
-    "sensitivity": "errors of the wide rectangle over the parameters; bright: small, star: minimum (T figures 8.12 to 8.19)",
-    "parameters": "best parameters of all setpoints (T figures B.2 to B.7)",
+    "errors": "MAE of the joint optimum, and excess of MRPC's (T figures 8.5 to 8.8)",
+    "difference": "Light of MRPC minus that of the joint optimum (T figures 8.9, 8.10)",
+    "profiles": "Differences between the two (T figure 8.11)",
+    "sensitivity": "Errors of the wide rectangle; bright: small, star: minimum (T figures 8.12 to 8.19)",
+    "parameters": "Best parameters (T figures B.2 to B.7)",
 }
 
 
@@ -104,17 +102,20 @@ def page(evaluation: Evaluation, images: str) -> str:
 def _lamp(one: Evaluation, name: str, images: str) -> list[str]:
     values = summary(one.setpoints)
     measured = [
-        [text, *(number(value, ".3f") for value in (values[f"{key}_mean"], values[f"{key}_median"], *THESIS[name].get(key, (None, None))))]
-        for key, text in MEASURES.items()
+        (text, _pair((values[f"{key}_mean"], values[f"{key}_median"])), _pair(THESIS[name].get(key))) for key, text in MEASURES.items()
     ]
     count = f"{values['setpoints']:g} rectangles of 10,000 cd; the joint optima are proved within {100 * values['gap']:.2g} %."
-    parts = [f"## {name}", count, tables.markdown(["", "mean", "median", "mean in the thesis", "median in the thesis"], measured)]
+    parts = [f"## {name}", count, tables.markdown(["mean (median)", "luxloop", "thesis"], measured)]
     kinds = list(CAPTIONS) if one.sensitivity else [kind for kind in CAPTIONS if kind != "sensitivity"]
     for kind in kinds:
         if kind == "sensitivity":
             parts += _changes(one, name)
-        parts.append(f"![{CAPTIONS[kind][0].upper()}{CAPTIONS[kind][1:]}]({images}{kind}-{name}.png)\n\n*{CAPTIONS[kind]}*")
+        parts.append(f"![{kind}]({images}{kind}-{name}.png)\n\n*{CAPTIONS[kind]}*")
     return parts
+
+
+def _pair(values: tuple[float | None, float | None] | None) -> str:
+    return "–" if values is None else "{} ({})".format(*(number(value, ".3f") for value in values))
 
 
 def _changes(one: Evaluation, name: str) -> list[str]:
@@ -129,7 +130,7 @@ def _changes(one: Evaluation, name: str) -> list[str]:
         changes = [f"{100 * (row[error] / reference[error] - 1):+.1f} ({value:+.1f})" for error, value in zip(errors, thesis, strict=True)]
         body.append([key, *(number(row[f"best_{name}"], ".2f") for name in ("a_m", "a_x", "a_r")), *changes])
     text = (
-        "A rectangle of 8.9° x 7.7°, as in T tables 8.2 and 8.3: change in % (the thesis' in brackets) relative to pixels used as their "
-        f"bounding rectangles at half of their peak, without mapping, whose MAE is {reference['mae']:.3f}."
+        "A rectangle of 8.9° x 7.7° (T tables 8.2, 8.3): change in % (the thesis' in brackets) relative to bounding rectangles at half "
+        f"of the pixels' peak, without mapping, whose MAE is {reference['mae']:.3f}."
     )
     return [text, tables.markdown(["tuned", "a_m", "a_x", "a_r", "MAE", "RMSE", "DSSIM", "MARE"], body)]

@@ -103,10 +103,10 @@ def test_a_track_stays_an_objects_while_it_overlaps() -> None:
 def test_goals_are_missed_where_only_one_of_both_is_reached() -> None:
     rows = [{"variant": "luxloop", "moving": k % 2 == 1, "objects": 1, "saved_low": 0.99, "kept": False, "lost": 1} for k in range(4)]
     rows = [row | {"settle_s": 1.0, "newcomer": False, "newcomer_s": None, "eyes_lx": None, "searches_s": []} for row in rows]
-    page = object_based_page.goals(goals.Measured(rows, [], [], None))
+    page = object_based_page.goals(goals.Measured(rows, [], []))
     assert "at least 85 % | 99.0% | reached" in page and "of the runs | 0.0% | **missed**" in page
     assert "newcomer lit within 0.5 s, at least 90 % | – | not measured" in page
-    endless = object_based_page.goals(goals.Measured([row | {"searches_s": [None]} for row in rows], [], [], None))
+    endless = object_based_page.goals(goals.Measured([row | {"searches_s": [None]} for row in rows], [], []))
     assert "90 % quantile | never | **missed**" in endless
 
 
