@@ -13,6 +13,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from luxloop.loop.terminal.options import INTERRUPTED, AllowCode, Device, Keys
+from luxloop.world.errors import LuxloopError
 
 
 def studio(
@@ -50,6 +51,8 @@ def studio(
     from luxloop.loop.studio.server import Studio, Tokens
     from luxloop.loop.studio.sources import Source
 
+    if not 0 <= port <= 65535:
+        raise LuxloopError(f"--port {port}: is no port; give 1 to 65535, or 0 for a free one")
     overrides, files, tokens = tuple(set or ()), page(), Tokens()
     sources = tuple(
         Source("", overrides, Path(name)) if Path(name).is_dir() else Source(name, overrides) for name in (scenario, beside) if name

@@ -116,6 +116,9 @@ def _binary(header: Header, channels: Channels, rows: int | None) -> NDArray[np.
             "write #:LRFI or #:LDFI"
         )
     complete = len(header.data) // (count * dtype.itemsize)
+    other, bytes_ = ("KDBI", 8) if dtype.itemsize == 4 else ("KRBI", 4)
+    if rows is not None and complete != rows and len(header.data) == -(-rows * count * bytes_ // LINE_WIDTH) * LINE_WIDTH:
+        raise CrgError(f"{header.path}: its data block is as long as that of {rows} rows of {other}, not {channels.kind}; write #:{other}")
     if rows is not None and complete < rows:
         if complete < 2 or len(header.data) % 80:
             raise CrgError(

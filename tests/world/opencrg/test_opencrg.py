@@ -230,6 +230,8 @@ def test_a_reference_shows_no_environment_variable(tmp_path: Path, monkeypatch: 
         ("LRFI", b"#:LRFI", b"#:KRBI", "its data block is text, but .* declares KRBI"),
         ("LRFI", b"#:LRFI", b"#:KDBI", "its data block is text, but .* declares KDBI"),
         ("LRFI", b"#:LRFI", b"", "its data block is text"),
+        ("KRBI", b"#:KRBI", b"#:KDBI", "as long as that of .* rows of KRBI, not KDBI"),
+        ("KDBI", b"#:KDBI", b"#:KRBI", "as long as that of .* rows of KDBI, not KRBI"),
         ("LRFI", b"D:long section 6,m\n", b"", r"line \d+: has more than the 5 values"),
         ("LRFI", b"0\n 0.25", b"0 0.25", r"line \d+: has 120 characters, and LRFI data 80 at most"),
         ("LRFI", b"section 6,m", b"section 6,furlong", r"line \d+: the unit 'furlong' is unknown"),
