@@ -28,9 +28,8 @@ from luxloop.world.view import View
 STARTS = (4.0, 0.5)  # of a new track's rates, in sizes a second: 4 m/s across for a pedestrian's size, less up and down
 CHANGES = (1.0, 0.3)  # of how rates change, in sizes and the root of a second
 GATE = 4.0  # standard deviations, in u and in v, beyond which a detection is no track's
-FARTHEST = 2.0  # sizes, the same
 OTHER_CLASS = 0.5  # cost of a detection that is nothing like the track's class
-LARGEST_COST = 1.8  # a track rather stays without a detection; the overlap costs 1 at most
+LARGEST_COST = 1.8  # a track rather stays without a detection; the overlap costs 1 at most, a distance of one size 1
 FOLLOWS_S = 1.0  # time constant of sizes
 WEAK = 0.5  # of the score that starts a track: what scores less does not keep one
 KEPT = 2.0  # longest time without detection, as a multiple of the time with detections
@@ -152,7 +151,7 @@ class Tracker:
         likeness = found.scores[:, tracks.category].T / found.scores.amax(-1).clamp(min=1e-9)
         trusted = (found.scores.amax(-1) / self.params.start_score).clamp(max=1)
         cost = (1 - overlaps(expected, found.boxes) + far + OTHER_CLASS * (1 - likeness)) / trusted
-        impossible = (off**2 > GATE**2 * spread).any(-1) | (far > FARTHEST)
+        impossible = (off**2 > GATE**2 * spread).any(-1)
         cost = torch.where(impossible, LARGEST_COST, cost.clamp(max=LARGEST_COST))
         rows, columns = (torch.from_numpy(each) for each in linear_sum_assignment(cost.numpy()))
         possible = cost[rows, columns] < LARGEST_COST

@@ -112,12 +112,14 @@ def test_anti_windup_recovers_faster(form: str) -> None:
     assert recovery() == 60  # 60 steps of windup are not unwound before the end
 
 
-def test_tracking_faster_than_a_step_does_not_overshoot() -> None:
-    gains = bank(kp=1.0, ki=1.0, upper=1.0, tracking_time=1e-3)
+@pytest.mark.parametrize("form", ["position", "incremental"])
+@pytest.mark.parametrize(("tracking_time", "share"), [(0.4, 0.25), (1e-3, 1.0)], ids=["slow", "faster than a step"])
+def test_each_step_takes_its_share_of_the_pid_sum_beyond_a_limit(form: str, tracking_time: float, share: float) -> None:
+    gains = bank(kp=1.0, upper=0.0, tracking_time=tracking_time, form=form)
     state = at_rest(gains)
-    for _ in range(5):
+    for step in range(1, 6):
         state, _ = pid_step(state, torch.full((1,), 3.0, dtype=torch.float64), 0.1, gains)
-        assert (state.integral + 3.0).item() == pytest.approx(1.0)  # the PID sum sits on the limit, not beyond it
+        assert (state.integral + 3.0).item() == pytest.approx(3.0 * (1 - share) ** step)  # on the limit, not beyond it, at a share of 1
 
 
 @settings(max_examples=20, deadline=None)
