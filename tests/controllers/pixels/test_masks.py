@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from luxloop.controllers.pixels.mrpc import MrpcParams
 from luxloop.controllers.pixels.primitives import Primitives, concatenate, rectangle
-from luxloop.controllers.pixels.rthc import trace
+from luxloop.controllers.pixels.rthc import masks, trace
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.presets import idealised, lamp
@@ -136,3 +136,9 @@ def test_bright_setpoints_of_infinite_weight_beat_exclusion_and_activation() -> 
     bright = board(0.3, -0.2, 0.4, 0.3, value=0.5, weight=math.inf)
     u = Ssc.prepare(LAMP, MrpcParams(a_x=1.0, a_ac=1.0), default=FULL).utilisation(bright, T).u
     assert sorted(u.unique().tolist()) == pytest.approx([0.5, 1.0])
+
+
+def test_only_darkness_of_infinite_weight_is_a_mask() -> None:
+    place = (20.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0)
+    parts = [rectangle(*place, value, weight=weight) for value, weight in ((0.0, math.inf), (0.0, 1.0), (5.0, math.inf))]
+    assert masks(concatenate(*parts)) == [True, False, False]
