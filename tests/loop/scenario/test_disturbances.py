@@ -23,7 +23,12 @@ from luxloop.world.scene.vehicle import VehicleParams, drive
 from tests.loop.conftest import SMALL, frames_of
 
 SYMBOL = SMALL["functions"]["symbol"]
-AT_TARGET: dict[str, Any] = {**SMALL, "functions": {"symbol": {**SYMBOL, "controller": {"name": "open"}, "start": {}}}, "steps": 1}
+AT_TARGET: dict[str, Any] = {
+    **SMALL,
+    "headlight": {"model": "idealised-332x1024", "lamps": ["left"]},
+    "functions": {"symbol": {**SYMBOL, "controller": {"name": "open"}, "start": {}}},
+    "steps": 1,
+}
 QUIET = {"camera": {**SMALL["camera"], "noise": False}}
 
 
@@ -207,7 +212,7 @@ def test_worn_pixels_give_as_much_less_light(plain: Simulation) -> None:
     matrix, whole = aged.modules[0].headlight.matrix, plain.world.modules[0].headlight.matrix
     left = matrix.values / whole.values
     shares = [float(left.isclose(torch.tensor(share)).double().mean()) for share in (0.0, 0.4, 1.0)]
-    assert shares == pytest.approx([0.2, 0.5, 0.3], abs=1e-4)  # one entry a pixel, 21,248 of them
+    assert shares == pytest.approx([0.2, 0.5, 0.3], abs=1e-5)  # one entry a pixel, 339,968 of them
     light = plain.symbol.projector.light(plain.symbol.projector.target)
     added = [world.lit(0.0).luminance(light).sum() for world in (aged, plain.world)]
     # 0.3 + 0.5 * 0.4; the symbol has some thousand pixels, each with a standard deviation of 0.37
@@ -228,8 +233,8 @@ def test_dead_pixels_that_are_named_are_dead(plain: Simulation) -> None:
     (light,) = plain.symbol.projector.light(plain.symbol.projector.target)
     lit = torch.nonzero(light.u)[:, 0].tolist()
     assert not worn_world(plain, dead_pixels=lit).lit(0.0).luminance([light]).any()
-    with pytest.raises(LuxloopError, match=r"wear\.dead_pixels: left matrix has no pixel 21248; give numbers from 0 to 21247"):
-        worn_world(plain, dead_pixels=[21_248])
+    with pytest.raises(LuxloopError, match=r"wear\.dead_pixels: left matrix has no pixel 339968; give numbers from 0 to 339967"):
+        worn_world(plain, dead_pixels=[339_968])
 
 
 def test_a_box_hides_the_road_and_shades_what_lies_behind(plain: Simulation) -> None:

@@ -11,11 +11,9 @@ from websockets.asyncio.server import Server
 
 from luxloop.loop.studio.server import Studio, Tokens
 from luxloop.loop.studio.sources import Source
-from tests.lamps import SMALL_LAMP
 
 # a process has one OpenGL context, in one thread, which other tests of the process use
 SMALL = (
-    f"headlight.model={SMALL_LAMP}",
     "renderer=raycast",
     "camera.width_px=320",
     "camera.height_px=180",

@@ -60,8 +60,8 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[webdriver.Chro
 
 @pytest.fixture(scope="module")
 def objects() -> Iterator[Served]:
-    """Five road users before a car with two lamps of five modules (not the tests' small lamp, which has no low beam), masks among them."""
-    yield from serving(Source("gfhb", (*SMALL[1:], "camera.width_px=640", "camera.height_px=360")), PAGE)
+    """Five road users before a car with two lamps of five modules, masks among them."""
+    yield from serving(Source("gfhb", (*SMALL, "camera.width_px=640", "camera.height_px=360")), PAGE)
 
 
 def opened(browser: webdriver.Chrome, served: Served, token: str | None = None) -> None:

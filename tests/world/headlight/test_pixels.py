@@ -176,7 +176,7 @@ def test_progress_is_told() -> None:
 
 @pytest.mark.parametrize("name", ["sample8.ldt", "medium_scatter.ies", "type_a_symmetric.ies", "type_b_full.ies"])
 def test_real_files_agree_with_their_own_texture(data_dir: Path, name: str) -> None:
-    distribution = files.read(data_dir / "ies" / name).distribution
+    distribution = files.read_photometry(data_dir / "ies" / name).distribution
     grid = TexelGrid.from_degrees(90, 120, 50, -50, -40, 40)
     made = assemble(alone(distribution), grid, cutoff=0)
     peak = distribution.candela.max()

@@ -169,7 +169,7 @@ def test_views_of_different_sizes_take_turns(source):
 
 def test_auto_falls_back_to_rays_with_a_warning(monkeypatch):
     monkeypatch.setenv("PYOPENGL_PLATFORM", "none")
-    monkeypatch.setattr(rasterise, "context", rasterise.context.__wrapped__)
+    monkeypatch.setattr(rasterise, "_context", rasterise._context.__wrapped__)
     with pytest.warns(UserWarning, match="ray casting"):
         assert isinstance(face_source("auto"), RayCaster)
     with pytest.raises(NoOpenGL, match="libegl1"):
