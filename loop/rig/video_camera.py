@@ -51,11 +51,11 @@ class DeviceCamera:
             self._refuse("fourcc", f"{params.device} does not give {params.fourcc} of this size; `v4l2-ctl --list-formats-ext`")
         if params.exposure is not None:
             self._capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, LOCKED)
-        for name, key, value in (
+        for name, key, given in (
             ("exposure", cv2.CAP_PROP_EXPOSURE, params.exposure),
             ("gain", cv2.CAP_PROP_GAIN, params.gain),
         ):
-            if value is not None and not self._capture.set(key, value):
+            if given is not None and not self._capture.set(key, given):
                 self._refuse(name, f"{params.device} has no such control; leave it out, `v4l2-ctl --list-ctrls` shows those there are")
         self._capture.set(cv2.CAP_PROP_AUTO_WB, 0)
 
