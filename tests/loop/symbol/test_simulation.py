@@ -24,9 +24,9 @@ def test_the_controller_knows_that_the_road_is_wet(small_scenario: Scenario) -> 
 
 def in_a_beam(scenario: Scenario, beam: str, steps: int, **symbol: object) -> Scenario:
     lighting = scenario.lighting.model_copy(update={"base": BaseBeamParams(beam=beam)})
-    return scenario.model_copy(
-        update={"lighting": lighting, "functions": {"symbol": scenario.symbol.model_copy(update=symbol)}, "steps": steps}
-    )
+    headlight = scenario.headlight.model_copy(update={"model": "idealised-332x1024"})
+    functions = {"symbol": scenario.symbol.model_copy(update=symbol)}
+    return scenario.model_copy(update={"headlight": headlight, "lighting": lighting, "functions": functions, "steps": steps})
 
 
 @pytest.mark.parametrize("symbol", [{}, {"quantity": "u_rel", "value": 5.0}], ids=["u_abs", "u_rel"])
