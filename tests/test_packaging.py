@@ -112,19 +112,3 @@ def test_an_optimiser_follows_rendering_beside_triton(tmp_path: Path) -> None:
     subprocess.run([*PIP, "--no-deps", "--target", tmp_path, "triton"], check=True)
     environment = {**os.environ, "PYTHONPATH": f"{tmp_path}:{ROOT}"}
     subprocess.run([sys.executable, "-c", f"{ADAM}import triton._C.libtriton"], env=environment, check=True)
-
-
-def test_the_lowest_versions_that_the_project_allows_run_the_main_job(tmp_path: Path) -> None:
-    """With the torch of the constraints, since older ones are gigabytes that PyPI has with CUDA alone."""
-    subprocess.run([*PIP, "--target", tmp_path / "uv", "uv"], check=True)
-    (tmp_path / "override.txt").write_text(f"torch=={metadata.version('torch')}\n")
-    lowest = ["--resolution", "lowest-direct", "--override", "override.txt", "--index-strategy", "unsafe-best-match"]
-    compiled = [tmp_path / "uv/bin/uv", "pip", "compile", *lowest, "--quiet", "--python", sys.executable, "-o", "low.txt"]
-    torch = ["--extra-index-url", "https://download.pytorch.org/whl/cpu"]
-    subprocess.run([*compiled, *torch, ROOT / "pyproject.toml"], cwd=tmp_path, check=True)
-    subprocess.run([sys.executable, "-m", "venv", tmp_path / "venv"], check=True)
-    python = tmp_path / "venv/bin/python"
-    subprocess.run([python, "-m", "pip", "install", "--quiet", *torch, "--no-deps", "-r", "low.txt"], cwd=tmp_path, check=True)
-    for arguments in (["run", "snowflake", "--steps", "2"], ["headlight", "show", "hd84", "--out", "lamp.png"]):
-        command = [python, "-m", "luxloop.loop.commands.cli", *arguments]
-        subprocess.run(command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True)
