@@ -41,8 +41,8 @@ def parsed(source: str) -> ast.Module:
 def imported(source: str) -> set[str]:
     """All that a module imports, at its head or inside functions: `a.b.c` of `from a.b import c`, `world.c` of `from luxloop.world import
     c`, what begins with "." of relative imports."""
-    return {name.removeprefix("luxloop.") if name.split(".")[1] in INSIDE else name for name in named_in(source) if "." in name} | {
-        name for name in named_in(source) if "." not in name
+    return {
+        name.removeprefix("luxloop.") if name.partition("luxloop.")[2].partition(".")[0] in INSIDE else name for name in named_in(source)
     }
 
 

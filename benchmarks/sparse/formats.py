@@ -10,8 +10,8 @@ from sparse.tiles import Tiles, Tiles64
 
 LARGEST = 3  # times the bytes of CSR: what a format may store to be considered
 LONG_ROWS = 6  # entries a lit row from which tiles can pay
-TILED = 0.9  # times the bytes of CSR: what tiles may store, which save bytes and nothing else and are dear to build
-PART_ROWS = 2**15  # of the middle, on either side: planning all tiles only to count them is dear
+TILED = 0.9  # times the bytes of CSR: largest size at which tiles pay, which save bytes only and take long to build
+PART_ROWS = 2**15  # on either side of the middle: tiles are counted on this part, since planning all of them takes long
 FORMATS: dict[str, type[SparseFormat]] = {
     each.name: each for each in (Coo, CsrRows, Window, ScipyWindow, Submatrix, Ell, Sell, Lgc, Tiles, Tiles64)
 }
