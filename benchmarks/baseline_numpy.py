@@ -15,7 +15,7 @@ from scipy.ndimage import map_coordinates, maximum_filter, uniform_filter
 
 from luxloop.controllers.symbol.sensing.flat_model import PAIRED
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import camera_view
 from luxloop.perception.extraction import NEIGHBOURHOOD, WHOLLY_LIT
 from luxloop.world.rendering.flat_road import flat_road

@@ -14,11 +14,11 @@ import torch
 from bench import machine, on_one_thread
 from rich.table import Table
 
-from luxloop.loop.batch.copies import Copies
-from luxloop.loop.batch.looking import Taken
-from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.report import terminal as tables
 from luxloop.loop.scenario.model import load
-from luxloop.loop.terminal import tables
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.studies.batch.copies import Copies
+from luxloop.loop.studies.batch.looking import Taken
 
 SIZES = ((640, 480), (1280, 720))  # px
 BATCHES, STEPS = (1, 16, 64), 12

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from rich.console import Console
 
-from luxloop.loop.terminal.tables import markdown
+from luxloop.loop.report.terminal import markdown
 
 Goal = tuple[str, float | None, float, bool]  # what, its value (None where it was not measured), its limit, whether that is the least
 

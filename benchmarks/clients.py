@@ -19,10 +19,10 @@ from rich.table import Table
 from websockets.sync.client import connect
 from websockets.sync.server import ServerConnection, serve
 
-from luxloop.loop.client.decoding import unpacked
-from luxloop.loop.client.shared import Mapped
+from luxloop.loop.report import terminal as tables
+from luxloop.loop.studio.client.decoding import unpacked
+from luxloop.loop.studio.client.shared import Mapped
 from luxloop.loop.studio.shared import Blocks
-from luxloop.loop.terminal import tables
 from luxloop.world.messages.arrays import raw
 from luxloop.world.messages.packing import packed
 

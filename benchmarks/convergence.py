@@ -11,14 +11,14 @@ from typing import Any
 
 import rich.progress
 
-from luxloop.loop.lighting.record import row, schema
-from luxloop.loop.recording.columns import of_one
 from luxloop.loop.recording.files import table_of
+from luxloop.loop.recording.record import row, schema
 from luxloop.loop.recording.summary import summarise
+from luxloop.loop.report.terminal import markdown, number
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario import data
 from luxloop.loop.scenario.model import Scenario, load
-from luxloop.loop.terminal.tables import markdown, number
+from luxloop.loop.simulation.columns import of_one
 
 SYMBOLS = ("distance_warning", "chevrons", "snowflake", "warning_triangle")
 ROADS = ("flat", "bumps", "grade", "mixed")

@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 import torch
 
-from luxloop.loop.jobs.executors import local
-from luxloop.loop.training.judge import SURE, judge
-from luxloop.loop.training.light import luminance
-from luxloop.loop.training.report import confidence_figure, page
-from luxloop.loop.training.scenes import CAMERA, HELD_OUT, DarkScene, read
-from luxloop.loop.training.train import LEAST_SCORE, drawn
+from luxloop.loop.studies.jobs.executors import local
+from luxloop.loop.studies.training.judge import SURE, judge
+from luxloop.loop.studies.training.light import luminance
+from luxloop.loop.studies.training.report import confidence_figure, page
+from luxloop.loop.studies.training.scenes import CAMERA, HELD_OUT, DarkScene, read
+from luxloop.loop.studies.training.train import LEAST_SCORE, drawn
 from luxloop.perception.camera import expose
 from luxloop.perception.detection.build import WEIGHTS, detector
 from luxloop.perception.detection.params import HogParams, NetworkParams

@@ -17,10 +17,10 @@ import torch
 from bench import machine, on_one_thread
 from rich.table import Table
 
-from luxloop.loop.batch.rollouts import rollouts
-from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.report import terminal as tables
 from luxloop.loop.scenario.model import load
-from luxloop.loop.terminal import tables
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.studies.batch.rollouts import rollouts
 
 PID = "functions.symbol.controller.name=thesis_pid"
 RUNS: dict[str, tuple[str, tuple[str, ...]]] = {

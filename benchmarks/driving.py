@@ -17,11 +17,11 @@ import torch
 from bench import Goal, judged, machine, on_one_thread, show_goals
 from rich.table import Table
 
-from luxloop.loop.lighting.result import SimulationState, StepResult
-from luxloop.loop.lighting.simulation import Simulation
-from luxloop.loop.plant.world import World
+from luxloop.loop.report import terminal as tables
 from luxloop.loop.scenario.model import load
-from luxloop.loop.terminal import tables
+from luxloop.loop.simulation.result import SimulationState, StepResult
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.simulation.world import World
 from luxloop.world.light.illumination import added_light
 from luxloop.world.rendering.surfaces import QuickSurfaces, surface_source
 

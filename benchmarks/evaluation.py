@@ -6,10 +6,10 @@ Goes on where an earlier run in the same folder was, and writes docs/results/eva
 import argparse
 from pathlib import Path
 
-from luxloop.loop.evaluation import figures
-from luxloop.loop.evaluation.evaluate import evaluate
-from luxloop.loop.evaluation.report import page
-from luxloop.loop.jobs.executors import local
+from luxloop.loop.studies.evaluation import figures
+from luxloop.loop.studies.evaluation.evaluate import evaluate
+from luxloop.loop.studies.evaluation.report import page
+from luxloop.loop.studies.jobs.executors import local
 
 DOCS = Path(__file__).parents[1] / "docs" / "results"
 HEAD = (Path(__file__).parent / "evaluation_page.md").read_text("utf-8")

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from bench import machine
 
-from luxloop.loop.terminal.tables import markdown
+from luxloop.loop.report.terminal import markdown
 from luxloop.world.roads.base import Road
 from luxloop.world.roads.shapes import GradeParams, Iso8608, Profile
 from luxloop.world.scene.vehicle import LOW_PASS_M, CourseParams, VehicleParams, followed

@@ -30,8 +30,8 @@ from luxloop.controllers.pixels.primitives import I_V, Primitives, rectangle  # 
 from luxloop.controllers.pixels.rthc import Setpoints  # noqa: E402
 from luxloop.controllers.pixels.ssc import Ssc  # noqa: E402
 from luxloop.controllers.pixels.windows import whole  # noqa: E402
-from luxloop.loop.assembly.build import symbol_path  # noqa: E402
-from luxloop.loop.terminal.tables import markdown  # noqa: E402
+from luxloop.loop.report.terminal import markdown  # noqa: E402
+from luxloop.loop.simulation.build import symbol_path  # noqa: E402
 from luxloop.perception.metrics import mae  # noqa: E402
 from luxloop.world.beams.rectangles import RECTANGLES  # noqa: E402
 from luxloop.world.frames import pose_from_degrees  # noqa: E402

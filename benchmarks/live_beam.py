@@ -18,11 +18,11 @@ from bench import machine, on_one_thread
 from rich.table import Table
 from rig_bench import ALBEDO, Effects, rig, wall
 
-from luxloop.loop.calibration.bench import Array, SimulatedBench
-from luxloop.loop.calibration.files import Calibration
-from luxloop.loop.calibration.response import Response
-from luxloop.loop.live.digitiser import Digitiser
-from luxloop.loop.terminal import tables
+from luxloop.loop.report import terminal as tables
+from luxloop.loop.rig.calibration.bench import Array, SimulatedBench
+from luxloop.loop.rig.calibration.files import Calibration
+from luxloop.loop.rig.calibration.response import Response
+from luxloop.loop.rig.live.digitiser import Digitiser
 from luxloop.perception.camera import saturation_luminance
 from luxloop.world.headlight import Headlight
 from luxloop.world.presets.ideal import idealised

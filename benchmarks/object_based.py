@@ -21,11 +21,11 @@ from object_based_cases import COMES, FULL, LOW, NEWCOMER, OURS, beam_lights, ca
 from object_based_goals import FOUND, Measured, measures, track_rows, zone_rows
 from object_based_parts import agreement, pair_jobs, track_jobs, tracked, zone_jobs, zones
 
-from luxloop.loop.jobs.executors import local
-from luxloop.loop.jobs.runner import Job, Results, digest_of, run
-from luxloop.loop.lighting.lamps import flux_by_side
-from luxloop.loop.lighting.simulation import Simulation
 from luxloop.loop.recording.digest import digest_of_code
+from luxloop.loop.simulation.lamps import flux_by_side
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.studies.jobs.executors import local
+from luxloop.loop.studies.jobs.runner import Job, Results, digest_of, run
 from luxloop.perception.camera import expose
 from luxloop.perception.detection.build import WEIGHTS
 from luxloop.perception.noise import FrameNoise

@@ -10,13 +10,13 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.obl.function import ObjectBasedState
-from luxloop.loop.lighting.detection import DetectionPipeline, pairs
-from luxloop.loop.lighting.lamps import flux_by_side
-from luxloop.loop.lighting.result import StepResult
-from luxloop.loop.lighting.simulation import Simulation
-from luxloop.loop.plant.world import LitScene
 from luxloop.loop.scenario.model import Scenario, load, validate
 from luxloop.loop.scenario.overrides import Override
+from luxloop.loop.simulation.detection import DetectionPipeline, pairs
+from luxloop.loop.simulation.lamps import flux_by_side
+from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.simulation.world import LitScene
 from luxloop.perception.camera import CameraParams, expose
 from luxloop.perception.ground_truth import GroundTruth
 from luxloop.perception.noise import FrameNoise

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from object_based_cases import BEAMS, COMES, END, FULL, HIGH, LATE, LOW, NEWCOMER, OURS, WORLD
 from object_based_parts import DENSE, FULL_WELLS, TARGET, WITHIN
 
-from luxloop.loop.training.judge import SURE
+from luxloop.loop.studies.training.judge import SURE
 
 FOUND = SURE  # confidence in full light from which on an object counts: what the detector is judged by
 NEAR = 0.05  # confidence that may be lost

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from object_based_cases import BEAMS, COMES, END, LOW, OURS, VARIANTS
 from object_based_goals import FOUND, GOALS, NEAR, RATE_HZ, Measured, Row, median_saved, newcomers, quantile, share, share_kept
 
-from luxloop.loop.terminal.tables import markdown, number
+from luxloop.loop.report.terminal import markdown, number
 
 TEMPLATE = Path(__file__).with_suffix(".md")
 NAME, PICTURE = "object_based.md", "object-based-results.png"

@@ -10,10 +10,10 @@ from object_based_cases import CAMERA, FIRST, WORLD, lit, scenario
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from luxloop.loop.jobs.runner import Job
-from luxloop.loop.lighting.detection import pairs
-from luxloop.loop.lighting.simulation import Simulation
-from luxloop.loop.plant.world import World
+from luxloop.loop.simulation.detection import pairs
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.simulation.world import World
+from luxloop.loop.studies.jobs.runner import Job
 from luxloop.perception.camera import expose
 from luxloop.perception.detection.protocol import Detections
 from luxloop.perception.detection.suppression import SAME, overlaps

@@ -22,9 +22,9 @@ from luxloop.controllers.symbol.heights.patch import drawn_on
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import Observation
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
-from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.report import terminal as tables
 from luxloop.loop.scenario.model import load
-from luxloop.loop.terminal import tables
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import camera_view
 from luxloop.perception.egomotion import Ego
 from luxloop.world.frames import inverse, transform

@@ -18,10 +18,10 @@ from bench import machine
 from places_cases import KINDS, places, run_place
 from places_goals import measures
 
-from luxloop.loop.jobs.executors import local
-from luxloop.loop.jobs.runner import Job, digest_of, run
 from luxloop.loop.recording.digest import digest_of_code
 from luxloop.loop.recording.manifest import digests
+from luxloop.loop.studies.jobs.executors import local
+from luxloop.loop.studies.jobs.runner import Job, digest_of, run
 
 DOCS = Path(__file__).parents[1] / "docs" / "results"
 

@@ -9,8 +9,8 @@ from torch.nn.functional import grid_sample
 
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.symbol.sensing.projector import DrawingModule
-from luxloop.loop.batch.copies import Lights
-from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.studies.batch.copies import Lights
 from luxloop.perception.birdseye import rectify
 from luxloop.perception.judge import THRESHOLD
 from luxloop.world.rendering.raycast import depths, first_hits

@@ -16,7 +16,7 @@ from places_cases import CONTROLLERS, KINDS, Place
 from places_goals import GOALS, OUTCOMES, VISIBLE, Row, outcome
 from symbol_control_cases import shared
 
-from luxloop.loop.terminal.tables import markdown
+from luxloop.loop.report.terminal import markdown
 
 TEMPLATE = Path(__file__).with_suffix(".md")
 PICTURE = "places.png"

@@ -21,13 +21,13 @@ from rich.table import Table
 from websockets.sync.client import connect
 
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.loop.client.decoding import unpacked
-from luxloop.loop.plant.clock import FromZero
-from luxloop.loop.plant.protocol import Arrivals, Exposure, Frame, Plant
-from luxloop.loop.plant.remote import RemotePlant
+from luxloop.loop.report import terminal as tables
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
-from luxloop.loop.terminal import tables
+from luxloop.loop.simulation.clock import FromZero
+from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame, Plant
+from luxloop.loop.simulation.remote_plant import RemotePlant
+from luxloop.loop.studio.client.decoding import unpacked
 from luxloop.world.messages.arrays import raw
 from luxloop.world.messages.packing import packed
 

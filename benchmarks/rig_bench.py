@@ -8,12 +8,12 @@ import numpy as np
 import torch
 from scipy.ndimage import gaussian_filter
 
-from luxloop.loop.calibration.bench import Array, SimulatedBench, simulated_bench
-from luxloop.loop.calibration.board import Corners
-from luxloop.loop.calibration.geometry import CameraModel, Geometry, Pose
-from luxloop.loop.calibration.intrinsics import lens
-from luxloop.loop.lighting.lamps import lamp_modules, shining_modules
+from luxloop.loop.rig.calibration.bench import Array, SimulatedBench, simulated_bench
+from luxloop.loop.rig.calibration.board import Corners
+from luxloop.loop.rig.calibration.geometry import CameraModel, Geometry, Pose
+from luxloop.loop.rig.calibration.intrinsics import lens
 from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.loop.simulation.lamps import lamp_modules, shining_modules
 from luxloop.perception.camera import camera_view
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp, Module

@@ -15,12 +15,12 @@ import numpy as np
 import torch
 from rig_bench import ALBEDO, Effects, Rig, model, rig, seen_at, wall
 
-from luxloop.loop.calibration.bench import Array
-from luxloop.loop.calibration.digitise import Digitised, Nominal, Reading, Settings, digitised, lux, scaled, take
-from luxloop.loop.calibration.geometry import Geometry, candela_factor
-from luxloop.loop.calibration.response import Response
-from luxloop.loop.calibration.shots import Shots
-from luxloop.loop.terminal.tables import markdown
+from luxloop.loop.report.terminal import markdown
+from luxloop.loop.rig.calibration.bench import Array
+from luxloop.loop.rig.calibration.digitise import Digitised, Nominal, Reading, Settings, digitised, lux, scaled, take
+from luxloop.loop.rig.calibration.geometry import Geometry, candela_factor
+from luxloop.loop.rig.calibration.response import Response
+from luxloop.loop.rig.calibration.shots import Shots
 from luxloop.world.headlight import Headlight
 from luxloop.world.presets.ideal import idealised
 

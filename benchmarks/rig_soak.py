@@ -27,16 +27,16 @@ from rich.table import Table
 from torch import Tensor
 
 from luxloop.loop.commands.rig_runs import pixel_grids
-from luxloop.loop.lighting.lamps import lamp_modules
-from luxloop.loop.plant.build import from_zero
-from luxloop.loop.plant.protocol import Exposure
+from luxloop.loop.report import terminal as tables
 from luxloop.loop.rig.judged import Judged
 from luxloop.loop.rig.params import RigParams
 from luxloop.loop.rig.plant import RigPlant
 from luxloop.loop.rig.rig import Rig, await_camera, opened
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import load
-from luxloop.loop.terminal import tables
+from luxloop.loop.simulation.build_plant import from_zero
+from luxloop.loop.simulation.lamps import lamp_modules
+from luxloop.loop.simulation.protocol import Exposure
 from luxloop.world.validation import validated
 
 ROOT = Path(__file__).parents[1]

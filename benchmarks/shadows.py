@@ -22,11 +22,11 @@ from bench import Goal, judged, machine, on_one_thread, show_goals
 from float64_rays import hidden
 from torch import Tensor
 
-from luxloop.loop.lighting.simulation import Simulation
-from luxloop.loop.plant.world import World
+from luxloop.loop.report import terminal as tables
 from luxloop.loop.scenario import data
 from luxloop.loop.scenario.model import load
-from luxloop.loop.terminal import tables
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.simulation.world import World
 from luxloop.world.frames import pose, pose_from_degrees
 from luxloop.world.headlight import Headlight
 from luxloop.world.light.illumination import illuminance, reach

@@ -26,7 +26,7 @@ from spmv_lamps import FIXED_SIDE, SIZES, THESIS_ADAPTIVE_US, THESIS_FIXED_US, L
 from spmv_timing import Copy, Step, interleaved, statistics
 from spmv_updates import FIGURE_PIXELS, FIGURE_TEXELS, measure_figure, measure_updates
 
-from luxloop.loop.terminal import tables
+from luxloop.loop.report import terminal as tables
 from luxloop.world import presets
 from luxloop.world.spmv import Csr, zeros
 

@@ -9,7 +9,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from bench import goals_page
 
-from luxloop.loop.terminal.tables import markdown
+from luxloop.loop.report.terminal import markdown
 
 TEMPLATE = Path(__file__).with_suffix(".md")
 

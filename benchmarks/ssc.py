@@ -20,7 +20,7 @@ from ssc_scenes import T_WORLD_LAMP, Plain, covered, lamp, many, symbol
 
 from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.pixels.ssc import Ssc
-from luxloop.loop.terminal import tables
+from luxloop.loop.report import terminal as tables
 from luxloop.world.headlight import Headlight
 
 ROUNDS = 11

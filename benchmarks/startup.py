@@ -19,13 +19,13 @@ from typing import Any
 
 from bench import Goal, judged, machine, show_goals
 
-from luxloop.loop.terminal import tables
+from luxloop.loop.report import terminal as tables
 
 HERE = Path(__file__).parents[1]
 COMMAND = "import sys; from luxloop.loop.commands.cli import main; sys.exit(main())"
 FIRST_STEP = """import os, sys
 from luxloop.loop.commands.cli import main
-from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.simulation.simulation import Simulation
 step = Simulation.step
 Simulation.step = lambda *arguments: os._exit(step(*arguments) is None)  # where the first step is done
 main()

@@ -24,10 +24,10 @@ from bench import machine, on_one_thread
 from rich.table import Table
 
 from luxloop.controllers.symbol.sensing.protocol import Observation, Shown
-from luxloop.loop.lighting.result import SimulationState
-from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.report import terminal as tables
 from luxloop.loop.scenario.model import Scenario, load
-from luxloop.loop.terminal import tables
+from luxloop.loop.simulation.result import SimulationState
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import expose
 from luxloop.perception.noise import FrameNoise
 from luxloop.world.light.illumination import added_light

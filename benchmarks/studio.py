@@ -23,12 +23,12 @@ from typing import Any
 from bench import machine, on_one_thread
 from rich.table import Table
 
+from luxloop.loop.report import terminal as tables
 from luxloop.loop.studio.feed import Feed
 from luxloop.loop.studio.messages import VIEWS, Button, Request
 from luxloop.loop.studio.server import Studio, Tokens
 from luxloop.loop.studio.session import Session
 from luxloop.loop.studio.sources import Source
-from luxloop.loop.terminal import tables
 from luxloop.world.messages.packing import LENGTH
 
 SMALL = ("camera.width_px=640", "camera.height_px=360", "judge_every=0")

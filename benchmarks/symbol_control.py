@@ -16,10 +16,10 @@ from bench import machine
 from symbol_control_cases import DISTURBED, STANDING, UNDISTURBED, cases, trajectories
 from symbol_control_goals import measures
 
-from luxloop.loop.jobs.executors import local
-from luxloop.loop.jobs.runner import Job, digest_of, run
 from luxloop.loop.recording.digest import digest_of_code
 from luxloop.loop.recording.manifest import digests
+from luxloop.loop.studies.jobs.executors import local
+from luxloop.loop.studies.jobs.runner import Job, digest_of, run
 
 DOCS = Path(__file__).parents[1] / "docs" / "results"
 SEEDS = 5

@@ -9,15 +9,15 @@ import pyarrow as pa
 import torch
 
 from luxloop.controllers.symbol import build_controller
-from luxloop.loop.lighting.record import row, schema
-from luxloop.loop.lighting.simulation import Simulation
-from luxloop.loop.recording.columns import of_one
 from luxloop.loop.recording.files import table_of
+from luxloop.loop.recording.record import row, schema
 from luxloop.loop.recording.summary import AXES, column, overshoot_percent, settle_step
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario import data
 from luxloop.loop.scenario.model import Scenario, load, validate
 from luxloop.loop.scenario.overrides import Override
+from luxloop.loop.simulation.columns import of_one
+from luxloop.loop.simulation.simulation import Simulation
 
 OFFSET_M = 0.03  # by which the feed-forward's road is too high, and the one that luxloop believes in at a wrong start
 FEEDFORWARD = "feedforward, 3 cm off"

@@ -12,7 +12,7 @@ import numpy as np
 from symbol_control_cases import CONTROLLERS, DISTURBED, DRIVING, FROM, STANDING, UNTIL, Case
 from symbol_control_goals import BEGUN, DISTURBANCES, GOALS, Judged, Row
 
-from luxloop.loop.terminal.tables import markdown, number
+from luxloop.loop.report.terminal import markdown, number
 
 TEMPLATE = Path(__file__).with_suffix(".md")
 PICTURE = "symbol-control.png"

@@ -2,9 +2,9 @@
 
 import itertools
 
+from luxloop.loop.report.terminal import markdown
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
-from luxloop.loop.terminal.tables import markdown
 
 STEPS, MEANT = 30, 10
 BOX = '[{kind="box", name="box", size_m=[0.4, 0.5, 0.3], albedo=0.2, track=[{position_m=[15.5, 0.2, 0.0]}]}]'

@@ -12,9 +12,9 @@ import torch
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.report.terminal import markdown
 from luxloop.loop.scenario.model import validate
-from luxloop.loop.terminal.tables import markdown
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.detection.protocol import Detections
 from luxloop.perception.detection.suppression import SAME, overlaps

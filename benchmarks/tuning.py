@@ -17,15 +17,14 @@ import numpy as np
 import torch
 from optuna.trial import TrialState
 
-from luxloop.loop import objective
-from luxloop.loop.batch.rollouts import rollouts
-from luxloop.loop.jobs.executors import Executor, local
+from luxloop.loop.report import terminal as tables
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import Scenario, load
-from luxloop.loop.studies import ranges
+from luxloop.loop.studies import objective, ranges
+from luxloop.loop.studies.batch.rollouts import rollouts
+from luxloop.loop.studies.jobs.executors import Executor, local
 from luxloop.loop.studies.tune import Task, Tuned, ran
 from luxloop.loop.studies.tune_report import do_tune
-from luxloop.loop.terminal import tables
 
 DOCS = Path(__file__).parents[1] / "docs" / "tuning.md"
 HEADING = "## What it brings"

@@ -14,19 +14,19 @@ import torch
 
 from luxloop.controllers.symbol.sensing.field import SIDES, cut
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.loop.labels.labelled import Labels, Layout
-from luxloop.loop.lighting.commanded import unmoved
-from luxloop.loop.lighting.controlled import ControlledSymbol
-from luxloop.loop.lighting.record import refuse_unknown_columns, row
-from luxloop.loop.lighting.result import StepResult
-from luxloop.loop.lighting.simulation import Simulation
-from luxloop.loop.plant.digitised import DigitisedPlant, needs_rig
-from luxloop.loop.plant.protocol import Plant
 from luxloop.loop.recording.checks import Checks
 from luxloop.loop.recording.files import REPORT, TRAJECTORY, VIDEO
+from luxloop.loop.recording.labelled import Labels, Layout
+from luxloop.loop.recording.record import refuse_unknown_columns, row
 from luxloop.loop.recording.remedies import of_target
 from luxloop.loop.scenario.model import Scenario, load
 from luxloop.loop.scenario.plant import shadow_of
+from luxloop.loop.simulation.commanded import unmoved
+from luxloop.loop.simulation.controlled import ControlledSymbol
+from luxloop.loop.simulation.digitised import DigitisedPlant, needs_rig
+from luxloop.loop.simulation.protocol import Plant
+from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError, located
 from luxloop.world.folders import output_folder
 from luxloop.world.parquet import read_parquet
@@ -57,7 +57,7 @@ class RunResult:
         return report.read_bytes() if report.is_file() else None
 
 
-def run(
+def run(  # noqa: PLR0913 (each value stands by itself)
     scenario: Scenario | str | Path,
     folder: Path | str | None = None,
     *,
@@ -90,7 +90,7 @@ def run(
     first step is done.
     """
     # What records, for which a preparation alone does not wait.
-    from luxloop.loop.lighting.recorder import Recorder, refuse_foreign
+    from luxloop.loop.recording.recorder import Recorder, refuse_foreign
     from luxloop.loop.recording.video import VideoWriter
     from luxloop.loop.report.picture import frame_picture, white_of
     from luxloop.loop.report.watched import Watched

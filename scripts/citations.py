@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-from luxloop.loop.terminal.tables import markdown
+from luxloop.loop.report.terminal import markdown
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("world", "perception", "controllers", "loop", "benchmarks/sparse")

@@ -16,15 +16,15 @@ from typing import Any, get_args
 from citations import cited_table
 from pydantic import BaseModel
 
-from luxloop.loop.bench.faults import FaultParams
-from luxloop.loop.lighting import record
-from luxloop.loop.plant.frames import COLUMNS
-from luxloop.loop.recording import columns as recorded
+from luxloop.loop.recording import record
 from luxloop.loop.recording.comparison import TOLERANCES
+from luxloop.loop.report.terminal import markdown
 from luxloop.loop.rig.params import RigParams
+from luxloop.loop.rig.simulated.faults import FaultParams
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.overrides import TAGS
-from luxloop.loop.terminal.tables import markdown
+from luxloop.loop.simulation import columns as recorded
+from luxloop.loop.simulation.frames import COLUMNS
 from luxloop.world.lampfiles.description import LampDescription
 
 FILES: dict[str, tuple[type[BaseModel], ...]] = {

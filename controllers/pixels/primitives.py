@@ -119,7 +119,7 @@ class Primitives:
         return replace(self, **moved, symbols=tuple(symbol.to(target) for symbol in self.symbols), observer=observer)
 
 
-def rectangle(
+def rectangle(  # noqa: PLR0913 (each value stands by itself)
     origin: Vector,
     d1: Vector,
     d2: Vector,

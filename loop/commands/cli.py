@@ -19,12 +19,12 @@ from luxloop.loop.commands.exports import export_app
 from luxloop.loop.commands.given import recorded_scenario_of, scenario_of
 from luxloop.loop.commands.headlight import headlight_app
 from luxloop.loop.commands.listing import data_app, doctor, list_, schema
+from luxloop.loop.commands.options import DIFFERS, FAILED, INTERRUPTED, OK, UNREAD, WRONG, AllowCode, Device, Flag, Json, Keys
 from luxloop.loop.commands.rig import rig_app
 from luxloop.loop.commands.studies import campaign, dataset, evaluate, optimise_beam, train_detector, tune
 from luxloop.loop.commands.studio import studio
+from luxloop.loop.report import terminal as tables
 from luxloop.loop.scenario.shipped import TEMPLATE, copied, examples, original
-from luxloop.loop.terminal import tables
-from luxloop.loop.terminal.options import DIFFERS, FAILED, INTERRUPTED, OK, UNREAD, WRONG, AllowCode, Device, Flag, Json, Keys
 from luxloop.world.errors import LuxloopError, did_you_mean
 
 DEBUG = "--debug"
@@ -286,13 +286,13 @@ def run(
     given |= {} if rig is None else {"plant": {"kind": "rig"}}
     scenario = (recorded_scenario_of if itself else scenario_of)(name, set, controller, allow_code=allow_code, **given)
     if scenario.digitised is not None and rig is None and plant is None:
-        from luxloop.loop.plant.digitised import needs_rig
+        from luxloop.loop.simulation.digitised import needs_rig
 
         raise LuxloopError(f"{scenario.source}: {needs_rig(f'modules.{scenario.digitised}')}")
     from luxloop.loop.commands.runs import run_scenario
 
     if plant is not None and steps is None:
-        from luxloop.loop.plant.recorded import to_the_end
+        from luxloop.loop.simulation.recorded import to_the_end
 
         scenario = to_the_end(scenario)
     kept = {"video": video, "report": report, "frames": frames, "labels": labels, "masks": masks, "depth": depth, "lux": lux}
@@ -326,7 +326,7 @@ def replay(directory: Path, /, *, compare: bool | None = None, csv: Path | None 
         File to write the recorded steps to, as comma-separated values.
     """
     from luxloop.loop.commands.runs import compare_recording
-    from luxloop.loop.replay.replay import to_csv
+    from luxloop.loop.recording.replay import to_csv
 
     if csv is not None:
         to_csv(directory, csv)

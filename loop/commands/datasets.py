@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Final
 
-from luxloop.loop.dataset.drawn import read
-from luxloop.loop.dataset.make import make_dataset
-from luxloop.loop.terminal import tables
+from luxloop.loop.report import terminal as tables
+from luxloop.loop.studies.dataset.drawn import read
+from luxloop.loop.studies.dataset.make import make_dataset
 
 SHOWN: Final = 6  # classes in the closing line
 

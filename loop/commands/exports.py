@@ -6,8 +6,8 @@ from typing import Annotated
 from cyclopts import App, Parameter
 
 from luxloop.loop.commands.given import scenario_of
-from luxloop.loop.terminal import tables
-from luxloop.loop.terminal.options import AllowCode, Keys
+from luxloop.loop.commands.options import AllowCode, Keys
+from luxloop.loop.report import terminal as tables
 
 At = Annotated[float, Parameter(name="--at")]
 export_app = App(name="export", help="Scene and light of a scenario at one time, as files for other programs.")
@@ -29,7 +29,7 @@ def scene(name: str, /, *, out: Path, at_s: At = 0.0, set: Keys = None, allow_co
         Keys to change, as key=value in TOML syntax, or a TOML file of them.
     """
     scenario = scenario_of(name, set, allow_code=allow_code)
-    from luxloop.loop.export.scene import write_scene
+    from luxloop.loop.report.export_scene import write_scene
     from luxloop.loop.run import prepare
 
     written = write_scene(prepare(scenario, "cpu"), at_s, out)
@@ -55,7 +55,7 @@ def light(name: str, /, *, out: Path, at_s: At = 0.0, step_deg: float = 0.1, set
         Keys to change, as key=value in TOML syntax, or a TOML file of them.
     """
     scenario = scenario_of(name, set, allow_code=allow_code)
-    from luxloop.loop.export.light import write_light
+    from luxloop.loop.report.export_light import write_light
     from luxloop.loop.run import prepare
 
     files = write_light(prepare(scenario, "cpu"), at_s, out, step_deg)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Literal
 
 from cyclopts import App
 
-from luxloop.loop.terminal import tables
-from luxloop.loop.terminal.options import DIFFERS, AllowCode
+from luxloop.loop.commands.options import DIFFERS, AllowCode
+from luxloop.loop.report import terminal as tables
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -97,7 +97,7 @@ def show(
     out
         Picture to write (.png, .jpg, .pdf or .svg); by default named after lamp, beam and view.
     """
-    from luxloop.loop.pictures.styles import check_out, style_of
+    from luxloop.loop.report.styles import check_out, style_of
     from luxloop.world.errors import LuxloopError
 
     stem = Path(lamp).stem
@@ -115,7 +115,7 @@ def show(
         "visibility-m": visibility_m,
     }
     if Path(lamp).suffix.lower() in PHOTOMETRIC and view is None:
-        from luxloop.loop.pictures.photometry import show_distribution
+        from luxloop.loop.report.photometry import show_distribution
         from luxloop.world.photometry import read_all
 
         for name, value in chosen.items():
@@ -125,7 +125,7 @@ def show(
         print(f"{show_distribution(photometry, out or Path(f'{stem}.png'))} written")
     else:
         from luxloop.loop.commands.shown import lights_by_side
-        from luxloop.loop.pictures.headlight import show_headlight
+        from luxloop.loop.report.headlight import show_headlight
         from luxloop.loop.scenario.model import load
         from luxloop.world.lampfiles.description import for_traffic, load_lamp
 
@@ -210,7 +210,7 @@ def export(
     step_deg
         Step of both angles in deg; in EULUMDAT of gamma, whose planes are 1 deg apart.
     """
-    from luxloop.loop.export.photometric import export as export_beam
+    from luxloop.loop.report.export_photometry import export as export_beam
     from luxloop.world.lampfiles.description import for_traffic, load_lamp
 
     exported = for_traffic(load_lamp(lamp, side), traffic)
@@ -280,7 +280,7 @@ def _tell_what_beams_keep(lamp: "Lamp") -> None:
 @contextmanager
 def _pixels_done() -> Iterator[Callable[[str, int, int], None]]:
     """A progress bar for each module; yields a function of the module's name, its pixels done and its number of pixels."""
-    from luxloop.loop.terminal.progress import progress
+    from luxloop.loop.report.progress import progress
 
     with ExitStack() as bars:
         advance: list[Callable[[], None]] = []

@@ -7,8 +7,8 @@ import torch
 from rich.markup import escape
 from rich.table import Table
 
-from luxloop.loop.pictures.facts import borders_deg, flux_lm, peak
-from luxloop.loop.terminal.tables import facts, number, plain
+from luxloop.loop.report.facts import borders_deg, flux_lm, peak
+from luxloop.loop.report.terminal import facts, number, plain
 from luxloop.world.headlight.lamp import Lamp
 from luxloop.world.lampfiles.modules import ModuleReport
 from luxloop.world.photometry import Photometry

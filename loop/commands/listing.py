@@ -6,10 +6,10 @@ from pathlib import Path
 from cyclopts import App
 from rich.markup import escape
 
+from luxloop.loop.commands.options import DIFFERS, OK, Json
+from luxloop.loop.report import terminal as tables
 from luxloop.loop.scenario import data
-from luxloop.loop.terminal import tables
-from luxloop.loop.terminal.listing import USES, Kind, listing
-from luxloop.loop.terminal.options import DIFFERS, OK, Json
+from luxloop.loop.scenario.listing import USES, Kind, listing
 
 data_app = App(name="data", help="Measured roads and light distributions from their public sources.")
 COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}  # by status of a check
@@ -55,7 +55,7 @@ def doctor(*, json: Json = False) -> int:
     json
         Print a JSON object: ok, and checks, a list of objects with name, status, found and remedy.
     """
-    from luxloop.loop.terminal.doctor import all_good, checks
+    from luxloop.loop.commands.doctor import all_good, checks
 
     found = checks()
     if json:

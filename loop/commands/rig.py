@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 from cyclopts import App
 
 from luxloop.loop.commands.given import scenario_of
+from luxloop.loop.commands.options import AllowCode, Keys
 from luxloop.loop.commands.rig_calibration import board, calibrate, digitise, fit
 from luxloop.loop.commands.rig_pictures import light, take
 from luxloop.loop.commands.rig_runs import blink, check
-from luxloop.loop.terminal.options import AllowCode, Keys
 from luxloop.world.errors import LuxloopError
 
 if TYPE_CHECKING:
-    from luxloop.loop.bench.camera import End
+    from luxloop.loop.rig.simulated.camera import End
 
 rig_app = App(name="rig", help="A rig: a real lamp and a real camera in the loop, or a process that simulates both.")
 for command in (check, light, take, blink, board, calibrate, digitise, fit):
@@ -63,12 +63,12 @@ def simulate(
         Address HOST:PORT of the page of a loop whose light is `screen`: the rig process is then the projector that shows this page, and
         opens no UDP port for light.
     """
-    from luxloop.loop.bench.faults import read, split
+    from luxloop.loop.rig.simulated.faults import read, split
 
     keys, changes = split(set or ())
     scenario, wrong = scenario_of(name, keys, allow_code=allow_code), read(faults, changes)
-    from luxloop.loop.bench.camera import End
-    from luxloop.loop.bench.rig import Ports, Rig
+    from luxloop.loop.rig.simulated.camera import End
+    from luxloop.loop.rig.simulated.rig import Ports, Rig
 
     addresses = _address("--ego", ego), None if screen is None else _address("--screen", screen)
     end = End()

@@ -9,19 +9,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from luxloop.loop.commands.given import scenario_of
+from luxloop.loop.commands.options import AllowCode, Flag, Keys
 from luxloop.loop.commands.rig_runs import await_rig
-from luxloop.loop.terminal import tables
-from luxloop.loop.terminal.options import AllowCode, Flag, Keys
+from luxloop.loop.report import terminal as tables
 from luxloop.world.errors import LuxloopError
 
 if TYPE_CHECKING:
-    from luxloop.loop.assembly.truth import LampModule
-    from luxloop.loop.calibration.bench import Bench
-    from luxloop.loop.calibration.board import Corners
-    from luxloop.loop.calibration.digitise import Reading
-    from luxloop.loop.calibration.response import Response
-    from luxloop.loop.calibration.shots import Shots
+    from luxloop.loop.rig.calibration.bench import Bench
+    from luxloop.loop.rig.calibration.board import Corners
+    from luxloop.loop.rig.calibration.digitise import Reading
+    from luxloop.loop.rig.calibration.response import Response
+    from luxloop.loop.rig.calibration.shots import Shots
     from luxloop.loop.scenario.model import Scenario
+    from luxloop.loop.simulation.truth import LampModule
 
 NOISY = 1.2  # times the camera's noise that a fit of all that matters leaves at most
 ROUNDING = 0.3  # rms of rounding to digital numbers
@@ -46,7 +46,7 @@ def board(
     paper
         Size of the page.
     """
-    from luxloop.loop.calibration.board import print_board
+    from luxloop.loop.rig.calibration.board import print_board
 
     print_board(out, _board(columns, rows, square_mm), paper)
     print(f"{out} written: {columns} x {rows} squares of {square_mm:g} mm; print it at 100 %, and measure a square")
@@ -107,12 +107,12 @@ def calibrate(
     """
     import numpy as np
 
-    from luxloop.loop.calibration import calibrate as steps
-    from luxloop.loop.calibration import files
-    from luxloop.loop.calibration.digitise import Settings
-    from luxloop.loop.calibration.geometry import DISTORTION
-    from luxloop.loop.calibration.intrinsics import lens, vignetting
-    from luxloop.loop.calibration.response import Response
+    from luxloop.loop.rig.calibration import calibrate as steps
+    from luxloop.loop.rig.calibration import files
+    from luxloop.loop.rig.calibration.digitise import Settings
+    from luxloop.loop.rig.calibration.geometry import DISTORTION
+    from luxloop.loop.rig.calibration.intrinsics import lens, vignetting
+    from luxloop.loop.rig.calibration.response import Response
 
     files.refuse_name(out)
     readings = [_reading(each) for each in lux or ()]
@@ -202,11 +202,11 @@ def digitise(
     set
         Keys of the scenario to change, as key=value in TOML syntax.
     """
-    from luxloop.loop.calibration import digitise as steps
-    from luxloop.loop.calibration import files, report
-    from luxloop.loop.calibration.geometry import candela_factor
-    from luxloop.loop.calibration.intrinsics import brightness
-    from luxloop.loop.calibration.lamp import digitised_side, measured_lamp
+    from luxloop.loop.rig.calibration import digitise as steps
+    from luxloop.loop.rig.calibration import files, report
+    from luxloop.loop.rig.calibration.geometry import candela_factor
+    from luxloop.loop.rig.calibration.intrinsics import brightness
+    from luxloop.loop.rig.calibration.lamp import digitised_side, measured_lamp
     from luxloop.world.lampfiles import archive
 
     if not 0 < reflectance <= 1 or comb_frames < 1 or not all(1 <= each <= 8 for each in texels):
@@ -287,9 +287,9 @@ def fit(
     set
         Keys of the scenario to change first, as key=value in TOML syntax.
     """
-    from luxloop.loop.calibration.fit import Varied, recorded
-    from luxloop.loop.calibration.fit import fit as fitted
-    from luxloop.loop.terminal.progress import progress
+    from luxloop.loop.report.progress import progress
+    from luxloop.loop.rig.calibration.fit import Varied, recorded
+    from luxloop.loop.rig.calibration.fit import fit as fitted
 
     if exposures < 1:
         raise LuxloopError(f"--exposures {exposures}: compares nothing; give 1 at least")
@@ -319,14 +319,14 @@ def _bench(scenario: "Scenario", rig: Path | None, allow_code: bool) -> Iterator
     """The lit rig, or without a rig file the scenario's simulated world, and the modules that shine."""
     import torch
 
-    from luxloop.loop.calibration.bench import simulated_bench
-    from luxloop.loop.lighting.lamps import lamp_modules, shining_modules
+    from luxloop.loop.rig.calibration.bench import simulated_bench
+    from luxloop.loop.simulation.lamps import lamp_modules, shining_modules
 
     modules = lamp_modules(shining_modules(scenario, torch.device("cpu")))
     if rig is None:
         yield simulated_bench(scenario, modules), modules
         return
-    from luxloop.loop.calibration.live import live_bench
+    from luxloop.loop.rig.calibration.live import live_bench
     from luxloop.loop.rig.params import load_rig
     from luxloop.loop.rig.plant import grids_of
 
@@ -342,16 +342,16 @@ def _refuse_unarmed(rig: Path | None, arm: bool) -> None:
 
 
 def _shots(bench: "Bench", response: "Response", folder: Path, scenario: "Scenario") -> "Shots":
-    from luxloop.loop.calibration import codes
-    from luxloop.loop.calibration.combs import SPACING
-    from luxloop.loop.calibration.shots import Shots, plan_digest
+    from luxloop.loop.rig.calibration import codes
+    from luxloop.loop.rig.calibration.combs import SPACING
+    from luxloop.loop.rig.calibration.shots import Shots, plan_digest
 
     plan = codes.PERIOD, codes.STEPS, SPACING
     return Shots(bench, response, folder, plan_digest(scenario.headlight.model_dump(mode="json"), bench.shape, plan))
 
 
 def _board(columns: int, rows: int, square_mm: float) -> Any:
-    from luxloop.loop.calibration.board import BoardParams
+    from luxloop.loop.rig.calibration.board import BoardParams
     from luxloop.world.validation import validated
 
     return validated(BoardParams, {"columns": columns, "rows": rows, "square_mm": square_mm}, "see `luxloop rig board --help`")
@@ -381,7 +381,7 @@ def _pictures(path: Path) -> dict[Path, Any]:
 
 def _views(path: Path, printed: Any) -> tuple[list["Corners"], tuple[int, int]]:
     """Corners of the boards in pictures, and their width and height; says which are left out. Raises LuxloopError where all are."""
-    from luxloop.loop.calibration.board import Corners, corners
+    from luxloop.loop.rig.calibration.board import Corners, corners
 
     pictures = _pictures(path)
     found = {file: corners(each, printed, str(file)) for file, each in pictures.items()}
@@ -395,7 +395,7 @@ def _views(path: Path, printed: Any) -> tuple[list["Corners"], tuple[int, int]]:
 
 
 def _reading(text: str) -> "Reading":
-    from luxloop.loop.calibration.digitise import Reading
+    from luxloop.loop.rig.calibration.digitise import Reading
 
     try:
         value, at = text.split("@")

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from luxloop.loop.commands.rig_runs import await_rig, in_words, of_run, refuse_failed
-from luxloop.loop.terminal import tables
+from luxloop.loop.report import terminal as tables
 from luxloop.world.errors import located, redacted
 
 if TYPE_CHECKING:
-    from luxloop.loop.live.plant import LivePlant
+    from luxloop.loop.rig.live.plant import LivePlant
     from luxloop.loop.scenario.model import Scenario
 
 
@@ -24,18 +24,18 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
     """
     import torch
 
-    from luxloop.loop.assembly.lamps import mounted
-    from luxloop.loop.calibration.files import load
     from luxloop.loop.commands.runs import run_scenario
-    from luxloop.loop.live.picture import draw_beam
-    from luxloop.loop.live.plant import live_plant, refuse_unfit
-    from luxloop.loop.plant.digitised import digitised_number
     from luxloop.loop.recording.files import BEAM, RIG
     from luxloop.loop.recording.manifest import write_json
+    from luxloop.loop.rig.calibration.files import load
+    from luxloop.loop.rig.live.picture import draw_beam
+    from luxloop.loop.rig.live.plant import live_plant, refuse_unfit
     from luxloop.loop.rig.params import load_rig
     from luxloop.loop.rig.plant import grids_of
     from luxloop.loop.rig.rig import opened
     from luxloop.loop.scenario.plant import SimulatedPlantParams
+    from luxloop.loop.simulation.build_lamps import mounted
+    from luxloop.loop.simulation.digitised import digitised_number
 
     file, armed, allow_code = rig_file
     params = load_rig(file, allow_code=allow_code)

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from luxloop.loop.commands.given import scenario_of
+from luxloop.loop.commands.options import AllowCode, Flag, Keys
 from luxloop.loop.commands.rig_runs import Named, await_rig, pixel_grids
-from luxloop.loop.terminal.options import AllowCode, Flag, Keys
-from luxloop.loop.terminal.progress import progress
+from luxloop.loop.report.progress import progress
 from luxloop.world.errors import LuxloopError, located
 from luxloop.world.files import whole
 

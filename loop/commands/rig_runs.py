@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from luxloop.loop.commands.given import scenario_of
-from luxloop.loop.terminal import tables
-from luxloop.loop.terminal.options import AllowCode, Flag, Keys
-from luxloop.loop.terminal.progress import progress
+from luxloop.loop.commands.options import AllowCode, Flag, Keys
+from luxloop.loop.report import terminal as tables
+from luxloop.loop.report.progress import progress
 from luxloop.world.errors import LuxloopError, located, redacted
 from luxloop.world.files import whole
 
 if TYPE_CHECKING:
-    from luxloop.loop.plant.simulated import SimulatedPlant
     from luxloop.loop.rig.blink import Blinked
     from luxloop.loop.rig.params import MarkParams
     from luxloop.loop.rig.rig import Rig
     from luxloop.loop.scenario.model import Scenario
+    from luxloop.loop.simulation.simulated import SimulatedPlant
 
 Named = Annotated[str, Parameter(name="--scenario")]
 JUDGED = "the rig's own camera, by its view of the plane that it is calibrated to; the truth is not known, and its columns are empty"
@@ -38,13 +38,13 @@ def run_on_rig(
     and KeyboardInterrupt that says what was kept; the lamp is dark then. Raises LuxloopError after a run to which too few frames came.
     """
     from luxloop.loop.commands.runs import run_scenario
-    from luxloop.loop.plant.build import from_zero
     from luxloop.loop.recording.files import RIG
     from luxloop.loop.recording.manifest import write_json
     from luxloop.loop.rig.judged import Judged
     from luxloop.loop.rig.params import load_rig
     from luxloop.loop.rig.plant import RigPlant
     from luxloop.loop.rig.rig import opened
+    from luxloop.loop.simulation.build_plant import from_zero
 
     file, armed, allow_code = rig_file
     params = load_rig(file, allow_code=allow_code)
@@ -61,12 +61,12 @@ def run_on_rig(
         simulated: SimulatedPlant | None = None
 
         def plant(simulation: Any) -> Any:
-            from luxloop.loop.lighting.lamps import lamp_modules
+            from luxloop.loop.simulation.lamps import lamp_modules
 
             nonlocal judged, simulated
             modules, judged = lamp_modules(simulation.modules), Judged(simulation.controlled, scenario.camera, params.mark)
             if twin:
-                from luxloop.loop.calibration.twin import twin_plant
+                from luxloop.loop.rig.calibration.twin import twin_plant
 
                 simulated = twin_plant(scenario, modules)
             own = RigPlant.of(rig, modules, scenario.steps * len(scenario.shares))
@@ -212,8 +212,8 @@ def pixel_grids(scenario: "Scenario") -> tuple[tuple[int, int], ...]:
     """Rows and columns of the pixels of the scenario's modules."""
     import torch
 
-    from luxloop.loop.assembly.lamps import mounted
     from luxloop.loop.rig.plant import grids_of
+    from luxloop.loop.simulation.build_lamps import mounted
 
     with located(scenario.source):
         return grids_of(tuple(mounted(scenario.headlight, torch.device("cpu"), lambda lamp: lamp.modules)))
@@ -232,7 +232,7 @@ def await_rig(rig: "Rig") -> None:
 
 def _without_truth(scenario: "Scenario") -> tuple["Scenario", list[str]]:
     """The scenario without checks that a rig cannot evaluate, and their names."""
-    from luxloop.loop.recording.columns import of_truth
+    from luxloop.loop.simulation.columns import of_truth
 
     left_out = [name for name, each in scenario.checks.items() if of_truth(each.metric) or each.compare is not None]
     kept = {name: each for name, each in scenario.checks.items() if name not in left_out}
@@ -241,7 +241,7 @@ def _without_truth(scenario: "Scenario") -> tuple["Scenario", list[str]]:
 
 def _twin(out: Path, simulated: "SimulatedPlant", mark: "MarkParams | None", exposures: int) -> dict[str, Any]:
     """Simulate the exposures of the rig. exposures: their largest number. Raises KeyboardInterrupt that says what was kept."""
-    from luxloop.loop.calibration.twin import write_twin
+    from luxloop.loop.rig.calibration.twin import write_twin
 
     try:
         with progress("twin", exposures) as advance:

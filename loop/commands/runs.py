@@ -9,16 +9,16 @@ from typing import Any
 import torch
 from rich.markup import escape
 
-from luxloop.loop.lighting.result import StepResult
-from luxloop.loop.lighting.summary import shown
 from luxloop.loop.recording.checks import passed
 from luxloop.loop.recording.files import TRAJECTORY
 from luxloop.loop.recording.manifest import Manifest
-from luxloop.loop.replay.replay import replay
+from luxloop.loop.recording.replay import replay
+from luxloop.loop.report import terminal as tables
+from luxloop.loop.report.progress import progress
+from luxloop.loop.report.run_table import shown
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario
-from luxloop.loop.terminal import tables
-from luxloop.loop.terminal.progress import progress
+from luxloop.loop.simulation.result import StepResult
 from luxloop.world.parquet import read_parquet
 
 

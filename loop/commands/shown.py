@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
-from luxloop.loop.lighting.simulation import Simulation
 from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from luxloop.loop.commands.given import scenario_of
-from luxloop.loop.terminal.options import DIFFERS, OK, AllowCode, Device, Keys
+from luxloop.loop.commands.options import DIFFERS, OK, AllowCode, Device, Keys
 
 
 def evaluate(
@@ -29,7 +29,7 @@ def evaluate(
     jobs
         Processes, each with one thread; by default one per core.
     """
-    from luxloop.loop.evaluation.report import run_evaluation
+    from luxloop.loop.studies.evaluation.report import run_evaluation
 
     return OK if run_evaluation(out, lamp, quick, jobs) else DIFFERS
 
@@ -139,8 +139,8 @@ def tune(
         nothing moves.
     """
     scenarios = tuple(scenario_of(name, set, controller, allow_code=allow_code) for name in names)
-    from luxloop.loop import objective as objectives
     from luxloop.loop.run import torch_device
+    from luxloop.loop.studies import objective as objectives
     from luxloop.loop.studies import ranges
     from luxloop.loop.studies.tune import Task
     from luxloop.loop.studies.tune_report import do_tune
@@ -193,7 +193,7 @@ def optimise_beam(
         Device to compute on; auto takes CUDA if available.
     """
     scenario = scenario_of(name, set, allow_code=allow_code)
-    from luxloop.loop.beams.optimise import optimise_beam
+    from luxloop.loop.studies.beams.optimise import optimise_beam
 
     goal = {"metric": metric, "energy": energy, "unevenness": unevenness, "glare": glare}
     played_by = shlex.join([name, "--set", *(set or [])])
@@ -226,6 +226,6 @@ def train_detector(
     jobs
         Processes that render scenes; by default one per core.
     """
-    from luxloop.loop.training.train import train_detector
+    from luxloop.loop.studies.training.train import train_detector
 
     train_detector(out, scenes, held_out, epochs, seed, jobs)

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from luxloop.loop.terminal.options import INTERRUPTED, AllowCode, Device, Keys
+from luxloop.loop.commands.options import INTERRUPTED, AllowCode, Device, Keys
 from luxloop.world.errors import LuxloopError
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pyarrow as pa
 
 from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
-from luxloop.loop.recording.columns import AIM, CENTROIDS, CUT, ERRORS, of_one
 from luxloop.loop.recording.summary import AXES, steady_step
+from luxloop.loop.simulation.columns import AIM, CENTROIDS, CUT, ERRORS, of_one
 
 SHEAR = (0.005, "a quarter of what counts as settled")
 # Largest difference between two machines that is no difference in behaviour, and why. Timings are excepted, all else is exact.

@@ -6,20 +6,7 @@ from importlib.resources import files
 from pathlib import Path
 
 PACKAGES = ("world", "perception", "controllers", "loop")
-NO_FIGURE = (
-    "beams",
-    "commands",
-    "contracts",
-    "dataset",
-    "evaluation",
-    "export",
-    "jobs",
-    "pictures",
-    "report",
-    "studies",
-    "terminal",
-    "training",
-)
+NO_FIGURE = (*(f"studies/{part}" for part in ("beams", "contracts", "dataset", "evaluation", "jobs", "training")), "commands", "report")
 SHOWING = tuple(f"loop/{folder}/" for folder in NO_FIGURE)  # folders that decide no figure of a run
 
 

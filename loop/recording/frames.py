@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from luxloop.loop.plant.frames import (
+from luxloop.loop.simulation.frames import (
     FOLDER,
     SCHEMA,
     TABLE,
@@ -20,8 +20,8 @@ from luxloop.loop.plant.frames import (
     write_image,
     write_light,
 )
-from luxloop.loop.plant.objects import object_values
-from luxloop.loop.plant.protocol import Arrivals, Exposure, Frame, Showing
+from luxloop.loop.simulation.objects import object_values
+from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame, Showing
 from luxloop.world.arrays import Arrays
 from luxloop.world.files import whole
 

@@ -13,13 +13,13 @@ from typing import Any, Final, Literal
 import torch
 from pydantic import Field, ValidationError
 
-from luxloop.loop.assembly.build import symbol_path
-from luxloop.loop.plant.frames import TABLE
 from luxloop.loop.recording.sources import sources_of
 from luxloop.loop.scenario import data
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.plant import RecordedPlantParams
 from luxloop.loop.scenario.shipped import named
+from luxloop.loop.simulation.build import symbol_path
+from luxloop.loop.simulation.frames import TABLE
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import content, files_at, reading, regular, whole
 from luxloop.world.lampfiles.description import lamp_files

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.loop.plant.protocol import Showing
+from luxloop.loop.simulation.protocol import Showing
 
 Lights = tuple[Utilisation, ...]
 

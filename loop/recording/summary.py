@@ -41,7 +41,7 @@ class Circumstances:
 def summarise(
     table: pa.Table, controller: str, iou_open: float, covered_by: Sequence[str] = (), run: Circumstances = Circumstances()
 ) -> dict[str, Any]:
-    """Summary of one symbol's columns (`luxloop.loop.recording.columns.of_one`), ready for JSON: None where a value does not exist.
+    """Summary of one symbol's columns (`luxloop.loop.simulation.columns.of_one`), ready for JSON: None where a value does not exist.
 
     iou_open: what the judge says of the open loop at the last step, NaN where there is none. centroid_error_percent: [x, y], signed, mean
     of the last five steps.

@@ -11,13 +11,13 @@ from matplotlib.figure import SubFigure
 from matplotlib.ticker import LogFormatter
 
 from luxloop.controllers.functions.commands import MOVED
-from luxloop.loop.lighting.compared import compared
-from luxloop.loop.lighting.simulation import Simulation
-from luxloop.loop.lighting.summary import START_UP_S, UNITS, materials_of, named, spoken, zones_of
-from luxloop.loop.recording.columns import held_in
-from luxloop.loop.recording.style import FOUR, headed
+from luxloop.loop.recording.compared import compared
+from luxloop.loop.recording.functions_summary import START_UP_S, UNITS, materials_of, named, spoken, zones_of
 from luxloop.loop.recording.summary import column
-from luxloop.loop.terminal.tables import counted
+from luxloop.loop.report.style import FOUR, headed
+from luxloop.loop.report.terminal import counted
+from luxloop.loop.simulation.columns import held_in
+from luxloop.loop.simulation.simulation import Simulation
 
 COLOURS = (*FOUR, "#56b4e9", "#d55e00", "#000000", "#999999")
 GREYS = (":", "--", "-.")  # lines of what power is compared with

@@ -12,10 +12,10 @@ from torch import Tensor
 from luxloop.controllers.situation import TrackedObject
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
 from luxloop.controllers.zones.zone import ZoneParams
-from luxloop.loop.lighting.detection import name_of
-from luxloop.loop.lighting.result import FrameDetections, StepResult
-from luxloop.loop.lighting.simulation import Simulation
-from luxloop.loop.lighting.summary import spoken
+from luxloop.loop.recording.functions_summary import spoken
+from luxloop.loop.simulation.detection import name_of
+from luxloop.loop.simulation.result import FrameDetections, StepResult
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.frames import transform
 from luxloop.world.traffic.tracked import Category
 from luxloop.world.view import View

@@ -18,21 +18,21 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
-from luxloop.loop.lighting.lamps import under
-from luxloop.loop.lighting.observed import ObservedSymbol
-from luxloop.loop.lighting.result import StepResult
-from luxloop.loop.lighting.simulation import Simulation
-from luxloop.loop.lighting.summary import processing
-from luxloop.loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
-from luxloop.loop.recording.columns import of_one
 from luxloop.loop.recording.remedies import SHADOW
-from luxloop.loop.recording.style import SHARES, STYLE
 from luxloop.loop.report.courses import write_courses
 from luxloop.loop.report.marks import marks, readable
 from luxloop.loop.report.picture import WALL_DEG, measured, wall_light, white_of
+from luxloop.loop.report.run_table import processing
+from luxloop.loop.report.style import SHARES, STYLE
 from luxloop.loop.report.symbol import HIGH_IN, draw_symbol
+from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
 from luxloop.loop.report.watched import Watched
 from luxloop.loop.scenario.plant import shadow_of
+from luxloop.loop.simulation.columns import of_one
+from luxloop.loop.simulation.lamps import under
+from luxloop.loop.simulation.observed import ObservedSymbol
+from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.files import whole
 from luxloop.world.frames import transform
 from luxloop.world.view import View

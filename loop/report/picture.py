@@ -9,15 +9,15 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
-from luxloop.loop.lighting.controlled import Held
-from luxloop.loop.lighting.judging import Judge
-from luxloop.loop.lighting.lamps import ShiningModule, under
-from luxloop.loop.lighting.result import StepResult
-from luxloop.loop.lighting.simulation import Simulation
-from luxloop.loop.recording.columns import loss_name
 from luxloop.loop.recording.video import Picture, tone_map
 from luxloop.loop.report.marks import marks, readable
 from luxloop.loop.scenario.plant import shadow_of
+from luxloop.loop.simulation.columns import loss_name
+from luxloop.loop.simulation.controlled import Held
+from luxloop.loop.simulation.judging import Judge
+from luxloop.loop.simulation.lamps import ShiningModule, under
+from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.birdseye import rectify
 from luxloop.perception.camera import expose, luminance_of
 from luxloop.world.frames import pose_from_degrees

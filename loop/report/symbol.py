@@ -16,19 +16,19 @@ from numpy.typing import NDArray
 from luxloop.controllers.functions.symbol import SymbolFunctionParams
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
-from luxloop.loop.lighting.controlled import ControlledSymbol
-from luxloop.loop.lighting.judging import Judge
-from luxloop.loop.lighting.redrawn import opened
-from luxloop.loop.lighting.result import StepResult
-from luxloop.loop.lighting.simulation import Simulation
-from luxloop.loop.plant.simulated import SimulatedPlant
-from luxloop.loop.recording.columns import ERRORS
 from luxloop.loop.recording.remedies import SHADOW, remedies, unjudged
-from luxloop.loop.recording.style import FOUR, SHARES, STYLE, headed
 from luxloop.loop.recording.summary import column
+from luxloop.loop.report.style import FOUR, SHARES, STYLE, headed
+from luxloop.loop.report.terminal import number
 from luxloop.loop.report.watched import Gathered
 from luxloop.loop.scenario.plant import shadow_of
-from luxloop.loop.terminal.tables import number
+from luxloop.loop.simulation.columns import ERRORS
+from luxloop.loop.simulation.controlled import ControlledSymbol
+from luxloop.loop.simulation.judging import Judge
+from luxloop.loop.simulation.redrawn import opened
+from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.simulated import SimulatedPlant
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.birdseye import rectify
 from luxloop.perception.camera import luminance_of
 from luxloop.perception.judge import THRESHOLD
@@ -46,7 +46,7 @@ LEAST_M, LEAST_DEG = 0.01, 0.1  # that the axes of poses show to both sides: les
 
 
 def draw_symbol(figure: SubFigure, simulation: Simulation, gathered: Gathered, table: pa.Table, summary: dict[str, Any]) -> None:
-    """A symbol's part of a page. table: its columns (`luxloop.loop.recording.columns.of_one`), of one step at least. summary: its own."""
+    """A symbol's part of a page. table: its columns (`luxloop.loop.simulation.columns.of_one`), of one step at least. summary: its own."""
     assert gathered.last is not None, "a page needs a step"
     symbol, last = simulation.controlled[gathered.name], gathered.last
     lights = {

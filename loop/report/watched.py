@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from luxloop.loop.lighting.result import StepResult
-from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.appearance import appearance, image_axes
 from luxloop.perception.extraction import Crop, Loss
 from luxloop.perception.tracking import TrackerParams

@@ -7,8 +7,8 @@ import numpy as np
 
 from luxloop.loop.rig.light import Shine, places
 from luxloop.loop.rig.params import DdpLightParams
-from luxloop.loop.wire.addresses import REFUSED, reason_of
-from luxloop.loop.wire.ddp import Codes, WireCommand, codes_of, packets, send, sequence
+from luxloop.loop.rig.wire.addresses import REFUSED, reason_of
+from luxloop.loop.rig.wire.ddp import Codes, WireCommand, codes_of, packets, send, sequence
 from luxloop.world.errors import LuxloopError
 
 FAREWELLS = 3  # times that darkness is sent, since a packet may be lost

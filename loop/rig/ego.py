@@ -9,9 +9,9 @@ from typing import Any, Final, Protocol, cast
 from torch import Tensor
 
 from luxloop.loop.rig.params import Egos, NoEgoParams, UdpEgoParams
-from luxloop.loop.wire.addresses import REFUSED, reason_of
-from luxloop.loop.wire.datagrams import LARGEST as LARGEST_DATAGRAM
-from luxloop.loop.wire.datagrams import SensorDatagram, decoded
+from luxloop.loop.rig.wire.addresses import REFUSED, reason_of
+from luxloop.loop.rig.wire.datagrams import LARGEST as LARGEST_DATAGRAM
+from luxloop.loop.rig.wire.datagrams import SensorDatagram, decoded
 from luxloop.perception.egomotion import LARGEST, VALUES, Sample
 from luxloop.world import plugin
 from luxloop.world.errors import LuxloopError

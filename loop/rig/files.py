@@ -9,8 +9,8 @@ import numpy as np
 
 from luxloop.loop.rig.light import Shine
 from luxloop.loop.rig.params import FilesLightParams
-from luxloop.loop.wire.ddp import Codes, codes_of
-from luxloop.loop.wire.screen import stacked
+from luxloop.loop.rig.wire.ddp import Codes, codes_of
+from luxloop.loop.rig.wire.screen import stacked
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import whole
 

@@ -11,10 +11,10 @@ from typing import Any, Self
 
 from torch import Tensor
 
-from luxloop.loop.lighting.controlled import ControlledSymbol
-from luxloop.loop.plant.protocol import Exposure
 from luxloop.loop.rig.mark import surroundings
 from luxloop.loop.rig.params import MarkParams
+from luxloop.loop.simulation.controlled import ControlledSymbol
+from luxloop.loop.simulation.protocol import Exposure
 from luxloop.perception.birdseye import BirdsEye, birds_eye, region_around
 from luxloop.perception.camera import CameraParams, camera_view, luminance_of
 from luxloop.perception.judge import CELL_M, Target, Verdict, judge, target

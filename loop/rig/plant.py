@@ -11,11 +11,11 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.loop.assembly.truth import LampModule
-from luxloop.loop.plant.protocol import Arrivals, Exposure, Frame
 from luxloop.loop.rig.light import Shine
 from luxloop.loop.rig.limits import Limited
 from luxloop.loop.rig.rig import Rig
+from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame
+from luxloop.loop.simulation.truth import LampModule
 
 
 @dataclass(frozen=True, eq=False)

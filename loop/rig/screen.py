@@ -21,9 +21,9 @@ from websockets.http11 import Request, Response
 
 from luxloop.loop.rig.light import Shine, places
 from luxloop.loop.rig.params import ScreenLightParams
-from luxloop.loop.wire.addresses import REFUSED, reason_of
-from luxloop.loop.wire.ddp import codes_of
-from luxloop.loop.wire.screen import message_of, stacked
+from luxloop.loop.rig.wire.addresses import REFUSED, reason_of
+from luxloop.loop.rig.wire.ddp import codes_of
+from luxloop.loop.rig.wire.screen import message_of, stacked
 from luxloop.world.errors import LuxloopError
 
 PAGE: Final = Path(__file__).parent / "page" / "screen.html"

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
-from luxloop.loop.jobs.executors import ALL_CORES, Executor
-from luxloop.loop.jobs.runner import Job, Results, Together, run
 from luxloop.loop.recording.digest import digest_of_code
 from luxloop.loop.recording.manifest import digests
 from luxloop.loop.scenario.model import Scenario, load, only, validate
 from luxloop.loop.scenario.overrides import resolve_paths
+from luxloop.loop.studies.jobs.executors import ALL_CORES, Executor
+from luxloop.loop.studies.jobs.runner import Job, Results, Together, run
 from luxloop.world.errors import LuxloopError, located
 from luxloop.world.folders import output_folder
 from luxloop.world.params import Params
@@ -24,7 +24,7 @@ from luxloop.world.plugin import refuse_code
 from luxloop.world.validation import read_toml, validated
 
 if TYPE_CHECKING:
-    from luxloop.loop.lighting.result import Rollout
+    from luxloop.loop.simulation.result import Rollout
 
 MOST_RUNS = 100_000
 JOBS, TABLE = "jobs.jsonl", "runs.parquet"
@@ -117,7 +117,7 @@ def read(file: Path, *, allow_code: bool = False) -> list[Run]:
 def run_campaign(file: Path, out: Path, *, device: str = "cpu", executor: Executor = ALL_CORES, allow_code: bool = False) -> Campaign:
     """Do the runs whose results `out` does not hold yet, and write the table of all runs.
 
-    Raises what `read`, `luxloop.loop.jobs.runner.run` and `luxloop.world.folders.output_folder` raise.
+    Raises what `read`, `luxloop.loop.studies.jobs.runner.run` and `luxloop.world.folders.output_folder` raise.
     """
     runs = read(file, allow_code=allow_code)
     jobs = [
@@ -144,14 +144,14 @@ def figures_of(scenario: Mapping[str, Any], inputs: dict[str, str], device: str)
 
     Raises LuxloopError if the scenario cannot run, or its files differ on this machine.
     """
-    from luxloop.loop.metrics import figures
+    from luxloop.loop.studies.metrics import figures
 
     return figures(checked(scenario, inputs), device)
 
 
 def kind_of(parameters: Mapping[str, Any]) -> str | None:
-    """Jobs of one kind are done together (`luxloop.loop.batch.runs.kind`): they have the same files on the same device, too."""
-    from luxloop.loop.batch.runs import kind
+    """Jobs of one kind are done together (`luxloop.loop.studies.runs.kind`): they have the same files on the same device, too."""
+    from luxloop.loop.studies.runs import kind
 
     found = kind(validate(parameters["scenario"], str(parameters["scenario"]["name"])))
     return found and json.dumps([found, parameters["inputs"], parameters["device"]])
@@ -164,7 +164,7 @@ def figures_of_many(parameters: Sequence[Mapping[str, Any]]) -> list[Row | Excep
 
 def runs_of_many(parameters: Sequence[Mapping[str, Any]]) -> "list[tuple[Row, Rollout | None] | Exception]":
     """Figures and trace of each run of one kind, or the error that it raised."""
-    from luxloop.loop.batch.runs import runs
+    from luxloop.loop.studies.runs import runs
 
     try:
         return list(runs([checked(each["scenario"], each["inputs"]) for each in parameters], parameters[0]["device"]))

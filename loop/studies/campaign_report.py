@@ -9,11 +9,11 @@ import numpy as np
 from matplotlib import rc_context
 from rich.table import Table
 
-from luxloop.loop.jobs.executors import dask, local
-from luxloop.loop.recording.style import DEFAULTS
+from luxloop.loop.report import terminal as tables
+from luxloop.loop.report.style import DEFAULTS
 from luxloop.loop.run import torch_device
 from luxloop.loop.studies.campaign import TABLE, Campaign, Row, run_campaign
-from luxloop.loop.terminal import tables
+from luxloop.loop.studies.jobs.executors import dask, local
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import whole
 

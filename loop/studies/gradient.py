@@ -11,17 +11,17 @@ import torch
 from optuna.trial import create_trial
 from torch import Tensor
 
-from luxloop.loop.batch.rollouts import check
-from luxloop.loop.jobs.executors import Executor
-from luxloop.loop.lighting.result import Rollout
-from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.report.progress import progress
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import only
+from luxloop.loop.simulation.result import Rollout
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.studies.batch.rollouts import check
+from luxloop.loop.studies.jobs.executors import Executor
 from luxloop.loop.studies.ranges import Range
 from luxloop.loop.studies.study import STUDY, finished, keeping, study_in
 from luxloop.loop.studies.surrogate import Learned, near
 from luxloop.loop.studies.tune import FAILURES, SETTLED, TRACES, Task, Trace, Tuned, begun, failed, ran
-from luxloop.loop.terminal.progress import progress
 from luxloop.perception.extraction import ExtractionParams
 from luxloop.world.errors import LuxloopError, located
 from luxloop.world.folders import turn
@@ -44,7 +44,8 @@ class Iteration:
 def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) -> Tuned:
     """Continue the study in a folder up to a number of trials; the first has the given values, all others are found by descent.
 
-    Raises what `luxloop.loop.studies.tune.tune` and `luxloop.loop.batch.rollouts.check` raise, and LuxloopError if a symbol is never seen.
+    Raises what `luxloop.loop.studies.tune.tune` and `luxloop.loop.studies.batch.rollouts.check` raise, and LuxloopError if a symbol is
+    never seen.
     """
     if whole := [each.key for each in task.ranges if each.whole]:
         raise LuxloopError(f"--key {whole[0]}: takes whole numbers, which have no gradient; leave it out, or tune without --gradient")

@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
-from luxloop.loop.batch.rollouts import loops
-from luxloop.loop.lighting.result import Rollout
-from luxloop.loop.lighting.simulation import Simulation
 from luxloop.loop.recording.summary import FINAL
+from luxloop.loop.simulation.result import Rollout
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.studies.batch.rollouts import loops
 from luxloop.perception.extraction import Loss
 
 NEAR = 0.02  # of the symbol's size: approximate error of a settled symbol

@@ -15,17 +15,17 @@ import optuna
 from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
 from optuna.trial import TrialState, create_trial
 
-from luxloop.loop.jobs.bundles import bundles
-from luxloop.loop.jobs.executors import Executor
-from luxloop.loop.jobs.runner import reason
-from luxloop.loop.objective import Objective
 from luxloop.loop.recording.digest import digest_of_code
 from luxloop.loop.recording.manifest import digests
+from luxloop.loop.report.progress import progress
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.studies.campaign import kind_of, runs_of_many
+from luxloop.loop.studies.jobs.bundles import bundles
+from luxloop.loop.studies.jobs.executors import Executor
+from luxloop.loop.studies.jobs.runner import reason
+from luxloop.loop.studies.objective import Objective
 from luxloop.loop.studies.ranges import Range, Values, changed, value_of
 from luxloop.loop.studies.study import FINISHED, STUDY, finished, keeping, study_in
-from luxloop.loop.terminal.progress import progress
 from luxloop.world.errors import LuxloopError
 from luxloop.world.folders import turn
 
@@ -36,7 +36,7 @@ APART = 1_000_003  # distance between the seeds of two searches, so that they sh
 STARTUP = 8  # random trials before the sampler uses results
 Run = tuple[dict[str, Any], dict[str, str], str]  # scenario, digests of its files, device
 Runs = list[Run]
-Trace = list[list[Any]] | str  # of a run: poses, errors and whether seen (`luxloop.loop.metrics.traced`), or the reason of failure
+Trace = list[list[Any]] | str  # of a run: poses, errors and whether seen (`luxloop.loop.studies.metrics.traced`), or the reason of failure
 Ran = tuple[list[float], list[Trace], int]  # costs, traces, and how many runs settled
 
 
@@ -95,7 +95,7 @@ class Tuned:
 
     @property
     def failures(self) -> list[str]:
-        """Reasons of failed runs; a failed run costs `luxloop.loop.objective.FAILED` in all terms."""
+        """Reasons of failed runs; a failed run costs `luxloop.loop.studies.objective.FAILED` in all terms."""
         return [why for trial in self.study.get_trials(deepcopy=False, states=FINISHED) for why in trial.user_attrs.get(FAILURES, [])]
 
     @property
@@ -205,7 +205,7 @@ def ran_each(task: Task, parts: Sequence[Runs], execute: Executor) -> list[Ran]:
 
 
 def placed(runs: Runs, workers: int) -> list[list[int]]:
-    """Places of the runs that are done together (`luxloop.loop.jobs.bundles`)."""
+    """Places of the runs that are done together (`luxloop.loop.studies.jobs.bundles`)."""
     return bundles([kind_of(_parameters(run)) if len(runs) > 1 else None for run in runs], workers)
 
 

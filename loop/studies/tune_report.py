@@ -10,15 +10,14 @@ from matplotlib import rc_context
 from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
 from optuna.trial import TrialState
 
-from luxloop.loop import objective
-from luxloop.loop.jobs.executors import local
-from luxloop.loop.recording.style import DEFAULTS
-from luxloop.loop.studies import ranges
+from luxloop.loop.report import terminal as tables
+from luxloop.loop.report.style import DEFAULTS
+from luxloop.loop.report.terminal import number
+from luxloop.loop.studies import objective, ranges
 from luxloop.loop.studies.gradient import tune_by_gradient
+from luxloop.loop.studies.jobs.executors import local
 from luxloop.loop.studies.study import FINISHED, STUDY
 from luxloop.loop.studies.tune import Task, Tuned, told_together, tune
-from luxloop.loop.terminal import tables
-from luxloop.loop.terminal.tables import number
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import whole
 from luxloop.world.folders import turn

@@ -9,9 +9,9 @@ import pyarrow.parquet as pq
 
 from luxloop.loop.recording.files import TRAJECTORY
 from luxloop.loop.recording.manifest import FILE, Manifest
+from luxloop.loop.scenario.listing import listing
 from luxloop.loop.scenario.shipped import shipped_files
 from luxloop.loop.studio.sources import RUNS
-from luxloop.loop.terminal.listing import listing
 from luxloop.world.errors import LuxloopError
 from luxloop.world.presets import SUMMARIES
 from luxloop.world.regulation.tables import sets

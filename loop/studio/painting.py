@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from luxloop.controllers.functions.painted import PaintedParams, Picture
-from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studio.messages import Paint
 from luxloop.world.errors import LuxloopError
 from luxloop.world.messages.arrays import Arrays

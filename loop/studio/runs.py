@@ -13,14 +13,11 @@ import pyarrow as pa
 import torch
 
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.loop.lighting.record import schema
-from luxloop.loop.lighting.recorder import Recorder, Tally
-from luxloop.loop.lighting.redrawn import unpainted
-from luxloop.loop.lighting.result import SimulationState, StepResult
-from luxloop.loop.lighting.simulation import Simulation
 from luxloop.loop.recording.checks import Checks
+from luxloop.loop.recording.edited import edited
 from luxloop.loop.recording.files import REPORT
-from luxloop.loop.replay.edited import edited
+from luxloop.loop.recording.record import schema
+from luxloop.loop.recording.recorder import Recorder, Tally
 from luxloop.loop.report.picture import white_of
 from luxloop.loop.report.watched import Watched
 from luxloop.loop.run import prepare
@@ -28,6 +25,9 @@ from luxloop.loop.scenario.acts import ACTS
 from luxloop.loop.scenario.driving import repeated
 from luxloop.loop.scenario.edits import Edit, replaces
 from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.simulation.redrawn import unpainted
+from luxloop.loop.simulation.result import SimulationState, StepResult
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studio.messages import VIEWS, View
 from luxloop.loop.studio.recorded import Recorded
 from luxloop.loop.studio.shapes import Shapes

@@ -182,7 +182,7 @@ class Session:
         self.published = replace(self.published, **values)
         self._changed()
 
-    def _do(self, asked: Asked) -> None:
+    def _do(self, asked: Asked) -> None:  # noqa: C901 (a case a message)
         from luxloop.loop.scenario.written import written
 
         match asked.message:

@@ -10,11 +10,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from luxloop.loop.lighting.result import StepResult
-from luxloop.loop.lighting.simulation import Simulation
-from luxloop.loop.recording.columns import loss_name
 from luxloop.loop.report.marks import marks
 from luxloop.loop.report.picture import captions
+from luxloop.loop.simulation.columns import loss_name
+from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studio.exact import exact
 from luxloop.loop.studio.messages import View
 from luxloop.world.frames import transform

@@ -9,7 +9,7 @@ from luxloop.loop.studio.messages import Compare, Open
 from luxloop.world.errors import LuxloopError
 
 if TYPE_CHECKING:
-    from luxloop.loop.replay.replay import Recording
+    from luxloop.loop.recording.replay import Recording
     from luxloop.loop.scenario.model import Scenario
 
 
@@ -63,7 +63,7 @@ def file_of(source: Source) -> Path | None:
 
 def loaded(source: Source, allow_code: bool) -> tuple["Scenario", "Recording | None"]:
     """The scenario of a source, and the recording that it comes from. Raises LuxloopError."""
-    from luxloop.loop.replay import replay
+    from luxloop.loop.recording import replay
     from luxloop.loop.scenario.model import load, validate
     from luxloop.loop.scenario.overrides import overridden
 

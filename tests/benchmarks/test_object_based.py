@@ -111,7 +111,7 @@ def test_goals_are_missed_where_only_one_of_both_is_reached() -> None:
 
 
 def test_scenes_are_others_than_those_of_training_and_newcomers_have_room() -> None:
-    from luxloop.loop.training import scenes
+    from luxloop.loop.studies.training import scenes
 
     assert object_based_cases.FIRST > scenes.HELD_OUT + 100_000 > scenes.TRAINING
     case = list(object_based_cases.cases(2, 1))[1]

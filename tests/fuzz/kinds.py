@@ -16,23 +16,23 @@ import torch
 
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
-from luxloop.loop.bench import faults
-from luxloop.loop.bench.lens import Lens
-from luxloop.loop.calibration import files as calibrations
-from luxloop.loop.calibration.geometry import CameraModel, Pose
-from luxloop.loop.calibration.response import Response
-from luxloop.loop.dataset import drawn
-from luxloop.loop.jobs.runner import run as run_jobs
-from luxloop.loop.plant import frames
-from luxloop.loop.plant.protocol import Exposure
+from luxloop.loop.recording import replay
 from luxloop.loop.recording.manifest import Manifest
-from luxloop.loop.replay import replay
+from luxloop.loop.rig.calibration import files as calibrations
+from luxloop.loop.rig.calibration.geometry import CameraModel, Pose
+from luxloop.loop.rig.calibration.response import Response
 from luxloop.loop.rig.params import load_rig
 from luxloop.loop.rig.rectified import load_lens
+from luxloop.loop.rig.simulated import faults
+from luxloop.loop.rig.simulated.lens import Lens
 from luxloop.loop.run import check
 from luxloop.loop.scenario.model import load, validate
 from luxloop.loop.scenario.shipped import examples, shipped
+from luxloop.loop.simulation import frames
+from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.studies import campaign
+from luxloop.loop.studies.dataset import drawn
+from luxloop.loop.studies.jobs.runner import run as run_jobs
 from luxloop.perception.camera import CameraParams
 from luxloop.perception.detection import network
 from luxloop.perception.egomotion import Sample

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from luxloop.loop.plant.clock import FromZero
-from luxloop.loop.plant.protocol import Exposure
-from luxloop.loop.plant.remote import RemotePlant
-from luxloop.loop.remote import answers
-from luxloop.loop.remote.link import Link
 from luxloop.loop.scenario.edits import changed
+from luxloop.loop.simulation import remote_answers as answers
+from luxloop.loop.simulation.clock import FromZero
+from luxloop.loop.simulation.protocol import Exposure
+from luxloop.loop.simulation.remote_link import Link
+from luxloop.loop.simulation.remote_plant import RemotePlant
 from luxloop.loop.studio.messages import Paint, Place, Set, Wish, read
 from luxloop.loop.studio.painting import painted
 from luxloop.loop.studio.runs import Run, Starting

@@ -10,11 +10,11 @@ from torch import Tensor
 
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.commands import cli
-from luxloop.loop.lighting.result import StepResult
-from luxloop.loop.lighting.simulation import Simulation
-from luxloop.loop.plant.protocol import Exposure
-from luxloop.loop.plant.simulated import SimulatedPlant
 from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.loop.simulation.protocol import Exposure
+from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.simulated import SimulatedPlant
+from luxloop.loop.simulation.simulation import Simulation
 from tests.lamps import SMALL_LAMP
 
 SMALL: dict[str, Any] = {

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from luxloop.loop.lighting.record import row
-from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.recording.record import row
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import load
+from luxloop.loop.simulation.simulation import Simulation
 
 
 def test_it_runs_with_all_that_it_shows() -> None:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 import luxloop
 from luxloop import Loss, LuxloopError, Observation, ProjectionCommand, SymbolSensor, check_controller
-from luxloop.loop.contracts.controller import check_in, world
+from luxloop.loop.studies.contracts.controller import check_in, world
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from luxloop import LuxloopError, ModuleCommand, Situation, check_function, rectangle
-from luxloop.loop.contracts.function import check_in, world
+from luxloop.loop.studies.contracts.function import check_in, world
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from luxloop import Arrivals, Exposure, Frame, LuxloopError, Sample, Utilisation, check_plant, simulated_plant
-from luxloop.loop.contracts.plant import check_in, worlds
+from luxloop.loop.studies.contracts.plant import check_in, worlds
 
 
 @pytest.fixture(scope="module")

@@ -32,7 +32,7 @@ def test_a_folder_with_packages_of_the_same_names_changes_nothing(tmp_path: Path
     program = "import luxloop; print(luxloop.load('snowflake').name, luxloop.Simulation.__module__)"
     environment = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
     done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, env=environment, capture_output=True, text=True)
-    assert done.stdout == "snowflake luxloop.loop.lighting.simulation\n", done.stderr
+    assert done.stdout == "snowflake luxloop.loop.simulation.simulation\n", done.stderr
 
 
 def test_every_name_leads_somewhere() -> None:

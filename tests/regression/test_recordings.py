@@ -18,14 +18,14 @@ import pytest
 import torch
 
 from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
-from luxloop.loop.lighting.record import row, schema
-from luxloop.loop.lighting.result import StepResult
-from luxloop.loop.lighting.simulation import Simulation
 from luxloop.loop.recording.comparison import compare
 from luxloop.loop.recording.files import table_of
+from luxloop.loop.recording.record import row, schema
 from luxloop.loop.scenario import data
 from luxloop.loop.scenario.model import Scenario, load
 from luxloop.loop.scenario.shipped import shipped
+from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.roads.shapes import OpenCrgRoad
 from tests.regression.recorded import FOLDER, ROOT, file_of, replace, told
 

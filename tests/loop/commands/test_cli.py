@@ -13,11 +13,10 @@ import pytest
 import torch
 
 from luxloop.loop.commands import cli
+from luxloop.loop.commands.doctor import Check
 from luxloop.loop.run import run
-from luxloop.loop.scenario import data
+from luxloop.loop.scenario import data, listing
 from luxloop.loop.scenario.model import load
-from luxloop.loop.terminal import listing
-from luxloop.loop.terminal.doctor import Check
 from luxloop.world.opencrg import Crg
 from tests.loop.conftest import FILE, Lux, assert_one_sentence
 from tests.world.opencrg.writer import write_crg
@@ -308,7 +307,7 @@ def test_data_commands(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 def test_doctor(lux: Lux, monkeypatch: pytest.MonkeyPatch) -> None:
     found = [Check("Python", "ok", "3.11"), Check("OpenGL", "fail", "[none]", "sudo apt-get install mesa")]
-    monkeypatch.setattr("luxloop.loop.terminal.doctor.checks", lambda: found)
+    monkeypatch.setattr("luxloop.loop.commands.doctor.checks", lambda: found)
     code, out, _ = lux("doctor")
     assert code == 1
     assert "sudo apt-get install mesa" in out and "[none]" in out

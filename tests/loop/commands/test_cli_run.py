@@ -8,7 +8,7 @@ import av
 import pandas as pd
 import pytest
 
-from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import FILE, Lux
 

@@ -35,7 +35,7 @@ functions.symbol = { kind = "symbol", image = "snowflake", width_m = 4.0, length
 """
 FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(
-    ["luxloop.loop.commands.cli", "luxloop.loop.commands.runs", "luxloop.loop.lighting.simulation", "luxloop.loop.studies.tune"]
+    ["luxloop.loop.commands.cli", "luxloop.loop.commands.runs", "luxloop.loop.simulation.simulation", "luxloop.loop.studies.tune"]
 )  # imported once for all processes: seconds
 
 

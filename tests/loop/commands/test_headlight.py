@@ -11,8 +11,8 @@ import torch
 
 from luxloop.loop.commands import cli
 from luxloop.loop.commands.shown import lights_by_side
-from luxloop.loop.lighting.simulation import Simulation
 from luxloop.loop.scenario.model import load
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.headlight.lamp import Lamp, Module
 from luxloop.world.lampfiles.archive import save
 from luxloop.world.lampfiles.description import load_lamp

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from luxloop.loop.bench.board import ShownBoard
-from luxloop.loop.bench.faults import FaultParams, ShownBoardParams
-from luxloop.loop.bench.scene import LitBench
-from luxloop.loop.calibration.board import BoardParams, Corners, _board, corners
-from luxloop.loop.calibration.files import load
+from luxloop.loop.rig.calibration.board import BoardParams, Corners, _board, corners
+from luxloop.loop.rig.calibration.files import load
+from luxloop.loop.rig.simulated.board import ShownBoard
+from luxloop.loop.rig.simulated.faults import FaultParams, ShownBoardParams
+from luxloop.loop.rig.simulated.scene import LitBench
 from luxloop.loop.scenario.model import load as load_scenario
 from luxloop.world.headlight.lamp import Lamp, Module
 from luxloop.world.lampfiles import archive

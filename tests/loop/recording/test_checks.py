@@ -8,14 +8,14 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from luxloop.loop.lighting.record import row, schema
-from luxloop.loop.lighting.simulation import Simulation
 from luxloop.loop.recording.checks import Checks, lines, outcome, ratio, refuse_unknown
 from luxloop.loop.recording.files import table_of
+from luxloop.loop.recording.record import row, schema
 from luxloop.loop.run import check, run
 from luxloop.loop.scenario.checks import CheckParams
 from luxloop.loop.scenario.model import load, validate
 from luxloop.loop.scenario.shipped import shipped
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
 

@@ -14,10 +14,10 @@ from luxloop.loop.recording import digest
         ("world/rendering/shaders/new.frag", True),
         ("loop/new.py", True),
         ("loop/campaign_of_roads.py", True),  # whatever its name
-        ("loop/lighting/report.py", True),
+        ("loop/simulation/report.py", True),
         ("loop/new_folder/new.py", True),
-        ("loop/studies/new.py", False),
-        ("loop/pictures/new.py", False),
+        ("loop/studies/dataset/new.py", False),
+        ("loop/report/new.py", False),
     ],
 )
 def test_the_version_follows_a_file_that_is_added_or_changed(

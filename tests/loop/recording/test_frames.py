@@ -11,10 +11,11 @@ import pytest
 import torch
 
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
-from luxloop.loop.lighting.recorder import Recorder
-from luxloop.loop.lighting.result import StepResult
-from luxloop.loop.lighting.simulation import Simulation
-from luxloop.loop.plant.frames import (
+from luxloop.loop.recording.manifest import Manifest
+from luxloop.loop.recording.recorder import Recorder
+from luxloop.loop.run import run
+from luxloop.loop.scenario.model import validate
+from luxloop.loop.simulation.frames import (
     FOLDER,
     SCHEMA,
     TABLE,
@@ -28,10 +29,9 @@ from luxloop.loop.plant.frames import (
     write_image,
     write_light,
 )
-from luxloop.loop.plant.protocol import Exposure, Frame, Showing
-from luxloop.loop.recording.manifest import Manifest
-from luxloop.loop.run import run
-from luxloop.loop.scenario.model import validate
+from luxloop.loop.simulation.protocol import Exposure, Frame, Showing
+from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import CameraParams
 from luxloop.perception.egomotion import Sample
 from luxloop.world.errors import LuxloopError

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from luxloop.loop.metrics import figures
-from luxloop.loop.objective import parse
 from luxloop.loop.recording.manifest import digests, input_files
 from luxloop.loop.scenario.model import load
 from luxloop.loop.studies.campaign import figures_of
+from luxloop.loop.studies.metrics import figures
+from luxloop.loop.studies.objective import parse
 from luxloop.loop.studies.tune import Task
 from luxloop.world.errors import LuxloopError
 

@@ -18,17 +18,17 @@ import pytest
 import torch
 
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.loop.lighting import recorder
-from luxloop.loop.lighting.record import row, schema, summary_of
-from luxloop.loop.lighting.recorder import Recorder
-from luxloop.loop.lighting.result import Clock, StepResult
-from luxloop.loop.lighting.simulation import Simulation
-from luxloop.loop.recording.columns import POSE, SYMBOL, loss_name
+from luxloop.loop.recording import recorder
 from luxloop.loop.recording.files import table_of
 from luxloop.loop.recording.manifest import Manifest
-from luxloop.loop.replay.replay import load
+from luxloop.loop.recording.record import row, schema, summary_of
+from luxloop.loop.recording.recorder import Recorder
+from luxloop.loop.recording.replay import load
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.loop.simulation.columns import POSE, SYMBOL, loss_name
+from luxloop.loop.simulation.result import Clock, StepResult
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.extraction import Loss
 from luxloop.world.errors import LuxloopError
 from luxloop.world.partial import Part, PartialImage
@@ -151,8 +151,8 @@ def test_death_in_the_middle_of_a_write_leaves_the_write_before(
 RUN = """
 import itertools, json, sys
 from pathlib import Path
-from luxloop.loop.lighting.recorder import Recorder
-from luxloop.loop.lighting.simulation import Simulation
+from luxloop.loop.recording.recorder import Recorder
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.scenario.model import validate
 
 simulation = Simulation.prepare(validate(json.loads(sys.argv[2]), "test"))

@@ -10,12 +10,13 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from luxloop.loop.lighting import summary as of_run
-from luxloop.loop.recording.columns import SYMBOL
+from luxloop.loop.recording import functions_summary as of_run
 from luxloop.loop.recording.files import table_of
 from luxloop.loop.recording.remedies import remedies
 from luxloop.loop.recording.summary import Circumstances, overshoot_percent, settle_step, steady_step, summarise, unsettled
+from luxloop.loop.report import run_table
 from luxloop.loop.scenario.model import load
+from luxloop.loop.simulation.columns import SYMBOL
 
 SCHEMA = pa.schema([("step", pa.int64()), *((name, pa.string() if name == "loss" else pa.float64()) for name in SYMBOL)])
 
@@ -99,7 +100,7 @@ def test_what_is_not_lit_is_not_settled() -> None:
 def closing(symbols: dict[str, dict[str, Any]]) -> dict[str, str]:
     """Rows of the closing table of a run of these symbols."""
     run = of_run.summarise(pa.table({"time_s": [0.0], "processing_ms": [1.0], "dark_lx_max": [math.nan]}), "name", {}, symbols)
-    shown = of_run.shown(run | {"shadow_of": None, "idle_functions": [], "checks": {}}, "runs/name")
+    shown = run_table.shown(run | {"shadow_of": None, "idle_functions": [], "checks": {}}, "runs/name")
     names, cells = ([str(cell) for cell in column.cells] for column in shown.columns)
     return {name.removeprefix("[bold]").removesuffix("[/]"): cell for name, cell in zip(names, cells, strict=True)}
 

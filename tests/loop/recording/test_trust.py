@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 
 from luxloop.loop.commands import cli
-from luxloop.loop.jobs.executors import local
 from luxloop.loop.recording.manifest import FILE, Manifest, digests
-from luxloop.loop.replay.replay import replay
+from luxloop.loop.recording.replay import replay
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import load
 from luxloop.loop.studies import campaign
+from luxloop.loop.studies.jobs.executors import local
 from luxloop.world import plugin
 from luxloop.world.errors import LuxloopError
 

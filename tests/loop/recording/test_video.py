@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.loop.lighting.result import StepResult
-from luxloop.loop.lighting.simulation import Simulation
 from luxloop.loop.recording.video import Picture, VideoWriter, tone_map
 from luxloop.loop.report.picture import LOST_RGB, SEEN_RGB, TARGET_RGB, frame_picture, white_of
+from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
 
 

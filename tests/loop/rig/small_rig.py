@@ -16,8 +16,8 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from luxloop.loop.wire.ddp import LARGEST_PACKET, Assembler
-from luxloop.loop.wire.mjpeg import PNG, Part, PictureServer
+from luxloop.loop.rig.wire.ddp import LARGEST_PACKET, Assembler
+from luxloop.loop.rig.wire.mjpeg import PNG, Part, PictureServer
 
 DEFAULTS = {
     "period_s": 0.02,

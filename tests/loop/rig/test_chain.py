@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from luxloop.loop.bench.faults import read
-from luxloop.loop.bench.lens import distorted, focal_px
-from luxloop.loop.bench.scene import LitBench
-from luxloop.loop.calibration.digitise import Nominal
+from luxloop.loop.rig.calibration.digitise import Nominal
+from luxloop.loop.rig.simulated.faults import read
+from luxloop.loop.rig.simulated.lens import distorted, focal_px
+from luxloop.loop.rig.simulated.scene import LitBench
 from luxloop.loop.scenario.model import load
 from luxloop.world.headlight import Headlight
 from luxloop.world.lampfiles import archive

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from luxloop.loop.calibration.live import live_bench
+from luxloop.loop.rig.calibration.live import live_bench
 from luxloop.loop.rig.camera import CameraPicture, checked_picture
 from luxloop.loop.rig.light import Shine
 from luxloop.loop.rig.look import look

@@ -40,7 +40,7 @@ from luxloop.loop.rig.params import (
 )
 from luxloop.loop.rig.rectified import Rectifier, WrongPicture, grey
 from luxloop.loop.rig.video_camera import StreamCamera
-from luxloop.loop.wire.datagrams import encoded
+from luxloop.loop.rig.wire.datagrams import encoded
 from luxloop.perception.camera import CameraParams
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import ModuleCommand

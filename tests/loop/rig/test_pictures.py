@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from luxloop.loop.wire.mjpeg import parts
+from luxloop.loop.rig.wire.mjpeg import parts
 from luxloop.world.headlight.lamp import Lamp, Module
 from luxloop.world.lampfiles import archive
 from luxloop.world.presets.ideal import idealised

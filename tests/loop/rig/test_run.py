@@ -16,12 +16,12 @@ import pytest
 import torch
 
 from luxloop.loop.commands.rig_runs import written
-from luxloop.loop.lighting.lamps import lamp_modules, shining_modules
-from luxloop.loop.plant.frames import image_file, read_light, twin_file
-from luxloop.loop.plant.protocol import Exposure
-from luxloop.loop.plant.simulated import simulated_plant
 from luxloop.loop.rig.params import load_rig
 from luxloop.loop.scenario.model import load
+from luxloop.loop.simulation.frames import image_file, read_light, twin_file
+from luxloop.loop.simulation.lamps import lamp_modules, shining_modules
+from luxloop.loop.simulation.protocol import Exposure
+from luxloop.loop.simulation.simulated import simulated_plant
 from luxloop.world.errors import LuxloopError
 from luxloop.world.parquet import read_parquet
 from tests.loop.conftest import Lux, assert_one_sentence

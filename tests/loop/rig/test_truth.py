@@ -13,10 +13,6 @@ from typing import Any
 
 import pytest
 
-from luxloop.loop.lighting.lamps import lamp_modules
-from luxloop.loop.lighting.simulation import Simulation
-from luxloop.loop.plant.build import from_zero
-from luxloop.loop.plant.protocol import Arrivals, Exposure
 from luxloop.loop.rig.ddp import DdpLight
 from luxloop.loop.rig.judged import Judged
 from luxloop.loop.rig.params import RigParams
@@ -24,6 +20,10 @@ from luxloop.loop.rig.plant import RigPlant, grids_of
 from luxloop.loop.rig.rig import await_camera, opened
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
+from luxloop.loop.simulation.build_plant import from_zero
+from luxloop.loop.simulation.lamps import lamp_modules
+from luxloop.loop.simulation.protocol import Arrivals, Exposure
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.validation import validated
 from tests.loop.rig.conftest import ROOT, free_port
 

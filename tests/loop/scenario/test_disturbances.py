@@ -8,14 +8,14 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.loop.assembly.truth import true_camera, true_modules, worn
-from luxloop.loop.lighting.result import StepResult
-from luxloop.loop.lighting.simulation import Simulation
-from luxloop.loop.plant.simulated import SimulatedPlant
-from luxloop.loop.plant.world import World
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.disturbances import DisturbanceParams, WearParams
 from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.simulated import SimulatedPlant
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.simulation.truth import true_camera, true_modules, worn
+from luxloop.loop.simulation.world import World
 from luxloop.perception.camera import luminance_of, saturation_luminance
 from luxloop.world.errors import LuxloopError
 from luxloop.world.roads.shapes import Flat

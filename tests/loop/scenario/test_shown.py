@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from luxloop.loop.client.client import connect
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.loop.scenario.shown import show
 from luxloop.loop.studio import page
+from luxloop.loop.studio.client.client import connect
 from luxloop.world.errors import LuxloopError
 from tests.loop.studio.conftest import SMALL
 

@@ -14,13 +14,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from luxloop.loop.commands import cli
-from luxloop.loop.jobs import runner
-from luxloop.loop.jobs.executors import dask, local
-from luxloop.loop.metrics import _prepared, figures
 from luxloop.loop.scenario.model import load
 from luxloop.loop.studies import campaign
 from luxloop.loop.studies.campaign import JOBS, TABLE, read, run_campaign
 from luxloop.loop.studies.campaign_report import page, write_report
+from luxloop.loop.studies.jobs import runner
+from luxloop.loop.studies.jobs.executors import dask, local
+from luxloop.loop.studies.metrics import _prepared, figures
 from luxloop.world.errors import LuxloopError
 
 ROOT = Path(__file__).parents[3]

@@ -10,15 +10,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from luxloop.loop import objective
-from luxloop.loop.batch.rollouts import rollouts
 from luxloop.loop.commands import cli
-from luxloop.loop.jobs.executors import local
-from luxloop.loop.lighting.result import Rollout
-from luxloop.loop.lighting.simulation import Simulation
 from luxloop.loop.scenario.model import Scenario, load
-from luxloop.loop.studies import gradient, ranges
+from luxloop.loop.simulation.result import Rollout
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.studies import gradient, objective, ranges
 from luxloop.loop.studies import tune as module
+from luxloop.loop.studies.batch.rollouts import rollouts
+from luxloop.loop.studies.jobs.executors import local
 from luxloop.loop.studies.study import FINISHED, STUDY, study_in
 from luxloop.loop.studies.surrogate import Learned, near
 from luxloop.loop.studies.tune import Task, Trace, Tuned, tune

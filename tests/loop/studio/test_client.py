@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from luxloop.loop.client.client import Client, connect
-from luxloop.loop.client.shared import Mapped
-from luxloop.loop.lighting.record import row
+from luxloop.loop.recording.record import row
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
+from luxloop.loop.studio.client.client import Client, connect
+from luxloop.loop.studio.client.shared import Mapped
 from luxloop.loop.studio.shared import Blocks
 from luxloop.world.errors import LuxloopError
 from tests.loop.studio.conftest import SMALL, Served

@@ -7,11 +7,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from luxloop.loop.lighting.simulation import Simulation
-from luxloop.loop.replay.replay import load as recording
-from luxloop.loop.replay.replay import replay, rerun
+from luxloop.loop.recording.replay import load as recording
+from luxloop.loop.recording.replay import replay, rerun
 from luxloop.loop.scenario.model import load
 from luxloop.loop.scenario.written import written
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studio.sources import Source
 from tests.loop.studio.clients import Watcher, watching
 from tests.loop.studio.conftest import SMALL, Served, serving

@@ -7,8 +7,8 @@ import cv2
 import pytest
 
 from luxloop.loop.recording.files import REPORT
-from luxloop.loop.replay.replay import load as recording
-from luxloop.loop.replay.replay import replay
+from luxloop.loop.recording.replay import load as recording
+from luxloop.loop.recording.replay import replay
 from luxloop.loop.studio.sources import Source
 from tests.loop.studio.clients import Watcher, watching
 from tests.loop.studio.conftest import SMALL, Served, serving

@@ -16,7 +16,7 @@ from websockets.sync.client import connect
 from websockets.uri import parse_uri
 
 import luxloop
-from luxloop.loop.lighting.record import row
+from luxloop.loop.recording.record import row
 from luxloop.loop.studio.feed import Feed
 from luxloop.loop.studio.messages import Button, Request
 from luxloop.loop.studio.server import MOST_ASKED

@@ -9,8 +9,8 @@ import cv2
 import pytest
 
 from luxloop.loop.recording.files import REPORT, SUMMARY
-from luxloop.loop.replay.replay import load as recording
-from luxloop.loop.replay.replay import replay
+from luxloop.loop.recording.replay import load as recording
+from luxloop.loop.recording.replay import replay
 from luxloop.loop.scenario.model import load
 from luxloop.loop.scenario.written import written
 from luxloop.loop.studio.history import TOGETHER_S
@@ -188,7 +188,7 @@ def test_the_file_is_an_editor_as_well(own: Served, editor: Watcher, file: Path)
 
 
 def test_a_step_that_is_over_takes_little_memory_beside_its_light(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("luxloop.loop.lighting.recorder.FOLDED", 5)
+    monkeypatch.setattr("luxloop.loop.recording.recorder.FOLDED", 5)
     (run,) = Starting("cpu", False, print).runs((Source(str(file)),), (None,), (), frozenset(), True)
     while not run.over:
         if len(run.snapshots) == 11:

@@ -1,1 +1,0 @@
-"""Lamps, light and scenes as files that other programs read."""

@@ -1,1 +1,0 @@
-"""Pictures of headlights and of photometric files."""

@@ -1,1 +1,0 @@
-"""What the loop runs on: exposures in, frames and sensor samples out."""

@@ -1,0 +1,198 @@
+"""A recording of lighting functions in a few numbers."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from luxloop.controllers.functions.commands import MOVED, Movable
+from luxloop.controllers.zones.material import Quantity
+from luxloop.loop.recording.summary import column
+from luxloop.world.headlight.lamp import REST
+
+START_UP_S = 1.0  # in which functions that learn begin with more light than they come to need
+SETTLED = 0.05  # greatest deviation of a zone from its target, as a share of it
+LAST_STEPS = 10  # that a confidence at the end is the mean of
+UNITS: Mapping[Quantity, str] = {"luminance": "cd/m^2", "lx": "lx"}
+LOOKING = ("detections", "false_positives")  # whose means are told
+NAMED = 8  # objects that charts and the closing table tell one by one
+
+
+def summarise(
+    table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[np.floating]], held: Mapping[str, dict[str, Any]]
+) -> dict[str, Any]:
+    """A recording in a few numbers, ready for JSON: None where a value does not exist.
+
+    compared_w: electrical power `[steps]` in W that the recording's is compared with, by name. held: summaries of symbols, by name.
+    """
+    known = table.column_names
+    lamps = [name.split(".")[1] for name in table.column_names if name.startswith("lamp.") and name.endswith(".flux_lm")]
+    objects = [name.removeprefix("objects.").removesuffix(".lx_max") for name in table.column_names if name.endswith(".lx_max")]
+
+    def over(name: str, what: str) -> float | None:
+        values = column(table, name)
+        values = values[np.isfinite(values)]
+        return float(getattr(values, what)()) if len(values) else None
+
+    times_s, ms = column(table, "time_s"), float(np.median(column(table, "processing_ms"))) if table.num_rows else None
+    return {
+        "scenario": scenario,
+        "steps": table.num_rows,
+        "dark_lx_max": over("dark_lx_max", "max"),
+        "symbol_iou_min": over("symbol_iou_min", "min") if "symbol_iou_min" in table.column_names else None,
+        "lamps": {
+            side: {
+                "flux_lm_mean": over(f"lamp.{side}.flux_lm", "mean"),
+                "power_share_max": over(f"lamp.{side}.power_share", "max"),
+                "power_factor_min": over(f"lamp.{side}.power_factor", "min"),
+            }
+            for side in lamps
+        },
+        "objects": {
+            name: {
+                "lx_mean": over(f"objects.{name}.lx_mean", "mean"),
+                "lx_max": over(f"objects.{name}.lx_max", "max"),
+                "masked_steps": table[f"objects.{name}.masked"].to_pylist().count(True),
+                **(_recognised(table, name) if f"objects.{name}.track" in known else {}),
+            }
+            for name in objects
+        },
+        "functions": dict(held),
+        **({"zones": zones} if (zones := _zones(table)) else {}),
+        **({"materials": materials} if (materials := _materials(table)) else {}),
+        **(
+            {
+                "energy_j": _energy(table, column(table, "power_w")),
+                "energy_compared_j": {name: _energy(table, watts) for name, watts in compared_w.items()},
+                "base_share_first": float(column(table, "base_share")[0]),
+                "base_share_final": float(column(table, "base_share")[-1]),
+            }
+            if "power_w" in known and table.num_rows
+            else {}
+        ),
+        **{key: over(key, "mean") for key in LOOKING if key in known},
+        **(_eyes(table) | {"tracks_of_nothing": steps_of_nothing(table, objects)} if "eyes_lx_max" in known else {}),
+        "processing_ms_median": ms,
+        "times_real_time": None if ms is None or table.num_rows < 2 else ms / 1e3 * (table.num_rows - 1) / float(times_s[-1] - times_s[0]),
+    }
+
+
+def of_modules(table: pa.Table, modules: Sequence[Movable]) -> dict[str, dict[str, dict[str, Any]]]:
+    """What functions commanded, by names of modules and movements: least and most, and of angles in how many steps they were at an end of
+    the module's range, rest excepted.
+    """
+    found = dict[str, dict[str, dict[str, Any]]]()
+    for module in modules:
+        for movement in MOVED:
+            if (name := f"modules.{module.name}.{movement}") in table.column_names:
+                rest = getattr(REST, movement)
+                values = np.nan_to_num(column(table, name), nan=rest)
+                told: dict[str, Any] = {"least": float(values.min()), "most": float(values.max())}
+                if movement != "intensity":
+                    told["steps_at_end"] = int((np.isin(values, getattr(module, movement)) & (values != rest)).sum())
+                found.setdefault(module.name, {})[movement] = told
+    return found
+
+
+def named(objects: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Names of the objects of a summary that are told one by one: all in sight, of more than `NAMED` the brightest that were lit."""
+    most = {name: each["lx_max"] for name, each in objects.items() if each["lx_max"] is not None}
+    if len(most) <= NAMED:
+        return [*most]
+    return [name for name in sorted(most, key=most.__getitem__, reverse=True)[:NAMED] if most[name]]
+
+
+def spoken(name: str) -> str:
+    """A name, or several with dots between, as text has it."""
+    return name.replace("_", " ").replace(".", ": ", 1)
+
+
+def zones_of(table: pa.Table) -> list[str]:
+    """Names of the zones of a recording."""
+    return [each.removeprefix("functions.").removesuffix(".target") for each in table.column_names if each.endswith(".target")]
+
+
+def materials_of(table: pa.Table, quantity: Quantity) -> list[str]:
+    """Materials of a recording of which that is wanted, each behind the name of its function and a dot."""
+    asked = [each.removeprefix("functions.").removesuffix(".wanted") for each in table.column_names if each.endswith(".wanted")]
+    return [name for name in asked if f"functions.{name}.{quantity}" in table.column_names]
+
+
+def lost_steps(table: pa.Table, name: str) -> int:
+    """Steps in which an object is in sight and no track shows it, after the first that did."""
+    in_sight, tracked = np.isfinite(column(table, f"objects.{name}.confidence")), np.isfinite(column(table, f"objects.{name}.track"))
+    return int((in_sight & ~tracked)[np.argmax(tracked) :].sum()) if tracked.any() else 0
+
+
+def steps_of_nothing(table: pa.Table, objects: Sequence[str]) -> int:
+    """Steps in which there is a track that shows no object, or one that another track shows; objects out of sight keep the one they had."""
+    shown = np.zeros(table.num_rows)
+    for name in objects:
+        in_sight, tracked = np.isfinite(column(table, f"objects.{name}.confidence")), np.isfinite(column(table, f"objects.{name}.track"))
+        last = np.maximum.accumulate(np.where(in_sight, np.arange(len(shown)), -1))  # step in which it was in sight
+        shown += (last >= 0) & tracked[last]
+    return int((column(table, "tracks") > shown).sum())
+
+
+def eyes_lx(table: pa.Table, from_s: float = 0.0) -> float | None:
+    """Most light on heads and windscreens from a time on; None where none are seen."""
+    values = column(table, "eyes_lx_max")[column(table, "time_s") >= from_s]
+    values = values[np.isfinite(values)]
+    return float(values.max()) if len(values) else None
+
+
+def _eyes(table: pa.Table) -> dict[str, Any]:
+    return {"eyes_lx_max": eyes_lx(table), "eyes_lx_max_after_start_up": eyes_lx(table, START_UP_S)}
+
+
+def _zones(table: pa.Table) -> dict[str, Any]:
+    """By name: how bright a zone is at the end, and the step from which on it stays within 5 % of its target; or None."""
+    found = {}
+    for name in zones_of(table):
+        luminance, target = column(table, f"functions.{name}.luminance"), column(table, f"functions.{name}.target")
+        beyond = np.flatnonzero(~(np.abs(luminance / target - 1) <= SETTLED))
+        after = int(beyond[-1]) + 1 if len(beyond) else 0
+        if len(luminance):
+            settled = after if after < len(luminance) else None
+            found[name] = {"luminance": _last(luminance), "target": _last(target), "settled_step": settled}
+    return found
+
+
+def _materials(table: pa.Table) -> dict[str, Any]:
+    """By name: what a material has at the end, None out of sight, and what was wanted."""
+    found = {}
+    for quantity in UNITS:
+        for name in materials_of(table, quantity) if table.num_rows else ():
+            last, wanted = (_last(column(table, f"functions.{name}.{each}")) for each in (quantity, "wanted"))
+            found[name] = {"quantity": quantity, "median": last, "wanted": wanted}
+    return found
+
+
+def _last(values: NDArray[np.floating]) -> float | None:
+    return float(values[-1]) if np.isfinite(values[-1]) else None
+
+
+def _energy(table: pa.Table, power_w: NDArray[np.floating]) -> float | None:
+    """Of all lamps, in J; None of a single step, which has no duration."""
+    times = column(table, "time_s")
+    return float(power_w.sum() * (times[-1] - times[0]) / (len(times) - 1)) if len(times) > 1 else None
+
+
+def _recognised(table: pa.Table, name: str) -> dict[str, Any]:
+    """The confidence at the end, and the least since a track first showed an object, how many showed it one after the other, and for how
+    long it was in sight, and lost."""
+    confidence = column(table, f"objects.{name}.confidence")
+    last = confidence[-LAST_STEPS:][np.isfinite(confidence[-LAST_STEPS:])]
+    tracks = {number for number in table[f"objects.{name}.track"].to_pylist() if number is not None}
+    tracked = np.isfinite(column(table, f"objects.{name}.track"))
+    since = confidence[np.argmax(tracked) :] if tracked.any() else confidence[:0]
+    return {
+        "confidence_final": float(last.mean()) if len(last) else None,
+        "confidence_min": float(np.nanmin(since)) if len(since) else None,
+        "tracks": len(tracks),
+        "pixels_max": float(np.nanmax(column(table, f"objects.{name}.pixels"))) if len(confidence) else None,
+        "steps_in_sight": int(np.isfinite(confidence).sum()),
+        "steps_lost": lost_steps(table, name),
+    }

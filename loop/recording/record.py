@@ -1,0 +1,256 @@
+"""Recordings of lighting functions: a row a step with the lamps' power and the light on every tracked object."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import pyarrow as pa
+import torch
+
+from luxloop.loop.recording.checks import lights, refuse_unknown
+from luxloop.loop.recording.compared import compared, low_beam_lm
+from luxloop.loop.recording.functions_summary import of_modules, summarise
+from luxloop.loop.recording.summary import Circumstances
+from luxloop.loop.recording.summary import summarise as summarise_symbol
+from luxloop.loop.scenario.plant import shadow_of
+from luxloop.loop.simulation.columns import AIM, CENTROIDS, CUT, ERRORS, LOOKING_OF_TRUTH, POSE, SYMBOL, loss_name, of_one
+from luxloop.loop.simulation.commanded import moved
+from luxloop.loop.simulation.controlled import Held
+from luxloop.loop.simulation.on_materials import quantities
+from luxloop.loop.simulation.redrawn import covering, opened
+from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.perception.judge import Verdict
+from luxloop.world.errors import located
+
+# name: (type, unit, description); lamps and objects have columns of their own.
+STEP = {
+    "step": (pa.int64(), "1", "control step, from 0"),
+    "time_s": (pa.float64(), "s", "time since the scenario's start"),
+    "speed_m_s": (pa.float64(), "m/s", "speed of the car, as measured"),
+    "curvature_1_m": (pa.float64(), "1/m", "curvature of the car's course, as measured"),
+    "beam": (pa.string(), "", "base beam"),
+    "bend_deg": (pa.float64(), "deg", "bend of the base beam to the left"),
+    "level_deg": (pa.float64(), "deg", "level of the base beam, down"),
+    "roll_deg": (pa.float64(), "deg", "roll of the base beam, right side down"),
+    "primitives": (pa.int64(), "1", "number of rectangles of all functions"),
+    "dark_lx_max": (pa.float64(), "lx", "largest illuminance by the lamps on any object that must be dark; empty while none is in sight"),
+    "plan_ms": (pa.float64(), "ms", "time from the objects to primitives"),
+    "light_ms": (pa.float64(), "ms", "time from primitives to utilisations"),
+    "look_ms": (pa.float64(), "ms", "time of rendering and judging, which are not part of the car"),
+    "processing_ms": (pa.float64(), "ms", "time of everything that the car computes, without look_ms, on one thread of the processor"),
+}
+CONTROL = {"control_ms": (pa.float64(), "ms", "time of measurement and controllers of all held symbols")}
+OBSERVED = {
+    "symbol_iou_min": (pa.float64(), "1", "lowest IoU of a symbol with the picture that its observer should see; empty while there is none")
+}
+LAMP = {
+    "flux_lm": (pa.float64(), "lm", "luminous flux"),
+    "power_share": (pa.float64(), "1", "power, as a share of all pixels on"),
+    "power_factor": (pa.float64(), "1", "factor by which the power limit dims all pixels"),
+}
+LAMP_PEAK = {"flux_lm_peak": (pa.float64(), "lm", "highest luminous flux within the step; flux_lm and power are means over the step")}
+OBJECT_PEAK = {"lx_peak": (pa.float64(), "lx", "highest lx_max within the step; the others are means over the step")}
+EYES_PEAK = {"eyes_lx_peak": (pa.float64(), "lx", "highest value within the step; eyes_lx_max is a mean over the step")}
+LEARNING = {
+    "base_share": (pa.float64(), "1", "remaining share of the base beam"),
+    "flux_lm": (pa.float64(), "lm", "luminous flux of all lamps"),
+    "power_w": (pa.float64(), "W", "electrical power of all lamps, from the model with headlight.standby_w and efficacy_lm_w"),
+    "find_ms": (pa.float64(), "ms", "time of detector, tracker and learning functions"),
+}
+LOOKING = {
+    "detections": (pa.int64(), "1", "number of boxes that the detector found"),
+    "false_positives": (
+        pa.int64(),
+        "1",
+        "number of these with a score of at least tracker.start_score that overlap no object by an IoU of 0.3",
+    ),
+    "tracks": (pa.int64(), "1", "number of objects that the tracker has confirmed and not lost"),
+    "eyes_lx_max": (
+        pa.float64(),
+        "lx",
+        "largest illuminance by the lamps on heads and windscreens of road users; empty while none is seen",
+    ),
+    "oncoming_lx_max": (
+        pa.float64(),
+        "lx",
+        "the same for oncoming drivers and riders only, each from 0.3 s after being at least 24 px tall and half visible",
+    ),
+    "road_lx_ratio_max": (
+        pa.float64(),
+        "1",
+        "largest ratio of the light on a point of the road to the largest setpoint of functions and base beam there",
+    ),
+}
+OBJECT = {
+    "pixels": (pa.int64(), "px", "number of camera pixels that see it"),
+    "lx_min": (pa.float64(), "lx", "lowest illuminance by the lamps on its visible part; empty while the camera does not see it"),
+    "lx_mean": (pa.float64(), "lx", "mean illuminance on its visible part"),
+    "lx_max": (pa.float64(), "lx", "largest illuminance on its visible part"),
+    "masked": (pa.bool_(), "", "whether a mask must keep it dark"),
+}
+ZONE = {
+    "lx": (pa.float64(), "lx", "setpoint of its loop"),
+    "luminance": (
+        pa.float64(),
+        "cd/m^2",
+        "mean luminance of its pixels, without the camera's noise; empty while the camera does not see it",
+    ),
+    "target": (pa.float64(), "cd/m^2", "wanted luminance"),
+}
+MODULE = {
+    "swivel_deg": (pa.float64(), "deg", "swivel from its rest position, to the left"),
+    "level_deg": (pa.float64(), "deg", "level from its rest position, down"),
+    "intensity": (pa.float64(), "1", "maximum intensity as a share of the undimmed one"),
+}
+MATERIAL = {"lx": ("lx", "illuminance"), "luminance": ("cd/m^2", "luminance")}
+NAN = torch.tensor(torch.nan)
+NOT_JUDGED = Verdict(NAN.expand(2), NAN, NAN, NAN, NAN)
+LOOKED_AT = {
+    "track": (pa.int64(), "", "number of the track that shows it; empty without one"),
+    "confidence": (
+        pa.float64(),
+        "1",
+        "confidence of that track, filtered over frames, 0 without one; empty while the camera does not see the object",
+    ),
+    "score": (pa.float64(), "1", "score of the detection in this frame alone"),
+}
+
+
+def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
+    """Columns of a simulation's recording: `lamp.left.flux_lm`, `objects.NAME.lx_max`, `modules.left hires.level_deg`.
+
+    detects: as they were with a detector.
+    """
+    sides = dict.fromkeys(module.side for module in simulation.modules)
+    tracked, looks = simulation.watched, detects or simulation.pipeline is not None
+    held = bool(simulation.controlled)  # so that a step has exposures of different light
+    observed = any(getattr(function, "observer", None) for function in simulation.scenario.functions.values())
+    columns = STEP | (CONTROL if held else {}) | (OBSERVED if observed else {})
+    columns |= {f"lamp.{side}.{key}": of for side in sides for key, of in (LAMP | (LAMP_PEAK if held else {})).items()}
+    columns |= LEARNING if looks or simulation.planner.learns else {}
+    if looks:
+        looking = LOOKING | (EYES_PEAK if held else {})
+        columns |= {key: of for key, of in looking.items() if simulation.truth is not None or key not in LOOKING_OF_TRUTH}
+    of_object = OBJECT | (OBJECT_PEAK if held else {}) | (LOOKED_AT if looks else {})
+    columns |= {f"objects.{name}.{key}": of for name in tracked for key, of in of_object.items()}
+    columns |= {
+        f"functions.{name}.{key}": (pa.string() if key == "loss" else pa.float64(), unit, text)
+        for name in simulation.controlled
+        for key, (unit, text) in SYMBOL.items()
+    }
+    columns |= {f"modules.{module}.{key}": MODULE[key] for module, key in moved(simulation.planner, simulation.modules)}
+    zones = [name for name, function in simulation.scenario.functions.items() if function.kind == "zone"]
+    columns |= {f"functions.{name}.{key}": of for name in zones for key, of in ZONE.items()}
+    for name, quantity in quantities(simulation.scenario.functions).items():
+        unit, what = MATERIAL[quantity]
+        columns |= {
+            f"functions.{name}.{quantity}": (pa.float64(), unit, f"median {what} of its pixels where it is asked for; empty out of sight"),
+            f"functions.{name}.wanted": (pa.float64(), unit, f"{what} wanted"),
+        }
+    return pa.schema(pa.field(name, kind, metadata={"unit": unit, "description": text}) for name, (kind, unit, text) in columns.items())
+
+
+def valued(simulation: Simulation) -> set[str]:
+    """Names of what has values in the run of another light (`Simulation.lit_by`), under which nothing must be dark."""
+    return {*schema(simulation).names, *LEARNING} - {"dark_lx_max", "road_lx_ratio_max"}
+
+
+def row(result: StepResult) -> dict[str, Any]:
+    """A step as plain values by the names of its schema's columns."""
+    base, primitives = result.plan.base, result.plan.primitives
+    values: dict[str, Any] = {
+        "step": result.step,
+        "time_s": result.time_s,
+        "speed_m_s": result.now.speed_m_s,
+        "curvature_1_m": result.now.curvature_1_m,
+        "beam": base.name,
+        **{f"{key}_deg": math.degrees(getattr(base, key)) for key in ("bend", "level", "roll")},
+        "primitives": 0 if primitives is None else len(primitives),
+        "dark_lx_max": result.dark_lx_max,
+        "symbol_iou_min": result.symbol_iou_min,
+        **{f"{part}_ms": ms for part, ms in result.timings.items()},
+        "look_ms": result.timings["plant"] + result.timings["look"],
+        "processing_ms": result.processing_ms,
+    }
+    values |= {"base_share": base.share, "flux_lm": sum(power.flux_lm for power in result.powers.values())}
+    values |= {"power_w": sum(power.watts for power in result.powers.values())}
+    for side, power in result.powers.items():
+        given = power.flux_lm, power.share, power.factor, power.flux_lm_peak
+        values |= {f"lamp.{side}.{key}": value for key, value in zip(LAMP | LAMP_PEAK, given, strict=True)}
+    for name, each in result.objects.items():
+        values |= {f"objects.{name}.{key}": getattr(each, key) for key in OBJECT | OBJECT_PEAK}
+    for name, held in result.held.items():
+        values |= {f"functions.{name}.{key}": value for key, value in of_symbol(held).items()}
+    for (name, _), command in zip(result.now.lights, result.now.commands, strict=False):  # of none where all are at rest
+        values |= {f"modules.{name}.{key}": getattr(command, key) for key in MODULE}
+    for name, zone in result.zones.items():
+        values |= {f"functions.{name}.{key}": getattr(zone, key) for key in ZONE}
+    for name, material in result.materials.items():
+        values |= {f"functions.{name}.{material.quantity}": material.median, f"functions.{name}.wanted": material.wanted}
+    if (look := result.look) is not None:
+        values |= {"tracks": len(look.tracks), "eyes_lx_max": look.eyes_lx_max, "eyes_lx_peak": look.eyes_lx_peak}
+        values |= {"oncoming_lx_max": look.oncoming_lx_max, "road_lx_ratio_max": result.road_lx_ratio_max}
+        if result.frame is not None:
+            values |= {"detections": len(look.found), "false_positives": look.false_positives}
+        for name in result.objects:
+            keys = [key for key in LOOKED_AT if key != "score" or result.frame is not None]
+            values |= {f"objects.{name}.{key}": getattr(look.recognised.get(name), key, None) for key in keys}
+    return values
+
+
+def of_symbol(held: Held) -> dict[str, Any]:
+    """What is recorded of one symbol in a step, by the names of SYMBOL."""
+    verdict, seen = held.verdict or NOT_JUDGED, held.measurement
+    degrees = torch.tensor([1.0, 1.0, 180 / torch.pi, 180 / torch.pi], dtype=torch.float64)
+    tensors = {
+        POSE: held.pose,
+        ("z_m",): held.z,
+        ERRORS: seen.errors,
+        tuple(f"pose_error_{name}" for name in POSE): seen.pose_error,
+        CENTROIDS: seen.appearance.centroids,
+        ("area_ratio",): seen.area_ratio,
+        ("centroid_error_x_percent", "centroid_error_y_percent"): verdict.centroid_percent,
+        ("iou", "ssim", "length", "shear"): torch.stack([verdict.iou, verdict.ssim, verdict.length, verdict.shear]),
+        CUT: held.cut,
+        AIM: held.aim,
+        ("code",): seen.code,
+    }
+    host = torch.cat([tensor.flatten().double() for tensor in tensors.values()]).cpu()
+    host[:4] *= degrees
+    host[9:13] *= degrees
+    values = dict(zip([name for names in tensors for name in names], host.tolist(), strict=True))
+    return values | {"loss": loss_name(int(values.pop("code")))}
+
+
+def summary_of(
+    simulation: Simulation, table: pa.Table, last: Mapping[str, StepResult], covered: Mapping[str, StepResult] | None = None
+) -> dict[str, Any]:
+    """The summary of a run's steps. last: of each symbol the last step that shows it, beside which the open loop is judged. covered: of
+    those that were lost as covered the last such step.
+    """
+    scenario, held = simulation.scenario, dict[str, dict[str, Any]]()
+    for name, symbol in simulation.controlled.items():
+        iou = road_m = math.nan
+        mine = of_one(table, name)
+        if symbol.judge is not None and name in last:
+            now, lights = last[name].now, opened(simulation, last[name], name)
+            iou = float(symbol.judge.judged(simulation.world.added(now.time_s, *lights, now.commands), now.time_s).iou)
+            road_m = symbol.judge.road_m(mine["time_s"].to_pylist())
+        by = covering(simulation, covered[name], name) if covered and name in covered else ()
+        judge_every = None if symbol.judge is None else scenario.judge_every
+        run = Circumstances(judge_every, scenario.vehicle is not None, road_m, getattr(symbol.params, "highest_m", None))
+        held[name] = summarise_symbol(mine, symbol.params.name, iou, by, run)
+    summary = summarise(table, scenario.name, compared(simulation, table), held)
+    summary |= {"shadow_of": shadow_of(scenario.plant), "low_beam_lm": low_beam_lm(simulation)}
+    summary |= {"modules": modules} if (modules := of_modules(table, simulation.modules)) else {}
+    return summary | ({"flicker": {"rate_hz": scenario.rate_hz, "on_share": 1 - scenario.off_share}} if held else {})
+
+
+def refuse_unknown_columns(simulation: Simulation) -> None:
+    """Raises LuxloopError where a check names a column or light that is not there, or that the plant does not know."""
+    scenario = simulation.scenario
+    with located(scenario.source):
+        others = [simulation.lit_by(light) for light in lights(scenario.checks)]
+        compared = {name for other in others for name in valued(other)}
+        refuse_unknown(scenario.checks, schema(simulation), compared, schema(simulation, detects=True).names)

@@ -1,0 +1,240 @@
+"""Records a run into a directory, readable at whatever moment the process dies."""
+
+import math
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import pyarrow as pa
+
+from luxloop.loop.recording import label_files
+from luxloop.loop.recording.files import EDITS, FILES, SUMMARY, TRAJECTORY, table_of, write_table
+from luxloop.loop.recording.frames import FrameRecorder
+from luxloop.loop.recording.label_recorder import LabelRecorder
+from luxloop.loop.recording.labelled import Labels
+from luxloop.loop.recording.manifest import Manifest, write_json
+from luxloop.loop.recording.record import row, schema, summary_of
+from luxloop.loop.recording.shadow import ShadowTally
+from luxloop.loop.scenario.edits import Edit, add
+from luxloop.loop.scenario.plant import shadow_of
+from luxloop.loop.simulation import frames as frame_files
+from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.perception.extraction import Loss
+from luxloop.world.errors import LuxloopError
+
+FOLDED = 256  # rows as Python's values, which take ten times the memory of the table
+REST = 10  # times what a write takes pass between two: recording costs a tenth at most, and a kill the last 50 ms or so
+
+
+class Tally:
+    """Rows of a run's steps, and what its summary needs beside them. edits: while it ran, in their order."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        self.first = self.simulation = simulation
+        self.edits = list[Edit]()
+        self._idle, self._waiting = set(simulation.scenario.functions), set(simulation.scenario.functions)
+        self._last = dict[str, StepResult]()
+        self._covered, self._findable = dict[str, StepResult](), set[str]()
+        self._shadow = None if shadow_of(simulation.scenario.plant) is None else ShadowTally()
+        self._asked, self._came = set[int](), list[int]()  # numbers of exposures, and of frames with an image
+        self._written = schema(simulation).empty_table()
+        self._fresh: list[dict[str, Any]] = []
+
+    def add(self, result: StepResult) -> dict[str, Any]:
+        """Take a step. Returns its row."""
+        added = row(result)
+        if self._idle:
+            self._idle &= self.simulation.idle(result)
+        if self._waiting:
+            self._waiting &= self.simulation.waiting(result)
+        self._last |= dict.fromkeys(result.held, result)
+        self._covered |= {name: result for name, each in result.held.items() if each.measurement.code == Loss.COVERED}
+        if result.look is not None:
+            self._findable |= {name for name, each in result.look.recognised.items() if each.findable}
+        if self._shadow is not None:
+            self._shadow.add(result.showings)
+        self._asked |= {each.exposure.number for each in result.showings}
+        self._came += [frame.number for each in result.showings for frame in each.after.frames if frame.image is not None]
+        self._fresh.append(added)
+        if len(self._fresh) >= FOLDED:
+            self._fold()
+        return added
+
+    def edit(self, simulation: Simulation, edit: Edit) -> None:
+        """The run goes on with an edited simulation, whose columns join those there are."""
+        fresh = simulation.scenario.functions.keys() - self.simulation.scenario.functions.keys()
+        self._idle, self._waiting = self._idle | fresh, self._waiting | fresh
+        if not edit.driven:
+            columns = pa.unify_schemas([self.table().schema, schema(simulation)])
+            self._written = table_of(self._written.to_pylist(), columns) if columns != self._written.schema else self._written
+        self.simulation = simulation
+        add(self.edits, edit)
+
+    def table(self) -> pa.Table:
+        """All steps so far."""
+        self._fold()
+        self._written = self._written.combine_chunks()
+        return self._written
+
+    def _fold(self) -> None:
+        if self._fresh:
+            self._written = pa.concat_tables([self._written, table_of(self._fresh, self._written.schema)])
+            self._fresh = []
+
+    def summary(self, checked: Callable[[pa.Table], dict[str, Any]] | None = None) -> dict[str, Any]:
+        """The steps in a few numbers. checked: what has come of checks, by name."""
+        functions = sorted(self.simulation.scenario.functions.items())
+        idle = [f"functions.{name} ({each.kind})" for name, each in functions if name in self._idle - self._waiting]
+        checks = {} if checked is None else checked(self.table())
+        fitting = sum(number in self._asked for number in self._came)
+        frames = {"asked": len(self._asked), "came": fitting, "unknown": len(self._came) - fitting}
+        sees = self.simulation.pipeline is not None or self.simulation.planner.adaptive or self.simulation.controlled
+        looks = {"frames": frames} if sees else {}
+        summary = summary_of(self.simulation, self.table(), self._last, self._covered)
+        summary |= {} if self._shadow is None else {"shadow": self._shadow.summary()}
+        if self.simulation.pipeline is not None:
+            for name, each in summary["objects"].items():
+                each["findable"] = name in self._findable
+        told: dict[str, Any] = _finite(summary | looks | {"idle_functions": idle, "checks": checks})
+        return told
+
+
+def _finite(value: Any) -> Any:
+    """The same with None in place of numbers that are not finite, as of what an edit took away."""
+    if isinstance(value, dict):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+class Recorder:
+    """Records a run into a directory; use it in a `with` statement and `add` every step.
+
+    The first step begins the recording: until then the directory stays as it is, also where it holds an older one. Leaving the block
+    finishes it, as interrupted after Ctrl-C and as failed after an error, and writes summary and report; `summary` is
+    empty until then. Where that fails after an error, the first error is raised.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        run: Simulation | Tally,
+        report: Callable[[pa.Table, dict[str, Any]], None] | None = None,
+        checked: Callable[[pa.Table], dict[str, Any]] | None = None,
+        frames: bool = False,
+        labels: Labels | None = None,
+    ) -> None:
+        """run: a simulation, or a run of one so far, whose steps are recorded as well. report: draws what the table and the summary of the
+        run say. checked: what has come of its checks, by name. frames: whether to keep them. labels: of frames, which are kept then.
+
+        Raises LuxloopError if the directory holds something else than a recording, or cannot be written, or an input file not be read, and
+        of labels where the plant does not know the truth.
+        """
+        self.directory, self.tally, self._report, self._checked = directory, run if isinstance(run, Tally) else Tally(run), report, checked
+        first = self.tally.first
+        self.manifest = Manifest.of(first.scenario, first.renderer, first.device)
+        kept = FrameRecorder(directory, first.scenario.camera.bits)
+        self._kept: list[FrameRecorder | LabelRecorder] = [kept] if frames or labels is not None else []
+        if labels is not None:
+            self._kept.append(LabelRecorder(directory, labels.of(first.truth, first.scenario.plant.kind), labels, kept))
+        self._next_write_s = 0.0
+        self._begun, self._edits_written = False, list[Edit]()
+        self.summary = dict[str, Any]()
+        refuse_foreign(directory)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def add(self, result: StepResult) -> dict[str, Any]:
+        """Record a step. Returns its row. Raises LuxloopError if the directory can no longer be written."""
+        added = self.tally.add(result)
+        self.begin()
+        for each in self._kept:
+            each.add(result.showings)
+        if time.perf_counter() >= self._next_write_s:
+            self._write_trajectory()
+        return added
+
+    def edit(self, simulation: Simulation, edit: Edit) -> None:
+        """The run goes on with an edited simulation. Raises LuxloopError if the directory can no longer be written."""
+        self.tally.edit(simulation, edit)
+        if self._begun and not edit.driven:  # those come with the rows
+            self._write_edits()
+
+    def table(self) -> pa.Table:
+        """All steps so far."""
+        return self.tally.table()
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if not self._begun:
+            return
+        ended = "complete" if error is None else "failed" if isinstance(error, Exception) else "interrupted"
+        try:
+            self._write_trajectory()
+            self.summary = self.tally.summary(self._checked)
+            write_json(self.directory / SUMMARY, self.summary)
+            self.manifest = self.manifest.ended(ended, self.directory)
+            if self._report is not None:
+                self._report(self.table(), self.summary)
+        except Exception:
+            with suppress(OSError):
+                self.manifest.fail(self.directory)
+            if ended != "failed":  # else the first error is raised
+                raise
+
+    def begin(self) -> None:
+        """Make the directory, remove an old recording, its manifest last, and write the new one's, unless that is done."""
+        if self._begun:
+            return
+        with _writing(self.directory):
+            self.directory.mkdir(parents=True, exist_ok=True)
+            frame_files.remove(self.directory)
+            label_files.remove(self.directory)
+            for name in FILES:
+                (self.directory / name).unlink(missing_ok=True)
+            self.manifest.write(self.directory)
+            for each in self._kept:
+                each.begin()
+        self._begun = True
+        self._write_edits()
+
+    def _write_edits(self) -> None:
+        if self.tally.edits != self._edits_written:
+            self._edits_written = list(self.tally.edits)
+            write_json(self.directory / EDITS, [each.model_dump(mode="json") for each in self.tally.edits])
+
+    def _write_trajectory(self) -> None:
+        start = time.thread_time()  # a busy machine makes writes last, but not rarer
+        self._write_edits()
+        for each in self._kept:
+            each.write()
+        write_table(self.directory / TRAJECTORY, self.table())
+        self._next_write_s = time.perf_counter() + REST * (time.thread_time() - start)
+
+
+@contextmanager
+def _writing(directory: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or error
+        raise LuxloopError(f"{directory}: cannot be written ({reason}); give another directory with --out") from error
+
+
+def refuse_foreign(directory: Path) -> None:
+    """Raises LuxloopError where the directory holds something else than a recording, or cannot be written."""
+    with _writing(directory):
+        with tempfile.TemporaryFile(dir=next(each for each in (directory, *directory.parents) if each.exists())):
+            pass
+        if not directory.exists() or not any(directory.iterdir()):
+            return
+    try:
+        Manifest.read(directory)
+    except LuxloopError as error:
+        raise LuxloopError(f"{directory}: holds files that are no recording of this luxloop; give an empty or a new directory") from error

@@ -1,1 +1,0 @@
-"""The socket at which another simulator is the plant, and its messages (docs/programs.md). Without torch."""

@@ -1,0 +1,119 @@
+"""The scene of a scenario at one time as a glTF file: road, objects, camera and lamps, each as a node with its pose."""
+
+import math
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import torch
+import trimesh
+from PIL import Image
+from torch import Tensor
+from trimesh.visual.material import PBRMaterial
+
+from luxloop.loop.report.export_light import modules_at, refuse_time
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import whole
+from luxloop.world.scene.albedo import albedo_picture
+from luxloop.world.scene.body import Body
+from luxloop.world.scene.triangles import Placed
+from luxloop.world.view import View
+
+ROOT, SCENE, CAMERA = "world y-up", "world z-up", "front camera"  # names that no object can have
+ALBEDO: Final = "albedo "  # before its number in the name of a material of one colour
+T_GLTF_WORLD: Final = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+T_VIEW_CAMERA: Final = np.diag([1.0, -1, -1, 1])  # a camera of glTF looks along -z, y up
+
+
+def write_scene(simulation: Simulation, time_s: float, file: Path) -> trimesh.Scene:
+    """Write the scene at a time as .glb; returns it.
+
+    Raises LuxloopError for another suffix, a time beyond the scenario, a plant that does not know the truth, and where the file cannot be
+    written.
+    """
+    if file.suffix.lower() != ".glb":
+        raise LuxloopError(f"--out {file}: gives no format of a scene; end it in .glb")
+    scene = scene_at(simulation, time_s)
+    with whole(file) as part:
+        part.write_bytes(scene.export(file_type="glb", tree_postprocessor=_exact))
+    return scene
+
+
+def scene_at(simulation: Simulation, time_s: float) -> trimesh.Scene:
+    """The scene at a time: the node SCENE is the world, with a node for the road and for each object, module and street lamp; CAMERA
+    is the camera. Raises LuxloopError as `write_scene`.
+    """
+    refuse_time(simulation, time_s)
+    world, state = simulation.world, simulation.world.motion.at(time_s)
+    found = trimesh.Scene(base_frame=ROOT)
+    found.graph.update(SCENE, matrix=T_GLTF_WORLD)
+    for number, placed in enumerate(world.scene.at(time_s, state.T_world_ground).placed):
+        _add(found, placed, placed.body.name if placed.object_id else f"road {number}")
+    for name, T_body_module in modules_at(simulation, time_s):
+        found.graph.update(f"lamp {name}", SCENE, matrix=(state.T_world_body @ T_body_module).numpy())
+    for number, lamp in enumerate(world.scene.street_lamps, 1):
+        T = trimesh.transformations.translation_matrix(lamp.position_m)
+        found.graph.update(f"street lamp {number}", SCENE, matrix=T, metadata={"intensity_cd": lamp.intensity_cd})
+    _add_camera(found, world.view_at(time_s))
+    return found
+
+
+def _add_camera(scene: trimesh.Scene, view: View) -> None:
+    wide, high = view.width / view.fx, view.height / view.fy
+    fov_deg = math.degrees(2 * math.atan(high / 2)) * np.array([wide / high, 1.0])  # trimesh writes the ratio of the angles
+    scene.camera = trimesh.scene.Camera(CAMERA, resolution=(view.width, view.height), fov=fov_deg)
+    scene.camera_transform = T_GLTF_WORLD @ view.T_world_view.numpy() @ T_VIEW_CAMERA
+
+
+def _add(scene: trimesh.Scene, placed: Placed, name: str) -> None:
+    """A node for a body, with its mesh, or with those of its parts as nodes of their own below it."""
+    body, T = placed.body, placed.T_world_body.numpy()
+    if body.part_of_face is None:
+        parts = body.parts or (None,)
+        mesh = _mesh(body, None, body.albedo if parts[0] is None else parts[0].albedo)
+        scene.add_geometry(mesh, name, name, SCENE, transform=T)
+        return
+    scene.graph.update(name, SCENE, matrix=T)
+    for k, part in enumerate(body.parts):
+        if bool((faces := body.part_of_face == k).any()):
+            own = f"{name}/{part.name}"
+            own = own if own not in scene.geometry else f"{own} {k}"
+            scene.add_geometry(_mesh(body, faces, part.albedo), own, own, name, metadata={"material": part.material})
+
+
+def _mesh(body: Body, faces: Tensor | None, albedo: float) -> trimesh.Trimesh:
+    """Some faces of a body. Vertex normals come with it where they are smooth; else no face shares its corners."""
+    chosen = torch.ones(len(body.corners), dtype=torch.bool) if faces is None else faces
+    vertices = np.asarray(body.mesh.vertices)
+    if body.smooth:
+        used, index = np.unique(np.asarray(body.mesh.faces)[chosen.numpy()], return_inverse=True)
+        corners, triangles, normals = vertices[used], index.reshape(-1, 3), np.asarray(body.mesh.vertex_normals)[used]
+    else:
+        corners, normals = (each[chosen].flatten(0, 1).numpy() for each in (body.corners, body.corner_normals))
+        triangles = np.arange(len(corners)).reshape(-1, 3)
+    look = PBRMaterial(
+        f"{ALBEDO}{albedo}", baseColorFactor=[albedo] * 3 + [1.0], metallicFactor=0.0, roughnessFactor=1.0, doubleSided=body.two_sided
+    )
+    uv = None
+    if body.texture is not None:
+        picture, low, high = albedo_picture(body)
+        grey = Image.fromarray(_srgb(picture).numpy()[::-1]).convert("RGB")  # v of trimesh runs up
+        look = PBRMaterial(baseColorTexture=grey, metallicFactor=0.0, roughnessFactor=1.0, doubleSided=body.two_sided)
+        uv = (corners[:, :2] - low) / np.subtract(high, low)
+    visual = trimesh.visual.TextureVisuals(uv=uv, material=look)
+    return trimesh.Trimesh(corners, triangles, vertex_normals=normals, visual=visual, process=False)
+
+
+def _exact(tree: dict[str, Any]) -> None:
+    """Put albedos into the materials, in which trimesh keeps 8 bits, by the names of these."""
+    for material in tree["materials"]:
+        if (name := material.get("name", "")).startswith(ALBEDO):
+            material["pbrMetallicRoughness"]["baseColorFactor"][:3] = [float(name.removeprefix(ALBEDO))] * 3
+
+
+def _srgb(linear: Tensor) -> Tensor:
+    """Codes 0..255 of linear values 0..1, as pictures of colours have them (IEC 61966-2-1)."""
+    value = linear.clamp(0, 1)
+    coded = torch.where(value <= 0.0031308, 12.92 * value, 1.055 * value.clamp(min=1e-9) ** (1 / 2.4) - 0.055)
+    return (255 * coded).round().byte()

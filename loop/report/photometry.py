@@ -1,0 +1,106 @@
+"""A photometric file as a picture: its luminous intensity over both angles, and the curves through its peak."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.projections.polar import PolarAxes
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+
+from luxloop.loop.report import charts
+from luxloop.loop.report.headlight import DPI, write
+from luxloop.loop.report.style import FOUR, STYLE
+from luxloop.loop.report.styles import check_out
+from luxloop.loop.report.views import Image
+from luxloop.world.photometry import Distribution, Photometry
+
+SAMPLES = (721, 541)  # of the map, horizontally and vertically
+FAINT, NEEDLE_DEG = 0.02, 40.0  # a beam whose brighter parts lie within so many degrees is no curve around a lamp
+LABELS = {"A": ("to the right", "up"), "B": ("to the right", "up"), "C": ("C plane", "from nadir")}
+
+
+def show_distribution(photometry: Photometry, out: Path) -> Path:
+    """Draw a photometric file; returns the picture's file. Raises LuxloopError where that cannot be written."""
+    check_out(out)
+    distribution = photometry.distribution
+    with rc_context(STYLE):
+        figure = Figure((12.0, 5.3), DPI, layout="constrained")
+        figure.suptitle("  ·  ".join(_title(photometry)), x=0.012, ha="left", fontsize=11.5, weight="bold")
+        left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(7.2, 4.8))[0]
+        _map(left.subplots(), distribution)
+        _curves(right, distribution)
+        write(figure, out)
+    return out
+
+
+def cuts(distribution: Distribution) -> tuple[Image, dict[str, Image]]:
+    """Angles `[N]` in deg and the luminous intensities `[N]` in cd on the two curves through the peak, by their names.
+
+    Types A and B: angles to the right and up, from the axis. Type C: from nadir, towards the half plane that is named first.
+    """
+    v, h, candela = distribution.unfolded
+    i, j = np.unravel_index(int(candela.argmax()), candela.shape)
+    angles = np.linspace(-180, 180, 1441)
+    if distribution.type == "C":
+        peak = float(h[i]) % 180
+        return angles, {
+            f"C{plane:g} – C{plane + 180:g}": distribution.at(np.abs(angles), np.where(angles >= 0, plane, plane + 180))
+            for plane in (peak, (peak + 90) % 180)
+        }
+    return angles, {
+        f"across, {charts.degrees(v[j])} up": distribution.at(v[j], angles),
+        f"upright, {charts.degrees(h[i])} right": distribution.at(angles, h[i]),
+    }
+
+
+def _title(photometry: Photometry) -> list[str]:
+    distribution = photometry.distribution
+    return [
+        photometry.path.name,
+        f"{photometry.format}, type {distribution.type}",
+        f"peak {_number(distribution.candela.max())} cd",
+        f"{_number(distribution.luminous_flux)} lm",
+    ]
+
+
+def _map(axes: Axes, distribution: Distribution) -> None:
+    v, h, _ = distribution.unfolded
+    across, up = np.linspace(h[0], h[-1], SAMPLES[0]), np.linspace(v[0], v[-1], SAMPLES[1])
+    candela = distribution.at(up[::-1, None], across)
+    axes.set_title("Luminous intensity")
+    charts.false_colours(axes, candela, (h[0], h[-1], v[0], v[-1]), "cd")
+    for axis, label in zip((axes.xaxis, axes.yaxis), LABELS[distribution.type], strict=True):
+        axis.set_major_locator(MaxNLocator(9, steps=[1, 1.5, 3, 4.5, 6, 9, 10]))
+        axis.set_major_formatter(FuncFormatter(lambda angle, _: charts.degrees(angle)))
+        axis.set_label_text(label)
+
+
+def _curves(figure: SubFigure, distribution: Distribution) -> None:
+    """Around the lamp, or side by side where all of a beam would be a needle."""
+    angles, curves = cuts(distribution)
+    bright = [np.abs(angles[candela > FAINT * candela.max()]).max(initial=0.0) for candela in curves.values()]
+    narrow = max(bright) < NEEDLE_DEG
+    axes = figure.subplots(subplot_kw={} if narrow else {"projection": "polar"})
+    for (name, candela), colour, line in zip(curves.items(), FOUR[:2], ("-", "--"), strict=True):
+        axes.plot(angles if narrow else np.deg2rad(angles), candela, color=colour, ls=line, label=name)
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda candela, _: _number(candela)))
+    axes.set_title("Through the peak, in cd")
+    if isinstance(axes, PolarAxes):
+        nadir = distribution.type == "C"
+        axes.set_theta_zero_location("S" if nadir else "N")
+        axes.set_theta_direction(1 if nadir else -1)
+        axes.set_thetagrids(range(0, 360, 30), [charts.degrees(min(angle, 360 - angle)) for angle in range(0, 360, 30)])
+        axes.yaxis.set_major_locator(MaxNLocator(4))
+        axes.set_rlabel_position(75)
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, -0.2), ncols=2)
+    else:
+        width = 1.3 * max(bright) or NEEDLE_DEG  # nothing shines
+        axes.set(xlim=(-width, width), ylim=(0, None))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda angle, _: charts.degrees(angle)))
+        axes.legend(loc="upper right")
+
+
+def _number(value: float) -> str:
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"

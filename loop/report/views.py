@@ -1,0 +1,218 @@
+"""The scene of lamp pictures: the lamps on their car, and views of the road that they light."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from luxloop.loop.scenario.model import HeadlightParams, Scenario, validate
+from luxloop.loop.simulation.build import build_scene
+from luxloop.loop.simulation.build_lamps import T_world_lamp
+from luxloop.world.frames import R_ISO_OPENCV, pose, pose_from_degrees
+from luxloop.world.headlight.lamp import Commands, Lamp, direction
+from luxloop.world.headlight.matrix import LUMINANCE
+from luxloop.world.light.ambient import ambient_luminance
+from luxloop.world.light.emitters import Source, sources, surface_light
+from luxloop.world.light.volumetric import Medium, airlight
+from luxloop.world.rendering.face_source import FaceSource, face_source
+from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
+from luxloop.world.rendering.shadow import ShadowMap, shadow_map
+from luxloop.world.scene.scene import Scene
+from luxloop.world.scene.triangles import Triangles
+from luxloop.world.view import View
+
+SIDES = ("left", "right")
+SHADOW_PX = 1024  # width of a shadow map
+BIRDSEYE_X_M, BIRDSEYE_Y_M, BIRDSEYE_CELL_M = (-6.0, 100.0), (-20.0, 20.0), 0.1
+BIRDSEYE_HEIGHT_M = 300.0  # of the pinhole: a body 1.5 m high, 50 m aside, is seen 25 cm off
+FARTHEST_M = 400.0  # length of a ray through fog that hits nothing
+NIGHT_LX = 0.03  # a clouded night near a town; by full moon it is ten times as much
+NEAR_BY = 0.05  # tolerance of a pixel's place on the road, as a share of its distance, which a row spans far ahead
+LUMINANCE_OF_RGB = np.array(LUMINANCE, np.float32)
+Image = NDArray[np.floating]
+
+
+@dataclass(frozen=True, eq=False)
+class LitCar:
+    """A car's lamps by side, "left" and "right" or one of them, with their utilisations `[n_p]`, one a module."""
+
+    lamps: Mapping[str, Lamp]
+    patterns: Mapping[str, Sequence[Tensor]]
+    mount: HeadlightParams = field(default_factory=HeadlightParams)
+
+    def under(self, commands: Mapping[str, Commands]) -> "LitCar":
+        """The car with modules turned and dimmed. commands: one per module, by side; sides left out are at rest."""
+        lamps, patterns = dict(self.lamps), dict(self.patterns)
+        for side in lamps.keys() & commands.keys():
+            modules = zip(lamps[side].modules, commands[side], strict=True)
+            lamps[side] = replace(lamps[side], modules=tuple(replace(m, T_lamp_module=c.turned(m.T_lamp_module)) for m, c in modules))
+            patterns[side] = [command.intensity * u for u, command in zip(patterns[side], commands[side], strict=True)]
+        return replace(self, lamps=lamps, patterns=patterns)
+
+    @property
+    def T_world_middle(self) -> Tensor:
+        """Reference pose `[4, 4]` of angles: that of the only lamp, or midway between two."""
+        if len(self.lamps) == 1:
+            return T_world_lamp(next(iter(self.lamps)), self.mount)
+        return pose_from_degrees((0.0, 0.0, self.mount.height_m))
+
+    @cached_property
+    def sources(self) -> tuple[Source, ...]:
+        """All modules that shine, in colour if any of them is coloured."""
+        colour = any(module.headlight.chroma is not None for lamp in self.lamps.values() for module in lamp.modules)
+        return tuple(
+            source
+            for side, lamp in self.lamps.items()
+            for source in sources(lamp, self.patterns[side], T_world_lamp(side, self.mount), colour)
+        )
+
+    def intensity(self, h_deg: Tensor, v_deg: Tensor) -> Tensor:
+        """Luminous intensity in cd of all lamps together, in the shape of the angles, seen from far away."""
+        ray = direction(h_deg, v_deg).flatten(1)
+        found = sum(lamp.intensity(self.patterns[side], ray) for side, lamp in self.lamps.items())
+        assert isinstance(found, Tensor)
+        return found.view(h_deg.shape)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a view shows: illuminance `[H, W]` in lx, NaN where nothing is; luminance `[H, W]` in cd/m^2, or `[H, W, 3]` in colour."""
+
+    view: View
+    surfaces: GBuffer
+    illuminance: Image
+    luminance: Image
+
+    def on_road(self, x_m: float, y_m: float) -> tuple[float, float] | None:
+        """Image point in px of the road's surface at a place; None if it is not visible."""
+        x, y, z = self.surfaces.position.flatten(1)
+        away = torch.hypot(x - x_m, y - y_m).masked_fill(self.surfaces.object_id.flatten() != 0, torch.inf)
+        nearest = int(away.argmin())
+        if away[nearest] > NEAR_BY * x_m:
+            return None
+        u, v = self.view.project(torch.tensor([[x_m], [y_m], [float(z[nearest])]], dtype=torch.float64))[0][:, 0].tolist()
+        return u, v
+
+
+class Road:
+    """A scenario's road and objects at one time, ready to be looked at."""
+
+    def __init__(self, scenario: Scenario | None = None, time_s: float = 0.0) -> None:
+        """Without a scenario: flat asphalt with a lane's markings."""
+        self.scenario, self.time_s = scenario or _plain_road(), time_s
+        self._shadows: WeakKeyDictionary[Source, ShadowMap] = WeakKeyDictionary()
+
+    @property
+    def lane_width_m(self) -> float:
+        return self.scenario.surface.lane_width_m
+
+    @cached_property
+    def _scene(self) -> Scene:
+        return build_scene(self.scenario)
+
+    @cached_property
+    def _triangles(self) -> Triangles:
+        return self._scene.at(self.time_s)
+
+    @cached_property
+    def _face_source(self) -> FaceSource:
+        return face_source(self.scenario.renderer)
+
+    def look(self, car: LitCar, view: View, air: Medium | None = None) -> Seen:
+        """The road in the light of the car, attenuated and veiled by the air unless it is clear.
+
+        Raises LuxloopError if the scenario names data that does not exist.
+        """
+        surfaces = gbuffer(self._triangles, view, self._face_source.face_ids(self._triangles, view))
+        extinction = air.extinction_per_m if air else 0.0
+        illuminance, luminance = surface_light(surfaces, car.sources, self._shades, extinction)
+        others = self._scene.spotlights_at(self.time_s)
+        luminance = luminance + ambient_luminance(surfaces, self._scene.ambient_lx, self._scene.street_lamps, others)
+        if air:
+            shadows = None if self._shades is None else [self._shadow(source) for source in car.sources]
+            luminance = _through_air(luminance, surfaces, view, car.sources, air, shadows, self._scene.ambient_lx)
+        total = np.where(surfaces.object_id.numpy() < 0, np.nan, grey(picture(illuminance)))
+        return Seen(view, surfaces, total, picture(luminance))
+
+    @property
+    def _shades(self) -> Triangles | None:
+        """What may throw a shadow."""
+        return None if self.scenario.road.kind == "flat" and not self.scenario.all_objects else self._triangles
+
+    def _shadow(self, source: Source) -> ShadowMap:
+        if source not in self._shadows:
+            light = source.headlight
+            height = math.ceil(SHADOW_PX * (light.top - light.bottom) / (light.left - light.right))
+            view = light.view(source.T_world_source, SHADOW_PX, min(max(height, 64), SHADOW_PX))
+            self._shadows[source] = shadow_map(self._triangles, view, self._face_source)
+        return self._shadows[source]
+
+
+def picture(light: Tensor) -> Image:
+    """Light `[H, W]`, or linear sRGB `[3, H, W]`, as an image `[H, W]` or `[H, W, 3]`."""
+    return (light if light.dim() == 2 else light.movedim(0, -1)).cpu().numpy()
+
+
+def grey(image: Image) -> Image:
+    """An image `[H, W]` as it is, one in linear sRGB `[H, W, 3]` weighted as the eye does."""
+    return image if image.ndim == 2 else image @ LUMINANCE_OF_RGB
+
+
+def _through_air(
+    luminance: Tensor,
+    surfaces: GBuffer,
+    view: View,
+    lit: Sequence[Source],
+    air: Medium,
+    shadows: Sequence[ShadowMap] | None,
+    ambient_lx: float,
+) -> Tensor:
+    """What is left of a luminance behind the air, and what the air scatters into it, of the lamps and of an even sky above."""
+    rays = view.rays().flatten(1)
+    directions = (rays / rays.norm(dim=0)).float()
+    distance = (surfaces.position.flatten(1) - view.origin[:, None]).norm(dim=0).float()
+    distance = torch.where(surfaces.object_id.flatten() >= 0, distance, FARTHEST_M)
+    through = torch.exp(-air.extinction_per_m * distance)
+    # Near the horizontal, half of the light scattered into a ray comes from above, whatever the asymmetry: from a sky of luminance E / pi.
+    sky = air.scattering_per_m / air.extinction_per_m * ambient_lx / (2 * math.pi)
+    veiled = luminance.flatten(-2) * through + sky * (1 - through)
+    for i, source in enumerate(lit):
+        veiled = veiled + airlight(source, view.origin, directions, distance, air, shadow=shadows[i] if shadows else None)
+    return veiled.view(luminance.shape)
+
+
+def _plain_road() -> Scenario:
+    tables = {"surface": {"markings": True}, "light": {"ambient_lx": NIGHT_LX}}
+    return validate({"name": "flat road", **tables}, "flat road")
+
+
+def driver(width_px: int = 1280) -> View:
+    """A driver's eye in a car that is steered on the left: 40 deg wide, 16 : 9, the horizon above the middle."""
+    return _pinhole((-1.5, 0.36, 1.2), 4.0, 0.0, 40.0, width_px, round(width_px * 9 / 16))
+
+
+def beside(width_px: int = 960) -> View:
+    """From behind, above and to the left of the car, for beams in fog: 56 deg wide, 16 : 9."""
+    return _pinhole((-10.5, 6.5, 3.4), 8.0, -27.0, 56.0, width_px, round(width_px * 9 / 16))
+
+
+def birdseye(cell_m: float = BIRDSEYE_CELL_M, x_m: tuple[float, float] = BIRDSEYE_X_M) -> View:
+    """The road from above, left and right as a map shows them that has the way ahead on its right: columns along x, row 0 far left."""
+    (x0, x1), (y0, y1) = x_m, BIRDSEYE_Y_M
+    width, height = round((x1 - x0) / cell_m), round((y1 - y0) / cell_m)
+    focal = BIRDSEYE_HEIGHT_M / cell_m
+    down = torch.tensor([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]], dtype=torch.float64)
+    eye = torch.tensor([(x0 + x1) / 2, (y0 + y1) / 2, BIRDSEYE_HEIGHT_M], dtype=torch.float64)
+    return View(width, height, focal, focal, width / 2, height / 2, pose(eye, down))
+
+
+def _pinhole(position_m: tuple[float, float, float], pitch_deg: float, yaw_deg: float, hfov_deg: float, width: int, height: int) -> View:
+    focal = width / 2 / math.tan(math.radians(hfov_deg) / 2)
+    T = pose_from_degrees(position_m, pitch_deg=pitch_deg, yaw_deg=yaw_deg) @ pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
+    return View(width, height, focal, focal, width / 2, height / 2, T)

@@ -1,0 +1,149 @@
+"""Benches, which show a light and return frames of it, for calibration; here that of a scenario's simulated world."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Protocol
+from zlib import crc32
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+from numpy.typing import NDArray
+
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.simulation.simulated import simulated_plant
+from luxloop.loop.simulation.truth import LampModule
+from luxloop.loop.simulation.world import World
+from luxloop.perception.camera import CameraParams, expose
+from luxloop.perception.noise import FrameNoise
+from luxloop.world.errors import LuxloopError
+from luxloop.world.light.illumination import Transport
+
+Array = NDArray[np.floating[Any]]
+Indices = NDArray[np.intp]
+Image = NDArray[Any]
+Lens = Callable[[Array, Array], tuple[Array, Array]]
+
+BAND: Final = 256  # rows of the fine picture that are rendered at once
+SAMPLES: Final = 4  # a camera pixel's width and height, at which the fine picture is read
+
+
+class Bench(Protocol):
+    """Shows light to a camera at rest.
+
+    shape: height and width of a frame in px. levels: largest digital number. exposures_s: exposure times that the camera can be set to,
+    ascending; a single one where it is locked.
+    """
+
+    @property
+    def shape(self) -> tuple[int, int]: ...
+
+    @property
+    def levels(self) -> int: ...
+
+    @property
+    def exposures_s(self) -> tuple[float, ...]: ...
+
+    def frames(self, lights: Sequence[Array], count: int, exposure_s: float, name: str = "") -> Image:
+        """Digital numbers `[count, height, width]` of frames in the light of these utilisations alone, one `[n_p]` in 0..1 per module.
+
+        name: of the measurement; simulated noise depends on it, so that a measurement that is resumed gets the same.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedBench:
+    """The simulated world of a scenario, with the light transport from lamp pixels to camera pixels in one sparse matrix per module.
+
+    transports: `[height * width, n_p]`, cd/m^2 at full utilisation. base: `[height, width]` cd/m^2 of other light. optics: what the lens
+    adds to a luminance image, such as blur. seed: of the noise.
+    """
+
+    transports: tuple[sp.csr_array, ...]
+    base: Array
+    camera: CameraParams
+    seed: int
+    exposures_s: tuple[float, ...]
+    optics: Callable[[Array], Array] | None = None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.camera.height_px, self.camera.width_px
+
+    @property
+    def levels(self) -> int:
+        return 2**self.camera.bits - 1
+
+    def frames(self, lights: Sequence[Array], count: int, exposure_s: float, name: str = "") -> Image:
+        luminance = self.base.copy()
+        for transport, u in zip(self.transports, lights, strict=True):
+            luminance += (transport @ u.astype(np.float32)).reshape(self.shape)
+        seen = luminance if self.optics is None else self.optics(luminance)
+        camera = self.camera.model_copy(update={"exposure_s": exposure_s})
+        image = torch.from_numpy(seen.astype(np.float32))
+        key = crc32(b"".join([f"{name} {exposure_s:g}".encode(), *(u.tobytes() for u in lights)]))
+        noise = (FrameNoise.of(self.seed, key, k) for k in range(count))
+        return np.stack([expose(image, camera, each).numpy().astype(np.uint16) for each in noise])
+
+
+def simulated_bench(scenario: Scenario, modules: Sequence[LampModule], lens: Lens | None = None, fine: int = 2) -> SimulatedBench:
+    """The bench of a scenario's world.
+
+    lens: from positions `[n]` px (u, v) in the camera to those in a pinhole camera's image of the same size; None for a pinhole camera.
+    fine: rendered pixels per camera pixel along a side. Raises LuxloopError if something in the world moves.
+    """
+    plant = simulated_plant(scenario, modules)
+    camera = plant.world.camera
+    if plant.world.moving or plant.world.metered:
+        raise LuxloopError(f"{scenario.source}: calibration needs a world that stands still; take out vehicle, detector and moving objects")
+    finer = camera.model_copy(update={"width_px": fine * camera.width_px, "height_px": fine * camera.height_px, "oversampling": fine})
+    world = World(plant.world.scene, plant.world.modules, finer, plant.world.source, given=plant.world.given)
+    resample = _resample(camera, finer, lens)
+    bases, columns = [], []
+    for start in range(0, finer.height_px, BAND):
+        part = slice(start, min(start + BAND, finer.height_px)), slice(0, finer.width_px)
+        lit = world.lit(0.0, part)
+        bases.append(lit.base.numpy())
+        columns.append([_spread(transport, lit.base.numel()) for transport in lit.transports])
+    base = (resample @ np.concatenate(bases).ravel()).reshape(camera.height_px, camera.width_px)
+    transports = tuple(sp.csr_array(resample @ sp.vstack(each, format="csr")).astype(np.float32) for each in zip(*columns, strict=True))
+    exposures_s = tuple(camera.exposure_s * 2.0**k for k in (-4, -3, -2, -1, 0))
+    return SimulatedBench(transports, base.astype(np.float64), camera, scenario.seed, exposures_s)
+
+
+def _spread(transport: Any, n: int) -> sp.csr_matrix:
+    """The transport's matrix with a row for each pixel of its picture."""
+    assert isinstance(transport, Transport)
+    index = transport.index.numpy()
+    rows = sp.csr_matrix((np.ones(len(index), np.float32), (index, np.arange(len(index)))), shape=(n, len(index)))
+    return rows @ transport.matrix.to_scipy()
+
+
+def _resample(camera: CameraParams, finer: CameraParams, lens: Lens | None) -> sp.csr_matrix:
+    """From the fine picture to the camera's: the mean of samples over each pixel's area, each read bilinearly."""
+    offset = (np.arange(SAMPLES) + 0.5) / SAMPLES
+    v, u = np.meshgrid(np.arange(camera.height_px), np.arange(camera.width_px), indexing="ij")
+    total = sp.csr_matrix((v.size, finer.width_px * finer.height_px), dtype=np.float32)
+    for dv in offset:
+        for du in offset:
+            x, y = (u + du).ravel(), (v + dv).ravel()
+            if lens is not None:
+                x, y = lens(x, y)
+            ratio = finer.width_px / camera.width_px
+            total = total + _bilinear(ratio * x - 0.5, ratio * y - 0.5, finer.width_px, finer.height_px)
+    return total / SAMPLES**2
+
+
+def _bilinear(x: Array, y: Array, width: int, height: int) -> sp.csr_matrix:
+    x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
+    fx, fy = x - x0, y - y0
+    rows, columns, weights = [], [], []
+    for dx, wx in ((0, 1 - fx), (1, fx)):
+        for dy, wy in ((0, 1 - fy), (1, fy)):
+            inside = (x0 + dx >= 0) & (x0 + dx < width) & (y0 + dy >= 0) & (y0 + dy < height)
+            rows.append(np.flatnonzero(inside))
+            columns.append(((y0 + dy) * width + x0 + dx)[inside])
+            weights.append((wx * wy)[inside].astype(np.float32))
+    entries = np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))
+    return sp.csr_matrix(entries, shape=(len(x), width * height))

@@ -1,0 +1,183 @@
+"""Calibrate a rig: response, lens, and the relative poses of camera, screen and modules."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import cv2
+import numpy as np
+
+from luxloop.loop.rig.calibration.bench import Array
+from luxloop.loop.rig.calibration.board import Corners
+from luxloop.loop.rig.calibration.charts import Places
+from luxloop.loop.rig.calibration.codes import patterns
+from luxloop.loop.rig.calibration.digitise import Nominal, Reading, Settings, located
+from luxloop.loop.rig.calibration.files import Calibration
+from luxloop.loop.rig.calibration.geometry import ISO, MOST_PX, CameraModel, Geometry, Pose, Seen, adjusted
+from luxloop.loop.rig.calibration.intrinsics import Lens, brightness
+from luxloop.loop.rig.calibration.response import Response, response_curve
+from luxloop.loop.rig.calibration.shots import Shots
+from luxloop.loop.simulation.truth import LampModule
+from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.world.errors import LuxloopError
+
+LADDER: Final = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 0.75, 1.0)  # utilisations, for a camera with one exposure
+AVERAGED: Final = 8  # frames of each rung
+SENSOR_PX: Final = 3  # width and height of a luxmeter's sensor, whose light is the mean over them
+SCREEN: Final = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]]).T  # of a screen ahead: x to the right, y up, z towards the lamp
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """Prior knowledge of a rig. camera: the scenario's. lens: from a board, None for the scenario's pinhole camera. board: the board
+    that lies on the screen, None where the screen stands square to the x axis, `screen_m` m ahead of the lamps.
+    """
+
+    camera: CameraParams
+    lens: Lens | None = None
+    board: Corners | None = None
+    screen_m: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.board is None and self.screen_m is None:
+            raise LuxloopError(
+                "nothing tells where the screen is; give a picture of the board on it with --on-screen, or its distance with --screen-m"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """calibration: for the file. geometry: of each module by name. found: share of its pixels that was located."""
+
+    calibration: Calibration
+    geometry: Mapping[str, Geometry]
+    found: Mapping[str, float]
+
+
+def measured_response(shots: Shots, sizes: Sequence[int]) -> Response:
+    """The camera's response: from exposure times if it has three or more, else from utilisations, which needs a dark room.
+
+    sizes: number of pixels of each module. Raises LuxloopError if the frames do not suffice.
+    """
+    on, off = ([np.full(n, u) for n in sizes] for u in (1.0, 0.0))
+    times = shots.bench.exposures_s
+    if len(times) >= 3:
+        frames = [shots.frames("response", on, AVERAGED, each).mean(0) for each in times]
+        black = shots.frames("black", off, AVERAGED, times[0]).mean(0)
+        return response_curve([black, *frames], [0.0, *times], shots.bench.levels)
+    frames = [shots.frames(f"response_{100 * u:.0f}", [np.full(n, u) for n in sizes], AVERAGED, times[-1]).mean(0) for u in LADDER]
+    return response_curve(frames, LADDER, shots.bench.levels)
+
+
+def calibrated(shots: Shots, modules: Sequence[LampModule], known: Known, settings: Settings, vignetting: Array) -> Calibrated:
+    """Locate the pixels of all modules, and adjust all poses to them. Raises LuxloopError if too few pixels are located."""
+    camera = CameraModel.of(known.camera) if known.lens is None else known.lens.camera
+    if (camera.height, camera.width) != shots.bench.shape:
+        height, width = shots.bench.shape
+        raise LuxloopError(f"the camera has {width} x {height} px, but the board's pictures {camera.width} x {camera.height} px")
+    sizes = [each.headlight.n_pixels for each in modules]
+    start = _screen(camera, known)
+    T_camera_world = np.linalg.inv(camera_view(known.camera).T_world_view.numpy())
+    geometry, found = {}, {}
+    for number, module in enumerate(modules):
+        nominal = Nominal.of(number, module.name, module.headlight)
+        places = _places(shots, nominal, sizes, settings)
+        seen = _seen(nominal, places, known.board)
+        lamp = Pose.of(T_camera_world @ module.T_world_headlight.double().cpu().numpy())
+        geometry[module.name] = adjusted(camera, (start,), lamp, [seen], fixed=("scale",))
+        found[module.name] = float(np.isfinite(places.u).mean())
+    last = next(iter(geometry.values()))
+    poses = {name: each.lamp for name, each in geometry.items()}
+    rms = {f"module {name}": each.rms["lamp"][0] for name, each in geometry.items()}
+    if known.board is not None:
+        rms["board on the screen"] = last.rms["board"][0]
+    if known.lens is not None:
+        rms["boards"] = float(np.sqrt(np.mean(np.square(known.lens.rms))))
+    for what, left in rms.items():
+        if not left < MOST_PX:
+            raise LuxloopError(
+                f"{what}: is {left:.3g} px rms from where lamp, screen and camera have it; check the poses and the camera of the scenario, "
+                "the screen's distance or the picture of the board on it, and the order of the lamp's pixels"
+            )
+    kept = replace(last.camera, covariance=camera.covariance)
+    return Calibrated(Calibration(kept, shots.response, vignetting, last.screens[0], poses, rms), geometry, found)
+
+
+def lux_scale(shots: Shots, sizes: Sequence[int], readings: Sequence[Reading], vignetting: Array) -> float:
+    """Illuminance of the screen in lx that saturates the camera at its longest exposure: the mean over readings with all pixels on.
+
+    The screen is Lambertian. Raises LuxloopError if the camera sees no light at the position of a reading.
+    """
+    height, width = shots.bench.shape
+    for each in readings:
+        if not (0 <= each.u <= width and 0 <= each.v <= height):
+            raise LuxloopError(f"--lux: {each.u:g}, {each.v:g} px lies outside of the camera's picture of {width} x {height} px")
+    on, off = ([np.full(n, u) for n in sizes] for u in (1.0, 0.0))
+    main = shots.exposures("lux_brightest", on)[:1]
+    light = shots.light("lux", on, AVERAGED, main) - shots.light("lux_off", off, AVERAGED, main)
+    light = (light / brightness(vignetting, height, width)).astype(np.float32)
+    found = []
+    for each in readings:
+        there = float(cv2.getRectSubPix(light, (SENSOR_PX, SENSOR_PX), (each.u - 0.5, each.v - 0.5)).mean())
+        if there <= 0:
+            raise LuxloopError(
+                f"the camera sees no light at {each.u:g}, {each.v:g} px; give the place of the luxmeter's sensor in its picture"
+            )
+        found.append(each.lux / there)
+    return float(np.mean(found)) / shots.bench.exposures_s[-1]
+
+
+def _places(shots: Shots, nominal: Nominal, sizes: Sequence[int], settings: Settings) -> Places:
+    def lit(u: Array) -> list[Array]:
+        return [u if k == nominal.number else np.zeros(n) for k, n in enumerate(sizes)]
+
+    main = shots.exposures(f"{nominal.number}_brightest", lit(np.ones(sizes[nominal.number])))[:1]
+    repeats = shots.response.light(shots.frames(f"{nominal.number}_full", lit(np.ones(sizes[nominal.number])), 4, main[0])) / main[0]
+    noise = float(np.sqrt(repeats.var(0, ddof=1).mean()) / np.sqrt(settings.frames))
+    light = [
+        shots.light(f"{nominal.number}_{each.name}", lit(each.u), settings.frames, main) for each in patterns(nominal.rows, nominal.cols)
+    ]
+    return located(light, noise, nominal)
+
+
+def _seen(nominal: Nominal, places: Places, board: Corners | None) -> Seen:
+    """Lamp pixels that were found, but for the outermost, and the corners of a board on the screen."""
+    inner = np.isfinite(places.u)
+    for axis, n in enumerate(inner.shape):
+        if n > 6:
+            edge = np.asarray(np.indices(inner.shape)[axis])
+            inner &= (edge > 1) & (edge < n - 2)
+    row, col = (np.asarray(each)[inner] + 0.5 for each in np.indices(inner.shape))
+    tangents = np.stack([nominal.y[inner], nominal.z[inner]], -1)
+    finite = np.isfinite(tangents).all(1)
+    pixels = np.stack(places.chart(row, col), -1)
+    corners = {} if board is None else {"board": board.board, "corners": board.pixels}
+    return Seen(tangents[finite], pixels[finite], **corners)
+
+
+def _screen(camera: CameraModel, known: Known) -> Pose:
+    """T_camera_screen to begin with. Raises LuxloopError where the board does not tell it."""
+    if known.board is not None:
+        points = np.concatenate([known.board.board, np.zeros((len(known.board.board), 1))], 1)
+        rays = np.ascontiguousarray(camera.rays(*known.board.pixels.T)[:, :2])  # as OpenCV takes them
+        good, turn, move = cv2.solvePnP(points, rays, np.eye(3), None)
+        if not good:
+            raise LuxloopError("the board on the screen does not tell where that is; take a sharper picture of it")
+        return Pose(np.asarray(turn, float).ravel(), np.asarray(move, float).ravel())
+    assert known.screen_m is not None
+    T_world_screen = np.eye(4)
+    T_world_screen[:3, :3], T_world_screen[:3, 3] = SCREEN, (known.screen_m, 0.0, 0.0)
+    return Pose.of(np.linalg.inv(camera_view(known.camera).T_world_view.numpy()) @ T_world_screen)
+
+
+def overrides(calibration: Calibration, module: LampModule) -> dict[str, float]:
+    """Keys of the scenario's camera with the calibrated values, relative to the scenario's lamp pose. module: of that lamp."""
+    T = module.T_world_headlight.double().cpu().numpy() @ np.linalg.inv(calibration.modules[module.name].matrix)
+    R = T[:3, :3] @ ISO
+    angles = math.atan2(R[2, 1], R[2, 2]), math.asin(max(-1.0, min(1.0, -R[2, 0]))), math.atan2(R[1, 0], R[0, 0])
+    half = calibration.camera.width / 2 / calibration.camera.matrix[0, 0]
+    values = dict(zip(("x_m", "y_m", "z_m"), T[:3, 3].tolist(), strict=True))
+    values |= {name: math.degrees(each) for name, each in zip(("roll_deg", "pitch_deg", "yaw_deg"), angles, strict=True)}
+    values["hfov_deg"] = math.degrees(2 * math.atan(half))
+    return {f"camera.{name}": round(value, 5) for name, value in values.items()}

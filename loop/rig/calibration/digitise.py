@@ -1,0 +1,291 @@
+"""Digitise a lamp: measure its pixels on a screen, one comb after another."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import torch
+from scipy.ndimage import median_filter
+
+from luxloop.loop.rig.calibration.bench import Array, Indices
+from luxloop.loop.rig.calibration.charts import Chart, Places, places
+from luxloop.loop.rig.calibration.codes import decode, patterns
+from luxloop.loop.rig.calibration.combs import Windows, combs, windows
+from luxloop.loop.rig.calibration.geometry import Geometry, Seen, adjusted
+from luxloop.loop.rig.calibration.lamp import grid_over, headlight
+from luxloop.loop.rig.calibration.shapes import Measured, measure
+from luxloop.loop.rig.calibration.shots import Shots
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight import Headlight
+
+LOCATED: Final = 0.5  # share of a lamp's pixels that have to be found
+REFINED: Final = (16, 16)  # one of so many pixels is measured in each round that refines the charts
+DEAD: Final = 0.05  # share of the light of pixels around, below which one is dead
+STUCK: Final = 0.05  # the same of one that shines while all are off
+AROUND: Final = 7  # pixels, whose median that is
+PLACED: Final = 0.2  # pixels: a place without a shift beyond that is used for the charts
+SENSOR_M: Final = 0.01  # diameter of a luxmeter's sensor
+SENSOR_POINTS: Final = 15  # along that
+LINEAR_FROM, SQUARE_FROM = 4, 9  # luxmeter readings, from which on the scale may change over the field
+
+
+@dataclass(frozen=True)
+class Settings:
+    """frames: of each light, whose mean is taken. comb_frames: of each comb. texels: rows and columns of texels a pixel."""
+
+    frames: int = 2
+    comb_frames: int = 4
+    texels: tuple[int, int] = (4, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """A luxmeter's reading on the screen, facing along its normal, with all pixels of all modules on. u, v: position of its sensor in the
+    camera's picture in px.
+    """
+
+    lux: float
+    u: float
+    v: float
+
+
+@dataclass(frozen=True, eq=False)
+class Digitised:
+    """A measured module.
+
+    light: in cd, or in the camera's unit without a luxmeter reading. geometry: camera, screen and module to each other. measured: of each
+    pixel. u, v: `[rows, cols]` px, where its light is centred. dead, stuck: `[rows, cols]` bool. checked: relative root mean square
+    difference between lights that were not fitted and what the digitised module makes of them, by the light's name.
+    """
+
+    name: str
+    light: Headlight
+    geometry: Geometry
+    measured: Measured
+    u: Array
+    v: Array
+    dead: np.ndarray
+    stuck: np.ndarray
+    checked: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """Frames of one module. dark: light `[height, width]` without it. located: of `patterns`. combs: `[spacing^2, height, width]`. full:
+    with all pixels on; the last three without the dark.
+    """
+
+    dark: Array
+    located: Sequence[Array]
+    combs: Array
+    full: Array
+    noise: float
+
+
+@dataclass(frozen=True, eq=False)
+class Nominal:
+    """Data sheet of a module: its number, name, pixels, and tangents (y, z) `[rows, cols]` of their light."""
+
+    number: int
+    name: str
+    rows: int
+    cols: int
+    y: Array
+    z: Array
+
+    @classmethod
+    def of(cls, number: int, name: str, light: Headlight) -> "Nominal":
+        matrix = light.matrix.to_scipy().astype(float)
+        y, z = (each.numpy() for each in light.tangents(torch.float64, torch.device("cpu")))
+        total = np.maximum(np.asarray(matrix.sum(0)).ravel(), 1e-30)
+        across, up = np.tile(y, light.rows), np.repeat(z, light.cols)
+        shape = light.pixel_rows, light.pixel_cols
+        return cls(number, name, *shape, (matrix.T @ across / total).reshape(shape), (matrix.T @ up / total).reshape(shape))
+
+
+def take(shots: Shots, nominal: Nominal, sizes: Sequence[int], settings: Settings) -> Taken:
+    """Take all frames of one module, the others dark. sizes: number of pixels of each module. Raises LuxloopError as `Shots.exposures`."""
+
+    def lit(u: Array) -> list[Array]:
+        return [u if k == nominal.number else np.zeros(n) for k, n in enumerate(sizes)]
+
+    def name(what: str) -> str:
+        return f"{nominal.number}_{what}"
+
+    n = nominal.rows * nominal.cols
+    every = shots.exposures(name("brightest"), lit(np.ones(n)))
+    main = every[:1]
+    repeats = shots.frames(name("full"), lit(np.ones(n)), max(settings.comb_frames, 2), main[0])
+    linear = shots.response.light(repeats) / main[0]
+    bright = linear.mean(0) > 0.5 * np.percentile(linear.mean(0), 99)
+    noise = float(np.sqrt(linear.var(0, ddof=1)[bright].mean()))
+    located = [shots.light(name(each.name), lit(each.u), settings.frames, main) for each in patterns(nominal.rows, nominal.cols)]
+    dark = shots.light(name("off"), lit(np.zeros(n)), settings.comb_frames, every)
+    taken = [shots.light(name(what), lit(u), settings.comb_frames, every) - dark for what, u in combs(nominal.rows, nominal.cols)]
+    return Taken(dark, located, np.stack(taken), linear.mean(0) - located[0], noise / np.sqrt(settings.frames))
+
+
+def located(light: Sequence[Array], noise: float, nominal: Nominal) -> Places:
+    """Locate the pixels in the light `[height, width]` of `patterns`. noise: standard deviation of it. Raises LuxloopError for too few."""
+    decoded = decode(light, nominal.rows, nominal.cols, np.full(light[0].shape, noise))
+    if not decoded.valid.any():
+        raise LuxloopError(f"module {nominal.name!r}: the camera sees none of its pixels; look at lamp, screen, camera and exposure")
+    found = places(decoded, nominal.rows, nominal.cols)
+    share = float(np.isfinite(found.u).mean())
+    if share < LOCATED:
+        raise LuxloopError(
+            f"module {nominal.name!r}: only {100 * share:.0f} % of its pixels were located; have the camera see all of its light on the "
+            "screen, sharp, and at least 1.2 camera pixels a lamp pixel"
+        )
+    return found
+
+
+def digitised(
+    taken: Taken,
+    nominal: Nominal,
+    start: Geometry,
+    settings: Settings,
+    factor_of: Callable[[Geometry], Array],
+) -> Digitised:
+    """Measure a module in its frames. start: camera, screen and the approximate pose of the lamp. factor_of: cd per unit of light at each
+    camera pixel, `[height, width]`.
+    """
+    found = located(taken.located, taken.noise, nominal)
+    texels = settings.texels
+    row, col = np.indices((nominal.rows, nominal.cols)) + 0.5
+
+    def window_of(images: Array, chart: Chart, lamp_of: Chart) -> Callable[[Indices, Indices], Windows]:
+        def at(r: Indices, c: Indices) -> Windows:
+            return windows(images, r, c, chart(r + 0.5, c + 0.5), lamp_of)
+
+        return at
+
+    chart, lamp_of = found.chart, found.lamp_of
+    geometry = _lamp_placed(start, nominal, chart)
+    images = (taken.combs * factor_of(geometry)).astype(np.float32)
+    for every in REFINED:
+        rough = measure(window_of(images, chart, lamp_of), nominal.rows, nominal.cols, texels, every)
+        chart, lamp_of = _refined(rough, chart)
+    geometry = _lamp_placed(geometry, nominal, chart)
+    factor = factor_of(geometry).astype(np.float32)
+    images = taken.combs * factor
+    measured = measure(window_of(images, chart, lamp_of), nominal.rows, nominal.cols, texels)
+    dead, stuck = _faulty(measured, window_of(np.broadcast_to(taken.dark * factor, images.shape), chart, lamp_of))
+
+    y, z = geometry.tangents(geometry.on_screen(*chart(row, col)))
+    grid = grid_over(y, z, texels)
+    light = headlight(nominal.name, grid, measured, Chart.fitted((y.ravel(), z.ravel()), (row.ravel(), col.ravel())))
+    u, v = chart(*measured.centres())
+    made = Digitised(nominal.name, light, geometry, measured, u, v, dead, stuck, {})
+    lights: dict[str, tuple[Array, Array]] = {"full": (np.ones(nominal.rows * nominal.cols), taken.full)}
+    for pattern, image in zip(patterns(nominal.rows, nominal.cols), taken.located, strict=True):
+        if pattern.name.endswith("phase_0"):
+            lights[pattern.name] = pattern.u, image - taken.located[0]
+    return replace(made, checked={name: _difference(made, factor * image, u) for name, (u, image) in lights.items()})
+
+
+def scaled(modules: Sequence[Digitised], readings: Sequence[Reading]) -> tuple[tuple[Digitised, ...], float]:
+    """The modules with intensities in cd by luxmeter readings, and the relative standard deviation of the readings from the result.
+
+    One reading gives the scale. With four readings the scale is linear over the picture, with nine quadratic, to correct errors of the
+    assumed screen.
+    """
+    at = np.array([[each.u, each.v] for each in readings])
+    wanted = np.log([each.lux for each in readings])
+    found = np.log([sum(_lux(module, each) for module in modules) for each in readings])
+    shape = modules[0].geometry.camera
+    terms = _terms(at, len(readings), (shape.width, shape.height))
+    solved, *_ = np.linalg.lstsq(terms, wanted - found, rcond=None)
+    left = terms @ solved - (wanted - found)
+    std = float(np.sqrt((left**2).sum() / max(len(readings) - len(solved), 1)))
+    made = []
+    for module in modules:
+        places = np.stack([module.u.ravel(), module.v.ravel()], -1)
+        share = np.exp(_terms(places, len(readings), (shape.width, shape.height)) @ solved)
+        intensity = module.measured.intensity * share.reshape(module.u.shape)
+        light = module.light.dimmed(torch.from_numpy(share.astype(np.float32)))
+        made.append(replace(module, light=light, measured=replace(module.measured, intensity=intensity)))
+    return tuple(made), std
+
+
+def _terms(at: Array, readings: int, size: tuple[int, int]) -> Array:
+    u, v = at[:, 0] / size[0] - 0.5, at[:, 1] / size[1] - 0.5
+    terms = [np.ones_like(u)]
+    if readings >= LINEAR_FROM:
+        terms += [u, v]
+    if readings >= SQUARE_FROM:
+        terms += [u * u, u * v, v * v]
+    return np.stack(terms, -1)
+
+
+def _lux(module: Digitised, reading: Reading) -> float:
+    """Mean illuminance of the screen over a luxmeter's sensor at a reading's place, with all pixels on."""
+    geometry, screen = module.geometry, module.geometry.screens[0]
+    line = np.linspace(-0.5, 0.5, SENSOR_POINTS)
+    across, along = (each.ravel() for each in np.meshgrid(line, line))
+    disc = np.hypot(across, along) <= 0.5
+    offsets = SENSOR_M * np.stack([across[disc], along[disc]], -1) @ screen.rotation[:, :2].T
+    points = geometry.on_screen(np.array(reading.u), np.array(reading.v)) + offsets
+    return lux(module.light, geometry, points, reading)
+
+
+def lux(light: Headlight, geometry: Geometry, points: Array, reading: Reading) -> float:
+    """Mean illuminance in lx at points `[n, 3]` m of the screen, in the camera's frame. Raises LuxloopError if it is dark there."""
+    texture = light.light_texture(torch.ones(light.n_pixels))
+    away = geometry.lamp.place - points
+    distance = np.linalg.norm(away, axis=1)
+    cos = np.abs(away @ geometry.screens[0].rotation[:, 2]) / distance
+    intensity = light.intensity(texture, torch.from_numpy((-away @ geometry.lamp.rotation).T.copy())).numpy()
+    found = float((intensity * cos / distance**2).mean())
+    if found <= 0:
+        raise LuxloopError(f"the lamp gives no light at {reading.u:g}, {reading.v:g} px; give a reading inside its field")
+    return found
+
+
+def _lamp_placed(geometry: Geometry, nominal: Nominal, chart: Chart) -> Geometry:
+    """The lamp's pose from where its pixels are seen; the outermost are left out, since their light ends there."""
+    inner = (np.s_[1:-1] if nominal.rows > 2 else np.s_[:], np.s_[1:-1] if nominal.cols > 2 else np.s_[:])
+    row, col = (each[inner].ravel() + 0.5 for each in np.indices((nominal.rows, nominal.cols)))
+    tangents = np.stack([nominal.y[inner].ravel(), nominal.z[inner].ravel()], -1)
+    seen = Seen(tangents, np.stack(chart(row, col), -1))
+    return adjusted(geometry.camera, geometry.screens[:1], geometry.lamp, [seen], fixed=("camera", "scale"))
+
+
+def _refined(measured: Measured, chart: Chart) -> tuple[Chart, Chart]:
+    """Charts that go through the centres of what was measured of the inner pixels."""
+    row, col = measured.centres()
+    at = np.indices(row.shape) + 0.5
+    good = np.isfinite(measured.intensity) & (measured.intensity > DEAD * np.nanmedian(measured.intensity))
+    good &= (np.abs(row - at[0]) < 1) & (np.abs(col - at[1]) < 1)
+    for axis, n in enumerate(row.shape):
+        good &= (at[axis] > 1) & (at[axis] < n - 1) if n > 2 else True
+    lamp, camera = (at[0][good], at[1][good]), chart(row[good], col[good])
+    return Chart.fitted(lamp, camera), Chart.fitted(camera, lamp)
+
+
+def _faulty(measured: Measured, dark_at: Callable[[Indices, Indices], Windows]) -> tuple[np.ndarray, np.ndarray]:
+    """Dead and stuck pixels; the light of a stuck one is there in the dark, and does not change."""
+    around = median_filter(measured.intensity, AROUND)
+    low = measured.intensity < np.maximum(DEAD * around, 3 * measured.noise)
+    r, c = np.nonzero(low)
+    stuck = np.zeros(low.shape, bool)
+    if len(r):
+        at = dark_at(r, c)
+        far = np.maximum(np.abs(at.dr.mean(-1)), np.abs(at.dc.mean(-1)))
+        beyond, core = at.inside & (far > 1), at.inside & (far <= 0.5)
+        level = np.nanmedian(np.where(beyond, at.seen, np.nan), 1)
+        stuck[r, c] = (at.seen * core).sum(1) / np.maximum(core.sum(1), 1) - level > STUCK * around[r, c]
+    return low & ~stuck, stuck
+
+
+def _difference(module: Digitised, seen: Array, u: Array) -> float:
+    """Of what is seen of a light in cd `[height, width]`, and what the digitised module gives there."""
+    geometry, light = module.geometry, module.light
+    v_px, u_px = np.indices(seen.shape) + 0.5
+    y, z = geometry.tangents(geometry.on_screen(u_px, v_px))
+    margin_y, margin_z = 3 * (light.left - light.right) / light.pixel_cols, 3 * (light.top - light.bottom) / light.pixel_rows
+    inside = (y < light.left - margin_y) & (y > light.right + margin_y) & (z < light.top - margin_z) & (z > light.bottom + margin_z)
+    rays = torch.from_numpy(np.stack([np.ones(int(inside.sum())), y[inside], z[inside]]))
+    made = light.intensity(light.light_texture(torch.from_numpy(u.astype(np.float32))), rays).numpy()
+    return float(np.sqrt(((made - seen[inside]) ** 2).mean()) / np.sqrt((seen[inside] ** 2).mean()))

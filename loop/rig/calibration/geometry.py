@@ -1,0 +1,314 @@
+"""Relative poses of camera, screen and lamp: camera model, plane, and bundle adjustment.
+
+The lamp is an inverse camera: each pixel has a direction from the data sheet, and its light appears where this ray meets the screen.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Final, Self
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from luxloop.loop.rig.calibration.bench import Array, Indices
+from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.world.errors import LuxloopError
+
+DISTORTION: Final = ("k1", "k2", "p1", "p2", "k3")  # OpenCV's, in its order
+ISO: Final = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])  # OpenCV axes of ISO 8855 vectors
+MOST_PIXELS: Final = 2000  # of a lamp, in the adjustment
+MOST_STEPS: Final = 60  # of a fixed-point iteration that inverts the distortion
+CLOSE: Final = 1e-10  # of tangents
+PLACED_M: Final = 0.1  # standard deviation of the lamp's place to begin with, which decides where its field is narrow
+UNSURE_PX: Final = 0.05  # standard deviation of a place that is given none
+MOST_PX: Final = 3.0  # rms of residuals, above which a calibration has failed
+SIDE: Final = 4  # blocks across a picture, within which residuals are taken to be alike
+TINY: Final = 1e-12  # variance of residuals that are rounding
+UNDETERMINED: Final = 1e-12  # eigenvalue of a normal matrix whose diagonal is 1
+# Standard deviations of what is assumed without a measurement: focal lengths, a screen's turn and its place.
+ASSUMED_FOCAL, ASSUMED_RAD, ASSUMED_M = 0.01, math.radians(0.5), 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class CameraModel:
+    """A lens camera. matrix: `[3, 3]` px, pixel centres at integer + 0.5. distortion: `[5]`, OpenCV's. covariance: `[9, 9]` of fx, fy, cx,
+    cy and distortion; None where they were not measured.
+    """
+
+    width: int
+    height: int
+    matrix: Array
+    distortion: Array = field(default_factory=lambda: np.zeros(5))
+    covariance: Array | None = None
+
+    @classmethod
+    def of(cls, camera: CameraParams) -> Self:
+        """The pinhole camera of a scenario."""
+        view = camera_view(camera)
+        return cls(view.width, view.height, np.array([[view.fx, 0, view.cx], [0, view.fy, view.cy], [0, 0, 1.0]]))
+
+    def rays(self, u: Array, v: Array) -> Array:
+        """Directions `[..., 3]` of camera pixels, at depth 1."""
+        fx, fy, cx, cy, k1, k2, p1, p2, k3 = self.values
+        x0, y0 = (np.asarray(u, float) - cx) / fx, (np.asarray(v, float) - cy) / fy
+        x, y = x0, y0
+        for _ in range(MOST_STEPS):
+            r2 = x * x + y * y
+            bent = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            before = x
+            x, y = (x0 - 2 * p1 * x * y - p2 * (r2 + 2 * x * x)) / bent, (y0 - p1 * (r2 + 2 * y * y) - 2 * p2 * x * y) / bent
+            if np.abs(x - before).max(initial=0) < CLOSE:
+                break
+        return np.stack([x, y, np.ones_like(x)], -1)
+
+    def project(self, points: Array) -> Array:
+        """Image positions `[n, 2]` px of points `[n, 3]` m."""
+        found = cv2.projectPoints(np.ascontiguousarray(points)[:, None], np.zeros(3), np.zeros(3), self.matrix, self.distortion)
+        return np.asarray(found[0][:, 0], float)
+
+    @property
+    def values(self) -> Array:
+        """fx, fy, cx, cy and distortion, `[9]`."""
+        return np.array([self.matrix[0, 0], self.matrix[1, 1], self.matrix[0, 2], self.matrix[1, 2], *self.distortion])
+
+    def with_values(self, values: Array) -> Self:
+        fx, fy, cx, cy = values[:4]
+        return replace(self, matrix=np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), distortion=np.asarray(values[4:], float))
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Pose of one frame in another: turn `[3]` as a rotation vector in rad, and position `[3]` of the origin in m."""
+
+    turn: Array
+    place: Array
+
+    @classmethod
+    def of(cls, T: Array) -> Self:
+        return cls(Rotation.from_matrix(T[:3, :3]).as_rotvec(), np.asarray(T[:3, 3], float))
+
+    @property
+    def matrix(self) -> Array:
+        """`[4, 4]`."""
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = self.rotation, self.place
+        return T
+
+    @property
+    def rotation(self) -> Array:
+        return Rotation.from_rotvec(self.turn).as_matrix()
+
+    def points(self, points: Array) -> Array:
+        return points @ self.rotation.T + self.place
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Observations of a screen at one pose.
+
+    tangents: `[n, 2]`, y and z of the directions of lamp pixels by their data sheet; pixels: `[n, 2]` px, where they are seen. board:
+    `[k, 2]` m, corners of a board on the screen, corners: `[k, 2]` px; both empty without one.
+    """
+
+    tangents: Array
+    pixels: Array
+    board: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    corners: Array = field(default_factory=lambda: np.zeros((0, 2)))
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """camera: with what the adjustment made of it. screens: T_camera_screen, one of each; the screen is its plane z = 0.
+
+    lamp: T_camera_lamp, whose frame is OpenCV's for the camera and ISO 8855 for the lamp. scale: `[2]`, factors of the data sheet's
+    tangents y and z. std: standard deviations by name (`covariance_of`), with those of what was
+    assumed. rms: root mean squares in px of the residuals of lamp pixels and of board corners, one a screen.
+    """
+
+    camera: CameraModel
+    screens: tuple[Pose, ...]
+    lamp: Pose
+    scale: Array
+    std: dict[str, Array]
+    rms: dict[str, tuple[float, ...]]
+
+    def on_screen(self, u: Array, v: Array, screen: int = 0) -> Array:
+        """Points `[..., 3]` m on the screen at camera pixels, in the camera's frame."""
+        return on_plane(self.camera.rays(u, v), np.zeros(3), self.screens[screen])
+
+    def tangents(self, points: Array) -> tuple[Array, Array]:
+        """Tangents y and z at which the lamp sees points `[..., 3]` m."""
+        x, y, z = np.moveaxis((points - self.lamp.place) @ self.lamp.rotation, -1, 0)
+        return y / x, z / x
+
+
+def on_plane(rays: Array, origin: Array, screen: Pose) -> Array:
+    """Intersections of rays `[..., 3]` from an origin `[3]` with the plane z = 0 of a screen, `[..., 3]` m in the camera's frame."""
+    normal = screen.rotation[:, 2]
+    return origin + rays * (normal @ (screen.place - origin) / (rays @ normal))[..., None]
+
+
+def adjusted(
+    camera: CameraModel,
+    screens: Sequence[Pose],
+    lamp: Pose,
+    seen: Sequence[Seen],
+    fixed: Sequence[str] = ("scale",),
+) -> Geometry:
+    """Bundle adjustment: camera, screens, lamp and the scale of its field, from start values.
+
+    The lamp's start position has a standard deviation of 0.1 m. The camera is constrained by its covariance; a camera without covariance
+    is fixed, and so is a screen without a board. fixed: what else is fixed: camera, lamp, scale. With one screen the scale cannot be
+    separated from the distance; with two that are well apart it can.
+    """
+    given = [_thinned(each) for each in seen]
+    free = [name for name in ("camera", "lamp", "scale") if name not in fixed and not (name == "camera" and camera.covariance is None)]
+    moved = [k for k, each in enumerate(given) if len(each.board)]
+    root = None if camera.covariance is None else np.linalg.pinv(_root(camera.covariance))
+
+    def unpacked(x: Array) -> tuple[CameraModel, list[Pose], Pose, Array]:
+        at = iter(np.split(x, np.cumsum(sizes)[:-1]))
+        values = {name: next(at) for name in free}
+        poses = list(screens)
+        for k in moved:
+            each = next(at)
+            poses[k] = Pose(each[:3], each[3:])
+        there = values.get("lamp", np.concatenate([lamp.turn, lamp.place]))
+        eye = camera.with_values(camera.values + values["camera"]) if "camera" in values else camera
+        return eye, poses, Pose(there[:3], there[3:]), values.get("scale", np.ones(2))
+
+    start = {"camera": np.zeros(9), "lamp": np.concatenate([lamp.turn, lamp.place]), "scale": np.ones(2)}
+    parts = [*(start[name] for name in free), *(np.concatenate([screens[k].turn, screens[k].place]) for k in moved)]
+    sizes = [len(each) for each in parts]
+
+    def residuals(x: Array) -> Array:
+        eye, poses, there, scale = unpacked(x)
+        left = [each.ravel() / UNSURE_PX for pair in _residuals(eye, poses, there, scale, given) for each in pair]
+        if "lamp" in free:
+            left.append((there.place - lamp.place) / PLACED_M)
+        if "camera" in free and root is not None:
+            left.append(root @ x[:9])
+        return np.concatenate(left)
+
+    x0 = np.concatenate(parts)
+    size = np.maximum(np.abs(x0), 1e-2)
+    solved: Any = least_squares(residuals, x0, loss="soft_l1", f_scale=10.0, x_scale=size, xtol=1e-13, ftol=1e-13, gtol=1e-13)
+    eye, poses, there, scale = unpacked(solved.x)
+    pairs = _residuals(eye, poses, there, scale, given)
+    left = np.concatenate([part.ravel() for pair in pairs for part in pair]) / UNSURE_PX
+    groups = np.concatenate([np.repeat(blocks(each), 2) for some in given for each in (some.pixels, some.corners)])
+    jac, prior = np.split(solved.jac, [len(left)])
+    variance = float(left @ left) / max(len(left) - len(x0), 1)
+    covariance = covariance_of(*grouped(jac, left, groups), variance, prior.T @ prior)
+    weight = np.linalg.pinv(jac.T @ jac + prior.T @ prior * variance) @ jac.T
+    for other_eye, others in _assumed(eye, poses, [k for k in range(len(poses)) if k not in moved], "camera" not in fixed):
+        other = _residuals(other_eye, others, there, scale, given)
+        by = weight @ (np.concatenate([part.ravel() for pair in other for part in pair]) / UNSURE_PX - left)
+        covariance += np.outer(by, by)
+    stds = np.split(np.sqrt(np.diag(covariance)), np.cumsum(sizes)[:-1])
+    std = dict(zip([*free, *(f"screen_{k}" for k in moved)], stds, strict=True))
+    rms = {name: tuple(rms_of(pair[k]) for pair in pairs) for k, name in enumerate(("lamp", "board"))}
+    return Geometry(eye, tuple(poses), there, scale, std, rms)
+
+
+def _residuals(camera: CameraModel, screens: Sequence[Pose], lamp: Pose, scale: Array, seen: Sequence[Seen]) -> list[tuple[Array, Array]]:
+    """Of lamp pixels `[n, 2]` and of board corners `[k, 2]` in px, of each screen."""
+    found: list[tuple[Array, Array]] = []
+    for screen, each in zip(screens, seen, strict=True):
+        rays = np.concatenate([np.ones((len(each.tangents), 1)), each.tangents * scale], 1) @ lamp.rotation.T
+        pixels = camera.project(on_plane(rays, lamp.place, screen)) - each.pixels if len(rays) else np.zeros((0, 2))
+        board = np.concatenate([each.board, np.zeros((len(each.board), 1))], 1)
+        found.append((pixels, camera.project(screen.points(board)) - each.corners if len(board) else np.zeros((0, 2))))
+    return found
+
+
+def _assumed(
+    camera: CameraModel, screens: Sequence[Pose], fixed: Sequence[int], lens: bool
+) -> Iterator[tuple[CameraModel, Sequence[Pose]]]:
+    """Camera and screens with one assumption after the other off by its standard deviation. fixed: numbers of screens whose pose is
+    assumed. lens: whether the camera's is, if it has no covariance.
+    """
+    if lens and camera.covariance is None:
+        yield camera.with_values(camera.values * np.where(np.arange(9) < 2, 1 + ASSUMED_FOCAL, 1)), screens
+    for k in fixed:
+        for axis in np.eye(3):
+            turn = Pose(
+                Rotation.from_matrix(screens[k].rotation @ Rotation.from_rotvec(ASSUMED_RAD * axis).as_matrix()).as_rotvec(),
+                screens[k].place,
+            )
+            move = Pose(screens[k].turn, screens[k].place + ASSUMED_M * axis)
+            yield from ((camera, [*screens[:k], each, *screens[k + 1 :]]) for each in (turn, move))
+
+
+def blocks(pixels: Array) -> Indices:
+    """Number of the block of 4 x 4 over their extent in which points `[n, 2]` lie."""
+    if not len(pixels):
+        return np.zeros(0, np.intp)
+    at = SIDE * (pixels - pixels.min(0)) / np.maximum(np.ptp(pixels, axis=0), TINY)
+    column, row = at.astype(np.intp).clip(0, SIDE - 1).T
+    return np.asarray(SIDE * row + column)
+
+
+def grouped(jacobian: Array, residuals: Array, groups: Indices) -> tuple[Array, Array]:
+    """Normal matrices `[g, p, p]` and gradients `[g, p]` by groups of residuals `[n]`. jacobian: `[n, p]`. groups: `[n]`, their numbers."""
+    parts = [(jacobian[at], residuals[at]) for at in (groups == k for k in np.unique(groups))]
+    return np.stack([J.T @ J for J, _ in parts]), np.stack([J.T @ r for J, r in parts])
+
+
+def covariance_of(normals: Array, gradients: Array, variance: float, prior: Array | float = 0.0) -> Array:
+    """Covariance `[p, p]` of values from a least-squares fit whose residuals are alike within groups, such as the views of a board.
+
+    normals, gradients: as of `grouped`. variance: of a residual. prior: `[p, p]`, the inverse covariance of what was known before. The
+    standard deviations are those of independent residuals, or those of the jackknife where they are larger: by how much the values change
+    where a group is left out (Efron 1982). Values that are not determined have very large ones.
+    """
+    variance = max(variance, TINY)
+    total = normals.sum(0) / variance + prior
+    size = 1 / np.sqrt(np.maximum(np.diag(total), TINY))
+
+    def inverse(normal: Array) -> Array:
+        values, vectors = np.linalg.eigh(normal * np.outer(size, size))
+        return np.asarray(np.outer(size, size) * ((vectors / np.maximum(values, UNDETERMINED)) @ vectors.T))
+
+    plain = inverse(total)
+    changes = np.stack([inverse(total - N / variance) @ g / variance for N, g in zip(normals, gradients, strict=True)])  # [g, p]
+    jackknife = (1 - 1 / len(changes)) * (changes**2).sum(0)
+    larger = np.sqrt(np.maximum(jackknife / np.diag(plain), 1))
+    return np.asarray(plain * np.outer(larger, larger))
+
+
+def _thinned(seen: Seen) -> Seen:
+    some = slice(None, None, max(1, len(seen.tangents) // MOST_PIXELS))
+    return replace(seen, tangents=seen.tangents[some], pixels=seen.pixels[some])
+
+
+def rms_of(residuals: Array) -> float:
+    """Root mean square length of residuals `[n, 2]`; NaN of none."""
+    return float(np.sqrt((residuals**2).sum(-1).mean())) if len(residuals) else float("nan")
+
+
+def _root(covariance: Array) -> Array:
+    """A matrix whose product with its transpose is the covariance."""
+    values, vectors = np.linalg.eigh(covariance)
+    return vectors * np.sqrt(np.maximum(values, 1e-24))
+
+
+def candela_factor(geometry: Geometry, shape: tuple[int, int], reflectance: Callable[[Array], Array], screen: int = 0) -> Array:
+    """cd of the lamp per cd/m^2 at each camera pixel, `[height, width]`: `I = pi L d^2 / (rho cos)` (T eq. 2.1.5).
+
+    shape: rows and columns of the picture. reflectance: luminance factor of the screen at the cosine of the angle of view. Raises
+    LuxloopError if the camera sees the back of the screen.
+    """
+    v, u = np.indices(shape) + 0.5
+    points = geometry.on_screen(u, v, screen)
+    normal = geometry.screens[screen].rotation[:, 2]
+    away = geometry.lamp.place - points
+    distance = np.linalg.norm(away, axis=-1)
+    cos = np.abs(away @ normal) / distance
+    seen = np.abs(points @ normal) / np.linalg.norm(points, axis=-1)
+    if (normal @ (geometry.lamp.place - geometry.screens[screen].place)) * (normal @ -geometry.screens[screen].place) <= 0:
+        raise LuxloopError("lamp and camera are on different sides of the screen; look at its pose, and at the lamp's")
+    return np.pi * distance**2 / (cos * reflectance(seen))

@@ -1,0 +1,142 @@
+"""Intrinsic calibration: lens from views of a board, and vignetting from frames of an evenly bright surface."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from luxloop.loop.rig.calibration.bench import Array
+from luxloop.loop.rig.calibration.board import Corners
+from luxloop.loop.rig.calibration.geometry import MOST_PX, CameraModel, Pose, covariance_of, rms_of
+from luxloop.world.errors import LuxloopError
+
+FEWEST: Final = 5  # views
+LARGEST_STD: Final = 0.03  # standard deviation, relative to focal length and picture, of a lens that is determined
+TILTED: Final = 0.94  # foreshortening of a board in the picture that counts as tilted, by 20 deg; the lens adds some
+SLANTED: Final = 0.38  # component of a direction that counts as one to that side: 22.5 deg
+CORNER: Final = 0.3  # share of the picture's width and height that is its corner
+_CENTRED: Final = cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_ZERO_TANGENT_DIST
+# From few unknowns to all: with all at once, the long lens of a barrel distortion ends in another minimum.
+STAGES: Final = (_CENTRED | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2, _CENTRED | cv2.CALIB_FIX_K2, _CENTRED, 0)
+PRECISE: Final = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 500, 1e-14)  # focal length and distance converge slowly together
+
+
+@dataclass(frozen=True, eq=False)
+class Lens:
+    """camera: with the covariance of its values. poses: T_camera_board of each view. rms: of the residuals of each view, px."""
+
+    camera: CameraModel
+    poses: tuple[Pose, ...]
+    rms: tuple[float, ...]
+
+
+def lens(views: Sequence[Corners], width: int, height: int) -> Lens:
+    """Focal lengths, principal point and distortion by least squares of corners.
+
+    Raises LuxloopError for fewer than five views, if one does not fit the others, or if they do not determine the lens.
+    """
+    if len(views) < FEWEST:
+        raise LuxloopError(
+            f"{len(views)} views show the board; take at least {FEWEST}, tilted by 20 to 45 deg to all sides, and into corners"
+        )
+    points = [np.concatenate([each.board, np.zeros((len(each.board), 1))], 1).astype(np.float32) for each in views]  # [n, 3]
+    places = [(each.pixels - 0.5).astype(np.float32)[:, None] for each in views]
+    matrix: Any = np.eye(3)
+    distortion: Any = np.zeros(5)
+    guess = 0
+    try:
+        for fixed in STAGES:
+            found = cv2.calibrateCameraExtended(
+                points, places, (width, height), matrix, distortion, flags=fixed | guess | cv2.CALIB_FIX_K3, criteria=PRECISE
+            )
+            _, matrix, distortion, turns, moves, *_ = found
+            guess = cv2.CALIB_USE_INTRINSIC_GUESS
+    except cv2.error as error:
+        raise LuxloopError(f"the {len(views)} views do not determine the lens ({error.err}); {_missing(views, width, height)}") from error
+    matrix = matrix + np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+    camera = CameraModel(width, height, matrix, np.ravel(distortion)[:5])
+    poses = [Pose(np.ravel(turn), np.ravel(move)) for turn, move in zip(turns, moves, strict=True)]
+    left = [camera.project(pose.points(each)) - view.pixels for pose, each, view in zip(poses, points, views, strict=True)]
+    rms = tuple(rms_of(each) for each in left)
+    covariance = _covariance(camera, poses, points, left)
+    std, limit = np.sqrt(np.diag(covariance))[:4], LARGEST_STD * np.array([*np.abs(camera.values[:2]), width, height])
+    if not (std < limit).all():
+        told = ", ".join(f"{name} {a:.4g} ± {b:.2g}" for name, a, b in zip(("fx", "fy", "cx", "cy"), camera.values, std, strict=False))
+        raise LuxloopError(f"the {len(views)} views do not determine the lens ({told} px); {_missing(views, width, height)}")
+    worst = int(np.argmax(rms))
+    if not rms[worst] < MOST_PX:
+        raise LuxloopError(
+            f"{views[worst].name}: its corners are {rms[worst]:.3g} px rms from where the lens shows them; check --columns and --rows, "
+            "keep the board flat, or take the picture out"
+        )
+    return Lens(CameraModel(width, height, matrix, np.ravel(distortion)[:5], covariance), tuple(poses), rms)
+
+
+def _missing(views: Sequence[Corners], width: int, height: int) -> str:
+    """What views to add: the sides of the board that are tilted away in none, and the corners of the picture that none reaches."""
+    sides, places = {"left": False, "right": False, "top": False, "bottom": False}, dict[str, bool]()
+    for view in views:
+        H, _ = cv2.findHomography(view.board - view.board.mean(0), view.pixels)
+        if H is None:
+            continue
+        J = (H[:2, :2] - np.outer(H[:2, 2], H[2, :2]) / H[2, 2]) / H[2, 2]  # of the picture by the board, at its middle
+        long, short = np.linalg.svd(J, compute_uv=False)
+        if short < TILTED * long:
+            x, y = J @ H[2, :2] * np.sign(H[2, 2]) / np.linalg.norm(J @ H[2, :2])  # to where the board is farther away
+            sides = {name: sides[name] or part > SLANTED for name, part in zip(sides, (-x, x, -y, y), strict=True)}
+    corners = np.concatenate([view.pixels for view in views]) / (width, height)
+    for name, (x, y) in {"top left": (0, 0), "top right": (1, 0), "bottom left": (0, 1), "bottom right": (1, 1)}.items():
+        places[name] = bool((np.abs(corners - (x, y)) < CORNER).all(1).any())
+    no_side, no_place = ([name for name, there in each.items() if not there] for each in (sides, places))
+    add = [f"with the {', '.join(no_side)} of the board tilted away by 20 to 45 deg"] * bool(no_side)
+    add += [f"with the board in the {', '.join(no_place)} of the picture"] * bool(no_place)
+    return f"add views {', and '.join(add) or 'tilted by 20 to 45 deg to all sides, sharp, and large in the picture'}"
+
+
+def _covariance(camera: CameraModel, poses: Sequence[Pose], points: Sequence[Array], left: Sequence[Array]) -> Array:
+    """Of fx, fy, cx, cy and the distortion `[9, 9]`, all poses being unknown as well; residuals are alike within a view."""
+    normals, gradients = [], []
+    for pose, each, off in zip(poses, points, left, strict=True):
+        _, by = cv2.projectPoints(each.astype(float), pose.turn, pose.place, camera.matrix, camera.distortion)
+        by_pose, by_lens = by[:, :6], by[:, 6:14]  # k3 stays 0
+        cross = by_lens.T @ by_pose
+        normals.append(by_lens.T @ by_lens - cross @ np.linalg.pinv(by_pose.T @ by_pose) @ cross.T)
+        gradients.append(by_lens.T @ off.ravel())
+    every = np.concatenate(left)
+    freedom = max(every.size - 8 - 6 * len(poses), 1)
+    return np.pad(covariance_of(np.stack(normals), np.stack(gradients), float((every**2).sum() / freedom)), (0, 1))
+
+
+def vignetting(flats: Sequence[Array]) -> tuple[Array, float]:
+    """Vignetting of the lens from light `[height, width]` of evenly bright surfaces, such as a diffuser in front of it.
+
+    Returns coefficients `[3]` of r^2, r^4 and r^6, r being 1 in the corner, and the relative root mean square that they leave.
+    """
+    rows, right = [], []
+    for flat in flats:
+        height, width = flat.shape
+        r2 = radius(height, width).ravel() ** 2
+        some = slice(None, None, max(1, flat.size // 50_000))
+        mean = float(
+            np.median(flat[height // 2 - height // 10 : height // 2 + height // 10, width // 2 - width // 10 : width // 2 + width // 10])
+        )
+        rows.append(np.stack([np.ones_like(r2), r2, r2**2, r2**3], -1)[some])
+        right.append(flat.ravel()[some] / mean)
+    design, values = np.concatenate(rows), np.concatenate(right)
+    solved, *_ = np.linalg.lstsq(design, values, rcond=None)
+    left = float(np.sqrt(((design @ solved - values) ** 2).mean()))
+    return solved[1:] / solved[0], left
+
+
+def radius(height: int, width: int) -> Array:
+    """Distance of each pixel from the image's centre, 1 in the corners."""
+    v, u = np.indices((height, width)) + 0.5
+    return np.asarray(np.hypot(u - width / 2, v - height / 2) / np.hypot(width / 2, height / 2))
+
+
+def brightness(coefficients: Array, height: int, width: int) -> Array:
+    """Share of the light that reaches each pixel, `[height, width]`, 1 in the centre."""
+    r2 = radius(height, width) ** 2
+    return np.asarray(1 + r2 * (coefficients[0] + r2 * (coefficients[1] + r2 * coefficients[2])))

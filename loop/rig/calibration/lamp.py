@@ -1,0 +1,115 @@
+"""A measured lamp: from intensities, shapes and places to a sparse headlight matrix over a light texture."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+
+from luxloop.loop.rig.calibration.bench import Array
+from luxloop.loop.rig.calibration.charts import Chart
+from luxloop.loop.rig.calibration.combs import REACH
+from luxloop.loop.rig.calibration.shapes import Blocks, Measured
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.simulation.lamps import shining_modules
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import Lamp
+from luxloop.world.spmv import Csr
+from luxloop.world.texels import TexelGrid
+
+LEAST: Final = 3e-3  # share of a pixel's peak, below which its light is left out
+MARGIN: Final = math.ceil(REACH - 0.5)  # pixels beyond the outermost, whose light may reach there
+NEAR: Final = 0.25  # pixels, by which a shape reaches further where its pixel is shifted
+AT_ONCE: Final = 64  # rows of texels
+
+
+def grid_over(y: Array, z: Array, texels: tuple[int, int]) -> TexelGrid:
+    """Grid of a light texture over tangents y and z `[rows, cols]` of the pixels, extended by the reach of a pixel's light.
+
+    So light of the outermost pixels that is blurred beyond the field is kept.
+    """
+    rows, cols = y.shape
+    pitch_y, pitch_z = (float(each.max() - each.min()) / max(n - 1, 1) for each, n in ((y, cols), (z, rows)))
+    margin_y, margin_z = (0.5 + MARGIN) * pitch_y, (0.5 + MARGIN) * pitch_z
+    return TexelGrid(
+        rows=texels[0] * (rows + 2 * MARGIN),
+        cols=texels[1] * (cols + 2 * MARGIN),
+        left=float(y.max()) + margin_y,
+        right=float(y.min()) - margin_y,
+        bottom=float(z.min()) - margin_z,
+        top=float(z.max()) + margin_z,
+    )
+
+
+def headlight(name: str, grid: TexelGrid, measured: Measured, lamp_of: Chart) -> Headlight:
+    """The headlight matrix of a measured module in cd. lamp_of: from tangents (y, z) to lamp coordinates (row, column)."""
+    rows, cols = measured.intensity.shape
+    block_of = [np.searchsorted(each, np.arange(n), "right") - 1 for each, n in zip(_starts(rows, cols), (rows, cols), strict=True)]
+    y = grid.left + (np.arange(grid.cols) + 0.5) / grid.cols * (grid.right - grid.left)
+    z = grid.top + (np.arange(grid.rows) + 0.5) / grid.rows * (grid.bottom - grid.top)
+    lit = np.nan_to_num(measured.intensity).clip(min=0)
+    least = LEAST * measured.shapes.max((2, 3))
+    reach = int(np.ceil(REACH))
+    parts = []
+    for start in range(0, grid.rows, AT_ONCE):
+        zz, yy = np.meshgrid(z[start : start + AT_ONCE], y, indexing="ij")
+        row, col = (each.ravel() for each in lamp_of(yy, zz))
+        texel = np.arange(row.size)
+        entries: list[tuple[Array, Array, Array]] = []
+        for i in range(-reach, reach + 1):
+            for j in range(-reach, reach + 1):
+                r, c = np.floor(row).astype(int) + i, np.floor(col).astype(int) + j
+                inside = (r >= 0) & (r < rows) & (c >= 0) & (c < cols)
+                inside &= (np.abs(row - r - 0.5) < REACH + NEAR) & (np.abs(col - c - 0.5) < REACH + NEAR)
+                r, c, at = r[inside], c[inside], texel[inside]
+                dr, dc = row[at] - r - 0.5 - measured.shift_row[r, c], col[at] - c - 0.5 - measured.shift_col[r, c]
+                block = block_of[0][r], block_of[1][c]
+                share = _read(measured.shapes, block, dr, dc)
+                keep = share > least[block]
+                entries.append((at[keep], (r * cols + c)[keep], (share * lit[r, c])[keep]))
+        at, pixel, value = (np.concatenate(each) for each in zip(*entries, strict=True))
+        parts.append(sp.csr_array((value.astype(np.float32), (at, pixel)), shape=(row.size, rows * cols)))
+    matrix = Csr.from_scipy(sp.vstack(parts, format="csr"))
+    borders = {name: getattr(grid, name) for name in ("rows", "cols", "left", "right", "bottom", "top")}
+    return Headlight(name=name, matrix=matrix, pixel_rows=rows, pixel_cols=cols, **borders)
+
+
+def _starts(rows: int, cols: int) -> tuple[Array, Array]:
+    blocks = Blocks.of(rows, cols)
+    return np.array(blocks.rows[:-1]), np.array(blocks.cols[:-1])
+
+
+def _read(shapes: Array, block: tuple[Array, Array], dr: Array, dc: Array) -> Array:
+    """Shapes of blocks `[n]` at distances `[n]` from their centres in lamp pixels, bilinear between texels and zero beyond."""
+    n_r, n_c = shapes.shape[2:]
+    r, c = (dr + REACH) * (n_r / (2 * REACH)) - 0.5, (dc + REACH) * (n_c / (2 * REACH)) - 0.5
+    r0, c0 = np.floor(r).astype(int), np.floor(c).astype(int)
+    total = np.zeros(len(r))
+    for i in (0, 1):
+        for j in (0, 1):
+            weight = np.abs(1 - i - (r - r0)) * np.abs(1 - j - (c - c0))
+            inside = (r0 + i >= 0) & (r0 + i < n_r) & (c0 + j >= 0) & (c0 + j < n_c)
+            total += np.where(inside, weight * shapes[(*block, (r0 + i).clip(0, n_r - 1), (c0 + j).clip(0, n_c - 1))], 0)
+    return total
+
+
+def digitised_side(scenario: Scenario) -> str:
+    """The only lit side. Raises LuxloopError if both are lit, since a lamp file has one lamp."""
+    if len(scenario.headlight.lamps) > 1:
+        raise LuxloopError("a lamp file holds one lamp; digitise each by itself, with --set 'headlight.lamps=[\"left\"]'")
+    return scenario.headlight.lamps[0]
+
+
+def measured_lamp(scenario: Scenario, lights: Sequence[Headlight], name: str, notes: str) -> Lamp:
+    """The scenario's lamp with measured lights, one per lit module, as a left lamp, the kind that lamp files have."""
+    mounts = shining_modules(scenario, torch.device("cpu"))
+    lamp = mounts[0].lamp
+    modules = list(lamp.modules)
+    for mount, light in zip(mounts, lights, strict=True):
+        modules[mount.number] = replace(modules[mount.number], headlight=light)
+    lamp = Lamp(name, tuple(modules), notes=notes)
+    return lamp if mounts[0].side == "left" else replace(lamp, modules=tuple(each.mirrored() for each in modules))

@@ -1,0 +1,214 @@
+"""Shape, intensity and place of each pixel's light, from the combs.
+
+Around pixel j a camera pixel sees `a_j sum_k S_k w_k + b_j`: S is the light distribution on the lamp's texels, the same for all pixels of a
+block, w how much of each texel's tent lies in the camera pixel, a_j the pixel's intensity and b_j what the lens scatters. S is found over
+a block by least squares, with a weak penalty on its roughness, as the camera resolves texels only over many pixels that fall on its raster
+in different ways (the effective point spread function of Anderson and King, 2000). The shift
+of each pixel follows by least squares in its window alone, and a_j from the sum of the light there, on which the shape has no influence.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+from scipy.ndimage import uniform_filter
+
+from luxloop.loop.rig.calibration.bench import Array, Indices
+from luxloop.loop.rig.calibration.combs import REACH, Windows
+
+BLOCK: Final = 16  # pixels along a side that have one shape, together with the blocks around them
+ROUGHNESS: Final = 1e-3  # weight of the second differences, relative to the mean of the normal matrix' diagonal
+WINGS: Final = 3e-3  # weight of light beyond a pixel from the centre, which camera pixels can hardly tell from what is scattered
+BEYOND: Final = 1.7  # pixels from the centre, where a first background is taken
+SHAPED: Final = 3  # one of so many pixels of a block is looked at for its shape
+FEWEST: Final = 24  # pixels of a block that are measured at least
+SHIFT: Final = 0.05  # pixels, by which those of a lamp stray: shifts are drawn to zero where they are less certain
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What was found of a module's pixels, all `[rows, cols]`.
+
+    intensity: relative to the shapes, in the unit of the images. background: beside the pixel. shift_row, shift_col: of its light from
+    where the charts have it, in lamp pixels. noise: standard deviation of intensity, from the residuals. residual: root mean square of
+    what the model leaves of the window, relative to the peak of the pixel.
+    shapes: `[block rows, block cols, 2 * REACH * t_r, 2 * REACH * t_c]`, whose sum is the number of a pixel's texels.
+    """
+
+    intensity: Array
+    background: Array
+    shift_row: Array
+    shift_col: Array
+    noise: Array
+    residual: Array
+    shapes: Array
+
+    def centres(self) -> tuple[Array, Array]:
+        """Where the light of each pixel is centred, in lamp coordinates of the charts, both `[rows, cols]`."""
+        rows, cols = self.intensity.shape
+        row, col = np.indices((rows, cols)) + 0.5
+        total = self.shapes.sum((2, 3))
+        for block, r, c in Blocks.of(rows, cols):
+            for axis, place in enumerate((row, col)):
+                n = self.shapes.shape[2 + axis]
+                at = (np.arange(n) + 0.5) * (2 * REACH / n) - REACH
+                place[r, c] += float(self.shapes[block].sum(1 - axis) @ at / total[block])
+        return row + self.shift_row, col + self.shift_col
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """How rows x cols pixels are divided: the outermost rows and columns by themselves, whose light may end at the field's border, and the
+    others into blocks. rows, cols: where the parts begin, and the end.
+    """
+
+    rows: tuple[int, ...]
+    cols: tuple[int, ...]
+
+    @classmethod
+    def of(cls, rows: int, cols: int) -> Self:
+        return cls(_divided(rows), _divided(cols))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return len(self.rows) - 1, len(self.cols) - 1
+
+    def __iter__(self) -> Iterator[tuple[tuple[int, int], Indices, Indices]]:
+        """Number of each block, and rows and columns `[n]` of its pixels."""
+        for i, j in np.ndindex(self.shape):
+            r, c = np.meshgrid(np.arange(*self.rows[i : i + 2]), np.arange(*self.cols[j : j + 2]), indexing="ij")
+            yield (int(i), int(j)), r.ravel(), c.ravel()
+
+
+def _divided(n: int) -> tuple[int, ...]:
+    inner = np.linspace(1, n - 1, 1 + max(1, round((n - 2) / BLOCK))).astype(int).tolist() if n > 2 else [1][: n - 1]
+    return tuple(dict.fromkeys([0, *inner, n]))
+
+
+def measure(window_of: Callable[[Indices, Indices], Windows], rows: int, cols: int, texels: tuple[int, int], every: int = 1) -> Measured:
+    """Fit shapes, to some pixels of each block, then pixels. window_of: windows of pixels at rows and columns `[n]`. texels: rows and
+    columns of texels a pixel. every: measures one of so many pixels of a block, the others are NaN.
+    """
+    shape = round(2 * REACH * texels[0]), round(2 * REACH * texels[1])
+    divided = Blocks.of(rows, cols)
+    k = shape[0] * shape[1]
+    normal, right = np.zeros((*divided.shape, k, k)), np.zeros((*divided.shape, k))
+    for block, r, c in divided:
+        some = _some(len(r), max(every, SHAPED))
+        each = window_of(r[some], c[some])
+        normal[block], right[block] = _normal(each, _weights(each, texels, shape))
+    shapes = _solved(normal, right, shape)
+    found = np.full((6, rows, cols), np.nan)
+    for block, r, c in divided:
+        some = _some(len(r), every)
+        r, c = r[some], c[some]
+        each = window_of(r, c)
+        found[:, r, c] = _fitted(each, _weights(each, texels, shape), shapes[block], texels)
+    intensity, background, shift_row, shift_col, noise, residual = found
+    return Measured(intensity, background, shift_row, shift_col, noise, residual, shapes)
+
+
+def _some(n: int, every: int) -> Indices:
+    """One of so many of a block's n pixels, but enough of them, drawn at random so that they lie in all ways to its rows and columns."""
+    count = n if every == 1 else min(n, max(n // every, FEWEST))
+    return np.sort(np.random.default_rng(n).permutation(n)[:count])
+
+
+def _weights(at: Windows, texels: tuple[int, int], shape: tuple[int, int]) -> Array:
+    """Share of each texel's tent in each camera pixel, `[n, m, k]` float32."""
+    n, m, s = at.dr.shape
+    base = np.arange(n * m).repeat(s) * (shape[0] * shape[1])
+    total = np.zeros(n * m * shape[0] * shape[1], np.float32)
+    place = [((d + REACH) * t - 0.5).ravel() for d, t in ((at.dr, texels[0]), (at.dc, texels[1]))]
+    low = [np.floor(each).astype(int) for each in place]
+    part = [each - down for each, down in zip(place, low, strict=True)]
+    for i in (0, 1):
+        for j in (0, 1):
+            row, col = low[0] + i, low[1] + j
+            weight = np.abs(1 - i - part[0]) * np.abs(1 - j - part[1]) / s
+            inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
+            total += np.bincount((base + row * shape[1] + col)[inside], weight[inside], len(total))
+    return total.reshape(n, m, -1)
+
+
+def _normal(at: Windows, weights: Array) -> tuple[Array, Array]:
+    """Normal equations `[k, k]`, `[k]` of a block's shape, each pixel scaled to a sum of one."""
+    flux, background = _flux(at)
+    good = flux > 0.2 * np.median(flux)
+    light = np.where(at.inside, (at.seen - background[:, None]) / np.where(good, flux, 1)[:, None], 0)[good]
+    w = (weights * at.inside[..., None])[good].reshape(-1, weights.shape[-1])
+    return w.T.astype(float) @ w, w.T.astype(float) @ light.ravel()
+
+
+def _flux(at: Windows) -> tuple[Array, Array]:
+    """Light of each pixel over its area, and what is beside it, both `[n]`.
+
+    The sum over whole camera pixels depends neither on how the pixel falls on their raster nor on its shape.
+    """
+    reach = np.maximum(np.abs(at.dr.mean(-1)), np.abs(at.dc.mean(-1)))
+    background = _mean(at.seen, at.inside & (reach > BEYOND))
+    core = at.inside & (reach <= BEYOND)
+    return ((at.seen - background[:, None]) * core).sum(1) * at.area, background
+
+
+def _mean(values: Array, where: np.ndarray) -> Array:
+    return (values * where).sum(1) / np.maximum(where.sum(1), 1)
+
+
+def _solved(normal: Array, right: Array, shape: tuple[int, int]) -> Array:
+    """Shapes `[block rows, block cols, *shape]`, of each block with those around it, of mean one over the pixel's own texels."""
+    around = normal.shape[:2]
+    normal, right = _gathered(normal), _gathered(right)
+    lines = [_second(n) for n in shape]
+    rough = np.kron(lines[0], np.eye(shape[1])) + np.kron(np.eye(shape[0]), lines[1])
+    far = [np.maximum(np.abs((np.arange(n) + 0.5) * (2 * REACH / n) - REACH) - 1, 0) / (REACH - 1) for n in shape]
+    wings = WINGS * np.maximum(far[0][:, None], far[1]).ravel()
+    scale = np.trace(normal, axis1=-2, axis2=-1)[..., None, None] / normal.shape[-1]
+    solved = np.linalg.solve(
+        normal + scale * (ROUGHNESS * rough + np.diag(wings) + 1e-6 * np.eye(len(rough))) + 1e-30 * np.eye(len(rough)), right[..., None]
+    )[..., 0]
+    solved = np.maximum(solved, 0)
+    total = solved.sum(-1, keepdims=True) * (4 * REACH**2) / solved.shape[-1]
+    return (solved / np.maximum(total, 1e-12)).reshape(*around, *shape)
+
+
+def _gathered(values: Array) -> Array:
+    """Means over the blocks around each, those of the edges among themselves."""
+    values = values.copy()
+    rows, cols = values.shape[:2]
+    parts = [[slice(0, 1), slice(1, n - 1), slice(n - 1, n)] if n > 2 else [slice(k, k + 1) for k in range(n)] for n in (rows, cols)]
+    for i in parts[0]:
+        for j in parts[1]:
+            values[i, j] = uniform_filter(values[i, j], (3, 3, *(0,) * (values.ndim - 2)), mode="nearest")
+    return values
+
+
+def _second(n: int) -> Array:
+    """Sum of squared second differences as a matrix `[n, n]`; beyond the ends is zero."""
+    d = np.diff(np.pad(np.eye(n), ((1, 1), (0, 0))), 2, axis=0)
+    return d.T @ d
+
+
+def _fitted(at: Windows, weights: Array, shape: Array, texels: tuple[int, int]) -> Array:
+    """Intensity, background, shifts, noise and residual of a block's pixels `[6, n]`."""
+    slope_r, slope_c = (np.gradient(shape, 1 / t, axis=axis) for axis, t in enumerate(texels))
+    parts = weights @ np.stack([shape, -slope_r, -slope_c], -1).reshape(-1, 3)  # a light that lies further down is the shape at less
+    design = np.concatenate([parts, np.ones_like(parts[..., :1])], -1) * at.inside[..., None]  # [n, m, 4]
+    seen = at.seen * at.inside
+    normal = design.transpose(0, 2, 1) @ design
+    ridge = 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(4) + 1e-30 * np.eye(4)
+    inverse = np.linalg.inv(normal + ridge)
+    solved = (inverse @ (design.transpose(0, 2, 1) @ seen[..., None]))[..., 0]
+    left = (design @ solved[..., None])[..., 0] - seen
+    variance = (left**2).sum(1) / np.maximum(at.inside.sum(1) - 4, 1)
+    intensity, background = _flux(at)
+    reach = np.maximum(np.abs(at.dr.mean(-1)), np.abs(at.dc.mean(-1)))
+    core, beside = ((at.inside & where).sum(1) for where in (reach <= BEYOND, reach > BEYOND))
+    noise = at.area * np.sqrt(variance * core * (1 + core / np.maximum(beside, 1)))
+    bright = np.maximum(intensity, 3 * noise + 1e-30)
+    shift = solved[:, 1:3] / bright[:, None]
+    shift_noise = np.sqrt(np.maximum(variance[:, None] * inverse[:, [1, 2], [1, 2]], 0)) / bright[:, None]
+    shift *= 1 / (1 + (shift_noise / SHIFT) ** 2)
+    peak = np.maximum(intensity * shape.max(), 1e-30)
+    return np.stack([intensity, background, shift[:, 0].clip(-1, 1), shift[:, 1].clip(-1, 1), noise, np.sqrt(variance) / peak])

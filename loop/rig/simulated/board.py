@@ -1,0 +1,175 @@
+"""Somebody with a ChArUco board and a luxmeter: what a laboratory has beside lamp and camera."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final, Self
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from luxloop.loop.rig.calibration.board import BoardParams, picture
+from luxloop.loop.rig.simulated.faults import ShownBoardParams
+from luxloop.loop.rig.simulated.lens import Image, Lens, distorted, focal_px
+from luxloop.loop.rig.simulated.scene import LitBench
+from luxloop.perception.camera import CameraParams, luminance_of
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight import Headlight
+from luxloop.world.kept import keeping
+
+Floats = NDArray[np.float64]
+POSES: Final = 20
+POSE_S: Final = 1.0  # for which it is held in each
+LAID_S: Final = 2.0  # without light from anybody, after which it lies on the screen
+TILTS_DEG: Final = (25.0, 33.0, 41.0)
+ROLL_DEG: Final = 15.0
+GOLDEN_RAD: Final = 2.4  # from one pose's way of tilting to the next one's, so that they go to all sides
+FILLED: Final = (0.9, 0.65)  # of the picture's height or width
+ASIDE: Final = (0.0, -0.22, 0.22)  # of the picture's width and height, from its middle
+FINER: Final = 3  # times, so that its edges are not ragged
+DPI: Final = 100.0
+PAPER, ROOM = 0.6, 0.2  # of the largest digital number that white paper and all else have in room light
+BLACK: Final = 0.05  # reflectance of its ink, as a share of the paper's
+LIT: Final = 0.5  # of the largest illuminance: light ends there
+READ: Final = (0.1, 0.5, 0.9)  # of the light's width and height
+SENSOR_M: Final = 0.01  # diameter of the luxmeter's sensor
+SENSOR_POINTS: Final = 25  # along that
+
+
+@dataclass(frozen=True, eq=False)
+class ShownBoard:
+    """A board in room light. T_view_screen: where it lies on what the camera's middle looks at. paper, room: luminance in cd/m^2."""
+
+    board: BoardParams
+    lens: Lens
+    T_view_screen: Floats
+    paper: float
+    room: float
+
+    @classmethod
+    def of(cls, params: ShownBoardParams, bench: LitBench) -> Self:
+        """Raises LuxloopError where the camera looks at nothing that a board could lie on."""
+        board = BoardParams(columns=params.columns, rows=params.rows, square_mm=params.square_mm)
+        paper, room = luminance_of(torch.tensor([PAPER, ROOM]) * (2**bench.camera.bits - 1), bench.camera).tolist()
+        T_world_view = bench.world.view.T_world_view.numpy()
+        surfaces = bench.world.lit(0.0).surfaces
+        row, column = (n // 2 for n in surfaces.object_id.shape)
+        if int(surfaces.object_id[row, column]) < 0:
+            raise LuxloopError(
+                "board: the camera's middle looks at nothing that it could lie on; turn the camera, or set board.shown = false"
+            )
+        point, normal = (each[:, row, column].double().numpy() for each in (surfaces.position, surfaces.normal))
+        turn = T_world_view[:3, :3].T
+        return cls(board, bench.lens, _lying(turn @ (point - T_world_view[:3, 3]), turn @ normal, _size_m(board)), paper, room)
+
+    def at(self, from_s: float, heard_s: float | None) -> Image | None:
+        """What the lens images `[height, width]` cd/m^2 from a time on; None while light comes, for which it is taken away.
+
+        heard_s: when light came last, None for never: until then it is held in the hand.
+        """
+        if heard_s is None:
+            return self._kept(int(from_s / POSE_S) % POSES)
+        return None if from_s - heard_s < LAID_S else self._kept(None)
+
+    @cached_property
+    def _kept(self) -> Callable[[int | None], Image]:
+        return keeping(1, self.image)
+
+    def image(self, pose: int | None) -> Image:
+        """What the lens images `[height, width]` cd/m^2 of the board in the hand, in one of its poses, or, None, on the screen."""
+        T_view_board = self.T_view_screen if pose is None else held(self.board, self.lens.camera, pose)
+        drawn = picture(self.board, DPI)
+        m_per_px = self.board.square_mm / 1000 * self.board.columns / drawn.shape[1]
+        on_board = np.array([[m_per_px, 0, m_per_px / 2], [0, m_per_px, m_per_px / 2], [0, 0, 1]])  # of the centres of its pixels
+        camera, focal = self.lens.camera, FINER * focal_px(self.lens.camera)
+        size = FINER * camera.width_px, FINER * camera.height_px
+        pinhole = np.array([[focal, 0, size[0] / 2 - 0.5], [0, focal, size[1] / 2 - 0.5], [0, 0, 1]])
+        homography = pinhole @ T_view_board[:3][:, [0, 1, 3]] @ on_board
+        white = np.ones_like(drawn)
+        shown, there = (cv2.warpPerspective(each, homography, size, flags=cv2.INTER_LINEAR) for each in (drawn, 255 * white))
+        ink, covered = (cv2.resize(each, (camera.width_px, camera.height_px), interpolation=cv2.INTER_AREA) for each in (shown, there))
+        share = (covered.astype(np.float32) * BLACK + ink.astype(np.float32) * (1 - BLACK)) / 255
+        return self.lens.image((self.paper * share + self.room * (1 - covered.astype(np.float32) / 255)).astype(np.float32))
+
+
+def held(board: BoardParams, camera: CameraParams, pose: int) -> Floats:
+    """T_view_board `[4, 4]` of a board in the hand, tilted, in the middle of the picture or aside."""
+    width, height = _size_m(board)
+    way, tilt = GOLDEN_RAD * pose, math.radians(TILTS_DEG[pose % len(TILTS_DEG)])
+    roll = math.radians(ROLL_DEG) * math.sin(1.7 * pose)
+    tilted: Any = cv2.Rodrigues(tilt * np.array([math.cos(way), math.sin(way), 0.0]))[0]
+    rolled: Any = cv2.Rodrigues(np.array([0.0, 0.0, roll]))[0]
+    turn = tilted @ rolled
+    focal = focal_px(camera)
+    depth = focal * max(height / camera.height_px, width / camera.width_px) / FILLED[pose % len(FILLED)]
+    aside = np.array([ASIDE[pose % 3] * camera.width_px, ASIDE[pose // 3 % 3] * camera.height_px, focal]) * depth / focal
+    return _pose(turn, aside - turn @ np.array([width / 2, height / 2, 0.0]))
+
+
+def readings(bench: LitBench) -> list[tuple[float, float, float]]:
+    """What a luxmeter shows at nine places of the light on the screen, all pixels on: lx, and where the camera sees it (u, v) px.
+
+    Raises LuxloopError where the camera sees no light.
+    """
+    scene = bench.world.lit(0.0, direct=True)
+    lux, _ = scene.light([torch.ones(each.headlight.n_pixels) for each in bench.modules])
+    lit = (lux > LIT * lux.max()).numpy()
+    if not float(lux.max()) > 0:
+        raise LuxloopError("board: the camera sees no light of the lamp on anything; turn the camera, or set board.shown = false")
+    rows, columns = (np.flatnonzero(lit.any(axis)) for axis in (1, 0))
+    T_world_body = scene.vehicle.T_world_body.double().numpy()
+    found = []
+    for row in np.quantile(rows, READ).astype(int):
+        for column in np.quantile(columns, READ).astype(int):
+            point, normal = (each[:, row, column].double().numpy() for each in (scene.surfaces.position, scene.surfaces.normal))
+            sensor = point + _disc(normal)
+            modules = ((each.headlight, T_world_body @ each.T_world_headlight.double().numpy()) for each in bench.modules)
+            found.append((sum(_lux(light, T, sensor, normal) for light, T in modules), *_seen(bench, row, column)))
+    return found
+
+
+def _disc(normal: Floats) -> Floats:
+    """Points `[n, 3]` m of a luxmeter's sensor that lies on a surface, from its middle."""
+    line = np.linspace(-0.5, 0.5, SENSOR_POINTS)
+    across, along = (each.ravel() for each in np.meshgrid(line, line))
+    disc = np.hypot(across, along) <= 0.5
+    side = np.cross(normal, [0.0, 0.0, 1.0] if abs(normal[2]) < 0.9 else [0.0, 1.0, 0.0])
+    side /= np.linalg.norm(side)
+    return SENSOR_M * (across[disc, None] * side + along[disc, None] * np.cross(normal, side))
+
+
+def _seen(bench: LitBench, row: int, column: int) -> tuple[float, float]:
+    """Where the lens shows a pixel of the pinhole's picture, (u, v) px."""
+    lens, focal = bench.lens, focal_px(bench.lens.camera)
+    straight = np.array([[(column + 0.5) / bench.columns - lens.camera.width_px / 2, row + 0.5 - lens.camera.height_px / 2]]) / focal
+    u, v = (distorted(lens.params, straight) * focal)[0] + lens.matrix[:2, 2]
+    return float(u), float(v)
+
+
+def _lux(light: Headlight, T_world_lamp: Floats, points: Floats, normal: Floats) -> float:
+    """Mean illuminance by a module with all pixels on, at points `[n, 3]` m of a surface."""
+    away = points - T_world_lamp[:3, 3]
+    squared = (away**2).sum(1)
+    intensity = light.intensity(light.light_texture(torch.ones(light.n_pixels)), torch.from_numpy((away @ T_world_lamp[:3, :3]).T.copy()))
+    return float((intensity.numpy() * np.maximum(-away @ normal, 0) / squared**1.5).mean())
+
+
+def _lying(point: Floats, normal: Floats, size_m: tuple[float, float]) -> Floats:
+    """T_view_board of a board with its middle at a point of a surface `[3]` m, its rows along the picture's."""
+    right = np.array([1.0, 0.0, 0.0]) + normal[0] * -normal
+    right /= np.linalg.norm(right)
+    turn = np.stack([right, np.cross(-normal, right), -normal], 1)
+    return _pose(turn, point - turn @ np.array([size_m[0] / 2, size_m[1] / 2, 0.0]))
+
+
+def _pose(turn: Floats, place: Floats) -> Floats:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = turn, place
+    return T
+
+
+def _size_m(board: BoardParams) -> tuple[float, float]:
+    return board.columns * board.square_mm / 1000, board.rows * board.square_mm / 1000

@@ -1,0 +1,155 @@
+"""The lens: which way each pixel of the camera looks, and what becomes of light on its way through the glass."""
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from luxloop.loop.rig.simulated.faults import LensParams
+from luxloop.perception.camera import CameraParams
+from luxloop.world.errors import LuxloopError
+
+Image = NDArray[np.float32]
+Floats = NDArray[np.float64]
+MARGIN_PX: Final = 2
+LARGEST: Final = 3.0  # a pinhole picture that holds the lens' whole field, as a multiple of the camera's
+MOST_ERROR_PX: Final = 0.01  # of an inverted distortion
+MOST_ROUNDS: Final = 100
+SETTLED: Final = 1e-9
+RED_GREEN_BLUE: Final = ((1, 0.25), (0, 0.5), (-1, 0.25))  # share of the magnification, and of a grey pixel's light
+VEIL_SCALE: Final = 8  # times coarser is the picture in which light is scattered widely
+
+
+@dataclass(frozen=True, eq=False)
+class Lens:
+    """camera: a pinhole with all that the lens sees. width, height: px of its own picture. maps: for each colour, where in the pinhole's
+    picture each pixel looks, `[height, width]` twice, and its share of the light; empty where that is the same pixel. falloff: `[height,
+    width]`, share of light that vignetting leaves.
+    """
+
+    params: LensParams
+    camera: CameraParams
+    width: int
+    height: int
+    maps: tuple[tuple[Image, Image, float], ...]
+    falloff: Image | None
+
+    @classmethod
+    def of(cls, params: LensParams, camera: CameraParams) -> "Lens":
+        """Raises LuxloopError where the coefficients fold the picture, or ask for too wide a field."""
+        width, height, focal = camera.width_px, camera.height_px, focal_px(camera)
+        centre = np.array([width / 2 + params.centre_px[0], height / 2 + params.centre_px[1]])
+        u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+        radius = np.hypot(u - centre[0], v - centre[1])
+        falloff = (1 - params.vignetting * (radius / radius.max()) ** 2).astype(np.float32) if params.vignetting else None
+        if not (any(params.coefficients) or any(params.centre_px) or params.chromatic_percent):
+            return cls(params, camera, width, height, (), falloff)
+        seen = (np.stack([u.ravel(), v.ravel()], 1) - centre) / focal
+        colours = [(0, 1.0)] if params.chromatic_percent == 0 else RED_GREEN_BLUE
+        straight = [(undistorted(params, seen / (1 + sign * params.chromatic_percent / 100), focal), share) for sign, share in colours]
+        reach = [np.abs(places).max(0) for places, _ in straight]
+        half_width, half_height = (math.ceil(float(each) * focal) + MARGIN_PX for each in np.max(reach, 0))
+        if half_width > LARGEST * width / 2 or half_height > LARGEST * height / 2:
+            raise LuxloopError(
+                f"lens: it sees {2 * half_width} x {2 * half_height} px of a straight picture, more than {LARGEST:g} times the camera's "
+                f"{width} x {height}; give weaker coefficients or a smaller centre_px"
+            )
+        wide = {"width_px": 2 * half_width, "height_px": 2 * half_height, "hfov_deg": math.degrees(2 * math.atan(half_width / focal))}
+        corner = np.array([half_width, half_height]) - 0.5  # OpenCV counts from a pixel's centre
+        maps = []
+        for places, share in straight:
+            x, y = (places * focal + corner).astype(np.float32).reshape(height, width, 2).transpose(2, 0, 1)
+            maps.append((np.ascontiguousarray(x), np.ascontiguousarray(y), share))
+        return cls(params, camera.model_copy(update=wide), width, height, tuple(maps), falloff)
+
+    def image(self, luminance: Image) -> Image:
+        """What reaches the sensor, `[height, width]`, of a pinhole's picture in cd/m^2."""
+        seen: Any = luminance
+        params = self.params
+        if self.maps:
+            seen = sum(np.float32(share) * cv2.remap(luminance, x, y, cv2.INTER_LINEAR) for x, y, share in self.maps)
+        if params.blur_px:
+            seen = cv2.GaussianBlur(seen, (0, 0), params.blur_px)
+        if params.veil:
+            coarse = cv2.resize(seen, (-(-self.width // VEIL_SCALE), -(-self.height // VEIL_SCALE)), interpolation=cv2.INTER_AREA)
+            scattered = cv2.resize(cv2.GaussianBlur(coarse, (0, 0), params.veil_px / VEIL_SCALE), (self.width, self.height))
+            seen = cv2.addWeighted(seen, 1 - params.veil, scattered, params.veil, 0)
+        falling: Image = seen if self.falloff is None else seen * self.falloff
+        return falling
+
+    @property
+    def matrix(self) -> Floats:
+        """The camera matrix `[3, 3]` in px; pixel centres are at integer + 0.5."""
+        focal = focal_px(self.camera)
+        u, v = self.width / 2 + self.params.centre_px[0], self.height / 2 + self.params.centre_px[1]
+        return np.array([[focal, 0, u], [0, focal, v], [0, 0, 1]])
+
+
+def focal_px(camera: CameraParams) -> float:
+    """Focal length in px."""
+    return camera.width_px / 2 / math.tan(math.radians(camera.hfov_deg) / 2)
+
+
+def undistorted(params: LensParams, seen: Floats, focal: float) -> Floats:
+    """Where a pinhole of focal length 1 sees the points `[N, 2]` that the lens images to `seen` `[N, 2]`.
+
+    focal: in px, for the permitted error. Raises LuxloopError where the coefficients fold the picture.
+    """
+    if not any(params.coefficients) and params.model != "fisheye":
+        return seen
+    given: Any = np.zeros({"opencv": 5, "fisheye": 4, "division": 1}[params.model])
+    given[: len(params.coefficients)] = params.coefficients
+    with np.errstate(all="ignore"):
+        if params.model == "division":
+            straight = seen / (1 + given[0] * (seen**2).sum(1, keepdims=True))
+        elif params.model == "fisheye":
+            straight = _from_fisheye(given, seen)
+        else:
+            straight = _from_opencv(params, seen)
+        error = np.abs(distorted(params, straight) - seen).max() * focal
+        turned = (straight * seen).sum(1)
+    if not (error < MOST_ERROR_PX and (turned >= 0).all()):
+        raise LuxloopError(f"lens.coefficients: {list(params.coefficients)} fold the picture of the model {params.model}; give weaker ones")
+    return straight
+
+
+def distorted(params: LensParams, straight: Floats) -> Floats:
+    """Where the lens images points `[N, 2]` of a pinhole, both of focal length 1: the inverse of `undistorted`."""
+    given: Any = np.zeros({"opencv": 5, "fisheye": 4, "division": 1}[params.model])
+    given[: len(params.coefficients)] = params.coefficients
+    if params.model == "opencv":
+        points = np.column_stack([straight, np.ones(len(straight))])
+        found: Any = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), given)[0]
+        return np.asarray(found[:, 0], np.float64)
+    radius = np.linalg.norm(straight, axis=1, keepdims=True).clip(1e-12)
+    if params.model == "fisheye":
+        theta = np.arctan(radius)
+        return straight / radius * theta * (1 + sum(k * theta ** (2 * power) for power, k in enumerate(given, 1)))
+    k = given[0]  # r_straight = r / (1 + k r^2), the smaller root of k r_straight r^2 - r + r_straight = 0
+    root = np.sqrt(1 - 4 * k * radius**2)
+    return straight * (2 / (1 + root))
+
+
+def _from_opencv(params: LensParams, seen: Floats) -> Floats:
+    straight = seen.copy()
+    for _ in range(MOST_ROUNDS):
+        step = seen - distorted(params, straight)
+        straight += step
+        if not np.abs(step).max() > SETTLED:
+            break
+    return straight
+
+
+def _from_fisheye(given: Floats, seen: Floats) -> Floats:
+    radius = np.linalg.norm(seen, axis=1, keepdims=True).clip(1e-12)
+    theta = radius.copy()
+    for _ in range(30):  # Newton's method
+        powers = [theta ** (2 * power) for power in range(1, 5)]
+        value = theta * (1 + sum(k * each for k, each in zip(given, powers, strict=True))) - radius
+        slope = 1 + sum((2 * power + 1) * k * each for power, (k, each) in enumerate(zip(given, powers, strict=True), 1))
+        theta = theta - value / slope
+    theta = np.where((theta > 0) & (theta < math.radians(80)), theta, np.nan)
+    return seen / radius * np.tan(theta)

@@ -1,0 +1,161 @@
+"""What the lens sees of the scenario's wall, table or road under a frame of light; it does the work again only where something changed."""
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.rig.simulated.faults import FaultParams, LampErrorParams, ScreenParams
+from luxloop.loop.rig.simulated.lens import Image, Lens
+from luxloop.loop.rig.wire.ddp import LightFrame, WireCommand, utilisations_of
+from luxloop.loop.scenario.disturbances import AimParams, DisturbanceParams, PoseErrorParams, WearParams
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.simulation.build_lamps import mounted
+from luxloop.loop.simulation.simulated import simulated_plant
+from luxloop.loop.simulation.truth import LampModule, true_modules
+from luxloop.loop.simulation.world import LitScene, World
+from luxloop.perception.camera import CameraParams
+from luxloop.world.frames import unit
+from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand
+from luxloop.world.view import View
+
+KEPT: Final = 8  # images of lights, of which an on and an off frame alternate
+STUCK_KEY: Final = 1  # of the generator of stuck pixels, beside that of dead ones
+
+
+class LitBench:
+    """A scene as the true lens images it, without exposure.
+
+    modules: the lamps as they truly are. camera: of the sensor behind the lens.
+    """
+
+    def __init__(self, scenario: Scenario, faults: FaultParams) -> None:
+        """Build all. Raises LuxloopError where something is missing or broken, or where the lens folds the picture."""
+        mounts = tuple(mounted(scenario.headlight, torch.device("cpu"), lambda lamp: lamp.modules))
+        given = tuple(LampModule(each.name, each.headlight, each.T_world_module) for each in mounts)
+        world = simulated_plant(scenario, given).world
+        self.modules = _true(world.modules, faults)
+        self.camera, self.gamma, self.screen = world.camera, faults.light.gamma, faults.screen
+        self.lens, self.columns = Lens.of(faults.lens, world.camera), faults.camera.columns
+        self.world = World(world.scene, self.modules, self.lens.camera, world.source, world.motion, False, world.given)
+        self.world.view = _finer(self.world.view, self.columns)
+        self._stuck = tuple(_stuck(each, faults.lamp, faults.seed, k) for k, each in enumerate(self.modules))
+        self._lit = dict[bool, _Lit]()  # by whether modules are turned
+
+    @property
+    def pixels(self) -> int:
+        """Of all modules together."""
+        return sum(each.headlight.n_pixels for each in self.modules)
+
+    def base(self, time_s: float) -> Image:
+        """Image `[height, width]` in cd/m^2 of all light but the lamps'. time_s: since the drive began."""
+        return self._at(time_s, False).base
+
+    def light(self, light: LightFrame, time_s: float) -> Image:
+        """Image `[height, width]` in cd/m^2 of the lamps' light alone."""
+        commands = commands_of(light.commands, len(self.modules))
+        return self._at(time_s, bool(commands)).image(self._utilisations(light), light.codes.tobytes(), commands)
+
+    def _at(self, time_s: float, turned: bool) -> "_Lit":
+        scene = self.world.lit(time_s, direct=turned)
+        if turned not in self._lit or self._lit[turned].scene is not scene:
+            self._lit[turned] = _Lit(scene, self.lens, self.columns, self._gloss(scene))
+        return self._lit[turned]
+
+    def _utilisations(self, light: LightFrame) -> tuple[Utilisation, ...]:
+        parts = torch.from_numpy(utilisations_of(light.codes, self.gamma)).split([each.headlight.n_pixels for each in self.modules])
+        return tuple(
+            Utilisation(part if not len(stuck) else part.index_fill(0, stuck, 1.0), None)
+            for part, stuck in zip(parts, self._stuck, strict=True)
+        )
+
+    def _gloss(self, scene: LitScene) -> Tensor | None:
+        """Luminance factors `[height, width]` of the screen beside its own, None where it has none."""
+        if not self.screen.gloss:
+            return None
+        T_world_body = scene.vehicle.T_world_body
+        lamp = torch.stack([(T_world_body @ each.T_world_headlight.to(T_world_body))[:3, 3] for each in self.modules]).mean(0)
+        return gloss(self.screen, scene.surfaces.position, scene.surfaces.normal, lamp, scene.view.origin)
+
+
+@dataclass(eq=False)
+class _Lit:
+    """A scene in which nothing moves, and the images of the last lights in it. columns: samples over a pixel's width. factor: luminance
+    factor of each sample `[height, columns * width]`, None where they are 1.
+    """
+
+    scene: LitScene
+    lens: Lens
+    columns: int
+    factor: Tensor | None
+
+    def __post_init__(self) -> None:
+        self.shape = self.lens.camera.height_px, self.lens.camera.width_px
+        base = self.scene.base.float().unflatten(1, (-1, self.columns)).mean(2)
+        self.base = self.lens.image(base.numpy())
+        self._images: OrderedDict[tuple[bytes, Commands], Image] = OrderedDict()
+
+    def image(self, lights: tuple[Utilisation, ...], codes: bytes, commands: Commands) -> Image:
+        key = codes, commands
+        if key not in self._images:
+            self._images[key] = self.lens.image(self._luminance(lights, commands).numpy())
+            if len(self._images) > KEPT:
+                self._images.popitem(last=False)
+        self._images.move_to_end(key)
+        return self._images[key]
+
+    def _luminance(self, lights: tuple[Utilisation, ...], commands: Commands) -> Tensor:
+        """What the lamps add to the pinhole's picture `[height, width]` in cd/m^2."""
+        luminance = torch.zeros(self.shape).flatten()
+        for number, (light, command) in enumerate(zip(lights, commands or [REST] * len(lights), strict=True)):
+            added, sample = self.scene.transported(number, command).luminance(light.u)
+            if self.factor is not None:
+                added = added * self.factor.flatten()[sample]
+            luminance.index_add_(0, sample // self.columns, added, alpha=command.intensity / self.columns)
+        return luminance.view(self.shape)
+
+
+def gloss(params: ScreenParams, position: Tensor, normal: Tensor, lamp: Tensor, eye: Tensor) -> Tensor:
+    """Luminance `[height, width]` of a glossy surface as a multiple of the diffuse one's.
+
+    position, normal: `[3, height, width]` m. lamp, eye: `[3]` m.
+    """
+    to_lamp, to_eye = (unit(each.to(position)[:, None, None] - position) for each in (lamp, eye))
+    cos = (unit(to_lamp + to_eye) * normal).sum(0).clamp(-1, 1)
+    return 1 + params.gloss * (-(torch.rad2deg(cos.acos()) / params.gloss_width_deg).square()).exp()
+
+
+def commands_of(commands: Sequence[WireCommand] | None, modules: int) -> Commands:
+    """Commands of so many modules, those that were not sent at rest; empty where all are."""
+    given = [ModuleCommand(each.swivel_deg, each.level_deg, each.intensity) for each in commands or ()][:modules]
+    return () if all(each == REST for each in given) else (*given, *[REST] * (modules - len(given)))
+
+
+def _true(modules: Sequence[LampModule], faults: FaultParams) -> tuple[LampModule, ...]:
+    error = faults.lamp
+    aim = AimParams(**{name: getattr(error, name) for name in PoseErrorParams.model_fields})
+    wrong = DisturbanceParams(aim=(aim,), wear=WearParams(dead=error.dead, seed=faults.seed))
+    scaled = (replace(each, headlight=each.headlight.scaled(error.scale)) for each in modules)
+    return true_modules(wrong, scaled)
+
+
+def _stuck(module: LampModule, error: LampErrorParams, seed: int, number: int) -> Tensor:
+    """Numbers of a module's stuck pixels."""
+    n = module.headlight.n_pixels
+    order = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, STUCK_KEY))).permutation(n)
+    return torch.from_numpy(np.sort(order[: round(error.stuck * n)]))
+
+
+def _finer(view: View, columns: int) -> View:
+    """The same view with so many columns for each of its own."""
+    return replace(view, width=columns * view.width, fx=columns * view.fx, cx=columns * view.cx)
+
+
+def sensor_of(camera: CameraParams, gamma: float | None) -> CameraParams:
+    """The camera with its true gamma."""
+    return camera if gamma is None else camera.model_copy(update={"gamma": gamma})

@@ -1,0 +1,157 @@
+"""Pictures as a network camera sends them: parts of one endless HTTP answer (`multipart/x-mixed-replace`), and back.
+
+Each part is a JPEG or PNG with `Content-Type` and `Content-Length`, without number or time. A client that reads too slowly misses pictures.
+"""
+
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Final, Protocol
+
+from luxloop.loop.rig.wire.addresses import REFUSED, reason_of
+from luxloop.world.errors import LuxloopError
+
+BOUNDARY: Final = b"--frame"
+JPEG, PNG = "image/jpeg", "image/png"
+MOST_CLIENTS: Final = 8
+STALLED_S: Final = 5.0  # after which a client that takes nothing is cut off
+LONGEST_LINE: Final = 1024  # bytes of a part's header line
+MOST_LINES: Final = 32
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A picture, encoded. kind: its media type."""
+
+    body: bytes
+    kind: str
+
+
+def server_of(handler: type[BaseHTTPRequestHandler], host: str, port: int, key: str) -> ThreadingHTTPServer:
+    """An HTTP server that serves in threads of its own; a port of 0 takes a free one. key: of the port, for messages.
+
+    Raises LuxloopError where the port cannot be had.
+    """
+    try:
+        server = ThreadingHTTPServer((host, port), handler)
+    except REFUSED as error:
+        raise LuxloopError(f"{key} {port}: cannot listen on {host}:{port} ({reason_of(error)}); give another, 0 for a free one") from error
+    server.daemon_threads = True
+    threading.Thread(target=server.serve_forever, args=(0.1,), name=f"{key} {port}", daemon=True).start()
+    return server
+
+
+class PictureServer:
+    """Sends each picture to all clients that have taken the one before."""
+
+    def __init__(self, host: str, port: int, path: str = "/camera") -> None:
+        """Listen. Raises LuxloopError where the port cannot be had."""
+        self.path = path
+        self._changed, self._part, self._number, self._open, self._clients = threading.Condition(), Part(b"", JPEG), 0, True, 0
+        ours = self
+
+        class Handler(BaseHTTPRequestHandler):
+            timeout = STALLED_S
+
+            def do_GET(self) -> None:
+                ours._answer(self)
+
+            def log_message(self, format: str, *args: object) -> None:
+                pass
+
+        self._server = server_of(Handler, host, port, "--camera-port")
+        self.port = self._server.server_address[1]
+
+    @property
+    def clients(self) -> int:
+        """How many watch."""
+        return self._clients
+
+    def publish(self, part: Part) -> None:
+        """Send a picture to all clients; it does not wait for them."""
+        with self._changed:
+            self._part, self._number = part, self._number + 1
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """End all answers and stop to listen."""
+        with self._changed:
+            self._open = False
+            self._changed.notify_all()
+        self._server.shutdown()
+        self._server.server_close()
+
+    def _answer(self, handler: BaseHTTPRequestHandler) -> None:
+        if handler.path.partition("?")[0] != self.path:
+            handler.send_error(404)
+            return
+        with self._changed:
+            full = self._clients >= MOST_CLIENTS
+            self._clients += not full
+            last = self._number
+        if full:
+            handler.send_error(503)
+            return
+        try:
+            handler.send_response(200)
+            handler.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={BOUNDARY[2:].decode()}")
+            handler.send_header("Cache-Control", "no-store")
+            handler.end_headers()
+            while True:
+                with self._changed:
+                    self._changed.wait_for(lambda: self._number != last or not self._open)  # noqa: B023
+                    if not self._open:
+                        return
+                    part, last = self._part, self._number
+                head = b"%s\r\nContent-Type: %s\r\nContent-Length: %d\r\n\r\n" % (BOUNDARY, part.kind.encode(), len(part.body))
+                handler.wfile.write(head + part.body + b"\r\n")
+        except OSError:
+            pass  # the client has gone, or takes nothing
+        finally:
+            with self._changed:
+                self._clients -= 1
+
+
+class Stream(Protocol):
+    """Bytes as they come; fewer than asked for at the end alone."""
+
+    def read(self, size: int, /) -> bytes: ...
+
+    def readline(self, limit: int, /) -> bytes: ...
+
+
+def parts(stream: Stream, largest: int) -> Iterator[Part]:
+    """The parts of an answer's body as they come, until it ends. largest: bytes of a picture that are taken at most.
+
+    Raises LuxloopError where this is no such answer, and OSError as streams do.
+    """
+    while (size_and_kind := _head(stream)) is not None:
+        size, kind = size_and_kind
+        if size > largest:
+            raise LuxloopError(f"camera: a picture of {size} bytes, where {largest} are expected at most; check the camera's address")
+        body = stream.read(size)
+        if len(body) < size:
+            return
+        yield Part(body, kind)
+
+
+def _head(stream: Stream) -> tuple[int, str] | None:
+    """Bytes and media type of the next part, None at the end."""
+    size, kind, begun = None, JPEG, False
+    for _ in range(MOST_LINES):
+        line = stream.readline(LONGEST_LINE)
+        text = line.strip()
+        if not line or text == BOUNDARY + b"--":
+            return None
+        if not text and begun:
+            if size is None:
+                break
+            return size, kind
+        begun = begun or bool(text)  # with the boundary, or without it where a reader has taken that already
+        name, _, value = text.partition(b":")
+        if name.lower() == b"content-length" and value.strip().isdigit() and len(value.strip()) < 12:
+            size = int(value)
+        elif name.lower() == b"content-type":
+            kind = value.strip().decode("latin-1").lower()
+    raise LuxloopError('camera: its answer has no parts with Content-Length; give the address of an MJPEG stream, or kind = "stream"')

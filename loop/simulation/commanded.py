@@ -1,0 +1,92 @@
+"""Modules that functions turn and dim: what is commanded in a step, and what a scenario cannot ask for."""
+
+from collections.abc import Mapping, Sequence
+
+from luxloop.controllers.functions.commands import (
+    MOVED,
+    BendingParams,
+    CommandParams,
+    DirectParams,
+    Given,
+    LevellingParams,
+    Movement,
+    composed,
+)
+from luxloop.controllers.functions.planner import Planner
+from luxloop.controllers.situation import Situation
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.scenario.plant import SimulatedPlantParams
+from luxloop.loop.simulation.controlled import ControlledSymbol
+from luxloop.loop.simulation.lamps import ShiningModule
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.lamp import REST
+
+
+def commanded(
+    planner: Planner,
+    modules: Sequence[ShiningModule],
+    controlled: Mapping[str, ControlledSymbol],
+    given: Mapping[str, Given],
+    now: Situation,
+) -> tuple[Situation, Mapping[str, Given]]:
+    """The situation with modules as functions command them, and what each of these commanded. given: the same before.
+
+    Raises LuxloopError where a function of the user's own commands a module that a controller needs at rest.
+    """
+    given = planner.commanded(given, now, modules)
+    if not given:
+        return now, given
+    commands = composed(given.values(), modules)
+    for symbol, held in controlled.items():
+        for k in held.drawn_by:
+            if commands[k] != REST:
+                raise _held(symbol, modules[k], "turned or dimmed")
+    return now.commanded(commands), given
+
+
+def refuse_commands(planner: Planner, modules: Sequence[ShiningModule], controlled: Mapping[str, ControlledSymbol]) -> None:
+    """Raises LuxloopError where a function means no module that can be turned so, or one with which a controller holds a symbol."""
+    for name, function in planner.commanding.items():
+        if isinstance(function, DirectParams) and function.command != REST:
+            for symbol, each in controlled.items():
+                for module in (modules[k] for k in each.drawn_by if function.moves(modules[k])):
+                    raise _held(symbol, module, f"turned or dimmed by functions.{name}")
+        if isinstance(function, CommandParams):
+            how = MOVED[function.movement]
+            if not any(function.moves(module) for module in modules):
+                raise LuxloopError(
+                    f"functions.{name}.modules: none of these modules can be {how}; name others, or take another lamp as headlight.model"
+                )
+            for symbol, each in controlled.items():
+                for module in (modules[k] for k in each.drawn_by if function.moves(modules[k])):
+                    raise _held(symbol, module, f"{how} by functions.{name}")
+
+
+def unmoved(scenario: Scenario) -> list[str]:
+    """A sentence for each function that only follows the car's motion, where the simulated car stands; empty where there is none."""
+    if scenario.vehicle is not None or not isinstance(scenario.plant, SimulatedPlantParams):
+        return []
+    return [
+        f"functions.{name} ({function.kind}) does nothing, for a car that stands neither turns nor pitches; give a [vehicle] that drives"
+        for name, function in scenario.functions.items()
+        if isinstance(function, BendingParams) or (isinstance(function, LevellingParams) and not function.entries)
+    ]
+
+
+def moved(planner: Planner, modules: Sequence[ShiningModule]) -> list[tuple[str, Movement]]:
+    """What functions command: names of modules, and how they move, which a function of the user's own says of none."""
+
+    def of(function: object, module: ShiningModule, movement: Movement) -> bool:
+        if isinstance(function, DirectParams):
+            return function.moves(module)
+        return not isinstance(function, CommandParams) or (function.movement == movement and function.moves(module))
+
+    functions = planner.commanding.values()
+    return [(module.name, movement) for module in modules for movement in MOVED if any(of(each, module, movement) for each in functions)]
+
+
+def _held(symbol: str, module: ShiningModule, how: str) -> LuxloopError:
+    return LuxloopError(
+        f"functions.{symbol}.modules: {module.name!r} is {how}, but a controller can hold a symbol only with modules at rest; "
+        "name another module here, or other modules in the function that moves them"
+    )

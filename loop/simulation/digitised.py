@@ -1,0 +1,91 @@
+"""The simulated world of which one module shines as a real lamp does; no lamp is connected here."""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import torch
+from torch import Tensor
+
+from luxloop.controllers.pixels.primitives import meant
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.simulation.made import Made
+from luxloop.loop.simulation.protocol import Arrivals, Exposure
+from luxloop.loop.simulation.simulated import SimulatedPlant, simulated_plant
+from luxloop.loop.simulation.truth import LampModule
+from luxloop.loop.simulation.world import World
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight import Headlight
+
+KEPT: Final = 8  # light textures, of which those of an on and an off exposure alternate
+
+
+class MeasuredTextures:
+    """The light textures that a real lamp gave for the last utilisations; of others, which it has not shown, those of a headlight."""
+
+    def __init__(self, headlight: Headlight) -> None:
+        self._headlight, self._kept = headlight, deque[tuple[Tensor, Tensor]](maxlen=KEPT)
+
+    def keep(self, utilisation: Tensor, texture: Tensor) -> None:
+        """utilisation: `[n_p]` that was shown. texture: `[rows, cols]` cd that came of it."""
+        self._kept.append((utilisation, texture.to(utilisation)))
+
+    def light_texture(self, utilisation: Tensor, band: slice | None = None) -> Tensor:
+        """Luminous intensity `[..., rows, cols]` in cd of a utilisation `[..., n_p]`."""
+        for shown, texture in reversed(self._kept):
+            if shown is utilisation or torch.equal(shown, utilisation):
+                return texture
+        return self._headlight.light_texture(utilisation, band)
+
+
+@dataclass(frozen=True, eq=False)
+class DigitisedPlant:
+    """A simulated world that waits for a lamp, which `luxloop run --rig` connects: it can be looked at, not started.
+
+    key: of the scenario that names the module. number: of the module. measured: its light textures. late: exposures by which its light is
+    late.
+    """
+
+    night: SimulatedPlant
+    key: str
+    number: int
+    measured: MeasuredTextures
+    late: int
+
+    @property
+    def truth(self) -> World:
+        """What is true."""
+        return self.night.world
+
+    def start(self) -> tuple[Any, Arrivals]:
+        """Raises LuxloopError."""
+        raise LuxloopError(needs_rig(self.key))
+
+    def show(self, state: Any, exposure: Exposure) -> tuple[Any, Arrivals]:
+        """Raises LuxloopError."""
+        return self.start()
+
+
+def needs_rig(key: str) -> str:
+    """That a scenario needs a rig, as its key says which names the module."""
+    return f"{key}: is digitised from a real lamp; run it with `luxloop run NAME --rig FILE`, or play a recording of it with --plant"
+
+
+def digitised_plant(scenario: Scenario, modules: Sequence[LampModule], made: Made | None = None) -> DigitisedPlant:
+    """The world of a scenario with a digitised module. Raises LuxloopError where that is no single module, and as `simulated_plant`."""
+    number = digitised_number(scenario, [each.name for each in modules])
+    measured = MeasuredTextures(modules[number].headlight)
+    shining = [replace(each, measured=measured) if k == number else each for k, each in enumerate(modules)]
+    late = max(each.late_steps(scenario.rate_hz) for each in scenario.modules.values()) * len(scenario.shares)
+    return DigitisedPlant(simulated_plant(scenario, shining, made), f"modules.{scenario.digitised}", number, measured, late)
+
+
+def digitised_number(scenario: Scenario, names: Sequence[str]) -> int:
+    """Which of the modules that shine, by their names, is digitised. Raises LuxloopError where it is no single one."""
+    name = scenario.digitised or ""
+    found = [k for k, each in enumerate(names) if meant([name], each)]
+    if len(found) != 1:
+        told = f"{len(found)} modules are called {name!r}" if found else f"there is no module {name!r}"
+        raise LuxloopError(f"modules.{name}: {told}; name one of {', '.join(names)}")
+    return found[0]

@@ -1,0 +1,235 @@
+"""Frames in a folder: what a plant was shown and what it handed over, bit for bit, in files that run no code when they are read.
+
+A table with a row an exposure and a last one for the end; a grey PNG a frame, of 8 bits where the camera has no more, else of 16; a NumPy
+archive for each light, which several exposures may share.
+"""
+
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import torch
+from torch import Tensor
+
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
+from luxloop.loop.simulation.objects import read_objects
+from luxloop.loop.simulation.protocol import Exposure
+from luxloop.perception.camera import CameraParams
+from luxloop.perception.egomotion import VALUES, Sample
+from luxloop.world.arrays import Arrays, read_npz, write_npz
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import content, reading, regular, whole
+from luxloop.world.headlight.lamp import Commands, ModuleCommand
+from luxloop.world.images import decoded
+from luxloop.world.params import PLAIN
+from luxloop.world.parquet import read_parquet
+
+FOLDER: Final = "frames"
+TABLE: Final = f"{FOLDER}/exposures.parquet"
+AGAIN: Final = "record the run again with --frames"
+QUICK: Final = (cv2.IMWRITE_PNG_COMPRESSION, 1)  # noise shrinks no further, however long it takes
+Row = dict[str, Any]
+
+# name: (type, unit, description)
+COLUMNS: dict[str, tuple[pa.DataType, str, str]] = {
+    "number": (pa.int64(), "1", "number of the exposure; the last row is not an exposure, but the state of the plant at the end"),
+    "time_s": (pa.float64(), "s", "when it began"),
+    "duration_s": (pa.float64(), "s", "its commanded duration"),
+    "light": (pa.int64(), "1", "number of the file with its light"),
+    "taken_s": (pa.float64(), "s", "when its frame was taken; empty until the frame arrives"),
+    "arrived_s": (pa.float64(), "s", "when the frame arrived"),
+    "came_with": (pa.int64(), "1", "number of the exposure by whose end the frame had arrived, or was reported lost"),
+    "lost": (pa.bool_(), "", "whether the frame is lost, so that it has no file"),
+    "samples": (
+        pa.string(),
+        "",
+        "[sensor, measured_s, arrived_s, values] of each `Sample` that arrived since the previous exposure, as JSON",
+    ),
+    "objects": (pa.string(), "", "the `TrackedObject`s that the plant told of, as JSON; empty where it told nothing"),
+}
+SCHEMA = pa.schema(pa.field(name, kind, metadata={"unit": unit, "description": text}) for name, (kind, unit, text) in COLUMNS.items())
+
+
+def image_file(directory: Path, number: int) -> Path:
+    """Where the frame of an exposure lies."""
+    return directory / FOLDER / f"frame_{number:08d}.png"
+
+
+def twin_file(directory: Path, number: int) -> Path:
+    """Where the simulated frame of an exposure of a rig lies."""
+    return directory / FOLDER / f"twin_{number:08d}.png"
+
+
+def light_file(directory: Path, number: int) -> Path:
+    """Where a light lies."""
+    return directory / FOLDER / f"light_{number:08d}.npz"
+
+
+def remove(directory: Path) -> None:
+    """Remove the frames of a recording, if there are any, and nothing else. Raises OSError where that cannot be."""
+    folder = directory / FOLDER
+    if folder.is_symlink():
+        folder.unlink()
+    for pattern in ("frame_*.png", "twin_*.png", "light_*.npz", Path(TABLE).name):
+        for file in folder.glob(pattern):
+            file.unlink()
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()
+
+
+def write_image(file: Path, image: Tensor, bits: int) -> None:
+    """Write a frame of digital numbers `[height, width]` of this many bits. Raises LuxloopError for other values, or if it cannot write."""
+    numbers = image.clamp(0, 2**bits - 1).round()
+    if not numbers.equal(image):
+        raise LuxloopError(
+            f"{file}: cannot be stored, as the frame has values other than digital numbers of 0 to {2**bits - 1}; check the plant with "
+            "luxloop.check_plant"
+        )
+    coded = cv2.imencode(".png", numbers.cpu().numpy().astype(np.uint8 if bits <= 8 else np.uint16), QUICK)[1]
+    with whole(file) as part:
+        part.write_bytes(coded.tobytes())
+
+
+def read_image(file: Path, camera: CameraParams, like: Tensor) -> Tensor:
+    """Digital numbers `[height, width]` in the dtype and on the device of like. Raises LuxloopError for a frame of another camera."""
+    with reading(file, "damaged, or no frame of a recording", AGAIN):
+        image = decoded(content(file), str(file))
+        small = image is not None and camera.bits <= 8 and image.dtype == np.uint8  # earlier versions wrote these with 16 bits, too
+        if image is None or not (small or image.dtype == np.uint16) or image.ndim != 2:
+            raise ValueError("no grey PNG of 16 bits")
+        if image.shape != (camera.height_px, camera.width_px):
+            size = f"{image.shape[1]} x {image.shape[0]}"
+            raise LuxloopError(
+                f"{file}: has {size} px, but the camera {camera.width_px} x {camera.height_px}; run it with the scenario recorded"
+            )
+        if (most := image.max()) >= 2**camera.bits:
+            raise LuxloopError(f"{file}: has numbers up to {most}, but camera.bits = {camera.bits}; run it with the scenario recorded")
+        return torch.from_numpy(image.astype(np.int32)).to(like)
+
+
+def light_arrays(exposure: Exposure) -> Arrays:
+    """What an exposure shows, by name."""
+    arrays: dict[str, Tensor | None] = {}
+    if exposure.commands:
+        arrays["commands"] = torch.tensor([astuple(each) for each in exposure.commands], dtype=torch.float64)
+    for k, light in enumerate(exposure.lights):
+        band = None if light.band is None else torch.tensor([light.band.start, light.band.stop], dtype=torch.float64)
+        arrays |= {f"u_{k}": light.u, f"band_{k}": band}
+    for name, projection in exposure.projections.items():
+        of_it = {"pose": projection.pose, "z": projection.z, "shape": projection.shape, "aim": projection.aim}
+        of_it |= {f"raw_{k}": u for k, u in enumerate(projection.raw or ())}
+        if (warp := projection.warp) is not None:
+            of_it |= {"source": warp.source, "dimming": warp.dimming, "size_m": torch.tensor(warp.size_m, dtype=torch.float64)}
+        arrays |= {f"{name}.{key}": value for key, value in of_it.items()}
+    return {name: each.detach().cpu().numpy() for name, each in arrays.items() if each is not None}
+
+
+def write_light(file: Path, arrays: Arrays) -> None:
+    """Write what an exposure shows. Raises LuxloopError where it cannot be written."""
+    with whole(file) as part:
+        write_npz(part, arrays.items())
+
+
+def read_light(
+    file: Path, pixels: Sequence[int], device: torch.device
+) -> tuple[tuple[Utilisation, ...], dict[str, ProjectionCommand], Commands]:
+    """Lights, projections by the names of their symbols, on the device, and commands. pixels: of each module.
+
+    Raises LuxloopError for utilisations of other modules.
+    """
+    with reading(file, "damaged, or no light of a recording", AGAIN):
+        arrays = read_npz(regular(file))
+        if [arrays[f"u_{k}"].shape for k in range(len(arrays)) if f"u_{k}" in arrays] != [(n,) for n in pixels]:
+            raise LuxloopError(f"{file}: holds the light of other modules than those that draw here; run it with the scenario recorded")
+        lights = []
+        for k, n in enumerate(pixels):
+            u, band = _tensor(arrays, f"u_{k}", device, (n,)), _optional(arrays, f"band_{k}", device, (2,))
+            if u.min() < 0 or u.max() > 1 or (band is not None and not 0 <= band[0] <= band[1] <= n):
+                raise ValueError(f"u_{k} is no utilisation")
+            lights.append(Utilisation(u, None if band is None else slice(int(band[0]), int(band[1]))))
+        turns = _optional(arrays, "commands", torch.device("cpu"), (len(pixels), 3))
+        commands = () if turns is None else tuple(ModuleCommand(*each) for each in turns.tolist())
+        if not all(0 <= each.intensity <= 1 for each in commands):
+            raise ValueError("commands hold an intensity that is no share")
+        names = [key.removesuffix(".pose") for key in arrays if key.endswith(".pose")]
+        if strange := [name for name in names if not re.fullmatch(PLAIN, name)]:
+            raise ValueError(f"{strange[0]!r} is no name of a symbol")
+        return tuple(lights), {name: _projection(arrays, name, pixels, device) for name in names}, commands
+
+
+def sample_values(samples: Sequence[Sample]) -> str:
+    """Samples of the vehicle's sensors, as a row holds them."""
+    return json.dumps([[each.sensor, each.measured_s, each.arrived_s, each.values.tolist()] for each in samples])
+
+
+def read_samples(row: Mapping[str, Any], like: Tensor) -> tuple[Sample, ...]:
+    """The samples of a row, in the dtype and on the device of like. Raises ValueError, TypeError or KeyError for anything else."""
+    samples = tuple(Sample(sensor, at_s, by_s, like.new_tensor(values)) for sensor, at_s, by_s, values in json.loads(row["samples"]))
+    for each in samples:
+        if each.values.shape != (VALUES[each.sensor] or len(each.values),) or not each.values.isfinite().all():
+            raise ValueError(f"a sample of {each.sensor} has no such values")
+        if not math.isfinite(each.measured_s) or not math.isfinite(each.arrived_s):
+            raise ValueError(f"a sample of {each.sensor} has no times")
+    return samples
+
+
+def read_exposures(file: Path) -> list[Row]:
+    """The rows of a table, that of the end included. Raises LuxloopError where it is missing, damaged, or has no exposure."""
+    with reading(file, "damaged, or no table of exposures", AGAIN):
+        table = read_parquet(file)
+        if "objects" not in table.column_names:  # as written by earlier versions
+            table = table.append_column("objects", pa.nulls(table.num_rows))
+        rows: list[Row] = table.select(SCHEMA.names).cast(SCHEMA).to_pylist()
+        if len(rows) < 2 or [row["number"] for row in rows] != list(range(len(rows))):
+            raise ValueError("no exposures that are numbered from 0")
+        for row in rows[:-1]:
+            came = [row[key] is not None for key in ("came_with", "lost")]
+            if any(row[key] is None for key in ("duration_s", "light")) or len(set(came)) > 1 or row["light"] < 0:
+                raise ValueError(f"exposure {row['number']} is not complete")
+            if row["lost"] is False and (row["taken_s"] is None or row["arrived_s"] is None):
+                raise ValueError(f"the frame of exposure {row['number']} has no times")
+        for row in rows:
+            if row["time_s"] is None or row["samples"] is None:
+                raise ValueError(f"time or samples of exposure {row['number']} are not complete")
+            read_samples(row, torch.empty(0))
+            read_objects(row["objects"])
+        return rows
+
+
+def _tensor(arrays: Arrays, name: str, device: torch.device, shape: tuple[int, ...]) -> Tensor:
+    """Raises ValueError where an array is not of that shape or not finite, and KeyError where it is missing."""
+    array = arrays[name]
+    if array.shape != shape or array.dtype not in (np.float32, np.float64) or not np.isfinite(array).all():
+        raise ValueError(f"{name} is no finite float {list(shape)}, but {array.dtype} {list(array.shape)}")
+    return torch.from_numpy(array).to(device)
+
+
+def _optional(arrays: Arrays, name: str, device: torch.device, shape: tuple[int, ...]) -> Tensor | None:
+    return _tensor(arrays, name, device, shape) if name in arrays else None
+
+
+def _projection(arrays: Arrays, name: str, pixels: Sequence[int], device: torch.device) -> ProjectionCommand:
+    own = {key.removeprefix(f"{name}."): value for key, value in arrays.items() if key.startswith(f"{name}.")}
+    raw = [_tensor(own, key, device, own[key].shape) for k in range(len(pixels)) if (key := f"raw_{k}") in own]
+    if any(u.shape not in [(n,) for n in pixels] for u in raw):
+        raise ValueError(f"the utilisations of {name} are of none of the modules")
+    z, shape, aim = (_optional(own, key, device, size) for key, size in (("z", ()), ("shape", (4,)), ("aim", (2,))))
+    return ProjectionCommand(_tensor(own, "pose", device, (4,)), z, _warp(own, len(pixels), device), tuple(raw) or None, shape, aim)
+
+
+def _warp(arrays: Arrays, modules: int, device: torch.device) -> Warp | None:
+    if "source" not in arrays:
+        return None
+    m, _, *cells = arrays["source"].shape
+    if m not in (1, modules) or len(cells) != 2:
+        raise ValueError(f"source is no [modules, 2, rows, columns], but {list(arrays['source'].shape)}")
+    along, across = _tensor(arrays, "size_m", device, (2,)).tolist()
+    return Warp(_tensor(arrays, "source", device, (m, 2, *cells)), _tensor(arrays, "dimming", device, (m, *cells)), (along, across))

@@ -1,0 +1,142 @@
+"""How the light lies on the true road, which only a plant that knows the truth can say: symbols, and whether lights add up."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn.functional import max_pool2d
+
+from luxloop.controllers.functions.planner import Plan
+from luxloop.controllers.pixels.primitives import E_V, I_V, U_ABS, U_REL
+from luxloop.controllers.pixels.rthc import trace
+from luxloop.controllers.pixels.secondary import Light
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.symbol.sensing.projector import SymbolParams
+from luxloop.loop.simulation.lamps import ShiningModule
+from luxloop.loop.simulation.world import LitScene, World
+from luxloop.perception.birdseye import BirdsEye, Region, birds_eye, cells, region_around
+from luxloop.perception.judge import CELL_M, Target, Verdict, judge, target
+from luxloop.world.frames import inverse, transform
+from luxloop.world.headlight import Headlight
+from luxloop.world.roads.base import Road
+from luxloop.world.scene.vehicle import STANDING
+from luxloop.world.view import View
+
+LEAST_LX = 1.0  # on a surface that faces the lamps: of less nobody on the road sees anything
+
+
+@dataclass(frozen=True, eq=False)
+class Judge:
+    """Compares light with the target, without noise.
+
+    world: what is true. road: whose places the target's are unless it is an appearance. plane: of the vehicle as it stands at first, see
+    `plane_at`.
+    """
+
+    world: World
+    symbol: SymbolParams
+    road: Road
+    plane: BirdsEye
+    goal: Target
+
+    @classmethod
+    def of(cls, world: World, symbol: SymbolParams, road: Road, flat_luminance: Tensor) -> "Judge":
+        """flat_luminance: `[height, width]` cd/m^2 of the symbol at its target on a flat road, as the true camera sees it."""
+        flat = _plane(symbol, world.view, None).to(world.device)
+        goal = target(flat_luminance, flat, symbol.length_m, symbol.width_m)
+        plane = flat if symbol.target == "appearance" else _plane(symbol, world.view, _places(symbol, road, world, 0.0)).to(world.device)
+        return cls(world, symbol, road, plane, goal)
+
+    def verdict(self, lights: tuple[Utilisation, ...], time_s: float) -> Verdict:
+        """lights: utilisations, one a module, of the on exposure."""
+        return self.judged(self.world.lit(time_s).luminance(lights), time_s)
+
+    def judged(self, luminance: Tensor, time_s: float) -> Verdict:
+        """luminance: `[height, width]` cd/m^2 that the symbol adds."""
+        return judge(luminance, self.plane_at(time_s), self.goal)
+
+    def road_m(self, times_s: Sequence[float]) -> float:
+        """Height of the road over the plane of the ground, along the middle of the target, where and when it is farthest from it."""
+        x_m, half_m = self.symbol.x_m, self.symbol.length_m / 2
+        along = torch.tensor([[x_m - half_m, x_m, x_m + half_m], [self.symbol.y_m] * 3, [0.0] * 3], dtype=torch.float64)
+        heights = torch.cat(
+            [_heights(along, self.road, self.world, time_s)[0] for time_s in (times_s[:1] if self.world.motion is STANDING else times_s)]
+        )
+        return float(heights[heights.abs().argmax()])
+
+    def plane_at(self, time_s: float) -> BirdsEye:
+        """Where the target lies, as the camera sees it at a time: the plane of the ground, or the road itself."""
+        view, motion, appears = self.world.view_from_ground(time_s), self.world.motion, self.symbol.target == "appearance"
+        if motion is STANDING or (appears and view.T_world_view.equal(self.world.view.T_world_view)):
+            return self.plane
+        places = None if appears else _places(self.symbol, self.road, self.world, time_s)
+        return _plane(self.symbol, view, places).to(self.world.device)
+
+
+def _plane(symbol: SymbolParams, view: View, places: Tensor | None) -> BirdsEye:
+    return birds_eye(_region(symbol), view, places)
+
+
+def _region(symbol: SymbolParams) -> Region:
+    return region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m, CELL_M)
+
+
+def _places(symbol: SymbolParams, road: Road, world: World, time_s: float) -> Tensor:
+    """Places `[3, rows, cols]` m of the road in the ground frame of a time."""
+    flat = cells(_region(symbol))
+    return torch.cat([flat[:2], _heights(flat.flatten(1), road, world, time_s).view_as(flat[2:])])
+
+
+def _heights(flat: Tensor, road: Road, world: World, time_s: float) -> Tensor:
+    """Of the road in m `[1, N]`, over places `[3, N]` on the plane of the ground at a time."""
+    T_world_ground = world.motion.at(time_s).T_world_ground
+    x, y, _ = transform(T_world_ground, flat)
+    there = torch.stack([x, y, torch.from_numpy(road.z(x.numpy(), y.numpy()))])
+    return transform(inverse(T_world_ground), there)[2:]
+
+
+def over_setpoint(modules: Sequence[ShiningModule], plan: Plan, lights: Sequence[Utilisation], seen: LitScene) -> float | None:
+    """Most light on a point of the road that the camera sees, as a multiple of the largest setpoint there; None where there is none.
+
+    modules: as aimed, in the ground frame. Both are illuminances of surfaces that face the lamps, so that the slope of a stone does not
+    count. The setpoint is the largest of the base beam and of the functions' within the light of a pixel (`_spread`), as no lamp can
+    separate what is nearer. What functions share is set for all modules together; shares of pixels add up.
+    """
+    road = seen.surfaces.position[:, seen.surfaces.object_id == 0]
+    points = transform(inverse(seen.vehicle.T_world_ground), road.double()).float()
+    if not points.shape[1] or plan.primitives is None:
+        return None
+    lit, base, added, together = (torch.zeros_like(points[0]) for _ in range(4))
+    for module, light in zip(modules, lights, strict=True):
+        lamp = module.headlight
+
+        def on_road(texture: Tensor, module: ShiningModule = module) -> Tensor:
+            return Light(module.headlight, texture, module.T_world_module, module.intensity).possible(points)
+
+        beam = lamp.light_texture(module.base(plan))
+        full = lamp.light_texture(torch.ones_like(module.flux))
+        lit += on_road(lamp.light_texture(light.u))
+        base += on_road(_spread(beam, lamp))
+        asked = trace(plan.primitives.for_module(module.name).to(beam.device), lamp, module.T_world_module)
+        rows, cols = asked.window.slices
+        shares, in_cd = torch.zeros_like(beam), torch.zeros_like(beam)
+        quantity = torch.full_like(asked.value, asked.quantities[0]) if asked.quantity is None else asked.quantity
+        per_share = torch.where(quantity == U_REL, beam[rows, cols], full[rows, cols])
+        is_share = (quantity == U_REL) | (quantity == U_ABS)
+        shares[rows, cols] = torch.where(is_share, asked.value * per_share, 0.0)
+        in_cd[rows, cols] = torch.where((quantity == I_V) | (quantity == E_V), asked.value, 0.0)
+        added += on_road(_spread(shares, lamp))
+        together = torch.maximum(together, on_road(_spread(in_cd, lamp)))
+    most = torch.stack([base, added, together]).amax(0)
+    ratios = (lit / most.clamp(min=LEAST_LX))[lit >= LEAST_LX]
+    return float(ratios.max()) if len(ratios) else None
+
+
+def _spread(texture: Tensor, lamp: Headlight) -> Tensor:
+    """The largest value `[rows, cols]` of the setpoints of all pixels whose light reaches a texel.
+
+    A pixel averages setpoints over its light, so that what is asked at its one edge shines at the other.
+    """
+    up, aside = lamp.pixel_extent
+    return max_pool2d(max_pool2d(texture[None], (2 * up + 1, 1), 1, (up, 0)), (1, 2 * aside + 1), 1, (0, aside))[0]

@@ -1,0 +1,264 @@
+"""The car's lamps, ready to be driven: every module that shines, with its pixel controller and its base beams."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from luxloop.controllers.functions.base_beams import BaseBeam
+from luxloop.controllers.functions.planner import Plan
+from luxloop.controllers.pixels.morphing import Morphing
+from luxloop.controllers.pixels.power import limit_power, pixel_flux
+from luxloop.controllers.pixels.primitives import Primitives, meant
+from luxloop.controllers.pixels.secondary import SecondaryRays, scene_caster
+from luxloop.controllers.pixels.ssc import PixelController, Utilisation
+from luxloop.controllers.pixels.windows import projected_windows
+from luxloop.controllers.situation import Situation
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.scenario.shipped import named
+from luxloop.loop.simulation.build_lamps import MountedModule, mounted
+from luxloop.loop.simulation.ground import seen_from
+from luxloop.loop.simulation.made import Made
+from luxloop.loop.simulation.pixel_control import pixel_controller
+from luxloop.loop.simulation.truth import LampModule
+from luxloop.loop.simulation.world import World
+from luxloop.world.errors import LuxloopError, located
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import Commands, ModuleCommand
+from luxloop.world.lampfiles.utilisations import RawUtilisation, read_sequence
+from luxloop.world.scene.scene import StreetLamp
+
+
+@dataclass(frozen=True, eq=False)
+class ShiningModule(MountedModule):
+    """A module with its pixel controller. flux: `[n_p]` lm at full utilisation, which stands for power as well; flux_lm: of all its pixels.
+
+    beams: the base beams that the scenario may ask for, by name; empty where the module shows raw utilisations. intensity: its maximum
+    now, as a share.
+    """
+
+    controller: PixelController
+    flux: Tensor
+    flux_lm: float
+    beams: Mapping[str, Morphing]
+    raw: RawUtilisation | None = None
+    intensity: float = 1.0
+
+    def under(self, command: ModuleCommand) -> "ShiningModule":
+        """The module as it is commanded."""
+        return replace(self, T_world_module=command.turned(self.T_world_module), intensity=command.intensity)
+
+    def beam(self, name: str) -> Tensor:
+        """Utilisation `[n_p]` of a beam of the lamp. Raises LuxloopError where it has none of that name."""
+        return self.lamp.beam(name)[self.number].to(self.flux)
+
+    def showing(self, beam: str) -> "ShiningModule":
+        """The module with this base beam alone. Raises LuxloopError where the lamp has none of that name."""
+        return replace(self, beams={beam: Morphing(self.headlight, self.beam(beam))}, raw=None)
+
+    def base(self, plan: Plan) -> Tensor:
+        """Utilisation `[n_p]` below all functions: the raw one, else a base beam, morphed and dimmed."""
+        if self.raw is not None:
+            return self.raw.at(plan.time_s).to(self.flux)
+        beam = plan.base
+        moved = self.beams[beam.name]
+        shown = moved.beam if beam == BaseBeam(beam.name, share=beam.share) else moved.utilisation(beam.morph)
+        return shown if beam.share == 1 else beam.share * shown
+
+    def utilisation(self, plan: Plan, secondary: SecondaryRays) -> Utilisation:
+        """Of base beam and functions, and what is painted over them; secondary: what this module's rays ask where they hit."""
+        base, primitives, layer = self.base(plan), plan.for_module(self.name), plan.painted.get(self.name)
+        if primitives is None or (layer is not None and not layer.over):
+            light = Utilisation(base, slice(0, 0) if self.raw is None and plan.base.name == "off" else None)
+        else:
+            light = self.controller.over(base).utilisation(primitives.to(base.device), self.T_world_module, secondary)
+        return light if layer is None else layer.on(light)
+
+
+@dataclass(frozen=True)
+class LampPower:
+    """What a lamp gives and takes: flux in lm, power as a share of all pixels on, the factor by which its limit dims it, and watts.
+
+    flux_lm_peak: of its brightest exposure.
+    """
+
+    flux_lm: float
+    share: float
+    factor: float
+    watts: float
+    flux_lm_peak: float
+
+
+def mean_powers(powers: Sequence[Mapping[str, LampPower]], shares: Sequence[float]) -> Mapping[str, LampPower]:
+    """Time means over exposures, by the lamps' sides; the factor is the least. Of one alone, shown for the whole step, that."""
+    first = powers[0]
+    if len(powers) == 1:
+        return first
+
+    def mean(side: str, key: str) -> float:
+        return sum(share * getattr(each[side], key) for share, each in zip(shares, powers, strict=True))
+
+    def of(side: str) -> LampPower:
+        factor, peak_lm = min(each[side].factor for each in powers), max(each[side].flux_lm_peak for each in powers)
+        return LampPower(mean(side, "flux_lm"), mean(side, "share"), factor, mean(side, "watts"), peak_lm)
+
+    return {side: of(side) for side in first}
+
+
+def shining_modules(scenario: Scenario, device: torch.device, made: Made | None = None) -> tuple[ShiningModule, ...]:
+    """The shining modules of a scenario's lamps, all where it names none. Raises LuxloopError as `mounted`, and for a missing beam."""
+    made, headlight = made or Made(), scenario.headlight
+    mounts = made("mounted modules", (headlight, str(device)), lambda: tuple(mounted(headlight, device, lambda lamp: lamp.modules)))
+    return tuple(_shining(scenario, each, made) for each in mounts)
+
+
+def _shining(scenario: Scenario, mount: MountedModule, made: Made) -> ShiningModule:
+    light, name, given = mount.headlight, mount.name, scenario.lighting
+    flux = made(f"{name}: flux", light, lambda: pixel_flux(light))
+    raw = made(f"{name}: raw", (light, given.raw), lambda: _raw(scenario, name, light))
+    wanted = given.base.names if raw is None else ()
+    beams: dict[str, Morphing] = {beam: made(f"{name}: {beam} beam", light, partial(_beam, mount, beam, flux)) for beam in wanted}
+    lasting = beams.get(given.base.beam)  # None of one by the situation
+    driven_by = light, scenario.pixel_controller, scenario.ssc, scenario.jpo
+    controller = made(f"{name}: pixel controller", driven_by, lambda: pixel_controller(scenario, light))
+    if lasting is not None:
+        controller = made(f"{name}: pixel controller over its beam", (controller, lasting), lambda: controller.over(lasting.beam))
+
+    def module() -> ShiningModule:
+        where = mount.T_world_module, mount.swivel_deg, mount.level_deg
+        return ShiningModule(mount.side, mount.lamp, mount.number, light, *where, controller, flux, float(flux.sum()), beams, raw)
+
+    return made(f"{name}: module", (mount, controller, flux, beams, raw), module)
+
+
+def _beam(mount: MountedModule, name: str, flux: Tensor) -> Morphing:
+    return Morphing(mount.headlight, _base_beam(mount, name).to(flux))
+
+
+def _base_beam(module: MountedModule, name: str) -> Tensor:
+    try:
+        return module.lamp.beam(name)[module.number]
+    except LuxloopError as error:
+        raise LuxloopError(f'lighting.base.beam: {error}; write beam = "full" for all pixels on') from error
+
+
+def _raw(scenario: Scenario, name: str, headlight: Headlight) -> RawUtilisation | None:
+    """The raw utilisations of a module. Raises LuxloopError that names the key and the file where they are not its own."""
+    mine = [(i, raw) for i, raw in enumerate(scenario.lighting.raw) if meant(raw.modules, name)]
+    if len(mine) > 1:
+        both = " and ".join(f"lighting.raw[{i}]" for i, _ in mine[:2])
+        raise LuxloopError(f"{both} both apply to module {name!r}; name the modules of each in its modules")
+    for i, raw in mine:
+        with located(f"lighting.raw[{i}].file, for module {name!r} (its modules say which are meant)"):
+            file = named(raw.file, "utilisations")
+            return read_sequence(file, headlight.pixel_rows, headlight.pixel_cols, raw.rate_hz, raw.repeat)
+    return None
+
+
+def under(modules: tuple[ShiningModule, ...], commands: Commands) -> tuple[ShiningModule, ...]:
+    """Modules as they are commanded."""
+    return tuple(each.under(command) for each, command in zip(modules, commands, strict=True)) if commands else modules
+
+
+def in_reach(modules: Sequence[ShiningModule], primitives: Primitives, now: Situation) -> bool:
+    """Whether a ray of any module that draws primitives can hit one of them."""
+    for module, (_, light) in zip(modules, now.lights, strict=True):
+        mine = primitives.for_module(module.name)
+        if any(not window.empty for window in projected_windows(mine, module.headlight, light.T_world_headlight.cpu())):
+            return True
+    return False
+
+
+def lamp_modules(modules: Sequence[ShiningModule]) -> list[LampModule]:
+    """What a plant is given of the modules."""
+    return [LampModule(each.name, each.headlight, each.T_world_module) for each in modules]
+
+
+def flux_by_side(modules: Sequence[ShiningModule], lights: Sequence[Tensor]) -> dict[str, float]:
+    """Flux in lm of each lamp; lights: utilisations `[n_p]`, one a module."""
+    sides = dict.fromkeys((module.side for module in modules), 0.0)
+    for module, u in zip(modules, lights, strict=True):
+        sides[module.side] += float((u * module.flux).sum())
+    return sides
+
+
+def _flux_lm(light: Utilisation, flux: Tensor) -> float:
+    """Of a light in lm; flux: `[n_p]` lm of each of its pixels. Only pixels that may be lit are looked at."""
+    lit = slice(None) if light.band is None else light.band
+    return float(light.u[lit] @ flux[lit])
+
+
+def asked(
+    modules: Sequence[ShiningModule], plan: Plan, secondary: Sequence[SecondaryRays], more: tuple[Plan, Sequence[Utilisation]] | None = None
+) -> list[Utilisation]:
+    """Utilisations `[n_p]` of a plan before any power limit, one a module.
+
+    secondary: rays of each module. more: another plan with the utilisations that this function gave for it. It must draw the same
+    primitives as this plan, and may draw others besides; modules that draw none of those keep its utilisations.
+    """
+
+    def drawn(by: Plan, module: ShiningModule) -> int:
+        return len(by.for_module(module.name) or ())
+
+    if more is None:
+        return [module.utilisation(plan, rays) for module, rays in zip(modules, secondary, strict=True)]
+    return [
+        known if drawn(more[0], module) == drawn(plan, module) else module.utilisation(plan, rays)
+        for module, rays, known in zip(modules, secondary, more[1], strict=True)
+    ]
+
+
+def driven(
+    modules: Sequence[ShiningModule], lights: Sequence[Utilisation], power_limit: float | None, power_w: Callable[[float], float]
+) -> tuple[tuple[Utilisation, ...], Mapping[str, LampPower]]:
+    """Utilisations, one a module, and the power of each lamp by its side, within the limit if there is one.
+
+    lights: utilisations `[n_p]` before the limit, one a module. power_w: electrical power in W of a lamp by its flux in lm.
+    """
+    wanted = dict(zip((module.name for module in modules), lights, strict=True))
+    limited, powers = [], {}
+    for side in dict.fromkeys(module.side for module in modules):
+        mine = [module for module in modules if module.side == side]
+        shown, factor, most = [wanted[module.name] for module in mine], 1.0, sum(each.flux_lm for each in mine)
+        if power_limit is not None:
+            flux = torch.cat([module.intensity * module.flux for module in mine])
+            u, least = limit_power(torch.cat([each.u for each in shown]), flux, most * power_limit)
+            parts, factor = u.split([len(module.flux) for module in mine]), float(least)
+            shown = [Utilisation(part, each.band) for part, each in zip(parts, shown, strict=True)]
+        total = sum(module.intensity * _flux_lm(each, module.flux) for each, module in zip(shown, mine, strict=True))
+        powers[side] = LampPower(total, total / most, factor, power_w(total), total)
+        limited += shown
+    return tuple(limited), powers
+
+
+@dataclass(frozen=True, eq=False)
+class LampDriver:
+    """All modules with what limits their light. world: what is true, which street lamps and shadow rays need."""
+
+    scenario: Scenario
+    modules: tuple[ShiningModule, ...]
+    world: World | None
+
+    def aimed(self, now: Situation) -> list[ShiningModule]:
+        """The modules at the poses and intensities of a situation."""
+        return [
+            replace(module, T_world_module=light.T_world_headlight, intensity=light.intensity)
+            for module, (_, light) in zip(self.modules, now.lights, strict=True)
+        ]
+
+    def drive(
+        self, plan: Plan, now: Situation, more: tuple[Plan, tuple[Utilisation, ...]] | None = None
+    ) -> tuple[tuple[Utilisation, ...], Mapping[str, LampPower]]:
+        """Utilisations of all modules and powers by lamp. more: a plan that draws all that this one draws and maybe more, and its light."""
+        params, modules = self.scenario.lighting, self.aimed(now)
+        street_lamps: tuple[StreetLamp, ...] = ()
+        occluded = None
+        if self.world is not None and (params.street_lamps or params.shadow_rays):
+            T_world_ground = self.world.motion.at(now.time_s).T_world_ground
+            street_lamps = tuple(seen_from(T_world_ground, lamp) for lamp in self.world.scene.street_lamps) if params.street_lamps else ()
+            occluded = scene_caster(self.world.lit(now.time_s).triangles, T_world_ground) if params.shadow_rays else None
+        secondary = [SecondaryRays(now.lights, own, street_lamps, occluded) for own in range(len(self.modules))]
+        lights = asked(modules, plan, secondary, more if params.power_limit is None else None)
+        return driven(modules, lights, params.power_limit, self.scenario.headlight.power_w)

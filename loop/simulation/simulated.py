@@ -1,0 +1,161 @@
+"""The simulated world as a plant."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from luxloop.loop.scenario.disturbances import UNDISTURBED, DisturbanceParams
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.simulation.build import build_motion, build_scene
+from luxloop.loop.simulation.made import Made
+from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame, Plant
+from luxloop.loop.simulation.truth import LampModule, true_camera, true_modules
+from luxloop.loop.simulation.world import World
+from luxloop.perception.camera import expose
+from luxloop.perception.egomotion import Sample
+from luxloop.perception.glare import glare
+from luxloop.perception.noise import FrameNoise
+from luxloop.perception.sensors import EXACT, SensorParams, Sensors
+from luxloop.world.errors import LuxloopError
+from luxloop.world.partial import Part, PartialImage
+from luxloop.world.rendering.face_source import FirstFound, face_source
+from luxloop.world.scene.late_body import LateBody
+from luxloop.world.scene.vehicle import STANDING, Motion
+
+LOSS_KEY, LATENCY_KEY = 2, 4  # of what is drawn for a step, beside its frames' noise and the sensors'
+
+UnderWay = tuple[tuple[int, Frame], ...]  # frames, each after the number of the exposure at whose end it arrives
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedPlant:
+    """Exposes frames of a world; its state is the queue of frames under way from the camera.
+
+    shares: of a control step, one an exposure.
+    """
+
+    world: World
+    rate_hz: float
+    seed: int
+    sensors: SensorParams = EXACT
+    disturbances: DisturbanceParams = UNDISTURBED
+    shares: tuple[float, ...] = (0.5, 0.5)
+
+    @property
+    def period_s(self) -> float:
+        return 1 / self.rate_hz
+
+    @property
+    def truth(self) -> World:
+        """What is true."""
+        return self.world
+
+    @property
+    def dynamics(self) -> Motion:
+        """How the vehicle moves, whose sensors feel that, also where its body is shown late."""
+        motion = self.world.motion
+        return motion.dynamics if isinstance(motion, LateBody) else motion
+
+    def start(self) -> tuple[UnderWay, Arrivals]:
+        """Nothing is under way."""
+        return (), Arrivals(0.0, samples=self.samples(0.0))
+
+    def show(self, state: UnderWay, exposure: Exposure) -> tuple[UnderWay, Arrivals]:
+        """Expose a frame; it arrives as late as the camera's frames do, and never before an earlier one."""
+        per_step = len(self.shares)
+        step, part = divmod(exposure.number, per_step)
+        begins_s, ends_s = (self._at(number) for number in (exposure.number, exposure.number + 1))
+        image = None if self.loses(step) else self._frame(exposure, step, part)
+        due = max([exposure.number + per_step * self._latency(step), *(number for number, _ in state)])
+        queue = (*state, (due, Frame(exposure.number, exposure.start_s, ends_s, image)))
+        come = tuple(replace(frame, arrived_s=ends_s) for number, frame in queue if number <= exposure.number)
+        return queue[len(come) :], Arrivals(ends_s, come, self.samples(ends_s, begins_s))
+
+    def samples(self, by_s: float, after_s: float | None = None) -> tuple[Sample, ...]:
+        """What the sensors of a vehicle that moves have told by one time and after another; left out: the newest of each."""
+        if self.world.motion is STANDING:
+            return ()
+        sensors, like = Sensors(self.dynamics, self.sensors, self.period_s, self.seed), torch.empty(0, device=self.world.device)
+        return sensors.newest(by_s, like) if after_s is None else sensors.arriving(after_s, by_s, like)
+
+    def _frame(self, exposure: Exposure, step: int, frame: int) -> Tensor:
+        """Digital numbers `[height, width]`, computed where they are read; at once of measured light, which is not kept for long."""
+        view, shown = self.world.view, (exposure.start_s, exposure.lights, exposure.commands)
+
+        def part_of(part: Part) -> Tensor:
+            return self.exposed(*self.world.luminance(*shown, part), step, frame, part)
+
+        image = PartialImage.of(view.height, view.width, exposure.lights[0].u.new_empty(0), part_of)
+        return image if all(module.measured is None for module in self.world.modules) else image[:, :]
+
+    def exposed(self, luminance: Tensor, base: Tensor, step: int, frame: int, part: Part | None = None) -> Tensor:
+        """Digital numbers of a step's on frame (0) or off frame (1) of luminance `[..., height, width]` in cd/m^2, with what disturbs it.
+
+        base: `[height, width]` cd/m^2, the share of the luminance that is there without the lamps. part: of the image, if it is not whole.
+        """
+        view, camera, device = self.world.view, self.world.camera, self.world.device
+        part = part or (slice(0, view.height), slice(0, view.width))
+        ambient, noisy = self.disturbances.ambient_factor(step, frame), self.disturbances.noise_factor(step)
+        if ambient != 1:
+            luminance = luminance + (ambient - 1) * base
+        t_s = self._at(len(self.shares) * step + frame)
+        for lamp in self.disturbances.oncoming_in(step, frame):
+            luminance = luminance + glare(self.world.view_at(t_s).within(*part), lamp.position_at(t_s), lamp, device)
+        noise = FrameNoise.of(self.seed, step, frame).part(part, luminance) if camera.noise else None
+        return expose(luminance, camera, noise if noise is None or noisy == 1 else noisy * noise)
+
+    def _at(self, number: int) -> float:
+        """When an exposure begins, in s."""
+        step, part = divmod(number, len(self.shares))
+        return (step + sum(self.shares[:part])) * self.period_s
+
+    def loses(self, step: int) -> bool:
+        """Whether the frames of a step never arrive."""
+        p = self.disturbances.loss_probability(step, self.world.camera.drop_probability)
+        return p > 0 and bool(self._draw(step, LOSS_KEY).random() < p)
+
+    def _latency(self, step: int) -> int:
+        camera = self.world.camera
+        spread = camera.latency_spread_steps
+        return camera.latency_steps + (int(self._draw(step, LATENCY_KEY).integers(spread, endpoint=True)) if spread else 0)
+
+    def _draw(self, step: int, key: int) -> np.random.Generator:
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(step, key)))
+
+
+def simulated_plant(scenario: Scenario, modules: Sequence[LampModule], made: Made | None = None) -> SimulatedPlant:
+    """The world of a scenario, lit by these modules. made: parts that serve again, None for none. Raises LuxloopError where a file is
+    missing or broken.
+    """
+    made, wrong, given = made or Made(), scenario.disturbances, scenario.all_objects
+    source = made("face source", scenario.renderer, lambda: FirstFound() if scenario.renderer == "auto" else face_source(scenario.renderer))
+    motion = _motion(scenario, made)
+    scene, camera = build_scene(scenario, motion, made), true_camera(scenario)
+    true = made("true modules", (tuple(modules), wrong.aim, wrong.wear), lambda: true_modules(wrong, modules))
+    of_world = scene, true, camera, source, motion, scenario.metered, given
+    world = made("world", of_world, lambda: World(*of_world).after(made.before("world", None)))
+    return SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, scenario.disturbances, scenario.shares)
+
+
+def driven_plant(plant: SimulatedPlant, scenario: Scenario, made: Made) -> SimulatedPlant:
+    """The same plant whose vehicle goes on along the scenario's course. made: its parts, of which motion and world are replaced."""
+    old = plant.world
+    of_world = old.scene, old.modules, old.camera, old.source, _motion(scenario, made), old.metered, old.given
+    return replace(plant, world=made("world", of_world, lambda: World(*of_world).after(old)))
+
+
+def _motion(scenario: Scenario, made: Made) -> Motion:
+    lasts = scenario.vehicle and (scenario.steps, scenario.rate_hz)
+    motion = made("motion", (scenario.vehicle, scenario.road, lasts), lambda: build_motion(scenario, made.before("motion", STANDING)))
+    late = max((each.late_steps(scenario.rate_hz) for each in scenario.modules.values() if each.delay_body), default=0)
+    return LateBody.behind(motion, late / scenario.rate_hz) if late else motion
+
+
+def as_simulated(plant: Plant, asked: str) -> SimulatedPlant:
+    """A plant that must be the simulated world. Raises LuxloopError, which begins with what asks for that, where it is another."""
+    if not isinstance(plant, SimulatedPlant):
+        raise LuxloopError(f'{asked}: needs the simulated world; set plant.kind = "simulated", and digitise no module')
+    return plant

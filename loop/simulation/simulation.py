@@ -1,0 +1,429 @@
+"""Lighting functions at work: at each step the objects are tracked, the functions planned, the lamps driven, and the light looked at."""
+
+import math
+from collections.abc import Generator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from luxloop.controllers.functions.base_beams import BaseBeamParams, BeamName
+from luxloop.controllers.functions.commands import Given
+from luxloop.controllers.functions.planner import Planner
+from luxloop.controllers.pixels.secondary import Light
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.situation import Seen, Situation, Timed, TrackedObject
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.protocol import SymbolController
+from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
+from luxloop.loop.scenario.checks import Light as OtherLight
+from luxloop.loop.scenario.model import Scenario, only
+from luxloop.loop.scenario.shown import Shown
+from luxloop.loop.simulation.commanded import commanded
+from luxloop.loop.simulation.controlled import ControlledSymbol, Moment, turn
+from luxloop.loop.simulation.detection import DetectionPipeline
+from luxloop.loop.simulation.evaluator import Evaluator
+from luxloop.loop.simulation.ground import attitude, moved
+from luxloop.loop.simulation.lamps import LampDriver, ShiningModule, in_reach, mean_powers
+from luxloop.loop.simulation.made import Made
+from luxloop.loop.simulation.pairing import paired
+from luxloop.loop.simulation.parts import parts
+from luxloop.loop.simulation.protocol import Arrivals, Exposure, Objects, Plant, Showing, closed
+from luxloop.loop.simulation.result import (
+    Clock,
+    Control,
+    Lights,
+    Parts,
+    Perception,
+    Reception,
+    SimulationState,
+    StepDrive,
+    StepPlan,
+    StepResult,
+    without,
+)
+from luxloop.loop.simulation.simulated import as_simulated
+from luxloop.loop.simulation.world import LitScene, World
+from luxloop.perception.camera import luminance_of, saturation_luminance
+from luxloop.perception.egomotion import Ego, Samples, ego_of, newest
+from luxloop.world.errors import LuxloopError, located
+from luxloop.world.frames import inverse
+from luxloop.world.headlight.lamp import REST, Commands
+from luxloop.world.process import check_process
+from luxloop.world.view import View
+
+BEAMS: Mapping[OtherLight, BeamName] = {"full_light": "full", "low_beam": "low"}
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """A scenario made ready to run on one device.
+
+    Functions live in the ground frame, which drives with the car. view: what the camera of a car on a level body would see, as the car
+    believes. pipeline: None without a detector. controlled: symbols that are held, by name. made: the parts. Without detector and held
+    symbols steps depend on their time alone, unless a function learns, or commands modules.
+    """
+
+    scenario: Scenario
+    device: torch.device
+    planner: Planner
+    modules: tuple[ShiningModule, ...]
+    lights: tuple[tuple[str, Light], ...]
+    view: View
+    plant: Plant
+    pipeline: DetectionPipeline | None = None
+    controlled: Mapping[str, ControlledSymbol] = field(default_factory=dict)
+    made: Made = field(default_factory=Made)
+
+    @classmethod
+    def prepare(cls, scenario: Scenario, device: torch.device | str = "cpu", before: "Simulation | None" = None) -> "Simulation":
+        """Build scene and lamps, load symbols, plan a step. Raises LuxloopError where something is missing, beams included, or broken.
+
+        before: another simulation, of which all that has stayed as it was serves again.
+        """
+        device = torch.device(device)
+        made = Made(None if before is None or before.device != device else before.made)
+        with located(scenario.source):
+            simulation = cls(scenario, device, made=made, **parts(scenario, device, made))
+            simulation.planner.plan(simulation.situation(0.0))
+        made.end()
+        return simulation
+
+    @property
+    def truth(self) -> World | None:
+        """What is true, None where the plant does not know it."""
+        return getattr(self.plant, "truth", None)
+
+    @property
+    def world(self) -> World:
+        """What is true, where it must be known. Raises LuxloopError on a plant that does not know it."""
+        if (truth := self.truth) is None:
+            raise LuxloopError(f"{self.scenario.name}: the plant {self.scenario.plant.kind} does not know the truth; take another plant")
+        return truth
+
+    @property
+    def symbol(self) -> ControlledSymbol:
+        """The only symbol that a controller holds. Raises LuxloopError where there are several or none."""
+        return self.controlled[only(self.controlled)]
+
+    def lights_of(self, result: StepResult, drawn: Parts) -> Lights:
+        """Those of a step in which the functions draw these primitives, by name."""
+        return self.lamps.drive(self.planner.composed(result.now, result.functions, drawn), result.now)[0]
+
+    def of_all(self, symbol: ControlledSymbol, light: Sequence[Utilisation]) -> Lights:
+        """What a light of a symbol's modules adds to their base beams, as utilisations of all modules."""
+        drawn = dict(zip(symbol.drawn_by, zip(light, symbol.projector.resting, strict=True), strict=True))
+        added = {k: Utilisation(each.u - beam.u, each.band) for k, (each, beam) in drawn.items()}
+        return tuple(added.get(k, Utilisation(0 * module.flux, slice(0, 0))) for k, module in enumerate(self.modules))
+
+    def with_controller(self, controller: SymbolController) -> "Simulation":
+        """The same with another controller of the only symbol that is held. Raises as `symbol`."""
+        return replace(self, controlled={only(self.controlled): replace(self.symbol, controller=controller)})
+
+    @property
+    def renderer(self) -> str:
+        """Source of the simulated plant's G-buffers, else what the plant is called."""
+        return self.scenario.plant.kind if self.truth is None else self.truth.source.name
+
+    def lit_by(self, light: OtherLight) -> "Simulation":
+        """The same world with the same noise: in open loop, or lit by nothing but a beam, all pixels on or the low beam.
+
+        Raises LuxloopError where there is no such beam, and on a plant that is not the simulated world.
+        """
+        plant = as_simulated(self.plant, f"checks: compare = {light!r}")
+        if light == "open_loop":
+            return replace(self, controlled={name: each.in_open_loop() for name, each in self.controlled.items()})
+        beam = BEAMS[light]
+        with located(f"checks: compare = {light!r}"):
+            modules = tuple(module.showing(beam) for module in self.modules)
+        alone = self.scenario.lighting.model_copy(update={"base": BaseBeamParams(beam=beam), "raw": (), "painted": ()})
+        scenario = self.scenario.model_copy(update={"lighting": alone, "functions": {}})
+        plant = replace(plant, shares=scenario.shares)
+        return replace(self, scenario=scenario, planner=Planner.prepare({}, alone), modules=modules, plant=plant, controlled={})
+
+    @cached_property
+    def lamps(self) -> LampDriver:
+        """The modules with what limits them."""
+        return LampDriver(self.scenario, self.modules, self.truth)
+
+    @cached_property
+    def _evaluator(self) -> Evaluator:
+        return Evaluator(self.scenario, self.planner, self.pipeline, self.controlled, self.lamps, self.truth)
+
+    @property
+    def watched(self) -> Mapping[str, int]:
+        """See `luxloop.loop.simulation.evaluator.Evaluator.watched`."""
+        return self._evaluator.watched
+
+    def situation(self, time_s: float, tracks: Any = None, ego: Ego | None = None, told: Objects | None = None) -> Situation:
+        """What the car knows at a time: from tracks, if there is a detector, else as told by the plant, or by a tracker without mistakes.
+
+        ego: its motion as measured; left out: it stands on a level body.
+        """
+        T_ground_body = attitude(ego)
+        lights = tuple((name, replace(each, T_world_headlight=moved(T_ground_body, each.T_world_headlight))) for name, each in self.lights)
+        speed, yaw_rate = (0.0, 0.0) if ego is None or ego.stands else (float(ego.speed_m_s), float(ego.yaw_rate_rad_s))
+        conditions = self.scenario.conditions_at(time_s)
+        return Situation(
+            time_s,
+            torch.eye(4, dtype=torch.float64),
+            torch.stack([light.T_world_headlight[:3, 3].double().cpu() for _, light in lights]),
+            self._all_objects(time_s, told) if self.pipeline is None else self._tracked(tracks, time_s, T_ground_body),
+            speed,
+            yaw_rate / speed if speed else 0.0,
+            conditions.wet,
+            conditions.street_lit,
+            lights=lights,
+            pitch_rad=-math.asin(float(T_ground_body[2, 0])),
+            indicator=self.scenario.lighting.indicator,
+        )
+
+    def _commanded(self, time_s: float, state: SimulationState, ego: Ego | None) -> tuple[Situation, Mapping[str, Given]]:
+        now = self.situation(time_s, state.tracks, ego, state.arrivals.objects)
+        return commanded(self.planner, self.modules, self.controlled, state.commanded, now)
+
+    def start(self, step: int = 0) -> SimulationState:
+        """The state before a step, with nothing seen yet."""
+        (plant, arrivals), tracks = self.plant.start(), None if self.pipeline is None else self.pipeline.tracker.start()
+        arrivals = self.sensed(step / self.scenario.rate_hz) if step else arrivals
+        held = {name: each.start() for name, each in self.controlled.items()}
+        return SimulationState(step, tracks, self.planner.start(), plant, arrivals, newest({}, arrivals.samples), held)
+
+    def sensed(self, time_s: float) -> Arrivals:
+        """What the sensors have told by a time. Raises LuxloopError on a plant that is not the simulated world."""
+        return Arrivals(time_s, samples=as_simulated(self.plant, "the light at one time").samples(time_s))
+
+    def ego(self, samples: Samples, time_s: float) -> Ego | None:
+        """What is known of the car's motion at a time, None of one that stands."""
+        return ego_of(samples, self.scenario.vehicle, time_s, self.scenario.shares[0] / self.scenario.rate_hz)
+
+    def step(self, state: SimulationState) -> tuple[SimulationState, StepResult]:
+        """One step: light is planned with what is known, and what is then seen adds to it.
+
+        Where symbols are held all light is shown first, and for the rest of the step all but the symbols whose turn it is.
+        """
+        check_process()
+        clock = Clock()
+        ego, now, commands = self._sense(state)
+        plan = self._plan(state, now, ego)
+        clock.lap("plan")
+        drive = self._drive(plan)
+        clock.lap("light")
+        reception = self._expose(state, plan, drive)
+        clock.lap("plant")
+        perception = self._perceive(state, plan, reception)
+        clock.lap("find")
+        control = self._control(state, plan, drive, reception)
+        clock.lap("control")
+        evaluation, oncoming_s = self._evaluator.evaluate(state, plan, drive, reception, perception, control)
+        clock.lap("look")
+        result = StepResult(
+            step=state.step,
+            time_s=now.time_s,
+            now=now,
+            view=perception.view,
+            functions=state.functions,
+            plan=plan.plans[0],
+            lights=tuple(light.u for light in drive.exposures[0]),
+            powers=mean_powers(drive.powers, self.scenario.shares),
+            frame=perception.image,
+            frames=control.frames,
+            taken_s=control.taken_s,
+            showings=reception.showings,
+            timings=clock.taken_ms,
+            processing_ms=clock.processing_ms,
+            **vars(evaluation),
+        )
+        following = SimulationState(
+            state.step + 1,
+            perception.tracks,
+            perception.functions,
+            reception.plant,
+            reception.arrivals,
+            reception.samples,
+            control.held,
+            perception.believed,
+            control.under_way,
+            control.unpaired,
+            commands,
+            oncoming_s,
+        )
+        return following, result
+
+    def _sense(self, state: SimulationState) -> tuple[Ego | None, Situation, Mapping[str, Given]]:
+        """The car's motion, the situation and what functions command, from all that has arrived."""
+        time_s = state.arrivals.time_s
+        ego = self.ego(state.samples, time_s)
+        return ego, *self._commanded(time_s, state, ego)
+
+    def _plan(self, state: SimulationState, now: Situation, ego: Ego | None) -> StepPlan:
+        """Primitives of functions and controllers: all of them, and without the symbols that are measured in this step."""
+        projections, drawn = self._drawn(state, now, ego)
+        measured = turn(self.controlled, state.held, projections)
+        plans = [self.planner.composed(now, state.functions, drawn)]
+        if measured:
+            plans.append(self.planner.composed(now, state.functions, without(drawn, measured)))
+        return StepPlan(ego, now, projections, drawn, measured, tuple(plans))
+
+    def _drive(self, plan: StepPlan) -> StepDrive:
+        """Utilisations of each exposure, and what it shows of the symbols."""
+        drives = [self.lamps.drive(plan.plans[0], plan.now)]
+        drives += [self.lamps.drive(each, plan.now, (plan.plans[0], drives[0][0])) for each in plan.plans[1:]]
+        per_step = len(self.scenario.shares)
+        exposures = [lights for lights, _ in drives] * (per_step // len(drives))
+        exposures[0] = self._raw(exposures[0], plan.projections)
+        others = {name: each for name, each in plan.projections.items() if name not in plan.measured}
+        return StepDrive(tuple(exposures), (plan.projections, *[others] * (per_step - 1)), tuple(powers for _, powers in drives))
+
+    def _expose(self, state: SimulationState, plan: StepPlan, drive: StepDrive) -> Reception:
+        """The exposures shown on the plant, and all that arrives meanwhile."""
+        plant, arrivals, samples, frames, showings = state.plant, state.arrivals, state.samples, state.frames, list[Showing]()
+        shares, rate_hz = self.scenario.shares, self.scenario.rate_hz
+        for part, (share, lights, projections) in enumerate(zip(shares, drive.exposures, drive.projections, strict=True)):
+            number = len(shares) * state.step + part
+            before, exposure = arrivals, Exposure(number, arrivals.time_s, share / rate_hz, lights, projections, plan.now.commands)
+            plant, arrivals = self.plant.show(plant, exposure)
+            showings.append(Showing(before, exposure, arrivals))
+            frames, samples = frames + arrivals.frames, newest(samples, arrivals.samples)
+        return Reception(plant, arrivals, samples, frames, frames[len(state.frames) :], tuple(showings))
+
+    def _perceive(self, state: SimulationState, plan: StepPlan, reception: Reception) -> Perception:
+        """Detector, tracker and learning functions on the frames that came."""
+        view, per_step = self._from(attitude(plan.ego)), len(self.scenario.shares)
+        watched = {"on": (0,), "off": (per_step - 1,), "both": range(per_step)}[self.scenario.detector_frames]
+        believed = {**state.believed, **{per_step * state.step + part: view for part in watched}}
+        known = Perception(view, state.tracks, state.functions, None, None, plan.now.time_s, believed)
+        for frame in reception.new:
+            if (then_view := known.believed.get(frame.number)) is not None:
+                # Frames before this one never come.
+                believed = {number: each for number, each in known.believed.items() if number > frame.number}
+                known = replace(known, believed=believed)
+                if frame.image is not None:
+                    known = self._look(known, frame.image, frame.taken_s, then_view, plan.now)
+        return known
+
+    def _look(self, known: Perception, image: Tensor, taken_s: float, view: View, now: Situation) -> Perception:
+        """What one frame adds. image: digital numbers `[height, width]`, taken at taken_s in a view that the car believes."""
+        reads = self.planner.learns or self.pipeline is not None
+        image, world, tracks, found, functions = image[:, :] if reads else image, self.truth, known.tracks, known.found, known.functions
+        then = world.lit(taken_s) if reads and world is not None else None
+        if self.pipeline is not None:
+            share = image / (2**self.scenario.camera.bits - 1)
+            found = self.pipeline.find(share, then)
+            tracks = self.pipeline.tracker.follow(tracks, found, share, taken_s)
+        if self.planner.learns:
+            functions = self.planner.step(functions, self._learnt(now, then, taken_s, image, view, tracks))
+        return replace(known, tracks=tracks, functions=functions, found=found, image=image, taken_s=taken_s)
+
+    def _control(self, state: SimulationState, plan: StepPlan, drive: StepDrive, reception: Reception) -> Control:
+        """Measurements of the pairs of frames that came, and the controllers' next states."""
+        alone = len(plan.projections) == 1 and len(self.planner.functions) == 1 and self.scenario.lighting.power_limit is None
+        moment = Moment(plan.projections, plan.measured, drive.exposures[0], drive.exposures[-1], plan.ego, alone)
+        number = len(self.scenario.shares) * state.step
+        pairs, under_way, unpaired = paired((*state.under_way, (number, moment)), reception.frames) if self.controlled else ([], (), ())
+        newer = self.ego(reception.samples, reception.arrivals.time_s)
+        held = {name: replace(each, turn=state.step) if name in plan.measured else each for name, each in state.held.items()}
+        looked = dict[str, Measurement]()
+        for pair in pairs:
+            shown = pair.what.as_shown(pair)
+            for name in (name for name in held if name in shown.projections):
+                held[name], looked[name] = self.controlled[name].step(held[name], name, shown, pair.images, newer)
+        frames, taken_s = (pairs[-1].images, pairs[-1].taken_s) if pairs else (None, math.nan)
+        return Control(held, looked, under_way, unpaired, frames, taken_s)
+
+    def _raw(self, lights: Lights, projections: Mapping[str, ProjectionCommand]) -> Lights:
+        """With the utilisations that a controller gives in place of a symbol. Raises LuxloopError beside other functions."""
+        shown = list(lights)
+        for name, projection in projections.items():
+            if projection.raw is not None:
+                if len(self.planner.functions) > 1:
+                    raise LuxloopError(f"functions.{name}.controller: drives all pixels, which leaves none to others; take them out")
+                for k, u in zip(self.controlled[name].drawn_by, projection.raw, strict=True):
+                    shown[k] = self.planner.paint(self.modules[k].name, Utilisation(u))
+        return tuple(shown)
+
+    def _drawn(self, state: SimulationState, now: Situation, ego: Ego | None) -> tuple[dict[str, ProjectionCommand], Parts]:
+        """What controllers want drawn of the symbols that are shown now, and the primitives of all functions."""
+        shown = {name: each for name, each in self.controlled.items() if each.function.shows(now)}
+        projections = {name: each.controller.projection(state.held[name].controller, ego) for name, each in shown.items()}
+        commands = {}
+        for name, projection in projections.items():
+            with located(f"functions.{name}"):
+                commands[name] = shown[name].command(projection, None if ego is None else attitude(ego))
+        return projections, self.planner.drawn(now, state.functions) | commands
+
+    def at(self, step: int) -> StepResult:
+        """One step alone, before which nothing was seen; that of the run where nothing depends on what was seen."""
+        return self.step(self.start(step))[1]
+
+    def lights_at(self, time_s: float) -> tuple[tuple[Tensor, ...], Commands]:
+        """Utilisations `[n_p]`, one a module, and commands at any time; what depends on steps before is run up to it."""
+        state = self.start()
+        while self.remembers and (state.step + 1) / self.scenario.rate_hz <= time_s:
+            state, _ = self.step(state)
+        ego = self.ego(newest({}, self.sensed(time_s).samples), time_s)
+        now, _ = self._commanded(time_s, state, ego)
+        lights, _ = self.lamps.drive(self.planner.composed(now, state.functions, self._drawn(state, now, ego)[1]), now)
+        return tuple(light.u for light in lights), now.commands
+
+    @property
+    def remembers(self) -> bool:
+        """Whether a step depends on those before it."""
+        return self.pipeline is not None or self.planner.learns or bool(self.controlled) or bool(self.planner.commanding)
+
+    def base(self, beam: str) -> str:
+        """What shines below all functions, in words, where the base beam is one of this name."""
+        raw = [module.raw is not None for module in self.modules]
+        told = "base beam off" if beam == "off" else f"{beam} beam"
+        return "raw utilisations" if all(raw) else f"{told} and raw utilisations" if any(raw) else told
+
+    def show(self) -> Shown:
+        """Watch and steer the scenario in the page of `luxloop studio`, in a frame of a notebook; as `luxloop.show`, which says more."""
+        return Shown(self.scenario, str(self.device))
+
+    def run(self) -> Generator[StepResult, None, None]:
+        """All steps of the scenario, after which the plant is closed."""
+        with closed(self.plant):
+            state = self.start()
+            for _ in range(self.scenario.steps):
+                with located(self.scenario.source):
+                    state, result = self.step(state)
+                yield result
+
+    def idle(self, result: StepResult) -> set[str]:
+        """Names of the functions that move no module at that moment, and of which no ray of any lamp that draws them hits anything."""
+        drawn = self.planner.drawn(result.now, result.functions)
+        reach = {name for name, parts in drawn.items() if any(in_reach(self.modules, part, result.now) for part in parts)}
+        given = self.planner.commanded({}, result.now, self.modules)
+        moving = {name for name, each in given.items() if any(command != REST for _, command in each.commands)}
+        return drawn.keys() - reach - result.held.keys() - moving
+
+    def waiting(self, result: StepResult) -> set[str]:
+        """Names of the functions that wait for the indicator at that moment."""
+        return {name for name, each in self.scenario.functions.items() if isinstance(each, Timed) and each.waits(result.now)}
+
+    def _all_objects(self, time_s: float, known: Objects | None) -> Objects:
+        if known is not None or self.truth is None or not self.scenario.all_objects:
+            return known or ()
+        T_ground_world = inverse(self.world.motion.at(time_s).T_world_ground)
+        told = ((body, item.category) for body, item in zip(self.world.scene.objects, self.scenario.all_objects, strict=True))
+        found = (TrackedObject.of(body, category, time_s) for body, category in told if category is not None)
+        return tuple(replace(each, T_world_object=T_ground_world @ each.T_world_object) for each in found)
+
+    def _tracked(self, tracks: Any, time_s: float, T_ground_body: Tensor) -> Objects:
+        return () if self.pipeline is None or tracks is None else self.pipeline.objects(tracks, time_s, self._from(T_ground_body))
+
+    def _from(self, T_ground_body: Tensor) -> View:
+        """The camera's view from the ground frame, as the car believes."""
+        return replace(self.view, T_world_view=T_ground_body @ self.view.T_world_view)
+
+    def _learnt(self, now: Situation, then: LitScene | None, then_s: float, image: Tensor, view: View, tracks: Any) -> Situation:
+        """The situation once a frame is there, which was taken at then_s of the scene then, in a view that the car believes."""
+        camera = self.scenario.camera
+        luminance, most = luminance_of(image, camera), saturation_luminance(camera)
+        looks = any(function.kind == "material" for function in self.scenario.functions.values())
+        materials = (then.surfaces.albedo, *then.materials) if looks and then is not None else ()
+        objects = now.objects if self.pipeline is None or tracks is None else self.pipeline.objects(tracks, now.time_s, view)
+        return replace(now, objects=objects, seen=Seen(then_s, view, luminance, most, *materials))

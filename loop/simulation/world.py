@@ -1,0 +1,415 @@
+"""The simulated world: a scene, lamps and a camera on a vehicle, and what the camera sees of it."""
+
+import math
+from collections import OrderedDict, deque
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property, lru_cache
+from typing import Any, Self, TypeVar, cast
+
+import torch
+from torch import Tensor
+
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.situation import TrackedObject
+from luxloop.loop.simulation.truth import LampModule
+from luxloop.perception.camera import CameraParams, average_rows, camera_view
+from luxloop.perception.detection.params import TruthParams
+from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.ground_truth import Box, GroundTruth, ground_truth, part_mask, part_picture
+from luxloop.perception.materials import material_picture
+from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand
+from luxloop.world.light.ambient import ambient_luminance
+from luxloop.world.light.illumination import DirectTransport, LastTextures, LightTransport, Shadows, added_light, reach, transport
+from luxloop.world.materials.library import MaterialName
+from luxloop.world.partial import Part, PartialImage
+from luxloop.world.rendering.face_source import FaceSource
+from luxloop.world.rendering.gbuffer import GBuffer
+from luxloop.world.rendering.surfaces import SurfaceSource, surface_source
+from luxloop.world.scene.scene import Scene
+from luxloop.world.scene.triangles import NOTHING, Triangles
+from luxloop.world.scene.vehicle import STANDING, Motion, VehicleState
+from luxloop.world.traffic.making import EYES
+from luxloop.world.traffic.objects import ObjectParams
+from luxloop.world.traffic.tracked import ROAD_USERS, Category
+from luxloop.world.view import View
+
+Made = TypeVar("Made")
+KEPT_VIEWS = 4  # on and off frame, before and after a change
+KEPT_LIGHTS = 3  # of an on and an off exposure, and the judged one
+MARGIN_PX = 1  # around objects, whose corners OpenGL rounds
+A_PIXEL: Part = (slice(0, 1), slice(0, 1))
+
+
+def categories(objects: Sequence[ObjectParams]) -> tuple[Category | None, ...]:
+    """Classes of objects as a detector ought to name them: cars without a category, the parked ones, are cars."""
+    return tuple("car" if each.category is None and each.kind == "car" else each.category for each in objects)
+
+
+@dataclass(frozen=True, eq=False)
+class LitScene:
+    """A scene in a view at one time, and what the lamps do to it.
+
+    surfaces: at the centres of the view's pixels. ambient: computes `base`. modules: how many the lamps have. transported: makes a module's
+    light transport as it is turned, which is needed only where it shines. given: parameters of the objects 1, 2, ...
+    """
+
+    view: View
+    vehicle: VehicleState
+    triangles: Triangles
+    surfaces: GBuffer
+    ambient: Callable[[], Tensor]
+    modules: int
+    transported: Callable[[int, ModuleCommand], LightTransport]
+    given: tuple[ObjectParams, ...]
+
+    @cached_property
+    def base(self) -> Tensor:
+        """Luminance `[height, width]` in cd/m^2 without the lamps."""
+        return self.ambient()
+
+    @cached_property
+    def transports(self) -> tuple[LightTransport, ...]:
+        """Light transport, one a module, of all at rest."""
+        return tuple(self.transported(number, REST) for number in range(self.modules))
+
+    def shown(self, lights: Sequence[Utilisation], commands: Commands = (), rows: slice | None = None) -> Tensor:
+        """Luminance `[..., height, width]` in cd/m^2 of all light, the lamps' lights `[..., n_p]` included, of all rows or some."""
+        if all(light.band is not None and light.band.stop <= light.band.start for light in lights):
+            return self.base if rows is None else self.base[rows]
+        if not commands:
+            return added_light(self.transports, lights, self.base, rows)
+        turned = tuple(self.transported(number, command) for number, command in enumerate(commands))
+        dimmed = tuple(Utilisation(command.intensity * each.u, each.band) for each, command in zip(lights, commands, strict=True))
+        return added_light(turned, dimmed, self.base, rows)
+
+    def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
+        """Luminance `[..., height, width]` in cd/m^2 of these lights alone, all modules at rest."""
+        return added_light(self.transports, lights, torch.zeros_like(self.base))
+
+    def light(self, lights: Sequence[Tensor], commands: Commands = ()) -> tuple[Tensor, Tensor]:
+        """Illuminance in lx at the pixels' centres and luminance in cd/m^2 of the pixels `[height, width]`, from the lamps alone.
+
+        lights: utilisations `[n_p]`, one a module. Of a direct view only.
+        """
+        arriving = torch.zeros_like(self.surfaces.albedo).flatten()
+        leaving = torch.zeros_like(arriving)
+        for number, (u, command) in enumerate(zip(lights, commands or (REST,) * len(lights), strict=True)):
+            each = self.transported(number, command)
+            assert isinstance(each, DirectTransport)
+            lx, samples, factor = each.illuminance(u if command.intensity == 1 else command.intensity * u)
+            pixels = each.pixel(samples)
+            leaving.index_add_(0, pixels, each.reflected(lx, factor))
+            arriving.index_add_(0, pixels, lx * each.central(samples))
+        return arriving.view_as(self.surfaces.albedo), leaving.view_as(self.surfaces.albedo)
+
+    @cached_property
+    def objects(self) -> tuple[GroundTruth, ...]:
+        """Those with a class, of which a pixel is seen at least."""
+        found = ground_truth(self.surfaces, self.triangles, self.view, categories(self.given))
+        return tuple(each for each in found if each.category is not None)
+
+    @cached_property
+    def boxes(self) -> Tensor:
+        """`[n, 4]` px of all of `objects`, whether hidden or not, as far as in the image."""
+        return torch.tensor([self._inside(each.whole) for each in self.objects], dtype=torch.float64).view(-1, 4)
+
+    @cached_property
+    def eyes(self) -> Tensor:
+        """Where the view sees heads and windscreens of road users, `[height, width]` bool."""
+        users = torch.tensor([number for number, each in enumerate(self.given, 1) if each.category in ROAD_USERS], dtype=torch.int32)
+        ids = self.surfaces.object_id
+        return part_mask(self.surfaces, self.triangles, EYES) & torch.isin(ids, users.to(ids))
+
+    @cached_property
+    def materials(self) -> tuple[Tensor, tuple[MaterialName, ...]]:
+        """Index `[height, width]` of what is seen in names of materials, -1 for none, and these."""
+        return material_picture(self.surfaces, self.triangles)
+
+    @cached_property
+    def depth(self) -> Tensor:
+        """`[height, width]` m along the camera's axis at the pixels' centres, 0 where nothing is."""
+        T, position = self.view.T_world_view.to(self.surfaces.position), self.surfaces.position
+        along = (T[:3, 2, None, None] * (position - T[:3, 3, None, None])).sum(0)
+        return along.where(self.surfaces.object_id >= 0, 0 * along)
+
+    def parts(self, names: Sequence[str]) -> Tensor:
+        """Index `[height, width]` in names of the part that each pixel sees, -1 for none of them."""
+        return part_picture(self.surfaces, self.triangles, names)
+
+    def detections(self, params: TruthParams, classes: tuple[Category, ...]) -> Detections:
+        """What a detector finds that makes no mistakes."""
+        height = self.boxes[:, 3] - self.boxes[:, 1]
+        visible = torch.tensor([each.visible for each in self.objects], dtype=torch.float64)
+        found = (height >= params.least_height_px) & (visible >= params.least_visible)
+        numbers = torch.tensor([classes.index(each.category) for each in self.objects if each.category], dtype=torch.int64)
+        scores = torch.nn.functional.one_hot(numbers, len(classes)).double()
+        return Detections(self.boxes[found], scores[found])
+
+    def _inside(self, box: Box) -> Box:
+        width, height = self.view.width, self.view.height
+        u0, u1 = (min(max(u, 0.0), width) for u in (box[0], box[2]))
+        v0, v1 = (min(max(v, 0.0), height) for v in (box[1], box[3]))
+        return u0, v0, u1, v1
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectLight:
+    """The lamps' light at the centres of the m pixels that see objects.
+
+    numbers: `[m]`, which of the objects 1, 2, ... each sees. eyes: `[m]` bool, whether it sees a head or a windscreen. lx: `[m]`.
+    """
+
+    numbers: Tensor
+    eyes: Tensor
+    lx: Tensor
+
+    def on(self, number: int) -> Tensor:
+        """At the pixels that see an object."""
+        return self.lx[self.numbers == number]
+
+    def on_eyes(self, numbers: Collection[int]) -> Tensor:
+        """At the heads and windscreens of these objects."""
+        return self.lx[self.eyes & torch.isin(self.numbers, torch.tensor([*numbers]).to(self.numbers))]
+
+
+@dataclass(frozen=True, eq=False)
+class TrueObject:
+    """An object that is there.
+
+    instance: its number among the world's instances. category: as the scenario gives it. boxed: its box in the world. seen: its ground
+    truth in the camera's view, None where no pixel sees it or it has no class.
+    """
+
+    name: str
+    instance: int
+    category: Category | None
+    boxed: TrackedObject
+    seen: GroundTruth | None
+
+
+class World:
+    """A scene, lamps and a camera on a vehicle; what has been rendered serves until something moves.
+
+    metered: whether illuminance is asked for, on objects or anywhere. given: parameters of the scene's objects.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        modules: Sequence[LampModule],
+        camera: CameraParams,
+        source: FaceSource,
+        motion: Motion = STANDING,
+        metered: bool = False,
+        given: tuple[ObjectParams, ...] = (),
+    ) -> None:
+        self.scene, self.modules, self.camera, self.source = scene, tuple(modules), camera, source
+        self.motion, self.metered, self.given = motion, metered, given
+        self.moving = motion is not STANDING or scene.moves
+        self.view = camera_view(camera)
+        self.device = self.modules[0].T_world_headlight.device
+        self._lit: OrderedDict[Any, LitScene] = OrderedDict()
+        self._made: deque[tuple[LitScene, tuple[Utilisation, ...], Commands, Any]] = deque(maxlen=KEPT_LIGHTS)
+        self._asked: tuple[float, Any] = (math.nan, None)
+        self._triangles: tuple[float, Triangles] = (math.nan, NOTHING)  # those looked at last, and when they were there
+        self._textures = tuple(each.measured or LastTextures(each.headlight) for each in self.modules)
+
+    @cached_property
+    def surfaces(self) -> SurfaceSource:
+        """Tells what a view sees."""
+        return surface_source(self.source, self.moving)
+
+    def after(self, before: "World | None") -> Self:
+        """This world; its bodies that were in another one as well keep what was derived from them there."""
+        if before is not None:
+            self._triangles = math.nan, before._triangles[1]
+            if (before.source, before.moving) == (self.source, self.moving):
+                self.surfaces = before.surfaces
+        return self
+
+    def view_at(self, t_s: float) -> View:
+        """The camera's view at a time."""
+        return replace(self.view, T_world_view=self.motion.at(t_s).T_world_body @ self.view.T_world_view)
+
+    def view_from_ground(self, t_s: float) -> View:
+        """The camera's view at a time, in the ground frame in place of the world."""
+        return replace(self.view, T_world_view=self.motion.at(t_s).T_ground_body @ self.view.T_world_view)
+
+    def luminance(
+        self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = (), part: Part | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Luminances in cd/m^2 at a time, of a part of the image if there is one: `[..., height, width]` of all light, and
+        `[height, width]` without the lamps.
+        """
+        if part is not None and self._whole(time_s):
+            lit = self.lit(time_s)
+            if not (self.metered or self.moving or self._known(lit, lights, commands)):
+                return lit.shown(lights, commands, part[0])[..., part[1]], lit.base[part]
+            everything, base = self.luminance(time_s, lights, commands)
+            return everything[..., *part], base[part]
+        lit = self.lit(time_s, part)
+        if self.metered:
+            return self._metered(lit, lights, commands)[1], lit.base
+        return self._once(lit, lights, commands, lambda: lit.shown(lights, commands)), lit.base
+
+    def image(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
+        """`luminance` of all light, `[height, width]`, computed where it is read."""
+        like = lights[0].u.new_empty(0)
+        return PartialImage.of(self.view.height, self.view.width, like, lambda part: self.luminance(time_s, lights, commands, part)[0])
+
+    def _metered(self, lit: LitScene, lights: tuple[Utilisation, ...], commands: Commands) -> tuple[Tensor, Tensor]:
+        """Illuminance from the lamps alone and luminance of all light, `[height, width]` of a scene."""
+
+        def metered() -> tuple[Tensor, Tensor]:
+            arriving, leaving = lit.light([light.u for light in lights], commands)
+            return arriving, leaving + lit.base
+
+        return self._once(lit, lights, commands, metered)
+
+    def on_objects(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> ObjectLight:
+        """The lamps' light on all objects at a time, from the lamps alone: at the pixels that see them and nowhere else."""
+        part = None if self._whole(time_s) else self._around_objects(time_s)
+        seen = self.lit(time_s, part)
+        pixels = torch.nonzero(seen.surfaces.object_id.flatten() > 0)[:, 0]
+        surfaces = seen.surfaces.at(pixels)
+        if self.metered and (known := self._known(seen, lights, commands)):
+            lx = known[0][0].flatten()[pixels]
+        else:
+            transported = self._transported(surfaces, seen.vehicle, seen.triangles, len(pixels), 1, direct=True)
+            lx = replace(seen, surfaces=surfaces, transported=transported).light([light.u for light in lights], commands)[0][0]
+        return ObjectLight(surfaces.object_id[0], part_mask(surfaces, seen.triangles, EYES)[0], lx)
+
+    def _around_objects(self, t_s: float) -> Part:
+        """A part of the image outside of which no object is seen, at least a pixel; all of it where one reaches behind the camera."""
+        boxes = [placed.box.T for placed in self._triangles_at(t_s).placed if placed.object_id > 0]
+        if not boxes:
+            return A_PIXEL
+        corners, depth = self.view_at(t_s).project(torch.stack(boxes))  # [n, 2, 8], [n, 8]
+        ahead, size = (depth > 0)[:, None], corners.new_tensor([self.view.width, self.view.height])
+        crossing = ahead.any(-1) & ~ahead.all(-1)
+        low = torch.where(crossing, 0.0, corners.amin(-1).floor() - MARGIN_PX).clamp(min=0)  # [n, 2]
+        high = torch.where(crossing, size, corners.amax(-1).ceil() + MARGIN_PX).minimum(size)
+        seen = ahead.any(-1)[:, 0] & (low < high).all(-1)
+        if not bool(seen.any()):
+            return A_PIXEL
+        (left, top), (right, bottom) = low[seen].amin(0).int().tolist(), high[seen].amax(0).int().tolist()
+        return slice(top, bottom), slice(left, right)
+
+    def _whole(self, t_s: float) -> bool:
+        """Whether the whole image is at hand at a time, or serves for others as well."""
+        return not self.moving or (self._key(t_s), None, True) in self._lit
+
+    def _once(self, lit: LitScene, lights: tuple[Utilisation, ...], commands: Commands, make: Callable[[], Made]) -> Made:
+        """What a light does to a scene, made anew only where it is none of the last."""
+        if known := self._known(lit, lights, commands):
+            return cast(Made, known[0])
+        made = make()
+        self._made.append((lit, lights, commands, made))
+        return made
+
+    def _known(self, lit: LitScene, lights: tuple[Utilisation, ...], commands: Commands) -> list[Any]:
+        """What was made of a light, as a list that is empty where it is not one of the last two."""
+        return [made for scene, shown, commanded, made in self._made if scene is lit and shown is lights and commanded == commands]
+
+    def added(self, time_s: float, lights: tuple[Utilisation, ...], others: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
+        """Luminance `[height, width]` in cd/m^2 at a time of what lights have beyond others."""
+        return self.luminance(time_s, lights, commands)[0] - self.luminance(time_s, others, commands)[0]
+
+    def illuminance_image(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
+        """`illuminance`, computed where it is read, which is all of it."""
+        like = lights[0].u.new_empty(0)
+        return PartialImage.of(self.view.height, self.view.width, like, lambda part: self.illuminance(time_s, lights, commands)[part])
+
+    def illuminance(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
+        """`[height, width]` lx from the lamps alone at a time, at the pixels' centres; also where the world is not metered."""
+        if self.metered:
+            return self._metered(self.lit(time_s), lights, commands)[0]
+        return self.lit(time_s, direct=True).light([light.u for light in lights], commands)[0]
+
+    def lit(self, t_s: float, part: Part | None = None, direct: bool = False) -> LitScene:
+        """The camera's view of the scene at a time, or a part of it; rendered only when geometry or the vehicle has moved.
+
+        direct: whether illuminance is asked for.
+        """
+        direct = direct or self.moving or self.metered
+        part = None if part == (slice(0, self.view.height), slice(0, self.view.width)) else part
+        key = self._key(t_s), part and tuple((each.start, each.stop) for each in part), direct
+        if key not in self._lit:
+            self._lit[key] = self._render(t_s, self.view_at(t_s), self.camera.oversampling, direct, part)
+            if len(self._lit) > KEPT_VIEWS:
+                self._lit.popitem(last=False)
+        self._lit.move_to_end(key)
+        return self._lit[key]
+
+    def _key(self, t_s: float) -> Any:
+        """Of what is seen at a time: the same where nothing has moved."""
+        if self._asked[0] != t_s:  # a step asks for the same time again and again
+            where = () if self.motion is STANDING else tuple(self.motion.at(t_s).T_world_body.flatten().tolist())
+            self._asked = t_s, (self.scene.key_at(t_s), where)
+        return self._asked[1]
+
+    @property
+    def instances(self) -> tuple[str, ...]:
+        """What the numbers `object_id + 1` of a view's surfaces mean: nothing, the road, and the objects by name."""
+        return "", "road", *(each.name for each in self.scene.objects)
+
+    def objects_at(self, t_s: float) -> tuple[TrueObject, ...]:
+        """All objects that are there at a time, in the order of their instances."""
+        lit = self.lit(t_s)
+        there, seen = {each.object_id for each in lit.triangles.placed}, {each.object_id: each for each in lit.objects}
+        return tuple(
+            TrueObject(body.name, number + 1, given.category, TrackedObject.of(body, given.category or "car", t_s), seen.get(number))
+            for number, (body, given) in enumerate(zip(self.scene.objects, self.given, strict=True), 1)
+            if number in there
+        )
+
+    def through(self, view: View, t_s: float) -> LitScene:
+        """The scene at a time through another view, which is given in the ground frame of that time."""
+        return self._render(t_s, replace(view, T_world_view=self.motion.at(t_s).T_world_ground @ view.T_world_view), 1, direct=True)
+
+    def _render(self, t_s: float, view: View, samples: int, direct: bool, part: Part | None = None) -> LitScene:
+        vehicle, scene, triangles = self.motion.at(t_s), self.scene, self._triangles_at(t_s)
+        sampled = part and (slice(samples * part[0].start, samples * part[0].stop), part[1])
+        surfaces = self.surfaces.gbuffer(triangles, view.with_rows(samples), sampled).to(self.device)
+        view = view.within(*part) if part else view
+
+        def ambient() -> Tensor:
+            lit = ambient_luminance(surfaces, scene.ambient_lx, scene.street_lamps, scene.spotlights_at(t_s))
+            return average_rows(lit, samples)
+
+        transported = self._transported(surfaces, vehicle, triangles, view.width, samples, direct)
+        return LitScene(view, vehicle, triangles, surfaces.one_row_of(samples), ambient, len(self.modules), transported, self.given)
+
+    def _triangles_at(self, t_s: float) -> Triangles:
+        """The scene's triangles at a time, kept until another one is asked for."""
+        then_s, triangles = self._triangles
+        if then_s != t_s:
+            triangles = self.scene.at(t_s, self.motion.at(t_s).T_world_ground, triangles)
+            self._triangles = t_s, triangles
+        return triangles
+
+    def _transported(
+        self, surfaces: GBuffer, vehicle: VehicleState, triangles: Triangles, width: int, samples: int, direct: bool
+    ) -> Callable[[int, ModuleCommand], LightTransport]:
+        """Makes a module's light transport to surfaces as it is turned. width: of their image, which has samples rows a pixel."""
+        modules, textures, T_world_body = self.modules, self._textures, vehicle.T_world_body
+
+        @cache
+        def shadows(*lamp_m: float) -> Shadows:
+            return Shadows(surfaces.position.flatten(1), torch.tensor(lamp_m, dtype=torch.float64), triangles)
+
+        @lru_cache(maxsize=KEPT_VIEWS * len(modules))
+        def turned(number: int, command: ModuleCommand) -> LightTransport:
+            module = modules[number]
+            headlight, T_body_headlight = module.headlight, command.turned(module.T_world_headlight)
+            T_world_headlight = T_world_body.to(T_body_headlight) @ T_body_headlight
+            if direct:
+                cast = shadows(*T_world_headlight[:3, 3].tolist())
+                return DirectTransport(surfaces, headlight, T_world_headlight, cast, width, samples, textures[number])
+            return transport(reach(surfaces, headlight, T_world_headlight, triangles), headlight, width, samples)
+
+        def transported(number: int, command: ModuleCommand) -> LightTransport:
+            return turned(number, replace(command, intensity=1.0))  # which does not dim the way of light
+
+        return transported

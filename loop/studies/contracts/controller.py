@@ -1,0 +1,194 @@
+"""The contract of a symbol controller of the user's own."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from luxloop.controllers.symbol.laws.own import KEY, METHODS
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
+from luxloop.controllers.symbol.sensing.protocol import Observation
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import validate
+from luxloop.loop.simulation.controlled import ControlledSymbol, Frames
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.studies.contracts.values import check_calls, check_state, check_tensor, name_of, pure
+from luxloop.perception.egomotion import Ego, Sample, Samples, Sensor, ego_of
+from luxloop.perception.extraction import Loss
+from luxloop.world.errors import LuxloopError, located
+from luxloop.world.plugin import Guarded, check_methods, made
+
+CALLS = {"start": ("pose",), "projection": ("state", "ego"), "step": ("state", "observation")}
+SCENARIO: dict[str, Any] = {
+    "name": "check_controller",
+    "steps": 8,
+    "camera": {"width_px": 320, "height_px": 180, "oversampling": 1},
+    "headlight": {"model": "idealised-332x1024", "lamps": ["left"]},
+    "renderer": "raycast",
+    "functions": {
+        "symbol": {
+            "kind": "symbol",
+            "image": "snowflake",
+            "start": {"x_m": 17.4, "y_m": 0.3, "roll_deg": 2.0, "pitch_deg": -1.0},
+            "controller": "open",
+        }
+    },
+}
+FARTHEST_M = (100.0, 20.0)  # ahead and to each side: what a scenario's start may be
+STEEPEST = math.radians(45)
+REMEDY = (
+    "subtract a share of observation.measurement.pose_error, the pose less its target in m and rad; "
+    "observation.measurement.errors are in units of the image"
+)
+LOST_AFTER = (0, 4)  # steps; at each of them the symbol is lost as well
+DRIVES_AFTER = 2  # steps, of which one is also taken on a car that moves
+SENSED: dict[Sensor, list[float]] = {  # of that car
+    "wheels": [10.0, 10.1],
+    "gyro": [0.01, 0.02, 0.1],
+    "attitude": [0.005, 0.002, 0.003, 0.02, 0.01, 0.001, 0.02, 0.002],
+}
+AWAY = 1.5  # times as far from the target as at the start, and some noise
+
+
+def check_controller(controller: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
+    """Check your own symbol controller against the contract of `luxloop.SymbolController`, in a few seconds.
+
+    controller: the class, of which a scenario makes `controller(sensor, **options)`. A class and not an instance, since an instance has
+    the sensor of another scenario, and since making it belongs to the contract; a class and not its name, so that it can be checked where
+    it is written, in a notebook or in a test. options: those of the scenario. device: "auto", "cpu" or "cuda".
+
+    It runs for 8 steps on a flat road, seen by a camera of 320 x 180 px, and in some of them also without frames, with frames that do not
+    show the symbol, and on a car that moves, with its attitude and rates and where nothing measures these (NaN). Raises LuxloopError with
+    the likely cause and the remedy where a method is missing or fails, changes what it was given, or gives something else for the same
+    input; where a state is no data; where a projection has another shape, dtype or device than the pose `[4]` that `start` is given, is not
+    finite, or not in m and rad; and where the symbol is moved away from its target.
+    """
+    check_in(world(device), controller, options or {})
+
+
+def check_in(simulation: Simulation, controller: type, options: Mapping[str, Any]) -> None:
+    """Raises LuxloopError as `check_controller`, of a controller in a world that others can share."""
+    name = name_of(controller)
+    check_methods(controller, f"{KEY}: {name}", METHODS)
+    own = made(controller, name, KEY, {"sensor": simulation.symbol.sensor}, options)
+    check_calls(own, CALLS)
+    symbol = simulation.symbol
+    watched = replace(simulation, controlled={"symbol": replace(symbol, controller=Watched(own, symbol))})
+    seen = [result.symbol.measurement for result in watched.run()]
+    first, last = (math.hypot(*each.pose_error[:2].tolist()) for each in (seen[0], seen[-1]))
+    if seen[-1].code != Loss.SEEN or last > AWAY * first:
+        end = f"it is {last:.2g} m away" if seen[-1].code == Loss.SEEN else "it is not seen any more"
+        raise LuxloopError(
+            f"{KEY}: {name}: step moves the symbol away from its target: at first it was {first:.2g} m away, after {len(seen)} steps "
+            f"{end}; {REMEDY}"
+        )
+
+
+def world(device: str) -> Simulation:
+    return prepare(validate(SCENARIO, "check_controller"), device)
+
+
+@dataclass(frozen=True)
+class WatchedState:
+    """inner: the controller's state. steps: how many there were."""
+
+    inner: Any
+    steps: int = 0
+
+
+@dataclass(frozen=True)
+class Watched:
+    """The controller in the simulation, of which each call is checked."""
+
+    own: Guarded
+    symbol: ControlledSymbol
+
+    def start(self, pose: Tensor) -> WatchedState:
+        """The controller's state, which is data."""
+        state = pure(self.own, "start", {"pose": pose}, "state")
+        check_state(self.own, "start", state)
+        return WatchedState(state)
+
+    def projection(self, state: WatchedState, ego: Ego | None) -> ProjectionCommand:
+        """The controller's projection command, with a pose in reach."""
+        projection = pure(self.own, "projection", {"state": state.inner, "ego": ego}, "projection")
+        with located(f"{self.own.key}: {self.own.name}: projection"):
+            self._check(projection)
+        return projection
+
+    def step(self, state: WatchedState, observation: Observation) -> WatchedState:
+        """The controller's state after an observation. In some steps it is also shown nothing, and goes on from there."""
+        after = self._stepped(state, observation)
+        if state.steps in LOST_AFTER and observation.frames is not None:
+            for situation, lost in self._lost(observation, observation.frames).items():
+                with located(f"in {situation}"):
+                    blind = self._stepped(state, lost)
+                    self.projection(blind, observation.ego)
+                with located(f"after {situation}"):
+                    self.projection(self._stepped(blind, observation), observation.ego)
+        if state.steps == DRIVES_AFTER:
+            for situation, ego in self._driving().items():
+                moving = replace(observation, ego=ego, shown=replace(observation.shown, ego=ego))
+                with located(f"on a car {situation}"):
+                    self.projection(self._stepped(state, moving), ego)
+        return after
+
+    def _driving(self) -> dict[str, Ego | None]:
+        like = self.symbol.projector.target
+        samples: Samples = {sensor: Sample(sensor, 0.05, 0.06, like.new_tensor(values)) for sensor, values in SENSED.items()}
+        return {
+            "that moves": ego_of(samples, None, 0.1, 1 / 60),
+            "of which nothing measures attitude and rates, which are NaN in ego": ego_of({"wheels": samples["wheels"]}, None, 0.1, 1 / 60),
+        }
+
+    def _stepped(self, state: WatchedState, observation: Observation) -> WatchedState:
+        after = pure(self.own, "step", {"state": state.inner, "observation": observation}, "state")
+        check_state(self.own, "step", after)
+        return WatchedState(after, state.steps + 1)
+
+    def _lost(self, observation: Observation, frames: Frames) -> dict[str, Observation]:
+        """Observations of the same light where the camera lost the frames, and where these do not show it."""
+        sensor, shown, dark = self.symbol.sensor, observation.shown, (frames[1], frames[1])
+        no_frame, nothing = (sensor.measure(each, shown.projection, shown.lights) for each in (None, dark))
+        return {
+            "a step without frames (observation.frames is None)": replace(observation, measurement=no_frame, frames=None),
+            "a step whose frames do not show the symbol": replace(observation, measurement=nothing, frames=dark),
+        }
+
+    def _check(self, projection: Any) -> None:
+        """Raises LuxloopError where a projection is none that can be shown."""
+        if not isinstance(projection, ProjectionCommand):
+            raise LuxloopError(f"gives a {type(projection).__name__}; return luxloop.ProjectionCommand(pose), with the pose [4]")
+        like = self.symbol.projector.target
+        check_tensor(projection.pose, like, (4,), "pose")
+        x, y, roll, pitch = projection.pose.tolist()
+        if max(abs(roll), abs(pitch)) > STEEPEST:
+            raise LuxloopError(
+                f"pose has roll {roll:.3g} and pitch {pitch:.3g} rad, more than 45 deg; convert degrees with torch.deg2rad, or {REMEDY}"
+            )
+        if not 1 < x <= FARTHEST_M[0] or abs(y) > FARTHEST_M[1]:
+            raise LuxloopError(f"pose has x {x:.3g} and y {y:.3g} m, where no lamp can draw; {REMEDY}")
+        for name, value, shape in (("z", projection.z, ()), ("shape", projection.shape, (4,)), ("aim", projection.aim, (2,))):
+            if value is not None:
+                check_tensor(value, like, shape, name)
+        if projection.warp is not None:
+            self._check_warp(projection.warp, like)
+        for module, u in zip(self.symbol.projector.modules, projection.raw or (), strict=False):
+            check_tensor(u, like, (module.pixel_controller.headlight.n_pixels,), f"raw of {module.name}")
+            _check_share(u, "raw")
+
+    def _check_warp(self, warp: Warp, like: Tensor) -> None:
+        *_, rows, columns = warp.dimming.shape
+        modules = len(warp.dimming) if len(warp.dimming) in (1, len(self.symbol.projector.modules)) else 1
+        check_tensor(warp.dimming, like, (modules, rows, columns), "warp.dimming")
+        check_tensor(warp.source, like, (modules, 2, rows, columns), "warp.source")
+        _check_share(warp.dimming, "warp.dimming")
+
+
+def _check_share(values: Tensor, what: str) -> None:
+    low, high = (float(each) for each in torch.aminmax(values))
+    if low < 0 or high > 1:
+        raise LuxloopError(f"{what} reaches from {low:.3g} to {high:.3g}; give shares of 0..1, with clamp(0, 1) say")

@@ -1,0 +1,88 @@
+"""The contract of a detector of the user's own."""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from luxloop.loop.run import prepare, torch_device
+from luxloop.loop.scenario.model import validate
+from luxloop.loop.studies.contracts.values import check_calls, name_of, pure
+from luxloop.perception.detection.build import KEY, METHODS, CheckedDetector, own_detector
+from luxloop.perception.detection.params import OwnDetector
+from luxloop.perception.detection.protocol import Detections
+from luxloop.world.errors import LuxloopError
+from luxloop.world.plugin import check_methods
+
+SIZE_PX = (640, 360)
+SCENARIO: dict[str, Any] = {
+    "name": "check_detector",
+    "steps": 2,
+    "rate_hz": 10.0,
+    "camera": {"width_px": SIZE_PX[0], "height_px": SIZE_PX[1], "oversampling": 1},
+    "headlight": {"model": "hd84"},
+    "light": {"ambient_lx": 0.02},
+    "renderer": "raycast",
+    "objects": [
+        {"kind": "pedestrian", "name": "walker", "appears_s": 0.05, "track": [{"position_m": [20.0, 2.0, 0.0]}]},
+        {"kind": "car", "name": "car", "appears_s": 0.05, "track": [{"position_m": [28.0, -2.0, 0.0], "yaw_deg": 180.0}]},
+    ],
+}
+ROUNDING = 0.02  # px and score by which what is found may differ in another batch: kernels add in another order
+
+
+def check_detector(detector: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
+    """Check your own detector against the contract of `[detector]`, in a few seconds.
+
+    detector: the class, of which a scenario makes `detector(device, **options)`; see `check_controller` for why it is the class. options:
+    those of `[detector]`. device: "auto", "cpu" or "cuda", on which it is made and gets its frames.
+
+    It looks at frames `[B, 360, 640]` of a road, dark, in the high beam, and with a pedestrian and a car on it, one by one and in batches.
+    Raises LuxloopError with the likely cause and the remedy where `detect` or `classes` is missing or wrong; where it fails, changes the
+    frames, or gives something else for the same frames, or for a frame in another batch; where it does not give one `Detections` a frame of
+    finite boxes `[n, 4]` (left, top, right, bottom, in px, their middle in the frame) and scores `[n, classes]` of 0..1. Warns where a
+    detector of pedestrians or cars finds nothing.
+    """
+    name = name_of(detector)
+    check_methods(detector, f"{KEY}: {name}", METHODS)
+    found_by = own_detector(detector, OwnDetector(kind=name, options=dict(options or {})), torch_device(device))
+    check_calls(found_by.own, {"detect": ("frames",)})
+    frames = _frames(device)
+    alone = [_looked(found_by, frame[None])[0] for frame in frames]
+    for order in ([0, 1, 2], [2, 1, 0]):
+        for k, each in zip(order, _looked(found_by, frames[order]), strict=True):
+            if not _alike(alone[k], each):
+                raise LuxloopError(
+                    f"{KEY}: {name}: detect finds something else in a frame where others are beside it; look at each frame of a batch by "
+                    "itself"
+                )
+    if not any(map(len, alone)) and {"pedestrian", "car"} & {*found_by.classes}:
+        warnings.warn(
+            f"{KEY}: {name}: nothing found in {len(frames)} frames, of which one shows a pedestrian and a car; frames are shares 0..1 of "
+            "the largest number",
+            stacklevel=2,
+        )
+
+
+@cache
+def _frames(device: str) -> Tensor:
+    """`[3, height, width]` as a detector gets them: a dark road, the same in the high beam, and with objects on it."""
+    found = []
+    for beam, steps in (("off", [0]), ("high", [0, 1])):
+        simulation = prepare(validate({**SCENARIO, "lighting": {"base": {"beam": beam}}}, SCENARIO["name"]), device)
+        found += [frame for step in steps if (frame := simulation.at(step).frame) is not None]
+    return torch.stack(found) / (2**simulation.scenario.camera.bits - 1)
+
+
+def _looked(detector: CheckedDetector, frames: Tensor) -> Sequence[Detections]:
+    """What a detector finds. Raises LuxloopError where that is none, or not the same again."""
+    return detector.checked(pure(detector.own, "detect", {"frames": frames}, "detections"), frames)
+
+
+def _alike(one: Detections, other: Detections) -> bool:
+    """Up to rounding, whatever their order."""
+    rows = [sorted(torch.cat([each.boxes.cpu(), each.scores.cpu()], 1).double().round(decimals=2).tolist()) for each in (one, other)]
+    return len(rows[0]) == len(rows[1]) and bool(((torch.tensor(rows[0]) - torch.tensor(rows[1])).abs() <= ROUNDING).all())

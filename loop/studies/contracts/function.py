@@ -1,0 +1,141 @@
+"""The contract of a lighting function of the user's own."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+from luxloop.controllers.functions.own import KEY, CheckedAdaptive, CheckedFunction, OwnFunction, checked, function_of
+from luxloop.controllers.pixels.primitives import Primitives
+from luxloop.controllers.situation import Situation
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import validate
+from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.studies.contracts.values import check_calls, check_state, name_of, pure
+from luxloop.world.errors import LuxloopError, located
+from luxloop.world.plugin import Guarded
+
+Result = TypeVar("Result")
+CALLS = {"primitives": ("now",)}
+ADAPTIVE_CALLS = {"start": (), "step": ("state", "now"), "adapted": ("state", "now"), "base_share": ("state",)}
+NAME = "checked"
+THERE = {"appears_s": 0.05, "vanishes_s": 0.35}
+SCENARIO = {
+    "name": "check_function",
+    "steps": 5,
+    "rate_hz": 10.0,
+    "camera": {"width_px": 320, "height_px": 180, "oversampling": 1},
+    "headlight": {"model": "hd84"},
+    "light": {"ambient_lx": 0.02},
+    "renderer": "raycast",
+    "lighting": {"base": {"beam": "low"}},
+    "vehicle": {"course": [{"speed_m_s": 0.0}, {"time_s": 0.5, "speed_m_s": 1.5, "curvature_1_m": 0.01}]},
+    "conditions": [{}, {"time_s": 0.2, "wet": True, "street_lit": True}],
+    "objects": [
+        {"kind": "pedestrian", "name": "walker", **THERE, "track": [{"position_m": [20.0, 2.0, 0.0]}]},
+        {"kind": "car", "name": "car", **THERE, "track": [{"position_m": [28.0, -2.0, 0.0], "yaw_deg": 180.0}]},
+    ],
+}
+
+
+def check_function(function: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
+    """Check your own lighting function against the contract of `[functions.NAME]`, in a few seconds.
+
+    function: the class, of which a scenario makes `function(**options)`; see `check_controller` for why it is the class. options: those of
+    `[functions.NAME]`. device: "auto", "cpu" or "cuda", of the lamps; a situation lies on the CPU.
+
+    It runs for 5 steps at 10 Hz: the car stands on an empty road, then drives round a bend at 20 m/s, then straight on at 10 m/s in the
+    rain under street lamps; a pedestrian and another car are there from the second step to the fourth. In each step it is also told of no
+    objects. Raises LuxloopError with the likely cause and the remedy where `primitives`, `commands` if it has that, or one of `start`,
+    `step`, `adapted` and `base_share` of a function that learns, is missing or fails, changes what it was given, or gives something else
+    for the same input; where a state is no data, or a share of the base beam is not within 0..1; where it does not give a list of what
+    `rectangle` makes, finite and with possible setpoints; and where nothing that it draws changes the light.
+    """
+    check_in(world(device), function, options or {})
+
+
+def check_in(world: tuple[Simulation, list[StepResult]], function: type, options: Mapping[str, Any]) -> None:
+    """Raises LuxloopError as `check_function`, of a function in a world that others can share."""
+    name, (simulation, bare) = name_of(function), world
+    with located("check_function"):
+        made = function_of(function, OwnFunction(kind=name, options=dict(options)))
+        calls = ADAPTIVE_CALLS if isinstance(made, CheckedAdaptive) else CALLS
+        check_calls(made.own, calls | ({"commands": ("now",)} if hasattr(function, "commands") else {}))
+        watched = WatchedFunction(made.own) if isinstance(made, CheckedFunction) else WatchedAdaptive(made)
+        results = _steps(replace(simulation, planner=replace(simulation.planner, functions={NAME: watched})))
+        if hasattr(function, "commands"):
+            for each in results:
+                _twice(lambda now: pure(made.own, "commands", {"now": now}, "commands"), each.now)
+        drawn = {k: each.plan.primitives.origin[0] for k, each in enumerate(results) if each.plan.primitives}
+        if drawn and all(one.equal(other) for k in drawn for one, other in zip(results[k].lights, bare[k].lights, strict=True)):
+            corner = [round(value, 3) for value in next(iter(drawn.values())).tolist()]
+            raise LuxloopError(
+                f"functions.{NAME}: {KEY}: {name}: its primitives change no lamp's light, such as one with a corner at {corner} m; "
+                "places are in m in the world, from the car's frame (x ahead, y left, z up) by now.T_world_vehicle; normals, by default "
+                "d1 x d2, point to the lamps; primitives thinner than the spacing of the lamps' rays are missed"
+            )
+
+
+def world(device: str) -> tuple[Simulation, list[StepResult]]:
+    """With what the lamps do there without a function."""
+    simulation = prepare(validate(SCENARIO, "check_function"), device)
+    return simulation, _steps(simulation)
+
+
+def _steps(simulation: Simulation) -> list[StepResult]:
+    state, results = simulation.start(), []
+    for _ in range(simulation.scenario.steps):
+        state, result = simulation.step(state)
+        results.append(result)
+    return results
+
+
+@dataclass(frozen=True)
+class WatchedFunction:
+    """The function in the simulation, of which each call is checked."""
+
+    own: Guarded
+
+    def primitives(self, now: Situation) -> tuple[Primitives, ...]:
+        """The function's primitives."""
+        return _twice(lambda now: checked(pure(self.own, "primitives", {"now": now}, "primitives"), self.own, "primitives"), now)
+
+
+@dataclass(frozen=True)
+class WatchedAdaptive:
+    """The same of a function that learns."""
+
+    function: CheckedAdaptive
+
+    @property
+    def own(self) -> Guarded:
+        """The function itself."""
+        return self.function.own
+
+    def start(self) -> Any:
+        """The function's state, which is data."""
+        state = pure(self.own, "start", {}, "state")
+        check_state(self.own, "start", state)
+        return state
+
+    def step(self, state: Any, now: Situation) -> Any:
+        """The function's state after a frame, which is data."""
+        after = _twice(lambda now: pure(self.own, "step", {"state": state, "now": now}, "state"), now)
+        check_state(self.own, "step", after)
+        return after
+
+    def adapted(self, state: Any, now: Situation) -> tuple[Primitives, ...]:
+        """The function's primitives."""
+        own = self.own
+        return _twice(lambda now: checked(pure(own, "adapted", {"state": state, "now": now}, "primitives"), own, "adapted"), now)
+
+    def base_share(self, state: Any) -> float | None:
+        """The share of the base beam that the function asks for."""
+        return self.function.base_share(state)
+
+
+def _twice(call: Callable[[Situation], Result], now: Situation) -> Result:
+    """What a call gives for a situation; it is made for the same one without objects, too."""
+    with located("where now.objects is empty"):
+        call(replace(now, objects=()))
+    return call(now)

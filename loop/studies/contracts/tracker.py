@@ -1,0 +1,132 @@
+"""The contract of a tracker of the user's own."""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+from torch import Tensor
+
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import validate
+from luxloop.loop.simulation.detection import pairs
+from luxloop.loop.studies.contracts.values import check_calls, check_state, name_of, pure
+from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.trackers import KEY, METHODS, CheckedTracker, OwnTracker, own_tracker
+from luxloop.perception.tracks import TrackedBoxes
+from luxloop.world.errors import LuxloopError, located
+from luxloop.world.plugin import check_methods
+from luxloop.world.traffic.tracked import Category
+from luxloop.world.view import View
+
+CALLS = {"start": (), "follow": ("state", "found", "frame", "time_s"), "report": ("state", "time_s")}
+RATE_HZ = 10.0
+SCENARIO: dict[str, Any] = {
+    "name": "check_tracker",
+    "steps": 12,
+    "rate_hz": RATE_HZ,
+    "camera": {"width_px": 320, "height_px": 180, "oversampling": 1},
+    "headlight": {"model": "hd84"},
+    "lighting": {"base": {"beam": "high"}},
+    "renderer": "raycast",
+    "detector": {"kind": "truth"},
+    "objects": [
+        {
+            "kind": "pedestrian",
+            "name": "walker",
+            "appears_s": 0.25,
+            "vanishes_s": 0.95,
+            "path": {"points_m": [[15.0, 3.0, 0.0], [15.0, 1.0, 0.0]], "speed_m_s": 1.0},
+        },
+        {
+            "kind": "car",
+            "name": "car",
+            "path": {"points_m": [[32.0, -3.0, 0.0], [10.0, -3.0, 0.0]], "speed_m_s": 4.0},
+        },
+    ],
+}
+EMPTY_AFTER = (1, 6)  # frames; after each of them a frame without detections is tried as well
+
+
+def check_tracker(tracker: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
+    """Check a tracker of your own against the contract of `[tracker]`, in a few seconds.
+
+    tracker: the class, of which a scenario makes `tracker(classes, view, **options)`; see `check_controller` for why it is the class.
+    options: those of `[tracker]`. device: "auto", "cpu" or "cuda", on which detections and frames lie.
+
+    It follows 12 frames `[180, 320]` at 10 Hz with detections of score 1: a car that approaches, and beside it a pedestrian from the fourth
+    frame to the tenth. After some of them a frame without detections is tried as well. Raises LuxloopError with the likely cause and the
+    remedy where a method is missing or fails, changes what it was given, or gives something else for the same input; where a state is no
+    data; where a report has other shapes or dtypes than `TrackedBoxes`, or values that are not finite; and where an object's number changes
+    or becomes another object's. Warns where nothing is reported.
+    """
+    name = name_of(tracker)
+    check_methods(tracker, f"{KEY}: {name}", METHODS)
+    view, classes, frames = _frames(device)
+    own = own_tracker(tracker, OwnTracker(kind=name, options=dict(options or {})), classes, view)
+    check_calls(own.own, CALLS)
+    state = pure(own.own, "start", {}, "state")
+    check_state(own.own, "start", state)
+    _reported(own, state, 0.0)
+    numbers: dict[str, int] = {}
+    for k, each in enumerate(frames):
+        state = _followed(own, state, each.found, each)
+        for kind, number in _numbers(each.found, _reported(own, state, each.time_s), classes).items():
+            others = {other for other, known in numbers.items() if known == number} - {kind}
+            if numbers.setdefault(kind, number) != number or others:
+                was = f"that of the {others.pop()}" if others else f"{numbers[kind]} before"
+                raise LuxloopError(
+                    f"{KEY}: {name}: report gives the {kind} the number {number}, which was {was}; keep an object's number in the state "
+                    "from frame to frame, whatever the order of detections, and number each new object higher"
+                )
+        if k in EMPTY_AFTER:
+            empty = Detections(each.found.boxes[:0], each.found.scores[:0])
+            with located("in a frame without detections"):
+                blind = _followed(own, state, empty, frames[k + 1])
+            with located("after a frame without detections"):
+                _followed(own, blind, frames[k + 2].found, frames[k + 2])
+    if not numbers:
+        warnings.warn(
+            f"{KEY}: {name}: reported none of 2 objects in {len(frames)} frames with detections of score 1; boxes are px", stacklevel=2
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A frame `[height, width]` as a tracker gets it, when it was taken, and what was found in it."""
+
+    image: Tensor
+    time_s: float
+    found: Detections
+
+
+@cache
+def _frames(device: str) -> tuple[View, tuple[Category, ...], Sequence[Seen]]:
+    simulation = prepare(validate(SCENARIO, SCENARIO["name"]), device)
+    assert simulation.pipeline is not None
+    most, frames = 2**simulation.scenario.camera.bits - 1, []
+    for step in simulation.run():
+        assert step.frame is not None and step.look is not None
+        image, found = step.frame / most, step.look.found
+        frames.append(Seen(image, step.time_s, Detections(found.boxes.to(image), found.scores.to(image))))
+    return simulation.view, simulation.pipeline.classes, frames
+
+
+def _followed(tracker: CheckedTracker, state: Any, found: Detections, seen: Seen) -> Any:
+    """The state after a frame, of which it is reported then and later."""
+    after = pure(tracker.own, "follow", {"state": state, "found": found, "frame": seen.image, "time_s": seen.time_s}, "state")
+    check_state(tracker.own, "follow", after)
+    for time_s in (seen.time_s, seen.time_s + 1 / RATE_HZ):
+        _reported(tracker, after, time_s)
+    return after
+
+
+def _reported(tracker: CheckedTracker, state: Any, time_s: float) -> TrackedBoxes:
+    return tracker.checked(pure(tracker.own, "report", {"state": state, "time_s": time_s}, "report"))
+
+
+def _numbers(found: Detections, told: TrackedBoxes, classes: Sequence[Category]) -> dict[str, int]:
+    """Numbers of the tracks that show what was found, by its class."""
+    present, boxes = told.present, found.boxes.double().cpu()
+    return {classes[int(found.scores[i].argmax())]: int(present.number[j]) for i, j in pairs(boxes, present.boxes)}

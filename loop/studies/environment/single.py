@@ -1,0 +1,195 @@
+"""One closed loop as an environment of Gymnasium, on the whole simulation."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium import spaces
+from gymnasium.utils import EzPickle
+
+from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
+from luxloop.loop.report.picture import frame_picture, white_of
+from luxloop.loop.run import torch_device
+from luxloop.loop.scenario.edits import changed
+from luxloop.loop.scenario.model import Scenario, load, only
+from luxloop.loop.simulation.result import SimulationState, StepResult
+from luxloop.loop.simulation.simulated import as_simulated
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.studies.environment.acting import ACTIONS
+from luxloop.loop.studies.environment.task import Floats, Look, action_of, as_gymnasium, bounds, observation, reward
+from luxloop.perception.extraction import Loss
+from luxloop.world.errors import LuxloopError, did_you_mean
+
+FPS = 10
+SEEDS = 2**63
+
+
+class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
+    """A scenario with exactly one held symbol, whose controller the agent replaces.
+
+    An observation is float32:
+
+    | at | what | unit | sign | within |
+    | --- | --- | --- | --- | --- |
+    | 0, 1 | x, y of the symbol's primitive as shown | m | ahead, to the left | range of the controller |
+    | 2, 3 | its roll, pitch | rad | right side down, nose down | range of the controller |
+    | 4, 5 | measured error of x, y, 0 if the symbol is lost | m | too far, too far left | 20, 10 |
+    | 6, 7 | measured error of roll, pitch | rad | as 2, 3 | 0.5 |
+    | 8 to 13 | one-hot `luxloop.Loss`, at 8 if the symbol is seen | 1 | | 0 to 1 |
+    | 14 | measured area over expected area | 1 | | 0 to 4 |
+    | 15, 16 | speed, yaw rate of the car | m/s, rad/s | ahead, to the left | 100, 3 |
+
+    With the action "heights", the 32 heights in m replace 0 to 3. With `image`, an observation is `{"state": the vector, "image": [h, w]
+    uint8}`; the image is the extracted symbol, cropped and scaled. Errors are those of the newest frame that has arrived; with latency it
+    was taken some steps ago.
+
+    Actions are float32 in -1..1. "moves" `[4]`: moves of x, y, roll, pitch; 1 is the controller's largest move in a step. "gains" `[6]`:
+    kp, ki, kd of position, then of rotation, are multiplied by 4 ** action. "heights" `[32]`: changes of the assumed road heights, 8 rows
+    from far to near with 4 cells from left to right; 1 is 3 cm.
+
+    The reward is that of `luxloop.loop.studies.environment.task.Reward`, its terms are in `info["terms"]`; `info["verdict"]` has all values
+    of the judge. An episode is truncated after the scenario's steps and never terminates before. `reset(seed=n)` draws the noise of seed n
+    in the same world; `options={"start": [x, y, roll, pitch]}` sets the start pose (m, rad). A copy, and what is pickled, is made anew with
+    the same arguments: call `reset` next.
+    """
+
+    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's name)
+
+    def __init__(
+        self,
+        scenario: Scenario | str | Path,
+        overrides: Sequence[str] = (),
+        *,
+        action: str = "moves",
+        image: tuple[int, int] | None = None,
+        render_mode: Literal["rgb_array", "human"] | None = None,
+        device: str = "cpu",
+    ) -> None:
+        """scenario: a loaded scenario, or a name or path. overrides: changes of its keys, as KEY=VALUE. action: "moves", "gains" or
+        "heights". image: rows and columns of the image in observations. render_mode: as for `make`. device: "cpu" or "cuda".
+
+        Raises LuxloopError if there is no such scenario, if it has not exactly one held symbol, or if its plant does not know the truth.
+        """
+        EzPickle.__init__(self, scenario, overrides, action=action, image=image, render_mode=render_mode, device=device)
+        self.scenario = changed(load(str(scenario)) if isinstance(scenario, str | Path) else scenario, [*overrides, "judge_every=1"])
+        self.render_mode, self.image, self._device, self._action = render_mode, image, torch_device(device), known_action(action)
+        self._simulation: Simulation | None = None
+        self.prepare({})
+        low, high = bounds(self.acting)
+        state = spaces.Box(low, high, dtype=np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (self.acting.size,), np.float32)
+        self.observation_space = state if image is None else spaces.Dict({"state": state, "image": spaces.Box(0, 255, image, np.uint8)})
+        self._state: SimulationState | None = None
+        self._result: StepResult | None = None
+        self._white: torch.Tensor | None = None
+
+    def prepare(self, values: dict[str, float | int]) -> None:
+        """Change values of the scenario's keys and prepare only what they affect; call `reset` next."""
+        scenario = changed(self.scenario, [f"{key}={value!r}" for key, value in values.items()])
+        prepared = Simulation.prepare(scenario, self._device, self._simulation)
+        as_simulated(prepared.plant, "an environment")
+        symbol = prepared.symbol
+        sensor = replace(symbol.sensor, searches=False)
+        self.acting = ACTIONS[self._action](sensor, symbol.params)
+        held = replace(symbol, sensor=sensor, controller=self.acting)
+        self._simulation = prepared
+        self.simulation = replace(prepared, controlled={only(prepared.controlled): held})
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        drawn = int(self.np_random.integers(SEEDS)) if seed is None else seed
+        simulation = self.simulation
+        plant = replace(as_simulated(simulation.plant, "an environment"), seed=drawn)
+        scenario = simulation.scenario.model_copy(update={"seed": drawn})
+        self.simulation = replace(simulation, scenario=scenario, plant=plant)
+        state, symbol = self.simulation.start(), self.simulation.symbol
+        pose = start_of(options, symbol.function.start_pose.pose, (4,)).to(symbol.projector.target)
+        ((name, held),) = state.held.items()
+        self._state = replace(state, held={name: replace(held, controller=self.acting.start(pose))})
+        self._result = None
+        return self._observed(None), {}
+
+    def step(self, action: Floats) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        if self._state is None:
+            raise LuxloopError("step: there is no episode; call reset() first")
+        ((name, held),) = self._state.held.items()
+        taken = action_of(action, (self.acting.size,)).to(self.simulation.device)
+        acted = replace(held, controller=self.acting.act(held.controller, taken))
+        self._state, result = self.simulation.step(replace(self._state, held={name: acted}))
+        self._result = result
+        verdict = result.symbol.verdict
+        assert verdict is not None
+        found = reward(verdict, taken)
+        info = {
+            "terms": {key: float(value) for key, value in found.terms.items()},
+            "verdict": {key: value.cpu().numpy() for key, value in vars(verdict).items()},
+        }
+        truncated = self._state.step >= self.simulation.scenario.steps
+        if self.render_mode == "human":
+            self._show()
+        return self._observed(result.symbol.measurement), float(found.reward), False, truncated, info
+
+    def render(self) -> Any:
+        """The camera's view as in a run's video, `[height, width, 3]` uint8, black before the first step; None with render_mode "human"."""
+        if self.render_mode == "human":
+            self._show()
+            return None
+        return self._picture()
+
+    def close(self) -> None:
+        if self.render_mode == "human":
+            from matplotlib import pyplot
+
+            pyplot.close(self._title)
+
+    @property
+    def _title(self) -> str:
+        return f"luxloop: {self.scenario.name}"
+
+    def _picture(self) -> Any:
+        if self._result is None:
+            camera = self.scenario.camera
+            return np.zeros((camera.height_px, camera.width_px, 3), np.uint8)
+        if self._white is None:
+            self._white = white_of(self._result, self.simulation)
+        return frame_picture(self._result, self.simulation, self._white)
+
+    def _show(self) -> None:
+        from matplotlib import pyplot
+
+        figure = pyplot.figure(self._title)
+        figure.clear()
+        figure.add_axes((0, 0, 1, 1)).imshow(self._picture())
+        pyplot.pause(1e-3)
+
+    def _observed(self, seen: Measurement | None) -> Any:
+        assert self._state is not None
+        ((_, held),) = self._state.held.items()
+        ego = self.simulation.ego(self._state.samples, self._state.arrivals.time_s)
+        if seen is None:
+            seen = self.simulation.symbol.sensor.lost(self.acting.projection(held.controller, ego).pose, Loss.NO_FRAME)
+        look = Look.of(seen, self.image)
+        return as_gymnasium(observation(self.acting.observed(held.controller), look, ego), look)
+
+
+def known_action(action: str) -> str:
+    """The action, if there is one of this name. Raises LuxloopError if not."""
+    if action not in ACTIONS:
+        raise LuxloopError(f"action: there is no {action!r}; {did_you_mean(action, ACTIONS)}")
+    return action
+
+
+def start_of(options: dict[str, Any] | None, pose: torch.Tensor, *shapes: tuple[int, ...]) -> torch.Tensor:
+    """The start pose in `options`, by default `pose` `[4]`. Raises LuxloopError if it has none of the shapes, or is not finite."""
+    given = (options or {}).get("start")
+    if given is None:
+        return pose
+    start = torch.as_tensor(np.asarray(given, np.float32))
+    if start.shape not in shapes or not bool(start.isfinite().all()):
+        wanted = " or ".join(map(str, shapes))
+        raise LuxloopError(f"reset: options['start']: is no pose; give x and y in m, roll and pitch in rad, in the shape {wanted}")
+    return start

@@ -1,0 +1,220 @@
+"""The job runner of evaluations, campaigns and tables: many independent jobs over all cores, each kept on disk as soon as it is done.
+
+A killed or interrupted run resumes, failures are collected, and a job whose parameters or code changed runs again. An executor decides
+where jobs run.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from luxloop.loop.report import terminal as tables
+from luxloop.loop.report.progress import progress
+from luxloop.loop.studies.jobs.bundles import bundles, told
+from luxloop.loop.studies.jobs.executors import ALL_CORES, Executor, WorkersLostError
+from luxloop.world.errors import LuxloopError
+from luxloop.world.validation import parsed_json
+
+Values = Mapping[str, Any]  # what JSON can hold, by name
+NAMED = 4  # most jobs named in a message
+_START = b'{"id": '  # begins every line
+
+
+@dataclass(frozen=True)
+class Job:
+    """Keyword arguments of one call.
+
+    key: readable name for tables and messages. place: more arguments, which say where the call puts files and do not decide its result.
+    """
+
+    key: str
+    parameters: Values
+    place: Values = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Together:
+    """A function of a job, and how several jobs are done at once with the same results.
+
+    kind: of a job's parameters; jobs of one kind may be done together, None is done alone. many: of the parameters of several; gives the
+    result of each, or the error that it raised.
+    """
+
+    one: Callable[..., Values]
+    kind: Callable[[Values], str | None]
+    many: Callable[[Sequence[Values]], Sequence[Values | Exception]]
+
+
+@dataclass(frozen=True)
+class Results:
+    """Results of a run: key, parameters and result of each successful job, in the order of the jobs; reasons of failures by key."""
+
+    rows: list[dict[str, Any]]
+    failures: dict[str, str]
+
+    def write(self, file: Path) -> None:
+        """Write the rows as Parquet, whole or not at all. Raises LuxloopError if that fails."""
+        import pyarrow as pa  # imported here, since workers do not need it and start faster
+
+        from luxloop.loop.recording.files import write_table
+
+        try:
+            with _writing(file):
+                file.parent.mkdir(parents=True, exist_ok=True)
+                write_table(file, pa.Table.from_pylist(self.rows))
+        except pa.ArrowException as error:
+            raise LuxloopError(f"{file}: results make no table ({error}); remove the file of results, or give another folder") from error
+
+
+def run(
+    function: Callable[..., Values] | Together,
+    jobs: Sequence[Job],
+    file: Path,
+    *,
+    version: str,
+    executor: Executor = ALL_CORES,
+    title: str = "jobs",
+    is_there: Callable[[Job], bool] = lambda job: True,
+) -> Results:
+    """Do the jobs without a result in the file, and return the results of all.
+
+    function: of a module's top level, so that other processes can import it; takes the parameters of a job and returns a JSON value. A line
+    says which jobs are done together. file: JSON lines, one per result; lines are only added, and results of other functions, parameters
+    and versions stay. version: what decides a result besides its parameters, such as `digest_of(...)`. executor: by default a process per
+    core. is_there: whether the files that a call made are still there; if not, the job runs again. The next run tries failed jobs again.
+
+    Raises: KeyboardInterrupt that says what is kept; LuxloopError if workers are lost, or the file is of another kind or cannot be written.
+    """
+    how = function if isinstance(function, Together) else Together(function, _alone, partial(_one_by_one, function))
+    pairs = [(identity_of(how.one, job.parameters, version), job) for job in jobs]
+    read = _read(file)
+    done = {identity: read[identity] for identity, job in pairs if identity in read and is_there(job)}
+    left = {identity: job for identity, job in pairs if identity not in done}
+    total, failures = len(dict(pairs)), dict[str, str]()
+    try:
+        with progress(title, total, total - len(left)) as advance:
+            tasks = [(identity, {**job.parameters, **job.place}) for identity, job in left.items()]
+            found = _bundles(how, [parameters for _, parameters in tasks], executor)
+            if note := told(found, title):
+                tables.console(stderr=True).print(note, markup=False)
+            for ended in executor(partial(_call, how), [[tasks[k] for k in places] for places in found]):
+                for identity, result, error in ended:
+                    if error:
+                        failures[identity] = error
+                    else:
+                        _append(file, f'{{"id": "{identity}", "key": {json.dumps(left[identity].key)}, "result": {result}}}')
+                        done[identity] = json.loads(result)
+                    advance()
+    except (KeyboardInterrupt, WorkersLostError) as error:
+        kept = f"{len(done)} of {total} {title} are kept in {file}, the same command goes on from there"
+        if isinstance(error, KeyboardInterrupt):
+            raise KeyboardInterrupt(kept) from error
+        lost = [job.key for identity, job in left.items() if identity not in done and identity not in failures]
+        raise LuxloopError(f"{error}: {kept}; the first that are not done: {'; '.join(lost[:NAMED])}") from error
+    return Results(
+        [{"key": job.key, **job.parameters, **done[identity]} for identity, job in pairs if identity in done],
+        {job.key: failures[identity] for identity, job in pairs if identity in failures},
+    )
+
+
+def digest_of(*modules: ModuleType) -> str:
+    """Code digest of modules, for results that depend on their code."""
+    return hashlib.sha256(b"".join(Path(str(module.__file__)).read_bytes() for module in modules)).hexdigest()
+
+
+def identity_of(function: Callable[..., Values], parameters: Values, version: str) -> str:
+    """Digest of what decides a job's result."""
+    decisive = [function.__module__, function.__qualname__, version, parameters]
+    return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def _bundles(how: Together, parameters: Sequence[Values], executor: Executor) -> list[list[int]]:
+    kinds = [how.kind(each) for each in parameters]
+    return bundles(kinds, executor.workers) if any(kinds) else [[k] for k in range(len(kinds))]
+
+
+def _call(how: Together, tasks: Sequence[tuple[str, Values]]) -> list[tuple[str, str, str]]:
+    """Of each job its identity, its result as JSON, and the reason of failure, one of both empty."""
+    found = []
+    for (identity, _), result in zip(tasks, how.many([parameters for _, parameters in tasks]), strict=True):
+        try:
+            found.append((identity, "", reason(result)) if isinstance(result, Exception) else (identity, json.dumps(dict(result)), ""))
+        except Exception as error:
+            found.append((identity, "", reason(error)))
+    return found
+
+
+def _alone(parameters: Values) -> None:
+    """The kind of jobs that are never done together."""
+
+
+def _one_by_one(function: Callable[..., Values], parameters: Sequence[Values]) -> list[Values | Exception]:
+    found: list[Values | Exception] = []
+    for each in parameters:
+        try:
+            found.append(function(**each))
+        except Exception as error:
+            found.append(error)
+    return found
+
+
+def reason(error: Exception) -> str:
+    """The reason why a job failed: luxloop's own sentence, or the exception and its place."""
+    if isinstance(error, LuxloopError):
+        return "; ".join(map(str, error.args))
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({Path(where.filename).name}, line {where.lineno})"
+
+
+def _read(file: Path) -> dict[str, dict[str, Any]]:
+    """Results by identity. An incomplete last line, left by a kill or a full disk, is removed, and its job runs again."""
+    try:
+        content = file.read_bytes() if file.exists() else b""
+        *lines, last = content.splitlines(keepends=True) or [b""]
+        results = dict(map(_entry, lines))
+        try:
+            identity, result = _entry(last)
+            results[identity] = result
+        except (ValueError, KeyError, TypeError):
+            if not (results or last.startswith(_START) or _START.startswith(last)):
+                raise
+            if last:
+                os.truncate(file, len(content) - len(last))
+        return results
+    except (ValueError, KeyError, TypeError) as error:
+        raise LuxloopError(f"{file}: holds something other than job results; remove it or give another folder") from error
+    except OSError as error:
+        raise LuxloopError(f"{file}: cannot be read ({error.strerror}); check its permissions") from error
+
+
+def _entry(line: bytes) -> tuple[str, dict[str, Any]]:
+    """Identity and result of a complete line. Raises ValueError, KeyError or TypeError for other lines."""
+    if not line.endswith(b"\n"):
+        raise ValueError("its last line has no end")
+    entry = parsed_json(line)
+    if not isinstance(entry["result"], dict):
+        raise TypeError("a result is no table")
+    return entry["id"], entry["result"]
+
+
+def _append(file: Path, line: str) -> None:
+    with _writing(file):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with file.open("ab") as stream:
+            stream.write(line.encode() + b"\n")
+
+
+@contextlib.contextmanager
+def _writing(file: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise LuxloopError(f"{file}: cannot be written ({error.strerror}); give another folder") from error

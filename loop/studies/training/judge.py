@@ -1,0 +1,225 @@
+"""Metrics of a detector on held-out scenes: detections at one illuminance, and confidence at all."""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from luxloop.controllers.obl.light import ObjectLightParams
+from luxloop.loop.studies.training.light import lit_alone, luminance
+from luxloop.loop.studies.training.scenes import CAMERA, CLASSES, DarkScene, Labelled, read
+from luxloop.perception.camera import expose
+from luxloop.perception.detection.protocol import Detections, Detector
+from luxloop.perception.detection.suppression import overlaps
+from luxloop.perception.noise import FrameNoise
+
+ILLUMINANCES_LX = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
+JUDGED_LX = 10.0
+ALONE_LX, AROUND_LX, EDGE_PX = 20.0, 0.1, 2.0  # of object-based light: on objects, beside them, and the scale of the lamps' blur
+FRAMES = 4  # frames with different noise over which confidences are averaged
+AGREE = 0.05  # loss of confidence from full to object-based light that is accepted
+SURE = 0.5  # least score of what counts as found: at JUDGED_LX rather right than wrong, in less light more often right than that
+SCORES = (0.2, 0.3, 0.4, SURE, 0.6, 0.7, 0.8)  # that might do as well
+BINS = (0.1, 0.3, 0.5, 0.7, 0.9, 1.0)  # of scores, whose boxes are asked how many of them are right
+FOUND_IOU = 0.5
+HEIGHT_PX, VISIBLE, INSIDE = 24, 0.5, 0.5  # least of what must be found; what has less may be
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Verdict on one frame. confidences: of each object that must be detected, the best score of its class, 0 without a box on it.
+
+    found: which objects a sure box detects. right: which of these in their class. false: number of sure boxes without an object.
+    """
+
+    labels: tuple[int, ...]
+    confidences: tuple[float, ...]
+    found: tuple[bool, ...]
+    right: tuple[bool, ...]
+    false: int
+
+
+def judge(detector: Detector, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Metrics of a detector on the scenes that `luxloop.loop.studies.training.scenes.draw` returned as rows.
+
+    At x lx every surface facing the lamps gets x lx at any distance: the intensity grows with the square of the distance. Confidence
+    against illuminance is computed without any other light, and with the scene's night light, as are all other metrics.
+    """
+    labels_of = [CLASSES.index(name) for name in detector.classes]
+    in_darkness: dict[float, list[Verdict]] = {lx: [] for lx in ILLUMINANCES_LX}
+    at_night: dict[float, list[Verdict]] = {lx: [] for lx in ILLUMINANCES_LX}
+    by_score: dict[float, list[Verdict]] = {score: [] for score in SCORES}
+    agreements: list[tuple[int, float, float]] = []
+    asked: list[tuple[float, bool]] = []
+    times_ms = []
+    for row in rows:
+        scene, seed = read(row), int(row["seed"])
+        dark = replace(scene, own=torch.zeros_like(scene.own), sky=torch.zeros_like(scene.sky))
+        for number, lx in enumerate(ILLUMINANCES_LX):
+            frames = torch.stack([seen(each, lx, seed, number) for each in (dark, scene)])
+            start = time.process_time()
+            alone, found = detector.detect(frames)
+            times_ms.append(1e3 * (time.process_time() - start) / len(frames))
+            in_darkness[lx].append(verdict(alone, scene.objects, labels_of))
+            at_night[lx].append(verdict(found, scene.objects, labels_of))
+            if lx == JUDGED_LX:
+                asked += boxes_right(found, scene.objects, labels_of)
+                for score, of in by_score.items():
+                    of.append(verdict(found, scene.objects, labels_of, score))
+        agreements += agreement(detector, scene, seed)
+    return {
+        "scenes": len(rows),
+        "sure": SURE,
+        "well_lit": _found(by_score[SURE]),
+        "by_score": [{"score": score, **{key: _found(of)[key] for key in ("recall", "false_a_frame")}} for score, of in by_score.items()],
+        "confidence": _confidence(in_darkness),
+        "confidence_at_night": _confidence(at_night),
+        "right": _right(asked),
+        "alone": _alone(agreements),
+        "ms_a_frame": round(float(np.median(times_ms)), 1),
+    }
+
+
+def verdict(found: Detections, objects: Sequence[Labelled], labels_of: Sequence[int], sure: float = SURE) -> Verdict:
+    """The verdict on one frame. labels_of: luxloop's class for each of the detector's."""
+    must = [_must(each) for each in objects]
+    boxes, scores = found.boxes.cpu(), found.scores.cpu()
+    overlap = overlaps(boxes, torch.tensor([each.box for each in objects]).view(-1, 4))
+    owner = [-1] * len(objects)
+    false = 0
+    for k in torch.nonzero(scores.amax(1) >= sure)[:, 0].tolist() if len(scores) else []:
+        free = torch.tensor([number < 0 for number in owner])
+        taken = overlap[k] * free
+        if len(objects) and float(taken.max()) >= FOUND_IOU:
+            owner[int(taken.argmax())] = k
+        else:
+            false += not _on_any(boxes[k], [each for each, needed in zip(objects, must, strict=True) if not needed])
+    labels, confidences, hits, right = [], [], [], []
+    for number, each in enumerate(objects):
+        if not must[number]:
+            continue
+        of_class = [column for column, label in enumerate(labels_of) if label == each.label]
+        on_it = scores[overlap[:, number] >= FOUND_IOU][:, of_class]
+        labels.append(each.label)
+        confidences.append(float(on_it.max()) if on_it.numel() else 0.0)
+        hits.append(owner[number] >= 0)
+        right.append(owner[number] >= 0 and labels_of[int(scores[owner[number]].argmax())] == each.label)
+    return Verdict(tuple(labels), tuple(confidences), tuple(hits), tuple(right), false)
+
+
+def boxes_right(found: Detections, objects: Sequence[Labelled], labels_of: Sequence[int]) -> list[tuple[float, bool]]:
+    """Score of each box, and whether it is the one of highest score on an object of its class that must or may be detected.
+
+    Other boxes on objects that may be detected are left out.
+    """
+    boxes, (scores, columns) = found.boxes.cpu(), found.scores.cpu().max(1)
+    overlap = overlaps(boxes, torch.tensor([each.box for each in objects]).view(-1, 4))
+    overlap *= torch.tensor([[labels_of[column] == each.label for each in objects] for column in columns.tolist()]).view(overlap.shape)
+    asked, taken = [], set[int]()
+    for k in scores.argsort(descending=True).tolist():
+        best = int(overlap[k].argmax()) if objects else -1
+        hit = best >= 0 and best not in taken and float(overlap[k, best]) >= FOUND_IOU
+        taken |= {best} if hit else set()
+        if hit or not _on_any(boxes[k], [each for each in objects if not _must(each)]):
+            asked.append((float(scores[k]), hit))
+    return asked
+
+
+def agreement(detector: Detector, scene: DarkScene, seed: int) -> list[tuple[int, float, float]]:
+    """Label and confidence in full and in object-based light, as means over frames, of objects that must be detected and surely are in full
+    light.
+    """
+    labels_of = [CLASSES.index(name) for name in detector.classes]
+
+    def means(light: Tensor | float, first: int) -> tuple[tuple[int, ...], list[float]]:
+        frames = torch.stack([seen(scene, light, seed, first + k) for k in range(FRAMES)])
+        verdicts = [verdict(found, scene.objects, labels_of) for found in detector.detect(frames)]
+        return verdicts[0].labels, np.mean([each.confidences for each in verdicts], 0).tolist()
+
+    first = len(ILLUMINANCES_LX)
+    (labels, full), (_, dark) = means(ALONE_LX, first), means(object_based(scene), first + FRAMES)
+    return [each for each in zip(labels, full, dark, strict=True) if each[1] >= SURE]
+
+
+def seen(scene: DarkScene, light: Tensor | float, seed: int, number: int) -> Tensor:
+    """A frame of the scene in a light for a detector, with noise of this seed and number."""
+    return expose(luminance(scene, light), CAMERA, FrameNoise.of(seed, number, 0)) / (2**CAMERA.bits - 1)
+
+
+def object_based(scene: DarkScene) -> Tensor:
+    """Light on objects alone, approximately as object-based lighting gives it by default, but without its handling of nearer objects."""
+    params = ObjectLightParams()
+    return lit_alone(scene, ALONE_LX, AROUND_LX, params.dark, params.dark_lx, EDGE_PX)
+
+
+def _must(each: Labelled) -> bool:
+    return each.height >= HEIGHT_PX and each.visible >= VISIBLE and each.inside >= INSIDE
+
+
+def _on_any(box: Tensor, objects: Sequence[Labelled]) -> bool:
+    """Whether most of a box lies on one of the objects."""
+    for each in objects:
+        other = torch.tensor(each.box)
+        both = (torch.minimum(box[2:], other[2:]) - torch.maximum(box[:2], other[:2])).clamp(min=0).prod()
+        if both > 0.5 * (box[2:] - box[:2]).prod():
+            return True
+    return False
+
+
+def _found(verdicts: Sequence[Verdict]) -> dict[str, Any]:
+    def share(hits: Sequence[bool]) -> float | None:
+        return round(float(np.mean(hits)), 3) if hits else None
+
+    pairs = [(label, hit, right) for each in verdicts for label, hit, right in zip(each.labels, each.found, each.right, strict=True)]
+    false, true = sum(each.false for each in verdicts), sum(hit for _, hit, _ in pairs)
+    return {
+        "objects": len(pairs),
+        "recall": share([hit for _, hit, _ in pairs]),
+        "precision": round(true / max(true + false, 1), 3),
+        "false_a_frame": round(false / len(verdicts), 3),
+        "class_accuracy": share([right for _, hit, right in pairs if hit]),
+        "recall_by_class": {name: share([hit for label, hit, _ in pairs if label == k]) for k, name in enumerate(CLASSES)},
+    }
+
+
+def _right(asked: Sequence[tuple[float, bool]]) -> list[dict[str, Any]]:
+    """Of boxes in light of `JUDGED_LX`, by their scores: how many, their mean score, and the share that is right."""
+    rows = []
+    for low, high in pairwise(BINS):
+        boxes = [(score, right) for score, right in asked if low <= score < high or score == high == BINS[-1]]
+        score, right = np.mean(boxes, 0).round(3).tolist() if boxes else (None, None)
+        rows.append({"from": low, "to": high, "boxes": len(boxes), "score": score, "right": right})
+    return rows
+
+
+def _confidence(verdicts: Mapping[float, Sequence[Verdict]]) -> dict[str, Any]:
+    """Quartiles over the illuminances, of all objects and of each class."""
+    curves: dict[str, Any] = {"lx": list(ILLUMINANCES_LX)}
+    for name, labels in {"all": range(len(CLASSES)), **{name: [k] for k, name in enumerate(CLASSES)}}.items():
+        of = [
+            [c for each in verdicts[lx] for c, k in zip(each.confidences, each.labels, strict=True) if k in labels]
+            for lx in ILLUMINANCES_LX
+        ]
+        quartiles = [np.percentile(each, [25, 50, 75]).round(3).tolist() if each else [None] * 3 for each in of]
+        curves[name] = {key: [each[k] for each in quartiles] for k, key in enumerate(("lower", "median", "upper"))}
+    return curves
+
+
+def _alone(agreements: Sequence[tuple[int, float, float]]) -> dict[str, Any]:
+    """Share of objects whose confidence object-based light keeps within AGREE, and the median change."""
+
+    def kept(found: Sequence[tuple[int, float, float]]) -> float | None:
+        return round(float(np.mean([dark >= full - AGREE for _, full, dark in found])), 3) if found else None
+
+    changes = [dark - full for _, full, dark in agreements]
+    return {
+        "objects": len(agreements),
+        "kept": kept(agreements),
+        "kept_by_class": {name: kept([each for each in agreements if each[0] == k]) for k, name in enumerate(CLASSES)},
+        "median_change": round(float(np.median(changes)), 3) if changes else None,
+    }

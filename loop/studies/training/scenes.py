@@ -1,0 +1,208 @@
+"""Training scenes for a detector, rendered once without headlamps as each pixel's response to light, so that any light can be applied."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+from torch import Tensor
+
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.loop.simulation.build import build_scene
+from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.perception.ground_truth import ground_truth
+from luxloop.world.files import whole
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight import Headlight
+from luxloop.world.light.ambient import ambient_luminance
+from luxloop.world.light.illumination import luminance, reach
+from luxloop.world.rendering.face_source import face_source
+from luxloop.world.rendering.gbuffer import GBuffer
+from luxloop.world.rendering.surfaces import SurfaceSource, surface_source
+from luxloop.world.scene.scene import Ground, Scene
+from luxloop.world.scene.triangles import Triangles
+from luxloop.world.spmv import Csr
+from luxloop.world.traffic.generator import varied
+
+CAMERA: Final = CameraParams(width_px=640, height_px=360, pitch_deg=1.5, oversampling=1, saturation_e=2000)
+LAMPS_M: Final = ((0.0, 0.6, 0.75), (0.0, -0.6, 0.75))
+CLASSES: Final = ("pedestrian", "cyclist", "car", "animal")
+TRAINING, HELD_OUT = 10_000, 1_000_000  # first seeds of scenes, which share no object with others
+ROADS = 8  # that scenes share, those held out among themselves
+LARGEST = 6e4  # half precision ends there
+MOMENTS_S = 4.0  # a scene is drawn at one moment of its first seconds
+LAYERS = ("lamps", "distance", "own", "sky", "object_id")
+
+
+@dataclass(frozen=True)
+class Labelled:
+    """An object of one of the classes. box: `[4]` px, left, top, right, bottom of what is seen and what is hidden, within the image.
+
+    visible: share that nothing hides. inside: share of its whole box that lies in the image.
+    """
+
+    object_id: int
+    label: int
+    box: tuple[float, float, float, float]
+    visible: float
+    inside: float
+
+    @property
+    def height(self) -> float:
+        return self.box[3] - self.box[1]
+
+    def within(self, left: int, top: int, width: int, height: int) -> "Labelled | None":
+        """What lies in a part of the image, counted from there; None where nothing does."""
+        u0, v0, u1, v1 = self.box
+        box = (max(u0 - left, 0.0), max(v0 - top, 0.0), min(u1 - left, float(width)), min(v1 - top, float(height)))
+        size, whole = (box[2] - box[0], box[3] - box[1]), (u1 - u0) * (v1 - v0)
+        return replace(self, box=box, inside=self.inside * size[0] * size[1] / whole) if min(size) > 0 else None
+
+
+@dataclass(frozen=True, eq=False)
+class DarkScene:
+    """A scene as the camera would see it in any light, all `[height, width]`.
+
+    lamps: luminance in cd/m^2 for each lx of light from both headlamps, half from each, that a surface facing them gets. distance: m to the
+    middle between them. own: luminance by all other lamps. sky: luminance for each lx of an overcast sky. object_id: -1 where nothing is.
+    ambient_lx: of the scene's night. objects: those in sight of the classes that are looked for.
+    """
+
+    lamps: Tensor
+    distance: Tensor
+    own: Tensor
+    sky: Tensor
+    object_id: Tensor
+    ambient_lx: float
+    objects: tuple[Labelled, ...]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        height, width = self.lamps.shape
+        return height, width
+
+    def shifted(self, left: int, top: int) -> "DarkScene":
+        """The scene with the image origin at a column and row; boxes are clipped to the image."""
+        return replace(self, objects=tuple(found for each in self.objects if (found := each.within(left, top, *self.shape[::-1]))))
+
+    def mirrored(self) -> "DarkScene":
+        """Left and right exchanged."""
+        layers = {name: getattr(self, name).flip(-1) for name in LAYERS}
+        width = self.shape[1]
+        objects = tuple(replace(each, box=(width - each.box[2], each.box[1], width - each.box[0], each.box[3])) for each in self.objects)
+        return replace(self, **layers, objects=objects)  # type: ignore[arg-type]
+
+    def behind(self, other: "DarkScene") -> "DarkScene":
+        """This scene with the objects of another one inserted by distance; their shadows are left out."""
+        nearer = (other.object_id > 0) & (other.distance < self.distance)
+        first = int(self.object_id.max()) + 1
+        moved = replace(
+            other,
+            object_id=other.object_id + first,
+            objects=tuple(replace(each, object_id=each.object_id + first) for each in other.objects),
+        )
+        layers = {name: torch.where(nearer, getattr(moved, name), getattr(self, name)) for name in LAYERS}
+        objects = (*_still_seen(self, layers["object_id"]), *_still_seen(moved, layers["object_id"]))
+        return replace(self, **layers, objects=objects)  # type: ignore[arg-type]
+
+
+def _still_seen(scene: DarkScene, object_id: Tensor) -> tuple[Labelled, ...]:
+    """Objects of a scene that remain visible in an image where others may hide them."""
+    before, after = (torch.bincount(ids.flatten() + 1, minlength=256) for ids in (scene.object_id, object_id))
+    share = (after / before.clamp(min=1)).tolist()
+    return tuple(replace(each, visible=each.visible * share[each.object_id + 1]) for each in scene.objects)
+
+
+def draw(seed: int, folder: str) -> dict[str, Any]:
+    """Render the scene of a seed into `folder/SEED.npy` and return its row. Raises LuxloopError if it cannot be written."""
+    scenario = _scenario(seed)
+    ground, source = _road(road_seed(seed))
+    scene = Scene((ground, *(item.build() for item in scenario.all_objects)), 0.0, scenario.light.street_lamps)
+    time_s = float(np.random.default_rng([seed, 2]).uniform(0, MOMENTS_S))
+    triangles, view = scene.at(time_s), camera_view(CAMERA)
+    surfaces = source.gbuffer(triangles, view)
+    here = surfaces.object_id >= 0
+    away = surfaces.position - torch.tensor(LAMPS_M).mean(0)[:, None, None]
+    distance = torch.where(here, away.norm(dim=0), torch.inf)
+    dark = ambient_luminance(surfaces, 0.0, scene.street_lamps, scene.spotlights_at(time_s))
+    sky = torch.where(here, surfaces.albedo * (1 + surfaces.normal[2]) / (2 * math.pi), 0)
+    layers = torch.stack([_sent_back(surfaces, triangles, distance), distance, dark, sky, surfaces.object_id.float()])
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    with whole(_file(folder, seed)) as part, part.open("wb") as stream:
+        np.save(stream, layers.clamp(max=LARGEST).half().numpy())
+    # parked cars count as cars, although trackers do not report them
+    names = ["car" if item.kind == "car" else item.category for item in scenario.all_objects]
+    objects = [
+        {
+            "object_id": each.object_id,
+            "label": CLASSES.index(each.category),
+            "box": _within(each.whole),
+            "visible": each.visible,
+            "inside": each.inside,
+        }
+        for each in ground_truth(surfaces, triangles, view, names)
+        if each.category in CLASSES and each.inside > 0
+    ]
+    return {"ambient_lx": scenario.light.ambient_lx, "objects": objects}
+
+
+def read(row: Mapping[str, Any], rows: slice = slice(None), columns: slice = slice(None)) -> DarkScene:
+    """The scene of a row that `draw` gave, or a part of the image, from which boxes then count. Raises OSError where the file is gone."""
+    layers = np.load(_file(row["folder"], row["seed"]), mmap_mode="r")[:, rows, columns]
+    lamps, distance, own, sky, object_id = torch.from_numpy(layers.astype(np.float32))
+    objects = tuple(Labelled(**{**each, "box": tuple(each["box"])}) for each in row["objects"])
+    scene = DarkScene(lamps, distance, own, sky, object_id.int(), row["ambient_lx"], objects)
+    return scene.shifted(columns.start or 0, rows.start or 0)
+
+
+def _file(folder: str, seed: int) -> Path:
+    return Path(folder) / f"{seed}.npy"
+
+
+def tables(seed: int) -> dict[str, Any]:
+    """Tables `road`, `surface`, `light` and `traffic` of a scenario, from a seed, with something to be found in most."""
+    found = varied(seed)
+    traffic = found["traffic"]
+    for key in ("pedestrians", "cyclists", "animals"):  # nights are emptier than what is worth drawing
+        traffic[key] += 1
+    return found
+
+
+def _scenario(seed: int) -> Scenario:
+    return validate({"name": "training", "lighting": {}, **tables(seed)}, f"seed {seed}")
+
+
+def road_seed(seed: int) -> int:
+    first = HELD_OUT if seed >= HELD_OUT else TRAINING
+    return first + seed % ROADS
+
+
+@lru_cache(1)  # 0.1 GB
+def _road(seed: int) -> tuple[Ground, SurfaceSource]:
+    scenario = _scenario(seed).model_copy(update={"objects": (), "traffic": None})
+    ground = build_scene(scenario).bodies[0]
+    assert isinstance(ground, Ground)
+    return ground, surface_source(face_source(), moving=True)
+
+
+def _sent_back(surfaces: GBuffer, triangles: Triangles, distance: Tensor) -> Tensor:
+    """Luminance in cd/m^2 for each lx on a surface that faces the lamps."""
+    found = torch.zeros(distance.numel())
+    even = Csr.from_scipy(sp.csr_matrix(np.ones((4, 1))))  # 1 cd into all directions that the camera sees
+    lamp = Headlight(rows=2, cols=2, left=0.4, right=-0.4, bottom=-0.3, top=0.3, name="even", matrix=even, pixel_rows=1, pixel_cols=1)
+    texture = lamp.light_texture(torch.ones(1))
+    for place in LAMPS_M:
+        T_world_lamp = pose_from_degrees(place)
+        surface = reach(surfaces, lamp, T_world_lamp, triangles)
+        found[surface.index] += luminance(surface, texture) / len(LAMPS_M)
+    return found.view_as(distance) * torch.where(distance.isfinite(), distance, 0).square()
+
+
+def _within(box: tuple[float, float, float, float]) -> list[float]:
+    (u0, v0, u1, v1), (w, h) = box, (CAMERA.width_px, CAMERA.height_px)
+    return [min(max(value, 0.0), float(limit)) for value, limit in ((u0, w), (v0, h), (u1, w), (v1, h))]

@@ -1,0 +1,108 @@
+"""`luxloop train-detector`: render scenes, fit the network, test it on others, and write weights and report."""
+
+import datetime
+import json
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from luxloop.loop.report import terminal as tables
+from luxloop.loop.report.progress import progress
+from luxloop.loop.studies.jobs.executors import Executor, local
+from luxloop.loop.studies.jobs.runner import Job, Results, digest_of, run
+from luxloop.loop.studies.training import scenes
+from luxloop.loop.studies.training.calibrate import calibrate
+from luxloop.loop.studies.training.fit import BATCH, fit
+from luxloop.loop.studies.training.judge import judge
+from luxloop.loop.studies.training.report import overview, write_report
+from luxloop.perception.detection.network import NetworkDetector, save
+from luxloop.perception.detection.params import NetworkParams
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import whole
+from luxloop.world.folders import output_folder
+
+JOBS, FOLDER, WEIGHTS = "scenes.jsonl", "scenes", "detector.pt"
+LEAST_SCORE = 0.01  # of what is asked and judged
+CALIBRATING = 10  # one in so many scenes is kept for calibration
+VERSION: Final = digest_of(scenes)
+
+
+def train(out: Path, number: int, held_out: int, epochs: int, seed: int, processes: int | None) -> dict[str, Any]:
+    """Train on a number of scenes, test on others, write weights and report into a folder; returns the report.
+
+    Raises LuxloopError for invalid numbers, scenes that cannot be rendered, a network that has learnt nothing, or a folder that cannot be
+    written.
+    """
+    for key, value in (("scenes", number), ("held-out", held_out), ("epochs", epochs)):
+        if value < 1:
+            raise LuxloopError(f"--{key} {value}: too few; give 1 or more")
+    if seed < 0:
+        raise LuxloopError(f"--seed {seed}: a seed is 0 or more")
+    executor = local(processes)
+    with output_folder(out), output_folder(out / FOLDER):
+        started = time.monotonic()
+        seen = drawn(out, scenes.TRAINING, number, executor, "scenes to train on")
+        others = drawn(out, scenes.HELD_OUT, held_out, executor, "scenes held out")
+        drew = time.monotonic()
+        try:
+            detector, training = _learnt(seen, epochs, seed)
+            training["minutes"] = {"drawing": round((drew - started) / 60, 1), "training": round((time.monotonic() - drew) / 60, 1)}
+            found = judge(detector, others)
+        except OSError as error:
+            raise LuxloopError(f"{out}: a scene cannot be read ({error}); remove {out / JOBS}, so that all are drawn again") from error
+        except KeyboardInterrupt as error:
+            kept = f"all scenes are stored in {out}, the same command trains from its start"
+            raise KeyboardInterrupt(kept) from error
+        report = {"date": datetime.date.today().isoformat(), "training": training, "camera": scenes.CAMERA.model_dump(), **found}
+        store(detector, report, out)
+    return report
+
+
+def store(detector: NetworkDetector, report: Mapping[str, Any], out: Path) -> None:
+    """Write weights and report into a folder, the weights last, so that a report beside weights is theirs.
+
+    Raises LuxloopError where that cannot be.
+    """
+    (out / WEIGHTS).unlink(missing_ok=True)
+    numbers = json.dumps(report, indent=1, allow_nan=False) + "\n"
+    write_report(report, out)
+    with whole(out / "report.json") as file:
+        file.write_text(numbers, "utf-8")
+    with whole(out / WEIGHTS) as file:
+        save(detector.network, detector.classes, file)
+
+
+def _learnt(rows: Sequence[dict[str, Any]], epochs: int, seed: int) -> tuple[NetworkDetector, dict[str, Any]]:
+    """The network as it is stored, and how it came about. Scenes too few to leave one for that serve to calibrate as well."""
+    last = len(rows) // CALIBRATING
+    learnt, asked = (rows[:-last], rows[-last:]) if last else (rows, rows)
+    steps = -(-epochs * len(learnt) // BATCH)
+    with progress("training", steps) as advance:
+        network = fit(learnt, steps, seed, lambda _: advance())
+    detector = NetworkDetector(network, scenes.CLASSES, LEAST_SCORE, NetworkParams().overlap)
+    slope, shift = calibrate(detector, asked)
+    network.half().float()
+    return detector, {
+        **{"scenes": len(rows), "epochs": epochs, "examples": steps * BATCH * 2, "seed": seed},
+        **{"calibrated_on": len(asked), "slope": round(slope, 3), "shift": round(shift, 3)},
+    }
+
+
+def drawn(out: Path, first: int, number: int, executor: Executor, title: str) -> list[dict[str, Any]]:
+    """Rows of so many scenes from a first seed on, drawn unless they are in the folder. Raises LuxloopError where some cannot be."""
+    folder = str(out / FOLDER)
+    seeds = sorted(range(first, first + number), key=scenes.road_seed)  # those on one road follow each other
+    jobs = [Job(f"scene {seed}", {"seed": seed, "folder": folder}) for seed in seeds]
+    results: Results = run(scenes.draw, jobs, out / JOBS, version=VERSION, executor=executor, title=title)
+    if results.failures:
+        key, reason = next(iter(results.failures.items()))
+        raise LuxloopError(f"{out}: {len(results.failures)} scenes cannot be drawn, first {key}: {reason}")
+    return sorted(results.rows, key=lambda row: int(row["seed"]))
+
+
+def train_detector(out: Path, number: int, held_out: int, epochs: int, seed: int, processes: int | None) -> None:
+    """Train and show how good the network has become."""
+    report = train(out, number, held_out, epochs, seed, processes)
+    tables.show(overview(report))
+    print(f"{out / WEIGHTS} and {out / 'report.md'} written")

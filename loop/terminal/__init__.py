@@ -1,1 +1,0 @@
-"""What the terminal shows: tables, progress, lists, and the state of an installation."""

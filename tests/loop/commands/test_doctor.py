@@ -1,0 +1,104 @@
+"""What the doctor says of a machine that is well, and of broken ones."""
+
+import os
+import shutil
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+from luxloop.loop.commands import doctor
+from luxloop.loop.scenario import data
+
+
+def test_every_check_reports_and_mends() -> None:
+    results = doctor.checks()
+    names = [check.name for check in results]
+    assert len(set(names)) == len(names)
+    assert {"Python", "OpenGL", "ray caster", "devices", "video", "data", "working folder"} <= set(names)
+    for check in results:
+        assert check.found and "\n" not in check.found
+        assert (check.status == "ok") == (check.remedy == ""), check
+
+
+def test_a_warning_does_not_keep_luxloop_from_running() -> None:
+    ok, warn, fail = (doctor.Check("x", status, "y") for status in ("ok", "warn", "fail"))
+    assert doctor.all_good([ok, warn])
+    assert not doctor.all_good([ok, fail])
+
+
+def test_old_python() -> None:
+    check = doctor.python_check((3, 10, 4))
+    assert check.status == "fail" and check.found.startswith("3.10.4") and "python3" in check.remedy
+
+
+def test_missing_and_old_packages_name_the_command_that_installs_them() -> None:
+    good, missing, old = map(doctor.package_check, ["numpy>=2", "no-such-package[extra]>=1", "torch>=999"])
+    assert good.status == "ok" and good.found.startswith("2")
+    assert missing.status == "fail" and missing.name == "no-such-package"
+    assert missing.remedy.endswith('-m pip install "no-such-package[extra]>=1"')
+    assert old.status == "fail" and "torch>=999" in old.found and old.remedy
+
+
+def test_distribution_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor.metadata, "requires", lambda name: metadata.distribution("no-such-distribution"))
+    (check,) = doctor.package_checks()
+    assert check.status == "fail" and "-e" in check.remedy
+
+
+def test_opengl_platform_that_does_not_exist() -> None:
+    check = doctor.opengl_check({**os.environ, "PYOPENGL_PLATFORM": "nonsense"})
+    # Not a failure: rays take OpenGL's place.
+    assert check.status == "warn" and "nonsense" in check.found and check.remedy == "unset PYOPENGL_PLATFORM"
+
+
+def test_no_opengl_driver(tmp_path: Path) -> None:
+    """With an empty folder for its list of drivers EGL is there but finds none: a machine without Mesa."""
+    check = doctor.opengl_check({**os.environ, "PYOPENGL_PLATFORM": "egl", "__EGL_VENDOR_LIBRARY_DIRS": str(tmp_path)})
+    assert check.status == "warn" and check.found and "libegl1" in check.remedy
+
+
+def test_a_crashing_driver_does_not_take_the_doctor_along(monkeypatch: pytest.MonkeyPatch) -> None:
+    crash = [sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"]
+    run = subprocess.run
+    monkeypatch.setattr(doctor.subprocess, "run", lambda command, **options: run(crash, **options))
+    check = doctor.opengl_check(os.environ)
+    assert check.status == "warn" and "signal 11" in check.found and check.remedy
+
+
+def test_unused_gpu_is_worth_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torch.cuda.device_count", lambda: 0)
+    monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}")
+    check = doctor.device_check()
+    assert check.status == "warn" and "torch" in check.remedy
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    assert doctor.device_check().status == "ok"
+
+
+def test_broken_library_is_a_finding(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "av", None)  # makes `import av` fail
+    check = doctor.video_check()
+    assert check.status == "fail" and "av" in check.found and "pip install" in check.remedy
+
+
+def test_data_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(data, "cache_folder", lambda: tmp_path / "fetched")
+    monkeypatch.delenv("LUXLOOP_DATA", raising=False)
+    unset = doctor.data_check()
+    assert unset.status == "warn" and unset.remedy == "luxloop data get all"
+    assert f"LUXLOOP_DATA is not set, fetched files are in {tmp_path / 'fetched'}" in unset.found
+    (tmp_path / "belgian_block.crg").touch()
+    monkeypatch.setenv("LUXLOOP_DATA", str(tmp_path))
+    found = doctor.data_check()
+    assert found.status == "ok" and found.found.startswith("1 of ") and f"LUXLOOP_DATA is {tmp_path}," in found.found
+    monkeypatch.setenv("LUXLOOP_DATA", str(tmp_path / "nowhere"))
+    nowhere = doctor.data_check()
+    assert nowhere.status == "fail" and "nowhere" in nowhere.found and nowhere.remedy == "unset LUXLOOP_DATA"
+
+
+def test_folder_that_cannot_be_written_to(tmp_path: Path) -> None:
+    assert doctor.folder_check(tmp_path).status == "ok"
+    missing = doctor.folder_check(tmp_path / "gone")
+    assert missing.status == "fail" and "--out" in missing.remedy

@@ -1,0 +1,337 @@
+"""Replays: the same run again agrees, a changed one is told by column, step and size, and a damaged recording by a sentence."""
+
+import csv
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
+from luxloop.loop.recording.comparison import CENTROID_M, CENTROID_PX, SHARE, SHEAR, compare, tolerances
+from luxloop.loop.recording.files import table_of
+from luxloop.loop.recording.record import row, schema
+from luxloop.loop.recording.recorder import Recorder
+from luxloop.loop.recording.replay import load, replay, to_csv
+from luxloop.loop.recording.summary import steady_step
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.simulation.columns import SYMBOL, of_one
+from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.world.errors import LuxloopError
+from luxloop.world.parquet import read_parquet
+
+HELD = {"symbol": FeatureParams()}
+RAW = tolerances(FeatureParams())
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory, small_simulation: Simulation, small_results: list[StepResult]) -> Path:
+    directory = tmp_path_factory.mktemp("recorded")
+    with Recorder(directory, small_simulation) as recording:
+        for result in small_results:
+            recording.add(result)
+    return directory
+
+
+@pytest.fixture
+def recording(recorded: Path, tmp_path: Path) -> Path:
+    """A copy of the recording, to be damaged."""
+    return Path(shutil.copytree(recorded, tmp_path / "recording"))
+
+
+@pytest.fixture(scope="module")
+def table(small_simulation: Simulation, small_results: list[StepResult]) -> pa.Table:
+    return table_of([row(result) for result in small_results], schema(small_simulation))
+
+
+def edit(file: Path, **changes: Any) -> None:
+    file.write_text(json.dumps({**json.loads(file.read_text()), **changes}))
+
+
+def changed(table: pa.Table, name: str, values: Any) -> pa.Table:
+    field = table.schema.field(name)
+    return table.set_column(table.column_names.index(name), field, pa.array(values, field.type, from_pandas=True))
+
+
+def of_symbol(name: str) -> str:
+    """A column of the recording's symbol."""
+    return f"functions.symbol.{name}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["driving", "obl"])
+def test_a_replay_with_two_threads_is_within_the_tolerances(name: str, tmp_path: Path) -> None:
+    """What docs/recordings.md says of the two scenarios whose bits depend on threads."""
+    for threads, command in (("1", ["run", name, "--steps", "2", "--no-video", "--out", str(tmp_path)]), ("2", ["replay", str(tmp_path)])):
+        environment = {**os.environ, "OMP_NUM_THREADS": threads}
+        done = subprocess.run(
+            [sys.executable, "-m", "luxloop.loop.commands.cli", *command], env=environment, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_replay_of_an_untouched_recording_agrees(recorded: Path, small_results: list[StepResult]) -> None:
+    steps = []
+    comparison = replay(recorded, on_step=lambda result: steps.append(result.step))
+    assert comparison.agrees
+    assert comparison.differences == ()
+    assert comparison.notes == ()
+    assert comparison.steps == len(small_results)
+    assert steps == list(range(len(small_results)))
+
+
+def test_replay_tells_what_differs_from_where_and_by_how_much(recording: Path, table: pa.Table) -> None:
+    name = of_symbol("y_m")
+    y = table[name].to_numpy().copy()
+    y[4:] += 0.01
+    y[6] += 0.1
+    pq.write_table(changed(table, name, y), recording / "trajectory.parquet")
+    comparison = replay(recording)
+    assert not comparison.agrees
+    (difference,) = comparison.differences
+    assert (difference.column, difference.first_step, difference.largest_step) == (name, 4, 6)
+    assert difference.recorded == pytest.approx(difference.replayed + 0.01)
+    assert difference.largest == pytest.approx(0.11)
+    assert difference.tolerance == 0.001
+
+
+def test_replay_follows_the_manifest_and_says_that_it_was_edited(recording: Path) -> None:
+    scenario = json.loads((recording / "manifest.json").read_text())["scenario"]
+    edit(recording / "manifest.json", scenario={**scenario, "seed": 5})
+    comparison = replay(recording)
+    assert comparison.notes == ("the scenario in the manifest was edited after the recording",)
+    assert {of_symbol("c_u"), of_symbol("x_m")} <= {difference.column for difference in comparison.differences}
+
+
+def test_replay_says_what_is_not_as_it_was(recording: Path) -> None:
+    manifest = json.loads((recording / "manifest.json").read_text())
+    manifest["inputs"]["functions.symbol.image snowflake.png"]["sha256"] = "0" * 64
+    manifest["versions"]["numpy"] = "1.0"
+    edit(recording / "manifest.json", **{**manifest, "renderer": "brush"})
+    notes = replay(recording).notes
+    assert re.match(r"functions.symbol.image snowflake.png: .*snowflake.png has changed since the recording", notes[0])
+    assert notes[1].startswith("renderer: recorded with brush, replayed with ")
+    assert notes[2].startswith("numpy: recorded with version 1.0, replayed with ")
+    assert len(notes) == 3
+
+
+def test_what_was_recorded_on_another_device_is_replayed_on_this_one(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    edit(recording / "manifest.json", device="cuda")
+    assert replay(recording).notes == ("device: recorded with cuda, replayed with cpu",)
+
+
+def test_interrupted_recording_is_replayed_as_far_as_it_goes(recording: Path, table: pa.Table) -> None:
+    pq.write_table(table.slice(0, 5), recording / "trajectory.parquet")
+    edit(recording / "manifest.json", status="running")
+    (recording / "summary.json").unlink()
+    comparison = replay(recording)
+    assert comparison.agrees
+    assert comparison.steps == 5
+
+
+def test_ray_caster_and_rasteriser_give_the_same_run(small_scenario: Scenario, table: pa.Table) -> None:
+    pytest.importorskip("pyrender")
+    from luxloop.world.rendering.rasterise import NoOpenGL
+
+    try:
+        simulation = Simulation.prepare(small_scenario.model_copy(update={"renderer": "opengl"}))
+    except NoOpenGL as error:
+        pytest.skip(f"no OpenGL here: {error}")
+    assert compare(table, table_of([row(result) for result in simulation.run()], table.schema), HELD) == ()
+
+
+@pytest.mark.parametrize("name", ["time_s", "lamp.left.flux_lm", *(of_symbol(name) for name in SYMBOL if name != "loss")])
+def test_every_column_is_held_at_its_tolerance(table: pa.Table, name: str) -> None:
+    # a tenth of the tolerance is far above rounding
+    values = np.nan_to_num(table[name].to_numpy())  # of an ordinary symbol there is no aim
+    tolerance = SHARE * values.max() if name.startswith("lamp.") else RAW[name.removeprefix("functions.symbol.")][0]
+    table = changed(table, name, values)
+    assert compare(table, changed(table, name, values + 0.9 * tolerance), HELD) == ()
+    found = compare(table, changed(table, name, values + 1.1 * tolerance), HELD)
+    assert [difference.column for difference in found] == [name]
+    assert found[0].first_step == 0
+
+
+def test_loss_and_steps_are_held_exactly_and_timings_not_at_all(table: pa.Table) -> None:
+    steps = table.num_rows
+    lost = compare(table, changed(table, of_symbol("loss"), [*[""] * (steps - 1), "nothing"]), HELD)
+    assert [(d.column, d.first_step, d.recorded, d.replayed) for d in lost] == [(of_symbol("loss"), steps - 1, "", "nothing")]
+    assert compare(table, changed(table, "control_ms", np.arange(steps) * 1e6), HELD, exact=True) == ()
+    (shorter,) = compare(table, table.slice(0, steps - 3), HELD)
+    assert (shorter.column, shorter.recorded, shorter.replayed, shorter.largest) == ("step", steps, steps - 3, 3)
+
+
+def test_missing_in_one_differs_and_missing_in_both_agrees(table: pa.Table) -> None:
+    name = of_symbol("c_u")
+    values = table[name].to_numpy().copy()
+    values[3] = np.nan
+    gap = changed(table, name, values)
+    assert compare(gap, gap, HELD, exact=True) == ()
+    (difference,) = compare(table, gap, HELD)
+    assert (difference.column, difference.first_step, difference.replayed, difference.largest) == (name, 3, None, np.inf)
+
+
+@pytest.mark.parametrize("name", [of_symbol("c_u"), "lamp.left.flux_lm"])
+def test_an_exact_comparison_asks_for_the_same_bits(table: pa.Table, name: str) -> None:
+    values = table[name].to_numpy().copy()
+    values[7] = np.nextafter(values[7], np.inf)
+    other = changed(table, name, values)
+    assert [(d.column, d.first_step) for d in compare(table, other, HELD, exact=True)] == [(name, 7)]
+    assert compare(table, other, HELD) == ()
+
+
+def test_steady_step_may_shift_by_one(table: pa.Table) -> None:
+    def settling(step: int | None) -> pa.Table:
+        k = np.arange(30)
+        long = pa.concat_tables([table.slice(0, 1)] * 30)
+        long = changed(long, "step", k)
+        at_rest = {"length": 0 * k + 1.0, "shear": 0.0 * k, "centroid_error_y_percent": 0.0 * k}
+        at_rest["centroid_error_x_percent"] = np.where(k < (30 if step is None else step), 9.0 * (-1.0) ** k, 0.0)
+        for name, values in at_rest.items():
+            long = changed(long, of_symbol(name), values)
+        assert steady_step(of_one(long, "symbol")) == step
+        return long
+
+    def differing(a: int | None, b: int | None) -> list[tuple[float, float | str | None, float | str | None]]:
+        found = compare(settling(a), settling(b), HELD)
+        return [(d.largest, d.recorded, d.replayed) for d in found if d.column == "functions.symbol: steady step"]
+
+    assert differing(10, 11) == []
+    assert differing(10, 12) == [(2, 10, 12)]
+    assert differing(10, None) == [(np.inf, 10, None)]
+    assert differing(None, None) == []
+
+
+def test_tolerances_follow_the_features() -> None:
+    assert RAW["c_u"] == RAW["e_x"] == CENTROID_PX
+    assert RAW["br_v"] == RAW["e_pitch"] == CENTROID_PX
+    moments = tolerances(FeatureParams(view="birdseye", shape="moments"))
+    assert moments["c_v"] == moments["e_y"] == moments["e_pitch"] == CENTROID_M
+    assert moments["e_roll"] == SHEAR
+
+
+NO_IMAGE = {"kind": "symbol", "image": "/none.png", "controller": "open"}
+DAMAGE = {
+    "no directory": (lambda d: shutil.rmtree(d), r"recording: is not a directory; give a directory that `luxloop run` wrote"),
+    "empty": (lambda d: [f.unlink() for f in d.iterdir()], r"recording: holds no recording \(manifest.json is missing\); give a directory"),
+    "broken JSON": (lambda d: (d / "manifest.json").write_text("{"), r"manifest.json: damaged, not valid JSON .*; record the run again"),
+    "no text": (
+        lambda d: (d / "manifest.json").write_bytes(b"\xff\xfe"),
+        r"manifest.json: damaged, not valid JSON .*; record the run again",
+    ),
+    "foreign manifest": (
+        lambda d: (d / "manifest.json").write_text('{"name": "an app"}'),
+        r"manifest.json: not the manifest of a recording",
+    ),
+    "list": (lambda d: (d / "manifest.json").write_text("[]"), r"manifest.json: not the manifest of a recording"),
+    "newer": (lambda d: edit(d / "manifest.json", format_version=2), r"format_version: 2 is not understood, this luxloop reads 1; use the"),
+    "key of wrong type": (lambda d: edit(d / "manifest.json", inputs=3), r"manifest.json: damaged, inputs: .*; record the run again"),
+    "broken scenario": (lambda d: edit(d / "manifest.json", scenario={"steps": 3}), r"manifest.json: scenario: name: is missing"),
+    "missing symbol": (lambda d: edit(d / "manifest.json", scenario={"name": "x", "functions": {"s": NO_IMAGE}}), r"none\.png"),
+    "no trajectory": (lambda d: (d / "trajectory.parquet").unlink(), r"trajectory.parquet: is missing, no step was recorded; record"),
+    "truncated": (lambda d: truncate(d / "trajectory.parquet"), r"trajectory.parquet: damaged, not readable as Parquet \(.*\); record"),
+    "empty file": (lambda d: (d / "trajectory.parquet").write_bytes(b""), r"trajectory.parquet: damaged, not readable as Parquet"),
+    "missing column": (
+        lambda d: rewrite(d, lambda t: t.drop_columns(of_symbol("iou"))),
+        r"the column 'functions.symbol.iou' is missing; record the run again",
+    ),
+    "a type of another kind": (
+        lambda d: rewrite(d, lists),
+        r"damaged, not readable as Parquet \(the column 'more' has a type that recordings do not have\); record",
+    ),
+    "words for numbers": (lambda d: rewrite(d, words), r"trajectory.parquet: a column is not of its type \(.*\); record the run again"),
+    "no rows": (lambda d: rewrite(d, lambda t: t.slice(0, 0)), r"trajectory.parquet: holds no step; record the run again"),
+}
+
+
+def truncate(file: Path) -> None:
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) // 2])
+
+
+def rewrite(directory: Path, change: Any) -> None:
+    file = directory / "trajectory.parquet"
+    pq.write_table(change(pq.read_table(file)), file)
+
+
+def words(table: pa.Table) -> pa.Table:
+    name = of_symbol("x_m")
+    return table.set_column(table.column_names.index(name), name, pa.array(["far"] * table.num_rows))
+
+
+def lists(table: pa.Table) -> pa.Table:
+    """Lists may unpack to any size."""
+    return table.append_column("more", pa.array([[1.5]] * table.num_rows))
+
+
+@pytest.mark.parametrize("kind", DAMAGE)
+def test_damaged_recording_is_told_in_a_sentence(recording: Path, kind: str) -> None:
+    damage, message = DAMAGE[kind]
+    damage(recording)
+    with pytest.raises(LuxloopError, match=message) as caught:
+        replay(recording)
+    assert "\n" not in str(caught.value)
+
+
+def test_trajectory_from_elsewhere_may_have_more_columns(recording: Path, table: pa.Table) -> None:
+    rewrite(recording, lambda t: t.append_column("mine", pa.array(range(t.num_rows))))
+    assert load(recording).table.select(table.column_names).equals(table)
+    assert replay(recording).agrees
+
+
+def test_csv_has_every_value(recording: Path, tmp_path: Path, table: pa.Table) -> None:
+    c_u, iou, loss = (of_symbol(name) for name in ("c_u", "iou", "loss"))
+    gap = changed(table, c_u, [np.nan, *table[c_u].to_pylist()[1:]])
+    pq.write_table(gap, recording / "trajectory.parquet")
+    to_csv(recording, tmp_path / "out.csv")
+    with (tmp_path / "out.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert list(rows[0]) == table.column_names
+    assert rows[0][c_u] == ""
+    assert [float(values[iou]) for values in rows] == table[iou].to_pylist()
+    assert [values[loss] for values in rows] == table[loss].to_pylist()
+
+
+def test_csv_that_cannot_be_written_is_told(recorded: Path, tmp_path: Path) -> None:
+    with pytest.raises(LuxloopError, match=r"out\.csv: cannot be written \(.*\); check the folder"):
+        to_csv(recorded, tmp_path / "no" / "out.csv")
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"format": ' + "[" * 300 + "]" * 300 + "}", '{"seed": ' + "9" * 5000 + "}", "\xff\0"])
+def test_manifests_beyond_all_reason_are_told_in_a_sentence(text: str, tmp_path: Path) -> None:
+    (tmp_path / "manifest.json").write_text(text, "latin-1")
+    with pytest.raises(LuxloopError, match="damaged, not valid JSON"):
+        load(tmp_path)
+
+
+def test_a_table_that_unpacks_to_more_than_the_budget_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "a.parquet"
+    pq.write_table(pa.table({f"c{k}": pa.repeat(0.0, 1_000_000) for k in range(200)}), file)
+    assert file.stat().st_size < 1e6
+    with pytest.raises(LuxloopError, match=r"its table would take at least 3.2 GB"):
+        read_parquet(file)
+
+
+def test_a_long_text_that_is_repeated_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "a.parquet"
+    text, rows = "x" * 10_000_000, 1000  # 10 GB in a few kB
+    pq.write_table(pa.table({"loss": pa.DictionaryArray.from_arrays(pa.array([0] * rows, pa.int32()), [text])}), file, store_schema=False)
+    assert file.stat().st_size < 1e6
+    with pytest.raises(LuxloopError, match=r"its texts would take at least 10 GB"):
+        read_parquet(file)
+
+
+@pytest.mark.parametrize("device", ["xyz", "cuda:99", "meta"])
+def test_a_device_that_nobody_has_is_replaced(device: str, recording: Path) -> None:
+    edit(recording / "manifest.json", device=device)
+    assert replay(recording).agrees

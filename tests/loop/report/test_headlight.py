@@ -1,0 +1,377 @@
+"""Pictures of headlamps: what they are drawn from has the right values, and files come whole or not at all."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from matplotlib.contour import ContourSet
+from matplotlib.figure import Figure
+
+from luxloop.loop.report import headlight, overview, views
+from luxloop.loop.report.charts import distance_marks, isolines, map_frame, object_outlines, steps
+from luxloop.loop.report.facts import borders_deg, flux_lm, peak
+from luxloop.loop.report.headlight import show_headlight
+from luxloop.loop.report.overview import facts, reach_m
+from luxloop.loop.report.panels import wall_angles
+from luxloop.loop.report.styles import VIEWS
+from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, LitCar, Road, beside, birdseye, driver, grey, picture
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import Lamp, Module
+from luxloop.world.light.volumetric import Medium
+from luxloop.world.presets import idealised
+from luxloop.world.view import View
+
+
+@pytest.fixture(scope="module")
+def light() -> Headlight:
+    return idealised(20, 40, (4, 4), half_width_deg=12, top_deg=2, bottom_deg=-8)
+
+
+@pytest.fixture(scope="module")
+def lamps(light: Headlight) -> dict[str, Lamp]:
+    low = torch.ones(20, 40)
+    low[:5] = 0  # the upper 2.6 deg
+    lamp = Lamp("small", (Module("main", light),), {"low": (low.flatten(),)})
+    return {"left": lamp, "right": lamp}
+
+
+@pytest.fixture(scope="module")
+def bending(lamps: dict[str, Lamp], light: Headlight) -> dict[str, Lamp]:
+    """With a second module that can be swivelled."""
+    (main,), low = lamps["left"].modules, lamps["left"].beam("low")
+    lamp = Lamp("bending", (main, Module("bend", light, swivel_deg=(-15.0, 15.0))), {"low": (*low, *low)})
+    return {"left": lamp, "right": lamp}
+
+
+@pytest.fixture(scope="module")
+def car(lamps: dict[str, Lamp]) -> LitCar:
+    return LitCar(lamps, {side: lamp.beam("full") for side, lamp in lamps.items()})
+
+
+def scenario(**tables: object) -> Scenario:
+    return validate({"name": "test", "surface": {"grain": 0.0}, "renderer": "raycast", **tables}, "test")
+
+
+@pytest.fixture(scope="module")
+def road() -> Road:
+    return Road(scenario(light={"ambient_lx": 0.0}))
+
+
+def point_at(view: View, row: int, col: int) -> torch.Tensor:
+    """Where on the plane z = 0 a pixel's centre looks."""
+    ray = view.rays()[:, row, col]
+    return view.origin - view.origin[2] / ray[2] * ray
+
+
+def expected_lx(car: LitCar, point: torch.Tensor) -> float:
+    """I cos / d^2 of all lamps on the road, written out."""
+    total = 0.0
+    for side, lamp in car.lamps.items():
+        ray = point - torch.tensor([0.0, 0.6 if side == "left" else -0.6, 0.75], dtype=torch.float64)
+        total += float(lamp.intensity(car.patterns[side], ray[:, None])) * 0.75 / float(ray.norm()) ** 3
+    return total
+
+
+def test_map_of_the_road_has_its_illuminance_in_its_places(car: LitCar, road: Road) -> None:
+    view = birdseye(0.25)
+    seen = road.look(car, view)
+    (x0, _), (_, y1) = BIRDSEYE_X_M, BIRDSEYE_Y_M
+    for x, y in ((20.125, 0.125), (40.125, -3.125), (15.125, 2.875)):
+        row, col = round((y1 - y) / 0.25 - 0.5), round((x - x0) / 0.25 - 0.5)
+        point = point_at(view, row, col)
+        assert point.tolist() == pytest.approx([x, y, 0], abs=1e-6)
+        value = expected_lx(car, point)
+        assert value > 0.5
+        assert seen.illuminance[row, col] == pytest.approx(value, rel=1e-4)  # positions are float32
+
+
+def test_driver_sees_albedo_times_illuminance_by_pi(car: LitCar, road: Road) -> None:
+    view = driver(320)
+    seen = road.look(car, view)
+    row, col = 130, 170
+    value = expected_lx(car, point_at(view, row, col))
+    assert value > 0.5
+    assert seen.luminance[row, col] == pytest.approx(0.2 * value / math.pi, rel=1e-3)  # the road's albedo is 0.2
+    assert np.isnan(seen.illuminance[0]).all() and not seen.luminance[0].any(), "the sky is not lit"
+
+
+def test_objects_of_a_scenario_throw_shadows(car: LitCar) -> None:
+    box = {"kind": "box", "name": "box", "size_m": [1.0, 12.0, 2.0], "track": [{"position_m": [20.0, 0.0, 0.0]}]}
+    seen = Road(scenario(objects=[box])).look(car, birdseye(0.5))
+    behind, before = (round((x - BIRDSEYE_X_M[0]) / 0.5) for x in (30.0, 15.0))
+    assert seen.illuminance[40, behind] == 0 and seen.illuminance[40, before] > 0.5
+
+
+def test_lamps_of_a_car_that_drives_shine_where_it_is_then(car: LitCar) -> None:
+    track = [{"time_s": t, "position_m": [40.0 - 10 * t, 3.5, 0.0], "yaw_deg": 180.0} for t in (0.0, 2.0)]
+    oncoming = scenario(light={"ambient_lx": 0.0}, objects=[{"kind": "car", "name": "car", "track": track}])
+    dark = replace(car, patterns={side: tuple(torch.zeros_like(u) for u in pattern) for side, pattern in car.patterns.items()})
+    lit = [Road(oncoming, time_s).look(dark, birdseye(0.5)).luminance for time_s in (0.0, 2.0)]
+    # light on the road ahead of the car, without the lamps themselves, which are bright: 20 m nearer
+    on_road = [np.where(luminance < 10, luminance, 0).sum(0) for luminance in lit]
+    before, after = (float(each @ np.arange(len(each)) / each.sum()) for each in on_road)
+    assert after - before == pytest.approx(-20.0 / 0.5, abs=5.0)  # the map ends where the nearest light is
+
+
+def test_fog_veils_what_is_far_and_shows_the_beam(car: LitCar, road: Road) -> None:
+    view = beside(160)
+    clear, fog = road.look(car, view), road.look(car, view, Medium.fog(100.0))
+    sky = np.isnan(clear.illuminance)
+    assert clear.luminance[sky].max() == 0 < fog.luminance[sky].max()
+    bright = clear.luminance > 0.5 * clear.luminance.max()
+    assert fog.luminance[bright].mean() < 0.6 * clear.luminance[bright].mean(), "about 15 m there and 20 m back of 100 m take two thirds"
+
+
+def test_chromatic_lamps_are_seen_in_colour(light: Headlight, road: Road) -> None:
+    red = torch.tensor([1 / 0.2126, 0.0, 0.0])[:, None].expand(3, len(light.matrix.values))
+    coloured = Headlight(**{**vars(light), "chroma": red})
+    lamp = Lamp("red", (Module("main", coloured),))
+    plain, seen = (
+        road.look(LitCar({"left": each}, {"left": each.beam("full")}), driver(160))
+        for each in (Lamp("grey", (Module("main", light),)), lamp)
+    )
+    assert seen.luminance.shape == (90, 160, 3)
+    assert seen.luminance[..., 0].max() > 0 and seen.luminance[..., 1:].max() == 0
+    np.testing.assert_allclose(grey(seen.luminance), plain.luminance, rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose(seen.illuminance, plain.illuminance, rtol=1e-4, atol=1e-6)
+
+
+def test_fog_scatters_the_light_of_the_sky_too(lamps: dict[str, Lamp]) -> None:
+    dark = LitCar({"left": lamps["left"]}, {"left": lamps["left"].beam("off")})
+    seen = Road(scenario(light={"ambient_lx": 1000.0})).look(dark, driver(160), Medium.fog(50.0))
+    # Half of the air's surroundings is a sky of E / pi.
+    assert seen.luminance[0, 80] == pytest.approx(1000 / (2 * math.pi), rel=1e-5)
+    near, clear = seen.luminance[-1, 80], 0.2 * 1000 / math.pi
+    distance = 1.2 / -float(driver(160).rays()[2, -1, 80]) * float(driver(160).rays()[:, -1, 80].norm())
+    through = 0.05 ** (distance / 50)
+    assert near == pytest.approx(clear * through + 1000 / (2 * math.pi) * (1 - through), rel=1e-4)
+
+
+def test_shadow_maps_of_the_air_are_rendered_once_for_all_views(car: LitCar, monkeypatch: pytest.MonkeyPatch) -> None:
+    rendered = []
+    whole = views.shadow_map
+    monkeypatch.setattr(views, "shadow_map", lambda *given: rendered.append(given) or whole(*given))
+    bumpy = Road(scenario(road={"kind": "speed_bump"}))
+    for view in (driver(32), driver(64)):
+        bumpy.look(car, view, Medium.fog(100.0))
+    assert len(rendered) == 2, "one a lamp"
+
+
+@pytest.mark.parametrize("kind", ["flat", "grade", "bumps"])
+def test_distances_stand_where_the_road_is(kind: str, car: LitCar) -> None:
+    steep = {"kind": kind, **({"grade_percent": 3.0} if kind == "grade" else {})}
+    seen = Road(scenario(road=steep, surface={"grain": 0.0, "lane_width_m": 5.0})).look(car, driver(960))
+    axes = Figure().subplots()
+    distance_marks(axes, seen, 5.0)
+    assert len(axes.texts) >= 4
+    for text in axes.texts:
+        metres = float(text.get_text().split()[1])
+        u, v = text.get_position()
+        x, y, _ = seen.surfaces.position[:, int(v), int(u)]
+        # A row is 6 m of a flat road 100 m ahead.
+        assert float(x) == pytest.approx(metres, abs=0.7 * metres**2 / 1319 + 0.05)
+        assert float(y) == pytest.approx(-2.65, abs=0.1)
+
+
+def test_distances_that_something_hides_are_left_out(car: LitCar) -> None:
+    box = {"kind": "box", "name": "box", "size_m": [1.0, 20.0, 3.0], "track": [{"position_m": [25.0, 0.0, 0.0]}]}
+    axes = Figure().subplots()
+    distance_marks(axes, Road(scenario(objects=[box])).look(car, driver(960)), 3.5)
+    assert {text.get_text() for text in axes.texts} == {"– 10 m", "– 20 m"}
+
+
+def test_the_map_has_the_lane_of_the_scenario() -> None:
+    axes = Figure().subplots()
+    map_frame(axes, "white", 2.8)
+    assert sorted(line.get_ydata()[0] for line in axes.lines) == [-1.4, 1.4]
+
+
+def test_flux_of_a_uniform_texture_is_its_solid_angle(light: Headlight) -> None:
+    def rectangle(y: float, z: float) -> float:
+        return math.atan(y * z / math.sqrt(1 + y * y + z * z))
+
+    solid_angle = 2 * (rectangle(light.left, light.top) - rectangle(light.left, light.bottom))
+    # Midpoints of 80 x 160 texels; the integrand varies by 7 %.
+    assert flux_lm(light, torch.full((light.rows, light.cols), 1000.0)) == pytest.approx(1000 * solid_angle, rel=1e-5)
+
+
+def test_reach_is_where_the_inverse_square_law_says(lamps: dict[str, Lamp]) -> None:
+    alone = LitCar({"left": lamps["left"]}, {"left": lamps["left"].beam("full")})
+    # 50 kcd give 10 lx at 70.7 m, looking 0.6 deg down; facing the car costs no cosine worth mentioning there.
+    assert reach_m(alone, 10.0) == pytest.approx(math.sqrt(50_000 / 10), abs=0.5)
+    assert reach_m(LitCar({"left": lamps["left"]}, {"left": lamps["left"].beam("off")}), 1.0) == 0.0
+
+
+def test_wall_holds_the_beam_and_facts_name_its_peak(lamps: dict[str, Lamp]) -> None:
+    low = LitCar(lamps, {side: lamp.beam("low") for side, lamp in lamps.items()})
+    h, v = wall_angles(low)
+    assert h[0] < -12 and h[-1] > 12 and v[0] < -8 and v[-1] >= 1.5
+    found = dict(facts(low, "low"))
+    assert found["beam"] == "low"
+    assert found["left lamp"].startswith("800 pixels, ")
+    assert found["peak"] == "50 kcd, 80 lx at 25 m"
+
+
+def test_the_peak_is_found_wherever_it_is(light: Headlight) -> None:
+    far_aside = Lamp("aside", (Module("main", light, pose_from_degrees((0, 0, 0), pitch_deg=-20, yaw_deg=60)),))
+    one = torch.zeros(20, 40)
+    one[19, 39] = 1.0  # its lower right corner
+    found = peak(far_aside, (one.flatten(),))
+    assert 47 < -found.h_deg < 50 and 11 < found.v_deg < 15
+    assert found.candela == pytest.approx(50_000, rel=1e-3)
+    assert borders_deg(light) == pytest.approx((12, -12, -8, 2))
+
+
+@pytest.mark.parametrize(("brightest", "expected"), [(0.0, [1.0]), (3.0, [0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2]), (10.0, [2, 5])])
+def test_lines_are_at_round_values(brightest: float, expected: list[float]) -> None:
+    assert steps(brightest, most=len(expected)) == pytest.approx(expected)
+
+
+def test_lines_run_along_borders_where_light_ends_at_once() -> None:
+    axes = Figure().subplots()
+    light = np.zeros((20, 30))
+    light[5:15, 8:20] = 3.0
+    isolines(axes, np.arange(30.0), np.arange(20.0), light)
+    (lines,) = (each for each in axes.collections if isinstance(each, ContourSet))
+    for path in lines.get_paths():
+        x, y = path.vertices.T
+        assert 7 < x.min() < 8 and 19 < x.max() < 20 and 4 < y.min() < 5 and 14 < y.max() < 15
+
+
+def test_coloured_light_counts_as_the_eye_weighs_it() -> None:
+    assert grey(picture(torch.ones(3, 1, 1))) == pytest.approx(1.0)
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch, road: Road) -> None:
+    """Small views of a road that is there already."""
+    monkeypatch.setattr(headlight, "DPI", 50)
+    monkeypatch.setattr(headlight, "Road", lambda scenario, time_s: road)
+    monkeypatch.setattr(headlight, "beside", lambda: beside(160))
+    for module in (headlight, overview):
+        monkeypatch.setattr(module, "driver", lambda width_px=320: driver(320))
+        monkeypatch.setattr(module, "birdseye", lambda cell_m=0.5, x_m=BIRDSEYE_X_M: birdseye(0.5, x_m))
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.usefixtures("quick")
+def test_each_view_in_each_style_is_a_readable_picture(view: str, lamps: dict[str, Lamp], tmp_path: Path) -> None:
+    for style in VIEWS[view]:
+        file = show_headlight(lamps, tmp_path / f"{style}.png", view=view, style=style)
+        picture = cv2.imread(str(file))
+        assert picture.shape[1] >= 500 and picture.std() > 10
+    assert {path.suffix for path in tmp_path.iterdir()} == {".png"}, "nothing half-written is left"
+
+
+def test_a_scenario_is_shown_at_full_size(lamps: dict[str, Lamp], tmp_path: Path) -> None:
+    bumpy = scenario(road={"kind": "speed_bump"}, headlight={"height_m": 0.9})
+    assert cv2.imread(str(show_headlight(lamps, tmp_path / "driver.png", view="driver", scenario=bumpy))).shape[1] == 1210
+
+
+def test_a_long_name_leaves_room_for_its_value() -> None:
+    axes = Figure().subplots()
+    overview._write_facts(axes, [("beam", "low"), ("   a module of a long name", "1 x 1")])
+    at = {text.get_text(): text.get_position()[1] for text in axes.texts}
+    assert at["beam"] == at["low"] > at["   a module of a long name"] > at["1 x 1"]
+
+
+@pytest.mark.parametrize("view", ["wall", "pixels", "overview"])
+@pytest.mark.usefixtures("quick")
+def test_a_dark_lamp_can_be_shown(view: str, lamps: dict[str, Lamp], tmp_path: Path) -> None:
+    file = show_headlight({"right": lamps["right"]}, tmp_path / "dark.jpg", beam="off", view=view)
+    assert cv2.imread(str(file)) is not None
+
+
+def test_own_utilisations_are_shown(lamps: dict[str, Lamp], tmp_path: Path) -> None:
+    pattern = {"left": (torch.rand(800, generator=torch.Generator().manual_seed(0)),)}
+    assert show_headlight({"left": lamps["left"]}, tmp_path / "own.png", beam=pattern, view="wall", style="isocandela").is_file()
+    double = {"left": (pattern["left"][0].double(),)}
+    assert show_headlight({"left": lamps["left"]}, tmp_path / "double.png", beam=double, view="wall").is_file()
+
+
+@pytest.mark.parametrize("sides", [(), ("middle",), ("left", "rigth")])
+def test_lamps_are_on_the_left_and_on_the_right(sides: tuple[str, ...], lamps: dict[str, Lamp], tmp_path: Path) -> None:
+    with pytest.raises(LuxloopError, match="'left' and 'right', or one of them"):
+        show_headlight({side: lamps["left"] for side in sides}, tmp_path / "beam.png", view="wall")
+
+
+def test_a_scenario_turns_the_modules_that_can_be_turned(bending: dict[str, Lamp], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cars: list[LitCar] = []
+    monkeypatch.setattr(headlight, "draw_wall", lambda axes, car, style: cars.append(car))
+    turned = scenario(headlight={"swivel_deg": 12.0, "height_m": 0.9})
+    show_headlight(bending, tmp_path / "wall.png", view="wall", beam="full", scenario=turned)
+    main, bend, *_ = cars[0].sources
+    assert main.T_world_source.equal(pose_from_degrees((0.0, 0.6, 0.9)))
+    torch.testing.assert_close(bend.T_world_source, pose_from_degrees((0.0, 0.6, 0.9), yaw_deg=12.0))
+    h = torch.tensor([-20.0])  # only the bent module gets there
+    assert cars[0].intensity(h, torch.tensor([-1.0])) > 0 == LitCar(bending, cars[0].patterns).intensity(h, torch.tensor([-1.0]))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"view": "drivr"}, "no view 'drivr'; did you mean 'driver'"),
+        ({"view": "wall", "style": "isolxu"}, "no style 'isolxu'; did you mean 'isolux'"),
+        ({"view": "driver", "style": "isocandela"}, "'driver'.*'isocandela'; it has luminance, falsecolour, isolux"),
+        ({"beam": "hihg"}, "no beam 'hihg'; it has low, full, off"),
+        ({"out": Path("beam.bmp")}, r"beam.bmp: pictures are written as .png"),
+        ({"visibility_m": 0.0, "view": "volume"}, "visibility of 0 m"),
+        ({"visibility_m": math.nan, "view": "volume"}, "visibility of nan m"),
+        ({"visibility_m": math.inf, "view": "volume"}, "visibility of inf m"),
+        ({"visibility_m": 50.0, "view": "driver"}, "'driver' has no fog.*'volume'"),
+        ({"scenario": scenario(), "view": "pixels"}, "'pixels' shows the lamps by themselves.*scenario"),
+        ({"scenario": scenario(), "view": "texture"}, "'texture' shows the lamps by themselves.*scenario"),
+        ({"scenario": scenario(headlight={"swivel_deg": 20.0}), "view": "wall"}, "module 'bend': swivel of 20 deg is out of its range"),
+        ({"beam": {"right": [torch.ones(800)] * 2}}, "no utilisations for the left lamp"),
+        ({"beam": {"left": [torch.ones(800)], "right": []}}, "left lamp: 1 utilisations for 2 modules"),
+        ({"beam": {side: [torch.ones(800), torch.ones(5)] for side in ("left", "right")}}, r"left lamp, module 'bend'.*shape \(5,\).*800"),
+        ({"beam": {side: [torch.ones(800), torch.full((800,), math.nan)] for side in ("left", "right")}}, "'bend'.*from 0 to 1"),
+        ({"beam": {side: [torch.full((800,), 7.0), torch.ones(800)] for side in ("left", "right")}}, "'main'.*from 0 to 1"),
+        ({"beam": {side: [torch.full((800,), -1.0), torch.ones(800)] for side in ("left", "right")}}, "'main'.*from 0 to 1"),
+    ],
+)
+def test_what_is_wrong_is_named(arguments: dict[str, object], message: str, bending: dict[str, Lamp], tmp_path: Path) -> None:
+    with pytest.raises(LuxloopError, match=message):
+        show_headlight(bending, **{"out": tmp_path / "beam.png", **arguments})  # type: ignore[arg-type]
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_cannot_be_written_is_named(lamps: dict[str, Lamp], tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(LuxloopError, match="cannot be written"):
+        show_headlight(lamps, tmp_path / "file" / "beam.png", view="wall")
+
+
+def test_left_and_right_textures_are_to_one_scale_and_to_the_right(lamps: dict[str, Lamp]) -> None:
+    half = {"left": (torch.full((800,), 0.5),), "right": (torch.ones(800),)}
+    figure = headlight._modules(LitCar(lamps, half), "half", "texture")
+    shown = [axes.images[0] for axes in figure.axes if axes.images]
+    assert [image.get_clim() for image in shown] == [(0, pytest.approx(50.0))] * 2
+    assert shown[0].get_extent()[:2] == pytest.approx((-math.tan(math.radians(12)), math.tan(math.radians(12))))
+
+
+def test_pixels_are_numbered_at_their_middle(lamps: dict[str, Lamp]) -> None:
+    car = LitCar({"left": lamps["left"]}, {"left": lamps["left"].beam("full")})
+    (shown,) = headlight._modules(car, "full", "pixels").axes[0].images
+    assert shown.get_extent() == [-0.5, 39.5, 19.5, -0.5]
+
+
+def test_the_map_shows_the_outlines_of_objects(car: LitCar) -> None:
+    box = {"kind": "box", "name": "box", "size_m": [4.0, 2.0, 1.5], "track": [{"position_m": [20.0, 3.0, 0.0]}]}
+    axes = Figure().subplots()
+    object_outlines(axes, Road(scenario(objects=[box])).look(car, birdseye(0.5)), (*BIRDSEYE_X_M, *BIRDSEYE_Y_M), "white")
+    (outline,) = axes.collections
+    x, y = np.concatenate([path.vertices for path in outline.get_paths()]).T
+    assert (x.min(), x.max(), y.min(), y.max()) == pytest.approx((18, 22, 2, 4), abs=0.3)  # cells of half a metre
+
+
+def test_an_even_peak_has_no_place(light: Headlight) -> None:
+    lamp = Lamp("even", (Module("main", light),))
+    assert peak(lamp, lamp.beam("full")).even and not peak(lamp, [torch.eye(800)[410]]).even

@@ -1,0 +1,191 @@
+"""The report is drawn for whatever a run was, and keeps little of a long one."""
+
+import gc
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import pytest
+import torch
+from matplotlib.figure import Figure
+
+from luxloop.loop.recording.files import REPORT, table_of
+from luxloop.loop.recording.record import row, schema, summary_of
+from luxloop.loop.report.page import DPI, LIGHT_IN, WIDE_IN, _from_near, write_report
+from luxloop.loop.report.symbol import HIGH_IN, _courses, _title
+from luxloop.loop.report.watched import PAST_SYMBOLS, Gathered, Watched
+from luxloop.loop.run import run
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.loop.simulation.columns import of_one
+from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.perception.extraction import Loss
+from luxloop.world.view import View
+from tests.lamps import SMALL_LAMP
+from tests.loop.conftest import SMALL
+
+SYMBOL = SMALL["functions"]["symbol"]
+
+
+def drawn(file: Path, simulation: Simulation, results: list[StepResult]) -> np.ndarray:
+    watched, rows = Watched(simulation), []
+    for result in results:
+        watched.add(result)
+        rows.append(row(result))
+    table = table_of(rows, schema(simulation))
+    last = {name: result for result in results for name in result.held}
+    write_report(file, simulation, watched, table, summary_of(simulation, table, last))
+    page = cv2.imread(str(file))
+    assert page is not None
+    return page
+
+
+def size(height_in: float) -> tuple[int, int, int]:
+    return (round(DPI * height_in), round(DPI * WIDE_IN), 3)
+
+
+def lost(result: StepResult) -> StepResult:
+    nan = torch.full((4,), torch.nan)
+    code = torch.tensor(int(Loss.NOTHING))
+    seen = replace(result.symbol.measurement, code=code, errors=nan, pose_error=nan)
+    return replace(result, held={"symbol": replace(result.symbol, measurement=seen)})
+
+
+def test_page_is_readable_in_print_and_shows_target_and_past(
+    tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]
+) -> None:
+    page = drawn(tmp_path / "report.png", small_simulation, small_results)
+    assert page.shape == size(HIGH_IN)
+    blue, green, red = (page[..., i].astype(int) for i in range(3))
+    assert ((red > 80) & (green < 50) & (blue < 50)).sum() > 500, "no past symbol in red"
+    assert ((blue > 200) & (green > 150) & (red < 80)).sum() > 200, "no target in cyan"
+    assert (page == 255).all(-1).mean() > 0.3, "no white paper"
+
+
+@pytest.mark.parametrize("which", ["one step", "last step lost", "all steps lost"])
+def test_page_of_an_unlucky_run(which: str, tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]) -> None:
+    first, *others = small_results
+    results = {
+        "one step": [first],
+        "last step lost": [first, *others[:2], lost(others[2])],
+        "all steps lost": [lost(first), lost(others[0])],
+    }[which]
+    assert drawn(tmp_path / "report.png", small_simulation, results).shape == size(HIGH_IN)
+
+
+@pytest.mark.slow
+def test_page_of_two_lamps_seen_from_above(tmp_path: Path) -> None:
+    lamps = {"model": SMALL_LAMP, "lamps": ["left", "right"]}
+    symbol = SYMBOL | {"modules": ["left", "right"], "features": {"view": "birdseye", "shape": "moments"}}
+    simulation = Simulation.prepare(validate(SMALL | {"headlight": lamps, "functions": {"symbol": symbol}, "steps": 2}, "two lamps"))
+    assert len(simulation.symbol.projector.modules) == 2
+    assert drawn(tmp_path / "report.png", simulation, list(simulation.run())).shape == size(HIGH_IN)
+
+
+@pytest.mark.slow
+def test_page_has_all_light_and_then_each_symbol(tmp_path: Path) -> None:
+    box = {"kind": "box", "name": "box", "category": "car", "size_m": [1.0, 0.5, 0.6], "track": [{"position_m": [25, 0, 0]}]}
+    functions = {name: SYMBOL | {"y_m": y_m, "start": {"x_m": 17.0, "y_m": y_m}} for name, y_m in (("left", 1.6), ("right", -1.6))}
+    simulation = Simulation.prepare(validate(SMALL | {"objects": [box], "functions": functions, "steps": 4}, "lit"))
+    results = list(simulation.run())
+    assert drawn(tmp_path / "both.png", simulation, results).shape == size(LIGHT_IN + 2 * HIGH_IN)
+    without = [replace(result, held={name: each for name, each in result.held.items() if name == "right"}) for result in results]
+    assert drawn(tmp_path / "one.png", simulation, without).shape == size(LIGHT_IN + HIGH_IN), "a symbol that was never shown has no part"
+
+
+@pytest.mark.parametrize(("z_m", "least_m"), [(0.0, 0.01), (4e-4, 0.01), (0.05, 0.05)])
+def test_the_pose_shows_height_on_an_axis_of_a_centimetre_at_least(
+    z_m: float, least_m: float, small_simulation: Simulation, small_results: list[StepResult]
+) -> None:
+    table = of_one(table_of([row(result) for result in small_results], schema(small_simulation)), "symbol")
+    function = small_simulation.symbol.function
+    held = {"x_m": function.x_m, "y_m": function.y_m + 1e-4, "roll_deg": 0.0, "pitch_deg": 0.0, "z_m": z_m}
+    for name, value in held.items():
+        table = table.set_column(table.column_names.index(name), name, pa.array([value] * table.num_rows))
+    figure = Figure()
+    summary = {"settle_step": None, "iou_open": None, "unsettled": "too_short"}
+    _courses(figure.add_subfigure(figure.add_gridspec()[0]), function, Gathered("symbol", 12), table, summary)
+    pose = figure.axes[1]
+    lines = {str(line.get_label()): line for line in pose.get_lines()}
+    assert ("z" in lines) == bool(z_m) and (not z_m or np.asarray(lines["z"].get_ydata()).tolist() == [z_m] * 12)
+    low, high = pose.get_ylim()
+    assert low <= -0.01 and least_m <= high < 1.2 * least_m  # matplotlib leaves 5 % of the range free
+
+
+def test_judgements_far_apart_are_joined_and_where_there_are_none_the_chart_says_why(
+    small_simulation: Simulation, small_results: list[StepResult]
+) -> None:
+    table = of_one(table_of([row(result) for result in small_results], schema(small_simulation)), "symbol")
+    at = table.column_names.index("iou")
+    for iou, unsettled, told in (([0.5, None, None, 0.7] * 3, "too_short", ""), ([None] * 12, "not_judged", "not judged, b")):
+        figure, values = Figure(), pa.array(iou, pa.float64())
+        summary = {"settle_step": None, "iou_open": None, "unsettled": unsettled, "judge_every": None}
+        _courses(
+            figure.add_subfigure(figure.add_gridspec()[0]),
+            small_simulation.symbol.function,
+            Gathered("symbol", 12),
+            table.set_column(at, "iou", values),
+            summary,
+        )
+        (line,) = (line for axes in figure.axes for line in axes.get_lines() if line.get_label() == "IoU")
+        assert np.asarray(line.get_ydata()).tolist() == [each for each in iou if each is not None]
+        assert [text.get_text()[:13] for text in figure.axes[2].texts if text.get_text()] == ([told] if told else [])
+
+
+def test_the_page_says_why_nobody_judged(small_simulation: Simulation) -> None:
+    summary = {"controller": "open", "unsettled": "not_judged", "judge_every": 0, "lost_steps": 0}
+    assert _title(small_simulation, "symbol", summary, None).endswith("  ·  not judged, because judge_every = 0")
+
+
+def test_light_from_above_is_looked_at_closely_where_it_is() -> None:
+    def look(view: View) -> torch.Tensor:
+        """1 lx on 3 m by 0.5 m, about a place 22 m ahead and 1 m to the left."""
+        rays = view.rays()
+        x, y, _ = view.origin[:, None, None] - rays * view.origin[2] / rays[2]
+        return ((x - 22).abs().le(1.5) & (y - 1).abs().le(0.25)).float()
+
+    light, (left, right, low, high) = _from_near(look)
+    cell_m = (right - left) / light.shape[1], (high - low) / light.shape[0]
+    assert max(cell_m) < 0.02, "a fifth of what all that can be lit is looked at with"
+    assert light.sum() * cell_m[0] * cell_m[1] == pytest.approx(3 * 0.5, rel=0.02)  # of borders of 7 m, half a cell wide
+    x, y = left + cell_m[0] * (np.arange(light.shape[1]) + 0.5), high - cell_m[1] * (np.arange(light.shape[0]) + 0.5)
+    assert (light @ x).sum() / light.sum() == pytest.approx(22, abs=0.03)  # the view begins at whole cells
+    assert (y @ light).sum() / light.sum() == pytest.approx(1, abs=0.03)
+    assert left < 20 and right > 24 and low < 0 and high > 2
+
+
+@pytest.mark.slow
+def test_long_run_keeps_few_images(small_results: list[StepResult]) -> None:
+    gathered = Gathered("symbol", 10_000)
+    for step in range(10_000):
+        gathered.add(small_results[step] if step < 3 else replace(small_results[3], step=step))
+    assert len(gathered.symbols) <= PAST_SYMBOLS
+    assert len(gathered.path) == 10_000
+    assert gathered.last is not None and gathered.last.step == 9_999
+
+
+def test_path_is_the_centroid_in_the_image(small_results: list[StepResult]) -> None:
+    gathered = Gathered("symbol", 2)
+    gathered.add(small_results[0])
+    gathered.add(lost(small_results[1]))
+    centre = small_results[0].symbol.measurement.appearance.centroids[0].tolist()
+    assert gathered.path[0] == pytest.approx(centre, abs=1e-3)  # float32 sums of 320 px
+    assert np.isnan(gathered.path[1]).all()
+
+
+@pytest.mark.parametrize("report", [True, False])
+def test_a_run_reports_if_wanted_and_leaves_no_simulation_behind(report: bool, tmp_path: Path, small_scenario: Scenario) -> None:
+    def simulations() -> int:
+        return sum(type(each) is Simulation for each in gc.get_objects())
+
+    gc.collect()
+    before = simulations()
+    gc.disable()  # what is left to Python's own passes stays for many runs: they count objects, not bytes
+    try:
+        run(small_scenario.model_copy(update={"steps": 1}), tmp_path, video=False, report=report)
+    finally:
+        gc.enable()
+    assert (tmp_path / REPORT).exists() == report
+    assert simulations() == before, "hundreds of megabytes each"

@@ -1,0 +1,188 @@
+"""Light arrives as it was sent, whole or not at all, and what is no light does no harm."""
+
+import random
+import socket
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from luxloop.loop.rig.ddp import DdpLight
+from luxloop.loop.rig.light import Shine
+from luxloop.loop.rig.params import DdpLightParams
+from luxloop.loop.rig.wire import ddp
+from luxloop.loop.rig.wire.ddp import Assembler, LightFrame, WireCommand, packets
+from luxloop.world.errors import LuxloopError
+
+N = 4000  # pixels, three packets of 8 bits
+
+
+def frame(seed: int, dtype: type = np.uint8) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, np.iinfo(dtype).max, N, dtype, endpoint=True)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_a_frame_comes_as_it_was_sent_in_any_order_of_packets(dtype: type) -> None:
+    sent, assembler = frame(0, dtype), Assembler(N)
+    order = list(packets(sent, 7, (WireCommand(1.5, -0.25, 0.5),)))
+    assert len(order) == 1 + -(-sent.nbytes // 1440)
+    random.Random(0).shuffle(order)
+    *none, came = [assembler.take(packet) for packet in order]
+    assert none == [None] * len(none)
+    assert came.codes.dtype == dtype and (came.codes == sent).all()
+    assert came.timecodes == (7,) and came.commands == (WireCommand(1.5, -0.25, 0.5),)
+
+
+def lit(assembler: Assembler, sent: Iterable[bytes]) -> list[LightFrame]:
+    return [each for packet in sent if (each := assembler.take(packet))]
+
+
+def test_the_header_is_that_of_the_protocol() -> None:
+    *_, last = packets(np.arange(2000).astype(np.uint16), 2**32 + 3)
+    assert last[:14] == bytes([0x51, 3, 0x24, 1, 0, 0, 0x0B, 0x40, 0x04, 0x60, 0, 0, 0, 3])
+    assert last[14:16] == (2880 // 2).to_bytes(2, "big")
+
+
+def test_utilisations_survive_their_codes() -> None:
+    u = np.linspace(-0.1, 1.1, 50, dtype=np.float32)
+    for bits, gamma in ((8, 1.0), (16, 2.2)):
+        back = ddp.utilisations_of(ddp.codes_of(u, bits, gamma), gamma)
+        assert abs(back - u.clip(0, 1)).max() < 0.51 * gamma / (2**bits - 1)  # half a level
+
+
+def test_an_incomplete_frame_is_not_lit_and_repaired_by_the_next_sending() -> None:
+    assembler, first = Assembler(N), list(packets(frame(1), 1))
+    assert [assembler.take(packet) for packet in (first[0], first[2])] == [None, None]
+    again = [assembler.take(packet) for packet in first]
+    assert (again[1].codes == frame(1)).all() and again[0] is None
+    assert again[2] is not None, "and comes again with its last packet, as word of life"
+    second = list(packets(frame(2), 2))
+    assert assembler.take(second[0]) is None
+    (come,) = lit(assembler, packets(frame(3), 3))
+    assert (come.codes == frame(3)).all() and assembler.incomplete == 1
+    assert assembler.take(second[1]) is None and assembler.take(second[2]) is None, "late packets disturb nothing"
+    assembler.forget()
+    assert lit(assembler, packets(frame(0), 0)), "after a time-out numbers may begin anew"
+
+
+def test_a_mixing_lamp_lights_what_came_and_says_so() -> None:
+    assembler = Assembler(N, mixed=True)
+    for packet in packets(frame(1), 1):
+        assembler.take(packet)
+    second = list(packets(frame(2), 2))
+    assembler.take(second[0])
+    mixed = assembler.take(second[2])
+    assert mixed.timecodes == (2, 1)
+    assert (mixed.codes[:1440] == frame(2)[:1440]).all() and (mixed.codes[1440:2880] == frame(1)[1440:2880]).all()
+
+
+def test_a_frame_without_its_commands_is_incomplete_where_modules_are_commanded() -> None:
+    assembler, command = Assembler(N), (WireCommand(intensity=0.2),)
+    assert lit(assembler, packets(frame(1), 1))[0].commands is None
+    assert lit(assembler, packets(frame(2), 2, command))[0].commands == command
+    assert not lit(assembler, packets(frame(3), 3))
+
+
+def test_anything_else_is_refused() -> None:
+    good, noise = next(packets(frame(0), 1)), random.Random(1)
+    bad = [b"", good[:13], good[:-1], good + b"x", good[:4] + b"\xff\xff\xff\xf0" + good[8:], good[:2] + b"\x01" + good[3:]]
+    bad += [good[:4] + b"\0\0\0\1" + good[8:], *(noise.randbytes(noise.randrange(1500)) for _ in range(2000))]
+    commanding = bytearray(next(packets(frame(0), 1, (WireCommand(),))))
+    bad += [bytes(commanding).replace(b"1.0", text) for text in (b"NaN", b"2.5", b"[[]", b'"a"')]
+    assembler = Assembler(N)
+    assert not any(assembler.take(packet) for packet in bad)
+    assert assembler.refused == len(bad)
+    with pytest.raises(LuxloopError, match="99 modules take"):
+        list(packets(frame(0), 1, (WireCommand(),) * 99))
+
+
+def test_a_large_lamp_goes_through_a_socket() -> None:
+    sent = np.random.default_rng(0).integers(0, 256, 332 * 1024, np.uint8)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2**21)
+        receiver.settimeout(1)
+        receiver.bind(("127.0.0.1", 0))
+        sender.connect(receiver.getsockname())
+        assembler, came = Assembler(sent.size), None
+        for _ in range(3):  # a frame that loses packets is sent again
+            ddp.send(sender, list(packets(sent, 5)))
+            while came is None:
+                try:
+                    came = assembler.take(receiver.recv(2048))
+                except TimeoutError:
+                    break
+            if came is not None:
+                break
+        assert came is not None and (came.codes == sent).all()
+
+
+class Wled:
+    """How WLED's receiver takes packets: by its source, it drops those that seem to belong to a frame before the last push."""
+
+    def __init__(self, pixels: int) -> None:
+        self.lit, self._data, self._last = bytes(pixels), bytearray(pixels), 0
+
+    def take(self, packet: bytes) -> None:
+        number = packet[1] & 0xF
+        if self._last and number:
+            late = self._last - 5 < number < self._last if self._last > 5 else number > 10 + self._last or number < self._last
+            if late:
+                return
+        head = 14 if packet[0] & 0x10 else 10
+        offset, length = int.from_bytes(packet[4:8], "big"), int.from_bytes(packet[8:10], "big")
+        self._data[offset : offset + length] = packet[head:]
+        if packet[0] & 0x01:
+            self.lit, self._last = bytes(self._data), number
+
+
+class Plain(Wled):
+    """A receiver that knows the header of 10 bytes only."""
+
+    def take(self, packet: bytes) -> None:
+        assert not packet[0] & 0x10
+        super().take(packet)
+
+
+class Strict(Wled):
+    """A receiver that wants every number in its turn, as the specification counts them."""
+
+    def take(self, packet: bytes) -> None:
+        assert packet[1] == self._last % 15 + 1, "numbers count packets, over frames"
+        offset, length = int.from_bytes(packet[4:8], "big"), int.from_bytes(packet[8:10], "big")
+        self._data[offset : offset + length] = packet[10:]
+        self._last = packet[1]
+        if packet[0] & 0x01:
+            self.lit = bytes(self._data)
+
+
+@pytest.mark.parametrize("kind", [Wled, Plain, Strict])
+def test_receivers_of_others_light_every_frame_and_go_dark_at_the_end(kind: type[Wled]) -> None:
+    receiver = kind(N)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there:
+        there.bind(("127.0.0.1", 0))
+        there.settimeout(5)
+        keys = {"kind": "ddp", "host": "localhost", "port": there.getsockname()[1], "commands": False}
+        light = DdpLight(DdpLightParams.model_validate(keys), [(40, 100)])
+
+        def lit(packets: int) -> bytes:
+            for _ in range(packets):
+                receiver.take(there.recv(2000))
+            return receiver.lit
+
+        for number in range(20):
+            u = np.random.default_rng(number).random((40, 100), np.float32)
+            assert light.show(Shine(number, (u,))) is None
+            assert lit(3) == ddp.codes_of(u.ravel(), 8).tobytes()
+        light.dark()
+        assert lit(9) == bytes(N)
+        light.close()
+
+
+@pytest.mark.parametrize("lost", [0, 2])
+def test_without_time_codes_a_frame_ends_where_the_next_begins(lost: int) -> None:
+    assembler, second = Assembler(N), list(packets(frame(2)))
+    (first,) = lit(assembler, packets(frame(1)))
+    assert (first.codes == frame(1)).all()
+    assert not lit(assembler, (each for k, each in enumerate(second) if k != lost)), "it lacks a packet"
+    (third,) = lit(assembler, packets(frame(3)))
+    assert (third.codes == frame(3)).all()

@@ -1,0 +1,155 @@
+"""The road's shape from where in the whole image the symbol is: against closed forms, and in worlds where it is far from its place."""
+
+from functools import lru_cache
+
+import pytest
+import torch
+from torch import Tensor
+
+from luxloop.controllers.symbol.sensing.acquisition import Acquired
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.shape import reached
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.perception.extraction import Loss
+from tests.loop.conftest import frames_of
+
+SMALL = [
+    "camera={width_px=640, height_px=480}",
+    "functions.symbol.start={x_m=17.0, y_m=0.0, roll_deg=0.0, pitch_deg=0.0}",
+    "functions.symbol.controller={name='open'}",
+]
+FLAT = "{kind='flat'}"
+
+
+def grade(percent: float, crossfall: float = 0.0) -> str:
+    return f"{{kind='grade', grade_percent={percent}, crossfall_percent={crossfall}, start_x_m=3.0}}"
+
+
+@lru_cache(1)  # of some 0.4 GB
+def simulation(road: str, *more: str) -> Simulation:
+    return prepare(load("snowflake", [*SMALL, f"road={road}", *more]), "cpu")
+
+
+def shown_at_target(prepared: Simulation) -> tuple[Tensor, Tensor]:
+    lights = prepared.symbol.projector.light(prepared.symbol.projector.target)
+    frames = frames_of(prepared.plant, lights)
+    assert frames is not None
+    return frames
+
+
+def acquired(road: str, *more: str) -> Acquired:
+    prepared = simulation(road, *more)
+    projector = prepared.symbol.projector
+    return prepared.symbol.sensor.acquire(shown_at_target(prepared), projector.light(projector.target))
+
+
+def test_a_ray_meets_the_road_where_the_quadratic_is_solved() -> None:
+    shapes = torch.tensor([[0.2, 0.01, -0.02, 0.002], [-0.3, -0.03, 0.0, 0.0], [0.0, 0.0, 0.0, -0.004]], dtype=torch.float64)
+    origin, rays = torch.tensor([0.0, 0.6, 0.75]).double(), torch.tensor([[1.0, 1.0], [0.01, -0.03], [-0.05, -0.06]]).double()
+    points = origin[:, None, None] + rays[:, None] * reached(shapes, 17.0, origin, rays)
+    x, y, z = points
+    a, b, c, d = shapes.T[..., None]
+    torch.testing.assert_close(z, a + b * (x - 17) + c * y + d * (x - 17) ** 2 / 2, rtol=0, atol=1e-9)  # rounding
+    assert reached(shapes, 17.0, origin, torch.tensor([[1.0], [0.0], [0.05]]).double())[2].isinf().all(), "no way down"
+
+
+@pytest.mark.parametrize(("percent", "crossfall"), [(-2.0, 0.0), (-1.0, 2.0), (1.0, -2.0), (3.0, 0.0), (4.0, 2.0)])
+def test_the_shape_of_a_grade_is_found_where_its_light_is(percent: float, crossfall: float) -> None:
+    prepared, found = simulation(grade(percent, crossfall)), acquired(grade(percent, crossfall))
+    assert found.found
+    lamp = prepared.symbol.projector.modules[0].T_world_headlight[:3, 3]
+    way = torch.tensor([[17.0], [0.0], [0.0]]) - lamp[:, None]
+    x, y, z = (lamp[:, None] + way * reached(found.shape[None], 17.0, lamp, way)[0])[:, 0].tolist()
+    # the height at which the middle ray is met: half a camera row is 1 cm of height there
+    assert z == pytest.approx(float(prepared.scenario.road.z(x, y)), abs=0.015)
+
+
+def test_a_flat_road_is_found_to_be_flat() -> None:
+    found = acquired(FLAT)
+    assert not found.found
+    assert found.match > 0.9
+    assert found.match - found.flat < 0.02  # what is tried last are steps of 1 mm and 0.2 per mille
+
+
+def test_one_bright_place_hides_no_area_of_the_light_around_it() -> None:
+    prepared = simulation(FLAT)
+    projector, acquisition = prepared.symbol.projector, prepared.symbol.sensor.acquisition
+    (texture,) = projector.textures(projector.light(projector.target))
+    spotted, (row, col) = texture.clone(), divmod(int(texture.argmax()), texture.shape[-1])
+    spotted[row : row + 4, col : col + 4] *= 5  # as where a patch is dimmed all but at its border
+    even, uneven = (acquisition.area(torch.zeros(4), [light]) for light in (texture, spotted))
+    assert even > 900
+    torch.testing.assert_close(uneven, even, rtol=0.05, atol=0)  # edges of strokes that are dim
+
+
+@pytest.mark.parametrize(
+    "disturbance",
+    [
+        "disturbances.oncoming=[{position_m=[40, 2, 0.65], intensity_cd=500, frames='on'}]",
+        "disturbances.ambient=[{factor=4, frames='on'}]",
+        "disturbances.noise=[{factor=10}]",
+    ],
+)
+def test_what_is_no_symbol_is_not_taken_for_it(disturbance: str) -> None:
+    prepared = simulation(FLAT, disturbance)
+    nothing = prepared.symbol.projector.light(prepared.symbol.projector.target)
+    dark = tuple(type(light)(torch.zeros_like(light.u)) for light in nothing)
+    frames = frames_of(prepared.plant, dark)
+    assert frames is not None
+    assert not prepared.symbol.sensor.acquire(frames, nothing).found
+
+
+def test_a_symbol_that_is_plainly_in_the_image_is_never_lost() -> None:
+    for percent in (-2.0, 3.0, 4.0):
+        prepared = simulation(grade(percent))
+        sensor, projection = prepared.symbol.sensor, ProjectionCommand(prepared.symbol.projector.target)
+        lights = sensor.projector.light(projection.pose)
+        seen = sensor.measure(shown_at_target(prepared), projection, lights)
+        assert seen.code == Loss.SEEN, percent
+        again = sensor.measure(shown_at_target(prepared), projection, lights, seen.shape)
+        assert again.code == Loss.SEEN
+        assert again.acquired is None, "once found it is looked for where it was"
+
+
+@pytest.mark.parametrize(("percent", "least"), [(-2.0, 0.72), (2.0, 0.90), (4.0, 0.85)])
+def test_two_looks_lay_the_symbol_straight_on_a_grade(percent: float, least: float) -> None:
+    """As well as exact inverse ray tracing onto the true road does, which leaves the light of near parts as bright as it is."""
+    changes = [*SMALL[:2], f"road={grade(percent)}", "functions.symbol.controller={name='luxloop'}"]
+    *_, last = prepare(load("snowflake", changes, steps=4), "cpu").run()
+    assert float(last.symbol.verdict.iou) > least - 0.01
+
+
+NOISY = "sensors={attitude={noise_deg=0.05, heave_noise_m=0.002}, gyro={noise_deg_s=0.2}, wheels={noise_m_s=0.02}}"
+
+
+def test_a_car_that_stands_acquires_the_road_whatever_noise_its_sensors_have() -> None:
+    standing = ["vehicle={course=[{speed_m_s=0.0}]}", NOISY]
+    changes = [*SMALL[:2], f"road={grade(3.0)}", "functions.symbol.controller={name='luxloop'}", *standing]
+    *_, last = prepare(load("snowflake", changes, steps=4), "cpu").run()
+    assert last.symbol.verdict.iou > 0.95 * 0.87  # what lamp and camera allow
+
+
+@pytest.mark.parametrize(
+    ("road", "image", "x_m", "latency", "steps", "least"),
+    [
+        # the first search, from beside the target and 6 m farther off, fails; lamp and camera allow 0.89
+        ("{kind='grade', grade_percent=-3.315, crossfall_percent=0, start_x_m=8.0, curve_m=60.0}", "warning_triangle", 25.0, 3, 11, 0.85),
+        # the first observations explain it to some 1e-4, and more of them made it worse: 0.91 after 16; lamp and camera allow 0.98
+        ("{kind='step', x_m=9.7, height_m=-0.02, ramp_m=0.13}", "distance_warning", 14.5, 1, 16, 0.95),
+    ],
+)
+def test_what_is_known_of_a_road_does_not_get_worse(road: str, image: str, x_m: float, latency: int, steps: int, least: float) -> None:
+    start = f"functions.symbol.start={{x_m={x_m * 21 / 17}, y_m=2.6, roll_deg=5.0, pitch_deg=-2.0}}"
+    symbol = f"functions.symbol={{image='{image}', x_m={x_m}, y_m=0.0, controller={{name='luxloop'}}}}"
+    changes = [SMALL[0], start, f"camera.latency_steps={latency}", symbol, f"road={road}"]
+    *_, last = prepare(load("flat", changes, steps=steps), "cpu").run()
+    assert last.symbol.verdict.iou > least
+
+
+def test_a_car_that_pulls_away_is_seen_to_move_before_it_is_fast() -> None:
+    course = "vehicle={course=[{time_s=0, speed_m_s=0}, {time_s=0.4, speed_m_s=0}, {time_s=1.4, speed_m_s=4}]}"
+    changes = [course, "functions.symbol.controller={name='luxloop'}", "camera={width_px=320, height_px=240}", "road={kind='bumps'}"]
+    *_, last = prepare(load("speed_bump", changes, steps=15), "cpu").run()
+    assert last.symbol.verdict.iou > 0.8  # 0.89; 0.43 where the body's first pitch is taken for noise

@@ -1,0 +1,376 @@
+"""The road map, the body filter and where light is exposed: against closed forms, then in a small closed loop on the move."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import torch
+from scipy.signal import lsim
+from torch import Tensor
+
+from luxloop.controllers.symbol.heights.body_filter import CELL_M, BodyFilter, BodyParams
+from luxloop.controllers.symbol.heights.feedforward import relief_of
+from luxloop.controllers.symbol.heights.forward_model import ForwardModel
+from luxloop.controllers.symbol.heights.luxloop import Luxloop, LuxloopParams, laid
+from luxloop.controllers.symbol.heights.registration import Heights
+from luxloop.controllers.symbol.heights.road_map import RoadMap
+from luxloop.controllers.symbol.heights.springs import PARTS, followed
+from luxloop.loop.scenario.model import load
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.perception.birdseye import Region
+from luxloop.perception.egomotion import Ego, Samples, ego_of, newest
+from luxloop.perception.sensors import SensorParams, Sensors
+from luxloop.world.frames import inverse, pose, rotation, transform
+from luxloop.world.scene.vehicle import CourseParams, SuspensionParams, VehicleParams, body_pose, drive, ground_pose
+
+REGION, GRID = Region(14.0, 20.0, 1.5, -1.5), (60, 30)
+EYE, SWUNG = torch.tensor([-1.6, 0.0, 1.35]), torch.tensor([-1.58, 0.01, 1.38])
+BODY = BodyParams()
+SOFT_AND_STIFF = [0.7, 1.3]  # true natural frequencies over the usual ones: springs of half and 1.7 times the stiffness
+SMALL = ["camera.width_px=320", "camera.height_px=240", "camera.oversampling=2"]
+NOISE = ("wheels.noise_m_s", "gyro.yaw_noise_deg_s", "gyro.noise_deg_s", "attitude.noise_deg", "attitude.heave_noise_m")
+EXACT = [f"sensors.{key}=0" for key in NOISE]
+
+
+class Waves:
+    """A road of waves 3 m long, as a ground frame with the pose T_world_ground sees it."""
+
+    def __init__(self, T_world_ground: Tensor) -> None:
+        self.T = T_world_ground.numpy()
+
+    def z(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        along, across = (self.T[k, 0] * x + self.T[k, 1] * y + self.T[k, 3] for k in (0, 1))
+        return 0.02 * np.sin(2 * np.pi * along / 3) + 0.01 * across - self.T[2, 0] * x - self.T[2, 3]
+
+
+def remembered(T_world_ground: Tensor, eye: Tensor) -> RoadMap:
+    """What an eye knows of the waves; relief_of has cells of 0.1 m, as many as the grid."""
+    heights = relief_of(Waves(T_world_ground).z, REGION, eye).heights.flatten()
+    return RoadMap(Heights(heights, torch.eye(len(heights)), torch.zeros_like(heights)), torch.ones_like(heights), REGION, GRID, eye)
+
+
+def way(x: float, y: float, yaw: float, z: float = 0.0, slope: float = 0.0) -> Tensor:
+    zero = torch.zeros((), dtype=torch.float64)
+    return pose(torch.tensor([x, y, z], dtype=torch.float64), rotation(zero, zero + slope, zero + yaw))
+
+
+@pytest.mark.parametrize("T", [way(0.667, 0.02, 0.003), way(0.667, 0.02, 0.003, 0.002, -0.001)], ids=["level", "tilted"])
+def test_what_is_known_stays_on_the_road(T: Tensor) -> None:
+    moved = remembered(torch.eye(4, dtype=torch.float64), EYE).moved(T, SWUNG).heights.mean.view(GRID)
+    expected = remembered(T, SWUNG).heights.mean.view(GRID)
+    inside = (slice(12, None), slice(2, -2))  # what was not in the region before is not known
+    # linear between lines of sight that meet the far side of a wave 0.24 m apart: curvature 0.02 (2 pi / 3)^2 times 0.24^2 / 8 is 0.6 mm
+    torch.testing.assert_close(moved[inside], expected[inside], rtol=0, atol=8e-4)
+    still = remembered(torch.eye(4, dtype=torch.float64), EYE).heights.mean.view(GRID)
+    assert (still - expected)[inside].abs().max() > 0.02, "the waves have moved by a fifth"
+
+
+def test_information_moves_by_whole_cells_exactly_and_is_kept_in_between() -> None:
+    n = GRID[0] * GRID[1]
+    grid, eye = torch.arange(n).view(GRID), EYE
+    known = torch.zeros(n, n)
+    known[grid[20, 10], grid[20, 10]], known[grid[20, 10], grid[21, 10]], known[grid[21, 10], grid[20, 10]] = 4.0, 1.0, 1.0
+    flat = RoadMap(Heights(torch.zeros(n), known, torch.zeros(n)), torch.ones(n), REGION, GRID, eye)
+    by_cells = flat.moved(way(0.3, 0.0, 0.0), eye).heights.information
+    expected = torch.zeros(n, n)
+    expected[grid[23, 10], grid[23, 10]], expected[grid[23, 10], grid[24, 10]], expected[grid[24, 10], grid[23, 10]] = 4.0, 1.0, 1.0
+    torch.testing.assert_close(by_cells, expected, rtol=0, atol=1e-3)  # float32 places of 20 m
+    between = flat.moved(way(0.25, 0.04, 0.0), eye).heights.information
+    assert between.sum().item() == pytest.approx(known.sum().item(), rel=1e-4), "of one height of all the road"
+    assert torch.allclose(between, between.T, atol=1e-6)
+    assert flat.moved(way(7.0, 0.0, 0.0), eye).heights.information.abs().sum() == 0, "behind"
+
+
+def test_the_road_tells_a_pitch_and_not_its_own_heights() -> None:
+    known = remembered(torch.eye(4, dtype=torch.float64), EYE)
+    tilted = known.levelled(-1e-3, -2.2)  # 19 mm at 17 m
+    assert tilted.pitched(known, -2.2) == pytest.approx(1e-3, rel=1e-3)
+    assert known.pitched(known, -2.2) == 0
+    nothing = replace(known, heights=replace(known.heights, information=torch.zeros_like(known.heights.information)))
+    assert tilted.pitched(nothing, -2.2) is None
+    loose, error = known.loosened(1e-3, -2.2).heights.information, tilted.heights.mean - known.heights.mean
+    # a pitch of one standard deviation costs at most 1; a shape without a pitch costs what it did
+    assert float(error @ loose @ error) <= 1 and float(error @ error) > 0.2
+    wave = torch.randn(len(error), generator=torch.Generator().manual_seed(1))
+    wave -= wave @ error / (error @ error) * error
+    assert float(wave @ loose @ wave) == pytest.approx(float(wave @ wave), rel=1e-3)
+
+
+def nodding(time_s: float, hz: float = 1.2, amplitude: float = math.radians(0.2)) -> Ego:
+    pitch, omega = math.sin(2 * math.pi * hz * time_s), 2 * math.pi * hz
+    attitude = torch.tensor([0.0, 0.0, amplitude * pitch])
+    rates = torch.tensor([0.0, 0.0, amplitude * omega * math.cos(omega * time_s)])
+    told = (attitude, time_s, rates, time_s, torch.zeros(4), torch.tensor(10.0), time_s, torch.tensor(0.0))
+    return Ego(time_s + 1 / 30, 1 / 60, *told, -2.2, -3.6)
+
+
+def test_a_nod_is_predicted_two_periods_ahead() -> None:
+    body, worst, linear = BodyFilter.first(BODY, nodding(0), 16.0, 17.0), 0.0, 0.0
+    for k in range(60):
+        now, then = nodding(k / 30), nodding((k + 2) / 30)
+        body = body.updated(now)
+        if k > 10:
+            worst = max(worst, float((body.T_level_body(then.attitude_s) - then.T_ground_body.double())[2, 0].abs()))
+            linear = max(linear, float((now.at(then.attitude_s).T_ground_body - then.T_ground_body)[2, 0].abs()))
+    # the oscillator is taken to be 8 % faster: its acceleration is off by 17 %, and known from noisy sensors a period late
+    assert worst < 0.2 * linear
+    assert body.updated(now) is body, "the same measurement says nothing new"
+
+
+def test_a_mode_follows_what_is_under_it_as_a_linear_system_does() -> None:
+    share, base = np.linspace(0, 1, PARTS + 1), np.random.default_rng(3).normal(size=PARTS + 1)
+    omega, damping = 2 * np.pi * 1.4, 0.35
+    # q'' + 2 d w (q' - r') + w^2 (q - r) = 0 with x = (q, q' - 2 d w r), which knows no r'
+    system = (
+        [[0, 1], [-(omega**2), -2 * damping * omega]],
+        [[2 * damping * omega], [omega**2 * (1 - 4 * damping**2)]],
+        np.eye(2),
+        np.zeros((2, 1)),
+    )
+    before = np.array([0.3, -0.5])
+    _, _, states = lsim(system, base, 0.1 * share, before - [0, 2 * damping * omega * base[0]])
+    expected = states[-1] + [0, 2 * damping * omega * base[-1]]
+    found = followed(1.4, damping, 0.1).numpy() @ np.concatenate([before, base])
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    assert torch.equal(followed(1.4, damping, 0.0), torch.eye(2, 2 + PARTS + 1).double()), "no time, no motion"
+
+
+class Long:
+    """A road of waves 6 m long, flat where the car starts."""
+
+    def z(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return 0.02 * (1 - np.cos(2 * np.pi * x.clip(min=0) / 6)) * (1 + 0.3 * y)
+
+
+def springs(factor: float) -> dict[str, float]:
+    """The usual natural frequencies, all of them off by a factor."""
+    return {key: factor * getattr(BODY, key) for key in ("heave_hz", "pitch_hz", "roll_hz")}
+
+
+@dataclass(frozen=True)
+class Linear(BodyFilter):
+    """No filter: the body goes on at the rates that were measured last."""
+
+    ego: Ego | None = None
+
+    @property
+    def pitch_rad(self) -> float:
+        return 0.0
+
+    @property
+    def level_rad(self) -> float:
+        return 0.0
+
+    def looked(self, time_s: float, pitched_rad: float | None) -> "Linear":
+        return self
+
+    def T_level_body(self, time_s: float) -> Tensor:
+        assert self.ego is not None
+        return body_pose(self.ego.at(time_s).level_attitude.double(), self.pivot_x_m)
+
+
+class Unfiltered(Luxloop):
+    def _filtered(self, before: BodyFilter | None, ego: Ego | None) -> BodyFilter | None:
+        assert ego is not None
+        first = Linear.first(self.params.body, ego, self.reach_m, self.projector.params.x_m)
+        return replace(cast(Linear, first if before is None else before.updated(ego)), ego=ego)
+
+
+def driven(
+    known: bool, steps: int = 30, speed_m_s: float = 20.0, suspension: float = 1.0, belief: BodyParams = BODY
+) -> tuple[list[float], list[float], BodyFilter]:
+    """Errors in m of the height of the symbol's place over the body, predicted 0.1 s ahead by the filter and linearly, and the filter."""
+    params = VehicleParams(course=(CourseParams(speed_m_s=speed_m_s),), suspension=SuspensionParams(**springs(suspension)))
+    motion, place = drive(params, cast(Any, Long()), steps / 30 + 1), torch.tensor([17.0, 1.0, 0.0, 1.0]).double()
+    sensors, like = Sensors(motion, SensorParams(), 1 / 30, 0), torch.zeros(1, dtype=torch.float64)
+    samples: Samples = {}
+    errors, linear, body = [], [], None
+    for step in range(steps):
+        samples = newest(samples, sensors.arriving((step - 1) / 30, step / 30, like) if step else sensors.newest(0.0, like))
+        ego = ego_of(samples, params, step / 30, 1 / 60)
+        assert ego is not None
+        body = BodyFilter.first(belief, ego, 16.0, 17.0) if body is None else body.updated(ego)
+        way = body.unseen()
+        heights = torch.from_numpy(np.stack([Long().z(way.numpy(), np.full(len(way), side * BODY.track_m / 2)) for side in (1, -1)]))
+        body = body.seen(way, heights, torch.full_like(heights, 1e-8 if known else 1e4))
+        then = ego.time_s + 0.1
+        now = motion.at(then)
+        T_level_ground = ground_pose(torch.tensor([now.ground_m, now.slope_rad]).double())
+        errors.append(float((T_level_ground @ now.T_ground_body - body.T_level_body(then))[2] @ place))
+        linear.append(float((now.T_ground_body - ego.at(then).T_ground_body)[2] @ place))
+    assert body is not None
+    return errors[10:], linear[10:], body
+
+
+def test_a_body_is_predicted_on_a_road_that_was_seen_and_not_on_another() -> None:
+    known, unknown = driven(True)[0], driven(False)[0]
+    # cells of 0.2 m are linear: curvature 0.02 (2 pi / 6)^2 times 0.2^2 / 8 is 0.1 mm at both axles, by the lever of 19 m over 2.8 m
+    assert max(map(abs, known)) < 2e-3
+    assert max(map(abs, unknown)) > 0.02
+
+
+@pytest.mark.parametrize("suspension", SOFT_AND_STIFF)
+def test_springs_are_those_that_the_controller_believes_in(suspension: float) -> None:
+    right, _, _ = driven(True, 60, suspension=suspension, belief=BodyParams(**springs(suspension)))
+    wrong, linear, _ = driven(True, 60, suspension=suspension)
+    assert max(map(abs, right)) < 2e-3, "as with usual springs"
+    assert max(map(abs, wrong)) > 0.02
+    assert np.std(wrong) < 0.75 * np.std(linear), "where soft springs hardly follow waves of 6 m, which the road has alone"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suspension", SOFT_AND_STIFF)
+def test_a_wrong_belief_of_the_springs_costs_little_and_no_filter_much(suspension: float) -> None:
+    true = [*SMALL, "steps=30", *(f"vehicle.suspension.{key}={hz}" for key, hz in springs(suspension).items())]
+    simulation = Simulation.prepare(load("driving", [*true, "functions.symbol.controller={name='luxloop'}"]))
+    usual = simulation.symbol.controller
+    assert isinstance(usual, Luxloop)
+    believing = Luxloop(usual.params.model_copy(update={"body": BodyParams(**springs(suspension))}), usual.sensor)
+    right, wrong, none = (
+        np.mean([float(result.symbol.verdict.iou) for result in simulation.with_controller(each).run()][10:])
+        for each in (believing, usual, Unfiltered(usual.params, usual.sensor))
+    )
+    # usual belief 0.86 on soft and 0.84 on stiff springs, without a filter 0.83 and 0.77
+    assert wrong > right - 0.03
+    assert wrong > none + 0.015
+
+
+@pytest.mark.parametrize("speed_m_s", [0.0, 3.7, 40.0])
+def test_what_is_known_of_the_body_stays_a_covariance(speed_m_s: float) -> None:
+    *_, body = driven(True, 60, speed_m_s)
+    assert torch.equal(body.covariance, body.covariance.T)
+    assert float(torch.linalg.eigvalsh(body.covariance)[0]) > -1e-12  # of squares of cm
+    # the strip goes along with the wheels, by whole cells
+    assert body.start_m + CELL_M <= body.way_m + body.axles_m[1] or speed_m_s == 0
+    assert body.way_m == pytest.approx(speed_m_s * body.time_s)
+
+
+def test_looks_tell_how_the_body_pitches_between_them_and_not_how_the_road_lies() -> None:
+    """A period late sensors with errors, observations without: by these the body is known better, whatever the road's tilt."""
+    errors: dict[bool, list[float]] = {False: [], True: []}
+    for looks, found in errors.items():
+        generator, body = torch.Generator().manual_seed(5), None
+        for k in range(90):
+            ego = nodding(max(k - 1, 0) / 30)
+            ego = replace(
+                ego,
+                attitude=ego.attitude + 2e-4 * torch.randn(3, generator=generator),
+                rates=ego.rates + 2e-3 * torch.randn(3, generator=generator),
+            )
+            body = BodyFilter.first(BODY, ego, 16.0, 17.0) if body is None else body.updated(ego)
+            before, now = (float(nodding(t / 30).attitude[2]) for t in (k - 1, k))
+            if looks:
+                body = body.looked(k / 30, now - before if k else None)
+            found.append(body.caught_up().at(k / 30).pitch_rad - now)
+    spread = {looks: float(np.sqrt(np.mean(np.square(found[15:])))) for looks, found in errors.items()}
+    assert spread[True] < 0.85 * spread[False]
+    assert abs(float(np.mean(errors[True][15:]))) < spread[True] / 2, "nothing adds up"
+
+
+def test_the_road_under_the_wheels_tracks_is_read_where_it_is() -> None:
+    road_map = remembered(torch.eye(4, dtype=torch.float64), EYE)
+    x, y = torch.linspace(14.5, 19.0, 10).expand(2, -1), torch.tensor([[0.8], [-0.8]]).expand(2, 10)
+    heights, information = road_map.tracks(x, y)
+    expected = torch.from_numpy(Waves(torch.eye(4)).z(x.numpy(), y.numpy())).to(heights)
+    torch.testing.assert_close(heights, expected, rtol=0, atol=1.5e-3)  # hidden behind crests: lines of sight rise by 0.08
+    torch.testing.assert_close(information, torch.ones_like(information))  # but for the rounding of bilinear weights
+    assert (road_map.tracks(x + 10, y)[1] == 0).all(), "beyond the region"
+
+
+@pytest.mark.parametrize("attitude", [(0.0, 0.0, 0.0), (0.03, 0.01, -0.017)])
+def test_a_symbol_is_laid_on_the_ground_from_a_tilted_body(attitude: tuple[float, ...]) -> None:
+    body = body_pose(torch.tensor(attitude, dtype=torch.float64), -2.2)
+    target = torch.tensor([17.0, 0.5, 0.0, 0.0], dtype=torch.float64)
+    simulation = Simulation.prepare(load("flat", SMALL))
+    projection = laid(target, inverse(body))
+    z = projection.z
+    projector = simulation.symbol.projector
+    corners = projector.primitive(projection.pose).corners().squeeze(0) + torch.tensor([0.0, 0.0, 0.0 if z is None else float(z)])
+    flat = projector.primitive(target).corners().squeeze(0)
+    # the yaw that is left out is the product of roll and pitch, 1.7e-4 rad over 2 m
+    torch.testing.assert_close(transform(body, corners.T).T, flat, rtol=0, atol=6e-4)
+
+
+def test_the_off_frame_is_seen_from_where_the_on_frame_was() -> None:
+    """Raw frames differ by all the road's texture, which moves by a third of a metre between them."""
+    more = ["camera.oversampling=4", "light.ambient_lx=4", "camera.noise=false", "functions.symbol.controller={name='luxloop'}"]
+    simulation = Simulation.prepare(load("driving", [*EXACT, *more]))
+    _, result = simulation.step(simulation.start())
+    world, seer, controller = simulation.world, simulation.symbol.sensor, simulation.symbol.controller
+    assert result.frames is not None and isinstance(controller, Luxloop)
+    on_s, off_s = result.time_s, result.time_s + 0.5 / simulation.scenario.rate_hz
+    now, later = (world.motion.at(t) for t in (on_s, off_s))
+    driven = inverse(now.T_world_ground) @ later.T_world_ground
+    where = (seer, controller.region, (0.2, 0.15), 2, 3, now.T_ground_body)
+    raw, warped = (ForwardModel.prepare(*where, T_off) for T_off in (now.T_ground_body, driven @ later.T_ground_body))
+    unlit = simulation.plant.exposed(world.lit(on_s).base, world.lit(on_s).base, 0, 0)
+    errors = []
+    for forward_model in (raw, warped):
+        contrast, _ = forward_model.observe(result.frames)
+        truth, _ = replace(forward_model, off_place=None).observe((result.frames[0], unlit))
+        errors.append(float((contrast - truth).square().mean().sqrt()))
+    # half of a pixel's grain is of the rays that sample it, which meet other points of the road from there
+    assert errors[1] < 0.6 * errors[0]
+
+
+def test_the_road_ahead_is_taken_to_bend_on_as_the_ground_does() -> None:
+    """On a crest of 1500 m at 20 m/s, in a ground frame that is tilted by then: a parabola that touches it under the rear axle."""
+    controller, radius_m = Simulation.prepare(load("flat", [*SMALL, "functions.symbol.controller=luxloop"])).symbol.controller, 1500.0
+    assert isinstance(controller, Luxloop)
+    ego = replace(nodding(1.0), ground=torch.tensor([-0.3, 0.02, -0.4, 20 / radius_m]), speed_m_s=torch.tensor(20.0))
+    body = BodyFilter.first(BODY, ego, 16.0, 17.0)
+    nothing = controller.start(torch.tensor([17.0, 0.0, 0.0, 0.0])).road_map
+    assert not controller._heights(controller._bent(ego, body), nothing).any(), "the ground has still to learn the road"
+    base = controller._heights(controller._bent(ego, replace(body, way_m=20.0)), nothing)
+    nodes, eye = nothing.nodes(), nothing.eye[:, None]
+    road = nodes + (eye - nodes) * (base / nothing.eye[2])  # on the lines of sight
+    torch.testing.assert_close(road[2], -((road[0] - ego.rear_x_m) ** 2) / (2 * radius_m), rtol=0, atol=1e-5)
+    assert float(base.min()) < -LuxloopParams().highest_m, "more than is looked for around the plane"
+    known = remembered(torch.eye(4, dtype=torch.float64), EYE)
+    for road_map, mean in ((nothing, base), (known, known.heights.mean)):
+        over = road_map.over(base if road_map is nothing else known.brightness)
+        assert over.heights.mean.equal(mean), "what is known stays, whatever is expected"
+
+
+@pytest.mark.slow
+def test_a_symbol_is_held_beyond_a_sharp_crest() -> None:
+    """From step 44 on the road below it is farther from the plane of the ground than heights are looked for around that."""
+    crest = "road={kind='profile', roughness_class='B', grades=[{x_m=10, percent=-5, curve_m=75}]}"
+    simulation = Simulation.prepare(load("crest", [*SMALL, crest, "steps=56"]))
+    ious = np.nan_to_num([float(result.symbol.verdict.iou) for result in simulation.run()])
+    assert ious[44:].mean() > 0.65  # 0.81 in the camera of the scenario; without the bend 0.25
+
+
+@pytest.mark.slow
+def test_wheels_and_a_gyro_alone_hold_most_of_a_symbol_in_a_car_that_nods() -> None:
+    """A gyro tells how fast the body pitches and not how far: what it adds up drifts until looks at the road correct it."""
+    vehicle = "vehicle={course=[{speed_m_s=10}], oscillation={pitch_deg=0.3}}"
+    simulation = Simulation.prepare(load("driving", [*SMALL, "road.kind=flat", vehicle, "sensors.fitted=['wheels','gyro']", "steps=26"]))
+    mean = {}
+    for held in (simulation, simulation.lit_by("open_loop")):
+        mean[held is simulation] = np.mean([float(result.symbol.verdict.iou) for result in held.run()][10:])
+    # 0.79 and 0.44; with the attitude unit 0.88
+    assert mean[True] > mean[False] + 0.2 and mean[True] > 0.6
+
+
+def test_a_nodding_car_keeps_its_symbol_in_place() -> None:
+    changes = [*SMALL, *EXACT, "road.kind=flat", "vehicle={course=[{speed_m_s=10}], oscillation={pitch_deg=0.3}}", "steps=8"]
+    simulation = Simulation.prepare(load("driving", [*changes, "functions.symbol.controller={name='luxloop'}"]))
+    symbol = simulation.symbol
+    still = simulation.of_all(symbol, symbol.projector.light(symbol.projector.target))
+    for result in simulation.run():
+        if result.step > 3:
+            # edges of half a camera row are left; the open loop's symbol is off by half of its length
+            assert result.symbol.verdict.iou > 0.7
+            assert symbol.judge.verdict(still, result.time_s).iou < 0.5
+
+
+@pytest.mark.slow
+def test_a_car_that_stands_and_nods_is_not_at_rest_where_it_swings_through() -> None:
+    changes = [*SMALL, *EXACT, "road.kind=flat", "vehicle={course=[{speed_m_s=0}], oscillation={pitch_deg=0.2}}", "steps=16"]
+    simulation = Simulation.prepare(load("driving", [*changes, "functions.symbol.controller={name='luxloop'}"]))
+    ious = [float(result.symbol.verdict.iou) for result in simulation.run() if result.symbol.verdict is not None]
+    # 0.85 at worst; drawn for rest where it swings through, 0.76
+    assert min(ious[4:]) > 0.82

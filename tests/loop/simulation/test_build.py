@@ -1,0 +1,116 @@
+"""From a scenario's [headlight] to the modules that shine, and to those of them that draw a symbol; and to the road of a drive."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from luxloop.loop.scenario.model import Scenario, load, validate
+from luxloop.loop.simulation.build import build_motion, build_scene
+from luxloop.loop.simulation.lamps import shining_modules
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import pose_from_degrees
+from luxloop.world.headlight.lamp import Lamp, Module
+from luxloop.world.lampfiles import archive
+from luxloop.world.presets import idealised
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(scope="module")
+def lamp_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A wide fixed module and a narrow one, mounted aside, that can be turned."""
+    wide, narrow = idealised(4, 8, half_width_deg=20.0, intensity_cd=1000.0), idealised(4, 8, half_width_deg=5.0, intensity_cd=2000.0)
+    mount = pose_from_degrees((0.0, 0.1, 0.05), pitch_deg=0.5)
+    modules = (Module("wide", wide), Module("narrow", narrow, mount, swivel_deg=(-5.0, 12.0), level_deg=(-1.0, 2.0)))
+    path = tmp_path_factory.mktemp("lamp") / "two.npz"
+    archive.save(path, Lamp("two", modules))
+    return path
+
+
+@pytest.fixture
+def scenario(lamp_file: Path) -> Scenario:
+    return load("flat", [f"headlight.model={lamp_file}"])
+
+
+def with_headlight(scenario: Scenario, **values: object) -> Scenario:
+    return scenario.model_copy(update={"headlight": scenario.headlight.model_copy(update=values)})
+
+
+def test_modules_are_where_they_are_mounted_and_the_finest_one_draws(tmp_path: Path) -> None:
+    """That of the first lamp, unless the symbol names its modules; the others show their base beams, here none."""
+    wide, fine = idealised(10, 40, half_width_deg=20.0, intensity_cd=9000.0), idealised(100, 200, intensity_cd=50_000.0)
+    mount = pose_from_degrees((0.0, 0.1, 0.05), pitch_deg=0.5)
+    archive.save(tmp_path / "lamp.npz", Lamp("lamp", (Module("wide", wide), Module("fine", fine, mount))))
+    small = ["camera={ width_px=320, height_px=180 }", "renderer=raycast", "headlight.lamps=['left', 'right']"]
+    scenario = load("flat", [f"headlight.model={tmp_path / 'lamp.npz'}", *small])
+    simulation = Simulation.prepare(scenario)
+    (module,) = simulation.symbol.projector.modules
+    assert module.name == "left fine" and simulation.symbol.drawn_by == (1,)
+    expected = pose_from_degrees((0.0, 0.7, 0.8), pitch_deg=0.5)
+    torch.testing.assert_close(module.T_world_headlight, expected, rtol=0, atol=1e-12)
+    assert module.pixel_controller.headlight.peak_cd == pytest.approx(50_000)
+    assert [bool(u.any()) for u in simulation.at(0).lights] == [False, True, False, False]
+    for named, drawing in ((("fine",), (1, 3)), (("right",), (2, 3)), (("right fine",), (3,))):
+        symbol = scenario.symbol.model_copy(update={"modules": named})
+        assert Simulation.prepare(scenario.model_copy(update={"functions": {"symbol": symbol}})).symbol.drawn_by == drawing
+
+
+def test_named_modules_of_both_lamps_shine_and_the_brightest_gets_the_intensity(scenario: Scenario) -> None:
+    both = with_headlight(scenario, lamps=("left", "right"), modules=("wide", "narrow"), intensity_cd=8000.0)
+    modules = shining_modules(both, CPU)
+    assert [module.name for module in modules] == ["left wide", "left narrow", "right wide", "right narrow"]
+    assert [module.headlight.peak_cd for module in modules] == pytest.approx([4000, 8000, 4000, 8000])
+    # The right lamp is the left one's mirror image.
+    assert [float(module.T_world_module[1, 3]) for module in modules] == pytest.approx([0.6, 0.7, -0.6, -0.7])
+    (alone,) = shining_modules(with_headlight(scenario, modules=("narrow",)), CPU)
+    assert alone.name == "left narrow" and [each.name for each in shining_modules(scenario, CPU)] == ["left wide", "left narrow"]
+
+
+def test_what_can_turn_is_turned_and_the_rest_stays(scenario: Scenario) -> None:
+    turned = with_headlight(scenario, modules=("wide", "narrow"), swivel_deg=10.0, level_deg=1.5)
+    wide, narrow = shining_modules(turned, CPU)
+    assert wide.T_world_module[:3, :3].equal(torch.eye(3, dtype=torch.float64))
+    expected = pose_from_degrees((0, 0, 0), pitch_deg=0.5)[:3, :3] @ pose_from_degrees((0, 0, 0), 0, 1.5, 10)[:3, :3]
+    torch.testing.assert_close(narrow.T_world_module[:3, :3], expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"modules": ("narow",)}, "no module 'narow'; it has wide, narrow"),
+        ({"swivel_deg": 15.0}, "left lamp, module 'narrow': swivel of 15 deg.*-5 to 12 deg$"),
+        ({"swivel_deg": 10.0, "lamps": ("left", "right")}, "right lamp, module 'narrow': swivel of 10 deg.*-12 to 5 deg; .*mirror image"),
+        ({"modules": ("wide",), "level_deg": 1.0}, "headlight.level_deg.*wide.*turn"),
+        ({"model": "ssl-hdd"}, "'ssl-hdd'.*'ssl-hd'"),
+    ],
+)
+def test_what_the_lamp_has_not_is_named(scenario: Scenario, values: dict, words: str) -> None:
+    with pytest.raises(LuxloopError, match=words):
+        shining_modules(with_headlight(scenario, **values), CPU)
+
+
+def test_modules_that_give_no_light_cannot_be_scaled(tmp_path: Path) -> None:
+    archive.save(tmp_path / "dark.npz", Lamp("dark", (Module("main", idealised(4, 8).scaled(0.0)),)))
+    with pytest.raises(LuxloopError, match="main give no light"):
+        shining_modules(load("flat", [f"headlight.model={tmp_path / 'dark.npz'}", "headlight.intensity_cd=1000"]), CPU)
+
+
+def test_the_road_is_there_under_all_that_is_met_on_a_drive() -> None:
+    drive = {"course": [{"speed_m_s": 15.0}]}
+    traffic = {"seed": 3, "cars": 3, "parked": 2, "clutter": 4}
+    given = validate({"name": "met", "steps": 90, "rate_hz": 30, "vehicle": drive, "traffic": traffic, "road": {"kind": "iso8608"}}, "met")
+    motion = build_motion(given)
+    scene = build_scene(given, motion)
+    farthest_m = 0.0
+    for time_s in (0.0, 1.0, 2.0):
+        T_world_ground = motion.at(time_s).T_world_ground
+        road, others = [], []
+        for placed in scene.at(time_s, T_world_ground).placed:
+            x = placed.T_world_body[0, 3] + torch.as_tensor(placed.body.mesh.vertices[:, 0])
+            (others if placed.object_id else road).append(x)
+        ends = torch.cat(road).max()
+        assert all(float(x.mean()) < ends for x in others)
+        farthest_m = max(farthest_m, *(float(x.mean() - T_world_ground[0, 3]) for x in others))
+    assert farthest_m > 100, "so that a road of 90 m would end before them"

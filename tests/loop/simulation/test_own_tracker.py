@@ -1,0 +1,119 @@
+"""Trackers of the user's own: the loop follows with them, and what is wrong with what they report is said in a sentence."""
+
+from typing import Any
+
+import pytest
+
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.world.errors import LuxloopError
+
+OWN = """
+from dataclasses import replace
+
+import torch
+
+from luxloop.perception.tracking import Tracker, TrackerParams
+
+class Ours:
+    def __init__(self, classes, view, **keys):
+        self.tracker = Tracker(classes, view, TrackerParams(**keys))
+    def start(self):
+        return self.tracker.start()
+    def follow(self, state, found, frame, time_s):
+        return self.tracker.follow(state, found, frame, time_s)
+    def report(self, state, time_s):
+        return self.tracker.report(state, time_s)
+
+class Listed(Ours):
+    def report(self, state, time_s):
+        return super().report(state, time_s).boxes
+
+class Short(Ours):
+    def report(self, state, time_s):
+        told = super().report(state, time_s)
+        return replace(told, confidence=told.confidence.amax(-1))
+
+class Nowhere(Ours):
+    def report(self, state, time_s):
+        told = super().report(state, time_s)
+        return replace(told, boxes=told.boxes * torch.nan)
+
+class Same(Ours):
+    def report(self, state, time_s):
+        told = super().report(state, time_s)
+        return replace(told, number=torch.ones_like(told.number))
+
+class Unknown(Ours):
+    def report(self, state, time_s):
+        told = super().report(state, time_s)
+        return replace(told, category=told.category + 100)
+
+class Failing(Ours):
+    def follow(self, state, found, frame, time_s):
+        raise RuntimeError("no idea")
+
+class Still:
+    def start(self):
+        return None
+"""
+WALKERS = [
+    {"kind": "pedestrian", "name": name, "path": {"points_m": [[15, -side, 0], [15, side, 0]], "speed_m_s": 1.4}}
+    for name, side in (("one", 1.0), ("two", -2.0))
+]
+
+
+def scenario(**tracker: Any) -> Scenario:
+    data = {
+        "name": "tracked",
+        "steps": 5,
+        "headlight": {"model": "hd84"},
+        "camera": {"width_px": 320, "height_px": 180, "oversampling": 1},
+        "objects": WALKERS,
+        "detector": {"kind": "truth"},
+        "tracker": tracker,
+        "lighting": {"base": {"beam": "low"}},
+        "renderer": "raycast",
+    }
+    return validate(data, "tracked")
+
+
+def looked(**tracker: Any) -> list[Any]:
+    results = Simulation.prepare(scenario(**tracker)).run()
+    return [(each.look.tracks.boxes.tolist(), each.look.recognised, [o.name for o in each.now.objects]) for each in results]
+
+
+@pytest.mark.usefixtures("own")
+def test_the_loop_follows_with_it() -> None:
+    """Ours by another name follows bit for bit; other keys do not."""
+    ours = looked(kind="own:Ours", options={"confirm_frames": 2})
+    assert ours == looked(confirm_frames=2) != looked()
+    assert ours[-1][2] == ["track_1", "track_2"]
+    one = scenario(kind="own:Ours", options={"confirm_frames": 2})
+    assert type(one).model_validate_json(one.model_dump_json()) == one, "recordings hold it"
+
+
+@pytest.mark.usefixtures("own")
+@pytest.mark.parametrize(
+    ("name", "options", "words"),
+    [
+        ("Listed", {}, ["report gives a Tensor", "luxloop.TrackedBoxes"]),
+        ("Short", {}, ["confidence [0] for 0 tracks and 8 classes; give [0, 8]"]),
+        ("Nowhere", {}, ["not finite"]),
+        ("Same", {}, ["the same number to several tracks, [1, 1]"]),
+        ("Unknown", {}, ["category [104, 104]", "8 classes"]),
+        ("Failing", {}, ["follow fails at", "own.py, line", "no idea"]),
+        ("Still", {}, ["has no method follow"]),
+        ("Ours", {"confirm": 2}, ["__init__ with the classes and the view and tracker.options fails", "confirm"]),
+    ],
+)
+def test_what_is_wrong_with_it_is_said_in_a_sentence(name: str, options: dict[str, Any], words: list[str]) -> None:
+    with pytest.raises(LuxloopError) as error:
+        looked(kind=f"own:{name}", options=options)
+    message = str(error.value)
+    assert all(word in message for word in [f"tracker.kind: own:{name}", *words]) and "\n" not in message, message
+
+
+def test_an_unknown_kind_is_named() -> None:
+    with pytest.raises(LuxloopError, match=r"tracker\.kind: .*did you mean 'kalman'"):
+        scenario(kind="kalmann")

@@ -1,0 +1,123 @@
+"""Painted utilisations: over the functions or in their place, in every module alone; what does not fit is named."""
+
+import base64
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from luxloop.controllers.functions.painted import Painted, PaintedParams
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.scenario.model import Scenario, load, validate
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.world.errors import LuxloopError
+
+ROWS, COLUMNS = 3, 28  # pixels of hd84
+RNG = np.random.default_rng(3)
+VALUE = RNG.integers(0, 256, (ROWS, COLUMNS)).astype(np.uint8)
+HALF = np.where(np.arange(COLUMNS) < COLUMNS // 2, 255, 0).astype(np.uint8) * np.ones((ROWS, 1), np.uint8)
+VAN = {"kind": "box", "name": "van", "category": "car", "size_m": [4.5, 1.8, 1.9], "track": [{"position_m": [30, 3, 0], "yaw_deg": 180}]}
+GUARDED = {"objects": [VAN], "functions": {"guard": {"kind": "glare_free"}}}
+
+
+def scenario(*painted: Any, **changes: Any) -> Scenario:
+    lighting = {"painted": [each if isinstance(each, dict) else each.model_dump() for each in painted], "base": {"beam": "full"}}
+    camera = {"width_px": 160, "height_px": 90}
+    given = {"name": "painted", "headlight": {"model": "hd84"}, "camera": camera, "renderer": "raycast"}
+    return validate(given | {"lighting": lighting | changes.pop("lighting", {})} | changes, "painted")
+
+
+def lights(*painted: Any, **changes: Any) -> list[torch.Tensor]:
+    return list(Simulation.prepare(scenario(*painted, **changes)).at(0).lights)
+
+
+def given(share: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(share).flatten().float() / 255
+
+
+def test_pictures_come_back_bit_for_bit() -> None:
+    cover = RNG.integers(0, 256, (ROWS, COLUMNS)).astype(np.uint8)
+    value, painted = PaintedParams.of("left matrix", VALUE, cover, True).pictures
+    assert (value == VALUE).all() and (painted == cover).all()
+
+
+@pytest.mark.parametrize("over", [True, False])
+def test_what_is_painted_holds_and_the_rest_is_what_functions_give(over: bool) -> None:
+    plain, guarded = lights(), lights(**GUARDED)
+    left, right = lights(PaintedParams.of("left matrix", VALUE, HALF, over), **GUARDED)
+    assert not guarded[0].equal(plain[0]) and right.equal(guarded[1])
+    painted = given(HALF) > 0
+    torch.testing.assert_close(left[painted], given(VALUE)[painted], rtol=0, atol=1e-7)  # single precision
+    assert left[~painted].equal(guarded[0][~painted] if over else torch.zeros(int((~painted).sum())))
+
+
+def test_a_share_of_cover_mixes() -> None:
+    cover = np.full((ROWS, COLUMNS), 51, np.uint8)
+    left, _ = lights(PaintedParams.of("left matrix", VALUE, cover, True))
+    torch.testing.assert_close(left, 0.2 * given(VALUE) + 0.8, rtol=0, atol=1e-6)  # single precision
+
+
+@pytest.mark.parametrize("over", [True, False])
+@pytest.mark.parametrize("band", [None, slice(0, 0), slice(3, 9), slice(70, 84)])
+def test_outside_the_band_all_is_dark(over: bool, band: slice | None) -> None:
+    value, cover = np.zeros((ROWS, COLUMNS), np.uint8), np.zeros((ROWS, COLUMNS), np.uint8)
+    value[1, 5:9], cover[1, 2:12] = 200, 255
+    below = torch.zeros(2, ROWS * COLUMNS)
+    below[:, band or slice(None)] = 0.5
+    light = Painted.of(PaintedParams.of("left matrix", value, cover, over)).on(Utilisation(below, band))
+    assert light.u.shape == below.shape and light.u[0, COLUMNS + 5] == pytest.approx(200 / 255)
+    if light.band is not None:
+        outside = torch.ones(ROWS * COLUMNS, dtype=torch.bool)
+        outside[light.band] = False
+        assert not light.u[:, outside].any()
+    assert (light.band is None) == (over and band is None)
+
+
+def test_the_power_limit_holds() -> None:
+    all_ = np.full((ROWS, COLUMNS), 255, np.uint8)
+    painted = [PaintedParams.of(f"{side} matrix", all_, all_, False) for side in ("left", "right")]
+    result = Simulation.prepare(scenario(*painted, lighting={"power_limit": 0.25, "base": {"beam": "off"}})).at(0)
+    assert all(power.share == pytest.approx(0.25) for power in result.powers.values())
+
+
+def test_a_file_holds_all_of_it(tmp_path: Path) -> None:
+    painted = PaintedParams.of("left matrix", VALUE, HALF, True)
+    (tmp_path / "mine.toml").write_text(
+        'name = "mine"\nrenderer = "raycast"\n[headlight]\nmodel = "hd84"\n[camera]\nwidth_px = 160\nheight_px = 90\n'
+        f"[[lighting.painted]]\nmodule = 'left matrix'\npng = '{painted.png}'\n"
+    )
+    left, right = Simulation.prepare(load(str(tmp_path / "mine.toml"))).at(0).lights
+    torch.testing.assert_close(left, given(VALUE) * (given(HALF) > 0), rtol=0, atol=1e-7)
+    assert not right.any()
+
+
+def test_other_light_to_compare_with_is_not_painted() -> None:
+    simulation = Simulation.prepare(scenario(PaintedParams.of("left matrix", VALUE, HALF, False)))
+    assert all((u == 1).all() for u in simulation.lit_by("full_light").at(0).lights)
+
+
+def png(image: np.ndarray, suffix: str = ".png") -> str:
+    return base64.b64encode(cv2.imencode(suffix, image)[1].tobytes()).decode()
+
+
+GOOD = PaintedParams.of("left matrix", VALUE, HALF, True).model_dump()
+WRONG: dict[str, tuple[list[dict[str, Any]], list[str]]] = {
+    "no text": ([GOOD | {"png": "%%%"}], ["lighting.painted[0].png", "base64"]),
+    "no picture": ([GOOD | {"png": "aaaa"}], ["lighting.painted[0].png", "8-bit PNG"]),
+    "no transparency": ([GOOD | {"png": png(VALUE)}], ["lighting.painted[0].png", "transparency"]),
+    "16 bits": ([GOOD | {"png": png(np.zeros((3, 28, 4), np.uint16))}], ["lighting.painted[0].png", "8-bit"]),
+    "other format": ([GOOD | {"png": png(np.zeros((3, 28, 4), np.uint8), ".webp")}], ["lighting.painted[0].png", "PNG"]),
+    "other size": ([GOOD | {"png": png(np.zeros((4, 28, 4), np.uint8))}], ["lighting.painted[0].png", "4 x 28", "3 x 28", "this size"]),
+    "unknown module": ([GOOD | {"module": "left hires"}], ["lighting.painted[0].module", "'left hires'", "left matrix"]),
+    "twice": ([GOOD, GOOD], ["lighting.painted[1].module", "'left matrix'", "twice"]),
+}
+
+
+@pytest.mark.parametrize(("painted", "words"), WRONG.values(), ids=WRONG.keys())
+def test_what_does_not_fit_is_named_in_a_sentence(painted: list[dict[str, Any]], words: list[str]) -> None:
+    with pytest.raises(LuxloopError) as caught:
+        Simulation.prepare(scenario(*painted))
+    assert all(word in str(caught.value) for word in words) and "\n" not in str(caught.value), caught.value

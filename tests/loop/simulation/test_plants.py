@@ -1,0 +1,205 @@
+"""Lighting functions on any plant: one that does not know the truth, and a recording, on which they work in shadow."""
+
+from collections.abc import Sequence
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+from rich.console import Console
+from torch import Tensor
+
+from luxloop.loop.recording.record import row
+from luxloop.loop.report.run_table import shown
+from luxloop.loop.run import run
+from luxloop.loop.scenario.model import validate
+from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.world.errors import LuxloopError
+from tests.lamps import SMALL_LAMP
+from tests.loop.conftest import Lux, assert_one_sentence
+
+OWN = """
+from dataclasses import replace
+
+import torch
+from luxloop import Detections, Frame, simulated_plant
+
+class Blind:
+    def __init__(self, scenario, modules):
+        self.inner = simulated_plant(scenario, modules)
+        self.names = [module.name for module in modules]
+    def start(self):
+        return self.inner.start()
+    def show(self, state, exposure):
+        assert len(exposure.lights) == len(self.names)
+        return self.inner.show(state, exposure)
+
+class Knowing(Blind):
+    @property
+    def truth(self):
+        return self.inner.truth
+
+class Straying(Blind):
+    def show(self, state, exposure):
+        state, arrivals = self.inner.show(state, exposure)
+        stray = Frame(exposure.number + 1000, arrivals.time_s, arrivals.time_s, None)
+        return state, replace(arrivals, frames=(stray, *arrivals.frames, stray))
+
+class Brightest:
+    classes = ("car",)
+    def __init__(self, device):
+        pass
+    def detect(self, images):
+        found = []
+        for image in images:
+            lit = (image > 0.5 * image.max()).nonzero()
+            (v0, u0), (v1, u1) = lit.amin(0).tolist(), lit.amax(0).tolist()
+            found.append(Detections(torch.tensor([[u0, v0, u1 + 1, v1 + 1]]).float(), torch.tensor([[0.9]])))
+        return found
+"""
+WORLD: dict[str, Any] = {
+    "name": "lit",
+    "steps": 8,
+    "headlight": {"model": "hd84", "lamps": ["left"]},
+    "camera": {"width_px": 160, "height_px": 90, "latency_steps": 1, "exposure_s": 0.004},
+    "light": {"ambient_lx": 0.5},
+    "vehicle": {"course": [{"speed_m_s": 8.0}], "oscillation": {"pitch_deg": 0.5}},
+    "functions": {"near": {"kind": "zone", "centre_m": [15, 0, 0.1], "size_m": [6, 3, 0.2], "luminance_cd_m2": 0.2}},
+}
+CAR = {"kind": "car", "name": "parked", "category": "car", "track": [{"position_m": [25, -2, 0]}]}
+SEES = {"detector": {"kind": "own:Brightest"}, "objects": [CAR], "functions": WORLD["functions"] | {"guard": {"kind": "glare_free"}}}
+BLIND = {"kind": "own:Blind"}
+
+
+def simulation(**changes: Any) -> Simulation:
+    return Simulation.prepare(validate(WORLD | changes, "lit"))
+
+
+def lights(results: Sequence[StepResult]) -> list[Tensor]:
+    return list(chain.from_iterable(each.lights for each in results))
+
+
+@pytest.mark.usefixtures("own")
+def test_without_truth_the_light_is_the_same_and_nobody_says_where_it_lies() -> None:
+    known, blind = list(simulation(**SEES).run()), list(simulation(**SEES, plant=BLIND).run())
+    assert all(a.equal(b) for a, b in zip(lights(known), lights(blind), strict=True))
+    assert [each.zones["near"].lx for each in known] == [each.zones["near"].lx for each in blind]
+    for each in blind:
+        assert each.illuminance is None and each.luminance is None and not each.objects
+        assert row(each)["functions.near.luminance"] is None and row(each)["dark_lx_max"] is None
+    assert any(len(each.look.tracks) for each in blind if each.look is not None), "the detector works on the frames"
+
+
+@pytest.mark.usefixtures("own")
+def test_frames_of_exposures_that_were_never_shown_change_nothing() -> None:
+    """They come before the frames of the camera, which are late, and after them."""
+    functions = {"functions": SEES["functions"]}
+    true, strayed = (list(simulation(**functions, steps=5, plant={"kind": f"own:{name}"}).run()) for name in ("Blind", "Straying"))
+    assert all(a.equal(b) for a, b in zip(lights(true), lights(strayed), strict=True))
+    assert [each.frame is None for each in strayed] == [True] + [False] * 4
+
+
+@pytest.mark.usefixtures("own")
+def test_a_symbol_is_held_on_a_plant_without_truth() -> None:
+    flake = {"kind": "symbol", "image": "snowflake", "controller": "thesis_pid", "start": {"x_m": 18.0}}
+    camera = {"width_px": 320, "height_px": 180}
+    held = {
+        "headlight": {"model": SMALL_LAMP, "lamps": ["left"]},
+        "camera": camera,
+        "functions": {"flake": flake},
+        "vehicle": None,
+    }
+    known, blind = list(simulation(**held).run()), list(simulation(**held, plant=BLIND).run())
+    assert all(a.held["flake"].pose.equal(b.held["flake"].pose) for a, b in zip(known, blind, strict=True))
+    assert all(each.held["flake"].verdict is None for each in blind)
+    third = list(simulation(**held, judge_every=3).run())
+    assert [each.held["flake"].verdict is not None for each in third] == [step % 3 == 0 for step in range(8)]
+
+
+@pytest.mark.usefixtures("own")
+def test_a_run_without_truth_is_recorded_reported_and_repeated(lux: Lux, tmp_path: Path) -> None:
+    summary = run(validate(WORLD | SEES | {"plant": BLIND}, "lit"), tmp_path / "blind", device="cpu").summary
+    console = Console(record=True, width=160)
+    console.print(shown(summary, "blind"))
+    assert "boxes a step" in (told := console.export_text()) and "nothing" not in told
+    assert summary["dark_lx_max"] is None and summary["objects"] == {} and summary["shadow_of"] is None
+    assert {each.name for each in (tmp_path / "blind").iterdir()} >= {"report.png", "video.mp4", "summary.json"}
+    code, out, error = lux("replay", "blind", "--compare", "--allow-code")
+    assert code == 0 and "8 steps agree" in out, error
+
+
+@pytest.mark.usefixtures("own")
+def test_functions_work_in_shadow_on_the_frames_of_a_recording(tmp_path: Path) -> None:
+    """The same functions ask for the same light again; others see what was lit then, not what they ask for."""
+    folder = tmp_path / "recorded"
+    run(validate(WORLD | SEES, "lit"), folder, frames=True, video=False, report=False, device="cpu")
+    recording = {"plant": {"kind": "recording", "folder": str(folder)}}
+    again = list(simulation(**SEES, **recording).run())
+    table = pq.read_table(folder / "trajectory.parquet")
+    for key in ("functions.near.lx", "lamp.left.flux_lm", "speed_m_s", "tracks"):
+        assert [row(each)[key] for each in again] == table[key].to_pylist(), f"{key}, bit for bit"
+    changed = SEES | {"functions": {"far": {"kind": "zone", "centre_m": [30, 0, 0.1], "size_m": [9, 3, 0.2], "luminance_cd_m2": 5.0}}}
+    other = list(simulation(**changed, **recording).run())
+    assert not lights(other)[-1].equal(lights(again)[-1])
+    for a, b in zip(again, other, strict=True):
+        assert (a.frame is None) == (b.frame is None) and (a.frame is None or a.frame.equal(b.frame))
+    summary = run(validate(WORLD | SEES | recording, "lit"), tmp_path / "shadow", video=False, report=False, device="cpu").summary
+    assert summary["shadow_of"] == str(folder)
+
+
+NEEDS = {
+    "objects": {"objects": [CAR]},
+    "detector.kind": {"detector": {"kind": "truth"}},
+    "lighting.shadow_rays": {"lighting": {"shadow_rays": True}},
+    "checks.lit.metric": {"checks": {"lit": {"metric": "objects.parked.lx_max", "at_least": 0.0}}},
+    "functions.stone": {"functions": {"stone": {"kind": "material", "lights": [{"materials": ["asphalt"], "lx": 2.0}]}}},
+}
+
+
+@pytest.mark.usefixtures("own")
+@pytest.mark.parametrize("key", NEEDS)
+def test_what_needs_the_truth_is_refused_without_it(key: str) -> None:
+    with pytest.raises(LuxloopError, match=f"lit: {key}: needs the truth, which the plant own:Blind does not know") as refused:
+        simulation(**NEEDS[key], plant=BLIND)
+    assert_one_sentence(f"error: {refused.value}\n")
+
+
+UNJUDGED = {
+    "lit": {"metric": "objects.parked.lx_max", "at_least": 0.0},
+    "zone": {"metric": "functions.near.luminance", "at_least": 0.0},
+    "dark": {"metric": "dark_lx_max", "at_most": 0.0},
+    "flux": {"metric": "lamp.left.flux_lm", "at_least": 0.0},
+    "saved": {"metric": "lamp.left.flux_lm", "at_most": 0.5, "compare": "full_light"},
+}
+
+
+@pytest.mark.usefixtures("own")
+@pytest.mark.parametrize(("plant", "refused"), [("Blind", ["lit", "zone", "dark", "saved"]), ("Knowing", ["saved"])])
+def test_all_checks_that_a_plant_cannot_be_held_to_are_named_with_their_remedies(plant: str, refused: list[str]) -> None:
+    with pytest.raises(LuxloopError) as error:
+        simulation(checks=UNJUDGED, plant={"kind": f"own:{plant}"}, objects=[CAR], detector={"kind": "own:Brightest"})
+    *_, last = lines = str(error.value).splitlines()
+    assert "checks.saved.compare: needs the simulated world" in last
+    assert [name for name in UNJUDGED if f"--set checks.{name}={{}}" in str(error.value)] == refused
+    assert len(lines) == len(refused) + (len(refused) > 1)
+
+
+@pytest.mark.usefixtures("own")
+def test_what_needs_the_simulated_world_is_refused_on_another_plant() -> None:
+    blind = simulation(plant=BLIND)
+    for asked in (lambda: blind.lit_by("low_beam"), lambda: blind.at(3), lambda: blind.world):
+        with pytest.raises(LuxloopError, match=r"needs the simulated world|does not know the truth"):
+            asked()
+
+
+def test_a_recording_of_other_exposures_or_of_held_symbols_is_refused(tmp_path: Path) -> None:
+    folder = tmp_path / "recorded"
+    run(validate(WORLD | {"steps": 4}, "lit"), folder, frames=True, video=False, report=False, device="cpu")
+    recording = {"plant": {"kind": "recording", "folder": str(folder)}, "steps": 4}
+    with pytest.raises(LuxloopError, match=r"exposures of 33.33 ms, but those of this scenario take 20 ms"):
+        simulation(**recording, rate_hz=50.0)
+    with pytest.raises(LuxloopError, match="shows none of the symbols that are held here, flake, but none"):
+        simulation(**recording, functions={"flake": {"kind": "symbol", "image": "snowflake", "controller": "luxloop"}})
+    assert lights(list(simulation(**recording).run()))[-1].equal(lights(list(simulation(steps=4).run()))[-1])

@@ -1,0 +1,352 @@
+"""The recording plant: old frames with the light that they show, on which another controller steps in shadow."""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import torch
+
+from luxloop.loop.recording.files import table_of
+from luxloop.loop.recording.record import row, schema
+from luxloop.loop.run import prepare, run
+from luxloop.loop.scenario.model import Scenario, load, validate
+from luxloop.loop.simulation.columns import of_one
+from luxloop.loop.simulation.frames import TABLE, image_file, light_file
+from luxloop.loop.simulation.protocol import Exposure
+from luxloop.loop.simulation.recorded import RecordedPlant
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.world.errors import LuxloopError
+from tests.loop.conftest import SMALL, Lux, assert_one_sentence
+
+
+def held_by(controller: str) -> dict[str, Any]:
+    return {"symbol": SMALL["functions"]["symbol"] | {"controller": {"name": controller}}}
+
+
+STANDS = {**SMALL, "steps": 6, "camera": SMALL["camera"] | {"latency_spread_steps": 2, "drop_probability": 0.2}}
+DRIVES = {
+    **SMALL,
+    "steps": 5,
+    "functions": held_by("luxloop"),
+    "vehicle": {"course": [{"speed_m_s": 10.0}]},
+    "road": {"kind": "bumps"},
+    "sensors": {"attitude": {"noise_deg": 0.01, "delay_s": 0.03}, "gyro": {"rate_hz": 100}},
+}
+PARKED = [{"position_m": [15.4, 1.1, 0.0]}]
+TWO: dict[str, Any] = {
+    **SMALL,
+    "steps": 4,
+    "road": {"kind": "bumps", "seed": 3},
+    "functions": {
+        "flake": {"kind": "symbol", "image": "snowflake", "x_m": 17.5, "y_m": 1.4, "controller": "thesis_pid", "start": {"x_m": 15.0}},
+        "way": {"kind": "symbol", "image": "chevrons", "x_m": 16.0, "y_m": -1.4, "controller": "luxloop", "start": {"x_m": 17.0}},
+        "guard": {"kind": "glare_free"},
+    },
+    "objects": [{"kind": "box", "name": "motorcycle", "category": "motorcycle", "size_m": [2.1, 0.8, 1.3], "track": PARKED}],
+}
+ASKED = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg")
+OTHER = "holds the light of other modules than those that draw here; run it with the scenario recorded"
+RECORDED = {"stands": STANDS, "drives": DRIVES, "two": TWO}
+SEEN = ("e_x", "e_y", "pose_error_x_m", "c_u", "c_v", "area_ratio", "loss")
+
+
+def scenario_of(data: dict[str, Any], **changes: Any) -> Scenario:
+    return validate({**data, **changes}, "recorded")
+
+
+def playing(data: dict[str, Any], folder: Path, **changes: Any) -> Simulation:
+    return prepare(scenario_of(data, plant={"kind": "recording", "folder": str(folder)}, **changes), "cpu")
+
+
+def recorded_in(folder: Path, name: str = "symbol") -> pa.Table:
+    """Of a symbol, under the short names of its columns."""
+    return of_one(pq.read_table(folder / "trajectory.parquet"), name)
+
+
+def run_of(simulation: Simulation) -> pa.Table:
+    """A row a step, as a recording has them."""
+    return table_of([row(result) for result in simulation.run()], schema(simulation))
+
+
+def asked_and_seen(simulation: Simulation) -> pa.Table:
+    """The same of its symbol, under the short names of its columns."""
+    return of_one(run_of(simulation), "symbol")
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Recordings of a car that stands, of one that drives, and of two symbols beside a mask."""
+    folder = tmp_path_factory.mktemp("recorded")
+    for name, data in RECORDED.items():
+        run(scenario_of(data), folder / name, frames=True, video=False, report=False, device="cpu")
+    return {name: folder / name for name in RECORDED}
+
+
+@pytest.mark.parametrize(("name", "data"), [("stands", STANDS), ("drives", DRIVES)])
+def test_the_controller_that_was_recorded_asks_for_the_same_again(name: str, data: dict[str, Any], recorded: dict[str, Path]) -> None:
+    table, simulation = recorded_in(recorded[name]), playing(data, recorded[name])
+    again = asked_and_seen(simulation)
+    for each in (*ASKED, *SEEN, "time_s"):
+        assert again[each].to_pylist() == table[each].to_pylist(), f"{each}, bit for bit"
+    assert simulation.symbol.judge is None and again["iou"].null_count == len(again)
+    assert None in table["e_x"].to_pylist() or name == "drives", "some frames are lost"
+
+
+def test_another_controller_asks_for_its_own_and_sees_what_was_shown(recorded: dict[str, Path]) -> None:
+    """What it sees is that of the recording, however far from it is what it asks for."""
+    table = recorded_in(recorded["stands"])
+    again = asked_and_seen(playing(STANDS, recorded["stands"], functions=held_by("open")))
+    assert again["x_m"].to_pylist() == [17.0] * 6 and table["x_m"].to_pylist() != [17.0] * 6
+    other = asked_and_seen(playing(STANDS, recorded["stands"], functions=held_by("gauss_newton")))
+    for each in SEEN:
+        assert again[each].to_pylist() == other[each].to_pylist() == table[each].to_pylist()
+    assert other["x_m"][-1].as_py() != table["x_m"][-1].as_py() != 17.0
+
+
+def test_symbols_that_lie_side_by_side_and_below_a_mask_are_played(recorded: dict[str, Path]) -> None:
+    """The recorded light has the mask in it, so that the object that it covers need not be known. Each symbol has its own controller."""
+    again = run_of(playing(TWO, recorded["two"], objects=[]))
+    flake = TWO["functions"]["flake"] | {"controller": "gauss_newton"}
+    other = run_of(playing(TWO, recorded["two"], objects=[], functions=TWO["functions"] | {"flake": flake}))
+    for name in ("flake", "way"):
+        table = recorded_in(recorded["two"], name)
+        assert 0 < table["e_x"].null_count < 4, "they lie in one another's way, so that each is measured in its turn"
+        for each in (*ASKED, *SEEN):
+            assert of_one(again, name)[each].to_pylist() == table[each].to_pylist(), f"{name}, {each}, bit for bit"
+        for each in SEEN if name == "flake" else (*ASKED, *SEEN):
+            assert of_one(other, name)[each].to_pylist() == table[each].to_pylist(), f"{name}, {each}, bit for bit"
+    assert of_one(other, "flake")["x_m"][-1].as_py() != recorded_in(recorded["two"], "flake")["x_m"][-1].as_py()
+    unknown = playing(TWO, recorded["two"])
+    assert not unknown.situation(0.0).objects and run_of(unknown)["functions.flake.x_m"].equals(again["functions.flake.x_m"])
+    unlike = {"symbol": SMALL["functions"]["symbol"]}
+    with pytest.raises(LuxloopError, match=r"shows none of the symbols that are held here, symbol, but (flake|way)"):
+        playing(TWO, recorded["two"], objects=[], functions=unlike)
+
+
+def test_an_old_state_shows_the_same_frames_again(recorded: dict[str, Path]) -> None:
+    simulation = playing(DRIVES, recorded["drives"])
+    plant, exposure = simulation.plant, Exposure(0, 0.0, 0.1, simulation.symbol.projector.resting)
+    state, first = plant.start()
+    states = [(state, first)]
+    for _ in range(4):
+        states.append(plant.show(states[-1][0], exposure))
+    (frame,), (again,) = states[3][1].frames, plant.show(states[2][0], exposure)[1].frames
+    assert frame.number == again.number == 2 and frame.image is not None and again.image is not None and frame.image.equal(again.image)
+    assert frame.shown is not None and set(frame.shown.projections) == {"symbol"}
+    off = states[4][1].frames[0].shown
+    assert off is not None and off.projections == {}
+
+
+def test_a_shadow_is_recorded_beside_and_says_what_it_is(lux: Lux, tmp_path: Path) -> None:
+    assert lux("run", "small.toml", "--out", "drive", "--frames", "--no-video", "--no-report")[0] == 0
+    before = {file.name: file.read_bytes() for file in (tmp_path / "drive").rglob("*") if file.is_file()}
+    code, out, _ = lux("run", "small.toml", "--plant", "drive", "--controller", "thesis_pid", "--out", "shadow")
+    words = f"in shadow on the frames of {tmp_path / 'drive'}; the commands of this run were not shown and not judged"
+    assert code == 0 and "".join(words.split()) in "".join(out.split())
+    assert (tmp_path / "shadow/report.png").exists() and (tmp_path / "shadow/video.mp4").exists()
+    assert {file.name: file.read_bytes() for file in (tmp_path / "drive").rglob("*") if file.is_file()} == before
+    drive, shadow = (recorded_in(tmp_path / name) for name in ("drive", "shadow"))
+    assert drive["x_m"].to_pylist() != shadow["x_m"].to_pylist() and shadow["iou"].null_count == 3
+    code, out, _ = lux("replay", "shadow")
+    assert code == 0 and "3 steps agree" in out
+    code, _, error = lux("run", "small.toml", "--plant", "drive", "--out", "drive")
+    assert code == 2 and "drive: is the recording that is played, which this run would replace" in error
+    code, _, error = lux("run", "small.toml", "--plant", "drive", "--steps", "4", "--out", "other")
+    assert code == 2 and "holds 3 steps, but steps = 4; give --steps 3 at most" in error
+    assert error.startswith("error: small.toml with steps=4 plant=drive: plant.folder: ")
+    code, out, _ = lux("run", "small.toml", "--plant", "drive", "--set", "steps=9", "--out", "other", "--no-video", "--no-report")
+    assert code == 0 and pq.read_table(tmp_path / "other/trajectory.parquet").num_rows == 3, "it ends with the recording"
+    code, _, error = lux("run", "small.toml", "--plant", "drives", "--out", "none")
+    assert code == 2 and "drives does not exist" in error
+    code, _, error = lux("run", "small.toml", "--plant", "shadow", "--out", "other")
+    assert code == 2 and "shadow holds no frames; record frames with `luxloop run --frames`" in error
+    assert_one_sentence(error)
+
+
+def test_a_recording_plays_its_own_frames(lux: Lux, tmp_path: Path) -> None:
+    """With the scenario in it, so that a plant that is gone need not be named."""
+    assert lux("run", "small.toml", "--out", "runs/drive", "--frames", "--no-video", "--no-report")[0] == 0
+    manifest = tmp_path / "runs/drive/manifest.json"
+    manifest.write_text(manifest.read_text().replace('"kind": "simulated"', '"kind": "gone:Rig", "options": {}'))
+    code, out, error = lux("run", "runs/drive", "--plant", "recording", "--out", "again", "--no-video", "--no-report")
+    assert code == 0 and "light that of the recording, in all 6 exposures with a frame" in " ".join(out.split()), error
+    drive, again = (recorded_in(tmp_path / name) for name in ("runs/drive", "again"))
+    assert again["x_m"].to_pylist() == drive["x_m"].to_pylist()
+    options = ("--plant", "recording", "--controller", "open", "--set", "functions.symbol.x_m=19.0", "--no-video", "--no-report")
+    code, out, _ = lux("run", "runs/drive", *options, "--out", "other")
+    assert code == 0 and "light other than in the recording in 3 of 6 exposures with a frame, by " in " ".join(out.split())
+    told = json.loads((tmp_path / "other/summary.json").read_text())["shadow"]
+    assert (told["exposures"], told["differ"]) == (6, 3) and 0.2 < told["elsewhere"] <= 0.5, "off frames have no light of either"
+    code, _, error = lux("run", "runs/drive", "--plant", "recording")
+    assert code == 2 and "runs/drive: is the recording that is played, which this run would replace; give another folder" in error
+    code, _, error = lux("run", "small.toml", "--plant", "recording")
+    assert code == 2 and "recording does not exist" in error
+
+
+def test_frames_of_a_shadow_are_kept_with_the_light_that_they_show(recorded: dict[str, Path], tmp_path: Path) -> None:
+    folder = {"kind": "recording", "folder": str(recorded["stands"])}
+    scenario = scenario_of(STANDS, plant=folder, functions=held_by("open"))
+    run(scenario, tmp_path / "copy", frames=True, video=False, report=False, device="cpu")
+    again, first = (asked_and_seen(playing(STANDS, folder)) for folder in (tmp_path / "copy", recorded["stands"]))
+    assert again["x_m"].to_pylist() == first["x_m"].to_pylist()
+
+
+def test_a_folder_is_that_beside_the_scenario(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recorded: dict[str, Path]) -> None:
+    (tmp_path / "there").mkdir()
+    text = 'name = "small"\nplant = { kind = "recording", folder = "drive" }\n'
+    (tmp_path / "there/shadow.toml").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    scenario = load("there/shadow.toml")
+    assert scenario.plant == scenario_of(SMALL, plant=scenario.plant.model_dump()).plant
+    assert scenario.plant.model_dump()["folder"] == str(tmp_path / "there/drive")
+
+
+def emptied(folder: Path) -> None:
+    image_file(folder, 2).write_bytes(b"")
+
+
+def linked(folder: Path) -> None:
+    image_file(folder, 2).unlink()
+    image_file(folder, 2).symlink_to(folder / "manifest.json")
+
+
+def of_eight_bits(folder: Path) -> None:
+    cv2.imwrite(str(image_file(folder, 2)), np.zeros((180, 320), np.uint8))
+
+
+def of_another_size(folder: Path) -> None:
+    cv2.imwrite(str(image_file(folder, 2)), np.zeros((90, 160), np.uint16))
+
+
+def brighter(folder: Path) -> None:
+    cv2.imwrite(str(image_file(folder, 2)), np.full((180, 320), 5000, np.uint16))
+
+
+def gone(folder: Path) -> None:
+    image_file(folder, 2).unlink()
+
+
+def of_another_lamp(folder: Path) -> None:
+    np.savez(light_file(folder, 2), u_0=np.zeros(3, np.float32))
+
+
+def of_objects(folder: Path) -> None:
+    np.savez(light_file(folder, 2), u_0=np.array([print] * 332 * 64, object))
+
+
+def of_nothing(folder: Path) -> None:
+    np.savez(light_file(folder, 2), u_0=np.full(332 * 64, np.nan, np.float32))
+
+
+def of_too_much(folder: Path) -> None:
+    np.savez(light_file(folder, 2), u_0=np.full(332 * 64, 2, np.float32))
+
+
+def of_few_pixels(folder: Path) -> None:
+    projection = {"symbol.pose": np.zeros(4, np.float32), "symbol.raw_0": np.zeros(3, np.float32)}
+    np.savez(light_file(folder, 2), u_0=np.zeros(332 * 64, np.float32), **projection)
+
+
+def of_no_name(folder: Path) -> None:
+    np.savez(light_file(folder, 2), u_0=np.zeros(332 * 64, np.float32), **{"A/b.pose": np.zeros(4, np.float32)})
+
+
+def in_table(change: Callable[[pa.Table], pa.Table]) -> Callable[[Path], None]:
+    return lambda folder: pq.write_table(change(pq.read_table(folder / TABLE)), folder / TABLE)
+
+
+def without(name: str, number: int, value: str | None = None) -> Callable[[pa.Table], pa.Table]:
+    """A value is missing in an exposure, or is a wrong one."""
+
+    def change(table: pa.Table) -> pa.Table:
+        column = table.column_names.index(name)
+        values = table[name].to_pylist()
+        values[number] = value
+        return table.set_column(column, table.schema.field(name), pa.array(values, table.schema.field(name).type))
+
+    return change
+
+
+DAMAGE: dict[str, tuple[Callable[[Path], Any], str]] = {
+    "emptied": (emptied, r"frame_00000002.png: damaged, or no frame .*no grey PNG of 16 bits.*; record the run again with --frames"),
+    "linked": (linked, r"frame_00000002.png: is a link, but a recording holds its own files"),
+    "of eight bits": (of_eight_bits, "no grey PNG of 16 bits"),
+    "of another size": (of_another_size, "has 160 x 90 px, but the camera 320 x 180; run it with the scenario recorded"),
+    "brighter": (brighter, "has numbers up to 5000, but camera.bits = 12"),
+    "gone": (gone, r"frame_00000002.png: cannot be read \(No such file"),
+    "of another lamp": (of_another_lamp, OTHER),
+    "of objects": (of_objects, "light_00000002.npz: damaged, or no light of a recording"),
+    "of nothing": (of_nothing, "u_0 is no finite float"),
+    "of too much": (of_too_much, "u_0 is no utilisation"),
+    "of few pixels": (of_few_pixels, "the utilisations of symbol are of none of the modules"),
+    "of no name": (of_no_name, "is no name of a symbol"),
+    "no table": (lambda folder: (folder / TABLE).unlink(), "holds no frames; record frames with `luxloop run --frames`"),
+    "no row": (in_table(lambda table: table.slice(0, 1)), "no exposures that are numbered from 0"),
+    "other rows": (in_table(lambda table: table.slice(2)), "no exposures that are numbered from 0"),
+    "no column": (in_table(lambda table: table.drop(["came_with"])), "exposures.parquet: damaged, or no table of exposures .*came_with"),
+    "no light": (in_table(without("light", 3)), "exposure 3 is not complete"),
+    "no time": (in_table(without("taken_s", 2)), "the frame of exposure 2 has no times"),
+    "no gyro": (in_table(without("samples", 1, '[["gyro", 0, 0, [1, 2]]]')), "a sample of gyro has no such values"),
+    "no sensor": (in_table(without("samples", 1, '[["radar", 0, 0, [1]]]')), "exposures.parquet: damaged, or no table of exposures"),
+    "no samples": (in_table(without("samples", 1)), "time or samples of exposure 1 are not complete"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_what_is_damaged_or_lies_elsewhere_is_refused_in_a_sentence(name: str, recorded: dict[str, Path], tmp_path: Path) -> None:
+    damage, words = DAMAGE[name]
+    folder = shutil.copytree(recorded["drives"], tmp_path / "copy")
+    damage(folder)
+    with pytest.raises(LuxloopError, match=words) as caught:
+        for _ in playing(DRIVES, folder).run():
+            pass
+    (sentence,) = caught.value.args
+    assert str(folder) in sentence and "\n" not in sentence
+
+
+@pytest.mark.parametrize(
+    ("lamps", "words"),
+    [("['left', 'right']", OTHER), ("['left']", "shows none of the symbols that are held here, symbol, but none; run it")],
+)
+def test_frames_of_lighting_functions_hold_no_symbol(lamps: str, words: str, tmp_path: Path) -> None:
+    given = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "renderer=raycast", f"headlight.lamps={lamps}"]
+    run("gfhb", tmp_path / "gfhb", frames=True, video=False, report=False, overrides=given, steps=2)
+    model = load("gfhb", given).headlight.model
+    with pytest.raises(LuxloopError, match=words):
+        playing({**SMALL, "steps": 1, "headlight": {"model": model, "lamps": ["left"]}}, tmp_path / "gfhb")
+
+
+def test_a_plant_may_say_that_it_shows_something_else(small_simulation: Simulation) -> None:
+    """A symbol that a hot lamp dims is looked for as it was dimmed."""
+
+    class Moved:
+        def __init__(self, says: bool) -> None:
+            self.says = says
+
+        def start(self) -> Any:
+            return small_simulation.plant.start()
+
+        def show(self, state: Any, exposure: Exposure) -> Any:
+            pose = small_simulation.symbol.projector.target + torch.tensor([0.0, 0.5, 0.0, 0.0])
+            lights = exposure.lights if exposure.number % 2 else small_simulation.symbol.projector.light(pose)
+            shown = replace(exposure, lights=lights)
+            state, arrivals = small_simulation.plant.show(state, shown)
+            return state, replace(arrivals, frames=tuple(replace(each, shown=shown if self.says else None) for each in arrivals.frames))
+
+    silent, told = (next(replace(small_simulation, plant=Moved(says)).run()).symbol for says in (False, True))
+    assert float((told.measurement.area_ratio - 1).abs()) < float((silent.measurement.area_ratio - 1).abs())
+
+
+def test_the_plant_does_not_know_the_truth(recorded: dict[str, Path]) -> None:
+    simulation = playing(STANDS, recorded["stands"])
+    assert isinstance(simulation.plant, RecordedPlant)
+    with pytest.raises(LuxloopError, match="the plant recording does not know the truth"):
+        _ = simulation.world

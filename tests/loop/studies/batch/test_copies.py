@@ -1,0 +1,118 @@
+"""Poses at once: what each single run sees of them, and what its judge says."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from luxloop.controllers.pixels.windowed import WindowedSsc
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.loop.scenario.model import load
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.studies.batch import drawing
+from luxloop.loop.studies.batch.copies import Copies
+from luxloop.loop.studies.batch.looking import Taken
+from luxloop.world.errors import LuxloopError
+
+SMALL = [
+    *("functions.symbol.controller.name=thesis_pid", "headlight.model=ssl-hd-lores", "functions.symbol={ width_m=3.0, length_m=8.0 }"),
+    *("camera={ width_px=240, height_px=135, oversampling=1 }", "renderer=raycast", "seed=3", "steps=4"),
+]
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        (),
+        ("headlight.lamps=['left', 'right']", "lighting.base.beam=low"),
+        ("camera.noise=false",),
+        ("functions.symbol.features.view=birdseye", "functions.symbol.extraction.edges=binary"),
+        ("disturbances.ambient=[{ factor=3.0, from_step=1 }]", "disturbances.noise=[{ factor=1.5, until_step=3 }]"),
+    ],
+)
+def simulation(request: pytest.FixtureRequest) -> Simulation:
+    return Simulation.prepare(load("snowflake", [*SMALL, *request.param]))
+
+
+def test_each_copy_is_a_single_run(simulation: Simulation) -> None:
+    copies, results = Copies(simulation), list(simulation.run())
+    assert copies.windowed == (simulation.scenario.lighting.base.beam == "off")
+    poses = torch.stack([each.symbol.pose for each in results])
+    light, seed = copies.show(poses), simulation.scenario.seed
+    frames = [Taken(seed, step, simulation.scenario.disturbances) for step in range(len(results))]
+    seen, verdict = copies.measured(light, frames), copies.judged(light)
+    for k, each in enumerate(results):
+        expected, judged = each.symbol.measurement, each.symbol.verdict
+        assert seen.code[k] == expected.code == 0 and judged is not None
+        # Sums of single precision in another order, which turn a digital number by one at times.
+        torch.testing.assert_close(seen.pose_error[k], expected.pose_error, rtol=0, atol=1e-4)
+        torch.testing.assert_close(seen.errors[k], expected.errors, rtol=0, atol=1e-3)
+        torch.testing.assert_close(seen.area_ratio[k], expected.area_ratio, rtol=0, atol=1e-4)
+        torch.testing.assert_close(seen.appearance.centroids[k], expected.appearance.centroids, rtol=0, atol=1e-3)
+        # One cell of ten thousand lies on the threshold.
+        assert verdict.iou[k].item() == pytest.approx(judged.iou.item(), abs=1e-3)
+        assert verdict.ssim[k].item() == pytest.approx(judged.ssim.item(), abs=1e-3)
+        assert verdict.centroid_percent[k].tolist() == pytest.approx(judged.centroid_percent.tolist(), abs=0.05)
+
+
+def test_bands_of_rays_are_the_rays(simulation: Simulation) -> None:
+    """The quick form of drawing gives the setpoints of the readable one, bit for bit, where an outline slants or leaves the field, too."""
+    copies = Copies(simulation)
+    if not copies.windowed:
+        return
+    poses = torch.tensor([[17.0, 0.0, 0.0, 0.0], [15.0, -1.4, 0.09, -0.03], [25.0, 8.0, -0.1, 0.02], [17.0, 60.0, 0.0, 0.0]])
+    for module, primitives in zip(copies.projector.modules, copies.projector.primitives(ProjectionCommand(poses)), strict=True):
+        rays = drawing.casting(module.pixel_controller, primitives, module.T_world_headlight)
+        drawn = WindowedSsc.of(module.pixel_controller, rays.window)
+        assert drawing._plain(drawn, rays)
+        for quick, readable in zip(drawing._sampled(drawn, rays), drawing._painted(drawn, rays), strict=True):
+            assert torch.equal(quick, readable)
+
+
+def test_products_are_kept_until_poses_leave_them(simulation: Simulation) -> None:
+    """And what they give does not depend on what was kept."""
+    near, far = torch.tensor([[17.0, 0.0, 0.0, 0.0], [17.1, 0.0, 0.0, 0.0]]), torch.tensor([[22.0, 0.3, 0.0, 0.0]])
+    copies, fresh = Copies(simulation), Copies(simulation)
+    copies.show(near)
+    moved = copies.show(far)
+    for found, expected in ((moved, fresh.show(far)), (copies.show(near), fresh.show(near))):
+        assert found.scene is not None and expected.scene is not None and found.scene.windows == expected.scene.windows
+        for name in ("added", "resting", "flat", "limit"):
+            torch.testing.assert_close(getattr(found.scene, name), getattr(expected.scene, name), rtol=1e-5, atol=1e-6)
+        torch.testing.assert_close(found.sums, expected.sums)
+
+
+def test_a_symbol_that_nobody_sees_is_lost_and_judged_as_nothing(simulation: Simulation) -> None:
+    copies = Copies(simulation)
+    light = copies.show(torch.tensor([[17.0, 200.0, 0.0, 0.0]] * 2))
+    assert copies.measured(light, [Taken(0, 0)] * 2).code.tolist() == [2, 2]
+    verdict = copies.judged(light)
+    assert verdict.iou.tolist() == [0, 0] and verdict.centroid_percent.isnan().all()
+
+
+def test_noise_is_that_of_each_copys_seed_and_step(simulation: Simulation) -> None:
+    copies = Copies(simulation)
+    light = copies.show(torch.tensor([[17.0, 0.0, 0.0, 0.0]] * 3))
+    first, second, third = copies.measured(light, [Taken(0, 5), Taken(0, 5), Taken(1, 5)]).errors
+    assert torch.equal(first, second)
+    assert torch.equal(first, third) != simulation.scenario.camera.noise
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (["functions.symbol.start_s=0.1"], r"functions\.symbol\.start_s: batches show the symbol in all steps"),
+        (["disturbances.oncoming=[{ position_m=[40, 2, 0.65] }]"], r"disturbances\.oncoming; leave it out, or run it one by one"),
+        (["lighting.power_limit=0.5"], r"lighting\.power_limit: batches have no limit"),
+        (["vehicle.course=[{ speed_m_s=10.0 }]"], "in which nothing moves"),
+    ],
+)
+def test_what_is_no_batch_is_said_so(changes: list[str], said: str) -> None:
+    with pytest.raises(LuxloopError, match=said):
+        Copies(Simulation.prepare(load("snowflake", [*SMALL, *changes])))
+
+
+def test_one_that_stands_beside_what_it_was_prepared_for_is_refused(simulation: Simulation) -> None:
+    given = load("snowflake", [*SMALL, "disturbances.oncoming=[{ position_m=[40, 2, 0.65] }]"])
+    with pytest.raises(LuxloopError, match=r"disturbances\.oncoming"):
+        Copies(replace(simulation, scenario=given))

@@ -1,0 +1,155 @@
+"""A beam that is optimised is better at its goal, honest about glare and energy, and can be played."""
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from luxloop.loop.commands import cli
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load, validate
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.studies.beams.goal import BeamGoal, BeamJudge
+from luxloop.loop.studies.beams.optimise import _method
+from luxloop.loop.studies.beams.search import alike, begin, descend, sample
+from luxloop.perception.detection.build import detector
+from luxloop.perception.detection.params import HogParams, NetworkParams
+from luxloop.world.errors import LuxloopError
+
+SCENE: dict[str, Any] = {
+    "name": "beam",
+    "headlight": {"model": "hd84"},
+    "camera": {"width_px": 320, "height_px": 180, "oversampling": 1, "saturation_e": 2000, "pitch_deg": 1.5},
+    "light": {"ambient_lx": 0.02},
+    "surface": {"grain": 0.0},
+    "objects": [{"kind": "pedestrian", "name": "eva", "seed": 5, "track": [{"position_m": [14, 0.5, 0]}]}],
+    "lighting": {"base": {"beam": "low"}},
+    "renderer": "raycast",
+}
+
+
+def judge(goal: BeamGoal, params: NetworkParams | HogParams | None = None, **changes: Any) -> BeamJudge:
+    scenario = validate(SCENE | changes, "beam")
+    simulation = Simulation.prepare(scenario)
+    return BeamJudge.prepare(simulation, goal, None if params is None else detector(params, simulation.device))
+
+
+def test_the_gradient_goes_through_lamps_scene_camera_and_network() -> None:
+    found = judge(BeamGoal(), NetworkParams())
+    lights = tuple(torch.full_like(u, 0.1).requires_grad_(True) for u in begin(found))
+    with torch.enable_grad():
+        loss = found.judged(lights).loss
+        loss.backward()
+    slopes = torch.cat([u.grad for u in lights])
+    assert bool(slopes.isfinite().all()) and bool((slopes != 0).any())
+    # along the gradient, the loss rises as the gradient says; float32, and a network with kinks
+    step = 1e-3 / float(slopes.norm())
+    losses = []
+    for sign in (1, -1):
+        moved = tuple((u + sign * step * u.grad).detach().requires_grad_(True) for u in lights)
+        losses.append(float(found.judged(moved).loss.detach()))
+    assert losses[0] - losses[1] == pytest.approx(2 * step * float(slopes.square().sum()), rel=0.1)
+
+
+def test_descent_raises_a_metric_or_saves_energy() -> None:
+    found = judge(BeamGoal(metric="weber_contrast"))
+    start = begin(found)
+    first, last = found.judged(start), found.judged(descend(found, start, 8).lights)
+    assert float(last.loss) < float(first.loss) - 0.05
+    assert float(last.share) < float(first.share) or float(last.scores.mean()) > float(first.scores.mean())
+
+
+def test_what_has_no_gradient_is_sampled_and_never_gets_worse() -> None:
+    found = judge(BeamGoal(), HogParams())
+    result = sample(found, begin(found), 4)
+    assert min(result.losses) <= result.losses[0] and all(float(u.min()) >= 0 and float(u.max()) <= 1 for u in result.lights)
+
+
+def test_a_beam_is_dimmed_to_as_much_flux() -> None:
+    lights, flux = (torch.tensor([0.5, 1.0]),), (torch.tensor([10.0, 20.0]),)
+    assert float((alike(lights, flux, 5.0)[0] * flux[0]).sum()) == pytest.approx(5.0)
+
+
+def test_the_command_leaves_what_a_scenario_plays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "beam.toml"
+    objects = 'objects = [{ kind = "pedestrian", name = "eva", seed = 5, track = [{ position_m = [14, 0.5, 0] }] }]\n'
+    tables = (
+        '[headlight]\nmodel = "hd84"\n[camera]\nwidth_px = 320\nheight_px = 180\noversampling = 1\n[lighting]\nbase = { beam = "low" }\n'
+    )
+    symbol = '[functions.flake]\nkind = "symbol"\nimage = "snowflake"\ncontroller = "open"\n[functions.guard]\nkind = "glare_free"\n'
+    checks = {
+        "iou": {"metric": "functions.flake.iou"},
+        "dark": {"metric": "dark_lx_max"},
+        "held": {"metric": "objects.eva.lx_max", "compare": "open_loop"},
+        "eva": {"metric": "objects.eva.lx_max"},
+        "dimmer": {"metric": "lamp.left.flux_lm", "compare": "full_light"},
+    }
+    lines = [
+        f"[checks.{name}]\nat_least = 0\n" + "".join(f"{key} = {value!r}\n" for key, value in of.items()) for name, of in checks.items()
+    ]
+    held = 'off_share = 0.47\ndetector_frames = "both"\ndetector = { kind = "truth" }\n'
+    glare = "".join(f"[[disturbances.ambient]]\nfactor = 2\nframes = '{frames}'\n" for frames in ("off", "on"))
+    file.write_text(f'name = "beam"\nsteps = 1\n{held}{objects}{tables}{symbol}{glare}{"".join(lines)}')
+    out = tmp_path / "out"
+    assert cli.main(["optimise-beam", str(file), "--metric", "edges", "--steps", "3", "--out", str(out), "--device", "cpu"]) == 0
+    assert {each.name for each in out.iterdir()} == {"raw.toml", "beam.json", "beam.png", "left-matrix.npz", "right-matrix.npz"}
+    summary = json.loads((out / "beam.json").read_text())
+    assert summary["beams"]["before, as much flux"]["flux_lm"] == pytest.approx(summary["beams"]["found"]["flux_lm"], rel=1e-4)
+    assert all(math.isfinite(score) for each in summary["beams"].values() for score in each["scores"].values())
+    raw = load(str(file), [str(out / "raw.toml")])
+    assert [*raw.checks] == ["eva", "dimmer"] and not raw.functions, "checks of functions that are left out go with them"
+    assert (raw.off_share, raw.detector_frames) == (0.5, "on"), "nor are there off frames without a symbol that is held"
+    assert [spell.frames for spell in raw.disturbances.ambient] == ["on"]
+    played = prepare(raw, "cpu").at(0)
+    lm = sum(power.flux_lm for power in played.powers.values())
+    assert lm == pytest.approx(summary["beams"]["found"]["flux_lm"], rel=1e-4)
+    assert f"luxloop run {file} --set {out / 'raw.toml'}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["gfhb", "--energy", "-1"], "energy"),
+        (["gfhb", "--steps", "0"], "--steps 0: too few"),
+        (["zones", "--metric", "edges"], r"zones\.toml: objects: none with a category"),
+        (["gfhb", "--metric", "edges", "--out", f"{__file__}/beam"], r"^error: .*beam: cannot be written \(Not a directory\)"),
+    ],
+)
+def test_what_cannot_be_optimised_is_told(arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["optimise-beam", *arguments, "--device", "cpu"]) == 2
+    assert re.search(complaint, capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_a_search_that_fails_leaves_no_folder_but_one_that_was_there(
+    there: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "detects_never.py").write_text(
+        "class Detector:\n    classes = ('pedestrian',)\n\n    def __init__(self, device):\n        pass\n\n"
+        "    def detect(self, frames):\n        raise RuntimeError('never')\n"
+    )
+    file, out = tmp_path / "beam.toml", tmp_path / "out"
+    file.write_text(
+        'name = "beam"\nrenderer = "raycast"\n[headlight]\nmodel = "hd84"\n[camera]\nwidth_px = 320\nheight_px = 180\n[lighting]\n'
+        'base = { beam = "low" }\n[detector]\nkind = "detects_never:Detector"\n[[objects]]\nkind = "pedestrian"\nname = "eva"\n'
+        "track = [{ position_m = [14, 0.5, 0] }]\n"
+    )
+    if there:
+        out.mkdir()
+    given = ["optimise-beam", str(file), "--method", "sampling", "--steps", "1", "--out", str(out), "--device", "cpu"]
+    assert cli.main(given) == cli.WRONG and "--allow-code" in capsys.readouterr().err
+    assert cli.main([*given, "--allow-code"]) == cli.WRONG
+    assert re.search(r"error: .*detects_never:Detector: detect fails at .*\.py, line 8 \(RuntimeError: never\)", capsys.readouterr().err)
+    assert out.exists() == there
+
+
+def test_only_the_network_has_a_gradient_and_somebody_must_be_there() -> None:
+    with pytest.raises(LuxloopError, match="sampling"):
+        _method("gradient", judge(BeamGoal(), HogParams()))
+    with pytest.raises(LuxloopError, match="none with a category"):
+        judge(BeamGoal(metric="edges"), objects=[])

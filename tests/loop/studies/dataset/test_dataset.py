@@ -1,0 +1,164 @@
+"""`luxloop dataset`: scenes from seeds, each whole or not there, and labels of all of them in one place."""
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from pycocotools.coco import COCO
+
+from luxloop.loop.studies.dataset.drawn import read
+from luxloop.loop.studies.dataset.make import JOBS, make
+from luxloop.world.errors import LuxloopError
+from tests.loop.conftest import Lux, assert_one_sentence
+
+pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation")  # of pycocotools
+
+FILE = """
+labels = "coco"
+masks = true
+steps = 2
+rate_hz = 1.0
+seed = 5
+vary = ["light.ambient_lx=0.01:0.3:log", "camera.pitch_deg=1:2", "camera.latency_steps=0:1"]
+[set]
+renderer = "raycast"
+road = { kind = "flat" }
+surface = { patches = 0, grain = 0.0 }
+camera = { width_px = 160, height_px = 80, oversampling = 1, bits = 8 }
+headlight.model = "ssl-hd-lores"
+headlight.lamps = ["left"]
+traffic = { pedestrians = 1, cyclists = 0, cars = 1, parked = 0, animals = 0, signs = 0, clutter = 1 }
+[variants.low]
+lighting.base.beam = "low"
+[variants.high]
+lighting.base.beam = "high"
+"""
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    (tmp_path / "night.toml").write_text(FILE)
+    return tmp_path / "night.toml"
+
+
+def test_scenes_are_made_once_and_joined(lux: Lux, file: Path, tmp_path: Path) -> None:
+    arguments = ["dataset", "night.toml", "--jobs", "1", "--out", "set"]
+    code, out, error = lux(*arguments, "--scenes", "2")
+    assert (code, error) == (0, "") and out.startswith("set/coco.json written: 2 scenes, ")
+    scenes = tmp_path / "set" / "scenes"
+    first = {path: path.stat().st_mtime_ns for path in scenes.rglob("*.png")}
+    journal = tmp_path / "set" / JOBS
+    done, killed = journal.read_text().splitlines(keepends=True)
+    journal.write_text(done + killed[: len(killed) // 2])
+    half = scenes / ".000006.4711.part"
+    shutil.copytree(scenes / "000006", half)
+    shutil.rmtree(scenes / "000006")
+    code, out, _ = lux(*arguments, "--scenes", "3")
+    assert code == 0 and "3 scenes" in out and not half.exists()
+    assert sorted(path.name for path in scenes.iterdir()) == ["000005", "000006", "000007"]
+    assert all(path.stat().st_mtime_ns == then for path, then in first.items() if "000005" in path.parts)
+
+    coco = COCO(str(tmp_path / "set" / "coco.json"))
+    said = coco.dataset["scenes"]
+    assert [each["folder"] for each in said] == ["scenes/000005", "scenes/000006", "scenes/000007"]
+    assert len(coco.imgs) == sum(2 - each["drawn"]["camera.latency_steps"] for each in said), "the last frame of a late camera never comes"
+    for image in coco.loadImgs(coco.getImgIds()):
+        names = said[image["scene"]]["instances"]
+        assert cv2.imread(str(tmp_path / "set" / image["file_name"]), -1).dtype == np.uint8
+        instances = cv2.imread(str(tmp_path / "set" / image["instances"]), -1)
+        for each in coco.loadAnns(coco.getAnnIds(image["id"])):
+            assert names[each["instance"]] == each["name"]
+            assert np.array_equal(coco.annToMask(each).astype(bool), instances == each["instance"])
+    assert len(coco.anns) == len(coco.dataset["annotations"]) > 2, "no number twice"
+
+
+def test_kitti_numbers_the_images_of_all_scenes(lux: Lux, file: Path, tmp_path: Path) -> None:
+    file.write_text(FILE.replace('"coco"', '"kitti"').replace(', "camera.latency_steps=0:1"', "").replace("steps = 2", "steps = 1"))
+    code, out, _ = lux("dataset", "night.toml", "--scenes", "2", "--jobs", "1", "--out", "set")
+    assert code == 0 and "2 frames" in out
+    for folder, suffix in (("image_2", "png"), ("label_2", "txt"), ("calib", "txt")):
+        assert sorted(path.name for path in (tmp_path / "set" / "training" / folder).iterdir()) == [f"00000{k}.{suffix}" for k in (0, 1)]
+    images = json.loads((tmp_path / "set" / "images.json").read_text())["images"]
+    for number, image in enumerate(images):
+        joined = (tmp_path / "set" / "training" / "image_2" / f"{number:06d}.png").read_bytes()
+        assert image["id"] == number and joined == (tmp_path / "set" / image["file_name"]).read_bytes()
+
+
+def test_scenes_follow_from_seeds_and_vary_as_told(file: Path) -> None:
+    dataset = read(file, 24)
+    assert {each.variant for each in dataset.scenes} == {"low", "high"}
+    assert [each.seed for each in dataset.scenes] == [*range(5, 29)]
+    for each in dataset.scenes:
+        assert each.scenario.lighting.base.beam == each.variant
+        assert 0.01 <= each.scenario.light.ambient_lx == each.drawn["light.ambient_lx"] <= 0.3
+    assert np.median([each.scenario.light.ambient_lx for each in dataset.scenes]) < 0.12, "even in the logarithm"
+    assert {each.scenario.camera.latency_steps for each in dataset.scenes} == {0, 1}
+    assert len({each.scenario.traffic.seed for each in dataset.scenes if each.scenario.traffic}) == 24
+    assert read(file, 3).scenes[2].scenario == dataset.scenes[2].scenario, "whatever their number"
+
+
+def test_a_scene_that_fails_leaves_nothing(file: Path, tmp_path: Path) -> None:
+    (scene,) = read(file, 1).scenes
+    broken = scene.scenario.model_dump(mode="json") | {"plant": {"kind": "recording", "folder": str(tmp_path)}}
+    with pytest.raises(LuxloopError):
+        make(broken, {}, {"layout": "coco"}, str(tmp_path / "000005"), "")
+    assert [path.name for path in tmp_path.iterdir()] == ["night.toml"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "scenes", "parts"),
+    [
+        ({'"camera.pitch_deg=1:2"': '"camera.pich_deg=1:2"'}, "2", ["night.toml: vary camera.pich_deg=1:2"]),
+        ({"camera.pitch_deg=1:2": "camera.pitch_deg=2:1"}, "2", ["night.toml: vary", "camera.pitch_deg=1:2"]),
+        ({'"high"': '"hihg"'}, "2", ["night.toml: variants.high", "beam"]),
+        ({"[variants": "[set.x", 'model = "ssl-hd-lores"': 'model = "no-such"'}, "2", ["night.toml: set: scene 5: "]),
+        ({"masks": "mask"}, "2", ["night.toml: mask: unknown key", "masks"]),
+        ({}, "0", ["--scenes 0: too few"]),
+    ],
+)
+def test_a_wrong_file_is_said_in_a_sentence(changes: dict[str, str], scenes: str, parts: list[str], lux: Lux, file: Path) -> None:
+    text = FILE
+    for old, new in changes.items():
+        text = text.replace(old, new)
+    file.write_text(text)
+    code, _, error = lux("dataset", "night.toml", "--scenes", scenes, "--out", "set")
+    assert code == 2 and all(part in error for part in parts), error
+    assert_one_sentence(error)
+    assert not (file.parent / "set").exists()
+
+
+def test_what_is_there_is_what_the_file_says_now(lux: Lux, file: Path, tmp_path: Path) -> None:
+    arguments = ["dataset", "night.toml", "--scenes", "1", "--jobs", "1", "--out", "set"]
+    folder = tmp_path / "set" / "scenes" / "000005"
+    assert lux(*arguments)[0] == 0
+    (tmp_path / "set").rename(tmp_path / "moved")
+    code, _, error = lux(*arguments[:-1], str(tmp_path / "moved"))
+    assert code == 0 and "1 of 1 already done" in error, "wherever the folder is"
+    (tmp_path / "moved").rename(tmp_path / "set")
+    for masks in ("false", "true"):
+        file.write_text(FILE.replace("masks = true", f"masks = {masks}"))
+        assert lux(*arguments)[0] == 0
+        assert any((folder / "labels").glob("instances_*")) == (masks == "true"), "also where the file is as it was before"
+    shutil.rmtree(folder)
+    assert lux(*arguments)[0] == 0 and folder.exists()
+
+
+def test_joined_labels_of_scenes_that_are_replaced_do_not_outlive_them(lux: Lux, file: Path, tmp_path: Path) -> None:
+    arguments = ["dataset", "night.toml", "--scenes", "1", "--jobs", "1", "--out", "set"]
+    assert lux(*arguments)[0] == 0
+    file.write_text(FILE.replace('"coco"', '"kitti"'))
+    assert lux(*arguments)[0] == 0
+    assert sorted(path.name for path in (tmp_path / "set").iterdir()) == ["images.json", "scenes", "scenes.jsonl", "training"]
+
+
+def test_files_of_others_stay(lux: Lux, file: Path, tmp_path: Path) -> None:
+    mine = tmp_path / "set" / "training" / "image_2" / "000000.png"
+    mine.parent.mkdir(parents=True)
+    mine.write_text("mine")
+    code, _, error = lux("dataset", "night.toml", "--scenes", "1", "--jobs", "1", "--out", "set")
+    assert code == 2 and "set: holds files that are no data set of luxloop" in error
+    assert_one_sentence(error)
+    assert mine.read_text() == "mine" and [path.name for path in (tmp_path / "set").iterdir()] == ["training"]
