@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from luxloop.controllers.jpo.mae import least_error
-from luxloop.controllers.jpo.part import wanted
+from luxloop.controllers.jpo.part import pixel_goal
 from luxloop.world.beams.rectangles import RECTANGLES, Rectangle
 from luxloop.world.headlight import Headlight
 from luxloop.world.presets import lamp
@@ -20,7 +20,7 @@ PUBLISHED = {"hd84": 0.81, "ssl-hd-lores": 0.19}  # mean error, T 8.4
 def drawn(light: Headlight, rectangle: Rectangle, gap: float = 0.005) -> tuple[float, float]:
     """The least mean absolute error (T 8.3) of a rectangle, and how much lower it might be."""
     texture = rectangle.texture(light)
-    found = least_error(light.matrix, wanted(light, texture), gap=gap)
+    found = least_error(light.matrix, pixel_goal(light, texture), gap=gap)
     return float(found.error / texture.sum()), float((found.error - found.bound) / texture.sum())
 
 

@@ -23,7 +23,7 @@ from torch import Tensor  # noqa: E402
 
 from luxloop.controllers.jpo.controller import Jpo  # noqa: E402
 from luxloop.controllers.jpo.mae import least_error  # noqa: E402
-from luxloop.controllers.jpo.part import Wanted, wanted  # noqa: E402
+from luxloop.controllers.jpo.part import PixelGoal, pixel_goal  # noqa: E402
 from luxloop.controllers.jpo.squares import least_squares  # noqa: E402
 from luxloop.controllers.pixels.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints  # noqa: E402
 from luxloop.controllers.pixels.primitives import I_V, Primitives, rectangle  # noqa: E402
@@ -78,18 +78,18 @@ def by_ssc(light: Headlight, tables: PixelMajor, params: MrpcParams, texture: Te
     return reduce_setpoints(setpoints, tables, params, torch.zeros(light.n_pixels), dark=True)[0]
 
 
-def methods(light: Headlight, good: dict[str, MrpcParams]) -> dict[str, Callable[[Wanted, Tensor], Tensor]]:
+def methods(light: Headlight, good: dict[str, MrpcParams]) -> dict[str, Callable[[PixelGoal, Tensor], Tensor]]:
     """Ways to a wanted texture, by name; the joint ones begin at the SSC that is given to them."""
     matrix = light.matrix
 
-    def single(params: MrpcParams) -> Callable[[Wanted, Tensor], Tensor]:
+    def single(params: MrpcParams) -> Callable[[PixelGoal, Tensor], Tensor]:
         tables = pixel_major(light, params)
         return lambda _, texture: by_ssc(light, tables, params, texture)
 
-    def joint(iterations: int, gap: float | None) -> Callable[[Wanted, Tensor], Tensor]:
+    def joint(iterations: int, gap: float | None) -> Callable[[PixelGoal, Tensor], Tensor]:
         return lambda goal, _: least_error(matrix, goal, iterations=iterations, gap=gap).u
 
-    ways: dict[str, Callable[[Wanted, Tensor], Tensor]] = {START: lambda goal, _: goal.start}
+    ways: dict[str, Callable[[PixelGoal, Tensor], Tensor]] = {START: lambda goal, _: goal.start}
     ways |= {name: single(params) for name, params in good.items()}
     ways["joint, least squares, converged"] = lambda goal, _: least_squares(matrix, goal)
     ways |= {f"joint, MAE, {budget} iterations": joint(budget, None) for budget in BUDGETS}
@@ -105,7 +105,7 @@ def compare(name: str, every: int) -> tuple[list[Row], float, float]:
     gaps = []
     for each in RECTANGLES[every // 2 :: every]:
         texture = each.texture(light)
-        goal = wanted(light, texture, start=by_ssc(light, tables, params, texture))
+        goal = pixel_goal(light, texture, start=by_ssc(light, tables, params, texture))
         for way, drawn in ways.items():
             errors, ms = rows[way]
             before = time.process_time_ns()

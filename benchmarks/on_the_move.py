@@ -16,8 +16,8 @@ import torch
 from bench import machine, on_one_thread
 from torch import Tensor
 
-from luxloop.controllers.symbol.heights.feedforward import relief_of
-from luxloop.controllers.symbol.heights.luxloop import LuxloopParams, region_of
+from luxloop.controllers.symbol.heights.feedforward import height_map_of
+from luxloop.controllers.symbol.heights.height_controller import HeightControllerParams, region_of
 from luxloop.controllers.symbol.heights.patch import drawn_on
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import Observation
@@ -75,7 +75,9 @@ class Knowing:
         lamps = torch.stack([module.T_world_headlight[:3, 3].double() for module in projector.modules])
         ends = torch.stack([camera_view(self.sensor.camera).origin, *lamps], 1)
         there = transform(now.T_ground_body, ends).T
-        relief = relief_of(self.road.z, region_of(symbol, *LuxloopParams().beyond_m), there[0], T_ground_plane=now.T_world_ground)
+        relief = height_map_of(
+            self.road.z, region_of(symbol, *HeightControllerParams().beyond_m), there[0], T_ground_plane=now.T_world_ground
+        )
         return drawn_on(relief, there[1:].float(), symbol, inverse(now.T_ground_body))
 
     def step(self, state: int, observation: Observation) -> int:

@@ -23,7 +23,7 @@ from baseline_numpy import Baseline, Lap, Picture
 from bench import machine, on_one_thread
 from rich.table import Table
 
-from luxloop.controllers.symbol.sensing.protocol import Observation, Shown
+from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
 from luxloop.loop.report import terminal as tables
 from luxloop.loop.scenario.model import Scenario, load
 from luxloop.loop.simulation.result import SimulationState
@@ -79,7 +79,7 @@ def luxloop_step(simulation: Simulation, state: SimulationState, lap: Lap) -> tu
     lap("camera")
     seen = symbol.sensor.measure(frames, projection, lights)
     lap("perceive")
-    held = replace(held, controller=symbol.controller.step(held.controller, Observation(seen, frames, Shown(projection, lights))))
+    held = replace(held, controller=symbol.controller.step(held.controller, Observation(seen, frames, Projection(projection, lights))))
     lap("control")
     return replace(state, step=state.step + 1, held={name: held}), seen.errors
 

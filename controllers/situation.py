@@ -59,7 +59,7 @@ class TrackedObject:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class CameraImage:
     """The last camera frame, measured.
 
     time_s: when the frame was taken. view: of the camera. luminance: `[height, width]` cd/m^2. saturation: largest measurable luminance,
@@ -100,7 +100,7 @@ class Situation:
     wet: bool = False
     street_lit: bool = False
     symbols: dict[str, SymbolSource] = field(default_factory=dict)
-    seen: Seen | None = None
+    seen: CameraImage | None = None
     lights: tuple[tuple[str, Light], ...] = ()
     pitch_rad: float = 0.0
     commands: Commands = ()
@@ -193,7 +193,7 @@ class AdaptiveFunction(Protocol):
         ...
 
 
-class Timed(Params):
+class ScheduleParams(Params):
     """When a function is active."""
 
     start_s: float | None = Field(None, ge=-1e6, le=1e6, description="time from which it is active; left out: from the start")
@@ -216,7 +216,7 @@ class Timed(Params):
         return self.indicated is not None and not now.indicates(self.indicated)
 
 
-class Drawn(Timed):
+class DrawingParams(ScheduleParams):
     """Common parameters of the functions that draw light."""
 
     quantity: Literal["I_v", "E_v", "u_abs", "u_rel"] = Field(

@@ -43,7 +43,7 @@ from .loop.studio.client.client import connect as connect
 from .perception.detection.protocol import Detections as Detections
 from .perception.egomotion import Ego as Ego
 from .perception.egomotion import Sample as Sample
-from .perception.extraction import Loss as Loss
+from .perception.extraction import ExtractionStatus as ExtractionStatus
 from .perception.tracks import TrackedBoxes as TrackedBoxes
 from .world.errors import LuxloopError as LuxloopError
 from .world.frames import pose_from_degrees as pose_from_degrees

@@ -2,5 +2,5 @@
 
 What it offers: `camera.expose` and `camera.camera_view`; a symbol's image and the reason of its loss by `extraction`, centroids and errors
 by `appearance`, bird's-eye views by `birdseye`; `egomotion.Ego`; detectors in `detection`, `tracking`; and what only a simulated world
-provides: `ground_truth`, `judge`.
+provides: `ground_truth`, `evaluator`.
 """

@@ -19,8 +19,8 @@ NEIGHBOURHOOD = (3, 7)  # rows, columns in px: wider than an edge, narrower than
 WHOLLY_LIT = 0.6  # share of the brightest contrast nearby above which a pixel counts fully, so that noise inside the symbol has no effect
 
 
-class Loss(IntEnum):
-    """Reason why a symbol was lost; SEEN: not lost. COVERED: other light of the lamps covers too much of it for a measurement."""
+class ExtractionStatus(IntEnum):
+    """SEEN, or why there is no symbol image. COVERED: other light of the lamps covers too much of it for a measurement."""
 
     SEEN = 0
     NO_FRAME = 1
@@ -179,9 +179,9 @@ def _largest_around(image: Tensor) -> Tensor:
 
 
 def gate(area: Tensor, expected: Tensor, params: SearchParams) -> Tensor:
-    """Loss codes `[...]` int64 from the ratio of the symbol's area to the expected one, both `[...]` in the same unit."""
+    """Codes of ExtractionStatus `[...]` int64 from the ratio of the symbol's area to the expected one, both `[...]` in the same unit."""
     ratio = torch.nan_to_num(area / expected)
-    code = torch.full(ratio.shape, Loss.SEEN, dtype=torch.int64, device=ratio.device)
-    code = torch.where(ratio > params.area_high, Loss.TOO_LARGE, code)
-    code = torch.where(ratio < params.area_low, Loss.TOO_SMALL, code)
-    return torch.where(ratio < params.nothing_below, Loss.NOTHING, code)
+    code = torch.full(ratio.shape, ExtractionStatus.SEEN, dtype=torch.int64, device=ratio.device)
+    code = torch.where(ratio > params.area_high, ExtractionStatus.TOO_LARGE, code)
+    code = torch.where(ratio < params.area_low, ExtractionStatus.TOO_SMALL, code)
+    return torch.where(ratio < params.nothing_below, ExtractionStatus.NOTHING, code)

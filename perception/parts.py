@@ -65,7 +65,7 @@ def standing(boxes: Tensor, categories: tuple[Category, ...], view: View) -> Ten
     return torch.stack([left, torch.minimum(top, bottom - low * scale * (bottom - horizon)), right, bottom], -1)
 
 
-def completed(boxes: Tensor, expected: Tensor) -> Tensor:
+def complete(boxes: Tensor, expected: Tensor) -> Tensor:
     """Boxes `[..., 4]` px: those much narrower or lower than expected `[..., 4]` as wide or high, moved from there as far as needed.
 
     What was expected may be wrong, so they lean towards the box's own middle and foot as well.

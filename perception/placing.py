@@ -16,7 +16,7 @@ OTHER_LENGTH_M = 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class OnRoad:
+class RoadBoxes:
     """Boxes on the road. T_world_box: `[n, 4, 4]`, origin at the centre of the foot, x away from the camera. size_m: `[n, 3]`, length,
     width, height.
     """
@@ -25,7 +25,7 @@ class OnRoad:
     size_m: Tensor
 
 
-def placed(boxes: Tensor, categories: tuple[Category, ...], view: View) -> OnRoad:
+def place_boxes(boxes: Tensor, categories: tuple[Category, ...], view: View) -> RoadBoxes:
     """Upright boxes whose side facing the camera fills the image boxes `[n, 4]` px; their length is that of their class.
 
     An error of one pixel at the foot moves a box by `d^2 / (f h)` along the line of sight (1.6 m at 50 m for f = 1194 px and a camera
@@ -45,7 +45,7 @@ def placed(boxes: Tensor, categories: tuple[Category, ...], view: View) -> OnRoa
     T_world_box[:, :2, 0] = forward
     T_world_box[:, :2, 1] = torch.stack([-forward[:, 1], forward[:, 0]], -1)
     T_world_box[:, :2, 3] = near + length[:, None] / 2 * forward
-    return OnRoad(T_world_box, size)
+    return RoadBoxes(T_world_box, size)
 
 
 def nearness(view: View, u: Tensor, v: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ from torch.nn.functional import one_hot
 from luxloop.perception.detection.protocol import Detections
 from luxloop.perception.detection.suppression import SAME, overlaps
 from luxloop.perception.lamps import SHINE, by_lamps
-from luxloop.perception.parts import MEASURED, SOLID, alike, are_parts, belonging, completed, hiding, limits_m, spread_of, standing, uncut
+from luxloop.perception.parts import MEASURED, SOLID, alike, are_parts, belonging, complete, hiding, limits_m, spread_of, standing, uncut
 from luxloop.perception.placing import nearness
 from luxloop.perception.tracks import EACH, TrackedBoxes, Tracks
 from luxloop.world.params import Params
@@ -145,7 +145,7 @@ class Tracker:
 
         expected, px = self.whole(tracks), self._px(tracks)[:, None]
         boxes = uncut(found.boxes[None], expected[:, None], self.view.width)
-        off = _foot(completed(boxes, expected[:, None])) - tracks.mean[:, None, :, 0]
+        off = _foot(complete(boxes, expected[:, None])) - tracks.mean[:, None, :, 0]
         spread = tracks.covariance[:, None, :, 0, 0] + spread_of(boxes, expected[:, None])
         far = (_foot(boxes) - tracks.mean[:, None, :, 0]).norm(dim=-1) / px
         likeness = found.scores[:, tracks.category].T / found.scores.amax(-1).clamp(min=1e-9)
@@ -168,7 +168,7 @@ class Tracker:
         """The Kalman update of some tracks, and their sizes."""
         some = tracks.take(which)
         expected = self.whole(some)
-        off = _foot(completed(boxes, expected)) - some.mean[..., 0]
+        off = _foot(complete(boxes, expected)) - some.mean[..., 0]
         spread = some.covariance[..., 0, 0] + spread_of(boxes, expected)
         gain = some.covariance[..., 0] / spread[..., None]
         covariance = some.covariance - gain[..., :, None] * gain[..., None, :] * spread[..., None, None]

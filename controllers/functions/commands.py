@@ -12,12 +12,12 @@ from pydantic import Field, model_validator
 
 from luxloop.controllers.functions.base_beams import bend_of_course
 from luxloop.controllers.pixels.primitives import Primitives, meant
-from luxloop.controllers.situation import Situation, Timed
+from luxloop.controllers.situation import ScheduleParams, Situation
 from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand, Range
 from luxloop.world.params import Params
 
 Movement = Literal["swivel_deg", "level_deg", "intensity"]
-MOVED: Final[Mapping[Movement, str]] = {"swivel_deg": "swivelled", "level_deg": "levelled", "intensity": "dimmed"}
+MOVEMENTS: Final[Mapping[Movement, str]] = {"swivel_deg": "swivelled", "level_deg": "levelled", "intensity": "dimmed"}
 
 
 class Movable(Protocol):
@@ -34,7 +34,7 @@ class Movable(Protocol):
 
 
 @dataclass(frozen=True)
-class Given:
+class FunctionCommands:
     """Commands of a function at a time, one for each module that it names."""
 
     time_s: float
@@ -45,12 +45,12 @@ class Given:
 class CommandingFunction(Protocol):
     """A function that commands modules."""
 
-    def commanded(self, before: Given | None, now: Situation, modules: Sequence[Movable]) -> Given:
+    def commanded(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
         """The commands now for the car's modules. before: its previous commands, None at the start."""
         ...
 
 
-class CommandParams(Timed):
+class CommandParams(ScheduleParams):
     """Common parameters of the functions that command modules."""
 
     movement: ClassVar[Movement]
@@ -64,11 +64,11 @@ class CommandParams(Timed):
         """No primitives: the function draws nothing."""
         return ()
 
-    def commanded(self, before: Given | None, now: Situation, modules: Sequence[Movable]) -> Given:
+    def commanded(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
         """The wanted command for each module; at rest while the function is not active."""
         wanted = self.wanted(now) if self.active(now) else getattr(REST, self.movement)
         command = ModuleCommand(**{self.movement: wanted})
-        return Given(now.time_s, tuple((module.name, command) for module in modules if self.moves(module)))
+        return FunctionCommands(now.time_s, tuple((module.name, command) for module in modules if self.moves(module)))
 
     def moves(self, module: Movable) -> bool:
         """Whether it commands this module and the module supports the command."""
@@ -80,7 +80,7 @@ class TurningParams(CommandParams):
 
     rate_deg_s: float
 
-    def commanded(self, before: Given | None, now: Situation, modules: Sequence[Movable]) -> Given:
+    def commanded(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
         """The wanted angle within each module's range, limited by the motors' rate from the previous one on."""
         ranges = {module.name: getattr(module, self.movement) for module in modules}
         was = {} if before is None else dict(before.commands)
@@ -91,7 +91,7 @@ class TurningParams(CommandParams):
             wanted = min(max(getattr(command, self.movement), low), high)  # before the rate, or a motor at its end would wind up
             begins = getattr(was[name], self.movement) if name in was else wanted
             given.append((name, ModuleCommand(**{self.movement: min(max(wanted, begins - far), begins + far)})))
-        return Given(now.time_s, tuple(given))
+        return FunctionCommands(now.time_s, tuple(given))
 
 
 class BendingParams(TurningParams):
@@ -159,7 +159,7 @@ class DimmingParams(CommandParams):
         return over_time(self.entries, now.time_s, "share")
 
 
-class DirectParams(Timed):
+class DirectParams(ScheduleParams):
     """Commands modules directly, without a motor's rate: another program can set it anew in each step."""
 
     kind: Literal["command"] = "command"
@@ -172,10 +172,10 @@ class DirectParams(Timed):
         """No primitives: the function draws nothing."""
         return ()
 
-    def commanded(self, before: Given | None, now: Situation, modules: Sequence[Movable]) -> Given:
+    def commanded(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
         """The command for each module; at rest while the function is not active."""
         command = self.command if self.active(now) else REST
-        return Given(now.time_s, tuple((module.name, command) for module in modules if self.moves(module)))
+        return FunctionCommands(now.time_s, tuple((module.name, command) for module in modules if self.moves(module)))
 
     @property
     def command(self) -> ModuleCommand:
@@ -187,7 +187,7 @@ class DirectParams(Timed):
         return meant(self.modules, module.name)
 
 
-def composed(given: Iterable[Given], modules: Iterable[Movable]) -> Commands:
+def compose(given: Iterable[FunctionCommands], modules: Iterable[Movable]) -> Commands:
     """One command for each module from those of all functions: turns add up within the module's range, intensities multiply."""
     of_all, commands = [command for each in given for command in each.commands], []
     for module in modules:

@@ -9,13 +9,13 @@ from pydantic import Field, model_validator
 from luxloop.controllers.functions.path import Drawing
 from luxloop.controllers.geometry import strip
 from luxloop.controllers.pixels.primitives import Primitives
-from luxloop.controllers.situation import Drawn, Situation
+from luxloop.controllers.situation import DrawingParams, Situation
 
 QUARTER_TURN = math.pi / 2  # rad, the largest arc that one cubic curve approximates
 STRAIGHT_1_M = 1e-5  # a curve of less curvature leaves its tangent by 2 cm in 60 m
 
 
-class Stretch(Drawn):
+class Stretch(DrawingParams):
     """A drawing on the road between two distances."""
 
     near_m: float = Field(ge=-10_000, le=10_000)
@@ -72,7 +72,7 @@ class WidthParams(Stretch):
         return tuple(straight(self, now, self.near_m, self.far_m, side * y, self.line_width_m) for side in (1, -1))
 
 
-def straight(params: Drawn, now: Situation, near_m: float, far_m: float, y_m: float, width_m: float) -> Primitives:
+def straight(params: DrawingParams, now: Situation, near_m: float, far_m: float, y_m: float, width_m: float) -> Primitives:
     """One line along the car's axis."""
     start, stop = (torch.tensor([x, y_m], dtype=torch.float64) for x in (near_m, far_m))
     return params.draw(strip(now.T_world_vehicle, start, stop, width_m))

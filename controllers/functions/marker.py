@@ -8,7 +8,7 @@ from pydantic import Field
 from luxloop.controllers.functions.animations import Animated, AnimationParams
 from luxloop.controllers.geometry import Place, facing, strip
 from luxloop.controllers.pixels.primitives import Primitives
-from luxloop.controllers.situation import Category, Drawn, SelectionParams, Situation, TrackedObject
+from luxloop.controllers.situation import Category, DrawingParams, SelectionParams, Situation, TrackedObject
 from luxloop.world.frames import inverse, transform
 from luxloop.world.symbols import Still
 
@@ -16,7 +16,7 @@ SHORTEST_M = 0.5  # shorter lines are not drawn
 WHITE = Still(torch.ones(1, 1))
 
 
-class MarkerParams(Drawn, SelectionParams):
+class MarkerParams(DrawingParams, SelectionParams):
     """Directs the driver's attention to an object."""
 
     kind: Literal["marker"] = "marker"

@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import Field
 
-from luxloop.controllers.functions.commands import Given, Movable
+from luxloop.controllers.functions.commands import FunctionCommands, Movable
 from luxloop.controllers.pixels.primitives import QUANTITIES, Primitives, meant
 from luxloop.controllers.situation import AdaptiveFunction, LightingFunction, Situation
 from luxloop.world import plugin
@@ -49,7 +49,7 @@ class CheckedFunction:
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """Raises LuxloopError where it fails, or gives something else."""
-        return checked(self.own.primitives(now), self.own, "primitives")
+        return check_primitives(self.own.primitives(now), self.own, "primitives")
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class CheckedAdaptive:
 
     def adapted(self, state: Any, now: Situation) -> tuple[Primitives, ...]:
         """Raises LuxloopError where it fails, or gives something else."""
-        return checked(self.own.adapted(state, now), self.own, "adapted")
+        return check_primitives(self.own.adapted(state, now), self.own, "adapted")
 
     def base_share(self, state: Any) -> float | None:
         """Raises LuxloopError if the value is no share."""
@@ -94,7 +94,7 @@ class OwnCommands:
 
     own: plugin.Guarded
 
-    def commanded(self, before: Given | None, now: Situation, modules: Sequence[Movable]) -> Given:
+    def commanded(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
         """Raises LuxloopError where it fails, gives something else, or commands what is not there."""
         given = self.own.commands(now)
         if not isinstance(given, Mapping) or not all(isinstance(name, str) and _possible(each) for name, each in given.items()):
@@ -106,14 +106,16 @@ class OwnCommands:
             if not any(meant((name,), module.name) for module in modules):
                 known = ", ".join(module.name for module in modules)
                 raise LuxloopError(f"{KEY}: {self.own.name}: commands the module {name!r}, which is not there; there are {known}")
-        return Given(now.time_s, tuple((module.name, given[name]) for module in modules for name in given if meant((name,), module.name)))
+        return FunctionCommands(
+            now.time_s, tuple((module.name, given[name]) for module in modules for name in given if meant((name,), module.name))
+        )
 
 
 def _possible(command: Any) -> bool:
     return isinstance(command, ModuleCommand) and all(map(math.isfinite, astuple(command))) and 0 <= command.intensity <= 1
 
 
-def checked(parts: Any, own: plugin.Guarded, method: str) -> tuple[Primitives, ...]:
+def check_primitives(parts: Any, own: plugin.Guarded, method: str) -> tuple[Primitives, ...]:
     """The parts as a tuple of primitives. Raises LuxloopError if lamps cannot draw them."""
     where = f"{KEY}: {own.name}: {method}"
     if not isinstance(parts, tuple | list) or not all(isinstance(each, Primitives) for each in parts):

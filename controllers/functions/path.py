@@ -13,14 +13,14 @@ from torch import Tensor
 from luxloop.controllers.functions.bezier import closest, derivative, length_at, point
 from luxloop.controllers.geometry import Place, on_road
 from luxloop.controllers.pixels.primitives import Primitives
-from luxloop.controllers.situation import Drawn, Situation
+from luxloop.controllers.situation import DrawingParams, Situation
 from luxloop.world.params import Metres
 
 Point = tuple[float, float]
 MOST_TEXELS = 1e7  # limit of a drawing: 250 m x 100 m at 5 cm
 
 
-class PathParams(Drawn):
+class PathParams(DrawingParams):
     """A Bezier curve on the road, drawn as a band or as a symbol repeated and bent along it."""
 
     kind: Literal["path"] = "path"

@@ -15,7 +15,7 @@ from luxloop.controllers.functions.commands import (
     CommandingFunction,
     DimmingParams,
     DirectParams,
-    Given,
+    FunctionCommands,
     LevellingParams,
     Movable,
 )
@@ -23,7 +23,7 @@ from luxloop.controllers.functions.glare_free import GlareFreeParams
 from luxloop.controllers.functions.lane import LaneParams, WidthParams
 from luxloop.controllers.functions.marker import MarkerParams
 from luxloop.controllers.functions.own import OwnFunction, own_commands, own_function
-from luxloop.controllers.functions.painted import Painted, PaintedParams, painted_layers
+from luxloop.controllers.functions.paint import PaintedParams, PaintLayer, paint_layers
 from luxloop.controllers.functions.path import PathParams
 from luxloop.controllers.functions.primitive import PrimitiveParams
 from luxloop.controllers.functions.sign import SignParams
@@ -109,7 +109,7 @@ class Plan:
     time_s: float
     base: BaseBeam
     primitives: Primitives | None
-    painted: Mapping[str, Painted] = field(default_factory=dict)
+    painted: Mapping[str, PaintLayer] = field(default_factory=dict)
 
     def for_module(self, name: str) -> Primitives | None:
         """The primitives of a module, named by itself, its lamp or both ("left hires"); None if there are none."""
@@ -157,9 +157,9 @@ class Planner:
         return {name: each for name, each in self.functions.items() if isinstance(each, AdaptiveFunction)}
 
     @cached_property
-    def painted(self) -> Mapping[str, Painted]:
+    def painted(self) -> Mapping[str, PaintLayer]:
         """The painted layers, by module."""
-        return painted_layers(self.lighting.painted)
+        return paint_layers(self.lighting.painted)
 
     def paint(self, module: str, light: Utilisation) -> Utilisation:
         """The light of a module with what is painted."""
@@ -189,7 +189,9 @@ class Planner:
                 stepped[name] = self.adaptive[name].step(states[name], now) if name in self.adaptive else None
         return stepped
 
-    def commanded(self, given: Mapping[str, Given], now: Situation, modules: Sequence[Movable]) -> Mapping[str, Given]:
+    def commanded(
+        self, given: Mapping[str, FunctionCommands], now: Situation, modules: Sequence[Movable]
+    ) -> Mapping[str, FunctionCommands]:
         """The commands of all functions now for the car's modules, by name. given: their previous commands."""
         found = {}
         for name, each in self.commanding.items():

@@ -8,14 +8,14 @@ from pydantic import Field
 from luxloop.controllers.functions.animations import Animated, AnimationParams
 from luxloop.controllers.geometry import Place
 from luxloop.controllers.pixels.primitives import Primitives
-from luxloop.controllers.situation import Drawn, Situation
+from luxloop.controllers.situation import DrawingParams, Situation
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.symbols import Still
 
 WHITE: Final = Still(torch.ones(1, 1))
 
 
-class PrimitiveParams(Drawn):
+class PrimitiveParams(DrawingParams):
     """Draws a rectangle at any place and in any attitude.
 
     Its own frame is x along its length, to the image's first row, y to the left across its width, and z out of the side that takes light.

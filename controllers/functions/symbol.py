@@ -11,7 +11,7 @@ from luxloop.controllers.functions.animations import Animated, AnimationParams
 from luxloop.controllers.geometry import Place, on_road
 from luxloop.controllers.pixels.anamorphic import drawing_rectangle
 from luxloop.controllers.pixels.primitives import Observer, Primitives
-from luxloop.controllers.situation import Category, Drawn, SelectionParams, Situation
+from luxloop.controllers.situation import Category, DrawingParams, SelectionParams, Situation
 from luxloop.controllers.symbol import ControllerParams, refuse_place, refuse_start
 from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
 from luxloop.controllers.symbol.sensing.projector import StartParams, SymbolParams
@@ -75,7 +75,7 @@ class ObserverParams(Params):
         return centre - (d1 + d2) / 2, d1, d2
 
 
-class SymbolFunctionParams(Drawn):
+class SymbolFunctionParams(DrawingParams):
     """Draws a symbol on the road."""
 
     kind: Literal["symbol"] = "symbol"

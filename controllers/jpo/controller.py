@@ -12,7 +12,7 @@ from pydantic import Field
 from torch import Tensor
 
 from luxloop.controllers.jpo.mae import least_error
-from luxloop.controllers.jpo.part import Wanted, reaching, wanted
+from luxloop.controllers.jpo.part import PixelGoal, pixel_goal, reaching
 from luxloop.controllers.jpo.squares import least_squares
 from luxloop.controllers.pixels.mrpc import MrpcParams
 from luxloop.controllers.pixels.primitives import E_V, I_V, U_REL, Primitives
@@ -74,7 +74,7 @@ class Jpo:
             return Utilisation(least_error(self.headlight.matrix, goal, self.params.iterations, gap=None).u)
         return Utilisation(least_squares(self.headlight.matrix, goal, self.params.iterations))
 
-    def goal(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Wanted:
+    def goal(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> PixelGoal:
         """Setpoints of the light texture, the pixels that primitives touch, and their start from SSC.
 
         u_abs and u_rel become the light of all pixels at that utilisation.
@@ -99,7 +99,7 @@ class Jpo:
         counts[cut] = hit & (weight > 0)
         touched = reaching(grid.matrix.transposed, counts.flatten(-2))
         start = torch.where(touched, self.ssc.reduced(setpoints)[0], self.default)
-        return wanted(grid, texture, weights, start, touched)
+        return pixel_goal(grid, texture, weights, start, touched)
 
 
 def _share(setpoints: Setpoints, image: Tensor | None, *codes: int) -> Tensor | float:

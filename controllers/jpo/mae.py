@@ -11,7 +11,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
-from luxloop.controllers.jpo.part import Wanted, anywhere, every_nth_column, reached_rows, submatrix, without_fixed
+from luxloop.controllers.jpo.part import PixelGoal, anywhere, every_nth_column, reached_rows, submatrix, without_fixed
 from luxloop.world.spmv import Csr, multiply
 
 SUBSETS = 8  # of the texels, each spread over the whole texture: more help little, and each costs calls, which small lamps notice
@@ -33,7 +33,7 @@ class LeastError:
     entries: int
 
 
-def least_error(matrix: Csr, goal: Wanted, iterations: int = 20_000, gap: float | None = 0.005) -> LeastError:
+def least_error(matrix: Csr, goal: PixelGoal, iterations: int = 20_000, gap: float | None = 0.005) -> LeastError:
     """The utilisation with the least weighted sum of absolute deviations (T eq. 8.3.1); never worse than its start.
 
     matrix: `[n_t, n_p]` cd, not negative. iterations: most iterations. gap: stop when the error is proven to be within this share of the
@@ -121,7 +121,7 @@ class _Undecided:
         return pace * width, torch.where(self.w > 0, self.w / (pace * reach), 0.0)
 
 
-def _undecided(matrix: Csr, goal: Wanted) -> _Undecided:
+def _undecided(matrix: Csr, goal: PixelGoal) -> _Undecided:
     """Reduce the problem to the pixels and texels that are not decided beforehand.
 
     The error of a texel without a positive setpoint is linear in u. A pixel whose light costs more there than it can ever gain at the other

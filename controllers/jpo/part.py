@@ -18,7 +18,7 @@ HARD = 1_000.0  # limit of weights of positive setpoints, infinite ones too: a l
 
 
 @dataclass(frozen=True)
-class Wanted:
+class PixelGoal:
     """Setpoints of all texels, and the pixels that may change to reach them.
 
     target: `[..., n_t]` cd. weight: `[..., n_t]`, finite and not negative. start: `[..., n_p]` in 0..1. free: `[..., n_p]` bool; all other
@@ -31,9 +31,9 @@ class Wanted:
     free: Tensor
 
 
-def wanted(
+def pixel_goal(
     headlight: Headlight, texture: Tensor, weight: Tensor | None = None, start: Tensor | None = None, free: Tensor | None = None
-) -> Wanted:
+) -> PixelGoal:
     """The optimisation problem of a wanted light texture `[..., rows, cols]` in cd.
 
     weight: `[..., rows, cols]`, 0 to infinity, by default 1, limited to HARD. start: `[..., n_p]`, by default that of SSC with a_m = a_r =
@@ -58,7 +58,7 @@ def wanted(
         share = torch.where(reach > 0, (target / reach).clamp(0, 1), 0.0)
         start = multiply(transposed, weight * share) / multiply(transposed, weight).clamp(min=torch.finfo(target.dtype).tiny)
     start = start.to(target).expand_as(masked).masked_fill(masked, 0.0)
-    return Wanted(target, weight, start, ~masked if free is None else free & ~masked)
+    return PixelGoal(target, weight, start, ~masked if free is None else free & ~masked)
 
 
 def reaching(transposed: Csr, texels: Tensor) -> Tensor:
@@ -108,7 +108,7 @@ def _entries(matrix: Csr, rows: Tensor) -> tuple[Tensor, Tensor]:
     return row, torch.arange(len(row), device=rows.device) + (start - before)[row]
 
 
-def without_fixed(matrix: Csr, goal: Wanted) -> Tensor:
+def without_fixed(matrix: Csr, goal: PixelGoal) -> Tensor:
     """Setpoints of the free pixels `[..., n_t]` in cd: the target less the light of all other pixels."""
     fixed = torch.where(goal.free, 0.0, goal.start)
     return goal.target - multiply(matrix, fixed) if bool(fixed.any()) else goal.target

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 import torch
 from torch import Tensor
 
-from luxloop.controllers.jpo.part import Wanted
+from luxloop.controllers.jpo.part import PixelGoal
 from luxloop.controllers.jpo.squares import least_squares
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import inverse, transform
@@ -59,7 +59,7 @@ class Raster:
 
 
 @dataclass(frozen=True, eq=False)
-class Granted:
+class PlaneLight:
     """The answer to a wish. u: `[n_p]` of each module. chosen: `[n_p]` bool of each, the pixels that were chosen for it. lx: `[cells]`."""
 
     u: tuple[Tensor, ...]
@@ -67,9 +67,9 @@ class Granted:
     lx: Tensor
 
 
-def granted(
+def fit_plane(
     lamps: Sequence[tuple[Headlight, Tensor, Tensor]], raster: Raster, wanted_lx: Tensor, where: Tensor, iterations: int = ITERATIONS
-) -> Granted:
+) -> PlaneLight:
     """Utilisations with the least squared error of the illuminance of the cells, in 255 steps.
 
     lamps: each module with its pose `[4, 4]` in the frame of the plane and its utilisation now `[n_p]`, which pixels keep that light
@@ -92,10 +92,10 @@ def granted(
     now = torch.cat([u.float().cpu() for _, _, u in lamps])
     target = torch.where(where, wanted_lx, multiply(joint, now)).float()
     weight = torch.where(where, 1.0, KEPT)
-    u = least_squares(joint, Wanted(target, weight, now, free), iterations)
+    u = least_squares(joint, PixelGoal(target, weight, now, free), iterations)
     u = torch.where(free, (255 * u).round() / 255, now)
     sizes = [light.n_pixels for light, _, _ in lamps]
-    return Granted(u.split(sizes), tuple(chosen), multiply(joint, u))
+    return PlaneLight(u.split(sizes), tuple(chosen), multiply(joint, u))
 
 
 def lighting(headlight: Headlight, T_world_headlight: Tensor, point: Tensor) -> tuple[Tensor, Tensor]:

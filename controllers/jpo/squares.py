@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from luxloop.controllers.jpo.part import Wanted, anywhere, reached_rows, submatrix, without_fixed
+from luxloop.controllers.jpo.part import PixelGoal, anywhere, reached_rows, submatrix, without_fixed
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight, fit
 from luxloop.world.spmv import Csr, multiply
@@ -13,7 +13,7 @@ from luxloop.world.spmv import Csr, multiply
 FEW_PIXELS = 2_000  # most pixels whose pseudo-inverse takes seconds
 
 
-def least_squares(matrix: Csr, goal: Wanted, iterations: int = 300, tolerance: float = 1e-4) -> Tensor:
+def least_squares(matrix: Csr, goal: PixelGoal, iterations: int = 300, tolerance: float = 1e-4) -> Tensor:
     """u `[..., n_p]` with the least `sum weight * (A u - target)^2`, from its start (T 3.5.2, eq. B.1.1).
 
     matrix: `[n_t, n_p]` cd, not negative. Weights count as in the reduction (T eq. 7.4.5), not squared. A pixel that reaches no texel with

@@ -10,7 +10,7 @@ from luxloop.controllers.pixels.map_sums import Band, Sums
 from luxloop.controllers.pixels.mrpc_params import MrpcParams
 from luxloop.controllers.pixels.pixel_major import PixelMajor
 from luxloop.controllers.pixels.primitives import E_V, HEAVIEST, I_V, U_ABS, U_REL
-from luxloop.controllers.pixels.rthc import Casting, Setpoints, Stroke, expanded
+from luxloop.controllers.pixels.rthc import RayBatch, Setpoints, Stroke, expanded
 from luxloop.controllers.pixels.windows import Window
 from luxloop.world.spmv import Csr, multiply
 
@@ -38,7 +38,7 @@ class _Piece:
     relative: Image
 
 
-def _pieces(asked: Setpoints | Casting) -> Iterator[_Piece]:
+def _pieces(asked: Setpoints | RayBatch) -> Iterator[_Piece]:
     if isinstance(asked, Setpoints):
         in_cd, relative = asked.portion(asked.in_cd, I_V, E_V), asked.portion(asked.relative, U_REL)
         yield _Piece(asked.window, None, asked.value, asked.finite, asked.forced, 1 - asked.cover, in_cd, relative)
@@ -66,7 +66,7 @@ def light_of(stroke: Stroke, pixels: PixelMajor) -> Image:
 
 
 def by_products(
-    asked: Setpoints | Casting, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool, place: Band, batch: tuple[int, ...]
+    asked: Setpoints | RayBatch, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool, place: Band, batch: tuple[int, ...]
 ) -> Sums:
     """Sums over a band of pixels (T eq. 7.4.5); default: `[n_p]`. dark: whether it is zero. batch: batch dimensions of the setpoints.
 

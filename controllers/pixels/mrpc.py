@@ -14,14 +14,14 @@ from luxloop.controllers.pixels.map_sums import Band, Sums
 from luxloop.controllers.pixels.mrpc_params import MrpcParams
 from luxloop.controllers.pixels.pixel_major import PixelMajor, pixel_major
 from luxloop.controllers.pixels.primitives import E_V, I_V, U_REL
-from luxloop.controllers.pixels.rthc import Casting, Setpoints
+from luxloop.controllers.pixels.rthc import RayBatch, Setpoints
 from luxloop.controllers.pixels.sharpening import corrected, sharpened
 
 __all__ = ["MrpcParams", "PixelMajor", "pixel_major", "reduce_setpoints"]
 
 
 def reduce_setpoints(
-    asked: Setpoints | Casting, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool = False
+    asked: Setpoints | RayBatch, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool = False
 ) -> tuple[Tensor, slice]:
     """Map and reduce (T eq. 7.4.1 to 7.4.3, 7.4.5): utilisation `[..., n_p]` in 0..1, and the pixels that may differ from the default.
 
@@ -46,11 +46,11 @@ def reduce_setpoints(
 
 
 def _mapped_and_reduced(
-    asked: Setpoints | Casting, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool, place: Band, batch: tuple[int, ...]
+    asked: Setpoints | RayBatch, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool, place: Band, batch: tuple[int, ...]
 ) -> Tensor:
     """Utilisation `[..., n_p]` of one mapping and reduction."""
     band, alike = place.pixels, same_for_all_pixels(asked, pixels, params, dark)
-    if isinstance(asked, Casting) and not alike:
+    if isinstance(asked, RayBatch) and not alike:
         asked = asked.setpoints()
     if isinstance(asked, Setpoints) and not alike:
         sums = by_entries(asked, pixels, params, default, place)
@@ -64,7 +64,7 @@ def _mapped_and_reduced(
     return u
 
 
-def same_for_all_pixels(asked: Setpoints | Casting, pixels: PixelMajor, params: MrpcParams, dark: bool) -> bool:
+def same_for_all_pixels(asked: Setpoints | RayBatch, pixels: PixelMajor, params: MrpcParams, dark: bool) -> bool:
     """Whether each ray's setpoint is one utilisation for all pixels of its texel (or one share of their default that no bound cuts)."""
     if params.upper_cd is not None or params.lower_cd or (params.a_x and params.exclusion == "printed"):
         return False

@@ -107,7 +107,7 @@ def trace(
     A symbol with an observer is sampled where the observer sees the hit (T 7.2.2). secondary: secondary rays, by default none.
     Differentiable in the primitives (not across their edges). Raises LuxloopError for values on the host that are not finite.
     """
-    return Casting.prepare(primitives, grid, T_world_headlight, windows, secondary).setpoints()
+    return RayBatch.prepare(primitives, grid, T_world_headlight, windows, secondary).setpoints()
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class Stroke:
 
 
 @dataclass(frozen=True)
-class Casting:
+class RayBatch:
     """Rays to cast. windows: of each primitive, empty if it is not visible. window: their union.
 
     is_mask, front: for each primitive, whether it is a mask and whether the lamp sees its front, None if unknown on the host. unit, finite:
@@ -153,7 +153,7 @@ class Casting:
         T_world_headlight: Tensor,
         windows: Sequence[Window] | None = None,
         secondary: SecondaryRays | None = None,
-    ) -> "Casting":
+    ) -> "RayBatch":
         """Prepare the rays; arguments and errors as for `trace`."""
         known = primitives.value.device.type == "cpu"
         if known and not math.isfinite(primitives.value.sum().item()):

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from luxloop.controllers.pixels.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints
 from luxloop.controllers.pixels.primitives import Primitives
-from luxloop.controllers.pixels.rthc import Casting, Setpoints, masks
+from luxloop.controllers.pixels.rthc import RayBatch, Setpoints, masks
 from luxloop.controllers.pixels.secondary import SecondaryRays
 from luxloop.controllers.pixels.windows import projected_windows
 from luxloop.world.headlight import Headlight
@@ -76,16 +76,16 @@ class Ssc:
         u, band = self.reduced(self.casting(primitives, T_world_headlight, secondary))
         return Utilisation(u, band if _on_host(primitives) and self.dark else None)
 
-    def casting(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Casting:
+    def casting(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> RayBatch:
         """Rays to cast at primitives, which are converted to the dtype of the headlight."""
         if primitives.origin.dtype != self.default.dtype:
             primitives = primitives.to(self.default.dtype)
         windows = None
         if _on_host(primitives):
             windows = projected_windows(primitives, self.headlight, T_world_headlight, masks(primitives))
-        return Casting.prepare(primitives, self.headlight, T_world_headlight, windows, secondary)
+        return RayBatch.prepare(primitives, self.headlight, T_world_headlight, windows, secondary)
 
-    def reduced(self, asked: Setpoints | Casting) -> tuple[Tensor, slice]:
+    def reduced(self, asked: Setpoints | RayBatch) -> tuple[Tensor, slice]:
         """Utilisation `[..., n_p]` and the band of pixels that may differ from the default, see `reduce_setpoints`."""
         return reduce_setpoints(asked, self.pixels, self.params, self.default, self.dark)
 

@@ -9,7 +9,7 @@ from luxloop.controllers.pixels.map_products import light_of
 from luxloop.controllers.pixels.map_sums import Band
 from luxloop.controllers.pixels.mrpc import same_for_all_pixels
 from luxloop.controllers.pixels.primitives import Primitives
-from luxloop.controllers.pixels.rthc import Casting
+from luxloop.controllers.pixels.rthc import RayBatch
 from luxloop.controllers.pixels.ssc import PixelController, Ssc
 from luxloop.controllers.pixels.windows import Window
 from luxloop.world.spmv import Csr, multiply, numbers, row_of_entries
@@ -38,7 +38,7 @@ class WindowedSsc:
         weight = matrix.part(numbers(lit, matrix.n_rows), number, (len(lit), len(texel)))
         return cls(ssc, window, band.start + lit, weight)
 
-    def utilisation(self, casting: Casting) -> Tensor:
+    def utilisation(self, casting: RayBatch) -> Tensor:
         """Utilisation `[m]` of the pixels, as `Ssc.utilisation` gives them."""
         height, width = (each.stop - each.start for each in self.window.slices)
         image = self.ssc.default.new_zeros(height, width)

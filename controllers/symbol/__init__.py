@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import Tag
 
 from luxloop.controllers.symbol.heights.feedforward import Feedforward, FeedforwardParams, Surveyed
-from luxloop.controllers.symbol.heights.luxloop import Luxloop, LuxloopParams
+from luxloop.controllers.symbol.heights.height_controller import HeightController, HeightControllerParams
 from luxloop.controllers.symbol.laws.feedback import Feedback, GaussNewtonParams, ModelReferenceParams
 from luxloop.controllers.symbol.laws.open_loop import OpenLoop, OpenLoopParams
 from luxloop.controllers.symbol.laws.own import OwnParams, own_controller
@@ -16,10 +16,10 @@ from luxloop.controllers.symbol.sensing.protocol import SymbolController
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from luxloop.world.plugin import OWN, known_or_own
 
-NamedParams = LuxloopParams | OpenLoopParams | FeedforwardParams | ThesisPidParams | GaussNewtonParams | ModelReferenceParams
+NamedParams = HeightControllerParams | OpenLoopParams | FeedforwardParams | ThesisPidParams | GaussNewtonParams | ModelReferenceParams
 AnyParams = NamedParams | OwnParams
 ControllerParams = Annotated[
-    Annotated[LuxloopParams, Tag("luxloop")]
+    Annotated[HeightControllerParams, Tag("luxloop")]
     | Annotated[OpenLoopParams, Tag("open")]
     | Annotated[FeedforwardParams, Tag("feedforward")]
     | Annotated[ThesisPidParams, Tag("thesis_pid")]
@@ -29,7 +29,7 @@ ControllerParams = Annotated[
     known_or_own("name"),
 ]
 CONTROLLERS: dict[str, type[NamedParams]] = {
-    "luxloop": LuxloopParams,
+    "luxloop": HeightControllerParams,
     "open": OpenLoopParams,
     "feedforward": FeedforwardParams,
     "thesis_pid": ThesisPidParams,
@@ -51,8 +51,8 @@ def build_controller(params: AnyParams, sensor: SymbolSensor) -> SymbolControlle
             return Surveyed(params, sensor) if params.survey else Feedforward(params, sensor)
         case ThesisPidParams():
             return staged(params, ThesisPid.prepare(params, sensor.projector.target), sensor)
-        case LuxloopParams():
-            return Luxloop(params, sensor)
+        case HeightControllerParams():
+            return HeightController(params, sensor)
         case OwnParams():
             return staged(params, own_controller(params, sensor), sensor)
         case GaussNewtonParams() | ModelReferenceParams():

@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from luxloop.controllers.functions.commands import MOVED, Movable
+from luxloop.controllers.functions.commands import MOVEMENTS, Movable
 from luxloop.controllers.zones.material import Quantity
 from luxloop.loop.recording.summary import column
 from luxloop.world.headlight.lamp import REST
@@ -85,7 +85,7 @@ def of_modules(table: pa.Table, modules: Sequence[Movable]) -> dict[str, dict[st
     """
     found = dict[str, dict[str, dict[str, Any]]]()
     for module in modules:
-        for movement in MOVED:
+        for movement in MOVEMENTS:
             if (name := f"modules.{module.name}.{movement}") in table.column_names:
                 rest = getattr(REST, movement)
                 values = np.nan_to_num(column(table, name), nan=rest)

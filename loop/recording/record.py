@@ -20,7 +20,7 @@ from luxloop.loop.simulation.on_materials import quantities
 from luxloop.loop.simulation.redrawn import covering, opened
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.perception.judge import Verdict
+from luxloop.perception.evaluator import Metrics
 from luxloop.world.errors import located
 
 # name: (type, unit, description); lamps and objects have columns of their own.
@@ -105,7 +105,7 @@ MODULE = {
 }
 MATERIAL = {"lx": ("lx", "illuminance"), "luminance": ("cd/m^2", "luminance")}
 NAN = torch.tensor(torch.nan)
-NOT_JUDGED = Verdict(NAN.expand(2), NAN, NAN, NAN, NAN)
+NOT_JUDGED = Metrics(NAN.expand(2), NAN, NAN, NAN, NAN)
 LOOKED_AT = {
     "track": (pa.int64(), "", "number of the track that shows it; empty without one"),
     "confidence": (

@@ -24,7 +24,7 @@ from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation import frames as frame_files
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.perception.extraction import Loss
+from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError
 
 FOLDED = 256  # rows as Python's values, which take ten times the memory of the table
@@ -53,7 +53,7 @@ class Tally:
         if self._waiting:
             self._waiting &= self.simulation.waiting(result)
         self._last |= dict.fromkeys(result.held, result)
-        self._covered |= {name: result for name, each in result.held.items() if each.measurement.code == Loss.COVERED}
+        self._covered |= {name: result for name, each in result.held.items() if each.measurement.code == ExtractionStatus.COVERED}
         if result.look is not None:
             self._findable |= {name for name, each in result.look.recognised.items() if each.findable}
         if self._shadow is not None:

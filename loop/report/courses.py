@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
 from matplotlib.ticker import LogFormatter
 
-from luxloop.controllers.functions.commands import MOVED
+from luxloop.controllers.functions.commands import MOVEMENTS
 from luxloop.loop.recording.compared import compared
 from luxloop.loop.recording.functions_summary import START_UP_S, UNITS, materials_of, named, spoken, zones_of
 from luxloop.loop.recording.summary import column
@@ -84,7 +84,7 @@ def _commanded(axes: Axes, table: pa.Table, names: Sequence[str], summary: dict[
     for ((at_end, *values), moved), colour in zip(alike.items(), cycle(COLOURS), strict=False):
         who = dict.fromkeys(module for module, _ in moved)
         whose = "all" if len(who) == len(summary["modules"]) else ", ".join(who)
-        how = " and ".join(MOVED[movement] for movement in MOVED if any(movement == each for _, each in moved))
+        how = " and ".join(MOVEMENTS[movement] for movement in MOVEMENTS if any(movement == each for _, each in moved))
         ends = f", at a limit in {at_end} of {table.num_rows} steps" if at_end else ""
         axes.plot(column(table, "time_s"), values, marker=_mark(table), color=colour, label=f"{whose} {how}{ends}")
     axes.set(ylabel=unit)

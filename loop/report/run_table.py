@@ -5,7 +5,7 @@ from typing import Any
 
 from rich.table import Table
 
-from luxloop.controllers.functions.commands import MOVED
+from luxloop.controllers.functions.commands import MOVEMENTS
 from luxloop.loop.recording.checks import lines
 from luxloop.loop.recording.functions_summary import NAMED, START_UP_S, UNITS, named, spoken
 from luxloop.loop.recording.remedies import of_frames, remedies, unjudged
@@ -111,7 +111,7 @@ def _of_modules(modules: Mapping[str, Mapping[str, Mapping[str, Any]]], steps: i
     for (movement, least, most, *ends), names in alike.items():
         far = f"{least:.0%} to {most:.0%} of their maximum" if movement == "intensity" else f"{least:.1f}° to {most:.1f}°"
         at_end = f", at the end of the range in {ends[0]} of {steps} steps" if any(ends) else ""
-        found.append(f"{'all' if len(names) == len(modules) else ', '.join(names)} {MOVED[movement]} {far}{at_end}")
+        found.append(f"{'all' if len(names) == len(modules) else ', '.join(names)} {MOVEMENTS[movement]} {far}{at_end}")
     return "; ".join(found)
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.appearance import appearance, image_axes
-from luxloop.perception.extraction import Crop, Loss
+from luxloop.perception.extraction import Crop, ExtractionStatus
 from luxloop.perception.tracking import TrackerParams
 
 MOMENTS = 4  # that the page shows
@@ -67,7 +67,7 @@ class Gathered:
             return
         seen = held.measurement
         centre = (math.nan, math.nan)
-        if int(seen.code) == Loss.SEEN:
+        if int(seen.code) == ExtractionStatus.SEEN:
             height, width = seen.symbol.shape
             axes = image_axes(height, width, seen.crop.u_start, seen.crop.v_start, seen.symbol)
             u, v = appearance(seen.symbol, axes).centroids[0].tolist()

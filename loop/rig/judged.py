@@ -17,7 +17,7 @@ from luxloop.loop.simulation.controlled import ControlledSymbol
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.perception.birdseye import BirdsEye, birds_eye, region_around
 from luxloop.perception.camera import CameraParams, camera_view, luminance_of
-from luxloop.perception.judge import CELL_M, Target, Verdict, judge, target
+from luxloop.perception.evaluator import CELL_M, Metrics, Target, evaluate, target
 
 LAST = 10  # pairs of frames
 
@@ -39,9 +39,9 @@ class CameraJudge:
         plane = birds_eye(region, camera_view(camera)).to(flat.device)
         return cls(camera, plane, target(flat, plane, held.length_m, held.width_m))
 
-    def verdict(self, on: Tensor, off: Tensor) -> Verdict:
+    def verdict(self, on: Tensor, off: Tensor) -> Metrics:
         """Verdict on frames `[height, width]` with the symbol (on) and without it (off)."""
-        return judge(luminance_of(on, self.camera) - luminance_of(off, self.camera), self.plane, self.goal)
+        return evaluate(luminance_of(on, self.camera) - luminance_of(off, self.camera), self.plane, self.goal)
 
 
 class Judged:

@@ -3,7 +3,7 @@
 import pyarrow as pa
 
 from luxloop.controllers.symbol.sensing.field import SIDES
-from luxloop.perception.extraction import Loss
+from luxloop.perception.extraction import ExtractionStatus
 
 CUT = tuple(f"cut_{side}" for side in SIDES)
 AIM = ("aim_x_m", "aim_y_m")
@@ -82,4 +82,4 @@ def of_one(table: pa.Table, name: str) -> pa.Table:
 
 def loss_name(code: int) -> str:
     """A loss code as recordings write it: "" where the symbol was seen, else the reason in lower case."""
-    return "" if code == Loss.SEEN else Loss(code).name.lower()
+    return "" if code == ExtractionStatus.SEEN else ExtractionStatus(code).name.lower()

@@ -3,14 +3,14 @@
 from collections.abc import Mapping, Sequence
 
 from luxloop.controllers.functions.commands import (
-    MOVED,
+    MOVEMENTS,
     BendingParams,
     CommandParams,
     DirectParams,
-    Given,
+    FunctionCommands,
     LevellingParams,
     Movement,
-    composed,
+    compose,
 )
 from luxloop.controllers.functions.planner import Planner
 from luxloop.controllers.situation import Situation
@@ -26,9 +26,9 @@ def commanded(
     planner: Planner,
     modules: Sequence[ShiningModule],
     controlled: Mapping[str, ControlledSymbol],
-    given: Mapping[str, Given],
+    given: Mapping[str, FunctionCommands],
     now: Situation,
-) -> tuple[Situation, Mapping[str, Given]]:
+) -> tuple[Situation, Mapping[str, FunctionCommands]]:
     """The situation with modules as functions command them, and what each of these commanded. given: the same before.
 
     Raises LuxloopError where a function of the user's own commands a module that a controller needs at rest.
@@ -36,7 +36,7 @@ def commanded(
     given = planner.commanded(given, now, modules)
     if not given:
         return now, given
-    commands = composed(given.values(), modules)
+    commands = compose(given.values(), modules)
     for symbol, held in controlled.items():
         for k in held.drawn_by:
             if commands[k] != REST:
@@ -52,7 +52,7 @@ def refuse_commands(planner: Planner, modules: Sequence[ShiningModule], controll
                 for module in (modules[k] for k in each.drawn_by if function.moves(modules[k])):
                     raise _held(symbol, module, f"turned or dimmed by functions.{name}")
         if isinstance(function, CommandParams):
-            how = MOVED[function.movement]
+            how = MOVEMENTS[function.movement]
             if not any(function.moves(module) for module in modules):
                 raise LuxloopError(
                     f"functions.{name}.modules: none of these modules can be {how}; name others, or take another lamp as headlight.model"
@@ -82,7 +82,9 @@ def moved(planner: Planner, modules: Sequence[ShiningModule]) -> list[tuple[str,
         return not isinstance(function, CommandParams) or (function.movement == movement and function.moves(module))
 
     functions = planner.commanding.values()
-    return [(module.name, movement) for module in modules for movement in MOVED if any(of(each, module, movement) for each in functions)]
+    return [
+        (module.name, movement) for module in modules for movement in MOVEMENTS if any(of(each, module, movement) for each in functions)
+    ]
 
 
 def _held(symbol: str, module: ShiningModule, how: str) -> LuxloopError:

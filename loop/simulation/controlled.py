@@ -19,7 +19,7 @@ from luxloop.controllers.symbol.sensing.field import cut
 from luxloop.controllers.symbol.sensing.flat_model import flat_model
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector
-from luxloop.controllers.symbol.sensing.protocol import Observation, Shown, SymbolController
+from luxloop.controllers.symbol.sensing.protocol import Observation, Projection, SymbolController
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement, SymbolSensor
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.shipped import named
@@ -32,8 +32,8 @@ from luxloop.loop.simulation.pairing import Arrived
 from luxloop.loop.simulation.world import World
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.egomotion import Ego
-from luxloop.perception.extraction import Crop, Loss
-from luxloop.perception.judge import Verdict
+from luxloop.perception.evaluator import Metrics
+from luxloop.perception.extraction import Crop, ExtractionStatus
 from luxloop.world.errors import located
 from luxloop.world.headlight.lamp import pixel_area
 from luxloop.world.symbols import load_still
@@ -63,7 +63,7 @@ class Held:
     projection: ProjectionCommand
     cut: Tensor
     measurement: Measurement
-    verdict: Verdict | None
+    verdict: Metrics | None
 
     @property
     def pose(self) -> Tensor:
@@ -211,19 +211,19 @@ class ControlledSymbol:
 
     def step(self, state: HeldState, name: str, moment: Moment, images: Frames | None, ego: Ego | None) -> tuple[HeldState, Measurement]:
         """Measure the frames of a moment that shows it, None where they are lost, and control. name: its own."""
-        shown = Shown(moment.projections[name], self.light(moment.on, moment.off), moment.ego)
+        shown = Projection(moment.projections[name], self.light(moment.on, moment.off), moment.ego)
         frames = images if name in moment.measured else None
         taken = None if moment.alone or frames is None else self._taken(shown)
         if taken is not None and not bool(taken.isfinite().all()):
-            frames, seen = None, replace(self.sensor.lost(shown.projection.pose, Loss.COVERED), shape=state.shape)
+            frames, seen = None, replace(self.sensor.lost(shown.projection.pose, ExtractionStatus.COVERED), shape=state.shape)
         else:
             seen = self.sensor.measure(frames, shown.projection, shown.lights, state.shape if ego is None or ego.stands else None)
-            if taken is not None and seen.code == Loss.SEEN:
+            if taken is not None and seen.code == ExtractionStatus.SEEN:
                 errors = seen.errors - taken
                 seen = replace(seen, errors=errors, pose_error=self.sensor.pose_error(errors))
         return HeldState(self.controller.step(state.controller, Observation(seen, frames, shown, ego)), state.turn, seen.shape), seen
 
-    def _taken(self, shown: Shown) -> Tensor | None:
+    def _taken(self, shown: Projection) -> Tensor | None:
         """By how much other functions move the features `[4]` of the symbol where they take of its light or lay theirs over it, NaN where
         they leave too little of it to be measured; None where they do not, or where the flat road would not show it anyway.
         """
@@ -233,9 +233,9 @@ class ControlledSymbol:
         left, whole = (self.sensor.rendered(shown.projection, lights) for lights in (shown.lights, alone))
         return left - whole if bool(whole.isfinite().all()) else None
 
-    def held(self, projection: ProjectionCommand, seen: Measurement | None, verdict: Verdict | None) -> Held:
+    def held(self, projection: ProjectionCommand, seen: Measurement | None, verdict: Metrics | None) -> Held:
         """What is recorded of a step; seen: None where no frame shows it yet."""
-        seen = self.sensor.lost(projection.pose, Loss.NO_FRAME) if seen is None else seen
+        seen = self.sensor.lost(projection.pose, ExtractionStatus.NO_FRAME) if seen is None else seen
         return Held(projection, cut(self.projector, projection), seen, verdict)
 
     def footprint(self, projection: ProjectionCommand) -> Crop:

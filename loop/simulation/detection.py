@@ -13,7 +13,7 @@ from luxloop.perception.detection.build import detector
 from luxloop.perception.detection.params import AnyParams, TruthParams
 from luxloop.perception.detection.protocol import Detections, Detector
 from luxloop.perception.detection.suppression import SAME, overlaps
-from luxloop.perception.placing import placed
+from luxloop.perception.placing import place_boxes
 from luxloop.perception.trackers import OwnTracker
 from luxloop.perception.trackers import tracker as build_tracker
 from luxloop.perception.tracking import TrackerParams
@@ -66,7 +66,7 @@ class DetectionPipeline:
         told = self.tracker.report(tracks, time_s)
         numbers = told.category.tolist()
         names = tuple(self.classes[number] for number in numbers)
-        boxes = placed(told.boxes, names, view)
+        boxes = place_boxes(told.boxes, names, view)
         return tuple(
             TrackedObject(
                 name_of(int(told.number[k])),

@@ -32,7 +32,7 @@ from luxloop.loop.simulation.result import (
 )
 from luxloop.loop.simulation.world import ObjectLight, World, categories
 from luxloop.perception.detection.protocol import Detections
-from luxloop.perception.judge import Verdict
+from luxloop.perception.evaluator import Metrics
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +142,7 @@ class Evaluator:
         whitened = [light.u for light in self.lamps.drive(white, plan.now)[0]]
         return observed_symbols(first, [light.u for light in drive.exposures[0]], whitened, world, plan.now)
 
-    def _verdicts(self, state: SimulationState, plan: StepPlan, drive: StepDrive) -> Mapping[str, Verdict]:
+    def _verdicts(self, state: SimulationState, plan: StepPlan, drive: StepDrive) -> Mapping[str, Metrics]:
         """Of each symbol that is measured, from the light with it and without it."""
         verdicts, (on, off) = {}, drive.exposures
         for name in plan.measured:

@@ -16,7 +16,7 @@ from luxloop.controllers.symbol.sensing.projector import SymbolParams
 from luxloop.loop.simulation.lamps import ShiningModule
 from luxloop.loop.simulation.world import LitScene, World
 from luxloop.perception.birdseye import BirdsEye, Region, birds_eye, cells, region_around
-from luxloop.perception.judge import CELL_M, Target, Verdict, judge, target
+from luxloop.perception.evaluator import CELL_M, Metrics, Target, evaluate, target
 from luxloop.world.frames import inverse, transform
 from luxloop.world.headlight import Headlight
 from luxloop.world.roads.base import Road
@@ -48,13 +48,13 @@ class Judge:
         plane = flat if symbol.target == "appearance" else _plane(symbol, world.view, _places(symbol, road, world, 0.0)).to(world.device)
         return cls(world, symbol, road, plane, goal)
 
-    def verdict(self, lights: tuple[Utilisation, ...], time_s: float) -> Verdict:
+    def verdict(self, lights: tuple[Utilisation, ...], time_s: float) -> Metrics:
         """lights: utilisations, one a module, of the on exposure."""
         return self.judged(self.world.lit(time_s).luminance(lights), time_s)
 
-    def judged(self, luminance: Tensor, time_s: float) -> Verdict:
+    def judged(self, luminance: Tensor, time_s: float) -> Metrics:
         """luminance: `[height, width]` cd/m^2 that the symbol adds."""
-        return judge(luminance, self.plane_at(time_s), self.goal)
+        return evaluate(luminance, self.plane_at(time_s), self.goal)
 
     def road_m(self, times_s: Sequence[float]) -> float:
         """Height of the road over the plane of the ground, along the middle of the target, where and when it is farthest from it."""

@@ -190,7 +190,7 @@ def _flux_lm(light: Utilisation, flux: Tensor) -> float:
     return float(light.u[lit] @ flux[lit])
 
 
-def asked(
+def compute_utilisations(
     modules: Sequence[ShiningModule], plan: Plan, secondary: Sequence[SecondaryRays], more: tuple[Plan, Sequence[Utilisation]] | None = None
 ) -> list[Utilisation]:
     """Utilisations `[n_p]` of a plan before any power limit, one a module.
@@ -210,7 +210,7 @@ def asked(
     ]
 
 
-def driven(
+def limit_utilisations(
     modules: Sequence[ShiningModule], lights: Sequence[Utilisation], power_limit: float | None, power_w: Callable[[float], float]
 ) -> tuple[tuple[Utilisation, ...], Mapping[str, LampPower]]:
     """Utilisations, one a module, and the power of each lamp by its side, within the limit if there is one.
@@ -260,5 +260,5 @@ class LampDriver:
             street_lamps = tuple(seen_from(T_world_ground, lamp) for lamp in self.world.scene.street_lamps) if params.street_lamps else ()
             occluded = scene_caster(self.world.lit(now.time_s).triangles, T_world_ground) if params.shadow_rays else None
         secondary = [SecondaryRays(now.lights, own, street_lamps, occluded) for own in range(len(self.modules))]
-        lights = asked(modules, plan, secondary, more if params.power_limit is None else None)
-        return driven(modules, lights, params.power_limit, self.scenario.headlight.power_w)
+        lights = compute_utilisations(modules, plan, secondary, more if params.power_limit is None else None)
+        return limit_utilisations(modules, lights, params.power_limit, self.scenario.headlight.power_w)

@@ -7,7 +7,7 @@ from typing import Any
 
 from torch import Tensor
 
-from luxloop.controllers.functions.commands import Given
+from luxloop.controllers.functions.commands import FunctionCommands
 from luxloop.controllers.functions.planner import Plan, States
 from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.pixels.ssc import Utilisation
@@ -128,7 +128,7 @@ class SimulationState:
     believed: Mapping[int, View] = field(default_factory=dict)
     under_way: UnderWay[Moment] = ()
     frames: tuple[Frame, ...] = ()
-    commanded: Mapping[str, Given] = field(default_factory=dict)
+    commanded: Mapping[str, FunctionCommands] = field(default_factory=dict)
     oncoming_s: Mapping[str, float] = field(default_factory=dict)
 
 

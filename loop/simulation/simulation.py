@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.functions.base_beams import BaseBeamParams, BeamName
-from luxloop.controllers.functions.commands import Given
+from luxloop.controllers.functions.commands import FunctionCommands
 from luxloop.controllers.functions.planner import Planner
 from luxloop.controllers.pixels.secondary import Light
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.controllers.situation import Seen, Situation, Timed, TrackedObject
+from luxloop.controllers.situation import CameraImage, ScheduleParams, Situation, TrackedObject
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import SymbolController
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
@@ -180,7 +180,7 @@ class Simulation:
             indicator=self.scenario.lighting.indicator,
         )
 
-    def _commanded(self, time_s: float, state: SimulationState, ego: Ego | None) -> tuple[Situation, Mapping[str, Given]]:
+    def _commanded(self, time_s: float, state: SimulationState, ego: Ego | None) -> tuple[Situation, Mapping[str, FunctionCommands]]:
         now = self.situation(time_s, state.tracks, ego, state.arrivals.objects)
         return commanded(self.planner, self.modules, self.controlled, state.commanded, now)
 
@@ -252,7 +252,7 @@ class Simulation:
         )
         return following, result
 
-    def _sense(self, state: SimulationState) -> tuple[Ego | None, Situation, Mapping[str, Given]]:
+    def _sense(self, state: SimulationState) -> tuple[Ego | None, Situation, Mapping[str, FunctionCommands]]:
         """The car's motion, the situation and what functions command, from all that has arrived."""
         time_s = state.arrivals.time_s
         ego = self.ego(state.samples, time_s)
@@ -402,7 +402,7 @@ class Simulation:
 
     def waiting(self, result: StepResult) -> set[str]:
         """Names of the functions that wait for the indicator at that moment."""
-        return {name for name, each in self.scenario.functions.items() if isinstance(each, Timed) and each.waits(result.now)}
+        return {name for name, each in self.scenario.functions.items() if isinstance(each, ScheduleParams) and each.waits(result.now)}
 
     def _all_objects(self, time_s: float, known: Objects | None) -> Objects:
         if known is not None or self.truth is None or not self.scenario.all_objects:
@@ -426,4 +426,4 @@ class Simulation:
         looks = any(function.kind == "material" for function in self.scenario.functions.values())
         materials = (then.surfaces.albedo, *then.materials) if looks and then is not None else ()
         objects = now.objects if self.pipeline is None or tracks is None else self.pipeline.objects(tracks, now.time_s, view)
-        return replace(now, objects=objects, seen=Seen(then_s, view, luminance, most, *materials))
+        return replace(now, objects=objects, seen=CameraImage(then_s, view, luminance, most, *materials))

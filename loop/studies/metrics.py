@@ -23,7 +23,7 @@ from luxloop.loop.simulation.controlled import Held
 from luxloop.loop.simulation.result import Rollout, StepResult
 from luxloop.loop.simulation.simulated import SimulatedPlant
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.perception.extraction import Loss
+from luxloop.perception.extraction import ExtractionStatus
 
 Figures = dict[str, float | str | None]
 WORST = {  # figures of symbols that are held, and which of several is the worst
@@ -96,7 +96,7 @@ def _traced(held: Held | None, target: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Pose, error of the pose, and whether it was seen; the target, unseen, while it is not shown."""
     if held is None:
         return target, torch.zeros_like(target), torch.zeros_like(target[0], dtype=torch.bool)
-    usable = (held.measurement.code == Loss.SEEN) & held.measurement.pose_error.isfinite().all()
+    usable = (held.measurement.code == ExtractionStatus.SEEN) & held.measurement.pose_error.isfinite().all()
     return held.pose, torch.where(usable, held.measurement.pose_error, 0.0), usable
 
 

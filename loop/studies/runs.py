@@ -19,7 +19,7 @@ from luxloop.loop.studies.batch.copies import Copies, refuse_scenario
 from luxloop.loop.studies.batch.courses import Course, Courses, course_of
 from luxloop.loop.studies.batch.laws import refuse_controller, shape_of
 from luxloop.loop.studies.metrics import Figures, ready, tabulated, traced
-from luxloop.perception.judge import Verdict
+from luxloop.perception.evaluator import Metrics
 from luxloop.world.errors import LuxloopError
 
 # What may differ within a batch, beside the seed, the controller's numbers and the start of the symbol.
@@ -136,5 +136,5 @@ def _held(course: Course, k: int) -> Held:
     measurement = replace(
         seen, **values, appearance=replace(seen.appearance, **{name: each[k] for name, each in vars(seen.appearance).items()})
     )
-    verdict = course.verdict and Verdict(*(each[k] for each in vars(course.verdict).values()))
+    verdict = course.verdict and Metrics(*(each[k] for each in vars(course.verdict).values()))
     return Held(shown, course.cut[k], measurement, verdict)

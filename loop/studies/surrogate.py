@@ -11,7 +11,7 @@ from luxloop.loop.recording.summary import FINAL
 from luxloop.loop.simulation.result import Rollout
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.batch.rollouts import loops
-from luxloop.perception.extraction import Loss
+from luxloop.perception.extraction import ExtractionStatus
 
 NEAR = 0.02  # of the symbol's size: approximate error of a settled symbol
 
@@ -58,6 +58,8 @@ class Learned:
             squares = ((poses[:, None] - self.poses) / apart).square().sum(-1)
             weights = (squares + 1.0) ** -2
             offsets = (weights / weights.sum(-1, keepdim=True)) @ self.offsets
-            return replace(simulation.symbol.sensor.lost(poses, Loss.SEEN), pose_error=poses + offsets + self.noise * noise[step])
+            return replace(
+                simulation.symbol.sensor.lost(poses, ExtractionStatus.SEEN), pose_error=poses + offsets + self.noise * noise[step]
+            )
 
         return loops(simulation, values, looked)

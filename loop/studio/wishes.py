@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from luxloop.controllers.functions.painted import Picture
-from luxloop.controllers.jpo.plane import Raster, granted, lighting
+from luxloop.controllers.functions.paint import Picture
+from luxloop.controllers.jpo.plane import Raster, fit_plane, lighting
 from luxloop.loop.report.picture import WALL_M
 from luxloop.loop.studio.messages import Place, Wish
 from luxloop.loop.studio.painting import layer, override
@@ -57,7 +57,7 @@ def wished(run: Run, wish: Wish, arrays: Arrays) -> Answer:
     lamps = [(each.headlight, T_plane_world @ poses[k], lights[k]) for k, each in enumerate(run.simulation.modules)]
     there = torch.from_numpy(where).flatten()
     goal = torch.from_numpy(np.where(where, lx, 0).astype(np.float32)).flatten()
-    found = granted(lamps, raster, goal, there)
+    found = fit_plane(lamps, raster, goal, there)
     off = (found.lx - goal)[there]
     answer = {
         "type": "wish",

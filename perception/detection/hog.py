@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from luxloop.perception.detection.coded import coded
+from luxloop.perception.detection.coded import encode
 from luxloop.perception.detection.params import HogParams
 from luxloop.perception.detection.protocol import Detections
-from luxloop.perception.detection.suppression import suppressed
+from luxloop.perception.detection.suppression import suppress
 from luxloop.world.traffic.tracked import Category
 
 SHRINK = (0.55, 0.75)  # of its window of 64 x 128 px, in whose middle a person of 96 px stands
@@ -33,7 +33,7 @@ class HogDetector:
 
     def _found(self, frame: Tensor) -> Detections:
         params = self.params
-        picture = cv2.resize(coded(frame, params.gamma), None, fx=params.magnify, fy=params.magnify, interpolation=cv2.INTER_LINEAR)
+        picture = cv2.resize(encode(frame, params.gamma), None, fx=params.magnify, fy=params.magnify, interpolation=cv2.INTER_LINEAR)
         # OpenCV reads beyond images that are smaller than its window
         width, height = self._hog.winSize
         below, right = max(height - picture.shape[0], 0), max(width - picture.shape[1], 0)
@@ -46,5 +46,5 @@ class HogDetector:
         scores = torch.sigmoid(params.slope * torch.from_numpy(np.ravel(margins).astype(np.float32)))
         order = scores.argsort(descending=True)
         boxes, scores = boxes[order].to(frame.device), scores[order, None].to(frame.device)
-        kept = ~suppressed(boxes, params.overlap) if len(boxes) else slice(0)
+        kept = ~suppress(boxes, params.overlap) if len(boxes) else slice(0)
         return Detections(boxes[kept], scores[kept])

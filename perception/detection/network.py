@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate, max_pool2d
 
 from luxloop.perception.detection.protocol import Detections
-from luxloop.perception.detection.suppression import suppressed
+from luxloop.perception.detection.suppression import suppress
 from luxloop.world.budget import afford
 from luxloop.world.files import reading
 from luxloop.world.traffic.tracked import Category
@@ -75,7 +75,7 @@ def _spread(coarse: Tensor, fine: Tensor) -> Tensor:
     return interpolate(coarse, size=fine.shape[-2:], mode="nearest")
 
 
-def prepared(frames: Tensor) -> Tensor:
+def network_input(frames: Tensor) -> Tensor:
     """Input of the network `[B, 1, height, width]` from frames `[B, height, width]` in 0..1."""
     return frames.float().clamp(min=0).pow(CODE)[:, None].contiguous(memory_format=torch.channels_last)
 
@@ -107,14 +107,14 @@ class NetworkDetector:
         """See `Detector`. A cell counts if its score is the highest among its eight neighbours."""
         height, width = frames.shape[-2:]
         device = next(self.network.parameters()).device
-        logits, sides = self.network(prepared(frames.to(device)))
+        logits, sides = self.network(network_input(frames.to(device)))
         scores = logits.sigmoid()
         best = scores.amax(1)
         peak = torch.where(best == max_pool2d(best, 3, 1, 1), best, 0).flatten(1)
         chosen = peak.topk(min(CANDIDATES, peak.shape[1])).indices
         boxes, scores = (each.flatten(2).gather(2, chosen[:, None].expand(-1, each.shape[1], -1)).mT for each in (boxes_of(sides), scores))
         boxes = torch.minimum(boxes.clamp(min=0), torch.tensor([width, height, width, height]).to(boxes))
-        kept = ~suppressed(boxes, self.overlap) & (peak.gather(1, chosen) >= self.threshold)
+        kept = ~suppress(boxes, self.overlap) & (peak.gather(1, chosen) >= self.threshold)
         return [Detections(boxes[k][kept[k]], scores[k][kept[k]]) for k in range(len(frames))]
 
 

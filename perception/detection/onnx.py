@@ -7,11 +7,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from luxloop.perception.detection.coded import coded
+from luxloop.perception.detection.coded import encode
 from luxloop.perception.detection.onnx_file import by, opened, said
 from luxloop.perception.detection.params import COCO, COCO_CLASSES, OnnxParams
 from luxloop.perception.detection.protocol import Detections
-from luxloop.perception.detection.suppression import suppressed
+from luxloop.perception.detection.suppression import suppress
 from luxloop.perception.detection.yolo import LAYOUTS, Layout, one_a_cell, read
 from luxloop.world.errors import LuxloopError
 from luxloop.world.traffic.tracked import Category
@@ -32,7 +32,7 @@ class OnnxDetector:
         self.classes: tuple[Category, ...] = tuple(dict.fromkeys(self.meaning.values()))
         self._net = opened(params)
         columns, rows = params.input_px
-        out = self._run(coded(torch.linspace(0, 1, columns).expand(rows, columns), params.gamma))
+        out = self._run(encode(torch.linspace(0, 1, columns).expand(rows, columns), params.gamma))
         self._check_classes(out, self._read(out)[1].shape[1])
         one = params.layout == "yolov5" and one_a_cell(out.shape[1], params.input_px) and bool((out[0, :, 4] != 1).any())
         if params.white is None and one:
@@ -52,7 +52,7 @@ class OnnxDetector:
         size = round(width * scale), round(height * scale)
         x, y = (columns - size[0]) // 2, (rows - size[1]) // 2
         picture = np.full((rows, columns), GREY, np.uint8)
-        picture[y : y + size[1], x : x + size[0]] = cv2.resize(coded(frame, params.gamma), size, interpolation=cv2.INTER_AREA)
+        picture[y : y + size[1], x : x + size[0]] = cv2.resize(encode(frame, params.gamma), size, interpolation=cv2.INTER_AREA)
         boxes, scores = self._read(self._run(picture))
         scores = self._ours(scores)
         boxes = (boxes - torch.tensor([x, y, x, y])) / scale
@@ -61,7 +61,7 @@ class OnnxDetector:
         order = best.argsort(descending=True)
         order = order[best[order] >= params.threshold]
         boxes, scores = boxes[order].to(frame.device), scores[order].to(frame.device)
-        kept = ~suppressed(boxes, params.overlap) if len(boxes) else slice(0)
+        kept = ~suppress(boxes, params.overlap) if len(boxes) else slice(0)
         return Detections(boxes[kept], scores[kept])
 
     def _run(self, picture: np.ndarray) -> Tensor:

@@ -15,7 +15,7 @@ def overlaps(boxes: Tensor, others: Tensor) -> Tensor:
     return both / (areas[0][..., :, None] + areas[1][..., None, :] - both).clamp(min=1e-9)
 
 
-def suppressed(boxes: Tensor, overlap: float) -> Tensor:
+def suppress(boxes: Tensor, overlap: float) -> Tensor:
     """Boxes `[..., n, 4]`, by descending score, that overlap one of higher score with an IoU above `overlap`: `[..., n]` bool (Fast NMS,
     Bolya 2019).
 

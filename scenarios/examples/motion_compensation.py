@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from luxloop import Ego, Loss, Observation, ProjectionCommand, SymbolSensor
+from luxloop import Ego, ExtractionStatus, Observation, ProjectionCommand, SymbolSensor
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class MotionCompensation:
         return ProjectionCommand(torch.stack([centre[0], centre[1], roll + R[2, 1], pitch - R[2, 0]]), z=centre[2])
 
     def step(self, state: State, observation: Observation) -> State:
-        if observation.measurement.code != Loss.SEEN:
+        if observation.measurement.code != ExtractionStatus.SEEN:
             return State(self.target, (1 - self.gain) * state.height)
         lit = self.lit(observation)
         if observation.ego and observation.shown.ego:

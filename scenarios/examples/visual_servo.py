@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from luxloop import Ego, Loss, Observation, ProjectionCommand, SymbolSensor
+from luxloop import Ego, ExtractionStatus, Observation, ProjectionCommand, SymbolSensor
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class VisualServo:
         return ProjectionCommand(state.pose)
 
     def step(self, state: State, observation: Observation) -> State:
-        if observation.measurement.code != Loss.SEEN:
+        if observation.measurement.code != ExtractionStatus.SEEN:
             return state
         now = torch.stack([observation.shown.projection.pose, observation.measurement.pose_error]) / self.scale
         J = state.J

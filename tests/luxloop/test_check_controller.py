@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 import luxloop
-from luxloop import Loss, LuxloopError, Observation, ProjectionCommand, SymbolSensor, check_controller
+from luxloop import ExtractionStatus, LuxloopError, Observation, ProjectionCommand, SymbolSensor, check_controller
 from luxloop.loop.studies.contracts.controller import check_in, world
 
 
@@ -34,7 +34,7 @@ class Halfway:
         return ProjectionCommand(state.pose)
 
     def step(self, state: Any, observation: Observation) -> Any:
-        usable = observation.measurement.code == Loss.SEEN
+        usable = observation.measurement.code == ExtractionStatus.SEEN
         return State(torch.where(usable, state.pose - self.share * observation.measurement.pose_error, state.pose), state.steps + 1)
 
 
@@ -83,7 +83,7 @@ class NeedsFrames(Halfway):
 class NeedsSymbol(Halfway):
     def step(self, state: State, observation: Observation) -> State:
         rows = observation.measurement.symbol.sum(1).argmax() if observation.frames is not None else 0
-        return replace(super().step(state, observation), steps=int(rows) + [0][int(observation.measurement.code == Loss.NOTHING)])
+        return replace(super().step(state, observation), steps=int(rows) + [0][observation.measurement.code == ExtractionStatus.NOTHING])
 
 
 class InPlace(Halfway):
@@ -178,7 +178,7 @@ BROKEN: dict[Any, list[str]] = {
     ],
     FarAway: ["x 117 and y 100 m, where no lamp can draw", "subtract a share"],
     Adding: ["moves the symbol away", "subtract a share of observation.measurement.pose_error"],
-    NotANumber: ["in a step without frames", "pose is not finite, [nan, nan, nan, nan]", "observation.measurement.code != Loss.SEEN"],
+    NotANumber: ["in a step without frames", "pose is not finite, [nan, nan, nan, nan]", "measurement.code != ExtractionStatus.SEEN"],
     NoEgo: ["on a car that moves: ", "projection fails at", "'Ego' object is not subscriptable"],
     AlwaysMeasured: ["on a car of which nothing measures attitude and rates", "pose is not finite", "use nan_to_num()"],
     NeedsFrames: ["in a step without frames (observation.frames is None)", "step fails at", "test_check_controller.py, line"],

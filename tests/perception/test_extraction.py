@@ -13,7 +13,7 @@ from torch.nn.functional import avg_pool1d
 
 from luxloop.perception.appearance import appearance, image_axes
 from luxloop.perception.camera import CameraParams, expose, luminance_of
-from luxloop.perception.extraction import Crop, ExtractionParams, Loss, difference, gate, symbol_image, threshold
+from luxloop.perception.extraction import Crop, ExtractionParams, ExtractionStatus, difference, gate, symbol_image, threshold
 from luxloop.perception.noise import FrameNoise
 
 PARAMS = ExtractionParams()
@@ -165,13 +165,13 @@ def test_the_soft_form_passes_gradients_where_the_hard_one_has_none() -> None:
 def test_the_gate_names_its_reason(device: torch.device) -> None:
     expected = torch.tensor(100.0, device=device)
     areas = {
-        0: Loss.NOTHING,
-        7.9: Loss.NOTHING,
-        8.1: Loss.TOO_SMALL,
-        44.9: Loss.TOO_SMALL,
-        45.1: Loss.SEEN,
-        189: Loss.SEEN,
-        191: Loss.TOO_LARGE,
+        0: ExtractionStatus.NOTHING,
+        7.9: ExtractionStatus.NOTHING,
+        8.1: ExtractionStatus.TOO_SMALL,
+        44.9: ExtractionStatus.TOO_SMALL,
+        45.1: ExtractionStatus.SEEN,
+        189: ExtractionStatus.SEEN,
+        191: ExtractionStatus.TOO_LARGE,
     }
     codes = gate(torch.tensor(list(areas), device=device), expected, PARAMS)
     assert codes.dtype == torch.int64
@@ -181,9 +181,9 @@ def test_the_gate_names_its_reason(device: torch.device) -> None:
 
 def test_the_gate_without_expectation() -> None:
     zero = torch.tensor(0.0)
-    assert gate(zero, zero, PARAMS) == Loss.NOTHING
-    assert gate(torch.tensor(5.0), zero, PARAMS) == Loss.TOO_LARGE
-    assert gate(torch.tensor(math.nan), torch.tensor(5.0), PARAMS) == Loss.NOTHING
+    assert gate(zero, zero, PARAMS) == ExtractionStatus.NOTHING
+    assert gate(torch.tensor(5.0), zero, PARAMS) == ExtractionStatus.TOO_LARGE
+    assert gate(torch.tensor(math.nan), torch.tensor(5.0), PARAMS) == ExtractionStatus.NOTHING
 
 
 def test_a_crop_cuts_rows_and_columns() -> None:

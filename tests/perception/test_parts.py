@@ -13,13 +13,13 @@ from luxloop.perception.parts import (
     MISSING,
     USUAL_HEIGHTS_M,
     belonging,
-    completed,
+    complete,
     hiding,
     spread_of,
     standing,
     uncut,
 )
-from luxloop.perception.placing import placed
+from luxloop.perception.placing import place_boxes
 
 VIEW = camera_view(CameraParams(width_px=640, height_px=360, pitch_deg=1.5))
 
@@ -40,7 +40,7 @@ def test_whoever_stands_on_the_road_is_left_alone(x: float, height_m: float) -> 
 @given(st.floats(7, 60), st.floats(0.2, 0.9))
 def test_a_foot_in_the_light_gets_the_least_of_its_class(x: float, height_m: float) -> None:
     found = standing(upright(x, 0.6, height_m), ("pedestrian",), VIEW)
-    size = placed(found, ("pedestrian",), VIEW).size_m[0]
+    size = place_boxes(found, ("pedestrian",), VIEW).size_m[0]
     assert float(size[2]) == pytest.approx(HEIGHTS_M["pedestrian"][0], rel=0.02)  # rows of a camera that looks down
     torch.testing.assert_close(found[:, 3], upright(x, 0.6, height_m)[:, 3])
 
@@ -59,7 +59,7 @@ def test_whoever_is_nearer_than_the_lowest_row_is_placed_by_the_usual_height(x: 
     whole = upright(x, 0.6, USUAL_HEIGHTS_M["pedestrian"])
     assert float(whole[0, 3]) > VIEW.height
     cut = torch.cat([whole[:, :3], torch.tensor([[float(VIEW.height)]]).double()], 1)
-    place = placed(standing(cut, ("pedestrian",), VIEW), ("pedestrian",), VIEW)
+    place = place_boxes(standing(cut, ("pedestrian",), VIEW), ("pedestrian",), VIEW)
     assert float(place.T_world_box[0, 0, 3] - 0.25) == pytest.approx(x, rel=0.05)
     assert float(place.size_m[0, 2]) == pytest.approx(USUAL_HEIGHTS_M["pedestrian"], rel=0.05)
 
@@ -67,7 +67,7 @@ def test_whoever_is_nearer_than_the_lowest_row_is_placed_by_the_usual_height(x: 
 def test_a_car_at_the_lowest_row_is_placed_by_its_usual_width() -> None:
     whole = upright(4.0, 1.8, 1.5)
     cut = torch.cat([whole[:, :3], torch.tensor([[float(VIEW.height)]]).double()], 1)
-    assert float(placed(standing(cut, ("car",), VIEW), ("car",), VIEW).T_world_box[0, 0, 3] - 2.0) == pytest.approx(4.0, rel=0.05)
+    assert float(place_boxes(standing(cut, ("car",), VIEW), ("car",), VIEW).T_world_box[0, 0, 3] - 2.0) == pytest.approx(4.0, rel=0.05)
 
 
 def test_above_the_horizon_boxes_at_most_double() -> None:
@@ -82,7 +82,7 @@ def test_parts_are_completed_and_wholes_are_not() -> None:
     given = torch.tensor([[[105.0, 130, 135, 195]], [[90.0, 150, 110, 210]], [[98.0, 96, 139, 203]]]).double()
     # 30 of 40 px is less than 85 %. Its foot is 5 px higher; of the second the middle is 20 px to the left, where 10 px are needed
     wanted = [[100.0, 100 - 5 * LEANS, 140, 200 - 5 * LEANS], [90 - 10 * LEANS, 110.0, 130 - 10 * LEANS, 210], [98.0, 96, 139, 203]]
-    torch.testing.assert_close(completed(given, expected)[:, 0], torch.tensor(wanted).double())
+    torch.testing.assert_close(complete(given, expected)[:, 0], torch.tensor(wanted).double())
 
 
 def test_what_is_inside_belongs_to_it_unless_it_is_before_what_is_seen_whole() -> None:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from luxloop.perception.camera import CameraParams, camera_view
-from luxloop.perception.placing import FARTHEST_M, LENGTH_M, placed
+from luxloop.perception.placing import FARTHEST_M, LENGTH_M, place_boxes
 from luxloop.world.frames import transform
 from luxloop.world.view import View
 
@@ -29,7 +29,7 @@ def test_what_stands_on_the_road_comes_back(x: float, share: float, width: float
     aside = torch.tensor([-ahead[1], ahead[0], 0.0], dtype=torch.float64)
     up = torch.tensor([0.0, 0.0, height], dtype=torch.float64)
     (u, v), _ = VIEW.project(torch.stack([foot, foot + up, foot + aside * width / 2, foot - aside * width / 2], -1))
-    found = placed(torch.tensor([[u[0] - (u[3] - u[2]) / 2, v[1], u[0] + (u[3] - u[2]) / 2, v[0]]]), ("pedestrian",), VIEW)
+    found = place_boxes(torch.tensor([[u[0] - (u[3] - u[2]) / 2, v[1], u[0] + (u[3] - u[2]) / 2, v[0]]]), ("pedestrian",), VIEW)
     length = LENGTH_M["pedestrian"]
     torch.testing.assert_close(near_side(found.T_world_box[0], found.size_m[0])[:, 0], foot, rtol=1e-5, atol=1e-5)
     assert found.size_m[0, 0] == length
@@ -39,13 +39,13 @@ def test_what_stands_on_the_road_comes_back(x: float, share: float, width: float
 
 
 def test_what_reaches_above_the_horizon_is_far_away() -> None:
-    found = placed(torch.tensor([[300.0, 20.0, 340.0, 60.0]]), ("car",), VIEW)
+    found = place_boxes(torch.tensor([[300.0, 20.0, 340.0, 60.0]]), ("car",), VIEW)
     away = (found.T_world_box[0, :2, 3] - VIEW.origin[:2]).norm()
     assert float(away) == pytest.approx(FARTHEST_M + LENGTH_M["car"] / 2, rel=0.01)  # which is a depth, not a distance
 
 
 def test_boxes_stand_upright_and_look_at_the_camera() -> None:
-    found = placed(torch.tensor([[100.0, 100.0, 140.0, 250.0], [500.0, 150.0, 600.0, 300.0]]), ("car", "sign"), VIEW)
+    found = place_boxes(torch.tensor([[100.0, 100.0, 140.0, 250.0], [500.0, 150.0, 600.0, 300.0]]), ("car", "sign"), VIEW)
     R = found.T_world_box[:, :3, :3]
     torch.testing.assert_close(R @ R.transpose(1, 2), torch.eye(3).double().expand(2, 3, 3))
     torch.testing.assert_close(R[:, :, 2], torch.tensor([0.0, 0, 1]).double().expand(2, 3))
@@ -55,10 +55,10 @@ def test_boxes_stand_upright_and_look_at_the_camera() -> None:
 
 
 def test_no_boxes_are_no_boxes() -> None:
-    found = placed(torch.zeros(0, 4), (), VIEW)
+    found = place_boxes(torch.zeros(0, 4), (), VIEW)
     assert found.T_world_box.shape == (0, 4, 4) and found.size_m.shape == (0, 3)
 
 
 def test_a_camera_on_the_ground_still_places() -> None:
     view: View = camera_view(CameraParams(width_px=640, height_px=360, z_m=0.0))
-    assert bool(placed(torch.tensor([[300.0, 100.0, 340.0, 300.0]]), ("car",), view).T_world_box.isfinite().all())
+    assert bool(place_boxes(torch.tensor([[300.0, 100.0, 340.0, 300.0]]), ("car",), view).T_world_box.isfinite().all())

@@ -9,10 +9,10 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from luxloop.controllers.symbol.heights.luxloop import region_of
+from luxloop.controllers.symbol.heights.height_controller import region_of
+from luxloop.controllers.symbol.heights.height_map import HeightMap
 from luxloop.controllers.symbol.heights.patch import drawn_on
-from luxloop.controllers.symbol.heights.relief import Relief
-from luxloop.controllers.symbol.heights.survey import Survey, SurveyState
+from luxloop.controllers.symbol.heights.structured_light import StructuredLight, StructuredLightState
 from luxloop.controllers.symbol.sensing.planes import HERE, touching
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
@@ -51,7 +51,7 @@ class Feedforward:
         with located("controller"):
             plane = HERE if symbol.target == "appearance" else plane_of(params.road.z, symbol)
             eye = transform(inverse(plane), camera_view(sensor.camera).origin[:, None])[:, 0]
-            relief = relief_of(params.road.z, region_around(sensor), eye, params.offset_m, plane)
+            relief = height_map_of(params.road.z, region_around(sensor), eye, params.offset_m, plane)
         self.drawn = shown_on(relief, sensor, plane)
 
     def start(self, pose: Tensor) -> ProjectionCommand:
@@ -71,7 +71,7 @@ class Feedforward:
 class SurveyedState:
     """survey: what was seen of the patterns. projection: for the road that they told, None before."""
 
-    survey: SurveyState
+    survey: StructuredLightState
     projection: ProjectionCommand | None = None
 
 
@@ -80,7 +80,7 @@ class Surveyed:
 
     def __init__(self, params: FeedforwardParams, sensor: SymbolSensor) -> None:
         self.params, self.sensor = params, sensor
-        self.survey = Survey(sensor, region_around(sensor))
+        self.survey = StructuredLight(sensor, region_around(sensor))
 
     def start(self, pose: Tensor) -> SurveyedState:
         """The first pattern, whatever the pose `[4]`."""
@@ -107,7 +107,7 @@ def region_around(sensor: SymbolSensor) -> Region:
     return region_of(sensor.projector.params, *BEYOND_M)
 
 
-def shown_on(relief: Relief, sensor: SymbolSensor, T_ground_plane: Tensor = HERE) -> ProjectionCommand:
+def shown_on(relief: HeightMap, sensor: SymbolSensor, T_ground_plane: Tensor = HERE) -> ProjectionCommand:
     """The symbol for a road that is known over a plane at `[4, 4]`, from a standing body."""
     symbol = sensor.projector.params
     lamps = torch.stack([module.T_world_headlight[:3, 3] for module in sensor.projector.modules], 1).to(T_ground_plane)
@@ -124,9 +124,9 @@ def plane_of(z: Callable[[Floats, Floats], Floats], symbol: SymbolParams) -> Ten
     return touching(at, slope_x, slope_y, symbol.x_m, symbol.y_m)
 
 
-def relief_of(
+def height_map_of(
     z: Callable[[Floats, Floats], Floats], region: Region, eye: Tensor, offset_m: float = 0.0, T_ground_plane: Tensor = HERE
-) -> Relief:
+) -> HeightMap:
     """A road as an eye at `[3]` m sees it: lines of sight are followed to the first place where they are below the road.
 
     z: its heights in m at x and y in m (`Road.z`). offset_m: added to them. T_ground_plane: `[4, 4]`, the plane in whose frame region and
@@ -155,4 +155,4 @@ def relief_of(
         is_under = under(middle)
         low, high = torch.where(is_under, low, middle), torch.where(is_under, middle, high)
     heights = at(high)[2, 0]
-    return Relief(region, eye.float(), heights.float(), torch.ones(rows, cols))
+    return HeightMap(region, eye.float(), heights.float(), torch.ones(rows, cols))

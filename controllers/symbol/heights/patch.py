@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from luxloop.controllers.symbol.heights.relief import Relief
+from luxloop.controllers.symbol.heights.height_map import HeightMap
 from luxloop.controllers.symbol.sensing.planes import LEAST_HEIGHT_M, below_lamps, holding, placed
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
@@ -20,7 +20,7 @@ HIGHEST_M = 0.2  # of a road: a higher one gets a patch that is fitted to it
 LEAST_DEPTH_M = 0.05  # above and below a fitted patch, where the road is looked for at least
 
 
-def drawn_on(relief: Relief, lamps: Tensor, symbol: SymbolParams, T_body_ground: Tensor, in_place: bool = False) -> ProjectionCommand:
+def drawn_on(relief: HeightMap, lamps: Tensor, symbol: SymbolParams, T_body_ground: Tensor, in_place: bool = False) -> ProjectionCommand:
     """The symbol, on a rectangle on the road, warped such that the eye sees on the relief what it would see on the plane.
 
     lamps: `[m, 3]` m. T_body_ground: `[4, 4]`; relief and lamps are in the ground frame, the projection is in that of the body. The light
@@ -46,7 +46,7 @@ def drawn_on(relief: Relief, lamps: Tensor, symbol: SymbolParams, T_body_ground:
     return ProjectionCommand(*placed(T_body_ground.to(T) @ T), Warp(fine[:, :2], fine[:, 2], size_m))
 
 
-def _patch(relief: Relief, lamps: Tensor, symbol: SymbolParams, in_place: bool) -> tuple[Tensor, tuple[float, float], float]:
+def _patch(relief: HeightMap, lamps: Tensor, symbol: SymbolParams, in_place: bool) -> tuple[Tensor, tuple[float, float], float]:
     """A rectangle that holds the light to all of the symbol: on the plane z = 0, else on the plane that fits the road behind it best.
 
     Returns its pose `[4, 4]`, its length and width, and how far the road is above or below it at most, in m. The plane z = 0 goes first,

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from luxloop.controllers.symbol.heights.height_map import HeightMap
 from luxloop.controllers.symbol.heights.registration import Heights
-from luxloop.controllers.symbol.heights.relief import Relief
 from luxloop.controllers.symbol.sensing.planes import HERE
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.perception.birdseye import Region
@@ -62,9 +62,9 @@ class RoadMap:
     drawn: tuple[Drawn, ...] = ()
     kept: Kept | None = None
 
-    def relief(self) -> Relief:
+    def relief(self) -> HeightMap:
         """The road as the eye sees it."""
-        return Relief(self.region, self.eye, self.heights.mean.view(self.grid), self.brightness.view(self.grid))
+        return HeightMap(self.region, self.eye, self.heights.mean.view(self.grid), self.brightness.view(self.grid))
 
     def bare(self) -> "RoadMap":
         """The road alone, without what came of looking for it: equal to another one where all tensors are the same objects."""
@@ -116,13 +116,13 @@ class RoadMap:
         mean = self.heights.mean if self.heights.informed else base
         return replace(self, heights=replace(self.heights, mean=mean, base=base))
 
-    def relief_from(self, T_before_now: Tensor, eye: Tensor) -> Relief:
+    def relief_from(self, T_before_now: Tensor, eye: Tensor) -> HeightMap:
         """`moved(...).relief()`, without what is known of it."""
         T = T_before_now.to(eye)
         if self._is_seen_so(T, eye):
             return self.relief()
         heights, brightness = self._seen_by(T, eye)
-        return Relief(self.region, eye, heights.view(self.grid), brightness.view(self.grid))
+        return HeightMap(self.region, eye, heights.view(self.grid), brightness.view(self.grid))
 
     def tracks(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Height in m of the road at places `[2, k]` of the ground, and its information in 1/m^2: 0 outside of the region."""

@@ -21,7 +21,7 @@ from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import Observation
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from luxloop.perception.egomotion import Ego
-from luxloop.perception.extraction import Loss
+from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.params import Degrees, Metres
 
 
@@ -135,8 +135,8 @@ class Feedback:
 
     def step(self, state: FeedbackState, observation: Observation) -> FeedbackState:
         """Correct by what was seen; hold while the symbol is lost, show the flat-road primitive after repeated loss."""
-        usable = (observation.measurement.code == Loss.SEEN) & observation.measurement.errors.isfinite().all(-1)
-        lost = ~usable & (observation.measurement.code != Loss.NO_FRAME)
+        usable = (observation.measurement.code == ExtractionStatus.SEEN) & observation.measurement.errors.isfinite().all(-1)
+        lost = ~usable & (observation.measurement.code != ExtractionStatus.NO_FRAME)
         losses = torch.where(usable, 0, state.losses + lost)
         offset = torch.where(usable[..., None], observation.measurement.errors, 0.0)
         if isinstance(self.params, ModelReferenceParams):

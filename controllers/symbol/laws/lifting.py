@@ -9,7 +9,7 @@ from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import Observation, SymbolController
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from luxloop.perception.egomotion import Ego
-from luxloop.perception.extraction import Loss
+from luxloop.perception.extraction import ExtractionStatus
 
 SURE = 0.85  # match with which a road is believed though the symbol is seen as on another; on grades it is above 0.9
 LOSSES = 4  # in a row, after which a shape is given up: more than after which controllers show their target again
@@ -60,9 +60,9 @@ class Lifting:
         moving = observation.ego is not None and not observation.ego.stands
         if observation.measurement.code.dim() or moving:
             return None, 0
-        if observation.measurement.code == Loss.SEEN:
+        if observation.measurement.code == ExtractionStatus.SEEN:
             return self._beyond(state.shape, observation) if observation.measurement.acquired is None else observation.measurement.shape, 0
-        losses = state.losses + int(state.shape is not None and observation.measurement.code != Loss.NO_FRAME)
+        losses = state.losses + int(state.shape is not None and observation.measurement.code != ExtractionStatus.NO_FRAME)
         return (None, 0) if losses == LOSSES else (state.shape, losses)
 
     def _beyond(self, known: Tensor | None, observation: Observation) -> Tensor | None:

@@ -12,7 +12,7 @@ from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import Observation, SymbolController
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from luxloop.perception.egomotion import Ego
-from luxloop.perception.extraction import Loss
+from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.params import Params
 
 
@@ -59,11 +59,11 @@ class Supervising:
 
     def step(self, state: SupervisingState, observation: Observation) -> SupervisingState:
         """Judge what was seen, then step the controller if it is in charge."""
-        if observation.measurement.code == Loss.NO_FRAME:
+        if observation.measurement.code == ExtractionStatus.NO_FRAME:
             return state if state.inner is None else replace(state, inner=self.inner.step(state.inner, observation))
         image = (
             self.alignment.image(observation.measurement)
-            if observation.measurement.code == Loss.SEEN
+            if observation.measurement.code == ExtractionStatus.SEEN
             else torch.zeros_like(self.alignment.target)
         )
         residual = float(self.alignment.residual(image))
@@ -78,7 +78,9 @@ class Supervising:
 
     def _tried(self, residual: float, image: Tensor, state: SupervisingState, observation: Observation) -> SupervisingState:
         """The controller, unless it has failed here before or a registration explains too little, as where something hides the road."""
-        if observation.measurement.code != Loss.SEEN or (state.failed is not None and abs(residual - state.failed) < self.params.changed):
+        if observation.measurement.code != ExtractionStatus.SEEN or (
+            state.failed is not None and abs(residual - state.failed) < self.params.changed
+        ):
             return state
         placement = self.alignment.register(image, "homography+mesh")
         left = float(self.alignment.residual(self.alignment.undone(image, placement)))

@@ -17,7 +17,7 @@ from luxloop.controllers.symbol.laws.stages import StagedParams
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import Observation
 from luxloop.perception.egomotion import Ego
-from luxloop.perception.extraction import Loss
+from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.params import Degrees, Metres, Params
 
 
@@ -112,8 +112,8 @@ class ThesisPid:
         A missing frame says nothing about the symbol: the pose is held and the loss is not counted.
         """
         seen = observation.measurement
-        usable = (seen.code == Loss.SEEN) & seen.pose_error.isfinite().all(-1)
-        lost = ~usable & (seen.code != Loss.NO_FRAME)
+        usable = (seen.code == ExtractionStatus.SEEN) & seen.pose_error.isfinite().all(-1)
+        lost = ~usable & (seen.code != ExtractionStatus.NO_FRAME)
         losses = torch.where(usable, 0, state.losses + lost)
         reset = losses >= self.losses_to_reset
         error = torch.where(usable[..., None], -seen.pose_error, 0.0)  # not NaN, whose gradient would survive the choice below

@@ -12,7 +12,7 @@ from luxloop.controllers.symbol.sensing.projection import CELLS, ProjectionComma
 from luxloop.controllers.symbol.sensing.protocol import Observation, SymbolController
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from luxloop.perception.egomotion import Ego
-from luxloop.perception.extraction import Loss
+from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.params import Params
 
 BEYOND = (0.4, 0.15)  # of the symbol's length and width, by which a warp's rectangle is larger on every side
@@ -59,8 +59,8 @@ class Warping:
 
     def step(self, state: WarpingState, observation: Observation) -> WarpingState:
         """Keep a warp whose symbol lies better than any before, else go half as far; give a lost symbol back to the controller."""
-        lost = observation.measurement.code != Loss.SEEN
-        if state.projection is None or (lost and observation.measurement.code != Loss.NO_FRAME):
+        lost = observation.measurement.code != ExtractionStatus.SEEN
+        if state.projection is None or (lost and observation.measurement.code != ExtractionStatus.NO_FRAME):
             return self._led(state, observation, bool(lost))
         if lost or not observation.shown.projection.shows(state.projection):
             return state

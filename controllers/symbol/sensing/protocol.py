@@ -12,7 +12,7 @@ from luxloop.perception.egomotion import Ego
 
 
 @dataclass(frozen=True)
-class Shown:
+class Projection:
     """What was shown in a step.
 
     projection: of the symbol. lights: utilisations, one a module. ego: the motion with which it was drawn, None for a vehicle that stands.
@@ -34,7 +34,7 @@ class Observation:
 
     measurement: Measurement
     frames: tuple[Tensor, Tensor] | None
-    shown: Shown
+    shown: Projection
     ego: Ego | None = None
 
 

@@ -8,13 +8,13 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.controllers.symbol.sensing.acquisition import Acquired, Acquisition
 from luxloop.controllers.symbol.sensing.flat_model import PAIRED, FlatModel
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import Projector
+from luxloop.controllers.symbol.sensing.relocalisation import Relocalisation, Relocaliser
 from luxloop.perception.appearance import Appearance, errors
 from luxloop.perception.camera import CameraParams
-from luxloop.perception.extraction import Crop, Extraction, Loss, difference, gate, symbol_image, symbol_images, threshold
+from luxloop.perception.extraction import Crop, Extraction, ExtractionStatus, difference, gate, symbol_image, symbol_images, threshold
 
 LIT = 0.5  # of a pixel, that counts as the symbol's
 ENDS = 0.1  # of a footprint's rows, at its near and its far end
@@ -24,13 +24,13 @@ ENDS = 0.1  # of a footprint's rows, at its near and its far end
 class Measurement:
     """One look at the symbol.
 
-    code: `[...]` int64, a `Loss`. errors: `[..., 4]`, e_x, e_y, e_roll, e_pitch in the units of the features, valid where it is seen; seen
-    minus the flat model's target, which is fixed to the body, so that on a body that moves a symbol at its place on the ground has errors
-    as well, which the motion in `Shown` explains. pose_error: `[..., 4]`, the same in m and rad of x, y, roll, pitch, each divided by its
-    plant gain. area_ratio: `[...]`, seen to expected. appearance: five centroids and second moments. symbol: `[..., h, w]` in 0..1, the lit
-    share of each pixel, cut from the camera's image at crop. crop: where that is, px. shape: `[4]` of the road on which it was looked for,
-    see `luxloop.controllers.symbol.sensing.shape`, None for the flat one. acquired: what a search of the whole image found, None where
-    there was no search.
+    code: `[...]` int64, an `ExtractionStatus`. errors: `[..., 4]`, e_x, e_y, e_roll, e_pitch in the units of the features, valid where it
+    is seen; seen minus the flat model's target, which is fixed to the body, so that on a body that moves a symbol at its place on the
+    ground has errors as well, which the motion in `Projection` explains. pose_error: `[..., 4]`, the same in m and rad of x, y, roll,
+    pitch, each divided by its plant gain. area_ratio: `[...]`, seen to expected. appearance: five centroids and second moments. symbol:
+    `[..., h, w]` in 0..1, the lit share of each pixel, cut from the camera's image at crop. crop: where that is, px. shape: `[4]` of the
+    road on which it was looked for, see `luxloop.controllers.symbol.sensing.shape`, None for the flat one. acquired: what a search of the
+    whole image found, None where there was no search.
     """
 
     code: Tensor
@@ -41,7 +41,7 @@ class Measurement:
     symbol: Tensor
     crop: Crop
     shape: Tensor | None = None
-    acquired: Acquired | None = None
+    acquired: Relocalisation | None = None
 
 
 @dataclass(frozen=True)
@@ -59,9 +59,9 @@ class SymbolSensor:
     searches: bool = True
 
     @cached_property
-    def acquisition(self) -> Acquisition:
+    def acquisition(self) -> Relocaliser:
         """Searches whole images."""
-        return Acquisition.prepare(self.projector, self.camera)
+        return Relocaliser.prepare(self.projector, self.camera)
 
     def measure(
         self,
@@ -77,14 +77,14 @@ class SymbolSensor:
         this one. In a batch `[..., height, width]` no lost symbol is searched for.
         """
         if frames is None:
-            return replace(self.lost(projection.pose, Loss.NO_FRAME), shape=shape)
+            return replace(self.lost(projection.pose, ExtractionStatus.NO_FRAME), shape=shape)
         seen = self._expected(frames, projection, lights, shape if projection.shape is None else projection.shape)
         if seen.code.dim() or not self.searches:
             return seen
-        if projection.shape is None and shape is not None and (seen.code != Loss.SEEN or self.at_ends(seen)):
+        if projection.shape is None and shape is not None and (seen.code != ExtractionStatus.SEEN or self.at_ends(seen)):
             flat = self._expected(frames, projection, lights, None)
-            seen = flat if flat.code == Loss.SEEN and not self.at_ends(flat) else seen
-        if seen.code == Loss.SEEN:
+            seen = flat if flat.code == ExtractionStatus.SEEN and not self.at_ends(flat) else seen
+        if seen.code == ExtractionStatus.SEEN:
             return seen
         acquired = self.acquire(frames, lights)
         if not acquired.found:
@@ -94,7 +94,7 @@ class SymbolSensor:
             return replace(seen, acquired=acquired)
         return replace(found, code=torch.zeros_like(found.code), acquired=acquired)
 
-    def acquire(self, frames: tuple[Tensor, Tensor], lights: Sequence[Utilisation]) -> Acquired:
+    def acquire(self, frames: tuple[Tensor, Tensor], lights: Sequence[Utilisation]) -> Relocalisation:
         """Search the whole of on and off frames for lights `[n_p]`, one a module."""
         on, off = frames
         symbol = symbol_image(difference(on, off, self.camera), threshold(off, self.camera, self.params), self.params)
@@ -106,7 +106,7 @@ class SymbolSensor:
         """Look where a road of this shape shows the light."""
         crop = self.projector.footprint(projection, self.model.eye.view, self.params.footprint_margin_m, shape)
         if crop.v_stop - crop.v_start < 2 or crop.u_stop - crop.u_start < 2:
-            return replace(self.lost(projection.pose, Loss.NOTHING), shape=shape)
+            return replace(self.lost(projection.pose, ExtractionStatus.NOTHING), shape=shape)
         on, off = (frame[..., *crop.slices] for frame in frames)
         seen = self.compare(on, off, self.model.contrast(lights, crop), crop)
         if shape is None:
@@ -137,7 +137,7 @@ class SymbolSensor:
         crop = self.projector.footprint(projection, self.model.eye.view, self.params.footprint_margin_m)
         return self.model.eye.features(self.model.eye.look(self.model.symbol(lights, crop), crop))
 
-    def lost(self, pose: Tensor, reason: Loss) -> Measurement:
+    def lost(self, pose: Tensor, reason: ExtractionStatus) -> Measurement:
         """What is seen of poses `[..., 4]` where there is nothing to look at."""
         nan = torch.full_like(pose, torch.nan)
         batch = pose.shape[:-1]

@@ -20,8 +20,8 @@ from luxloop.loop.studies.batch.drawing import Reached, casting, utilisations
 from luxloop.loop.studies.batch.judging import judged
 from luxloop.loop.studies.batch.looking import Scene, Taken, joined, look, rendered
 from luxloop.loop.studies.batch.windows import EMPTY, Windows, hull
-from luxloop.perception.extraction import Crop, Loss
-from luxloop.perception.judge import Verdict
+from luxloop.perception.evaluator import Metrics
+from luxloop.perception.extraction import Crop, ExtractionStatus
 from luxloop.world.errors import LuxloopError
 from luxloop.world.light.illumination import Transport, added_light
 from luxloop.world.process import check_process
@@ -129,7 +129,7 @@ class Copies:
         numbers unrounded, for gradients.
         """
         if light.scene is None:
-            return self.sensor.lost(light.poses, Loss.NOTHING)
+            return self.sensor.lost(light.poses, ExtractionStatus.NOTHING)
         camera = self.simulation.scenario.camera
         return joined([look(self.sensor, light.scene[part], camera, frames[part], quantise) for part in _parts(len(frames))])
 
@@ -139,13 +139,13 @@ class Copies:
             return torch.full_like(light.poses, torch.nan)
         return torch.cat([rendered(self.sensor, light.scene[part]) for part in _parts(len(light.poses))])
 
-    def judged(self, light: Light) -> Verdict:
+    def judged(self, light: Light) -> Metrics:
         """Verdicts `[B]` of the judge."""
         made = self.symbol.judge
         assert made is not None
         corner = light.crop.u_start, light.crop.v_start
         found = [judged(light.added[part], made.plane, made.goal, *corner) for part in _parts(len(light.poses))]
-        return Verdict(*(torch.cat(each) for each in zip(*(vars(each).values() for each in found), strict=True)))
+        return Metrics(*(torch.cat(each) for each in zip(*(vars(each).values() for each in found), strict=True)))
 
     def _one_by_one(self, projection: ProjectionCommand, windows: Windows) -> Light:
         """Where more than a window of the light texture counts: each with all pixels of the lamps, in all footprints."""

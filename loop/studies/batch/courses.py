@@ -9,7 +9,7 @@ from torch import Tensor
 from luxloop.controllers.symbol.laws.lifting import Lifting
 from luxloop.controllers.symbol.sensing.field import cut
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.controllers.symbol.sensing.protocol import Observation, Shown
+from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.controlled import ControlledSymbol
@@ -18,8 +18,8 @@ from luxloop.loop.studies.batch.copies import Copies
 from luxloop.loop.studies.batch.laws import asking, asks, law_of, rows
 from luxloop.loop.studies.batch.looking import Taken, at_ends
 from luxloop.loop.studies.batch.searching import finds_another_road
-from luxloop.perception.extraction import Loss
-from luxloop.perception.judge import Verdict
+from luxloop.perception.evaluator import Metrics
+from luxloop.perception.extraction import ExtractionStatus
 
 Copy = tuple[Scenario, ControlledSymbol]
 
@@ -34,7 +34,7 @@ class Course:
     measurement: Measurement
     cut: Tensor
     sums: Tensor
-    verdict: Verdict | None
+    verdict: Metrics | None
 
 
 @dataclass(frozen=True)
@@ -68,20 +68,20 @@ def course_of(copies: Copies, given: Sequence[Copy]) -> Courses:
         light = copies.show(projection)
         frames = [Taken(each.seed, step, each.disturbances) for each in scenarios]
         seen = copies.measured(light, frames)
-        searched = (seen.code != Loss.SEEN).tolist()
+        searched = (seen.code != ExtractionStatus.SEEN).tolist()
         if lifted and light.scene is not None:
             for k in at_ends(seen, light.scene.windows).nonzero()[:, 0].tolist():
                 searched[k] = searched[k] or k in left or finds_another_road(copies, light, k, frames[k])
         looks.append(_Look(replace(seen, symbol=seen.symbol[:, :0, :0]), searched, copies.rendered(light) if asks(law) else None))
         came = [each[step] for each in plans]
         measurement, features = _gathered(copies, looks, [each[0] for each in came], projection.pose)
-        stepped = asking(law, features).step(state, Observation(measurement, None, Shown(projection, ())))
+        stepped = asking(law, features).step(state, Observation(measurement, None, Projection(projection, ())))
         for turn in range(1, max(map(len, came))):  # of cameras whose latency varies, several may come at once
             at = [each[turn] if turn < len(each) else None for each in came]
             later, features = _gathered(copies, looks, at, projection.pose)
             there = torch.tensor([turn < len(each) for each in came], device=target.device)
             measurement = rows(there, later, measurement)
-            stepped = rows(there, asking(law, features).step(stepped, Observation(later, None, Shown(projection, ()))), stepped)
+            stepped = rows(there, asking(law, features).step(stepped, Observation(later, None, Projection(projection, ()))), stepped)
         state = stepped
         left |= {k for k, each in enumerate(came) for of in each if of is not None and looks[of].searched[k]}
         verdict = copies.judged(light) if like.judge_every and step % like.judge_every == 0 else None
@@ -91,7 +91,7 @@ def course_of(copies: Copies, given: Sequence[Copy]) -> Courses:
 
 def _gathered(copies: Copies, looks: Sequence[_Look], at: Sequence[Arrival], pose: Tensor) -> tuple[Measurement, Tensor | None]:
     """What the frames of some step of each copy show, and `_Look.features`; lost where there are none."""
-    lost = copies.sensor.lost(pose, Loss.NO_FRAME)
+    lost = copies.sensor.lost(pose, ExtractionStatus.NO_FRAME)
     steps = [each for each in dict.fromkeys(at) if each is not None]
     found = lost, None if looks[-1].features is None else torch.full_like(pose, torch.nan)
     for each in steps:

@@ -9,7 +9,7 @@ from torch.nn.functional import grid_sample
 
 from luxloop.controllers.pixels.map_products import light_of
 from luxloop.controllers.pixels.primitives import U_ABS, Primitives
-from luxloop.controllers.pixels.rthc import GRAZING, Casting
+from luxloop.controllers.pixels.rthc import GRAZING, RayBatch
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.controllers.pixels.windowed import WindowedSsc
 from luxloop.controllers.pixels.windows import Window, banded
@@ -20,7 +20,7 @@ from luxloop.world.spmv import Csr, multiply, numbers, row_of_entries
 AROUND_TEXELS = 32  # by which a window that is kept reaches beyond what was asked for, since poses move on
 
 
-def casting(controller: Ssc, primitives: Primitives, T_world_headlight: Tensor) -> Casting:
+def casting(controller: Ssc, primitives: Primitives, T_world_headlight: Tensor) -> RayBatch:
     """Rays to cast at one primitive in B places `[B, 1]`: at B primitives of one scene, painted apart so that none hides another."""
     count = len(primitives.origin)
     each = replace(
@@ -67,14 +67,14 @@ class Reached:
         return transport.onto(crop.slices, self.width, self.drawn.pixels)
 
 
-def utilisations(drawn: WindowedSsc, rays: Casting) -> Iterator[Tensor]:
+def utilisations(drawn: WindowedSsc, rays: RayBatch) -> Iterator[Tensor]:
     """Utilisation `[m]` of the pixels for each of the primitives, as `WindowedSsc.utilisation` of one."""
     images = _sampled(drawn, rays) if _plain(drawn, rays) else _painted(drawn, rays)
     for image in images:
         yield multiply(drawn.weight, image.flatten()).clamp(0, 1)
 
 
-def _painted(drawn: WindowedSsc, rays: Casting) -> Iterator[Tensor]:
+def _painted(drawn: WindowedSsc, rays: RayBatch) -> Iterator[Tensor]:
     """Setpoints `[rows, cols]` of the window for each of the primitives, by rays of any kind, and with gradients."""
     height, width = (each.stop - each.start for each in drawn.window.slices)
     strokes = rays.strokes()
@@ -86,7 +86,7 @@ def _painted(drawn: WindowedSsc, rays: Casting) -> Iterator[Tensor]:
         yield image
 
 
-def _plain(drawn: WindowedSsc, rays: Casting) -> bool:
+def _plain(drawn: WindowedSsc, rays: RayBatch) -> bool:
     """Whether the setpoints are samples of one image, all seen from the front, without gradients."""
     primitives = rays.primitives
     image = primitives.image_of(0)
@@ -95,7 +95,7 @@ def _plain(drawn: WindowedSsc, rays: Casting) -> bool:
     return sampled and absolute and None not in rays.front and True not in rays.is_mask and not primitives.origin.requires_grad
 
 
-def _sampled(drawn: WindowedSsc, rays: Casting) -> Iterator[Tensor]:
+def _sampled(drawn: WindowedSsc, rays: RayBatch) -> Iterator[Tensor]:
     """The same in few passes over bands of rows, each no wider than the primitive is there. One image is given again and again."""
     grid, primitives, window = rays.grid, rays.primitives, drawn.window
     y, z = grid.tangents(primitives.origin.dtype, primitives.origin.device)

@@ -1,5 +1,5 @@
-"""`luxloop.perception.judge.judge` of many images at once, with fewer passes over them: the places in the image, and what is known of the
-target, are the same for all.
+"""`luxloop.perception.evaluator.evaluate` of many images at once, with fewer passes over them: the places in the image, and what is known
+of the target, are the same for all.
 """
 
 import torch
@@ -8,11 +8,11 @@ from torch.nn.functional import avg_pool2d, grid_sample, pad
 
 from luxloop.perception.appearance import appearance
 from luxloop.perception.birdseye import BirdsEye, span
-from luxloop.perception.judge import SSIM_RADIUS, THRESHOLD, Target, Verdict, around, hull
+from luxloop.perception.evaluator import SSIM_RADIUS, THRESHOLD, Metrics, Target, around, hull
 from luxloop.perception.metrics import gaussian
 
 
-def judged(luminance: Tensor, view: BirdsEye, goal: Target, u_start: int, v_start: int) -> Verdict:
+def judged(luminance: Tensor, view: BirdsEye, goal: Target, u_start: int, v_start: int) -> Metrics:
     """Verdicts `[B]` on luminances `[B, h, w]` in cd/m^2 of a crop of the image that starts at (u_start, v_start) px; the rest of the
     image is dark.
     """
@@ -30,7 +30,7 @@ def judged(luminance: Tensor, view: BirdsEye, goal: Target, u_start: int, v_star
     both, either = mask.flatten(1) @ wanted.flatten(), mask.sum((1, 2)) + wanted.sum()  # numbers of cells, which are exact
     similarity = _similarity(_in_pairs(plane, goal), _in_pairs(expected, goal))
     share = similarity[0].numel() / (goal.mask.shape[0] // 2 * (goal.mask.shape[1] // 2))
-    return Verdict(
+    return Metrics(
         -100 * offset.flip(-1) / size,
         torch.where(either > both, both / (either - both).clamp(min=1), 1.0),
         1 - share * (1 - similarity.mean((1, 2))),

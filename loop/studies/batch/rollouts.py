@@ -11,14 +11,14 @@ from torch import Tensor
 from luxloop.controllers.symbol.laws.lifting import Lifting
 from luxloop.controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.controllers.symbol.sensing.protocol import Observation, Shown
+from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.loop.simulation.result import Rollout
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.batch import copies
 from luxloop.loop.studies.batch.copies import Copies
 from luxloop.loop.studies.batch.looking import Taken
-from luxloop.perception.extraction import Loss
+from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError, did_you_mean
 
 # Keys of thesis_pid that are tensors in its law: the gains' field, which of the loops x, y, roll, pitch, and the key's unit in theirs.
@@ -85,9 +85,9 @@ def loops(simulation: Simulation, values: dict[str, Tensor], look: Callable[[Ten
     for step in range(simulation.scenario.steps):
         pose = controller.projection(state, None).pose
         looks.append(look(pose, step))
-        seen = looks[step - late] if step >= late else simulation.symbol.sensor.lost(pose, Loss.NO_FRAME)
-        state = controller.step(state, Observation(seen, None, Shown(ProjectionCommand(pose), ())))
-        usable = (seen.code == Loss.SEEN) & seen.pose_error.isfinite().all(-1)
+        seen = looks[step - late] if step >= late else simulation.symbol.sensor.lost(pose, ExtractionStatus.NO_FRAME)
+        state = controller.step(state, Observation(seen, None, Projection(ProjectionCommand(pose), ())))
+        usable = (seen.code == ExtractionStatus.SEEN) & seen.pose_error.isfinite().all(-1)
         rows.append((pose, torch.where(usable[:, None], seen.pose_error, 0.0), usable))
     return Rollout(*(torch.stack(column, 1) for column in zip(*rows, strict=True)))
 

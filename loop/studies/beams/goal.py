@@ -12,7 +12,7 @@ from torch import Tensor
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.simulation.world import LitScene
 from luxloop.perception.camera import expose, luminance_of, noise_std
-from luxloop.perception.detection.network import Network, NetworkDetector, boxes_of, middles, prepared
+from luxloop.perception.detection.network import Network, NetworkDetector, boxes_of, middles, network_input
 from luxloop.perception.detection.protocol import Detector
 from luxloop.perception.detection.suppression import SAME, overlaps
 from luxloop.perception.noise import FrameNoise
@@ -114,7 +114,7 @@ class BeamJudge:
 
     def _likeliest(self, network: Network, frame: Tensor) -> Tensor:
         """The confidence before suppression, differentiable: the best score of cells whose boxes lie on an object."""
-        logits, sides = network(prepared(frame[None]))
+        logits, sides = network(network_input(frame[None]))
         scores = logits[0].flatten(1).sigmoid()
         boxes = boxes_of(sides)[0].flatten(1).T.detach().double().cpu()
         shows = overlaps(self.boxes, boxes) >= SAME

@@ -17,7 +17,7 @@ from luxloop.loop.simulation.controlled import ControlledSymbol, Frames
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.contracts.values import check_calls, check_state, check_tensor, name_of, pure
 from luxloop.perception.egomotion import Ego, Sample, Samples, Sensor, ego_of
-from luxloop.perception.extraction import Loss
+from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError, located
 from luxloop.world.plugin import Guarded, check_methods, made
 
@@ -79,8 +79,8 @@ def check_in(simulation: Simulation, controller: type, options: Mapping[str, Any
     watched = replace(simulation, controlled={"symbol": replace(symbol, controller=Watched(own, symbol))})
     seen = [result.symbol.measurement for result in watched.run()]
     first, last = (math.hypot(*each.pose_error[:2].tolist()) for each in (seen[0], seen[-1]))
-    if seen[-1].code != Loss.SEEN or last > AWAY * first:
-        end = f"it is {last:.2g} m away" if seen[-1].code == Loss.SEEN else "it is not seen any more"
+    if seen[-1].code != ExtractionStatus.SEEN or last > AWAY * first:
+        end = f"it is {last:.2g} m away" if seen[-1].code == ExtractionStatus.SEEN else "it is not seen any more"
         raise LuxloopError(
             f"{KEY}: {name}: step moves the symbol away from its target: at first it was {first:.2g} m away, after {len(seen)} steps "
             f"{end}; {REMEDY}"

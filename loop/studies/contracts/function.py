@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
-from luxloop.controllers.functions.own import KEY, CheckedAdaptive, CheckedFunction, OwnFunction, checked, function_of
+from luxloop.controllers.functions.own import KEY, CheckedAdaptive, CheckedFunction, OwnFunction, check_primitives, function_of
 from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.situation import Situation
 from luxloop.loop.run import prepare
@@ -98,7 +98,7 @@ class WatchedFunction:
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """The function's primitives."""
-        return _twice(lambda now: checked(pure(self.own, "primitives", {"now": now}, "primitives"), self.own, "primitives"), now)
+        return _twice(lambda now: check_primitives(pure(self.own, "primitives", {"now": now}, "primitives"), self.own, "primitives"), now)
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class WatchedAdaptive:
     def adapted(self, state: Any, now: Situation) -> tuple[Primitives, ...]:
         """The function's primitives."""
         own = self.own
-        return _twice(lambda now: checked(pure(own, "adapted", {"state": state, "now": now}, "primitives"), own, "adapted"), now)
+        return _twice(lambda now: check_primitives(pure(own, "adapted", {"state": state, "now": now}, "primitives"), own, "adapted"), now)
 
     def base_share(self, state: Any) -> float | None:
         """The share of the base beam that the function asks for."""

@@ -85,7 +85,8 @@ def check_tensor(value: Any, like: Tensor, shape: tuple[int, ...], what: str) ->
     if not value.isfinite().all():
         raise LuxloopError(
             f"{what} is not finite, {_shown(value)}; errors are NaN where the symbol is not seen: leave the state as it is where "
-            "observation.measurement.code != Loss.SEEN; attitude and rates of an Ego are NaN where they are not measured: use nan_to_num()"
+            "observation.measurement.code != ExtractionStatus.SEEN; attitude and rates of an Ego are NaN where they are not measured: "
+            "use nan_to_num()"
         )
 
 

@@ -21,7 +21,7 @@ from luxloop.loop.simulation.simulated import as_simulated
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.environment.acting import ACTIONS
 from luxloop.loop.studies.environment.task import Floats, Look, action_of, as_gymnasium, bounds, observation, reward
-from luxloop.perception.extraction import Loss
+from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError, did_you_mean
 
 FPS = 10
@@ -39,7 +39,7 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
     | 2, 3 | its roll, pitch | rad | right side down, nose down | range of the controller |
     | 4, 5 | measured error of x, y, 0 if the symbol is lost | m | too far, too far left | 20, 10 |
     | 6, 7 | measured error of roll, pitch | rad | as 2, 3 | 0.5 |
-    | 8 to 13 | one-hot `luxloop.Loss`, at 8 if the symbol is seen | 1 | | 0 to 1 |
+    | 8 to 13 | one-hot `luxloop.ExtractionStatus`, at 8 if the symbol is seen | 1 | | 0 to 1 |
     | 14 | measured area over expected area | 1 | | 0 to 4 |
     | 15, 16 | speed, yaw rate of the car | m/s, rad/s | ahead, to the left | 100, 3 |
 
@@ -171,7 +171,7 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
         ((_, held),) = self._state.held.items()
         ego = self.simulation.ego(self._state.samples, self._state.arrivals.time_s)
         if seen is None:
-            seen = self.simulation.symbol.sensor.lost(self.acting.projection(held.controller, ego).pose, Loss.NO_FRAME)
+            seen = self.simulation.symbol.sensor.lost(self.acting.projection(held.controller, ego).pose, ExtractionStatus.NO_FRAME)
         look = Look.of(seen, self.image)
         return as_gymnasium(observation(self.acting.observed(held.controller), look, ego), look)
 

@@ -12,8 +12,8 @@ from torch.nn.functional import interpolate
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.loop.studies.environment.acting import Acting
 from luxloop.perception.egomotion import Ego
-from luxloop.perception.extraction import Loss
-from luxloop.perception.judge import Verdict
+from luxloop.perception.evaluator import Metrics
+from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError
 
 Floats = npt.NDArray[np.float32]
@@ -45,7 +45,7 @@ def action_of(given: Any, shape: tuple[int, ...]) -> Tensor:
     return taken.clamp(-1, 1)
 
 
-def reward(verdict: Verdict, action: Tensor) -> Reward:
+def reward(verdict: Metrics, action: Tensor) -> Reward:
     """Reward of an action `[..., n]`. verdict: of the judge on the light that follows it."""
     away = (verdict.centroid_percent / 100).norm(dim=-1).nan_to_num(1.0).clamp(max=1.0)
     terms = {
@@ -59,8 +59,8 @@ def reward(verdict: Verdict, action: Tensor) -> Reward:
 def bounds(acting: Acting) -> tuple[Floats, Floats]:
     """Smallest and largest values of an observation, `[n]` each."""
     low, high = (each.cpu().tolist() for each in acting.limits)
-    least = [*low, *(-each for each in ERRORS), *[0.0] * len(Loss), 0.0, 0.0, -MOTION[1]]
-    most = [*high, *ERRORS, *[1.0] * len(Loss), AREA, *MOTION]
+    least = [*low, *(-each for each in ERRORS), *[0.0] * len(ExtractionStatus), 0.0, 0.0, -MOTION[1]]
+    most = [*high, *ERRORS, *[1.0] * len(ExtractionStatus), AREA, *MOTION]
     return np.array(least, np.float32), np.array(most, np.float32)
 
 
@@ -68,8 +68,8 @@ def bounds(acting: Acting) -> tuple[Floats, Floats]:
 class Look:
     """The observed part of a measurement of the newest frames.
 
-    code: `[...]` int64, a `Loss`. pose_error: `[..., 4]` m, m, rad, rad, 0 if the symbol is lost. area_ratio: `[...]`, measured over
-    expected. image: `[..., h, w]` uint8, the extracted symbol, scaled; None if observations have no image.
+    code: `[...]` int64, an `ExtractionStatus`. pose_error: `[..., 4]` m, m, rad, rad, 0 if the symbol is lost. area_ratio: `[...]`,
+    measured over expected. image: `[..., h, w]` uint8, the extracted symbol, scaled; None if observations have no image.
     """
 
     code: Tensor
@@ -80,7 +80,7 @@ class Look:
     @classmethod
     def of(cls, seen: Measurement, size: tuple[int, int] | None) -> "Look":
         """The observed part of `seen`. size: rows and columns of the image, None for no image."""
-        usable = (seen.code == Loss.SEEN) & seen.pose_error.isfinite().all(-1)
+        usable = (seen.code == ExtractionStatus.SEEN) & seen.pose_error.isfinite().all(-1)
         most = seen.pose_error.new_tensor(ERRORS)
         errors = torch.where(usable[..., None], seen.pose_error, 0.0).clamp(-most, most)
         area = torch.where(usable, seen.area_ratio, 0.0).nan_to_num(0.0).clamp(0, AREA)
@@ -89,7 +89,7 @@ class Look:
 
 def observation(state: Tensor, look: Look, ego: Ego | None) -> Tensor:
     """Observation `[..., n]`, see `SymbolEnv`. state: `[..., k]`, observed part of an `Acting`'s state. ego: None for a standing car."""
-    codes = torch.nn.functional.one_hot(look.code, len(Loss)).to(state)
+    codes = torch.nn.functional.one_hot(look.code, len(ExtractionStatus)).to(state)
     moving = state.new_zeros(2) if ego is None or ego.stands else torch.stack([ego.speed_m_s, ego.yaw_rate_rad_s]).to(state)
     motion = moving.clamp(state.new_tensor([0.0, -MOTION[1]]), state.new_tensor(MOTION)).expand(*state.shape[:-1], 2)
     return torch.cat([state, look.pose_error, codes, look.area_ratio[..., None], motion], -1)

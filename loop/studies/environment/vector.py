@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.controllers.symbol.sensing.protocol import Observation, Shown
+from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.simulated import as_simulated
@@ -24,8 +24,8 @@ from luxloop.loop.studies.batch.laws import rows
 from luxloop.loop.studies.batch.looking import Taken
 from luxloop.loop.studies.environment.single import SEEDS, SymbolEnv, start_of
 from luxloop.loop.studies.environment.task import Floats, Look, Reward, action_of, as_gymnasium, observation, reward
-from luxloop.perception.extraction import Loss
-from luxloop.perception.judge import Verdict
+from luxloop.perception.evaluator import Metrics
+from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError
 
 Mask = npt.NDArray[np.bool_]
@@ -122,7 +122,7 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
             self._over, observed = np.zeros(self.num_envs, bool), self._observed()
         return observed, rewards, np.zeros(self.num_envs, bool), truncated, infos
 
-    def _stepped(self, actions: Tensor) -> tuple[Reward, Verdict]:
+    def _stepped(self, actions: Tensor) -> tuple[Reward, Metrics]:
         """One step of all copies."""
         self._state = self.acting.act(self._state, actions)
         pose = self.acting.projection(self._state, None).pose
@@ -134,7 +134,7 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
             came = torch.from_numpy((self._age >= self.late) & ~self._lost()).to(pose.device)
             self._seen = rows(came, self._looks.pop(0), self._nothing_seen())
         seen = replace(self._unseen(pose), code=self._seen.code, pose_error=self._seen.pose_error)
-        self._state = self.acting.step(self._state, Observation(seen, None, Shown(ProjectionCommand(pose), ())))
+        self._state = self.acting.step(self._state, Observation(seen, None, Projection(ProjectionCommand(pose), ())))
         self._age = self._age + 1
         verdict = self.copies.judged(light)
         return reward(verdict, actions), verdict
@@ -152,7 +152,7 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
         return Look.of(self._unseen(self.acting.projection(self._state, None).pose), self.image)
 
     def _unseen(self, pose: Tensor) -> Measurement:
-        return self.copies.symbol.sensor.lost(pose, Loss.NO_FRAME)
+        return self.copies.symbol.sensor.lost(pose, ExtractionStatus.NO_FRAME)
 
     def _begin_anew(self, which: Mask) -> None:
         symbol = self.copies.symbol
@@ -171,7 +171,7 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
         return as_gymnasium(observation(self.acting.observed(self._state), self._seen, None), self._seen)
 
 
-def _infos(found: Reward, verdict: Verdict, there: Mask) -> dict[str, Any]:
+def _infos(found: Reward, verdict: Metrics, there: Mask) -> dict[str, Any]:
     """Infos of the copies that took a step, in Gymnasium's layout for vector environments: arrays, and masks of these copies."""
     tables = {"terms": found.terms, "verdict": vars(verdict)}
     told = {name: {key: value.cpu().numpy() for key, value in table.items()} for name, table in tables.items()}

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from luxloop.controllers.jpo.mae import least_error
-from luxloop.controllers.jpo.part import wanted
+from luxloop.controllers.jpo.part import pixel_goal
 from luxloop.controllers.pixels.mrpc_tuning import OPTIONS, THESIS, Part, TextureControl, Trial, part, tune
 from luxloop.perception.metrics import dssim, mae, mare, rmse
 from luxloop.world.beams.rectangles import Rectangle
@@ -83,7 +83,7 @@ def sensitivity_row(name: str, a_m: float | None, a_r: float, shape: Any, thresh
 def joint_optimum(part: Part) -> tuple[Tensor, float]:
     """Utilisations `[n]` of the least MAE (T 3.5.2, 8.4), and the share by which the true minimum may be lower."""
     light = part.headlight
-    found = least_error(light.matrix, wanted(light, part.wanted), gap=GAP)
+    found = least_error(light.matrix, pixel_goal(light, part.wanted), gap=GAP)
     return found.u, float((found.error - found.bound) / found.error)
 
 

@@ -12,7 +12,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from luxloop.loop.studies.training.examples import Examples
 from luxloop.loop.studies.training.scenes import CLASSES
-from luxloop.perception.detection.network import Network, boxes_of, prepared
+from luxloop.perception.detection.network import Network, boxes_of, network_input
 
 BATCH = 8  # scenes, each in two lights
 RATE = 4e-3
@@ -39,7 +39,7 @@ def fit(rows: Sequence[dict[str, Any]], steps: int, seed: int, on_step: Callable
             examples, coming = coming.result(), ahead.submit(Examples.drawn, rows, BATCH, rng)
             # half the precision and twice the speed on processors that support it
             with torch.autocast("cpu", torch.bfloat16):
-                logits, sides = network(prepared(examples.frames))
+                logits, sides = network(network_input(examples.frames))
             logits = logits.float()
             loss = (
                 heat_loss(logits, examples) + BOX_WEIGHT * box_loss(sides.float(), examples) + AGREE_WEIGHT * agree_loss(logits, examples)

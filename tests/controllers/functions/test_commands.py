@@ -8,7 +8,7 @@ import pytest
 import torch
 from pydantic import ValidationError
 
-from luxloop.controllers.functions.commands import Given, composed
+from luxloop.controllers.functions.commands import FunctionCommands, compose
 from luxloop.controllers.functions.planner import LightingParams, Planner
 from luxloop.controllers.situation import Situation
 from luxloop.world.headlight.lamp import ModuleCommand
@@ -40,7 +40,7 @@ def now(time_s: float = 0.0, **known: Any) -> Situation:
 
 
 def commands(given: Any, *modules: Part) -> tuple[ModuleCommand, ...]:
-    return composed(given.values(), modules or BOTH)
+    return compose(given.values(), modules or BOTH)
 
 
 def test_bending_swivels_to_where_the_course_is_met_and_leaves_what_cannot() -> None:
@@ -101,8 +101,8 @@ def test_dimming_follows_its_entries_where_it_is_active() -> None:
 
 def test_turns_add_up_within_the_range_and_intensities_multiply() -> None:
     given = {
-        "a": Given(0.0, tuple((part.name, ModuleCommand(10.0, -0.75, 0.5)) for part in BOTH)),
-        "b": Given(0.0, ((FREE.name, ModuleCommand(8.0, -0.5, 0.5)), (FIXED.name, ModuleCommand(1.0, 1.0, 0.8)))),
+        "a": FunctionCommands(0.0, tuple((part.name, ModuleCommand(10.0, -0.75, 0.5)) for part in BOTH)),
+        "b": FunctionCommands(0.0, ((FREE.name, ModuleCommand(8.0, -0.5, 0.5)), (FIXED.name, ModuleCommand(1.0, 1.0, 0.8)))),
     }
     assert commands(given) == (ModuleCommand(15.0, -1.0, 0.25), ModuleCommand(0.0, 0.0, 0.4))
     assert commands(dict(reversed(given.items()))) == commands(given), "in any order"

@@ -19,7 +19,7 @@ from luxloop.controllers.functions.sign import SignParams
 from luxloop.controllers.functions.symbol import SymbolFunctionParams
 from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.pixels.ssc import Ssc
-from luxloop.controllers.situation import Drawn, Situation, TrackedObject, fade
+from luxloop.controllers.situation import DrawingParams, Situation, TrackedObject, fade
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees, transform
 from luxloop.world.params import Params
@@ -83,7 +83,7 @@ def test_a_body_is_lit_up_to_a_share_of_its_height() -> None:
 @pytest.mark.parametrize(
     ("kind", "given"), [(MarkerParams, {"target": "body"}), (MarkerParams, {"surround_m": 0.5}), (SymbolFunctionParams, {"image": "a"})]
 )
-def test_while_what_blinks_is_off_it_does_not_darken_the_beam(kind: type[Drawn], given: dict[str, object]) -> None:
+def test_while_what_blinks_is_off_it_does_not_darken_the_beam(kind: type[DrawingParams], given: dict[str, object]) -> None:
     blinking = kind(animation={"kind": "blinking", "rate_hz": 1.0}, **given)
     still = kind(**given)
     assert len(blinking.primitives(now(PERSON, time_s=2.4))) == len(still.primitives(now(PERSON, time_s=2.6))) > 0

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from luxloop.controllers.jpo.plane import Raster, granted, lighting
+from luxloop.controllers.jpo.plane import Raster, fit_plane, lighting
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import inverse, pose_from_degrees, transform
 from luxloop.world.headlight import Headlight
@@ -34,10 +34,10 @@ def test_cells_have_the_light_of_their_points_and_it_is_found_again(lights: tupl
     wanted = of_points.sum(0).view(points.shape[1:]).mean(0)
     everywhere = torch.ones(64 * 32, dtype=torch.bool)
     now = list(zip(lights, POSES, u, strict=True))
-    same = granted(now, RASTER, wanted.float(), everywhere, iterations=0)
+    same = fit_plane(now, RASTER, wanted.float(), everywhere, iterations=0)
     assert (same.lx - wanted).abs().mean() < 0.05 * wanted.mean()  # borders of pixels are sharper than texels
     dark = [(light, pose, torch.where(chosen, 0.0, each)) for (light, pose, each), chosen in zip(now, same.chosen, strict=True)]
-    found = granted(dark, RASTER, same.lx, everywhere, iterations=3000)
+    found = fit_plane(dark, RASTER, same.lx, everywhere, iterations=3000)
     assert all(chosen.any() for chosen in found.chosen)
     assert (found.lx - same.lx).square().mean().sqrt() < 0.01 * same.lx.mean()  # in 255 steps
 
@@ -54,7 +54,7 @@ def test_cells_of_a_wall_have_the_light_of_their_points(lights: tuple[Headlight,
         wanted += light.intensity(light.light_texture(each), transform(inverse(pose), points).float()) * away[0] / away.norm(dim=0) ** 3
     cells = wanted.view(9, -1).mean(0)
     now = [(light, inverse(T_body_wall) @ pose, each) for light, pose, each in zip(lights, POSES, u, strict=True)]
-    given = granted(now, raster, cells.float(), torch.ones(40 * 300, dtype=torch.bool), iterations=0)
+    given = fit_plane(now, raster, cells.float(), torch.ones(40 * 300, dtype=torch.bool), iterations=0)
     assert (given.lx - cells).abs().mean() < 0.02 * cells.mean()  # of 3 x 3 points in place of a mean by area
     assert (given.lx - cells).abs().max() < 0.2 * cells.max()  # at sharp borders of pixels
     assert torch.unravel_index(given.lx.argmax(), (40, 300))[0] in range(4, 24)  # upwards: the brightest lies about the lamps' height
@@ -64,17 +64,17 @@ def test_pixels_that_light_nothing_of_it_keep_their_light(lights: tuple[Headligh
     where = torch.zeros(64, 32, dtype=torch.bool)
     where[20:30, 14:18] = True
     now = [(light, pose, torch.full((light.n_pixels,), 0.3)) for light, pose in zip(lights, POSES, strict=True)]
-    dark = granted(now, RASTER, torch.zeros(64 * 32), where.flatten())
+    dark = fit_plane(now, RASTER, torch.zeros(64 * 32), where.flatten())
     for u, chosen in zip(dark.u, dark.chosen, strict=True):
         assert 0 < chosen.sum() < 84 and (u[~chosen] == 0.3).all()
-    same = granted(now, RASTER, torch.zeros(64 * 32), where.flatten(), iterations=0)
+    same = fit_plane(now, RASTER, torch.zeros(64 * 32), where.flatten(), iterations=0)
     assert dark.lx[where.flatten()].mean() < 0.5 * same.lx[where.flatten()].mean()  # the light beside it shall stay as well
 
 
 def test_where_no_lamp_shines_nothing_can_be_had(lights: tuple[Headlight, Headlight]) -> None:
     behind = Raster(-20.0, -10.0, -5.0, 5.0, 4, 4)
     with pytest.raises(LuxloopError, match="no pixel lights the place"):
-        granted([(lights[0], POSES[0], torch.zeros(84))], behind, torch.ones(16), torch.ones(16, dtype=torch.bool))
+        fit_plane([(lights[0], POSES[0], torch.zeros(84))], behind, torch.ones(16), torch.ones(16, dtype=torch.bool))
 
 
 @pytest.mark.parametrize("name", ["hd84", "idealised-332x1024"])

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog, lsq_linear
 
 from luxloop.controllers.jpo.mae import least_error
-from luxloop.controllers.jpo.part import Wanted, every_nth_column, submatrix, wanted
+from luxloop.controllers.jpo.part import PixelGoal, every_nth_column, pixel_goal, submatrix
 from luxloop.controllers.jpo.squares import MoorePenrose, least_squares
 from luxloop.perception.metrics import mae, rmse
 from luxloop.world.beams.rectangles import RECTANGLES, Rectangle
@@ -31,14 +31,14 @@ def headlight_of(A: np.ndarray, rows: int = 1) -> Headlight:
     return Headlight(**asdict(grid), name="made up", matrix=matrix, pixel_rows=1, pixel_cols=matrix.n_cols)
 
 
-def random_problem(seed: int, n_t: int = 40, n_p: int = 12) -> tuple[Headlight, Wanted]:
+def random_problem(seed: int, n_t: int = 40, n_p: int = 12) -> tuple[Headlight, PixelGoal]:
     """A lamp of a few overlapping pixels, weights from 0 on, and setpoints some of which are dark and some out of reach."""
     rng = np.random.default_rng(seed)
     A = rng.uniform(0.1, 2.0, (n_t, n_p)) * (rng.random((n_t, n_p)) < 0.3)
     target = rng.uniform(0, 2, n_t) * (rng.random(n_t) < 0.6)
     weight = rng.uniform(0, 2, n_t) * (rng.random(n_t) < 0.9)
     light = headlight_of(A)
-    return light, wanted(light, torch.from_numpy(target)[None], torch.from_numpy(weight)[None])
+    return light, pixel_goal(light, torch.from_numpy(target)[None], torch.from_numpy(weight)[None])
 
 
 def linear_programme(A: sp.csr_matrix, target: np.ndarray, weight: np.ndarray) -> float:
@@ -58,7 +58,7 @@ def linear_programme(A: sp.csr_matrix, target: np.ndarray, weight: np.ndarray) -
 def test_the_check_values_of_one_pixel() -> None:
     light = headlight_of(np.array([[0.13], [0.35], [0.95], [1.3]]))
     texture = torch.tensor([[0.0, 0.0, 1.0, 1.0]], dtype=torch.float64)
-    goal = wanted(light, texture)
+    goal = pixel_goal(light, texture)
     found = least_error(light.matrix, goal, gap=1e-6)
     assert float(found.u[0]) == pytest.approx(1 / 1.3, abs=1e-4)
     assert float(least_squares(light.matrix, goal, tolerance=1e-9)) == pytest.approx(2.25 / 2.7319, abs=1e-6)
@@ -83,7 +83,7 @@ def test_the_least_error_of_any_lamp_is_that_of_a_linear_programme(seed: int) ->
 def test_hd84_draws_rectangles_as_the_linear_programme_does(rectangle: Rectangle) -> None:
     light = lamp("hd84").modules[0].headlight
     texture = rectangle.texture(light)
-    found = least_error(light.matrix, wanted(light, texture), gap=1e-4)
+    found = least_error(light.matrix, pixel_goal(light, texture), gap=1e-4)
     # Rows of texels that are wanted dark would only make the programme slow: there |A u| is A u.
     A = light.matrix.to_scipy().astype(np.float64) / 1e4
     bright = (texture > 0).flatten().numpy()
@@ -102,7 +102,7 @@ def test_hd84_draws_rectangles_as_the_linear_programme_does(rectangle: Rectangle
 def test_the_proof_holds_for_16_k_pixels() -> None:
     light = lamp("ssl-hd-lores").modules[0].headlight
     texture = RECTANGLES[700].texture(light)
-    found = least_error(light.matrix, wanted(light, texture))
+    found = least_error(light.matrix, pixel_goal(light, texture))
     assert found.bound >= 0.995 * found.error and found.iterations < 1500
     assert found.entries < 0.05 * len(light.matrix.values), "the rest is decided beforehand"
     assert float(mae(light.light_texture(found.u), texture)) == pytest.approx(float(found.error / texture.sum()), rel=1e-4)
@@ -136,14 +136,14 @@ def test_a_batch_gives_what_its_entries_give(device: torch.device) -> None:
     textures = torch.rand(3, 2, 1, light.cols, generator=torch.Generator().manual_seed(2)).double().to(device)
     textures *= textures > 0.4
     textures[0, 0, :, :20] = textures[1, 1, :, 20:] = textures[2, 0] = 0  # what one entry needs is nothing to another
-    goal = wanted(light, textures)
+    goal = pixel_goal(light, textures)
     found = least_error(light.matrix, goal, gap=1e-4)
     squares = least_squares(light.matrix, goal, iterations=2000, tolerance=1e-8)
     assert found.u.shape == (3, 2, light.n_pixels) and found.error.shape == (3, 2)
     for k in np.ndindex(3, 2):
-        alone = least_error(light.matrix, wanted(light, textures[k]), gap=1e-4)
+        alone = least_error(light.matrix, pixel_goal(light, textures[k]), gap=1e-4)
         torch.testing.assert_close(found.error[k], alone.error, rtol=2e-4, atol=0)
-        torch.testing.assert_close(squares[k], least_squares(light.matrix, wanted(light, textures[k]), 2000, 1e-8), rtol=0, atol=1e-4)
+        torch.testing.assert_close(squares[k], least_squares(light.matrix, pixel_goal(light, textures[k]), 2000, 1e-8), rtol=0, atol=1e-4)
 
 
 def test_brighter_units_change_nothing() -> None:
@@ -177,7 +177,7 @@ def test_a_masked_texel_stays_dark_whatever_it_costs() -> None:
     at = int(goal.target.argmin())
     assert goal.target[at] == 0
     weight[at] = torch.inf
-    masked = wanted(light, goal.target[None], weight[None])
+    masked = pixel_goal(light, goal.target[None], weight[None])
     for u in (least_error(light.matrix, masked).u, least_squares(light.matrix, masked)):
         assert multiply(light.matrix, u)[at] == 0
         assert u.sum() > 0
@@ -208,7 +208,7 @@ def test_clamping_the_pseudo_inverse_costs_quality() -> None:
     light = lamp("hd84").modules[0].headlight
     texture = RECTANGLES[700].texture(light)
     clamped = MoorePenrose.prepare(light).utilisation(texture)
-    squares = least_squares(light.matrix, wanted(light, texture), tolerance=1e-6)
+    squares = least_squares(light.matrix, pixel_goal(light, texture), tolerance=1e-6)
     assert rmse(light.light_texture(squares), texture) < rmse(light.light_texture(clamped), texture)
 
 
@@ -220,8 +220,8 @@ def test_too_large_a_lamp_is_refused_in_a_sentence() -> None:
 def test_textures_and_starts_that_do_not_fit_are_refused_in_a_sentence() -> None:
     light, _ = random_problem(8)
     with pytest.raises(LuxloopError, match=r"wanted light texture is of shape \[3, 40\]; 'made up' needs 1 rows by 40 columns"):
-        wanted(light, torch.zeros(3, 40))
+        pixel_goal(light, torch.zeros(3, 40))
     with pytest.raises(LuxloopError, match="weight of a wanted"):
-        wanted(light, torch.zeros(1, 40), torch.zeros(40, 1))
+        pixel_goal(light, torch.zeros(1, 40), torch.zeros(40, 1))
     with pytest.raises(LuxloopError, match="start has 3 pixels"):
-        wanted(light, torch.zeros(1, 40), start=torch.zeros(3))
+        pixel_goal(light, torch.zeros(1, 40), start=torch.zeros(3))

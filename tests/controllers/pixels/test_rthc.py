@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from luxloop.controllers.pixels.primitives import Primitives, concatenate, rectangle, road_symbol
-from luxloop.controllers.pixels.rthc import Casting, Setpoints, trace
+from luxloop.controllers.pixels.rthc import RayBatch, Setpoints, trace
 from luxloop.controllers.pixels.windows import NOWHERE, Window, projected_windows, whole
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.presets import idealised
@@ -278,7 +278,7 @@ def test_projected_window_holds_every_hit(pose: tuple[float, float, float, float
 def test_parts_of_a_primitive_hold_all_of_its_rays(roll: float) -> None:
     grid = idealised(200, 320)  # 512,000 texels
     one = road_symbol(torch.tensor([17.0, -2.5, roll, 0.0]), 0.0, 2.0, 9.0, torch.rand(8, 8), 1.0, "u_abs")
-    casting = Casting.prepare(one, grid, T_LEFT, projected_windows(one, grid, T_LEFT))
+    casting = RayBatch.prepare(one, grid, T_LEFT, projected_windows(one, grid, T_LEFT))
     (whole_stroke,), parts = casting.strokes(), list(casting.strokes(in_parts=True))
     image = torch.zeros_like(whole_stroke.hit)
     for part in parts:

@@ -19,11 +19,11 @@ from luxloop.controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParam
 from luxloop.controllers.symbol.sensing.flat_model import FeatureParams, FlatModel, flat_model
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
-from luxloop.controllers.symbol.sensing.protocol import Observation, Shown, SymbolController
+from luxloop.controllers.symbol.sensing.protocol import Observation, Projection, SymbolController
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement, SymbolSensor
 from luxloop.perception.appearance import Appearance
 from luxloop.perception.camera import CameraParams, average_rows, camera_view, expose
-from luxloop.perception.extraction import Crop, ExtractionParams, Loss
+from luxloop.perception.extraction import Crop, ExtractionParams, ExtractionStatus
 from luxloop.perception.noise import FrameNoise
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.light.ambient import ambient_luminance
@@ -161,7 +161,7 @@ def test_footprint_holds_what_the_lamp_can_draw_on_an_uneven_road(
 @pytest.mark.parametrize("symbol", SYMBOLS)
 def test_at_the_target_there_is_no_error(symbol: str, what: FeatureParams) -> None:
     seen = measure(sensor(symbol, what), TARGET)
-    assert seen.code == Loss.SEEN
+    assert seen.code == ExtractionStatus.SEEN
     # Twelve bits of quantisation are all that differs from the model: they average out to a few thousandths of a pixel.
     assert seen.area_ratio.item() == pytest.approx(1, abs=0.001)
     assert (seen.pose_error.abs() < torch.tensor([5e-4, 1e-4, 1e-4, 1e-4])).all()
@@ -187,7 +187,7 @@ def test_a_batch_is_a_loop_of_singles() -> None:
         assert batch.code[k] == single.code
         # The crop is that of the whole batch: other sums.
         torch.testing.assert_close(batch.errors[k], single.errors, equal_nan=True, rtol=1e-3, atol=1e-3)
-    assert batch.code.tolist() == [Loss.SEEN, Loss.SEEN, Loss.NOTHING]
+    assert batch.code.tolist() == [ExtractionStatus.SEEN, ExtractionStatus.SEEN, ExtractionStatus.NOTHING]
 
 
 def test_light_beside_the_footprint_is_ignored() -> None:
@@ -204,13 +204,13 @@ def test_reasons_for_loss() -> None:
     watcher, lights = sensor(), projector().light(TARGET)
     symbol = watcher.model.luminance(lights)
     left_part = symbol * (torch.arange(CAMERA.width_px) < 0.47 * CAMERA.width_px)
-    assert watcher.measure(None, ProjectionCommand(TARGET), lights).code == Loss.NO_FRAME
-    assert watcher.measure(frames(torch.zeros_like(symbol), step=1), ProjectionCommand(TARGET), lights).code == Loss.NOTHING
-    assert watcher.measure(frames(left_part), ProjectionCommand(TARGET), lights).code == Loss.TOO_SMALL
-    assert watcher.measure(frames(symbol + 5.0), ProjectionCommand(TARGET), lights).code == Loss.TOO_LARGE
+    assert watcher.measure(None, ProjectionCommand(TARGET), lights).code == ExtractionStatus.NO_FRAME
+    assert watcher.measure(frames(torch.zeros_like(symbol), step=1), ProjectionCommand(TARGET), lights).code == ExtractionStatus.NOTHING
+    assert watcher.measure(frames(left_part), ProjectionCommand(TARGET), lights).code == ExtractionStatus.TOO_SMALL
+    assert watcher.measure(frames(symbol + 5.0), ProjectionCommand(TARGET), lights).code == ExtractionStatus.TOO_LARGE
     aside = TARGET + torch.tensor([0.0, 30.0, 0.0, 0.0])
     lost = watcher.measure(frames(symbol), ProjectionCommand(aside), projector().light(aside))
-    assert lost.code == Loss.NOTHING
+    assert lost.code == ExtractionStatus.NOTHING
     assert lost.errors.isnan().all()
     assert lost.symbol.numel() == 0
 
@@ -218,7 +218,7 @@ def test_reasons_for_loss() -> None:
 def test_shadows_are_no_symbol() -> None:
     lights = projector().light(TARGET)
     on, off = frames(sensor().model.luminance(lights))
-    assert sensor().measure((off, on), ProjectionCommand(TARGET), lights).code == Loss.NOTHING
+    assert sensor().measure((off, on), ProjectionCommand(TARGET), lights).code == ExtractionStatus.NOTHING
 
 
 # The controllers
@@ -230,13 +230,13 @@ def pose_of(controller: SymbolController, state: Any) -> Tensor:
     return projection.pose
 
 
-def report(pose_error: Tensor, code: Tensor | int = Loss.SEEN) -> Observation:
+def report(pose_error: Tensor, code: Tensor | int = ExtractionStatus.SEEN) -> Observation:
     """What a sensor would say."""
     nan = torch.full(pose_error.shape[:-1], torch.nan)
     shape = Appearance(nan, nan[..., None, None].expand(*nan.shape, 5, 2), nan, nan)
     code = torch.as_tensor(code).expand(pose_error.shape[:-1])
     seen = Measurement(code, pose_error, pose_error, nan, shape, torch.zeros(0, 0), Crop(0, 0, 0, 0))
-    return Observation(seen, None, Shown(ProjectionCommand(pose_error), ()))
+    return Observation(seen, None, Projection(ProjectionCommand(pose_error), ()))
 
 
 def thesis_pid() -> ThesisPid:
@@ -257,7 +257,7 @@ def test_controllers_go_by_name() -> None:
 
 
 @settings(deadline=None)
-@given(st.lists(st.tuples(st.tuples(*[st.floats(-1e3, 1e3)] * 4), st.sampled_from(list(Loss))), max_size=12))
+@given(st.lists(st.tuples(st.tuples(*[st.floats(-1e3, 1e3)] * 4), st.sampled_from(list(ExtractionStatus))), max_size=12))
 def test_limits_are_never_exceeded(reports: list) -> None:
     controller, state = thesis_pid(), thesis_pid().start(START)
     for pose_error, code in reports:
@@ -283,16 +283,16 @@ def test_holds_while_frames_are_missing() -> None:
     state = controller.step(controller.start(START), report(torch.full((4,), 0.05)))
     held = state
     for _ in range(10):
-        held = controller.step(held, report(torch.full((4,), torch.nan), Loss.NO_FRAME))
+        held = controller.step(held, report(torch.full((4,), torch.nan), ExtractionStatus.NO_FRAME))
     for name, value in vars(state.pid).items():
         assert torch.equal(getattr(held.pid, name), value), name
     assert held.losses == 0
 
 
-@pytest.mark.parametrize("reason", [Loss.NOTHING, Loss.TOO_SMALL, Loss.TOO_LARGE])
-def test_starts_anew_at_the_flat_road_pose_after_two_losses(reason: Loss) -> None:
+@pytest.mark.parametrize("reason", [ExtractionStatus.NOTHING, ExtractionStatus.TOO_SMALL, ExtractionStatus.TOO_LARGE])
+def test_starts_anew_at_the_flat_road_pose_after_two_losses(reason: ExtractionStatus) -> None:
     controller = thesis_pid()
-    lost, missing = report(torch.full((4,), torch.nan), reason), report(torch.full((4,), torch.nan), Loss.NO_FRAME)
+    lost, missing = report(torch.full((4,), torch.nan), reason), report(torch.full((4,), torch.nan), ExtractionStatus.NO_FRAME)
     once = controller.step(controller.start(START), lost)
     assert torch.equal(pose_of(controller, once), START), "held after the first loss"
     between = controller.step(once, missing)
@@ -307,7 +307,7 @@ def test_starts_anew_at_the_flat_road_pose_after_two_losses(reason: Loss) -> Non
 
 def test_seeing_the_symbol_forgives_a_loss() -> None:
     controller = thesis_pid()
-    lost = report(torch.full((4,), torch.nan), Loss.TOO_SMALL)
+    lost = report(torch.full((4,), torch.nan), ExtractionStatus.TOO_SMALL)
     state = controller.step(controller.start(START), lost)
     state = controller.step(state, report(torch.full((4,), 0.01)))
     moved = pose_of(controller, state)
@@ -341,7 +341,7 @@ def test_a_batch_of_states_equals_singles(device: torch.device) -> None:
 def test_open_loop_ignores_everything() -> None:
     controller = build_controller(OpenLoopParams(), sensor())
     state = controller.start(START)
-    for code in Loss:
+    for code in ExtractionStatus:
         state = controller.step(state, report(torch.full((4,), 1.0), int(code)))
         assert torch.equal(pose_of(controller, state), TARGET)
     assert pose_of(controller, controller.start(START.expand(3, 4))).shape == (3, 4)
@@ -376,7 +376,7 @@ def run(watcher: SymbolSensor, start: Tensor, steps: int = 30, drop_every: int |
             Observation(
                 watcher.measure(None if dropped else seen_frames, ProjectionCommand(pose), lights),
                 None,
-                Shown(ProjectionCommand(pose), lights),
+                Projection(ProjectionCommand(pose), lights),
             ),
         )
     return torch.stack(poses)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.pixels.rthc import Setpoints, trace
-from luxloop.controllers.situation import Seen, Situation, TrackedObject
+from luxloop.controllers.situation import CameraImage, Situation, TrackedObject
 from luxloop.controllers.zones.material import MaterialParams, image_plane
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.regions import box_region
@@ -30,7 +30,7 @@ BOX = torch.tensor([0.2, 0.6, 1.6], dtype=torch.float64)
 EVA = TrackedObject("eva", "pedestrian", pose_from_degrees((15.0, 1.0, 0.0)), (0.2, 0.6, 1.6))
 
 
-def seen() -> Seen:
+def seen() -> CameraImage:
     """A road with a line of paint along y = -1 to -0.6, and a box of cloth whose upper fifth is skin."""
     material = torch.zeros(180, 320, dtype=torch.int64)
     far = torch.tensor([[5.0, -1.0, 0.0], [60.0, -0.6, 0.0]], dtype=torch.float64)
@@ -41,14 +41,14 @@ def seen() -> Seen:
     above = VIEW.rays()[2] >= 0
     material[above & (material < 2)] = -1
     albedo = torch.tensor([0.1, 0.6, 0.05, 0.4, 0.0])[material]
-    return Seen(0.0, VIEW, torch.zeros(180, 320), albedo=albedo, material=material, materials=NAMES)
+    return CameraImage(0.0, VIEW, torch.zeros(180, 320), albedo=albedo, material=material, materials=NAMES)
 
 
 def situation(**more: object) -> Situation:
     return Situation(0.0, HERE, VIEW.origin[None], (EVA,), **more)
 
 
-def drawn(function: MaterialParams, now: Seen) -> tuple[Primitives, ...]:
+def drawn(function: MaterialParams, now: CameraImage) -> tuple[Primitives, ...]:
     return function.adapted(function.step(function.start(), situation(seen=now)), situation())
 
 

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from luxloop.controllers.pixels.primitives import E_V
 from luxloop.controllers.pixels.secondary import Light
-from luxloop.controllers.situation import Seen, Situation
+from luxloop.controllers.situation import CameraImage, Situation
 from luxloop.controllers.zones.zone import ZoneParams
 from luxloop.perception.camera import CameraParams, camera_view, expose, luminance_of, saturation_luminance
 from luxloop.perception.noise import FrameNoise
@@ -30,7 +30,7 @@ WALL = {"centre_m": (20.0, 0.0, 1.0), "size_m": (0.0, 2.0, 1.5), "luminance_cd_m
 def measured(luminance: float, step: int) -> Situation:
     """Everything as bright as that, with the camera's noise."""
     digital = expose(torch.full((90, 160), luminance), CAMERA, FrameNoise.of(0, step, 0))
-    seen = Seen(step / 30, VIEW, luminance_of(digital, CAMERA), saturation_luminance(CAMERA))
+    seen = CameraImage(step / 30, VIEW, luminance_of(digital, CAMERA), saturation_luminance(CAMERA))
     return Situation(step / 30, HERE, LAMPS, seen=seen)
 
 

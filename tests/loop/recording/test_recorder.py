@@ -29,7 +29,7 @@ from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.columns import POSE, SYMBOL, loss_name
 from luxloop.loop.simulation.result import Clock, StepResult
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.perception.extraction import Loss
+from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError
 from luxloop.world.partial import Part, PartialImage
 from tests.loop.conftest import SMALL
@@ -90,7 +90,7 @@ def test_lost_symbol_is_a_row_with_a_reason(small_simulation: Simulation, small_
     assert values["functions.symbol.loss"] == "no_frame"
     assert math.isnan(values["functions.symbol.c_u"]) and math.isnan(values["functions.symbol.e_pitch"])
     assert table_of([values], schema(small_simulation))["functions.symbol.c_u"].null_count == 1
-    assert {loss_name(code) for code in Loss} == {"", "no_frame", "nothing", "too_small", "too_large", "covered"}
+    assert {loss_name(code) for code in ExtractionStatus} == {"", "no_frame", "nothing", "too_small", "too_large", "covered"}
 
 
 def test_recording_is_complete(tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]) -> None:

@@ -21,7 +21,7 @@ from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.columns import of_one
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.perception.extraction import Loss
+from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.view import View
 from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import SMALL
@@ -48,7 +48,7 @@ def size(height_in: float) -> tuple[int, int, int]:
 
 def lost(result: StepResult) -> StepResult:
     nan = torch.full((4,), torch.nan)
-    code = torch.tensor(int(Loss.NOTHING))
+    code = torch.tensor(int(ExtractionStatus.NOTHING))
     seen = replace(result.symbol.measurement, code=code, errors=nan, pose_error=nan)
     return replace(result, held={"symbol": replace(result.symbol, measurement=seen)})
 

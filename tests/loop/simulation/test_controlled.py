@@ -10,7 +10,7 @@ import torch
 from rich.console import Console
 
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.controllers.symbol.sensing.protocol import Observation, Shown
+from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
 from luxloop.loop.commands import cli
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.report.run_table import shown
@@ -19,7 +19,7 @@ from luxloop.loop.scenario.model import load, validate
 from luxloop.loop.simulation.protocol import Arrivals, Exposure
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.perception.extraction import Loss
+from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError
 from tests.lamps import SMALL_LAMP
 
@@ -57,7 +57,7 @@ def test_a_mask_over_a_part_neither_moves_nor_loses_a_symbol(controller: str) ->
     plain, masked = (run({"flake": flake} | more, objects=[box]) for more in ({}, {"guard": {"kind": "glare_free"}}))
     assert all(each.objects["box"].lx_max == 0 for each in masked)
     assert float(masked[-1].illuminance.sum()) < 0.9 * float(plain[-1].illuminance.sum()), "the mask takes nothing"
-    assert {int(each.held["flake"].measurement.code) for each in masked} == {Loss.SEEN}
+    assert {int(each.held["flake"].measurement.code) for each in masked} == {ExtractionStatus.SEEN}
     apart = (masked[-1].held["flake"].pose - plain[-1].held["flake"].pose).abs()
     # what a pixel of this camera sees of the road at 17 m, 0.3 m along and 3 cm across, and an angle by which the ends move as far
     assert float(apart[0]) < 0.3 and float(apart[1]) < 0.03 and float(apart[2:].max()) < 0.015
@@ -87,7 +87,7 @@ def test_a_symbol_that_is_wholly_covered_waits_in_its_place(speed_m_s: float) ->
     wall = {"kind": "box", "name": "wall", "category": "car", "size_m": [6.0, 5.0, 0.1], "track": track}
     more = {"vehicle": {"course": [{"speed_m_s": speed_m_s}]}} if speed_m_s else {}
     results = run({"flake": FLAKE, "guard": {"kind": "glare_free"}}, objects=[wall], steps=46, judge_every=45, **more)
-    assert [int(each.held["flake"].measurement.code) for each in results[:40]] == [Loss.COVERED] * 40
+    assert [int(each.held["flake"].measurement.code) for each in results[:40]] == [ExtractionStatus.COVERED] * 40
     for each in results[:40]:
         # a body that nods by 0.01 rad moves what is drawn for it by as much times its height over the road
         assert (each.held["flake"].pose[:2] - torch.tensor([17.0, 0.0])).norm() < 0.01
@@ -105,7 +105,10 @@ def test_symbols_that_meet_take_turns_and_stay_lit_in_the_other_ones() -> None:
     results = list(both.run())
     turns = [[name for name, held in each.held.items() if held.verdict is not None] for each in results]
     assert turns == [["lower"], ["upper"]] * 5
-    assert {int(each.held[name].measurement.code) for each in results[2:] for name in each.held} == {Loss.SEEN, Loss.NO_FRAME}
+    assert {int(each.held[name].measurement.code) for each in results[2:] for name in each.held} == {
+        ExtractionStatus.SEEN,
+        ExtractionStatus.NO_FRAME,
+    }
     assert min(ious(results, "upper")[2:]) > 0.75
     on, off = (showing.exposure.lights[0].u for showing in results[-1].showings)  # the upper one's turn
     alone = simulation({"lower": FLAKE}).at(0).lights[0]
@@ -123,7 +126,7 @@ def test_late_and_lost_frames_reach_each_controller_in_their_turn() -> None:
     camera = WORLD["camera"] | {"latency_steps": 1, "drop_probability": 0.2}
     results = run({"left": LEFT, "right": RIGHT}, camera=camera, steps=16, seed=4)
     codes = [int(each.held["left"].measurement.code) for each in results]
-    assert codes[0] == Loss.NO_FRAME and codes.count(Loss.NO_FRAME) < 8
+    assert codes[0] == ExtractionStatus.NO_FRAME and codes.count(ExtractionStatus.NO_FRAME) < 8
     assert ious(results, "left")[-1] > 0.8 and ious(results, "right")[-1] > 0.8
 
 
@@ -228,7 +231,7 @@ def test_what_a_frame_says_that_it_shows_is_what_is_measured() -> None:
             state, came = asked.plant.show(state, shown)
             return state, replace(came, frames=tuple(replace(frame, shown=shown) for frame in came.frames))
 
-    looks: list[Shown] = []
+    looks: list[Projection] = []
     symbol = asked.controlled["flake"]
 
     class Listening:

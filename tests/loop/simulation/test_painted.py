@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from luxloop.controllers.functions.painted import Painted, PaintedParams
+from luxloop.controllers.functions.paint import PaintedParams, PaintLayer
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.scenario.model import Scenario, load, validate
 from luxloop.loop.simulation.simulation import Simulation
@@ -67,7 +67,7 @@ def test_outside_the_band_all_is_dark(over: bool, band: slice | None) -> None:
     value[1, 5:9], cover[1, 2:12] = 200, 255
     below = torch.zeros(2, ROWS * COLUMNS)
     below[:, band or slice(None)] = 0.5
-    light = Painted.of(PaintedParams.of("left matrix", value, cover, over)).on(Utilisation(below, band))
+    light = PaintLayer.of(PaintedParams.of("left matrix", value, cover, over)).on(Utilisation(below, band))
     assert light.u.shape == below.shape and light.u[0, COLUMNS + 5] == pytest.approx(200 / 255)
     if light.band is not None:
         outside = torch.ones(ROWS * COLUMNS, dtype=torch.bool)

@@ -21,7 +21,7 @@ from luxloop.loop.simulation.pairing import paired
 from luxloop.loop.simulation.protocol import Arrivals, Exposure
 from luxloop.loop.simulation.simulated import SimulatedPlant
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.perception.extraction import Loss
+from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import ModuleCommand
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
@@ -197,7 +197,12 @@ def test_a_check_of_a_detector_says_that_no_frame_came() -> None:
 @pytest.mark.usefixtures("own")
 def test_a_step_of_which_one_frame_is_lost_is_not_seen() -> None:
     results = list(prepared(plant={"kind": "own:Blind", "options": {"lost": [3, 4]}}, steps=4).run())
-    assert [int(each.symbol.measurement.code) for each in results] == [Loss.SEEN, Loss.NO_FRAME, Loss.NO_FRAME, Loss.SEEN]
+    assert [int(each.symbol.measurement.code) for each in results] == [
+        ExtractionStatus.SEEN,
+        ExtractionStatus.NO_FRAME,
+        ExtractionStatus.NO_FRAME,
+        ExtractionStatus.SEEN,
+    ]
 
 
 @pytest.mark.usefixtures("own")

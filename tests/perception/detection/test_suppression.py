@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from luxloop.perception.detection.suppression import overlaps, suppressed
+from luxloop.perception.detection.suppression import overlaps, suppress
 
 numbers = st.integers(0, 40)
 boxes = st.lists(st.tuples(numbers, numbers, st.integers(1, 20), st.integers(1, 20)), min_size=1, max_size=12).map(
@@ -21,11 +21,11 @@ def test_overlap_is_shared_area_over_joint_area() -> None:
 
 @given(boxes)
 def test_nothing_that_stays_lies_on_what_is_surer_and_stays(found: Tensor) -> None:
-    stays = found[~suppressed(found, 0.5)]
+    stays = found[~suppress(found, 0.5)]
     assert torch.equal(stays[0], found[0])
     assert (overlaps(stays, stays).fill_diagonal_(0) <= 0.5).all()
 
 
 def test_frames_do_not_see_each_other() -> None:
     one, other = torch.tensor([[0.0, 0, 4, 4], [0, 0, 4, 3]]), torch.tensor([[0.0, 0, 4, 4], [9, 9, 12, 12]])
-    assert suppressed(torch.stack([one, other]), 0.5).tolist() == [[False, True], [False, False]]
+    assert suppress(torch.stack([one, other]), 0.5).tolist() == [[False, True], [False, False]]

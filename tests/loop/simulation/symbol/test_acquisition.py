@@ -6,13 +6,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from luxloop.controllers.symbol.sensing.acquisition import Acquired
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.relocalisation import Relocalisation
 from luxloop.controllers.symbol.sensing.shape import reached
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.perception.extraction import Loss
+from luxloop.perception.extraction import ExtractionStatus
 from tests.loop.conftest import frames_of
 
 SMALL = [
@@ -39,7 +39,7 @@ def shown_at_target(prepared: Simulation) -> tuple[Tensor, Tensor]:
     return frames
 
 
-def acquired(road: str, *more: str) -> Acquired:
+def acquired(road: str, *more: str) -> Relocalisation:
     prepared = simulation(road, *more)
     projector = prepared.symbol.projector
     return prepared.symbol.sensor.acquire(shown_at_target(prepared), projector.light(projector.target))
@@ -107,9 +107,9 @@ def test_a_symbol_that_is_plainly_in_the_image_is_never_lost() -> None:
         sensor, projection = prepared.symbol.sensor, ProjectionCommand(prepared.symbol.projector.target)
         lights = sensor.projector.light(projection.pose)
         seen = sensor.measure(shown_at_target(prepared), projection, lights)
-        assert seen.code == Loss.SEEN, percent
+        assert seen.code == ExtractionStatus.SEEN, percent
         again = sensor.measure(shown_at_target(prepared), projection, lights, seen.shape)
-        assert again.code == Loss.SEEN
+        assert again.code == ExtractionStatus.SEEN
         assert again.acquired is None, "once found it is looked for where it was"
 
 

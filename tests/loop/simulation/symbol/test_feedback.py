@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from luxloop.controllers.symbol.heights.feedforward import relief_of
+from luxloop.controllers.symbol.heights.feedforward import height_map_of
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.perception.birdseye import Region
@@ -56,11 +56,11 @@ def test_feedforward_is_as_good_as_its_road() -> None:
 
 def test_a_given_road_is_followed_along_lines_of_sight() -> None:
     region, eye = Region(13.0, 21.0, 2.0, -2.0), torch.tensor([-1.6, 0.0, 1.35], dtype=torch.float64)
-    flat = relief_of(Flat().z, region, eye, 0.02)
+    flat = height_map_of(Flat().z, region, eye, 0.02)
     torch.testing.assert_close(
         flat.heights, torch.full_like(flat.heights, 0.02), rtol=0, atol=2e-5
     )  # 7 cm of way in 2^12 halves, by the slope
-    curb = relief_of(Curb(y_m=0.5, height_m=0.1).z, region, eye)
+    curb = height_map_of(Curb(y_m=0.5, height_m=0.1).z, region, eye)
     # what is seen at the step's foot lies at y = 0.5 on the road, what is seen at its top appears at y = 0.5 * 1.35 / 1.25 = 0.54
     assert (curb.heights[:, : int((2.0 - 0.6) / 0.1)] > 0.099).all()
     assert (curb.heights[:, int((2.0 - 0.4) / 0.1) :].abs() < 2e-5).all()

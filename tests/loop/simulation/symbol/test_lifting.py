@@ -6,15 +6,15 @@ import pytest
 import torch
 
 from luxloop.controllers.symbol.laws.lifting import LOSSES, Lifting
-from luxloop.controllers.symbol.sensing.acquisition import Acquired
 from luxloop.controllers.symbol.sensing.field import cut
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.controllers.symbol.sensing.protocol import Observation, Shown
+from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
+from luxloop.controllers.symbol.sensing.relocalisation import Relocalisation
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.perception.extraction import Loss
-from luxloop.perception.judge import Verdict
+from luxloop.perception.evaluator import Metrics
+from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.frames import inverse, pose, rotation, transform
 from tests.loop.conftest import frames_of
 
@@ -28,7 +28,7 @@ def simulation(percent: float, controller: str, *more: str, steps: int = 15) -> 
     return prepare(load("snowflake", [*SMALL, road, f"functions.symbol.controller={controller}", *more], steps=steps), "cpu")
 
 
-def verdicts(sim: Simulation) -> list[Verdict]:
+def verdicts(sim: Simulation) -> list[Metrics]:
     return [result.symbol.verdict for result in sim.run()]
 
 
@@ -105,12 +105,12 @@ def test_a_shape_begins_the_controller_anew_and_is_given_up_where_nothing_is_see
     assert isinstance(lifting, Lifting)
     start = torch.tensor([15.0, 1.5, 0.08, -0.03])
     before = lifting.start(start)
-    lost = flat.symbol.sensor.lost(start, Loss.NOTHING)
-    acquired = Acquired(PLANE, 0.95, 0.0)
+    lost = flat.symbol.sensor.lost(start, ExtractionStatus.NOTHING)
+    acquired = Relocalisation(PLANE, 0.95, 0.0)
     found = replace(lost, code=torch.tensor(0), shape=PLANE, acquired=acquired, errors=torch.ones(4), pose_error=torch.ones(4))
 
-    def shown(projection: ProjectionCommand) -> Shown:
-        return Shown(projection, flat.symbol.projector.draw(projection))
+    def shown(projection: ProjectionCommand) -> Projection:
+        return Projection(projection, flat.symbol.projector.draw(projection))
 
     state = lifting.step(before, Observation(found, None, shown(lifting.projection(before, None))))
     projection = lifting.projection(state, None)
@@ -129,7 +129,7 @@ def test_a_shape_begins_the_controller_anew_and_is_given_up_where_nothing_is_see
 def test_a_symbol_that_goes_on_beyond_its_footprint_is_searched_for() -> None:
     prepared = simulation(-2.0, "{name='thesis_pid'}")
     state, result = prepared.step(prepared.start())
-    assert result.symbol.measurement.code == Loss.SEEN and result.symbol.measurement.shape is None
+    assert result.symbol.measurement.code == ExtractionStatus.SEEN and result.symbol.measurement.shape is None
     assert state.held["symbol"].controller.shape is not None
 
 
@@ -151,7 +151,7 @@ def test_a_symbol_on_a_road_that_is_flat_again_is_seen_whole(flat: Simulation, h
     lights = symbol.projector.draw(projection)
     frames = frames_of(flat.plant, lights)
     seen = symbol.sensor.measure(frames, projection, lights, torch.tensor([height, 0.0, 0.0, 0.0]))
-    assert seen.code == Loss.SEEN
+    assert seen.code == ExtractionStatus.SEEN
     assert seen.errors.abs().max() < 0.5, "noise; a crop that cuts the symbol off moves its centroid by pixels"
 
 

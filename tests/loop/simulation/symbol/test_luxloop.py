@@ -14,13 +14,13 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+from luxloop.controllers.symbol.heights.height_map import HeightMap
 from luxloop.controllers.symbol.heights.patch import CELLS, FOLLOWED, _fitted, drawn_on
-from luxloop.controllers.symbol.heights.relief import Relief
-from luxloop.controllers.symbol.heights.sweep import semi_global, sweep
+from luxloop.controllers.symbol.heights.plane_sweep import plane_sweep, semi_global
 from luxloop.controllers.symbol.sensing.planes import HERE
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
-from luxloop.controllers.symbol.sensing.protocol import Observation, Shown
+from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
 from luxloop.controllers.symbol.sensing.shape import reached
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import DisturbanceParams, load
@@ -35,11 +35,11 @@ M_PERTURB = -6  # of glibc's mallopt
 SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"]
 
 
-def relief(height: float, brightness: float = 1.0) -> Relief:
-    return Relief(REGION, EYE, torch.full((20, 10), height), torch.full((20, 10), brightness))
+def relief(height: float, brightness: float = 1.0) -> HeightMap:
+    return HeightMap(REGION, EYE, torch.full((20, 10), height), torch.full((20, 10), brightness))
 
 
-def drawn(road: Relief, lamps: Tensor = LAMP[None]) -> ProjectionCommand:
+def drawn(road: HeightMap, lamps: Tensor = LAMP[None]) -> ProjectionCommand:
     return drawn_on(road, lamps, SymbolParams(image="snowflake"), HERE)
 
 
@@ -73,7 +73,7 @@ def test_light_on_a_raised_plane_is_seen_where_similar_triangles_say(height: flo
 def test_light_falls_on_the_first_thing_in_its_way() -> None:
     heights = torch.zeros(80, 10)
     heights[40:45] = 0.2  # a wall, seen between 16.5 m and 17 m
-    wall = Relief(REGION, EYE, heights, torch.ones(80, 10))
+    wall = HeightMap(REGION, EYE, heights, torch.ones(80, 10))
     x = torch.tensor([[16.0, 17.5, 18.5, 20.5]])
     seen, _ = wall.seen_from(LAMP, on_plane(x, torch.zeros_like(x)), UP, 0.25)
     assert abs(seen[0, 0] - 16.0) < 0.01, "before the wall"
@@ -83,7 +83,7 @@ def test_light_falls_on_the_first_thing_in_its_way() -> None:
 def test_light_is_followed_only_where_the_road_may_be() -> None:
     heights = 0.03 * torch.randn(20, 10, generator=torch.Generator().manual_seed(3))
     x, y = torch.meshgrid(torch.linspace(16, 18, 9), torch.linspace(-1, 1, 5), indexing="ij")
-    near = Relief(REGION, EYE, heights, torch.ones(20, 10))
+    near = HeightMap(REGION, EYE, heights, torch.ones(20, 10))
     far = heights.clone()
     far[-1, :2] = torch.tensor([0.3, -0.3])  # near the camera, where none of this light comes: all layers are followed
     seen, everywhere = (torch.stack(each.seen_from(LAMP, on_plane(x, y), UP, 0.2)) for each in (near, replace(near, heights=far)))
@@ -110,7 +110,7 @@ def test_a_symbol_for_a_slope_is_drawn_on_the_slope(slope: float) -> None:
     shape = torch.tensor([[slope * 14.0, slope, 0.01, 0.0]])
     x, y = torch.meshgrid(torch.linspace(20.95, 13.05, 80), torch.linspace(1.95, -1.95, 40), indexing="ij")
     heights = EYE[2] * (1 - reached(shape, 17.0, EYE, on_plane(x, y) - EYE[:, None, None])[0])
-    projection = drawn(Relief(REGION, EYE, heights, torch.ones(80, 40)))
+    projection = drawn(HeightMap(REGION, EYE, heights, torch.ones(80, 40)))
     x, y, roll, pitch = projection.pose
     assert projection.z is not None
     assert float(projection.z) == pytest.approx(float(shape[0, 0] + slope * (x - 17) + 0.01 * y), abs=1e-3)  # rounding over 20 m
@@ -138,7 +138,7 @@ def test_a_patch_does_not_depend_on_what_memory_held_before() -> None:
 def test_each_lamp_has_a_drawing_of_its_own() -> None:
     eye, lamps = torch.tensor([-1.6, 0.0, 1.35]), torch.stack([LAMP, LAMP * torch.tensor([1.0, -1.0, 1.0])])
     wave = 0.03 * (1 + torch.linspace(-6, 6, 20).cos())[:, None].expand(20, 10)
-    warp = warp_of(drawn(Relief(REGION, eye, wave, torch.linspace(1, 2, 20)[:, None].expand(20, 10)), lamps))
+    warp = warp_of(drawn(HeightMap(REGION, eye, wave, torch.linspace(1, 2, 20)[:, None].expand(20, 10)), lamps))
     left, right = warp.source
     # rounding of float32 coordinates, as above; what is left for one lamp is right for the other
     torch.testing.assert_close(right, torch.stack([-left[0], left[1]]).flip(-1), rtol=0, atol=2e-4)
@@ -180,7 +180,7 @@ def test_one_look_tells_how_high_the_road_is(lifted: Simulation) -> None:
     seen = fine.symbol(contrast, limit)
     textures = tuple(m.pixel_controller.headlight.light_texture(light.u) for m, light in zip(projector.modules, lights, strict=True))
     registration = controller.registration
-    swept = sweep(fine, seen, textures, limit, controller.tried, registration.unknown().base)
+    swept = plane_sweep(fine, seen, textures, limit, controller.tried, registration.unknown().base)
     refined = registration.refine(swept, registration.unknown(), seen, textures, limit)
     found, lit = refined.mean, refined.information.diagonal() > 1 / 0.005**2  # known to half a centimetre by themselves
     assert lit.sum() > 50
@@ -258,7 +258,7 @@ def test_without_frames_and_without_light_the_open_loop_is_shown() -> None:
 def _look(prepared: Simulation, frames: tuple[Tensor, Tensor] | None) -> Observation:
     sensor, projection = prepared.symbol.sensor, ProjectionCommand(prepared.symbol.projector.target)
     lights = sensor.projector.light(projection.pose)
-    return Observation(sensor.measure(frames, projection, lights), frames, Shown(projection, lights))
+    return Observation(sensor.measure(frames, projection, lights), frames, Projection(projection, lights))
 
 
 def test_a_batch_of_warped_drawings_equals_singles() -> None:

@@ -11,9 +11,9 @@ from scipy.signal import lsim
 from torch import Tensor
 
 from luxloop.controllers.symbol.heights.body_filter import CELL_M, BodyFilter, BodyParams
-from luxloop.controllers.symbol.heights.feedforward import relief_of
+from luxloop.controllers.symbol.heights.feedforward import height_map_of
 from luxloop.controllers.symbol.heights.forward_model import ForwardModel
-from luxloop.controllers.symbol.heights.luxloop import Luxloop, LuxloopParams, laid
+from luxloop.controllers.symbol.heights.height_controller import HeightController, HeightControllerParams, laid
 from luxloop.controllers.symbol.heights.registration import Heights
 from luxloop.controllers.symbol.heights.road_map import RoadMap
 from luxloop.controllers.symbol.heights.springs import PARTS, followed
@@ -47,7 +47,7 @@ class Waves:
 
 def remembered(T_world_ground: Tensor, eye: Tensor) -> RoadMap:
     """What an eye knows of the waves; relief_of has cells of 0.1 m, as many as the grid."""
-    heights = relief_of(Waves(T_world_ground).z, REGION, eye).heights.flatten()
+    heights = height_map_of(Waves(T_world_ground).z, REGION, eye).heights.flatten()
     return RoadMap(Heights(heights, torch.eye(len(heights)), torch.zeros_like(heights)), torch.ones_like(heights), REGION, GRID, eye)
 
 
@@ -171,7 +171,7 @@ class Linear(BodyFilter):
         return body_pose(self.ego.at(time_s).level_attitude.double(), self.pivot_x_m)
 
 
-class Unfiltered(Luxloop):
+class Unfiltered(HeightController):
     def _filtered(self, before: BodyFilter | None, ego: Ego | None) -> BodyFilter | None:
         assert ego is not None
         first = Linear.first(self.params.body, ego, self.reach_m, self.projector.params.x_m)
@@ -226,8 +226,8 @@ def test_a_wrong_belief_of_the_springs_costs_little_and_no_filter_much(suspensio
     true = [*SMALL, "steps=30", *(f"vehicle.suspension.{key}={hz}" for key, hz in springs(suspension).items())]
     simulation = Simulation.prepare(load("driving", [*true, "functions.symbol.controller={name='luxloop'}"]))
     usual = simulation.symbol.controller
-    assert isinstance(usual, Luxloop)
-    believing = Luxloop(usual.params.model_copy(update={"body": BodyParams(**springs(suspension))}), usual.sensor)
+    assert isinstance(usual, HeightController)
+    believing = HeightController(usual.params.model_copy(update={"body": BodyParams(**springs(suspension))}), usual.sensor)
     right, wrong, none = (
         np.mean([float(result.symbol.verdict.iou) for result in simulation.with_controller(each).run()][10:])
         for each in (believing, usual, Unfiltered(usual.params, usual.sensor))
@@ -299,7 +299,7 @@ def test_the_off_frame_is_seen_from_where_the_on_frame_was() -> None:
     simulation = Simulation.prepare(load("driving", [*EXACT, *more]))
     _, result = simulation.step(simulation.start())
     world, seer, controller = simulation.world, simulation.symbol.sensor, simulation.symbol.controller
-    assert result.frames is not None and isinstance(controller, Luxloop)
+    assert result.frames is not None and isinstance(controller, HeightController)
     on_s, off_s = result.time_s, result.time_s + 0.5 / simulation.scenario.rate_hz
     now, later = (world.motion.at(t) for t in (on_s, off_s))
     driven = inverse(now.T_world_ground) @ later.T_world_ground
@@ -318,7 +318,7 @@ def test_the_off_frame_is_seen_from_where_the_on_frame_was() -> None:
 def test_the_road_ahead_is_taken_to_bend_on_as_the_ground_does() -> None:
     """On a crest of 1500 m at 20 m/s, in a ground frame that is tilted by then: a parabola that touches it under the rear axle."""
     controller, radius_m = Simulation.prepare(load("flat", [*SMALL, "functions.symbol.controller=luxloop"])).symbol.controller, 1500.0
-    assert isinstance(controller, Luxloop)
+    assert isinstance(controller, HeightController)
     ego = replace(nodding(1.0), ground=torch.tensor([-0.3, 0.02, -0.4, 20 / radius_m]), speed_m_s=torch.tensor(20.0))
     body = BodyFilter.first(BODY, ego, 16.0, 17.0)
     nothing = controller.start(torch.tensor([17.0, 0.0, 0.0, 0.0])).road_map
@@ -327,7 +327,7 @@ def test_the_road_ahead_is_taken_to_bend_on_as_the_ground_does() -> None:
     nodes, eye = nothing.nodes(), nothing.eye[:, None]
     road = nodes + (eye - nodes) * (base / nothing.eye[2])  # on the lines of sight
     torch.testing.assert_close(road[2], -((road[0] - ego.rear_x_m) ** 2) / (2 * radius_m), rtol=0, atol=1e-5)
-    assert float(base.min()) < -LuxloopParams().highest_m, "more than is looked for around the plane"
+    assert float(base.min()) < -HeightControllerParams().highest_m, "more than is looked for around the plane"
     known = remembered(torch.eye(4, dtype=torch.float64), EYE)
     for road_map, mean in ((nothing, base), (known, known.heights.mean)):
         over = road_map.over(base if road_map is nothing else known.brightness)

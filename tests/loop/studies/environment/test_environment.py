@@ -23,7 +23,7 @@ from luxloop.loop.studies.environment.randomised import Randomised, RandomisedVe
 from luxloop.loop.studies.environment.registered import register
 from luxloop.loop.studies.environment.single import SymbolEnv
 from luxloop.loop.studies.environment.task import reward
-from luxloop.perception.extraction import Loss
+from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError
 
 SMALL = (
@@ -80,7 +80,7 @@ def test_moves_move_the_symbol_as_far_as_the_controller_may(env: SymbolEnv) -> N
     assert reward == pytest.approx(sum(info["terms"].values()), abs=1e-6) and not (terminated or truncated)
     assert info["terms"]["action"] == pytest.approx(-0.01 * (1 + 0.25 + 0 + 1) / 4)
     assert info["terms"]["iou"] == pytest.approx(float(info["verdict"]["iou"]))
-    assert before[CODES].argmax() == Loss.NO_FRAME and after[CODES].argmax() == Loss.SEEN
+    assert before[CODES].argmax() == ExtractionStatus.NO_FRAME and after[CODES].argmax() == ExtractionStatus.SEEN
 
 
 def test_the_reward_is_for_overlap_and_against_distance_and_action() -> None:

@@ -14,7 +14,7 @@ LEAST_DROP_M = 0.05  # from the eye to a point that it sees
 
 
 @dataclass(frozen=True)
-class Relief:
+class HeightMap:
     """What an eye at `[3]` m sees behind the cells of a region of the plane; row 0 is far, column 0 is left.
 
     heights: `[rows, cols]` m. brightness: `[rows, cols]`, luminance as a multiple of what the plane would show of the same light. A cell

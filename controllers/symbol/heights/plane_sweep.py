@@ -13,7 +13,9 @@ PIXEL = 0.4  # of the camera, cost as much as one height step between neighbours
 STEP, JUMP = 0.3, 3.0  # cost of neighbours that differ by one height step, and by more
 
 
-def sweep(forward_model: ForwardModel, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor, heights: Tensor, base: Tensor) -> Tensor:
+def plane_sweep(
+    forward_model: ForwardModel, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor, heights: Tensor, base: Tensor
+) -> Tensor:
     """Heights in m at the nodes `[n]`, out of `[k]` over the base `[n]` that are tried, in even steps about zero.
 
     seen: symbol image `[h, w]`. limit: threshold `[h, w]` cd/m^2. textures: light that was shown, `[rows, cols]` cd a module.

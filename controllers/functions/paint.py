@@ -59,7 +59,7 @@ class PaintedParams(Params):
 
 
 @dataclass(frozen=True, eq=False)
-class Painted:
+class PaintLayer:
     """A painted layer. value: `[n_p]` in 0..1. cover: `[n_p]`, the share in which it hides what is below. size: rows and columns."""
 
     value: Tensor
@@ -83,13 +83,13 @@ class Painted:
         return Utilisation(given + (1 - cover) * light.u, None if light.band is None else _both(band, light.band))
 
 
-def painted_layers(params: Sequence[PaintedParams]) -> Mapping[str, Painted]:
+def paint_layers(params: Sequence[PaintedParams]) -> Mapping[str, PaintLayer]:
     """The layers by module. Raises LuxloopError for two of one."""
-    layers = dict[str, Painted]()
+    layers = dict[str, PaintLayer]()
     for k, each in enumerate(params):
         if each.module in layers:
             raise LuxloopError(f"lighting.painted[{k}].module: {each.module!r} is painted twice; give each module one picture")
-        layers[each.module] = Painted.of(each)
+        layers[each.module] = PaintLayer.of(each)
     return layers
 
 

@@ -12,9 +12,9 @@ from luxloop.controllers.symbol.heights.body_filter import BodyFilter, BodyParam
 from luxloop.controllers.symbol.heights.body_poses import AT_REST, BodyPoses, Following, ground_at
 from luxloop.controllers.symbol.heights.forward_model import ForwardModel
 from luxloop.controllers.symbol.heights.patch import drawn_on
+from luxloop.controllers.symbol.heights.plane_sweep import plane_sweep
 from luxloop.controllers.symbol.heights.registration import HEIGHT_M, ITERATIONS, Heights, Registration
 from luxloop.controllers.symbol.heights.road_map import RoadMap
-from luxloop.controllers.symbol.heights.sweep import sweep
 from luxloop.controllers.symbol.sensing.aim import aimed, elsewhere
 from luxloop.controllers.symbol.sensing.planes import HERE, placed
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
@@ -25,7 +25,7 @@ from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from luxloop.perception.birdseye import Region
 from luxloop.perception.camera import camera_view
 from luxloop.perception.egomotion import Ego
-from luxloop.perception.extraction import Loss
+from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.frames import inverse, transform
 from luxloop.world.frames import pose as pose_of
 from luxloop.world.kept import keeping
@@ -49,7 +49,7 @@ Cell = Annotated[float, Field(ge=0.02, le=10)]
 Reach = Annotated[float, Field(ge=0, le=20)]
 
 
-class LuxloopParams(Params):
+class HeightControllerParams(Params):
     """Finds the road's heights from how the symbol lies on it, and draws for that road. Where they explain nothing it is the open loop."""
 
     name: Literal["luxloop"] = "luxloop"
@@ -70,7 +70,7 @@ class LuxloopParams(Params):
 
 
 @dataclass(frozen=True)
-class LuxloopState:
+class HeightControllerState:
     """road_map: what is known of the road, in the ground frame of time_s, which is ground in the level one, None before the first
     observation. body: what was known of it then, if it is measured.
 
@@ -89,10 +89,10 @@ class LuxloopState:
     ground: Tensor | None = None
 
 
-class Luxloop:
+class HeightController:
     """Registration of the heights of a road that the vehicle may drive over, supervised by the open loop."""
 
-    def __init__(self, params: LuxloopParams, sensor: SymbolSensor) -> None:
+    def __init__(self, params: HeightControllerParams, sensor: SymbolSensor) -> None:
         self.params, self.projector, self.sensor = params, sensor.projector, sensor
         self.region = region_of(self.projector.params, *params.beyond_m)
         self.reach_m = self.projector.params.x_m - self.projector.params.length_m / 4
@@ -105,16 +105,16 @@ class Luxloop:
         self.in_flight = sensor.camera.latency_steps + sensor.camera.latency_spread_steps + 2
         self.tried = torch.linspace(-params.highest_m, params.highest_m, HEIGHTS, device=self.projector.symbol.device)
 
-    def start(self, pose: Tensor) -> LuxloopState:
+    def start(self, pose: Tensor) -> HeightControllerState:
         """State that shows the pose `[4]` first, or the symbol for the road that is believed."""
         road_map = self.nothing
         if self.params.start_height_m == 0:
-            return LuxloopState(road_map, 0.0, ProjectionCommand(pose))
+            return HeightControllerState(road_map, 0.0, ProjectionCommand(pose))
         mean = road_map.heights.mean + self.params.start_height_m
         believed = _believed(road_map, mean)
-        return LuxloopState(believed, 0.0, self._drawn(believed))
+        return HeightControllerState(believed, 0.0, self._drawn(believed))
 
-    def projection(self, state: LuxloopState, ego: Ego | None) -> ProjectionCommand:
+    def projection(self, state: HeightControllerState, ego: Ego | None) -> ProjectionCommand:
         """The symbol for the road as it is known, from where the body will be by what is measured now."""
         if state.projection is not None:
             return state.projection
@@ -125,7 +125,7 @@ class Luxloop:
         ground = ground_at(ego, state.time_s) if state.ground is None else state.ground
         return self._drawn(road_map, Following.of(ego, now, state.time_s, ground))
 
-    def step(self, state: LuxloopState, observation: Observation) -> LuxloopState:
+    def step(self, state: HeightControllerState, observation: Observation) -> HeightControllerState:
         """Register the observation; the open loop's drawing, unless heights explain it better than a flat road does.
 
         What is known of the road tells how the body has pitched since the observation before, and what the wheels will come to.
@@ -136,7 +136,7 @@ class Luxloop:
                 body = self._filtered(body, ego)
         now = None if body is None else body.caught_up()
         body_poses = BodyPoses.of(observation, now, state.time_s, state.ground)
-        road_map, first, sought = state.road_map, state.first, state.sought or bool(observation.measurement.code == Loss.SEEN)
+        road_map, first, sought = state.road_map, state.first, state.sought or bool(observation.measurement.code == ExtractionStatus.SEEN)
         if anew := observation.frames is not None and first is not None and observation.shown.projection.shows(first):
             first = None
         if body_poses.still:
@@ -167,7 +167,7 @@ class Luxloop:
             road_map = road_map.showing(projection, self.in_flight)
         if road_map.shape is not state.road_map.shape:
             first = None if road_map.shape is None else projection
-        return LuxloopState(road_map, body_poses.time_s, projection, body, level_rad, first, sought, body_poses.ground)
+        return HeightControllerState(road_map, body_poses.time_s, projection, body, level_rad, first, sought, body_poses.ground)
 
     def _filtered(self, before: BodyFilter | None, ego: Ego | None) -> BodyFilter | None:
         """What is known of the body after a measurement, if there is one; one without axles has no filter."""
@@ -255,7 +255,7 @@ class Luxloop:
             return None
         return self._shaped(road_map, found.shape)
 
-    def _guessed(self, state: LuxloopState, observation: Observation) -> RoadMap | None:
+    def _guessed(self, state: HeightControllerState, observation: Observation) -> RoadMap | None:
         """A road to look for the symbol on that is not in the image, though it is shown for the road that was believed.
 
         Half as high or low as that; after a flat road one that falls, unless the symbol has been seen before, so that something hides it.
@@ -296,7 +296,7 @@ class Luxloop:
         coarse = self.over(road_map.T_ground_plane)[0] if body_poses.still else self._coarse(body_poses)
         contrast, limit = coarse.observe_symbol(frames, textures)
         seen, limit = coarse.symbol(contrast, limit), limit / coarse.on_pixels(road_map.brightness)
-        return sweep(coarse, seen, textures, limit, self.tried, road_map.heights.base)
+        return plane_sweep(coarse, seen, textures, limit, self.tried, road_map.heights.base)
 
     def _drawn(self, road_map: RoadMap, following: Following = AT_REST) -> ProjectionCommand:
         """The symbol for the road as it is known, from where the body will be then."""

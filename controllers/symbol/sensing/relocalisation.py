@@ -39,7 +39,7 @@ FAINT_PX = 20.0  # fewer lit pixels are no pattern
 
 
 @dataclass(frozen=True)
-class Acquired:
+class Relocalisation:
     """A road's shape `[4]`, the correlation with what it predicts, and that with what a flat road does; at most 1."""
 
     shape: Tensor
@@ -93,7 +93,7 @@ def _extent(lit: Tensor) -> tuple[int, int]:
 
 
 @dataclass(frozen=True)
-class Acquisition:
+class Relocaliser:
     """Looks for the light of a projector's modules in the images of a camera."""
 
     modules: tuple[DrawingModule, ...]
@@ -105,11 +105,11 @@ class Acquisition:
         """For the standing vehicle."""
         return cls(projector.modules, camera_view(camera), projector.params.x_m)
 
-    def find(self, symbol: Tensor, textures: Sequence[Tensor]) -> Acquired:
+    def find(self, symbol: Tensor, textures: Sequence[Tensor]) -> Relocalisation:
         """The shape that explains best where a symbol image `[height, width]` shows the light of textures, one a module."""
         patterns = self._patterns(textures)
         if not patterns or float(symbol.sum()) < FAINT_PX:
-            return Acquired(symbol.new_zeros(4), 0.0, 0.0)
+            return Relocalisation(symbol.new_zeros(4), 0.0, 0.0)
         from kornia.filters import gaussian_blur2d
 
         image = gaussian_blur2d(symbol[None, None], BLURRED_OVER, BLUR)
@@ -124,7 +124,7 @@ class Acquisition:
             step = step / 2
         match, best = matches.max(0)
         flat = self._matches(torch.zeros_like(shapes[:1]), image, patterns)
-        return Acquired(shapes[best], float(match), float(flat))
+        return Relocalisation(shapes[best], float(match), float(flat))
 
     def area(self, shape: Tensor, textures: Sequence[Tensor]) -> Tensor:
         """How many pixels `[]` of the image a road of this shape `[4]` shows lit by textures, one a module."""

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.symbol.heights.forward_model import ForwardModel
-from luxloop.controllers.symbol.heights.relief import Relief
+from luxloop.controllers.symbol.heights.height_map import HeightMap
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import Observation
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
@@ -20,7 +20,7 @@ SMOOTHING = ((1.0, 1.5), (1e-3, 8.0))  # weight and standard deviation in cells:
 
 
 @dataclass(frozen=True)
-class SurveyState:
+class StructuredLightState:
     """next: number of the pattern that is shown. seen: contrast `[h, w]` in cd/m^2 of each pattern, None where it is still missing."""
 
     next: int
@@ -32,7 +32,7 @@ class SurveyState:
         return all(each is not None for each in self.seen)
 
 
-class Survey:
+class StructuredLight:
     """Shows each pattern and its inverse once, with the first module that draws, and triangulates."""
 
     def __init__(self, sensor: SymbolSensor, region: Region) -> None:
@@ -50,15 +50,15 @@ class Survey:
             *(each.pixel_controller.headlight.light_texture(0 * each.pixel_controller.default) for each in modules[1:]),
         )
 
-    def start(self) -> SurveyState:
+    def start(self) -> StructuredLightState:
         """Nothing seen."""
-        return SurveyState(0, (None,) * len(self.patterns))
+        return StructuredLightState(0, (None,) * len(self.patterns))
 
-    def projection(self, state: SurveyState) -> ProjectionCommand:
+    def projection(self, state: StructuredLightState) -> ProjectionCommand:
         """The pattern that is shown next."""
         return self.patterns[state.next]
 
-    def step(self, state: SurveyState, observation: Observation) -> SurveyState:
+    def step(self, state: StructuredLightState, observation: Observation) -> StructuredLightState:
         """Keep what the frames show; go round what is still missing, since frames may be late or lost."""
         seen = list(state.seen)
         for k, pattern in enumerate(self.patterns):
@@ -67,7 +67,7 @@ class Survey:
         after = [(state.next + 1 + k) % len(seen) for k in range(len(seen))]
         return replace(state, seen=tuple(seen), next=next((k for k in after if seen[k] is None), state.next))
 
-    def relief(self, state: SurveyState) -> Relief:
+    def relief(self, state: StructuredLightState) -> HeightMap:
         """The road that a complete survey has found."""
         contrasts = torch.stack([each for each in state.seen if each is not None])
         bits = (contrasts[0::2] > contrasts[1::2]).long()
@@ -80,7 +80,7 @@ class Survey:
         usable = (height.abs() < HIGHEST_M) & (lit > 0.2 * lit.median()) & (forward_model.inside > 0)
         heights = self._smooth(torch.where(usable, height, 0.0), usable.to(height))
         expected = forward_model.luminance(self.lit, forward_model.on_pixels(heights.flatten())[None])[0] * usable
-        return Relief(forward_model.region, forward_model.eye, heights, self._smooth(lit * usable, expected))
+        return HeightMap(forward_model.region, forward_model.eye, heights, self._smooth(lit * usable, expected))
 
     def _smooth(self, values: Tensor, weights: Tensor) -> Tensor:
         """Sum of values over sum of weights, both `[h, w]`, around each node: `[rows, cols]`."""

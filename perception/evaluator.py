@@ -36,7 +36,7 @@ class Target:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Metrics:
     """The judge's metrics, all `[...]`.
 
     centroid_percent: `[..., 2]`, signed error along x in % of the symbol's length and along y in % of its width. iou, ssim: 0..1.
@@ -60,7 +60,7 @@ def target(luminance: Tensor, view: BirdsEye, length_m: float, width_m: float) -
     return Target(plane, median, mask, appearance(mask[part].to(plane), view.within(*part).axes), rows, cols, length_m, width_m)
 
 
-def judge(luminance: Tensor, view: BirdsEye, goal: Target, u_start: int = 0, v_start: int = 0) -> Verdict:
+def evaluate(luminance: Tensor, view: BirdsEye, goal: Target, u_start: int = 0, v_start: int = 0) -> Metrics:
     """Judge the noise-free on-minus-off camera luminance `[..., height, width]` in cd/m^2; NaN where nothing is lit.
 
     luminance: of the whole image, or of a crop that starts at (u_start, v_start) px and is dark beyond. Only the part of the view in which
@@ -79,7 +79,7 @@ def judge(luminance: Tensor, view: BirdsEye, goal: Target, u_start: int = 0, v_s
     size = torch.tensor([goal.length_m, goal.width_m]).to(offset)
     grey, goal_grey = (_in_pairs((image / goal.median / 2).clamp(0, 1)) for image in (plane, goal.luminance[part]))
     share = goal_grey.numel() / math.prod(n // 2 for n in goal.mask.shape)  # of the view; elsewhere both are dark, and the similarity is 1
-    return Verdict(
+    return Metrics(
         -100 * offset.flip(-1) / size,
         iou(mask, wanted.expand_as(mask)),
         1 - share * (1 - ssim(grey, goal_grey.expand_as(grey), SSIM_RADIUS, 1.0)),

@@ -7,7 +7,7 @@ from torch.nn.functional import avg_pool2d
 
 from luxloop.perception.birdseye import birds_eye, rectify, region_around
 from luxloop.perception.camera import CameraParams, average_rows, camera_view
-from luxloop.perception.judge import SSIM_RADIUS, Target, judge, target
+from luxloop.perception.evaluator import SSIM_RADIUS, Target, evaluate, target
 from luxloop.perception.metrics import ssim
 from luxloop.world.rendering.flat_road import flat_road
 
@@ -30,7 +30,7 @@ def goal() -> Target:
 
 
 def test_the_target_is_perfect(goal: Target) -> None:
-    verdict = judge(symbol(), PLANE, goal)
+    verdict = evaluate(symbol(), PLANE, goal)
     assert verdict.centroid_percent.tolist() == [0, 0]
     assert verdict.iou == 1
     assert verdict.ssim.item() == pytest.approx(1)
@@ -42,7 +42,7 @@ def test_the_target_is_perfect(goal: Target) -> None:
 
 @pytest.mark.parametrize(("dx", "dy"), [(0.4, 0.0), (-0.4, 0.0), (0.0, 0.2), (0.0, -0.2), (1.0, 0.5)])
 def test_a_shift_is_given_in_percent_of_the_symbol_forward_and_to_the_left(goal: Target, dx: float, dy: float) -> None:
-    verdict = judge(symbol(dx, dy), PLANE, goal)
+    verdict = evaluate(symbol(dx, dy), PLANE, goal)
     # A pixel is 0.11 m long at 17 m; thresholded, its interpolation knows the centre to a sixth of that, 0.5 % of 4 m.
     assert verdict.centroid_percent[0].item() == pytest.approx(100 * dx / LENGTH, abs=0.5)
     assert verdict.centroid_percent[1].item() == pytest.approx(100 * dy / WIDTH, abs=0.1)
@@ -52,12 +52,12 @@ def test_a_shift_is_given_in_percent_of_the_symbol_forward_and_to_the_left(goal:
 
 @pytest.mark.parametrize("stretch", [0.8, 1.25])
 def test_length_is_the_ratio_to_the_target(goal: Target, stretch: float) -> None:
-    assert judge(symbol(stretch=stretch), PLANE, goal).length.item() == pytest.approx(stretch, rel=0.02)
+    assert evaluate(symbol(stretch=stretch), PLANE, goal).length.item() == pytest.approx(stretch, rel=0.02)
 
 
 @pytest.mark.parametrize("shear", [-0.3, 0.3])
 def test_shear_leaves_length_and_centre(goal: Target, shear: float) -> None:
-    verdict = judge(symbol(shear=shear), PLANE, goal)
+    verdict = evaluate(symbol(shear=shear), PLANE, goal)
     # In the plane u = -y and v = -x grow to the right and towards the car.
     assert verdict.shear.item() == pytest.approx(shear, abs=0.03)
     assert verdict.length.item() == pytest.approx(1, abs=0.02)
@@ -72,14 +72,14 @@ def test_similarity_is_that_of_the_whole_plane(goal: Target, dx: float) -> None:
         avg_pool2d((each / goal.median / 2).clamp(0, 1), 2) for each in (rectify(PLANE, luminance), goal.luminance.expand(2, -1, -1))
     )
     # In single precision a mean over half a million cells is good to some 1e-6.
-    assert judge(luminance, PLANE, goal).ssim.tolist() == pytest.approx(ssim(seen, wanted, SSIM_RADIUS, 1.0).tolist(), abs=2e-6)
+    assert evaluate(luminance, PLANE, goal).ssim.tolist() == pytest.approx(ssim(seen, wanted, SSIM_RADIUS, 1.0).tolist(), abs=2e-6)
 
 
 def test_a_crop_is_judged_as_the_whole_image_that_is_dark_beyond(goal: Target) -> None:
     whole = torch.stack([symbol(), symbol(1.0, 0.5), torch.zeros_like(symbol())])
     v, u = whole.any(0).any(1).nonzero(), whole.any(0).any(0).nonzero()
     cut = whole[:, int(v[0]) - 3 : int(v[-1]) + 5, int(u[0]) - 4 : int(u[-1]) + 2]
-    expected, found = judge(whole, PLANE, goal), judge(cut, PLANE, goal, u_start=int(u[0]) - 4, v_start=int(v[0]) - 3)
+    expected, found = evaluate(whole, PLANE, goal), evaluate(cut, PLANE, goal, u_start=int(u[0]) - 4, v_start=int(v[0]) - 3)
     for name, value in vars(expected).items():
         assert vars(found)[name].equal(value) or torch.allclose(vars(found)[name], value, rtol=0, atol=1e-5, equal_nan=True), name
     assert expected.iou[2] == 0, "nothing of the symbol is there"
@@ -87,16 +87,16 @@ def test_a_crop_is_judged_as_the_whole_image_that_is_dark_beyond(goal: Target) -
 
 def test_brightness_does_not_move_the_symbol(goal: Target) -> None:
     """The threshold is fixed, so edges of a brighter symbol win a little; ten times darker and it is gone."""
-    dim, bright = judge(symbol(brightness=0.06), PLANE, goal), judge(symbol(brightness=0.2), PLANE, goal)
+    dim, bright = evaluate(symbol(brightness=0.06), PLANE, goal), evaluate(symbol(brightness=0.2), PLANE, goal)
     for verdict in (dim, bright):
         assert verdict.iou > 0.95
         assert verdict.centroid_percent.abs().max() < 1
         assert verdict.ssim < 0.995
-    assert judge(symbol(brightness=0.01), PLANE, goal).iou == 0
+    assert evaluate(symbol(brightness=0.01), PLANE, goal).iou == 0
 
 
 def test_nothing_lit_has_no_centre(goal: Target) -> None:
-    verdict = judge(torch.zeros_like(symbol()), PLANE, goal)
+    verdict = evaluate(torch.zeros_like(symbol()), PLANE, goal)
     assert verdict.iou == 0
     for value in (verdict.centroid_percent, verdict.length, verdict.shear):
         assert value.isnan().all()
@@ -104,8 +104,8 @@ def test_nothing_lit_has_no_centre(goal: Target) -> None:
 
 def test_batches(goal: Target) -> None:
     images = torch.stack([symbol(), symbol(0.4, 0.1), torch.zeros_like(symbol())])
-    batch = judge(images, PLANE, goal)
+    batch = evaluate(images, PLANE, goal)
     assert batch.centroid_percent.shape == (3, 2)
     for k, image in enumerate(images):
-        for name, value in vars(judge(image, PLANE, goal)).items():
+        for name, value in vars(evaluate(image, PLANE, goal)).items():
             torch.testing.assert_close(getattr(batch, name)[k], value, equal_nan=True, rtol=1e-4, atol=1e-4)
