@@ -9,7 +9,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from luxloop.controllers.functions.symbol import UNCONTROLLED, SymbolFunctionParams
-from luxloop.controllers.symbol import CONTROLLERS, LuxloopParams
+from luxloop.controllers.symbol import CONTROLLERS, HeightControllerParams
 from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
 from luxloop.controllers.symbol.sensing.projector import StartParams
 from luxloop.loop.scenario.model import Scenario
@@ -35,7 +35,7 @@ VARIANTS: dict[str, type[BaseModel]] = {
     "plant": SimulatedPlantParams,
     "tracker": TrackerParams,
     "start": StartParams,
-    "controller": LuxloopParams,
+    "controller": HeightControllerParams,
     "features": FeatureParams,
     "extraction": ExtractionParams,
 }

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 import pytest
 from pydantic import BaseModel, TypeAdapter
 
-from luxloop.controllers.symbol import LuxloopParams
+from luxloop.controllers.symbol import HeightControllerParams
 from luxloop.loop.scenario.model import Scenario, load, validate
 from luxloop.loop.scenario.shipped import shipped
 from luxloop.world.errors import LuxloopError
@@ -75,7 +75,7 @@ def test_functions_are_given_with_or_without_a_controller(file: Path) -> None:
     scenario = load(str(file), ["lighting.power_limit=0.5"], steps=2)
     assert (scenario.steps, scenario.lighting.power_limit, scenario.lighting.base.beam) == (2, 0.5, "low")
     assert scenario.functions["own"].image == str(file.parent / "mine.svg")  # type: ignore[union-attr]
-    assert scenario.controlled == ("symbol",) and scenario.symbol.controller == LuxloopParams()
+    assert scenario.controlled == ("symbol",) and scenario.symbol.controller == HeightControllerParams()
     assert validate(json.loads(json.dumps(scenario.model_dump(mode="json"))), "manifest.json") == scenario
     both = load(str(file), ["functions.own.controller=open"])
     assert both.controlled == ("own", "symbol")
