@@ -18,8 +18,7 @@ from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import camera_view
 from luxloop.perception.extraction import NEIGHBOURHOOD, WHOLLY_LIT
-from luxloop.world.rendering.flat_road import flat_road
-from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
+from luxloop.world.rendering.gbuffer import GBuffer, flat_road, gbuffer
 from luxloop.world.rendering.rasterise import FAR_M, GL_OPENCV, NEAR_M
 from luxloop.world.rendering.raycast import sees
 

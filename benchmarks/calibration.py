@@ -10,9 +10,9 @@ import numpy as np
 
 from luxloop.controllers.jpo.mae import least_error
 from luxloop.controllers.jpo.part import pixel_goal
-from luxloop.world.beams.rectangles import RECTANGLES, Rectangle
 from luxloop.world.headlight import Headlight
-from luxloop.world.presets import lamp
+from luxloop.world.lamps.patterns import RECTANGLES, Rectangle
+from luxloop.world.lamps.presets import lamp
 
 PUBLISHED = {"hd84": 0.81, "ssl-hd-lores": 0.19}  # mean error, T 8.4
 

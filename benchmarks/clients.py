@@ -23,8 +23,7 @@ from luxloop.loop.report import terminal as tables
 from luxloop.loop.studio.client.decoding import unpacked
 from luxloop.loop.studio.client.shared import Mapped
 from luxloop.loop.studio.shared import Blocks
-from luxloop.world.messages.arrays import raw
-from luxloop.world.messages.packing import packed
+from luxloop.world.messages import packed, raw
 
 SIZES = ((640, 360), (1920, 1080))
 ROUNDS = 40

@@ -5,8 +5,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from luxloop.world.frames import View
 from luxloop.world.scene.triangles import Placed, Triangles
-from luxloop.world.view import View
 
 Floats = NDArray[np.float64]
 COLUMNS = 2048  # that rays and faces are sorted into

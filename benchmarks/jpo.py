@@ -33,10 +33,10 @@ from luxloop.controllers.pixels.windows import whole  # noqa: E402
 from luxloop.loop.report.terminal import markdown  # noqa: E402
 from luxloop.loop.simulation.build import symbol_path  # noqa: E402
 from luxloop.perception.metrics import mae  # noqa: E402
-from luxloop.world.beams.rectangles import RECTANGLES  # noqa: E402
 from luxloop.world.frames import pose_from_degrees  # noqa: E402
 from luxloop.world.headlight import Headlight  # noqa: E402
-from luxloop.world.presets import lamp  # noqa: E402
+from luxloop.world.lamps.patterns import RECTANGLES  # noqa: E402
+from luxloop.world.lamps.presets import lamp  # noqa: E402
 from luxloop.world.spmv import multiply  # noqa: E402
 from luxloop.world.symbols import load_still  # noqa: E402
 

@@ -25,7 +25,7 @@ from luxloop.loop.rig.calibration.response import Response
 from luxloop.loop.rig.live.digitiser import Digitiser
 from luxloop.perception.camera import saturation_luminance
 from luxloop.world.headlight import Headlight
-from luxloop.world.presets.ideal import idealised
+from luxloop.world.lamps.presets import idealised
 
 CAMERAS = ((640, 272), (1280, 544), (1920, 800))
 TEXELS = ((1, 1), (4, 2))  # rows and columns a pixel: 332 x 1024 and 1328 x 2048 texels

@@ -28,8 +28,7 @@ from luxloop.loop.simulation.clock import FromZero
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame, Plant
 from luxloop.loop.simulation.remote_plant import RemotePlant
 from luxloop.loop.studio.client.decoding import unpacked
-from luxloop.world.messages.arrays import raw
-from luxloop.world.messages.packing import packed
+from luxloop.world.messages import packed, raw
 
 SIZES = ((640, 360), (1280, 720))
 STEPS = 100

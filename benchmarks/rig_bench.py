@@ -17,7 +17,7 @@ from luxloop.loop.simulation.lamps import lamp_modules, shining_modules
 from luxloop.perception.camera import camera_view
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp, Module
-from luxloop.world.lampfiles import archive
+from luxloop.world.lamps import archive
 
 SCREEN_M = 5.95  # of the screen before the lamp
 ALBEDO = 0.8

@@ -22,7 +22,7 @@ from luxloop.loop.rig.calibration.geometry import Geometry, candela_factor
 from luxloop.loop.rig.calibration.response import Response
 from luxloop.loop.rig.calibration.shots import Shots
 from luxloop.world.headlight import Headlight
-from luxloop.world.presets.ideal import idealised
+from luxloop.world.lamps.presets import idealised
 
 CASES = {
     "nothing": Effects(),

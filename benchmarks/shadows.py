@@ -27,20 +27,17 @@ from luxloop.loop.scenario import data
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.simulation.world import World
-from luxloop.world.frames import pose, pose_from_degrees
+from luxloop.world.frames import View, pose, pose_from_degrees
 from luxloop.world.headlight import Headlight
 from luxloop.world.light.illumination import illuminance, reach
-from luxloop.world.rendering.face_source import face_source
 from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.rendering.raycast import TOLERANCE_M, depths, first_hits, sees
-from luxloop.world.rendering.surfaces import ExactSurfaces, surface_source
-from luxloop.world.roads.mesh import road_mesh
+from luxloop.world.rendering.surfaces import ExactSurfaces, face_source, surface_source
 from luxloop.world.roads.shapes import Bumps, Curb, Flat, Grade, Iso8608, Mixed, OpenCrgRoad, Pothole, Road, SpeedBump, Step
 from luxloop.world.scene.body import Body
-from luxloop.world.scene.road_tiles import RoadTiles
+from luxloop.world.scene.ground import RoadTiles, road_mesh
 from luxloop.world.scene.scene import Scene
 from luxloop.world.scene.triangles import Triangles
-from luxloop.world.view import View
 
 SHAPES: dict[str, Road] = {
     "flat": Flat(),

@@ -27,7 +27,7 @@ from spmv_timing import Copy, Step, interleaved, statistics
 from spmv_updates import FIGURE_PIXELS, FIGURE_TEXELS, measure_figure, measure_updates
 
 from luxloop.loop.report import terminal as tables
-from luxloop.world import presets
+from luxloop.world.lamps import presets
 from luxloop.world.spmv import Csr, zeros
 
 ROOT = Path(__file__).parents[1]

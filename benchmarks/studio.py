@@ -29,7 +29,7 @@ from luxloop.loop.studio.messages import VIEWS, Button, Request
 from luxloop.loop.studio.server import Studio, Tokens
 from luxloop.loop.studio.session import Session
 from luxloop.loop.studio.sources import Source
-from luxloop.world.messages.packing import LENGTH
+from luxloop.world.messages import LENGTH
 
 SMALL = ("camera.width_px=640", "camera.height_px=360", "judge_every=0")
 STEPS = {"snowflake": 240, "gfhb": 60, "driving": 80}  # some four to eight seconds each

@@ -11,14 +11,12 @@ from torch import Tensor
 from luxloop.controllers.geometry import Place
 from luxloop.controllers.pixels.primitives import Primitives, rectangle
 from luxloop.controllers.pixels.secondary import Light
-from luxloop.world.frames import inverse, transform
+from luxloop.world.frames import View, inverse, transform
 from luxloop.world.headlight.lamp import Commands
 from luxloop.world.params import Params
-from luxloop.world.scene.body import Body
-from luxloop.world.scene.figure import Figure
+from luxloop.world.scene.body import Body, Figure
 from luxloop.world.symbols import SymbolSource
 from luxloop.world.traffic.tracked import Category
-from luxloop.world.view import View
 
 LAYERS = 16  # most layers of primitives that a function may stack
 Side = Literal["left", "right"]

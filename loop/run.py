@@ -27,9 +27,9 @@ from luxloop.loop.simulation.digitised import DigitisedPlant, needs_rig
 from luxloop.loop.simulation.protocol import Plant
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
+from luxloop.world.arrays import read_parquet
 from luxloop.world.errors import LuxloopError, located
-from luxloop.world.folders import output_folder
-from luxloop.world.parquet import read_parquet
+from luxloop.world.files import output_folder
 
 VIDEO_FPS = 10  # slower than most loops, so that the eye can follow their steps
 

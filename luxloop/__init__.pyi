@@ -50,9 +50,9 @@ from .world.frames import pose_from_degrees as pose_from_degrees
 from .world.headlight.lamp import Lamp as Lamp
 from .world.headlight.lamp import Module as Module
 from .world.headlight.lamp import ModuleCommand as ModuleCommand
-from .world.lampfiles.description import load_lamp as load_lamp
+from .world.lamps.description import load_lamp as load_lamp
+from .world.lamps.presets import idealised as idealised
 from .world.photometry import read_photometry as read_photometry
-from .world.presets import idealised as idealised
 from .world.regulation import aim_beam as aim_beam
 from .world.regulation import check_beam as check_beam
 from .world.roads.base import RoadModel as RoadModel

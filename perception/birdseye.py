@@ -8,8 +8,8 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d, pad
 
 from luxloop.perception.appearance import Axes
-from luxloop.world.resampling import resampled
-from luxloop.world.view import View
+from luxloop.world.frames import View
+from luxloop.world.texels import resampled
 
 NOWHERE_PX = -1e6
 

@@ -17,10 +17,9 @@ from pydantic import Field, model_validator
 from torch import Tensor
 
 from luxloop.perception.noise import FrameNoise
-from luxloop.world.budget import afford
-from luxloop.world.frames import R_ISO_OPENCV, pose, pose_from_degrees
+from luxloop.world.files import afford
+from luxloop.world.frames import R_ISO_OPENCV, View, pose, pose_from_degrees
 from luxloop.world.params import Params
-from luxloop.world.view import View
 
 BYTES_A_SAMPLE: Final = 350  # of a frame with G-buffer and shading, measured
 

@@ -7,8 +7,8 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from luxloop.world.frames import View
 from luxloop.world.params import Metres, Params
-from luxloop.world.view import View
 
 # Disability glare (Stiles & Holladay, CIE 31-1976): 10 cd/m^2 of veil at 1 deg from a source of 1 lx at the eye
 EYE_DEG2 = 10.0

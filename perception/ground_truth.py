@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from luxloop.world.frames import View
 from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.rendering.raycast import first_hits
 from luxloop.world.scene.triangles import Placed, Triangles
 from luxloop.world.traffic.tracked import Category
-from luxloop.world.view import View
 
 Box = tuple[float, float, float, float]
 

@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from luxloop.perception.placing import road_rows
+from luxloop.world.frames import View
 from luxloop.world.traffic.tracked import Category
-from luxloop.world.view import View
 
 HEIGHTS_M: Mapping[Category, tuple[float, float]] = {  # of the lowest and of the highest on the road
     "pedestrian": (1.0, 2.05),

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from luxloop.world.frames import View
 from luxloop.world.traffic.tracked import Category
-from luxloop.world.view import View
 
 FARTHEST_M = 150.0  # distance assumed for objects on the horizon
 LOWEST_M = 0.05  # of a camera, below which feet and horizon cannot be distinguished

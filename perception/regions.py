@@ -3,8 +3,7 @@
 import torch
 from torch import Tensor
 
-from luxloop.world.frames import inverse
-from luxloop.world.view import View
+from luxloop.world.frames import View, inverse
 
 
 def box_region(view: View, T_world_box: Tensor, low: Tensor, high: Tensor) -> Tensor:

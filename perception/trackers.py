@@ -12,10 +12,10 @@ from luxloop.perception.tracking import Tracker, TrackerParams
 from luxloop.perception.tracks import ObjectTracker, TrackedBoxes
 from luxloop.world import plugin
 from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import View
 from luxloop.world.params import Params
 from luxloop.world.plugin import OWN, known_or_own
 from luxloop.world.traffic.tracked import Category
-from luxloop.world.view import View
 
 KEY = "tracker.kind"
 METHODS = ("start", "follow", "report")

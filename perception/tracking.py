@@ -21,9 +21,9 @@ from luxloop.perception.lamps import SHINE, by_lamps
 from luxloop.perception.parts import MEASURED, SOLID, alike, are_parts, belonging, complete, hiding, limits_m, spread_of, standing, uncut
 from luxloop.perception.placing import nearness
 from luxloop.perception.tracks import EACH, TrackedBoxes, Tracks
+from luxloop.world.frames import View
 from luxloop.world.params import Params
 from luxloop.world.traffic.tracked import Category
-from luxloop.world.view import View
 
 STARTS = (4.0, 0.5)  # of a new track's rates, in sizes a second: 4 m/s across for a pedestrian's size, less up and down
 CHANGES = (1.0, 0.3)  # of how rates change, in sizes and the root of a second

@@ -25,7 +25,7 @@ from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.overrides import TAGS
 from luxloop.loop.simulation import columns as recorded
 from luxloop.loop.simulation.frames import COLUMNS
-from luxloop.world.lampfiles.description import LampDescription
+from luxloop.world.lamps.description import LampDescription
 
 FILES: dict[str, tuple[type[BaseModel], ...]] = {
     "scenarios.md": (Scenario,),

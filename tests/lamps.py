@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from luxloop.world.headlight.lamp import Lamp, Module
-from luxloop.world.lampfiles import archive
-from luxloop.world.presets import idealised
+from luxloop.world.lamps import archive
+from luxloop.world.lamps.presets import idealised
 
 # The rows of `idealised-332x1024`, which decide how finely a symbol is drawn on the road, and 64 columns, there as wide as a row is long:
 # a sixteenth of its pixels and memory.

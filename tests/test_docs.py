@@ -25,8 +25,8 @@ from luxloop.loop.scenario.overrides import TAGS
 from luxloop.loop.scenario.shipped import shipped
 from luxloop.loop.studies.campaign import CampaignParams
 from luxloop.loop.studio.page import PAGE
-from luxloop.world.lampfiles import description
-from luxloop.world.lampfiles.description import LampDescription
+from luxloop.world.lamps import description
+from luxloop.world.lamps.description import LampDescription
 from luxloop.world.validation import validated
 
 ROOT = Path(__file__).parents[1]

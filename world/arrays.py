@@ -1,16 +1,20 @@
-"""NumPy files from users: declared sizes are checked before allocation, and pickled objects are refused, since they run code."""
+"""NumPy and Parquet files: declared sizes are checked before allocation, and pickled objects are refused, since they run code."""
 
 import io
 import math
+import os
 import zipfile
 from collections.abc import Iterable
 from pathlib import Path
 from typing import IO, Any, Final
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 from numpy.lib import format as npy
 
-from luxloop.world.budget import afford
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import afford, reading
 
 BYTES_A_NUMBER: Final = 16  # readers turn most numbers into float64, and copy them once
 REMEDY: Final = "save fewer numbers in it"
@@ -23,7 +27,7 @@ Arrays = dict[str, np.ndarray[Any, Any]]
 def read_npy(path: Path) -> np.ndarray[Any, Any]:
     """The array of a .npy. Raises LuxloopError beyond the memory budget, and NumPy's errors for damaged files."""
     with path.open("rb") as stream:
-        afford(f"{path}: its array", BYTES_A_NUMBER * _declared(stream, path.stat().st_size), REMEDY)
+        afford(f"{path}: its array", BYTES_A_NUMBER * _array_size(stream, path.stat().st_size), REMEDY)
         return _array(stream)
 
 
@@ -35,7 +39,7 @@ def read_npz(path: Path) -> Arrays:
         declared = 0
         for info in members.values():
             with archive.open(info) as stream:
-                declared += _declared(stream, info.file_size)
+                declared += _array_size(stream, info.file_size)
         afford(f"{path}: its arrays", BYTES_A_NUMBER * declared, REMEDY)
         arrays: Arrays = {}
         for name, info in members.items():
@@ -53,7 +57,7 @@ def write_npz(path: Path, arrays: Iterable[tuple[str, np.ndarray[Any, Any]]]) ->
             archive.writestr(zipfile.ZipInfo(f"{name}.npy"), buffer.getbuffer(), zipfile.ZIP_DEFLATED, LEVEL)
 
 
-def _declared(stream: IO[bytes], n_bytes: int) -> int:
+def _array_size(stream: IO[bytes], n_bytes: int) -> int:
     """Number of values that the header of an array declares. Raises ValueError if the stream has too few bytes for them."""
     version = npy.read_magic(stream)
     if version not in _HEADERS:
@@ -71,3 +75,37 @@ def _declared(stream: IO[bytes], n_bytes: int) -> int:
 
 def _array(stream: IO[bytes]) -> np.ndarray[Any, Any]:
     return npy.read_array(stream, allow_pickle=False)  # type: ignore[no-any-return]
+
+
+BYTES_A_VALUE: Final = 16  # of a table while it is read, however well it was compressed
+ROWS: Final = 65_536  # read at once, so that no column reserves memory for as many values as it claims to have
+TYPES: Final = (pa.int64(), pa.float64(), pa.bool_(), pa.string())
+
+
+def read_parquet(file: Path) -> pa.Table:
+    """Read a recording's table of steps. Raises LuxloopError where it is missing or damaged."""
+    import pyarrow.compute as pc
+
+    if not os.path.isfile(file):
+        raise LuxloopError(f"{file}: is missing, no step was recorded; record the run again")
+    with reading(file, "damaged, not readable as Parquet", "record the run again"):
+        schema = pq.read_schema(file)
+        if strange := [field.name for field in schema if field.type not in TYPES]:
+            raise ValueError(f"the column {strange[0]!r} has a type that recordings do not have")
+        texts = [field.name for field in schema if field.type == pa.string()]
+        with pq.ParquetFile(file, read_dictionary=texts) as stored:
+            afford(f"{file}: its table", _table_bytes(stored.metadata), "record the run again")
+            table = pa.Table.from_batches(stored.iter_batches(ROWS), stored.schema_arrow)
+        chunks = (chunk for name in texts for chunk in table[name].chunks)
+        unpacked = sum(len(chunk) * (pc.max(pc.binary_length(chunk.dictionary)).as_py() or 0) for chunk in chunks)
+        afford(f"{file}: its texts", unpacked, "record the run again")
+        return table.cast(schema)
+
+
+def _table_bytes(metadata: pq.FileMetaData) -> int:
+    """Bytes of all columns, texts that are the same in many rows counted once.
+
+    From the row groups, as pyarrow ends the process where it is asked for a column chunk whose metadata are damaged.
+    """
+    groups = (metadata.row_group(k) for k in range(metadata.num_row_groups))
+    return sum(max(BYTES_A_VALUE * each.num_rows * metadata.num_columns, each.total_byte_size) for each in groups)

@@ -1,15 +1,30 @@
-"""Files from users, read with a one-sentence error if that fails, and files that are written whole or not at all."""
+"""Files from users, within a memory budget; files written whole or not at all; output folders under a lock.
+
+A few bytes can declare any size: an array's header, a picture, a lamp, a camera's resolution. One budget limits all of them.
+The kernel's locks end with the process, however it ends, and leave no file behind.
+"""
 
 import errno
+import fcntl
 import os
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from luxloop.world.budget import afford
 from luxloop.world.errors import LuxloopError
+
+BUDGET_BYTES: Final = 3_000_000_000  # enough for a camera of 1920 x 1080 px at 4 samples, and fits on a machine with 8 GB
+
+
+def afford(what: str, n_bytes: float, remedy: str) -> None:
+    """Raises LuxloopError with the remedy if `what`, the begin of the message, needs more memory than the budget."""
+    if n_bytes > BUDGET_BYTES:
+        needed = min(n_bytes, 1e18) / 1e9  # a declared number may have more digits than a float
+        budget = f"more than the budget of {BUDGET_BYTES / 1e9:g} GB"
+        raise LuxloopError(f"{what} would take at least {needed:,.3g} GB of memory, {budget}; {remedy}")
+
 
 PARTS: Final = ".*.[0-9]*.part"  # pattern of the names of half-written files
 BYTES_A_BYTE: Final = 8  # of a file while it is read: its bytes, its text, its numbers
@@ -78,3 +93,77 @@ def link(source: Path, target: Path) -> None:
 def part_of(path: Path) -> Path:
     """Where a file is written until it is whole."""
     return path.with_name(f".{path.name}.{os.getpid()}.part")
+
+
+@contextmanager
+def output_folder(folder: Path) -> Iterator[None]:
+    """A folder that only this process writes into; created if missing, and removed again if it was created and stays empty.
+
+    Half-written files of writers that were killed are removed. Raises LuxloopError where another process writes into it, or it
+    cannot be made.
+    """
+    with _opened(folder) as descriptor:
+        if not _locked(descriptor, fcntl.LOCK_EX):
+            raise _in_use(folder)
+        for part in folder.glob(PARTS):
+            part.unlink(missing_ok=True)
+        yield
+
+
+@contextmanager
+def shared_folder(folder: Path, journal: Path, mend: Callable[[], None]) -> Iterator[None]:
+    """A folder that several processes write into, which take turns with the journal in it.
+
+    mend: called if no other process works in the folder: trials that the journal lists as running were then killed. Raises LuxloopError
+    where another process has locked the folder, or it cannot be made.
+    """
+    with _opened(folder) as descriptor:
+        if not _locked(descriptor, fcntl.LOCK_SH) and not journal.exists():  # before a journal is created in a foreign folder
+            raise _in_use(folder)
+        fcntl.flock(descriptor, fcntl.LOCK_UN)  # waiting processes do not count as working
+        with turn(journal):
+            if _locked(descriptor, fcntl.LOCK_EX):
+                mend()
+            if not _locked(descriptor, fcntl.LOCK_SH):
+                raise _in_use(folder)
+        yield
+
+
+@contextmanager
+def turn(file: Path) -> Iterator[None]:
+    """A block that one process at a time enters; the lock file is created if missing. Raises OSError if that fails."""
+    descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def _opened(folder: Path) -> Iterator[int]:
+    try:
+        new = [each for each in (folder, *folder.parents) if not each.exists()]
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        raise LuxloopError(f"{folder}: cannot be written ({error.strerror}); give another folder with --out") from error
+    try:
+        yield descriptor
+    finally:
+        with suppress(OSError):  # not empty
+            for each in new:
+                each.rmdir()
+        os.close(descriptor)
+
+
+def _locked(descriptor: int, how: int) -> bool:
+    try:
+        fcntl.flock(descriptor, how | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _in_use(folder: Path) -> LuxloopError:
+    return LuxloopError(f"{folder}: another process writes into it; wait until that ends, or give another folder with --out")

@@ -14,11 +14,9 @@ import resvg_py
 import torch
 from torch import Tensor
 
-from luxloop.world.budget import afford
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import content, reading
-from luxloop.world.images import decoded
-from luxloop.world.svg import self_contained
+from luxloop.world.files import afford, content, reading
+from luxloop.world.images import decoded, self_contained
 
 DRAWN_PX = 512  # longer side of what is drawn from an SVG, and the largest of a video: finer than a lamp can show
 CSS_DPI = 96.0  # px an inch of the units of an SVG (CSS Values and Units 4, 6.2)

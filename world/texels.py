@@ -1,15 +1,16 @@
-"""The grid of a light texture: texels on the plane x = 1 of the headlight frame, bounded by four tangents (T 2.3, 5.1, 7.3.1)."""
+"""The grid of a light texture: texels on the plane x = 1 of the headlight frame, bounded by four tangents (T 2.3, 5.1, 7.3.1); sampling."""
 
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Literal
 
 import torch
 from torch import Tensor
+from torch.nn.functional import grid_sample
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.frames import R_ISO_OPENCV, pose
-from luxloop.world.view import View
+from luxloop.world.frames import R_ISO_OPENCV, View, pose
 
 LARGEST_ANGLE_DEG = 80.0  # beyond it the plane x = 1 wastes its texels
 
@@ -81,3 +82,13 @@ def bilinear(grid: TexelGrid, row: Tensor, col: Tensor) -> tuple[Tensor, Tensor]
     texel = torch.stack([r0 * grid.cols + c0, r0 * grid.cols + c1, r1 * grid.cols + c0, r1 * grid.cols + c1])
     weight = torch.stack([(1 - fr) * (1 - fc), (1 - fr) * fc, fr * (1 - fc), fr * fc])
     return texel, weight * inside
+
+
+def resampled(image: Tensor, u: Tensor, v: Tensor, beyond: Literal["zeros", "border"] = "zeros", corners: bool = False) -> Tensor:
+    """An image `[B, channels, H, W]` at places u, v `[B or 1, h, w]`, which run from -1 to 1 over its width and height:
+    `[B, channels, h, w]`.
+
+    beyond: what is taken beyond its borders. corners: whether -1 and 1 are the middles of the outer pixels, in place of their edges.
+    """
+    places = torch.stack([u, v], -1).expand(len(image), -1, -1, -1)  # [B, h, w, 2]
+    return grid_sample(image, places, mode="bilinear", padding_mode=beyond, align_corners=corners)

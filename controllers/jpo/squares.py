@@ -7,8 +7,8 @@ from torch import Tensor
 
 from luxloop.controllers.jpo.part import PixelGoal, anywhere, reached_rows, submatrix, without_fixed
 from luxloop.world.errors import LuxloopError
-from luxloop.world.headlight import Headlight, fit
-from luxloop.world.spmv import Csr, multiply
+from luxloop.world.headlight import Headlight
+from luxloop.world.spmv import Csr, multiply, solve
 
 FEW_PIXELS = 2_000  # most pixels whose pseudo-inverse takes seconds
 
@@ -31,7 +31,7 @@ def least_squares(matrix: Csr, goal: PixelGoal, iterations: int = 300, tolerance
         A = submatrix(matrix, rows, cols)
         start, upper = goal.start[..., cols], useful[..., cols].to(target)
         weight = goal.weight[..., rows].sqrt()
-        u[..., cols] += fit.solve(
+        u[..., cols] += solve(
             A, target[..., rows], weight=weight, upper=upper, start=start * upper, iterations=iterations, tolerance=tolerance
         )
     return u

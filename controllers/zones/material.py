@@ -16,9 +16,9 @@ from luxloop.controllers.geometry import Place, facing, on_road
 from luxloop.controllers.pixels.primitives import Observer, Primitives, rectangle
 from luxloop.controllers.situation import LAYERS, Category, SelectionParams, Situation
 from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import View
 from luxloop.world.materials.library import MaterialName
 from luxloop.world.params import Metres, Params
-from luxloop.world.view import View
 
 GROUND = frozenset({"asphalt", "wet_asphalt", "lane_paint"})  # materials in the road's plane; all others stand on it
 Quantity = Literal["lx", "luminance"]

@@ -19,9 +19,8 @@ from luxloop.controllers.pid import PidGains, PidParams, PidState, pid_gains, pi
 from luxloop.controllers.pixels.primitives import Primitives, meant, rectangle
 from luxloop.controllers.situation import LAYERS, Situation
 from luxloop.perception.regions import box_region
-from luxloop.world.frames import pose_from_degrees
+from luxloop.world.frames import View, pose_from_degrees
 from luxloop.world.params import Metres, Params
-from luxloop.world.view import View
 
 DARKEST = 0.01  # of the target: least measured luminance, so that the logarithm stays finite
 CLIPPED = 0.5  # share of saturated pixels from which on the mean is only a lower bound of the zone's luminance

@@ -6,7 +6,7 @@ from types import MappingProxyType
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import Lamp
 from luxloop.world.regulation import Result, aim_beam, check_beam, rule_set
-from luxloop.world.regulation.results import Traffic
+from luxloop.world.regulation.tables import Traffic
 
 RULE_OF_BEAM: Mapping[str, str] = MappingProxyType(
     {"low": "r149-passing-c", "adverse": "r149-passing-c", "motorway": "r149-passing-c", "town": "r149-passing-v", "high": "r149-driving-b"}

@@ -45,7 +45,7 @@ def info(lamp: str, /) -> None:
 
         tables.show(headlight_tables.photometry(*read_all([Path(lamp)])))
         return
-    from luxloop.world.lampfiles.description import load_lamp
+    from luxloop.world.lamps.description import load_lamp
 
     described = load_lamp(lamp)
     print(f"{described.name}\n{described.notes}\n" if described.notes else described.name)
@@ -127,7 +127,7 @@ def show(
         from luxloop.loop.commands.shown import lights_by_side
         from luxloop.loop.report.headlight import show_headlight
         from luxloop.loop.scenario.model import load
-        from luxloop.world.lampfiles.description import for_traffic, load_lamp
+        from luxloop.world.lamps.description import for_traffic, load_lamp
 
         if time_s is not None and (scenario is None or not 0 <= time_s < math.inf):
             raise LuxloopError("--time-s: is a time in a --scenario, in s from its start; give both, and a number of 0 or more")
@@ -170,8 +170,8 @@ def build(description: Path, /, *, out: Path | None = None) -> None:
         Lamp file to write; by default the description's name, ending in .npz.
     """
     from luxloop.loop.commands import headlight_tables
-    from luxloop.world.lampfiles.archive import save
-    from luxloop.world.lampfiles.description import build as build_lamp
+    from luxloop.world.lamps.archive import save
+    from luxloop.world.lamps.description import build as build_lamp
 
     with _pixels_done() as on_progress:
         lamp, report = build_lamp(description, on_progress=on_progress)
@@ -211,7 +211,7 @@ def export(
         Step of both angles in deg; in EULUMDAT of gamma, whose planes are 1 deg apart.
     """
     from luxloop.loop.report.export_photometry import export as export_beam
-    from luxloop.world.lampfiles.description import for_traffic, load_lamp
+    from luxloop.world.lamps.description import for_traffic, load_lamp
 
     exported = for_traffic(load_lamp(lamp, side), traffic)
     name = beam or exported.default_beam
@@ -258,8 +258,7 @@ def check(
     """
     from luxloop.loop.commands import headlight_tables
     from luxloop.loop.commands.check import judge
-    from luxloop.world.lampfiles.description import for_traffic, load_lamp
-    from luxloop.world.lampfiles.measured import measured_lamp
+    from luxloop.world.lamps.description import for_traffic, load_lamp, measured_lamp
     from luxloop.world.regulation import passes
 
     photometric = Path(lamp).suffix.lower() in PHOTOMETRIC

@@ -10,9 +10,9 @@ from rich.table import Table
 from luxloop.loop.report.facts import borders_deg, flux_lm, peak
 from luxloop.loop.report.terminal import facts, number, plain
 from luxloop.world.headlight.lamp import Lamp
-from luxloop.world.lampfiles.modules import ModuleReport
+from luxloop.world.lamps.modules import ModuleReport
+from luxloop.world.lamps.presets import SUMMARIES
 from luxloop.world.photometry import Photometry
-from luxloop.world.presets import SUMMARIES
 from luxloop.world.regulation import Result, passes, sets
 
 VERDICTS = {"pass": "green", "fail": "red", "not applicable": "dim"}

@@ -207,7 +207,7 @@ def digitise(
     from luxloop.loop.rig.calibration.geometry import candela_factor
     from luxloop.loop.rig.calibration.intrinsics import brightness
     from luxloop.loop.rig.calibration.lamp import digitised_side, measured_lamp
-    from luxloop.world.lampfiles import archive
+    from luxloop.world.lamps import archive
 
     if not 0 < reflectance <= 1 or comb_frames < 1 or not all(1 <= each <= 8 for each in texels):
         raise LuxloopError("--reflectance is above 0, up to 1; --comb-frames at least 1; --texels from 1 to 8")

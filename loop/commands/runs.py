@@ -19,7 +19,7 @@ from luxloop.loop.report.run_table import shown
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.result import StepResult
-from luxloop.world.parquet import read_parquet
+from luxloop.world.arrays import read_parquet
 
 
 def _one_thread() -> None:

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from luxloop.loop.recording.labelled import LabelledImage
 from luxloop.perception.ground_truth import Box
+from luxloop.world.frames import View
 from luxloop.world.traffic.tracked import Category
-from luxloop.world.view import View
 
 Entry = dict[str, Any]
 CATEGORIES: Final[tuple[Category, ...]] = get_args(Category)  # numbered from 1 on

@@ -8,9 +8,8 @@ from torch import Tensor
 
 from luxloop.loop.recording.labelled import LabelledImage
 from luxloop.loop.simulation.world import TrueObject
-from luxloop.world.frames import inverse, transform
+from luxloop.world.frames import View, inverse, transform
 from luxloop.world.traffic.tracked import Category
-from luxloop.world.view import View
 
 TYPES: Final[Mapping[Category, str]] = {"car": "Car", "truck": "Truck", "pedestrian": "Pedestrian", "cyclist": "Cyclist"}
 OTHER: Final = "Misc"

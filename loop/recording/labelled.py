@@ -10,9 +10,9 @@ from torch import Tensor
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.world import TrueObject, World
 from luxloop.world.errors import LuxloopError
-from luxloop.world.scene.figure import Figure
+from luxloop.world.frames import View
+from luxloop.world.scene.body import Figure
 from luxloop.world.scene.vehicle import VehicleState
-from luxloop.world.view import View
 
 Layout = Literal["coco", "kitti"]
 

@@ -22,8 +22,8 @@ from luxloop.loop.simulation.build import symbol_path
 from luxloop.loop.simulation.frames import TABLE
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import content, files_at, reading, regular, whole
-from luxloop.world.lampfiles.description import lamp_files
-from luxloop.world.lampfiles.utilisations import sequence_files
+from luxloop.world.lamps.description import lamp_files
+from luxloop.world.lamps.utilisations import sequence_files
 from luxloop.world.params import Params
 from luxloop.world.plugin import named as named_parts
 from luxloop.world.roads.shapes import OpenCrgRoad

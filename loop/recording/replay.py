@@ -22,9 +22,9 @@ from luxloop.loop.scenario.edits import Edit
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
+from luxloop.world.arrays import read_parquet
 from luxloop.world.errors import LuxloopError, located
 from luxloop.world.files import content, reading, whole
-from luxloop.world.parquet import read_parquet
 from luxloop.world.plugin import refuse_code
 from luxloop.world.validation import parsed_json
 

@@ -15,10 +15,9 @@ from luxloop.loop.report.export_light import modules_at, refuse_time
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import whole
-from luxloop.world.scene.albedo import albedo_picture
-from luxloop.world.scene.body import Body
+from luxloop.world.frames import View
+from luxloop.world.scene.body import Body, albedo_picture
 from luxloop.world.scene.triangles import Placed
-from luxloop.world.view import View
 
 ROOT, SCENE, CAMERA = "world y-up", "world z-up", "front camera"  # names that no object can have
 ALBEDO: Final = "albedo "  # before its number in the name of a material of one colour

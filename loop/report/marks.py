@@ -16,9 +16,8 @@ from luxloop.loop.recording.functions_summary import spoken
 from luxloop.loop.simulation.detection import name_of
 from luxloop.loop.simulation.result import FrameDetections, StepResult
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.world.frames import transform
+from luxloop.world.frames import View, transform
 from luxloop.world.traffic.tracked import Category
-from luxloop.world.view import View
 
 Point = tuple[int, int]
 LINES = 3  # at which a text may stand, each above the other

@@ -15,7 +15,7 @@ from luxloop.loop.report.terminal import counted
 from luxloop.loop.report.views import LitCar, Road, birdseye, driver, grey, picture
 from luxloop.world.headlight import Headlight
 from luxloop.world.light.emitters import surface_light
-from luxloop.world.rendering.flat_road import flat_road
+from luxloop.world.rendering.gbuffer import flat_road
 
 REACHES_LX = (1.0, 3.0, 10.0)
 NAME = 15  # characters that fit before a value; longer names have a line of their own

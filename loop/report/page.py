@@ -34,8 +34,7 @@ from luxloop.loop.simulation.observed import ObservedSymbol
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.files import whole
-from luxloop.world.frames import transform
-from luxloop.world.view import View
+from luxloop.world.frames import View, transform
 
 WIDE_IN, DPI = 13.0, 130
 LIGHT_IN, ABOVE_IN = 8.6, 3.4  # of the part about all light, and in it of the row of pictures from above

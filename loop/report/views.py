@@ -14,18 +14,15 @@ from torch import Tensor
 from luxloop.loop.scenario.model import HeadlightParams, Scenario, validate
 from luxloop.loop.simulation.build import build_scene
 from luxloop.loop.simulation.build_lamps import T_world_lamp
-from luxloop.world.frames import R_ISO_OPENCV, pose, pose_from_degrees
+from luxloop.world.frames import R_ISO_OPENCV, View, pose, pose_from_degrees
 from luxloop.world.headlight.lamp import Commands, Lamp, direction
 from luxloop.world.headlight.matrix import LUMINANCE
-from luxloop.world.light.ambient import ambient_luminance
-from luxloop.world.light.emitters import Source, sources, surface_light
-from luxloop.world.light.volumetric import Medium, airlight
-from luxloop.world.rendering.face_source import FaceSource, face_source
+from luxloop.world.light.emitters import Source, ambient_luminance, sources, surface_light
+from luxloop.world.light.volumetric import Medium, ShadowMap, airlight, shadow_map
 from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
-from luxloop.world.rendering.shadow import ShadowMap, shadow_map
+from luxloop.world.rendering.surfaces import FaceSource, face_source
 from luxloop.world.scene.scene import Scene
 from luxloop.world.scene.triangles import Triangles
-from luxloop.world.view import View
 
 SIDES = ("left", "right")
 SHADOW_PX = 1024  # width of a shadow map

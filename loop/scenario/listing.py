@@ -33,7 +33,7 @@ def listing(kind: Kind) -> list[dict[str, Any]]:
         case "examples":
             return [{"name": name, "description": _first_line(path.read_text("utf-8"))} for name, path in examples().items()]
         case "lamps":
-            from luxloop.world.presets import SUMMARIES
+            from luxloop.world.lamps.presets import SUMMARIES
 
             return [{"name": name, "description": summary} for name, summary in SUMMARIES.items()]
         case "controllers":

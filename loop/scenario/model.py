@@ -27,8 +27,7 @@ from luxloop.perception.sensors import SensorParams
 from luxloop.perception.trackers import AnyTracker
 from luxloop.perception.tracking import TrackerParams
 from luxloop.world.errors import LuxloopError, did_you_mean, located
-from luxloop.world.materials.library import RoadSurfaceParams
-from luxloop.world.materials.spots import SpotParams
+from luxloop.world.materials.library import RoadSurfaceParams, SpotParams
 from luxloop.world.params import Params, PlainName
 from luxloop.world.plugin import PATTERN, Name, dotted, refuse_code
 from luxloop.world.roads.shapes import Flat, RoadParams

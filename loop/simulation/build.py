@@ -13,15 +13,12 @@ from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.shipped import named
 from luxloop.loop.simulation.made import Made
 from luxloop.world.errors import located
-from luxloop.world.materials.spots import SpottedTexture
+from luxloop.world.materials.library import SpottedTexture
 from luxloop.world.roads.base import Road
 from luxloop.world.roads.scan import OpenCrgRoad
-from luxloop.world.scene.body import Body
-from luxloop.world.scene.figure import Figure
-from luxloop.world.scene.road_patches import RoadPatches
-from luxloop.world.scene.road_tiles import AROUND_M, SIGHT_M, RoadTiles
+from luxloop.world.scene.body import Body, Figure
+from luxloop.world.scene.ground import AROUND_M, SIGHT_M, RoadPatches, RoadTiles, StandingRoad
 from luxloop.world.scene.scene import Ground, Scene
-from luxloop.world.scene.standing_road import StandingRoad
 from luxloop.world.scene.vehicle import STANDING, Motion, drive
 from luxloop.world.traffic.objects import ObjectParams
 

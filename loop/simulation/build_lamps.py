@@ -12,7 +12,7 @@ from luxloop.world.errors import LuxloopError, located
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp, Module, Range
-from luxloop.world.lampfiles.description import load_lamp
+from luxloop.world.lamps.description import load_lamp
 
 TurnedPart = TypeVar("TurnedPart", Lamp, Module)
 

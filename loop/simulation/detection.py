@@ -18,8 +18,8 @@ from luxloop.perception.trackers import OwnTracker
 from luxloop.perception.trackers import tracker as build_tracker
 from luxloop.perception.tracking import TrackerParams
 from luxloop.perception.tracks import ObjectTracker, TrackedBoxes
+from luxloop.world.frames import View
 from luxloop.world.traffic.tracked import Category
-from luxloop.world.view import View
 
 LEAST_PX = 24.0  # height from which on a detector ought to find somebody
 

@@ -15,8 +15,8 @@ from luxloop.loop.simulation.world import World
 from luxloop.perception.camera import CameraParams, camera_view, saturation_luminance
 from luxloop.perception.evaluator import THRESHOLD
 from luxloop.world.errors import LuxloopError
-from luxloop.world.light.ambient import ambient_luminance
-from luxloop.world.rendering.flat_road import flat_road
+from luxloop.world.light.emitters import ambient_luminance
+from luxloop.world.rendering.gbuffer import flat_road
 
 LEAST_PX = 4  # of the target in either direction; quadrants need two pixels each
 

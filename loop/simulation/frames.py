@@ -24,13 +24,12 @@ from luxloop.loop.simulation.objects import read_objects
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.perception.camera import CameraParams
 from luxloop.perception.egomotion import VALUES, Sample
-from luxloop.world.arrays import Arrays, read_npz, write_npz
+from luxloop.world.arrays import Arrays, read_npz, read_parquet, write_npz
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import content, reading, regular, whole
 from luxloop.world.headlight.lamp import Commands, ModuleCommand
 from luxloop.world.images import decoded
 from luxloop.world.params import PLAIN
-from luxloop.world.parquet import read_parquet
 
 FOLDER: Final = "frames"
 TABLE: Final = f"{FOLDER}/exposures.parquet"

@@ -17,11 +17,10 @@ from luxloop.loop.simulation.lamps import ShiningModule
 from luxloop.loop.simulation.world import LitScene, World
 from luxloop.perception.birdseye import BirdsEye, Region, birds_eye, cells, region_around
 from luxloop.perception.evaluator import CELL_M, Metrics, Target, evaluate, target
-from luxloop.world.frames import inverse, transform
+from luxloop.world.frames import View, inverse, transform
 from luxloop.world.headlight import Headlight
 from luxloop.world.roads.base import Road
 from luxloop.world.scene.vehicle import STANDING
-from luxloop.world.view import View
 
 LEAST_LX = 1.0  # on a surface that faces the lamps: of less nobody on the road sees anything
 

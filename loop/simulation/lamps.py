@@ -27,7 +27,7 @@ from luxloop.loop.simulation.world import World
 from luxloop.world.errors import LuxloopError, located
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Commands, ModuleCommand
-from luxloop.world.lampfiles.utilisations import RawUtilisation, read_sequence
+from luxloop.world.lamps.utilisations import RawUtilisation, read_sequence
 from luxloop.world.scene.scene import StreetLamp
 
 

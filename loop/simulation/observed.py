@@ -11,7 +11,7 @@ from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.situation import Situation
 from luxloop.loop.simulation.world import World
 from luxloop.perception.metrics import iou
-from luxloop.world.view import View
+from luxloop.world.frames import View
 
 WIDTH_PX = 640  # of a wanted picture in the observer's camera, which it fills
 LIT = 0.5  # of what there would be if the picture were white

@@ -11,8 +11,7 @@ from luxloop.controllers.situation import Situation
 from luxloop.controllers.zones.material import MaterialLightParams, MaterialParams, MaterialState, Quantity
 from luxloop.controllers.zones.zone import ZoneParams, region_of
 from luxloop.loop.simulation.world import LitScene, World
-from luxloop.world.frames import inverse, transform
-from luxloop.world.view import View
+from luxloop.world.frames import View, inverse, transform
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from luxloop.loop.simulation.lamps import lamp_modules, shining_modules
 from luxloop.loop.simulation.made import Made
 from luxloop.loop.simulation.names import check_names, refuse_unknown
 from luxloop.perception.camera import camera_view
-from luxloop.world.process import check_process
+from luxloop.world.rendering.rasterise import check_process
 
 
 def parts(scenario: Scenario, device: torch.device, made: Made) -> dict[str, Any]:

@@ -7,8 +7,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, TypeAdapter
 
 from luxloop.perception.egomotion import Sensor
-from luxloop.world.messages.arrays import Arrays, given_arrays
-from luxloop.world.messages.packing import LARGEST_HEAD, LENGTH, parted, understood
+from luxloop.world.messages import LARGEST_HEAD, LENGTH, Arrays, given_arrays, parted, understood
 from luxloop.world.params import Params
 from luxloop.world.traffic.tracked import Category
 

@@ -14,8 +14,7 @@ from websockets.sync.server import ServerConnection, serve
 
 from luxloop.loop.simulation.remote_answers import PROTOCOL, Answer, Failed, Hello, Message, largest, read
 from luxloop.world.errors import LuxloopError
-from luxloop.world.messages.arrays import Arrays, Coded
-from luxloop.world.messages.packing import packed
+from luxloop.world.messages import Arrays, Coded, packed
 
 GREET_S: Final = 10.0  # in which a program that has connected must say hello
 CLOSE_S: Final = 1.0  # in which it must answer the end of its connection

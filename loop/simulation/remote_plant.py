@@ -20,7 +20,7 @@ from luxloop.perception.camera import camera_view, saturation_luminance
 from luxloop.perception.egomotion import Sample
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import REST
-from luxloop.world.messages.arrays import Arrays, Coded, raw
+from luxloop.world.messages import Arrays, Coded, raw
 
 Window = tuple[int, int, int, int]  # first row, end row, first column, end column
 

@@ -26,8 +26,8 @@ from luxloop.loop.simulation.protocol import Arrivals, Frame, Showing
 from luxloop.perception.detection.protocol import Detections
 from luxloop.perception.egomotion import Ego, Samples
 from luxloop.perception.tracks import TrackedBoxes
+from luxloop.world.frames import View
 from luxloop.world.partial import PartialImage
-from luxloop.world.view import View
 
 OUTSIDE = ("plant", "look")  # parts of a step that no car computes
 

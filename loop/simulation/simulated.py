@@ -21,9 +21,8 @@ from luxloop.perception.noise import FrameNoise
 from luxloop.perception.sensors import EXACT, SensorParams, Sensors
 from luxloop.world.errors import LuxloopError
 from luxloop.world.partial import Part, PartialImage
-from luxloop.world.rendering.face_source import FirstFound, face_source
-from luxloop.world.scene.late_body import LateBody
-from luxloop.world.scene.vehicle import STANDING, Motion
+from luxloop.world.rendering.surfaces import FirstFound, face_source
+from luxloop.world.scene.vehicle import STANDING, LateBody, Motion
 
 LOSS_KEY, LATENCY_KEY = 2, 4  # of what is drawn for a step, beside its frames' noise and the sensors'
 

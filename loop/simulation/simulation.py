@@ -49,10 +49,9 @@ from luxloop.loop.simulation.world import LitScene, World
 from luxloop.perception.camera import luminance_of, saturation_luminance
 from luxloop.perception.egomotion import Ego, Samples, ego_of, newest
 from luxloop.world.errors import LuxloopError, located
-from luxloop.world.frames import inverse
+from luxloop.world.frames import View, inverse
 from luxloop.world.headlight.lamp import REST, Commands
-from luxloop.world.process import check_process
-from luxloop.world.view import View
+from luxloop.world.rendering.rasterise import check_process
 
 BEAMS: Mapping[OtherLight, BeamName] = {"full_light": "full", "low_beam": "low"}
 

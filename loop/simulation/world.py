@@ -18,21 +18,19 @@ from luxloop.perception.detection.params import TruthParams
 from luxloop.perception.detection.protocol import Detections
 from luxloop.perception.ground_truth import Box, GroundTruth, ground_truth, part_mask, part_picture
 from luxloop.perception.materials import material_picture
+from luxloop.world.frames import View
 from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand
-from luxloop.world.light.ambient import ambient_luminance
+from luxloop.world.light.emitters import ambient_luminance
 from luxloop.world.light.illumination import DirectTransport, LastTextures, LightTransport, Shadows, added_light, reach, transport
 from luxloop.world.materials.library import MaterialName
 from luxloop.world.partial import Part, PartialImage
-from luxloop.world.rendering.face_source import FaceSource
 from luxloop.world.rendering.gbuffer import GBuffer
-from luxloop.world.rendering.surfaces import SurfaceSource, surface_source
+from luxloop.world.rendering.surfaces import FaceSource, SurfaceSource, surface_source
 from luxloop.world.scene.scene import Scene
 from luxloop.world.scene.triangles import NOTHING, Triangles
 from luxloop.world.scene.vehicle import STANDING, Motion, VehicleState
-from luxloop.world.traffic.making import EYES
 from luxloop.world.traffic.objects import ObjectParams
-from luxloop.world.traffic.tracked import ROAD_USERS, Category
-from luxloop.world.view import View
+from luxloop.world.traffic.tracked import EYES, ROAD_USERS, Category
 
 Made = TypeVar("Made")
 KEPT_VIEWS = 4  # on and off frame, before and after a change

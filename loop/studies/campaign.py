@@ -18,7 +18,7 @@ from luxloop.loop.scenario.overrides import resolve_paths
 from luxloop.loop.studies.jobs.executors import ALL_CORES, Executor
 from luxloop.loop.studies.jobs.runner import Job, Results, Together, run
 from luxloop.world.errors import LuxloopError, located
-from luxloop.world.folders import output_folder
+from luxloop.world.files import output_folder
 from luxloop.world.params import Params
 from luxloop.world.plugin import refuse_code
 from luxloop.world.validation import read_toml, validated
@@ -117,7 +117,7 @@ def read(file: Path, *, allow_code: bool = False) -> list[Run]:
 def run_campaign(file: Path, out: Path, *, device: str = "cpu", executor: Executor = ALL_CORES, allow_code: bool = False) -> Campaign:
     """Do the runs whose results `out` does not hold yet, and write the table of all runs.
 
-    Raises what `read`, `luxloop.loop.studies.jobs.runner.run` and `luxloop.world.folders.output_folder` raise.
+    Raises what `read`, `luxloop.loop.studies.jobs.runner.run` and `luxloop.world.files.output_folder` raise.
     """
     runs = read(file, allow_code=allow_code)
     jobs = [

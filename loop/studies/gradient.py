@@ -24,7 +24,7 @@ from luxloop.loop.studies.surrogate import Learned, near
 from luxloop.loop.studies.tune import FAILURES, SETTLED, TRACES, Task, Trace, Tuned, begun, failed, ran
 from luxloop.perception.extraction import ExtractionParams
 from luxloop.world.errors import LuxloopError, located
-from luxloop.world.folders import turn
+from luxloop.world.files import turn
 
 STARTS, DRAWS = 24, 3  # parallel descents, and noise draws of each
 STEPS, RATE = 120, 0.15  # of Adam, in logits of the ranges

@@ -15,7 +15,7 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.folders import shared_folder, turn
+from luxloop.world.files import shared_folder, turn
 
 STUDY = "study.log"
 FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)

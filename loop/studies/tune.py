@@ -27,7 +27,7 @@ from luxloop.loop.studies.objective import Objective
 from luxloop.loop.studies.ranges import Range, Values, changed, value_of
 from luxloop.loop.studies.study import FINISHED, STUDY, finished, keeping, study_in
 from luxloop.world.errors import LuxloopError
-from luxloop.world.folders import turn
+from luxloop.world.files import turn
 
 FAILURES = "failures"
 SETTLED = "settled"  # attribute with how many runs of a trial settled

@@ -19,8 +19,7 @@ from luxloop.loop.studies.jobs.executors import local
 from luxloop.loop.studies.study import FINISHED, STUDY
 from luxloop.loop.studies.tune import Task, Tuned, told_together, tune
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import whole
-from luxloop.world.folders import turn
+from luxloop.world.files import turn, whole
 
 BEST, REPORT, PICTURE = "best.toml", "report.md", "report.png"
 LEAST_FOR_IMPORTANCES = 10  # trials

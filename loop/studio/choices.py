@@ -13,7 +13,7 @@ from luxloop.loop.scenario.listing import listing
 from luxloop.loop.scenario.shipped import shipped_files
 from luxloop.loop.studio.sources import RUNS
 from luxloop.world.errors import LuxloopError
-from luxloop.world.presets import SUMMARIES
+from luxloop.world.lamps.presets import SUMMARIES
 from luxloop.world.regulation.tables import sets
 
 MOST: Final = 200  # recordings, the newest

@@ -14,8 +14,7 @@ from luxloop.loop.studio.shapes import merged
 from luxloop.loop.studio.shared import Blocks
 from luxloop.loop.studio.snapshot import Snapshot
 from luxloop.world.headlight import Headlight
-from luxloop.world.messages.arrays import Coded, coded, grey, raw
-from luxloop.world.messages.packing import packed
+from luxloop.world.messages import Coded, coded, grey, packed, raw
 
 MOST_UNSHOWN: Final = 2  # steps of a run that a client may not have shown yet: one on its way, and one that it is at
 PERIOD_S: Final = 0.05  # between two steps of a run that plays, at least

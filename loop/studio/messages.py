@@ -8,8 +8,7 @@ from typing import Annotated, Final, Literal
 from pydantic import Field, TypeAdapter
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.messages.arrays import Arrays, given_arrays
-from luxloop.world.messages.packing import parted, understood
+from luxloop.world.messages import Arrays, given_arrays, parted, understood
 from luxloop.world.params import Metres, Params
 
 PROTOCOL: Final = 1

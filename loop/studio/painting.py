@@ -8,7 +8,7 @@ from luxloop.controllers.functions.paint import PaintedParams, Picture
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studio.messages import Paint
 from luxloop.world.errors import LuxloopError
-from luxloop.world.messages.arrays import Arrays
+from luxloop.world.messages import Arrays
 from luxloop.world.validation import toml
 
 

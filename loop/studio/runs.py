@@ -35,7 +35,7 @@ from luxloop.loop.studio.snapshot import Snapshot, bodies_at, snapshot
 from luxloop.loop.studio.sources import Source, loaded
 from luxloop.perception.camera import camera_view, saturation_luminance
 from luxloop.world.errors import LuxloopError, located
-from luxloop.world.folders import output_folder
+from luxloop.world.files import output_folder
 from luxloop.world.frames import inverse
 from luxloop.world.headlight.lamp import Lamp, Module
 from luxloop.world.regulation import check_beam

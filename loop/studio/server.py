@@ -43,7 +43,7 @@ from luxloop.loop.studio.messages import (
 from luxloop.loop.studio.session import Session
 from luxloop.loop.studio.sources import Source
 from luxloop.world.errors import LuxloopError
-from luxloop.world.messages.packing import packed
+from luxloop.world.messages import packed
 
 if TYPE_CHECKING:
     from luxloop.loop.studio.feed import Feed

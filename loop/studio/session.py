@@ -31,7 +31,7 @@ from luxloop.loop.studio.messages import (
 from luxloop.loop.studio.sources import RUNS, Source, file_of, loaded, named
 from luxloop.loop.studio.watched import WatchedFile
 from luxloop.world.errors import LuxloopError
-from luxloop.world.messages.arrays import Arrays
+from luxloop.world.messages import Arrays
 
 if TYPE_CHECKING:
     from luxloop.loop.scenario.model import Scenario

@@ -7,8 +7,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from luxloop.world.scene.albedo import albedo_picture
-from luxloop.world.scene.body import Body
+from luxloop.world.scene.body import Body, albedo_picture
 from luxloop.world.scene.triangles import Placed
 
 KEPT_BYTES: Final = 2**28  # of meshes: those of some 1.5 km of road

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from luxloop.world.messages.arrays import CODES
+from luxloop.world.messages import CODES
 
 HEAD: Final = struct.Struct("<8sIIQQ")  # magic, version, bytes of the head, number, bytes of the arrays
 NUMBER: Final = struct.Struct("<Q")

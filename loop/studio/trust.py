@@ -8,8 +8,8 @@ from luxloop.loop.scenario import data
 from luxloop.loop.scenario.overrides import is_file, tables
 from luxloop.loop.scenario.shipped import shipped_files
 from luxloop.world.errors import LuxloopError
+from luxloop.world.lamps.presets import SUMMARIES
 from luxloop.world.plugin import PATTERN
-from luxloop.world.presets import SUMMARIES
 
 FILES: Final = ("file", "folder", "image", "model", "weights")  # keys that may name one
 

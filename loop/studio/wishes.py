@@ -15,7 +15,7 @@ from luxloop.loop.studio.painting import layer, override
 from luxloop.loop.studio.runs import Run
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import inverse
-from luxloop.world.messages.arrays import Arrays
+from luxloop.world.messages import Arrays
 
 MOST_CELLS: Final = 20_000
 MOST_LX: Final = 100_000.0

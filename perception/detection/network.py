@@ -15,8 +15,7 @@ from torch.nn.functional import interpolate, max_pool2d
 
 from luxloop.perception.detection.protocol import Detections
 from luxloop.perception.detection.suppression import suppress
-from luxloop.world.budget import afford
-from luxloop.world.files import reading
+from luxloop.world.files import afford, reading
 from luxloop.world.traffic.tracked import Category
 
 STRIDE = 8  # px of the frame per cell of the output

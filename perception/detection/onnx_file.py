@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import cv2
 
 from luxloop.perception.detection.params import MOST_PX, OnnxParams
-from luxloop.world.budget import afford
 from luxloop.world.errors import LuxloopError
+from luxloop.world.files import afford
 
 if TYPE_CHECKING:
     import onnx

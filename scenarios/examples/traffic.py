@@ -16,8 +16,7 @@ from luxloop import load, prepare, validate
 from luxloop.loop.simulation.build import build_scene
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.ground_truth import ground_truth
-from luxloop.world.rendering.face_source import face_source
-from luxloop.world.rendering.surfaces import ExactSurfaces, surface_source
+from luxloop.world.rendering.surfaces import ExactSurfaces, face_source, surface_source
 from luxloop.world.scene.scene import Scene
 from luxloop.world.traffic.generator import varied
 

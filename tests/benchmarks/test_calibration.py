@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks.calibration import PUBLISHED, drawn
-from luxloop.world.beams.rectangles import RECTANGLES
-from luxloop.world.presets import lamp
+from luxloop.world.lamps.patterns import RECTANGLES
+from luxloop.world.lamps.presets import lamp
 
 
 def mean_error(name: str, every: int) -> float:

@@ -36,16 +36,15 @@ from luxloop.loop.studies.jobs.runner import run as run_jobs
 from luxloop.perception.camera import CameraParams
 from luxloop.perception.detection import network
 from luxloop.perception.egomotion import Sample
+from luxloop.world.arrays import read_parquet
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp, Module, ModuleCommand
-from luxloop.world.headlight.pixel_sources import TableSource
-from luxloop.world.lampfiles import archive, description
-from luxloop.world.lampfiles.utilisations import read_utilisation
+from luxloop.world.headlight.sources import TableSource
+from luxloop.world.lamps import archive, description
+from luxloop.world.lamps.utilisations import read_utilisation
 from luxloop.world.opencrg import Crg
-from luxloop.world.parquet import read_parquet
-from luxloop.world.photometry import lm63
+from luxloop.world.photometry import lm63, read_photometry
 from luxloop.world.photometry.distribution import Distribution
-from luxloop.world.photometry.files import read_photometry
 from luxloop.world.roads.scan import OpenCrgRoad
 from luxloop.world.spmv import Csr
 from luxloop.world.symbols import load_still, video

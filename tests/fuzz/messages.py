@@ -24,7 +24,7 @@ from luxloop.loop.studio.sources import Source
 from luxloop.loop.studio.trust import refuse_foreign
 from luxloop.loop.studio.wishes import placed, wished
 from luxloop.perception.camera import CameraParams
-from luxloop.world.messages.arrays import Arrays
+from luxloop.world.messages import Arrays
 from tests.fuzz import mutations
 from tests.loop.studio.clients import message
 from tests.loop.studio.conftest import SMALL

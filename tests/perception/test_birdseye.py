@@ -11,8 +11,8 @@ from luxloop.perception.appearance import appearance
 from luxloop.perception.birdseye import Region, birds_eye, rectify, region_around
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.extraction import Crop
-from luxloop.world.rendering.flat_road import flat_road
-from luxloop.world.view import View
+from luxloop.world.frames import View
+from luxloop.world.rendering.gbuffer import flat_road
 
 VIEW = camera_view(CameraParams())
 REGION = region_around(17.0, 0.0, 4.0, 2.0)

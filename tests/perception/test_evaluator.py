@@ -9,7 +9,7 @@ from luxloop.perception.birdseye import birds_eye, rectify, region_around
 from luxloop.perception.camera import CameraParams, average_rows, camera_view
 from luxloop.perception.evaluator import SSIM_RADIUS, Target, evaluate, target
 from luxloop.perception.metrics import ssim
-from luxloop.world.rendering.flat_road import flat_road
+from luxloop.world.rendering.gbuffer import flat_road
 
 CAMERA = CameraParams()
 LENGTH, WIDTH = 4.0, 2.0

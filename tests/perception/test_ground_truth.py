@@ -12,9 +12,9 @@ from luxloop.world.scene.body import Body
 from luxloop.world.scene.scene import Scene
 from luxloop.world.scene.triangles import Triangles
 from luxloop.world.traffic.car import CarParams
-from luxloop.world.traffic.making import EYES
 from luxloop.world.traffic.objects import BoxParams
-from luxloop.world.traffic.road_users import PedestrianParams
+from luxloop.world.traffic.people import PedestrianParams
+from luxloop.world.traffic.tracked import EYES
 from tests.world.grids import camera, flat
 
 VIEW = camera(480, 270)

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.placing import FARTHEST_M, LENGTH_M, place_boxes
-from luxloop.world.frames import transform
-from luxloop.world.view import View
+from luxloop.world.frames import View, transform
 
 VIEW = camera_view(CameraParams(width_px=640, height_px=360, pitch_deg=1.5, yaw_deg=3.0))
 

@@ -15,18 +15,17 @@ import torch
 from scipy.ndimage import maximum_filter, minimum_filter
 from torch import Tensor
 
-from luxloop.world.frames import R_ISO_OPENCV, pose, pose_from_degrees
+from luxloop.world.frames import R_ISO_OPENCV, View, pose, pose_from_degrees
 from luxloop.world.headlight import Headlight
+from luxloop.world.lamps.presets import idealised
 from luxloop.world.light.illumination import illuminance, reach
-from luxloop.world.presets import idealised
-from luxloop.world.rendering.face_source import face_source
 from luxloop.world.rendering.gbuffer import gbuffer
-from luxloop.world.roads.mesh import road_mesh
+from luxloop.world.rendering.surfaces import face_source
 from luxloop.world.roads.shapes import Bumps, Iso8608, Mixed
 from luxloop.world.scene.body import Body
+from luxloop.world.scene.ground import road_mesh
 from luxloop.world.scene.scene import Scene
 from luxloop.world.traffic.objects import BoxParams
-from luxloop.world.view import View
 from tests.world.grids import camera
 
 # Mitsuba's camera looks along z with x to the left and y up.

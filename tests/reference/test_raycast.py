@@ -9,12 +9,12 @@ import trimesh
 
 from benchmarks.float64_rays import hidden
 from luxloop.world.frames import pose_from_degrees
-from luxloop.world.rendering.face_source import face_source
 from luxloop.world.rendering.gbuffer import gbuffer
 from luxloop.world.rendering.raycast import TOLERANCE_M, sees
-from luxloop.world.roads.mesh import road_mesh
+from luxloop.world.rendering.surfaces import face_source
 from luxloop.world.roads.shapes import Bumps, Flat, Grade, Iso8608, Road
 from luxloop.world.scene.body import Body, PoseTrack
+from luxloop.world.scene.ground import road_mesh
 from luxloop.world.scene.scene import Scene
 from luxloop.world.scene.triangles import Triangles
 from luxloop.world.texels import TexelGrid

@@ -6,8 +6,7 @@ import numpy as np
 import torch
 import trimesh
 
-from luxloop.world.frames import R_ISO_OPENCV, pose, pose_from_degrees
-from luxloop.world.view import View
+from luxloop.world.frames import R_ISO_OPENCV, View, pose, pose_from_degrees
 
 
 def grid(z: Callable[[np.ndarray, np.ndarray], np.ndarray], x: np.ndarray, y: np.ndarray) -> trimesh.Trimesh:

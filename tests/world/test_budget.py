@@ -9,12 +9,11 @@ from pathlib import Path
 import pytest
 
 from luxloop.world.arrays import read_npy, read_npz
-from luxloop.world.budget import BUDGET_BYTES, afford
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import content
+from luxloop.world.files import BUDGET_BYTES, afford, content
 from luxloop.world.images import decoded
-from luxloop.world.lampfiles import archive
-from luxloop.world.messages.arrays import ArrayHead, given_arrays
+from luxloop.world.lamps import archive
+from luxloop.world.messages import ArrayHead, given_arrays
 
 
 def npy_header(text: str) -> bytes:

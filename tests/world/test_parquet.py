@@ -6,8 +6,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from luxloop.world.arrays import ROWS, read_parquet
 from luxloop.world.errors import LuxloopError
-from luxloop.world.parquet import ROWS, read_parquet
 
 
 def test_a_column_whose_statistics_are_not_those_of_its_type_is_refused(tmp_path: Path) -> None:

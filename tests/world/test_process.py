@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from luxloop.world.rendering.face_source import face_source
 from luxloop.world.rendering.rasterise import NoOpenGL
+from luxloop.world.rendering.surfaces import face_source
 
 ROOT = Path(__file__).parents[2]
 RENDER = """
@@ -29,7 +29,7 @@ def said(program: str) -> str:
 
 def test_few_addresses_are_refused_before_libraries_crash() -> None:
     limit = "import resource; resource.setrlimit(resource.RLIMIT_AS, (3_000_000_000, 3_000_000_000))"
-    ask = "from luxloop.world.process import check_process\ntry: check_process()\nexcept ValueError as error: print(error)"
+    ask = "from luxloop.world.rendering.rasterise import check_process\ntry: check_process()\nexcept ValueError as error: print(error)"
     assert "ulimit -v" in said(f"{limit}\n{ask}") and said(ask) == ""
 
 

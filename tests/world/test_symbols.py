@@ -13,8 +13,7 @@ import torch
 from PIL import ExifTags, Image, ImageOps
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.images import decoded
-from luxloop.world.svg import LONGEST
+from luxloop.world.images import LONGEST, decoded
 from luxloop.world.symbols import DRAWN_PX, Frames, Still, load, load_still
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 40 20"><rect x="10" width="20" height="10" fill="{}"/></svg>'

@@ -6,8 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from luxloop.world.frames import R_ISO_OPENCV, pose, pose_from_degrees
-from luxloop.world.view import View
+from luxloop.world.frames import R_ISO_OPENCV, View, pose, pose_from_degrees
 
 T_ISO_VIEW = pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
 

@@ -10,8 +10,8 @@ import scipy  # whose parts are loaded when they are first named
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from luxloop.world.budget import BUDGET_BYTES, afford
 from luxloop.world.errors import LuxloopError
+from luxloop.world.files import BUDGET_BYTES, afford
 from luxloop.world.headlight.matrix import LUMINANCE
 from luxloop.world.photometry.distribution import EDGE_DEG, Aim, Array, Distribution, directions_of
 from luxloop.world.photometry.texture import PROBES, Window, light_texture, solid_angles, squared_error

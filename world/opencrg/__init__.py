@@ -1,8 +1,7 @@
 """ASAM OpenCRG road scans (curved regular grids): read, evaluate, modify. Vectorised NumPy, float64, SI units."""
 
 from luxloop.world.opencrg.crg import Crg, CrgError, filled
-from luxloop.world.opencrg.modifiers import modified
 from luxloop.world.opencrg.reader import read_crg
-from luxloop.world.opencrg.surface import CrgSurface
+from luxloop.world.opencrg.surface import CrgSurface, modified
 
 __all__ = ["Crg", "CrgError", "CrgSurface", "filled", "modified", "read_crg"]

@@ -13,8 +13,7 @@ import numpy as np
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import whole
 from luxloop.world.photometry.distribution import VERTICAL_RANGE, Array, Distribution
-from luxloop.world.photometry.record import Photometry
-from luxloop.world.photometry.text import Numbers, PhotometryError
+from luxloop.world.photometry.record import Numbers, Photometry, PhotometryError
 
 _SETS_AT = 26  # line of the number of lamp sets, each of which takes six lines
 _COUNTS = re.compile(r".*\n\s*\d+\s*\n\s*[0-4]\s*\n\s*\d+[.,]?0*\s*\n")  # lines 2 to 4: kind, symmetry, number of planes

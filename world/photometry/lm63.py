@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import whole
 from luxloop.world.photometry.distribution import HORIZONTAL_RANGE, VERTICAL_RANGE, Distribution, Kind
-from luxloop.world.photometry.record import Photometry, Tilt
-from luxloop.world.photometry.text import Numbers, PhotometryError, load
+from luxloop.world.photometry.record import Numbers, Photometry, PhotometryError, Tilt, load
 
 FOOT_M = 0.3048
 LAST_BALLAST_LAMP = 1991  # edition in which the number after the ballast factor multiplies the candela; later ones reserve it

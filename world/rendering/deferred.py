@@ -11,12 +11,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from luxloop.world.frames import inverse
+from luxloop.world.frames import View, inverse
 from luxloop.world.partial import Part
 from luxloop.world.rendering.rasterise import FAR_M, NEAR_M, context
 from luxloop.world.scene.body import Body
 from luxloop.world.scene.triangles import Placed, Triangles
-from luxloop.world.view import View
 
 PART_BITS = 6  # of a body: its number and that of a part share a float of 24 bits
 MOST_PARTS = 2**PART_BITS

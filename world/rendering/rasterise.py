@@ -1,10 +1,11 @@
 """Which triangle each pixel of a view sees, by OpenGL: pyrender, offscreen, on a GPU or in software."""
 
 import os
+import resource
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -12,10 +13,29 @@ import torch
 from torch import Tensor
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.process import check_process
+from luxloop.world.frames import View
 from luxloop.world.scene.body import Body
 from luxloop.world.scene.triangles import Triangles
-from luxloop.world.view import View
+
+LEAST_ADDRESSES: Final = 6_000_000_000  # bytes of address space, of which torch, embree and OpenGL use little
+
+
+@cache
+def _first_process() -> int:
+    return os.getpid()
+
+
+def check_process() -> None:
+    """Raises LuxloopError in a fork of a process that has called this, as threads of torch, embree and OpenGL do not outlive a fork, and
+    where `ulimit -v` leaves too few addresses."""
+    if _first_process() != os.getpid():
+        remedy = "start workers by 'spawn' or 'forkserver', such as AsyncVectorEnv(..., context='spawn')"
+        raise LuxloopError(f"this process was forked from one that had simulated, and would wait for threads that it lacks; {remedy}")
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if 0 <= limit < LEAST_ADDRESSES:
+        remedy = f"give `ulimit -v {LEAST_ADDRESSES // 1000}` or more; a limit on memory does no harm"
+        raise LuxloopError(f"this process may have {limit / 1e9:.3g} GB of addresses, which is too little to simulate; {remedy}")
+
 
 NEAR_M, FAR_M = 0.3, 1000.0  # 24 bits of depth between them: 0.7 mm at 60 m
 EGL_BAD_ACCESS = 0x3002

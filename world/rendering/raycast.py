@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from luxloop.world.frames import View
 from luxloop.world.scene.triangles import Hits, Placed, Triangles, intersect, on_planes
-from luxloop.world.view import View
 
 TOLERANCE_M = 2e-3  # by which a surface lies before itself, along the ray
 BELOW_M = 1e-5  # and across its face, to float32: a ray that grazes it would meet a point there far before itself

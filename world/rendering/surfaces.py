@@ -1,18 +1,62 @@
-"""Two ways to the surfaces that a view sees: exact for worlds that stand, several times as fast for worlds that move."""
+"""What a view sees: face ids by OpenGL if there is any, else by rays; surfaces exact for worlds that stand, quick for worlds that move."""
 
+import warnings
 from dataclasses import dataclass
-from typing import Protocol
+from functools import cached_property
+from typing import Literal, Protocol
 
 import torch
+from torch import Tensor
 
+from luxloop.world.frames import View
 from luxloop.world.materials.brdf import LAMBERTIAN, Material
 from luxloop.world.partial import Part
 from luxloop.world.rendering.deferred import DeferredRenderer
-from luxloop.world.rendering.face_source import FaceSource, FirstFound
 from luxloop.world.rendering.gbuffer import Finish, GBuffer, gbuffer, reflection
-from luxloop.world.rendering.rasterise import Rasteriser
+from luxloop.world.rendering.rasterise import NoOpenGL, Rasteriser
+from luxloop.world.rendering.raycast import RayCaster
 from luxloop.world.scene.triangles import Placed, Triangles
-from luxloop.world.view import View
+
+
+class FaceSource(Protocol):
+    """Tells which triangle each pixel of a view sees; `name` says by what means."""
+
+    @property
+    def name(self) -> str: ...
+
+    def face_ids(self, triangles: Triangles, view: View) -> Tensor:
+        """Id of the nearest face through each pixel's centre, `[height, width]` int64, -1 where there is none."""
+        ...
+
+
+class FirstFound:
+    """OpenGL if there is any, else rays, which is found out when something is first looked at: a context takes half a second to make."""
+
+    @cached_property
+    def found(self) -> FaceSource:
+        """What it is. Warns where there is no OpenGL."""
+        return face_source("auto")
+
+    @property
+    def name(self) -> str:
+        return self.found.name
+
+    def face_ids(self, triangles: Triangles, view: View) -> Tensor:
+        """As of what it is."""
+        return self.found.face_ids(triangles, view)
+
+
+def face_source(name: Literal["auto", "opengl", "raycast"] = "auto") -> FaceSource:
+    """The face source of that name; "auto" takes OpenGL and falls back to rays with a warning. Raises NoOpenGL for "opengl"."""
+    if name == "raycast":
+        return RayCaster()
+    try:
+        return Rasteriser()
+    except NoOpenGL as error:
+        if name == "opengl":
+            raise
+        warnings.warn(f"rendering by ray casting, which is slower: {error}", stacklevel=2)
+        return RayCaster()
 
 
 class SurfaceSource(Protocol):

@@ -1,4 +1,4 @@
-"""Bodies: rigid triangle meshes, each on a pose track over time."""
+"""Bodies: rigid triangle meshes, each on a pose track over time, and figures, whose shape changes with the way that they have come."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -12,13 +12,14 @@ from torch import Tensor
 from luxloop.world.frames import pose, rotation
 from luxloop.world.kept import keeping
 from luxloop.world.materials.brdf import LAMBERTIAN, Material
-from luxloop.world.materials.library import MaterialName, Texture
-from luxloop.world.materials.spots import SpottedTexture
+from luxloop.world.materials.library import MaterialName, SpottedTexture, Texture
 from luxloop.world.roads.base import Road
 
 if TYPE_CHECKING:
     import trimesh
     from trimesh.ray.ray_pyembree import RayMeshIntersector
+from functools import cache
+from typing import Final
 
 # ahead and to the left: front left, front right, rear left, rear right
 WHEELS = torch.tensor([[1.0, 1.0, -1.0, -1.0], [1.0, -1.0, 1.0, -1.0]], dtype=torch.float64)
@@ -172,3 +173,56 @@ class Body:
         from trimesh.ray.ray_pyembree import RayMeshIntersector
 
         return RayMeshIntersector(self.mesh)
+
+
+SHAPES: Final = 32  # of a cycle; a walker has one for every 5 cm
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """A body with a cycle of shapes.
+
+    shape: makes the body of a share 0..1 of the cycle; its track is not used. cycle_m: way of a cycle. start: share at the way's start.
+    """
+
+    name: str
+    shape: Callable[[float], Body]
+    cycle_m: float
+    track: PoseTrack
+    start: float = 0.0
+
+    def phase_at(self, t_s: float) -> float:
+        """Share of the cycle at a time, in steps of one shape."""
+        return round((self.start + self.track.travelled_m(t_s) / self.cycle_m) * SHAPES) % SHAPES / SHAPES
+
+    def at(self, t_s: float) -> Body:
+        """The shape at a time."""
+        return self.made(self.phase_at(t_s))
+
+    @cached_property
+    def bounds(self) -> Tensor:
+        """Lowest and highest coordinates of all shapes in the body frame, `[2, 3]` float64 m."""
+        low, high = torch.stack([self.made(k / SHAPES).bounds for k in range(SHAPES)], 1)
+        return torch.stack([low.amin(0), high.amax(0)])
+
+    @cached_property
+    def made(self) -> Callable[[float], Body]:
+        """`shape`, memoised, so that what is derived from a body is used again."""
+        return cache(self.shape)
+
+
+TEXEL_M: Final = 0.05
+MOST_TEXELS: Final = 2_000_000
+
+Corner = tuple[float, float]
+
+
+def albedo_picture(body: Body) -> tuple[Tensor, Corner, Corner]:
+    """Albedo `[rows, columns]` over x and y of a body with a texture, x along columns, and the least and the greatest corner in m."""
+    assert body.texture is not None
+    (x0, y0), (x1, y1) = (each[:2].tolist() for each in body.bounds)
+    texel_m = max(TEXEL_M, ((x1 - x0) * (y1 - y0) / MOST_TEXELS) ** 0.5)
+    columns, rows = (max(round(side / texel_m), 1) for side in (x1 - x0, y1 - y0))
+    x, y = (a + (torch.arange(n, dtype=torch.float64) + 0.5) * (b - a) / n for a, b, n in ((x0, x1, columns), (y0, y1, rows)))
+    picture = body.texture.at(x.expand(rows, -1).contiguous(), y[:, None].expand(-1, columns).contiguous())
+    return picture, (x0, y0), (x1, y1)

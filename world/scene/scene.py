@@ -8,11 +8,8 @@ from torch import Tensor
 
 from luxloop.world.frames import transform
 from luxloop.world.params import Metres, Params
-from luxloop.world.scene.body import Body, PoseTrack, Spotlight
-from luxloop.world.scene.figure import Figure
-from luxloop.world.scene.road_patches import RoadPatches
-from luxloop.world.scene.road_tiles import RoadTiles
-from luxloop.world.scene.standing_road import StandingRoad
+from luxloop.world.scene.body import Body, Figure, PoseTrack, Spotlight
+from luxloop.world.scene.ground import RoadPatches, RoadTiles, StandingRoad
 from luxloop.world.scene.triangles import NOTHING, Placed, Triangles
 
 __all__ = ["Body", "Ground", "PoseTrack", "Scene", "StreetLamp"]

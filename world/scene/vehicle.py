@@ -8,17 +8,17 @@ on its springs, which lamps and camera are fixed to.
 import math
 from bisect import bisect_right
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise, takewhile
-from typing import Annotated, Final
+from typing import Annotated, Final, Self
 
 import numpy as np
 import torch
 from pydantic import AfterValidator, Field
 from torch import Tensor
 
-from luxloop.world.budget import afford
+from luxloop.world.files import afford
 from luxloop.world.frames import pose, rotation
 from luxloop.world.kept import keeping
 from luxloop.world.params import Params
@@ -380,3 +380,26 @@ def _integral(values: Floats, dt: float) -> Floats:
 
 def _vector(*values: float) -> Tensor:
     return torch.tensor(values, dtype=torch.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class LateBody(Motion):
+    """A drive whose body heaves, rolls and pitches `late_s` later; way, ground and speed are those of the time.
+
+    dynamics: the drive as it is, which the sensors feel.
+    """
+
+    dynamics: Motion = STANDING
+    late_s: float = 0.0
+
+    @classmethod
+    def behind(cls, motion: Motion, late_s: float) -> Self:
+        """late_s: in s."""
+        own = motion.times_s, motion.states, motion.pivot_x_m, motion.rear_x_m, motion.modes, motion.of
+        return cls(*own, motion, late_s)
+
+    def at(self, t_s: float) -> VehicleState:
+        """The vehicle at a time in s."""
+        then = self.dynamics.at(t_s - self.late_s)
+        moved = {name: getattr(then, name) for name in ("T_ground_body", "heave_m", "roll_rad", "pitch_rad")}
+        return replace(self.dynamics.at(t_s), **moved)

@@ -6,11 +6,9 @@ import numpy as np
 from pydantic import Field
 
 from luxloop.world.materials.library import MaterialName
-from luxloop.world.scene.body import Body
-from luxloop.world.scene.figure import Figure
-from luxloop.world.traffic.making import MadeParams
+from luxloop.world.scene.body import Body, Figure
 from luxloop.world.traffic.shapes import Floats, Piece, ellipsoid, limb, tube, xyz
-from luxloop.world.traffic.tracked import Category
+from luxloop.world.traffic.tracked import Category, MadeParams
 
 STRIDE = 1.4  # of the height of the shoulders
 GAIT = (0.0, 0.5, 0.25, 0.75)  # left and right forelegs, then hind legs, of a walk

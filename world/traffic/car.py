@@ -8,9 +8,8 @@ from pydantic import Field
 
 from luxloop.world.materials.library import MaterialName
 from luxloop.world.scene.body import Body, Spotlight
-from luxloop.world.traffic.making import MadeParams
 from luxloop.world.traffic.shapes import Floats, Piece, ellipsoid, plate, tube, xyz
-from luxloop.world.traffic.tracked import Category
+from luxloop.world.traffic.tracked import Category, MadeParams
 
 Style = Literal["hatchback", "saloon", "van"]
 # Length, width, height in m; then in shares of the length from the rear: foot of the rear window, its top, top of the windscreen, its foot.

@@ -12,10 +12,9 @@ from luxloop.world.materials.library import MATERIALS, MaterialName
 from luxloop.world.scene.body import Body, Part
 from luxloop.world.traffic.animal import AnimalParams
 from luxloop.world.traffic.car import CarParams
-from luxloop.world.traffic.making import SurfaceParams, check_parts
-from luxloop.world.traffic.road_users import CyclistParams, PedestrianParams
+from luxloop.world.traffic.people import CyclistParams, PedestrianParams
 from luxloop.world.traffic.roadside import ClutterParams, TrafficSignParams
-from luxloop.world.traffic.tracked import TrackedParams
+from luxloop.world.traffic.tracked import SurfaceParams, TrackedParams, check_parts
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 AXES = np.eye(3)
@@ -74,7 +73,7 @@ class MeshParams(SolidParams):
 
     def build(self) -> Body:
         """Read the file. Raises LuxloopError where it is missing, unreadable or has no triangles, or has no such part."""
-        from luxloop.world.traffic.mesh_files import joined, read_nodes
+        from luxloop.world.traffic.meshes import joined, read_nodes
 
         nodes = read_nodes(self.file)
         check_parts(self.name, self.parts, list(nodes))

@@ -7,9 +7,8 @@ from pydantic import Field
 
 from luxloop.world.materials.library import MaterialName
 from luxloop.world.scene.body import Body
-from luxloop.world.traffic.making import MadeParams
 from luxloop.world.traffic.shapes import Piece, blob, block, limb, plate, polygon, tube, xyz
-from luxloop.world.traffic.tracked import Category
+from luxloop.world.traffic.tracked import Category, MadeParams
 
 SignShape = Literal["round", "triangle", "square", "octagon"]
 CORNERS: dict[SignShape, tuple[int, float]] = {

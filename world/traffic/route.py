@@ -7,7 +7,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from luxloop.world.budget import afford
+from luxloop.world.files import afford
 from luxloop.world.roads.base import Floats
 from luxloop.world.scene.vehicle import VehicleParams, course
 

@@ -14,11 +14,10 @@ from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from luxloop.perception.birdseye import Region
 from luxloop.perception.camera import CameraParams, average_rows, camera_view, luminance_of
 from luxloop.perception.extraction import Crop, Extraction, difference, symbol_image, threshold
-from luxloop.world.frames import inverse
+from luxloop.world.frames import View, inverse
 from luxloop.world.headlight import Headlight
-from luxloop.world.resampling import resampled
 from luxloop.world.spmv import Csr, multiply
-from luxloop.world.view import View
+from luxloop.world.texels import resampled
 
 SIGMAS = 1.4826  # of a normal distribution, in its median deviations
 BESIDE_PX = 2  # of a place in an image, pixels that its value may come from

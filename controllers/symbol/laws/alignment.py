@@ -13,7 +13,7 @@ from torch.nn.functional import interpolate
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement, SymbolSensor
 from luxloop.perception.birdseye import BirdsEye, Region, birds_eye, rectify
 from luxloop.perception.extraction import Crop
-from luxloop.world.resampling import resampled
+from luxloop.world.texels import resampled
 
 CELL_M = 0.04
 BEYOND = (0.5, 0.4)  # of the symbol's length and width, on every side

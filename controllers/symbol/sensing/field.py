@@ -6,7 +6,7 @@ from torch.nn.functional import adaptive_avg_pool2d, interpolate
 
 from luxloop.controllers.symbol.sensing.projection import CELLS, ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector
-from luxloop.world.resampling import resampled
+from luxloop.world.texels import resampled
 
 SIDES = ("left", "right", "top", "bottom")  # of a module's light texture
 EVERY = 8  # every eighth cell of a rectangle along and across is tested

@@ -17,12 +17,12 @@ from luxloop.perception.appearance import Appearance, Axes, appearance, area, fe
 from luxloop.perception.birdseye import BirdsEye, birds_eye, rectify, region_around
 from luxloop.perception.camera import CameraParams, average_rows, camera_view
 from luxloop.perception.extraction import Crop, Extraction, noise_limit, symbol_image
-from luxloop.world.light.ambient import ambient_luminance
+from luxloop.world.frames import View
+from luxloop.world.light.emitters import ambient_luminance
 from luxloop.world.light.illumination import Transport, added_light, reach, transport
 from luxloop.world.materials.library import RoadSurfaceParams
 from luxloop.world.params import Params
-from luxloop.world.rendering.flat_road import flat_road
-from luxloop.world.view import View
+from luxloop.world.rendering.gbuffer import flat_road
 
 # Steps of the symbol's x, y (m), roll, pitch (rad) about the target that measure the plant's gains: wide enough to drown pixel edges.
 PROBE = (0.3, 0.1, math.radians(1.0), math.radians(0.5))

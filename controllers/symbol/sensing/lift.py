@@ -13,7 +13,7 @@ from luxloop.controllers.symbol.sensing.planes import below_lamps, holding, plac
 from luxloop.controllers.symbol.sensing.projection import CELLS, ProjectionCommand, Warp
 from luxloop.controllers.symbol.sensing.shape import reached
 from luxloop.world.frames import inverse, pose, rotation, transform
-from luxloop.world.resampling import resampled
+from luxloop.world.texels import resampled
 
 FOLLOWED = 4  # light is followed for every fourth cell along and across, and interpolated between them
 FARTHEST, NOWHERE = 3.0, 1e3  # of the way to the plane z = 0 and to the patch: where lines of sight and light end that meet no road

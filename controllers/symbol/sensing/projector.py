@@ -18,10 +18,10 @@ from luxloop.controllers.symbol.sensing.lift import lifted
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.shape import reached
 from luxloop.perception.extraction import Crop
+from luxloop.world.frames import View
 from luxloop.world.kept import keeping
 from luxloop.world.params import Params
-from luxloop.world.resampling import resampled
-from luxloop.world.view import View
+from luxloop.world.texels import resampled
 
 CORNERS = 4  # of a rectangle
 AHEAD_M = 0.1  # nearer to the camera than that nothing is seen

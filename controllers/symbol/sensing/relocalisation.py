@@ -17,9 +17,8 @@ from torch.nn.functional import adaptive_avg_pool2d, pad
 from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector
 from luxloop.controllers.symbol.sensing.shape import reached
 from luxloop.perception.camera import CameraParams, camera_view
-from luxloop.world.resampling import resampled
-from luxloop.world.texels import TexelGrid
-from luxloop.world.view import View
+from luxloop.world.frames import View
+from luxloop.world.texels import TexelGrid, resampled
 
 GRID = (28, 16)  # rays of a pattern, along and across
 MARGIN = 0.5  # of the pattern's extent, that is compared around it and has to be dark

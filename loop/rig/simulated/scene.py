@@ -20,9 +20,8 @@ from luxloop.loop.simulation.simulated import simulated_plant
 from luxloop.loop.simulation.truth import LampModule, true_modules
 from luxloop.loop.simulation.world import LitScene, World
 from luxloop.perception.camera import CameraParams
-from luxloop.world.frames import unit
+from luxloop.world.frames import View, unit
 from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand
-from luxloop.world.view import View
 
 KEPT: Final = 8  # images of lights, of which an on and an off frame alternate
 STUCK_KEY: Final = 1  # of the generator of stuck pixels, beside that of dead ones

@@ -24,7 +24,7 @@ from luxloop.perception.evaluator import Metrics
 from luxloop.perception.extraction import Crop, ExtractionStatus
 from luxloop.world.errors import LuxloopError
 from luxloop.world.light.illumination import Transport, added_light
-from luxloop.world.process import check_process
+from luxloop.world.rendering.rasterise import check_process
 from luxloop.world.spmv import Csr, multiply
 
 Lights = tuple[Utilisation, ...]

@@ -26,8 +26,7 @@ from luxloop.perception.detection.network import NetworkDetector
 from luxloop.perception.detection.params import NetworkParams, TruthParams
 from luxloop.perception.detection.protocol import Detector
 from luxloop.world.errors import LuxloopError, all_of, located
-from luxloop.world.files import whole
-from luxloop.world.folders import output_folder
+from luxloop.world.files import output_folder, whole
 from luxloop.world.validation import sentences
 
 Method = Literal["auto", "gradient", "sampling"]

@@ -16,9 +16,9 @@ from luxloop.perception.detection.protocol import Detections
 from luxloop.perception.trackers import KEY, METHODS, CheckedTracker, OwnTracker, own_tracker
 from luxloop.perception.tracks import TrackedBoxes
 from luxloop.world.errors import LuxloopError, located
+from luxloop.world.frames import View
 from luxloop.world.plugin import check_methods
 from luxloop.world.traffic.tracked import Category
-from luxloop.world.view import View
 
 CALLS = {"start": (), "follow": ("state", "found", "frame", "time_s"), "report": ("state", "time_s")}
 RATE_HZ = 10.0

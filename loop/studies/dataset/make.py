@@ -17,8 +17,7 @@ from luxloop.loop.studies.dataset.joined import SCENES, Counts, join, unjoin
 from luxloop.loop.studies.jobs.executors import local
 from luxloop.loop.studies.jobs.runner import Job, identity_of, run
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import PARTS
-from luxloop.world.folders import output_folder
+from luxloop.world.files import PARTS, output_folder
 
 JOBS: Final = "scenes.jsonl"
 MADE_FROM: Final = "made_from.txt"  # in a scene's folder: the identity of the job that made it
@@ -45,7 +44,7 @@ def make(scenario: Mapping[str, Any], inputs: dict[str, str], labels: Mapping[st
 def make_dataset(dataset: Dataset, out: Path, processes: int | None) -> tuple[Counts, dict[str, str]]:
     """Make the scenes that the folder does not have yet, and join the labels of all; returns numbers, and reasons of failures by scene.
 
-    Raises what `luxloop.loop.studies.jobs.runner.run` and `luxloop.world.folders.output_folder` raise, and LuxloopError where the folder
+    Raises what `luxloop.loop.studies.jobs.runner.run` and `luxloop.world.files.output_folder` raise, and LuxloopError where the folder
     holds something else.
     """
     executor, version = local(processes), digest_of_code()

@@ -14,8 +14,8 @@ from luxloop.loop.recording.digest import digest_of_code
 from luxloop.loop.studies.evaluation import jobs
 from luxloop.loop.studies.jobs.executors import ALL_CORES, Executor
 from luxloop.loop.studies.jobs.runner import Job, Results, digest_of, run
-from luxloop.world.beams.rectangles import QUICK, RECTANGLES, Rectangle
-from luxloop.world.folders import output_folder
+from luxloop.world.files import output_folder
+from luxloop.world.lamps.patterns import QUICK, RECTANGLES, Rectangle
 
 LAMPS = ("hd84", "ssl-hd-lores")
 JOBS, SETPOINTS, TABLES, SENSITIVITY = "jobs.jsonl", "setpoints.parquet", "tables.parquet", "sensitivity.parquet"
@@ -67,7 +67,7 @@ def evaluate(
 
     quick: 45 instead of 1,215 rectangles, evenly spread over all five degrees of freedom, and coarser sensitivities. executor: by default a
     process per core. setpoints, grid: other rectangles, and another number of steps per parameter. Raises what
-    `luxloop.loop.studies.jobs.runner.run` and `luxloop.world.folders.output_folder` raise.
+    `luxloop.loop.studies.jobs.runner.run` and `luxloop.world.files.output_folder` raise.
     """
     chosen = setpoints or (QUICK if quick else RECTANGLES)
     parts: dict[str, tuple[Callable[..., Row], list[Job]]] = {

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from luxloop.loop.report.style import DEFAULTS
 from luxloop.loop.studies.evaluation.evaluate import FIXED_A_M, Evaluation, Row
 from luxloop.loop.studies.evaluation.jobs import headlight, light_of
-from luxloop.world.beams.rectangles import SETPOINT_CD, Rectangle
 from luxloop.world.files import whole
+from luxloop.world.lamps.patterns import SETPOINT_CD, Rectangle
 
 DPI = 100
 MARKERS = ("o", "^", "s", "D", "v", "P", "X", "*")

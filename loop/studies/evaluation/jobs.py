@@ -12,9 +12,9 @@ from luxloop.controllers.jpo.mae import least_error
 from luxloop.controllers.jpo.part import pixel_goal
 from luxloop.controllers.pixels.mrpc_tuning import OPTIONS, THESIS, Part, TextureControl, Trial, part, tune
 from luxloop.perception.metrics import dssim, mae, mare, rmse
-from luxloop.world.beams.rectangles import Rectangle
 from luxloop.world.headlight import Headlight
-from luxloop.world.presets import lamp
+from luxloop.world.lamps.patterns import Rectangle
+from luxloop.world.lamps.presets import lamp
 
 # One set for all setpoints, beside the default: medians of the thesis' optima (T B.4).
 THESIS_MEDIAN = {"hd84": Trial(0.99, 0.87, 0.001), "ssl-hd-lores": Trial(1.025, 0.98, 0.001)}

@@ -19,11 +19,10 @@ from luxloop.perception.ground_truth import ground_truth
 from luxloop.world.files import whole
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
-from luxloop.world.light.ambient import ambient_luminance
+from luxloop.world.light.emitters import ambient_luminance
 from luxloop.world.light.illumination import luminance, reach
-from luxloop.world.rendering.face_source import face_source
 from luxloop.world.rendering.gbuffer import GBuffer
-from luxloop.world.rendering.surfaces import SurfaceSource, surface_source
+from luxloop.world.rendering.surfaces import SurfaceSource, face_source, surface_source
 from luxloop.world.scene.scene import Ground, Scene
 from luxloop.world.scene.triangles import Triangles
 from luxloop.world.spmv import Csr

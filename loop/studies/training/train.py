@@ -19,8 +19,7 @@ from luxloop.loop.studies.training.report import overview, write_report
 from luxloop.perception.detection.network import NetworkDetector, save
 from luxloop.perception.detection.params import NetworkParams
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import whole
-from luxloop.world.folders import output_folder
+from luxloop.world.files import output_folder, whole
 
 JOBS, FOLDER, WEIGHTS = "scenes.jsonl", "scenes", "detector.pt"
 LEAST_SCORE = 0.01  # of what is asked and judged

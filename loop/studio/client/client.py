@@ -18,8 +18,7 @@ from luxloop.loop.studio.client.shared import Mapped
 from luxloop.loop.studio.client.state import State
 from luxloop.loop.studio.messages import View
 from luxloop.world.errors import LuxloopError
-from luxloop.world.messages.arrays import coded
-from luxloop.world.messages.packing import packed
+from luxloop.world.messages import coded, packed
 from luxloop.world.validation import toml
 
 VIEWS: Final[tuple[View, ...]] = ("frames", "light", "matrix")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from luxloop.world.messages.packing import LENGTH
+from luxloop.world.messages import LENGTH
 
 
 def unpacked(data: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -12,7 +12,7 @@ from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.controllers.situation import Situation
 from luxloop.perception.metrics import iou
 from luxloop.world.frames import inverse, pose_from_degrees, transform
-from luxloop.world.presets import lamp
+from luxloop.world.lamps.presets import lamp
 from luxloop.world.symbols import Still, load_still
 from tests.reference.ssc import seen_at
 

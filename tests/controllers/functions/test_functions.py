@@ -22,8 +22,8 @@ from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.controllers.situation import DrawingParams, Situation, TrackedObject, fade
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees, transform
+from luxloop.world.lamps.presets import idealised
 from luxloop.world.params import Params
-from luxloop.world.presets import idealised
 from luxloop.world.scene.body import Body, PoseTrack
 from luxloop.world.symbols import Still
 

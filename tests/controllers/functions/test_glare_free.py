@@ -15,7 +15,7 @@ from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.controllers.situation import Situation, TrackedObject
 from luxloop.world.frames import inverse, pose_from_degrees, transform
 from luxloop.world.headlight import Headlight
-from luxloop.world.presets import idealised, lamp
+from luxloop.world.lamps.presets import idealised, lamp
 
 LAMPS = torch.tensor([[0.0, 0.6, 0.75], [0.0, -0.6, 0.75]], dtype=torch.float64)
 HERE = torch.eye(4, dtype=torch.float64)

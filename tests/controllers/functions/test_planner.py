@@ -13,7 +13,7 @@ from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.controllers.situation import Situation, TrackedObject
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees
-from luxloop.world.presets import idealised
+from luxloop.world.lamps.presets import idealised
 
 HERE = torch.eye(4, dtype=torch.float64)
 LAMPS = torch.tensor([[0.0, 0.6, 0.75], [0.0, -0.6, 0.75]], dtype=torch.float64)

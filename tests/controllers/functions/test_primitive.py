@@ -13,7 +13,7 @@ from luxloop.controllers.functions.symbol import SymbolFunctionParams
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.controllers.situation import Situation
 from luxloop.world.frames import pose_from_degrees, transform
-from luxloop.world.presets import idealised
+from luxloop.world.lamps.presets import idealised
 from luxloop.world.symbols import Still
 
 HERE = torch.eye(4, dtype=torch.float64)

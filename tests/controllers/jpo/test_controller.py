@@ -13,7 +13,7 @@ from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.perception.metrics import mae, rmse
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
-from luxloop.world.presets import lamp
+from luxloop.world.lamps.presets import lamp
 from luxloop.world.spmv import multiply
 
 T_LAMP = pose_from_degrees((0.0, 0.6, 0.75))

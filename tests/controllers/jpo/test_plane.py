@@ -8,7 +8,7 @@ from luxloop.controllers.jpo.plane import Raster, fit_plane, lighting
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import inverse, pose_from_degrees, transform
 from luxloop.world.headlight import Headlight
-from luxloop.world.presets import lamp
+from luxloop.world.lamps.presets import lamp
 
 RASTER = Raster(8.0, 40.0, -8.0, 8.0, 64, 32)
 POSES = (pose_from_degrees((0.0, 0.6, 0.75)), pose_from_degrees((0.0, -0.6, 0.75)))

@@ -14,10 +14,10 @@ from luxloop.controllers.jpo.mae import least_error
 from luxloop.controllers.jpo.part import PixelGoal, every_nth_column, pixel_goal, submatrix
 from luxloop.controllers.jpo.squares import MoorePenrose, least_squares
 from luxloop.perception.metrics import mae, rmse
-from luxloop.world.beams.rectangles import RECTANGLES, Rectangle
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
-from luxloop.world.presets import lamp
+from luxloop.world.lamps.patterns import RECTANGLES, Rectangle
+from luxloop.world.lamps.presets import lamp
 from luxloop.world.spmv import Csr, multiply
 from luxloop.world.texels import TexelGrid
 

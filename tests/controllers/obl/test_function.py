@@ -22,7 +22,7 @@ from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.controllers.situation import AdaptiveFunction, Situation, TrackedObject
 from luxloop.perception.tracking import LINGER_S
 from luxloop.world.frames import inverse, pose_from_degrees, transform
-from luxloop.world.presets import lamp
+from luxloop.world.lamps.presets import lamp
 
 HERE = torch.eye(4, dtype=torch.float64)
 PLACES = [pose_from_degrees((0.0, y, 0.65)) for y in (0.6, -0.6)]

@@ -12,7 +12,7 @@ from luxloop.controllers.pixels.primitives import Primitives, concatenate, recta
 from luxloop.controllers.pixels.rthc import masks, trace
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.world.frames import pose_from_degrees
-from luxloop.world.presets import idealised, lamp
+from luxloop.world.lamps.presets import idealised, lamp
 
 LAMP = idealised(20, 40)
 T = pose_from_degrees((0.0, 0.0, 0.0))

@@ -10,7 +10,7 @@ from luxloop.controllers.pixels.mrpc import MrpcParams
 from luxloop.controllers.pixels.primitives import rectangle
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.world.frames import pose_from_degrees
-from luxloop.world.presets import idealised
+from luxloop.world.lamps.presets import idealised
 
 LAMP = idealised(20, 40)
 PLAIN = MrpcParams()

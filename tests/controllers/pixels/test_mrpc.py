@@ -15,7 +15,7 @@ from luxloop.controllers.pixels.rthc import Setpoints
 from luxloop.controllers.pixels.sharpening import FAINT
 from luxloop.controllers.pixels.windows import Window, whole
 from luxloop.world.headlight import Headlight
-from luxloop.world.presets import idealised
+from luxloop.world.lamps.presets import idealised
 from luxloop.world.spmv import Csr
 from tests.reference import ssc as reference
 

@@ -14,7 +14,7 @@ from luxloop.controllers.pixels.rthc import Setpoints
 from luxloop.controllers.pixels.windows import whole
 from luxloop.perception.metrics import mae
 from luxloop.world.headlight import Headlight
-from luxloop.world.presets import lamp
+from luxloop.world.lamps.presets import lamp
 
 CD = 10_000.0
 # Of the 1,215 rectangles of T 8.4.

@@ -5,7 +5,7 @@ import torch
 
 from luxloop.controllers.pixels.power import limit_power, pixel_flux
 from luxloop.world.errors import LuxloopError
-from luxloop.world.presets import idealised
+from luxloop.world.lamps.presets import idealised
 
 LAMP = idealised(8, 20)
 

@@ -14,7 +14,7 @@ from luxloop.controllers.pixels.primitives import Primitives, concatenate, recta
 from luxloop.controllers.pixels.rthc import RayBatch, Setpoints, trace
 from luxloop.controllers.pixels.windows import NOWHERE, Window, projected_windows, whole
 from luxloop.world.frames import pose_from_degrees
-from luxloop.world.presets import idealised
+from luxloop.world.lamps.presets import idealised
 from tests.reference import ssc as reference
 
 LAMP = idealised(10, 16)  # 40 x 32 texels

@@ -13,7 +13,7 @@ from luxloop.controllers.pixels.sampling import Sampling, rectangular, sample_we
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
-from luxloop.world.presets import idealised, lamp
+from luxloop.world.lamps.presets import idealised, lamp
 from luxloop.world.spmv import Csr, row_of_entries
 from tests.reference import ssc as reference
 

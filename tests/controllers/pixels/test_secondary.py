@@ -20,7 +20,7 @@ from luxloop.controllers.pixels.secondary import (
 )
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.world.frames import inverse, pose_from_degrees, transform
-from luxloop.world.presets import idealised
+from luxloop.world.lamps.presets import idealised
 from luxloop.world.scene.body import Body, PoseTrack
 from luxloop.world.scene.scene import Scene, StreetLamp
 

@@ -16,8 +16,8 @@ from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
+from luxloop.world.lamps.presets import idealised, lamp
 from luxloop.world.light.illumination import illuminance, reach, transport
-from luxloop.world.presets import idealised, lamp
 from luxloop.world.rendering.gbuffer import GBuffer
 from tests.reference import ssc as reference
 

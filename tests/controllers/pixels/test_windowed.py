@@ -11,7 +11,7 @@ from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.controllers.pixels.windowed import WindowedSsc, serves
 from luxloop.controllers.pixels.windows import union
 from luxloop.world.frames import pose_from_degrees
-from luxloop.world.presets import idealised
+from luxloop.world.lamps.presets import idealised
 
 LAMP = idealised(10, 16)
 T_LEFT = pose_from_degrees((0.0, 0.6, 0.75))

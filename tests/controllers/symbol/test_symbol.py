@@ -26,11 +26,11 @@ from luxloop.perception.camera import CameraParams, average_rows, camera_view, e
 from luxloop.perception.extraction import Crop, ExtractionParams, ExtractionStatus
 from luxloop.perception.noise import FrameNoise
 from luxloop.world.frames import pose_from_degrees
-from luxloop.world.light.ambient import ambient_luminance
+from luxloop.world.lamps.presets import idealised
+from luxloop.world.light.emitters import ambient_luminance
 from luxloop.world.light.illumination import added_light
 from luxloop.world.materials.library import RoadSurfaceParams
-from luxloop.world.presets import idealised
-from luxloop.world.rendering.flat_road import flat_road
+from luxloop.world.rendering.gbuffer import flat_road
 from luxloop.world.symbols import load_still
 
 SYMBOLS = ["snowflake", "chevrons", "warning_triangle", "distance_warning"]

@@ -16,7 +16,7 @@ from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.regions import box_region
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees, transform
-from luxloop.world.presets import idealised
+from luxloop.world.lamps.presets import idealised
 
 HERE = torch.eye(4, dtype=torch.float64)
 VIEW = camera_view(CameraParams(x_m=0.0, z_m=1.0, pitch_deg=2.0, width_px=320, height_px=180))

@@ -18,7 +18,7 @@ from luxloop.perception.camera import CameraParams, camera_view, expose, luminan
 from luxloop.perception.noise import FrameNoise
 from luxloop.perception.regions import box_region
 from luxloop.world.frames import pose_from_degrees, transform
-from luxloop.world.presets import idealised
+from luxloop.world.lamps.presets import idealised
 
 HERE = torch.eye(4, dtype=torch.float64)
 LAMPS = torch.tensor([[0.0, 0.6, 0.75], [0.0, -0.6, 0.75]], dtype=torch.float64)

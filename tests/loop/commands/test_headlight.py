@@ -14,10 +14,10 @@ from luxloop.loop.commands.shown import lights_by_side
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.headlight.lamp import Lamp, Module
-from luxloop.world.lampfiles.archive import save
-from luxloop.world.lampfiles.description import load_lamp
+from luxloop.world.lamps.archive import save
+from luxloop.world.lamps.description import load_lamp
+from luxloop.world.lamps.presets import idealised
 from luxloop.world.photometry import Distribution, read_photometry, write
-from luxloop.world.presets import idealised
 
 EXAMPLE = Path(__file__).parents[3] / "scenarios" / "examples" / "lamp.toml"
 Lux = Callable[[str], tuple[int, str, str]]

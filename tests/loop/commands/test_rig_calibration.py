@@ -16,8 +16,8 @@ from luxloop.loop.rig.simulated.faults import FaultParams, ShownBoardParams
 from luxloop.loop.rig.simulated.scene import LitBench
 from luxloop.loop.scenario.model import load as load_scenario
 from luxloop.world.headlight.lamp import Lamp, Module
-from luxloop.world.lampfiles import archive
-from luxloop.world.presets.ideal import idealised
+from luxloop.world.lamps import archive
+from luxloop.world.lamps.presets import idealised
 from tests.loop.conftest import Lux, assert_one_sentence
 
 WALL = """

@@ -13,8 +13,8 @@ from luxloop.loop.recording.replay import load, replay, rerun
 from luxloop.loop.scenario.edits import Edit, changed
 from luxloop.loop.scenario.model import load as scenario
 from luxloop.loop.simulation.simulation import Simulation
+from luxloop.world.arrays import read_parquet
 from luxloop.world.errors import LuxloopError
-from luxloop.world.parquet import read_parquet
 from tests.lamps import SMALL_LAMP
 
 SMALL = (

@@ -26,8 +26,8 @@ from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.columns import SYMBOL, of_one
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
+from luxloop.world.arrays import read_parquet
 from luxloop.world.errors import LuxloopError
-from luxloop.world.parquet import read_parquet
 
 HELD = {"symbol": FeatureParams()}
 RAW = tolerances(FeatureParams())

@@ -21,12 +21,11 @@ from luxloop.loop.report.styles import VIEWS
 from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, LitCar, Road, beside, birdseye, driver, grey, picture
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.world.errors import LuxloopError
-from luxloop.world.frames import pose_from_degrees
+from luxloop.world.frames import View, pose_from_degrees
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp, Module
+from luxloop.world.lamps.presets import idealised
 from luxloop.world.light.volumetric import Medium
-from luxloop.world.presets import idealised
-from luxloop.world.view import View
 
 
 @pytest.fixture(scope="module")

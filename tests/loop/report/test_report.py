@@ -22,7 +22,7 @@ from luxloop.loop.simulation.columns import of_one
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.extraction import ExtractionStatus
-from luxloop.world.view import View
+from luxloop.world.frames import View
 from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import SMALL
 

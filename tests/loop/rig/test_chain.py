@@ -17,7 +17,7 @@ from luxloop.loop.rig.simulated.lens import distorted, focal_px
 from luxloop.loop.rig.simulated.scene import LitBench
 from luxloop.loop.scenario.model import load
 from luxloop.world.headlight import Headlight
-from luxloop.world.lampfiles import archive
+from luxloop.world.lamps import archive
 from tests.loop.rig.conftest import ROOT, free_port
 
 pytestmark = pytest.mark.slow

@@ -12,8 +12,8 @@ import pytest
 
 from luxloop.loop.rig.wire.mjpeg import parts
 from luxloop.world.headlight.lamp import Lamp, Module
-from luxloop.world.lampfiles import archive
-from luxloop.world.presets.ideal import idealised
+from luxloop.world.lamps import archive
+from luxloop.world.lamps.presets import idealised
 from tests.loop.conftest import Lux, assert_one_sentence
 from tests.loop.rig.conftest import Process, eventually
 

@@ -22,8 +22,8 @@ from luxloop.loop.simulation.frames import image_file, read_light, twin_file
 from luxloop.loop.simulation.lamps import lamp_modules, shining_modules
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.simulated import simulated_plant
+from luxloop.world.arrays import read_parquet
 from luxloop.world.errors import LuxloopError
-from luxloop.world.parquet import read_parquet
 from tests.loop.conftest import Lux, assert_one_sentence
 from tests.loop.rig.conftest import ROOT, Process, eventually
 

@@ -13,7 +13,7 @@ from luxloop.controllers.symbol.laws.warping import WarpParams
 from luxloop.loop.scenario.model import load
 from luxloop.perception.camera import CameraParams
 from luxloop.world.errors import LuxloopError
-from luxloop.world.materials.spots import SpotParams
+from luxloop.world.materials.library import SpotParams
 from luxloop.world.roads.shapes import Bumps, Flat
 from tests.loop.scenario.files import GOOD, SYMBOL, failure
 

@@ -12,8 +12,8 @@ from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight.lamp import Lamp, Module
-from luxloop.world.lampfiles import archive
-from luxloop.world.presets import idealised
+from luxloop.world.lamps import archive
+from luxloop.world.lamps.presets import idealised
 
 CPU = torch.device("cpu")
 

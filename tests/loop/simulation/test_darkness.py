@@ -11,9 +11,9 @@ from luxloop.loop.scenario.shipped import shipped
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.world.frames import View
 from luxloop.world.light.illumination import illuminance, reach
 from luxloop.world.rendering.gbuffer import gbuffer
-from luxloop.world.view import View
 
 SIZES = {  # length, width, height in m
     "pole": (0.05, 0.05, 2.0),

@@ -11,12 +11,11 @@ import torch
 
 from luxloop.loop.run import check
 from luxloop.loop.scenario.model import load
-from luxloop.world import presets
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import direction
-from luxloop.world.lampfiles import archive
-from luxloop.world.lampfiles.description import build, describe, load_lamp
-from luxloop.world.lampfiles.utilisations import read_utilisation
+from luxloop.world.lamps import archive, presets
+from luxloop.world.lamps.description import build, describe, load_lamp
+from luxloop.world.lamps.utilisations import read_utilisation
 from luxloop.world.photometry import lm63
 from luxloop.world.photometry.distribution import Distribution
 

@@ -21,8 +21,8 @@ from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import noise_std
 from luxloop.world.errors import LuxloopError
-from luxloop.world.lampfiles import archive
-from luxloop.world.presets import lamp
+from luxloop.world.lamps import archive
+from luxloop.world.lamps.presets import lamp
 
 BOX = {
     "kind": "box",

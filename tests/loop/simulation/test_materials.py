@@ -8,8 +8,8 @@ from luxloop.loop.simulation.build import build_scene
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.materials import material_picture
 from luxloop.world.materials.library import MATERIALS
-from luxloop.world.rendering.face_source import face_source
 from luxloop.world.rendering.gbuffer import gbuffer
+from luxloop.world.rendering.surfaces import face_source
 
 HERE = [{"position_m": [14, 1, 0], "yaw_deg": 180}]
 OBJECTS = [

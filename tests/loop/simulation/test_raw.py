@@ -13,7 +13,7 @@ from luxloop.loop.recording.manifest import input_files
 from luxloop.loop.scenario.model import Scenario, load, validate
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
-from luxloop.world.lampfiles.utilisations import read_sequence
+from luxloop.world.lamps.utilisations import read_sequence
 from luxloop.world.photometry.distribution import Array
 
 ROWS, COLUMNS, FRAMES = 3, 28, 4  # pixels of hd84

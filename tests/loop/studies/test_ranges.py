@@ -9,7 +9,7 @@ from pydantic import BaseModel
 from luxloop.loop.scenario.model import Scenario, load
 from luxloop.loop.studies.campaign import CampaignParams
 from luxloop.world.errors import LuxloopError
-from luxloop.world.lampfiles.description import LampDescription
+from luxloop.world.lamps.description import LampDescription
 
 LEAST, MOST = ("minimum", "exclusiveMinimum"), ("maximum", "exclusiveMaximum")
 

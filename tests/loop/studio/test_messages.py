@@ -10,8 +10,7 @@ import pytest
 
 from luxloop.loop.studio.messages import Paint, Set, Speed, read
 from luxloop.world.errors import LuxloopError
-from luxloop.world.messages.arrays import coded, grey
-from luxloop.world.messages.packing import LENGTH, packed
+from luxloop.world.messages import LENGTH, coded, grey, packed
 from tests.loop.studio.clients import message, unpacked
 
 

@@ -15,7 +15,7 @@ from selenium.webdriver.support.ui import WebDriverWait
 
 from luxloop.loop.studio.page import PAGE
 from luxloop.loop.studio.session import Source
-from luxloop.world.lampfiles.utilisations import read_utilisation
+from luxloop.world.lamps.utilisations import read_utilisation
 from tests.loop.studio.conftest import SMALL, Served, serving
 from tests.loop.studio.test_browser import browser, opened, pytestmark, until
 

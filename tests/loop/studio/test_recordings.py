@@ -10,7 +10,7 @@ import pytest
 import luxloop
 from luxloop.loop.recording.files import EDITS, TRAJECTORY
 from luxloop.loop.studio.sources import Source
-from luxloop.world.parquet import read_parquet
+from luxloop.world.arrays import read_parquet
 from tests.loop.studio.clients import watching
 from tests.loop.studio.conftest import SMALL, Served, serving
 

@@ -6,10 +6,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from luxloop.world.beams import PATTERNS, Pattern, fit, pattern
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import Lamp, direction
-from luxloop.world.presets import lamp
+from luxloop.world.lamps.fitting import fit
+from luxloop.world.lamps.patterns import PATTERNS, Pattern, pattern
+from luxloop.world.lamps.presets import lamp
 from luxloop.world.regulation import check_beam, passes
 
 DEG15 = math.tan(math.radians(15))

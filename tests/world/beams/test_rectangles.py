@@ -6,8 +6,8 @@ from itertools import combinations
 import pytest
 import torch
 
-from luxloop.world.beams.rectangles import QUICK, RECTANGLES, Rectangle
 from luxloop.world.errors import LuxloopError
+from luxloop.world.lamps.patterns import QUICK, RECTANGLES, Rectangle
 from luxloop.world.texels import TexelGrid
 
 GRID = TexelGrid.from_degrees(100, 400, 20, -20, -5, 5)

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from luxloop.world.headlight.fit import solve
-from luxloop.world.spmv import Csr, multiply
+from luxloop.world.spmv import Csr, multiply, solve
 
 
 def problem(seed: int, m: int = 60, n: int = 25, signed: bool = False) -> tuple[sp.csr_array, np.ndarray, np.ndarray]:

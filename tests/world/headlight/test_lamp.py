@@ -10,7 +10,7 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp, Module, direction
-from luxloop.world.presets import idealised
+from luxloop.world.lamps.presets import idealised
 from luxloop.world.texels import TexelGrid
 
 

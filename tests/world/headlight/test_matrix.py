@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
-from luxloop.world.presets import idealised
+from luxloop.world.lamps.presets import idealised
 
 
 def tan(degrees: float) -> float:

@@ -8,8 +8,8 @@ import pytest
 from pydantic import ValidationError
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.headlight.pixel_sources import FileSource, FolderSource, TableSource
 from luxloop.world.headlight.pixels import PixelArray, assemble
+from luxloop.world.headlight.sources import FileSource, FolderSource, TableSource
 from luxloop.world.photometry import lm63
 from luxloop.world.photometry.distribution import Distribution
 from luxloop.world.texels import TexelGrid

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from luxloop.world import budget
+from luxloop.world import files
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import pixels
-from luxloop.world.headlight.pixel_sources import FileSource
 from luxloop.world.headlight.pixels import Pixel, PixelArray, _window, assemble, border_share, default_grid
-from luxloop.world.photometry import files, lm63
+from luxloop.world.headlight.sources import FileSource
+from luxloop.world.photometry import lm63, read_photometry
 from luxloop.world.photometry.distribution import Aim, Distribution, angles_of, directions_of
 from luxloop.world.photometry.texture import light_texture, solid_angles
 from luxloop.world.texels import TexelGrid
@@ -176,7 +176,7 @@ def test_progress_is_told() -> None:
 
 @pytest.mark.parametrize("name", ["sample8.ldt", "medium_scatter.ies", "type_a_symmetric.ies", "type_b_full.ies"])
 def test_real_files_agree_with_their_own_texture(data_dir: Path, name: str) -> None:
-    distribution = files.read_photometry(data_dir / "ies" / name).distribution
+    distribution = read_photometry(data_dir / "ies" / name).distribution
     grid = TexelGrid.from_degrees(90, 120, 50, -50, -40, 40)
     made = assemble(alone(distribution), grid, cutoff=0)
     peak = distribution.candela.max()
@@ -199,7 +199,7 @@ def test_a_measurement_tells_what_it_cuts_off() -> None:
 
 def test_a_matrix_beyond_all_memory_is_refused_before_the_work_with_values_that_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pixels, "BUDGET_BYTES", 64 * 700_000)
-    monkeypatch.setattr(budget, "BUDGET_BYTES", 64 * 700_000)
+    monkeypatch.setattr(files, "BUDGET_BYTES", 64 * 700_000)
     array, seen = PixelArray([Pixel(gaussian())] * 400, 20, 20), []
     with pytest.raises(LuxloopError, match=r"its 400 pixels, .* of 60 x 80 texels by estimate, .*; set texture.rows") as refused:
         assemble(array, GRID, on_progress=lambda done, of: seen.append(done))

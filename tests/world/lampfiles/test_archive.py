@@ -19,7 +19,7 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp, Module
-from luxloop.world.lampfiles.archive import load, save
+from luxloop.world.lamps.archive import load, save
 from luxloop.world.spmv import Csr
 
 

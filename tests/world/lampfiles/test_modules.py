@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.lampfiles.modules import ModuleParams, build_module
+from luxloop.world.lamps.modules import ModuleParams, build_module
 from luxloop.world.photometry import Distribution, write
 
 ASIDE = {"left_deg": 40, "right_deg": 30}

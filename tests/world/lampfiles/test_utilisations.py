@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.lampfiles.utilisations import read_utilisation
+from luxloop.world.lamps.utilisations import read_utilisation
 
 
 def npy(array: np.ndarray) -> bytes:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import torch
 
 from luxloop.world.frames import pose_from_degrees
-from luxloop.world.light.ambient import ambient_luminance
+from luxloop.world.light.emitters import ambient_luminance
 from luxloop.world.materials.brdf import LAMBERTIAN, Material
 from luxloop.world.rendering.gbuffer import Finish, GBuffer
 from luxloop.world.scene.body import Spotlight

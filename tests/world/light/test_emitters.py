@@ -5,12 +5,11 @@ import math
 import pytest
 import torch
 
-from luxloop.world.frames import R_ISO_OPENCV, pose, pose_from_degrees
+from luxloop.world.frames import R_ISO_OPENCV, View, pose, pose_from_degrees
 from luxloop.world.headlight.lamp import Lamp, Module, direction
+from luxloop.world.lamps.presets import idealised
 from luxloop.world.light.emitters import sources, surface_light, wall_illuminance
-from luxloop.world.presets import idealised
-from luxloop.world.rendering.flat_road import flat_road
-from luxloop.world.view import View
+from luxloop.world.rendering.gbuffer import flat_road
 
 LEFT = pose_from_degrees((0.0, 0.6, 0.75))
 MIDDLE = pose_from_degrees((0.0, 0.0, 0.75))

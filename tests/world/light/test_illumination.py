@@ -10,16 +10,14 @@ import torch
 import trimesh
 from torch import Tensor
 
-from luxloop.world.frames import R_ISO_OPENCV, inverse, pose, pose_from_degrees, transform
+from luxloop.world.frames import R_ISO_OPENCV, View, inverse, pose, pose_from_degrees, transform
 from luxloop.world.headlight import Headlight
+from luxloop.world.lamps.presets import idealised
 from luxloop.world.light.illumination import DirectTransport, Shadows, added_light, illuminance, luminance, reach, transport
-from luxloop.world.presets import idealised
-from luxloop.world.rendering.flat_road import flat_road
-from luxloop.world.rendering.gbuffer import GBuffer
+from luxloop.world.rendering.gbuffer import GBuffer, flat_road
 from luxloop.world.scene.body import Body
 from luxloop.world.scene.scene import Scene
 from luxloop.world.spmv import Csr
-from luxloop.world.view import View
 
 CD = 30_000.0
 

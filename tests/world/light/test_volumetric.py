@@ -12,11 +12,10 @@ from scipy.integrate import quad
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp, Module
+from luxloop.world.lamps.presets import idealised
 from luxloop.world.light.emitters import Source, sources
-from luxloop.world.light.volumetric import Medium, airlight, phase
-from luxloop.world.presets import idealised
-from luxloop.world.rendering.face_source import face_source
-from luxloop.world.rendering.shadow import shadow_map
+from luxloop.world.light.volumetric import Medium, airlight, phase, shadow_map
+from luxloop.world.rendering.surfaces import face_source
 from luxloop.world.scene.body import Body
 from luxloop.world.scene.scene import Scene
 from luxloop.world.spmv import Csr

@@ -9,12 +9,11 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from luxloop.world.frames import pose_from_degrees
+from luxloop.world.lamps.presets import idealised
 from luxloop.world.light.illumination import luminance, reach, transport
 from luxloop.world.materials.brdf import LAMBERTIAN, luminance_factor
 from luxloop.world.materials.library import MATERIALS, WET, RoadSurfaceParams
-from luxloop.world.presets import idealised
-from luxloop.world.rendering.flat_road import flat_road
-from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
+from luxloop.world.rendering.gbuffer import GBuffer, flat_road, gbuffer
 from luxloop.world.rendering.raycast import RayCaster
 from luxloop.world.scene.body import Body
 from luxloop.world.scene.scene import Scene

@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from luxloop.world.materials.library import MATERIALS, WET, RoadSurfaceParams
-from luxloop.world.materials.spots import SpotParams, SpottedTexture
+from luxloop.world.materials.library import MATERIALS, WET, RoadSurfaceParams, SpotParams, SpottedTexture
 from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
 from luxloop.world.rendering.raycast import RayCaster
 from luxloop.world.scene.body import Body

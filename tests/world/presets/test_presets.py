@@ -4,11 +4,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from luxloop.world.beams import PATTERNS
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import Lamp, direction
-from luxloop.world.presets import NAMES, lamp
-from luxloop.world.presets.modules import LUMINANCE
+from luxloop.world.headlight.parametric import LUMINANCE
+from luxloop.world.lamps.patterns import PATTERNS
+from luxloop.world.lamps.presets import NAMES, lamp
 
 ANGLES = torch.meshgrid(torch.linspace(-70, 70, 141), torch.linspace(-9, 9, 37), indexing="xy")
 
@@ -130,7 +130,7 @@ def test_an_unknown_lamp_or_side_is_named_with_what_there_is() -> None:
 
 def test_each_beam_is_fitted_once_and_only_when_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     fitted = []
-    monkeypatch.setattr("luxloop.world.presets.beams.fit", lambda lamp, pattern, traffic: fitted.append(pattern) or lamp.beam("off"))
+    monkeypatch.setattr("luxloop.world.lamps.fitting.fit", lambda lamp, pattern, traffic: fitted.append(pattern) or lamp.beam("off"))
     lamp.cache_clear()
     one = lamp("hd84")
     one.beam("full")

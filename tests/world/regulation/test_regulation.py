@@ -12,7 +12,7 @@ from torch import Tensor
 
 from luxloop.world.errors import LuxloopError
 from luxloop.world.regulation import Result, aim_beam, check_beam, passes, rule_set, sets
-from luxloop.world.regulation.cutoff import inflection
+from luxloop.world.regulation.checking import inflection
 
 Intensity = Callable[[Tensor], Tensor]
 

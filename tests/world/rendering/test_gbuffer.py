@@ -11,18 +11,17 @@ import trimesh
 from torch.nn.functional import max_pool2d
 from trimesh.ray.ray_pyembree import _EmbreeWrap
 
-from luxloop.world.frames import pose_from_degrees
+from luxloop.world.frames import View, pose_from_degrees
 from luxloop.world.materials.library import Texture
 from luxloop.world.rendering import rasterise
-from luxloop.world.rendering.face_source import FaceSource, face_source
 from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
 from luxloop.world.rendering.rasterise import NoOpenGL
 from luxloop.world.rendering.raycast import RayCaster, first_hits, hits_on
+from luxloop.world.rendering.surfaces import FaceSource, face_source
 from luxloop.world.scene.body import Body, PoseTrack
 from luxloop.world.scene.scene import Scene
 from luxloop.world.scene.triangles import Triangles
 from luxloop.world.traffic.objects import BoxParams
-from luxloop.world.view import View
 from tests.world.grids import bumpy, camera, flat, grid, lamp
 
 

@@ -9,10 +9,9 @@ import torch
 from luxloop.world.frames import inverse, pose_from_degrees, transform
 from luxloop.world.materials.library import RoadSurfaceParams
 from luxloop.world.rendering.deferred import DeferredRenderer
-from luxloop.world.rendering.face_source import face_source
 from luxloop.world.rendering.rasterise import NoOpenGL, Rasteriser
 from luxloop.world.rendering.raycast import RayCaster, sees
-from luxloop.world.rendering.surfaces import ExactSurfaces, QuickSurfaces, SurfaceSource, surface_source
+from luxloop.world.rendering.surfaces import ExactSurfaces, QuickSurfaces, SurfaceSource, face_source, surface_source
 from luxloop.world.scene.body import Body, PoseTrack
 from luxloop.world.scene.scene import Scene
 from luxloop.world.scene.triangles import NOTHING

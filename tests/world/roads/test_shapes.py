@@ -9,10 +9,25 @@ from scipy.signal import welch
 
 from luxloop.world.errors import LuxloopError
 from luxloop.world.opencrg import Crg
-from luxloop.world.roads.iso8608 import GEOMETRIC_MEAN_M3, REFERENCE_FREQUENCY, roughness
-from luxloop.world.roads.mesh import GROWTH, SCENE_X_M, SCENE_Y_M, axis, road_mesh
 from luxloop.world.roads.scan import WHEELS_M
-from luxloop.world.roads.shapes import Bumps, Curb, Flat, Grade, Iso8608, Mixed, OpenCrgRoad, Pothole, Road, RoadParams, SpeedBump, Step
+from luxloop.world.roads.shapes import (
+    GEOMETRIC_MEAN_M3,
+    REFERENCE_FREQUENCY,
+    Bumps,
+    Curb,
+    Flat,
+    Grade,
+    Iso8608,
+    Mixed,
+    OpenCrgRoad,
+    Pothole,
+    Road,
+    RoadParams,
+    SpeedBump,
+    Step,
+    roughness,
+)
+from luxloop.world.scene.ground import GROWTH, SCENE_X_M, SCENE_Y_M, axis, road_mesh
 from tests.world.opencrg.writer import write_crg
 
 KINDS = [Flat(), Grade(), Bumps(), SpeedBump(), Curb(), Step(), Pothole(), Iso8608(), Mixed()]

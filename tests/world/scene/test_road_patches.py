@@ -5,7 +5,7 @@ import pytest
 
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.roads.shapes import Flat, Iso8608
-from luxloop.world.scene.road_patches import NEAR_M, SIDE_M, SKIRT_M, RoadPatches
+from luxloop.world.scene.ground import NEAR_M, SIDE_M, SKIRT_M, RoadPatches
 
 ROAD = Iso8608(roughness_class="C")
 

@@ -11,7 +11,7 @@ from luxloop.world.rendering.deferred import DeferredRenderer
 from luxloop.world.rendering.rasterise import NoOpenGL
 from luxloop.world.rendering.surfaces import QuickSurfaces
 from luxloop.world.roads.shapes import Curb, Iso8608, Road
-from luxloop.world.scene.road_tiles import LENGTH_M, NEAR_M, SIGHT_M, RoadTiles
+from luxloop.world.scene.ground import LENGTH_M, NEAR_M, SIGHT_M, RoadTiles
 from luxloop.world.scene.triangles import Triangles
 from tests.world.grids import camera
 

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.traffic.mesh_files import read_nodes
+from luxloop.world.traffic.meshes import read_nodes
 
 CORNERS = np.array([[0, 0, 0], [4, 0, 0], [4, 2, 0], [0, 2, 0]], np.float32)
 FACES = np.array([0, 1, 2, 0, 2, 3], np.uint16)

@@ -9,7 +9,7 @@ import torch
 from luxloop.world.errors import LuxloopError
 from luxloop.world.roads.base import Floats, MeshGrid
 from luxloop.world.roads.shapes import Flat
-from luxloop.world.scene.figure import Figure
+from luxloop.world.scene.body import Figure
 from luxloop.world.scene.vehicle import Motion, VehicleParams, drive
 from luxloop.world.traffic.generator import LANE_M, ROLES, TrafficParams
 from luxloop.world.traffic.objects import ObjectParams

@@ -9,20 +9,18 @@ import trimesh
 from pydantic import TypeAdapter, ValidationError
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.light.ambient import ambient_luminance
+from luxloop.world.light.emitters import ambient_luminance
 from luxloop.world.rendering.deferred import DeferredRenderer
 from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
 from luxloop.world.rendering.rasterise import NoOpenGL
 from luxloop.world.rendering.raycast import RayCaster
 from luxloop.world.rendering.surfaces import QuickSurfaces
-from luxloop.world.scene.body import Body
-from luxloop.world.scene.figure import SHAPES, Figure
+from luxloop.world.scene.body import SHAPES, Body, Figure
 from luxloop.world.scene.scene import Scene
 from luxloop.world.traffic.car import LOW_BEAM_CD, CarParams
 from luxloop.world.traffic.generator import SIGHT, TrafficParams, varied
 from luxloop.world.traffic.objects import MeshParams, ObjectParams
-from luxloop.world.traffic.people import SHANK, THIGH, someone, walking
-from luxloop.world.traffic.road_users import STRIDE, PedestrianParams, riding
+from luxloop.world.traffic.people import SHANK, STRIDE, THIGH, PedestrianParams, riding, someone, walking
 from luxloop.world.traffic.shapes import Piece, blob, block, ellipsoid, limb, tube
 from luxloop.world.traffic.tracked import WayParams
 from tests.world.grids import camera

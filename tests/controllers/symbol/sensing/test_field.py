@@ -11,7 +11,7 @@ from luxloop.controllers.symbol.sensing.field import SIDES, cut
 from luxloop.controllers.symbol.sensing.projection import CELLS, ProjectionCommand, Warp
 from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
 from luxloop.world.frames import pose_from_degrees
-from luxloop.world.presets import idealised
+from luxloop.world.lamps.presets import idealised
 
 HEIGHT_M = 0.75
 WHITE = torch.ones(64, 32)

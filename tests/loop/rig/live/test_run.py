@@ -19,7 +19,7 @@ from luxloop.loop.simulation.digitised import DigitisedPlant
 from luxloop.loop.simulation.frames import image_file, read_image
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.truth import LampModule
-from luxloop.world.presets.ideal import idealised
+from luxloop.world.lamps.presets import idealised
 from tests.loop.conftest import Lux, assert_one_sentence
 from tests.loop.rig.conftest import Process, free_port
 from tests.loop.rig.live.walls import calibration, module, wall

@@ -28,7 +28,7 @@ from luxloop.loop.simulation.digitised import DigitisedPlant
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.perception.camera import camera_view
 from luxloop.world.headlight.lamp import Lamp, Module
-from luxloop.world.lampfiles import archive
+from luxloop.world.lamps import archive
 from tests.loop.conftest import Lux
 from tests.loop.rig.conftest import ROOT, free_port
 from tests.loop.rig.live.walls import LAMP, SCREEN_M, blob, off_by

@@ -11,7 +11,7 @@ from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load, validate
 from luxloop.loop.simulation.digitised import DigitisedPlant, MeasuredTextures
 from luxloop.world.errors import LuxloopError
-from luxloop.world.scene.late_body import LateBody
+from luxloop.world.scene.vehicle import LateBody
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
 from tests.loop.rig.live.walls import LAMP
 

@@ -14,7 +14,7 @@ from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.truth import LampModule
 from luxloop.perception.camera import CameraParams, camera_view, saturation_luminance
 from luxloop.world.headlight import Headlight
-from luxloop.world.presets.ideal import idealised
+from luxloop.world.lamps.presets import idealised
 
 SCREEN_M, ALBEDO = 5.95, 0.8
 LAMP = idealised(12, 24, (4, 2), 3.5, 1.8, -1.8)

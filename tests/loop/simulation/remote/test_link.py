@@ -22,8 +22,7 @@ from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import validate
 from luxloop.loop.simulation.remote_link import Link
 from luxloop.world.errors import LuxloopError
-from luxloop.world.messages.arrays import raw
-from luxloop.world.messages.packing import packed
+from luxloop.world.messages import packed, raw
 from tests.loop.conftest import SMALL
 from tests.loop.simulation.remote.test_remote import free_port
 from tests.loop.studio.clients import message, unpacked

@@ -9,8 +9,7 @@ from luxloop.controllers.symbol import FeedforwardParams
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.world.errors import LuxloopError
-from luxloop.world.roads.own import OwnRoad
-from luxloop.world.roads.shapes import SpeedBump
+from luxloop.world.roads.shapes import OwnRoad, SpeedBump
 
 OWN = """
 import numpy as np

@@ -16,11 +16,10 @@ from luxloop.loop.studies.evaluation.evaluate import JOBS, ROWS, SETPOINTS, Eval
 from luxloop.loop.studies.jobs import runner
 from luxloop.loop.studies.jobs.executors import local
 from luxloop.perception.metrics import mae
-from luxloop.world.beams.rectangles import Rectangle
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
-from luxloop.world.headlight.parametric import GaussianPixels
-from luxloop.world.presets.modules import headlight
+from luxloop.world.headlight.parametric import GaussianPixels, headlight
+from luxloop.world.lamps.patterns import Rectangle
 from luxloop.world.texels import TexelGrid
 
 RECTANGLES = [Rectangle(0, 0, 3.75, 2), Rectangle(-5, 1, 6, 3, 15), Rectangle(2.5, -1, 1.5, 1)]

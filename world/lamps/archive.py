@@ -15,9 +15,8 @@ from pydantic import ConfigDict, Field, ValidationError, model_validator
 from torch import Tensor
 
 from luxloop.world.arrays import Arrays, read_npz, write_npz
-from luxloop.world.budget import afford
 from luxloop.world.errors import LuxloopError, located
-from luxloop.world.files import reading, whole
+from luxloop.world.files import afford, reading, whole
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp, Module
 from luxloop.world.params import ModuleName, Params

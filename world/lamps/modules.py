@@ -10,15 +10,13 @@ from typing import Annotated, Any, Literal, Self
 import torch
 from pydantic import Field, model_validator
 
-from luxloop.world import presets
-from luxloop.world.budget import afford
 from luxloop.world.errors import LuxloopError
+from luxloop.world.files import afford
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Module
 from luxloop.world.headlight.overlap import Method, OverlapErrors, errors, reduce, standard_use_cases, strongest
-from luxloop.world.headlight.parametric import BlurredRectangles, GaussianPixels
-from luxloop.world.headlight.pixel_sources import FileSource, FolderSource, TableSource
+from luxloop.world.headlight.parametric import BlurredRectangles, GaussianPixels, headlight
 from luxloop.world.headlight.pixels import (
     CUTOFF,
     TEXELS_A_PIXEL,
@@ -30,9 +28,10 @@ from luxloop.world.headlight.pixels import (
     default_grid,
     describe,
 )
+from luxloop.world.headlight.sources import FileSource, FolderSource, TableSource
+from luxloop.world.lamps import presets
 from luxloop.world.params import Degrees, ModuleName, Params
 from luxloop.world.photometry.distribution import Array
-from luxloop.world.presets.modules import headlight
 from luxloop.world.spmv import Csr
 from luxloop.world.texels import LARGEST_ANGLE_DEG, TexelGrid
 

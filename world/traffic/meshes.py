@@ -1,10 +1,14 @@
-"""Triangles of glTF 2.0 files. Looks, skins, cameras and animations are left out, so no textures are opened."""
+"""Files of triangle meshes. Of glTF 2.0 looks, skins, cameras and animations are left out, so no textures are opened."""
 
 import base64
+import io
 import json
+import os
+import re
 import struct
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 from urllib.parse import unquote, unquote_to_bytes
 
 import numpy as np
@@ -12,9 +16,8 @@ import trimesh
 from numpy.typing import NDArray
 from trimesh.transformations import quaternion_matrix, translation_matrix
 
-from luxloop.world.budget import afford
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import content
+from luxloop.world.files import afford, content, reading
 
 # Beginnings of the names of required extensions that change no triangles, and of the one that is decoded.
 READ: Final = ("KHR_mesh_quantization", "KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_", "KHR_xmp")
@@ -27,7 +30,7 @@ Json = dict[str, Any]
 Numbers = NDArray[Any]
 
 
-def read(file: Path, data: bytes) -> dict[str, trimesh.Trimesh]:
+def _read_gltf(file: Path, data: bytes) -> dict[str, trimesh.Trimesh]:
     """The placed meshes of a .gltf or .glb by the names of their nodes; of nodes with several materials, by node and material.
 
     Raises LuxloopError for required extensions that change triangles, and for buffers that are no regular files in the file's folder; and
@@ -137,3 +140,49 @@ def _numbers(tree: Json, buffers: list[bytes | None], accessor: Json) -> Numbers
     if accessor.get("normalized"):
         return np.maximum(found / np.iinfo(dtype).max, -1)
     return found
+
+
+MESHES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
+
+
+def read_nodes(file: Path) -> Mapping[str, trimesh.Trimesh]:
+    """The meshes of a file in its frame, by the names of its nodes. Raises LuxloopError where it is missing or unreadable."""
+    if not os.path.isfile(file):
+        raise LuxloopError(f"{file}: there is no such mesh file; correct the object's key 'file'")
+    form = file.suffix.lower()[1:]
+    if f".{form}" not in MESHES:  # archives and documents that trimesh reads as well may hold anything
+        raise LuxloopError(f"{file}: meshes are {', '.join(MESHES)} files; export it as one of them")
+    with reading(file, "not readable as a mesh", "export it again as .obj, .ply, .stl or .glb"):
+        data = content(file)  # which gives no more bytes than there are, whatever the file declares
+        found = _read_gltf(file, data) if form in ("glb", "gltf") else _read(file, form, data)
+    nodes = {name: mesh for name, mesh in found.items() if len(mesh.faces)}
+    if not nodes:
+        raise LuxloopError(f"{file}: holds no triangles; export it with its faces")
+    if not all(
+        np.isfinite(each.vertices).all() and each.faces.min() >= 0 and each.faces.max() < len(each.vertices) for each in nodes.values()
+    ):
+        raise LuxloopError(f"{file}: has corners that are not numbers or not there; export it again")
+    return nodes
+
+
+def joined(meshes: Iterable[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """One mesh of several, their faces one after the other."""
+    return cast(trimesh.Trimesh, trimesh.util.concatenate(list(meshes)))
+
+
+def _read(file: Path, form: str, data: bytes) -> Mapping[str, trimesh.Trimesh]:
+    """Meshes by trimesh, without opening other files: an .obj file itself has the names of its materials, and no textures are needed."""
+    library = b"".join(b"newmtl %s\n" % each for each in (*re.findall(rb"^usemtl +(.*\S)", data, re.M), b"unused"))  # two or more are named
+    stream = io.BytesIO(b"mtllib names\n" + data if form == "obj" else data)
+    stream.name = file.name
+    scene = trimesh.load_scene(stream, file_type=form, resolver={"names": library}, split_objects=True, skip_materials=form != "obj")
+    meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh)]
+    return dict(zip(_names(meshes), meshes, strict=True))
+
+
+def _names(meshes: Sequence[trimesh.Trimesh]) -> list[str]:
+    """Of the nodes, without the material that a reader puts behind them where each is of one material alone."""
+    nodes = [str(mesh.metadata["node"]) for mesh in meshes]
+    materials = [getattr(getattr(mesh.visual, "material", None), "name", None) for mesh in meshes]
+    alone = [node.removesuffix(f"_{material}") for node, material in zip(nodes, materials, strict=True)]
+    return [short if alone.count(short) == 1 else node for short, node in zip(alone, nodes, strict=True)]

@@ -12,10 +12,9 @@ import torch
 from torch import Tensor
 
 from luxloop.world.arrays import read_npy, read_npz
-from luxloop.world.budget import afford
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import content, reading
-from luxloop.world.headlight.pixel_tables import separators
+from luxloop.world.files import afford, content, reading
+from luxloop.world.headlight.sources import separators
 from luxloop.world.images import decoded
 from luxloop.world.photometry.distribution import Array
 from luxloop.world.symbols import FOLDER_HZ, VIDEOS, frame_at, video

@@ -4,27 +4,57 @@ import os
 import warnings
 from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, Self, cast
 
+import numpy as np
 import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from luxloop.world import presets
 from luxloop.world.errors import LuxloopError, did_you_mean, located
 from luxloop.world.files import files_at
 from luxloop.world.headlight.lamp import Lamp
-from luxloop.world.headlight.pixel_sources import SUFFIXES, FileSource
-from luxloop.world.lampfiles import archive
-from luxloop.world.lampfiles.modules import ModuleParams, ModuleReport, build_module
-from luxloop.world.lampfiles.utilisations import read_utilisation
+from luxloop.world.headlight.sources import SUFFIXES, FileSource
+from luxloop.world.lamps import archive, presets
+from luxloop.world.lamps.fitting import FittedBeams
+from luxloop.world.lamps.modules import ModuleParams, ModuleReport, build_module, warn_of_oddities
+from luxloop.world.lamps.utilisations import read_utilisation
 from luxloop.world.params import Params
+from luxloop.world.photometry import Distribution
 from luxloop.world.photometry.distribution import Array
-from luxloop.world.presets.beams import FittedBeams
-from luxloop.world.regulation.results import Traffic
+from luxloop.world.regulation.tables import Traffic
 from luxloop.world.validation import read_toml, validated
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredLamp(Lamp):
+    """A lamp of one pixel whose intensity is its file's, interpolated between the file's own angles; it has no module to render.
+
+    mirrored: the lamp of the right side, whose light is that of the left one mirrored.
+    """
+
+    distribution: Distribution
+    mirrored: bool = False
+
+    def beam(self, name: str) -> tuple[Tensor, ...]:
+        """As of Lamp, `full` or `off`: the utilisation `[1]` of the pixel."""
+        return (torch.ones(1) if name == "full" else torch.zeros(1),) if name in ("full", "off") else super().beam(name)
+
+    def lit(self, utilisations: Sequence[Tensor]) -> Callable[[Tensor], Tensor]:
+        """As of Lamp."""
+        share, sides = float(utilisations[0]), np.array([1.0, -1.0 if self.mirrored else 1.0, 1.0])
+        return lambda directions: share * torch.from_numpy(self.distribution.intensity(directions.double().numpy() * sides[:, None]))
+
+
+def measured_lamp(path: Path, side: str) -> MeasuredLamp:
+    """The lamp of a photometric file. Raises LuxloopError where it cannot be read; warns of what is odd in it."""
+    source = FileSource(path=path)
+    array = source.pixels()
+    warn_of_oddities(source, array)
+    return MeasuredLamp(path.stem, (), distribution=array.pixels[0].distribution, mirrored=side == "right")
+
 
 Side = Literal["left", "right"]
 Progress = Callable[[str, int, int], None]

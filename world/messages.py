@@ -1,17 +1,24 @@
-"""Arrays in the body of a message (docs/programs.md): coded for clients, and read from them within strict limits."""
+"""Messages of a JSON head and a body of arrays, as other programs exchange them with the studio and with the loop (docs/programs.md).
 
+Four bytes with the length of the head, the head, the body. Arrays are read within strict limits. Without torch.
+"""
+
+import json
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain
 from math import prod
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, ValidationError
 
+from luxloop.world.errors import LuxloopError
 from luxloop.world.params import Params
+from luxloop.world.plugin import in_a_line
 
 CODES: Final = {"uint8": "u1", "uint16": "u2", "uint32": "u4", "float16": "f2", "float32": "f4"}
 MOST_BYTES: Final = 2**22  # of an array of a studio's client, decoded
@@ -113,3 +120,59 @@ def _picture(name: str, head: ArrayHead, data: bytes) -> np.ndarray:
     if picture is None or picture.shape != head.shape:
         raise ValueError(f"array {name} is no 8-bit grey PNG of its shape")
     return picture
+
+
+LENGTH: Final = struct.Struct("<I")
+LARGEST_HEAD: Final = 2**20  # bytes
+MOST_ARRAYS: Final = 16
+
+
+class Body(Params):
+    """The arrays of a message's body."""
+
+    arrays: dict[str, ArrayHead] = Field({}, max_length=MOST_ARRAYS)
+
+
+def packed(head: Mapping[str, Any], arrays: Mapping[str, Coded] | None = None) -> bytes:
+    """A message. Numbers that are not finite become null, which JSON has in their place."""
+    listed, start = {}, 0
+    for name, each in (arrays or {}).items():
+        listed[name] = {"dtype": each.dtype, "shape": each.shape, "start": start, "bytes": len(each.data), "coding": each.coding}
+        start += len(each.data)
+    text = json.dumps(_finite({**head, **({"arrays": listed} if listed else {})}), allow_nan=False, separators=(",", ":")).encode()
+    return b"".join([LENGTH.pack(len(text)), text, *(each.data for each in (arrays or {}).values())])
+
+
+def parted(data: bytes | str) -> tuple[dict[str, Any], Mapping[str, ArrayHead], memoryview]:
+    """Head, what it says of arrays, and body of a message, of which nothing is copied. Raises what `understood` turns into a sentence."""
+    if isinstance(data, str):
+        raise ValueError("it is text; messages are binary")
+    (length,) = LENGTH.unpack_from(data)
+    if length > min(len(data) - LENGTH.size, LARGEST_HEAD):
+        raise ValueError(f"its head has {length} bytes, but {len(data) - LENGTH.size} are there, and {LARGEST_HEAD} may be")
+    head = json.loads(data[LENGTH.size : LENGTH.size + length])
+    if not isinstance(head, dict):
+        raise ValueError("its head is no object")
+    body = Body(arrays=head.pop("arrays", {}))
+    return head, body.arrays, memoryview(data)[LENGTH.size + length :]
+
+
+@contextmanager
+def understood() -> Iterator[None]:
+    """Turns what a message that cannot be read raises into a LuxloopError that says what is wrong with it."""
+    try:
+        yield
+    except ValidationError as error:
+        raise LuxloopError(f"message: {in_a_line(error)}") from error
+    except RecursionError as error:
+        raise LuxloopError("message: not understood (it is nested too deep)") from error
+    except (struct.error, ValueError) as error:
+        raise LuxloopError(f"message: not understood ({error})") from error
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): _finite(each) for key, each in value.items()}
+    return [_finite(each) for each in value] if isinstance(value, list | tuple) else value

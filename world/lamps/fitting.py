@@ -1,18 +1,19 @@
 """Fit of all modules of a lamp together to a pattern, within the limits of the pattern's rules."""
 
+from collections.abc import Iterator, Mapping
+
 import numpy as np
 import scipy.sparse as sp
 import torch
 from torch import Tensor
 
-from luxloop.world.beams.patterns import Pattern
 from luxloop.world.headlight import Headlight
-from luxloop.world.headlight.fit import solve
 from luxloop.world.headlight.lamp import Lamp, Module, direction
+from luxloop.world.lamps.patterns import PATTERNS, Pattern
 from luxloop.world.regulation import Requirement, rule_set
 from luxloop.world.regulation.checking import samples_of
-from luxloop.world.regulation.results import Traffic
-from luxloop.world.spmv import Csr, multiply
+from luxloop.world.regulation.tables import Traffic
+from luxloop.world.spmv import Csr, multiply, solve
 from luxloop.world.texels import bilinear
 
 EVEN_CD = 500.0  # errors count relative to the light, but not below this
@@ -172,3 +173,29 @@ def _bounds(requirement: Requirement) -> tuple[float, float]:
     least = 0.0 if requirement.min is None else requirement.min / share * (1 + RESERVE)
     most = float("inf") if requirement.max is None else requirement.max * (1 - RESERVE)
     return least, most
+
+
+class FittedBeams(Mapping[str, tuple[Tensor, ...]]):
+    """The default beams of a lamp by name: fitting takes seconds, so nobody must pay for a beam that is not shown."""
+
+    def __init__(self, lamp: Lamp, traffic: Traffic = "right") -> None:
+        self._lamp, self._traffic = lamp, traffic
+        self._fitted: dict[str, tuple[Tensor, ...]] = {}
+
+    def for_traffic(self, traffic: Traffic) -> "FittedBeams":
+        """The same lamp's default beams where traffic drives on this side."""
+        return self if traffic == self._traffic else FittedBeams(self._lamp, traffic)
+
+    def __getitem__(self, name: str) -> tuple[Tensor, ...]:
+        if name not in self._fitted:
+            self._fitted[name] = fit(self._lamp, PATTERNS[name], self._traffic)
+        return self._fitted[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in PATTERNS
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(PATTERNS)
+
+    def __len__(self) -> int:
+        return len(PATTERNS)

@@ -1,1 +1,0 @@
-"""Lamps as files: descriptions in TOML, archives of matrices, utilisations."""
