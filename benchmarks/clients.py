@@ -23,7 +23,7 @@ from luxloop.loop.report import terminal as tables
 from luxloop.loop.studio.client.decoding import unpacked
 from luxloop.loop.studio.client.shared import Mapped
 from luxloop.loop.studio.shared import Blocks
-from luxloop.world.messages import packed, raw
+from luxloop.world.messages import pack, raw
 
 SIZES = ((640, 360), (1920, 1080))
 ROUNDS = 40
@@ -44,9 +44,9 @@ def send(width: int, height: int) -> None:
         blocks = Blocks()
         for number, way in enumerate(connection, 1):
             if way == "memory":
-                connection.send(packed({"id": number, "shared": blocks.put(0, number, given)}))
+                connection.send(pack({"id": number, "shared": blocks.put(0, number, given)}))
             else:
-                connection.send(packed({"id": number}, {name: raw(each) for name, each in given.items()}))
+                connection.send(pack({"id": number}, {name: raw(each) for name, each in given.items()}))
         blocks.close()
 
     with serve(answer, "127.0.0.1", 0, compression=None) as server:

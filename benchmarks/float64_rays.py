@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from luxloop.world.frames import View
-from luxloop.world.scene.triangles import Placed, Triangles
+from luxloop.world.scene.triangles import Instance, Triangles
 
 Floats = NDArray[np.float64]
 COLUMNS = 2048  # that rays and faces are sorted into
@@ -56,7 +56,7 @@ def _sorted_together(lamp: View, rays: Floats, faces: Floats):  # type: ignore[n
             yield mine[pair[0]], near[pair[1]]
 
 
-def _nearer(placed: Placed, rays: Floats, corners: Floats, limit: Floats) -> NDArray[np.bool_]:
+def _nearer(placed: Instance, rays: Floats, corners: Floats, limit: Floats) -> NDArray[np.bool_]:
     """Which rays `[M, 3]` from the origin meet their face `[M, 3 corners, 3]` within `limit` `[M]` of their length."""
     a, b, c = corners.transpose(1, 0, 2)
     ab, ac = b - a, c - a

@@ -16,7 +16,7 @@ from bench import machine
 from luxloop.loop.report.terminal import markdown
 from luxloop.world.roads.base import Road
 from luxloop.world.roads.shapes import GradeParams, Iso8608, Profile
-from luxloop.world.scene.vehicle import LOW_PASS_M, CourseParams, VehicleParams, followed
+from luxloop.world.scene.vehicle import LOW_PASS_M, CourseParams, VehicleParams, ground_levels
 
 VEHICLE = VehicleParams(course=(CourseParams(speed_m_s=20.0),))
 AHEAD_M = (12.0, 17.0)
@@ -47,7 +47,7 @@ def off_mm(road: Road, slope_m: float | None, way_m: float) -> np.ndarray:
     """Squares `[2, N]` of the road's height over the plane, by AHEAD_M and the way. slope_m: low-passed over it, None for a level plane."""
     way = np.arange(0.0, way_m, SPACING_M)
     zero = np.zeros_like(way)
-    height, slope = followed(VEHICLE, road, way, way, zero, zero, (LOW_PASS_M[0], slope_m or LOW_PASS_M[1]))
+    height, slope = ground_levels(VEHICLE, road, way, way, zero, zero, (LOW_PASS_M[0], slope_m or LOW_PASS_M[1]))
     at_axle = height - VEHICLE.rear_x_m * np.sin(slope)
     fall = zero if slope_m is None else np.tan(slope)
     planes = np.stack([at_axle - fall * (x - VEHICLE.rear_x_m) for x in AHEAD_M])

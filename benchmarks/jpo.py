@@ -67,7 +67,7 @@ def pair_ms(light: Headlight) -> float:
     for _ in range(15):
         before = time.process_time_ns()
         multiply(light.matrix, u)
-        multiply(light.matrix.transposed, y)
+        multiply(light.matrix.transpose, y)
         taken.append(1e-6 * (time.process_time_ns() - before))
     return median(taken)
 

@@ -20,7 +20,7 @@ from luxloop.loop.simulation.world import LitScene
 from luxloop.perception.camera import CameraParams, expose
 from luxloop.perception.ground_truth import GroundTruth
 from luxloop.perception.noise import FrameNoise
-from luxloop.world.traffic.generator import varied
+from luxloop.world.traffic.generator import random_tables
 
 CAMERA = {"width_px": 640, "height_px": 360, "pitch_deg": 1.5, "oversampling": 1, "saturation_e": 2000.0}
 WORLD: dict[str, Any] = {
@@ -83,7 +83,7 @@ def cases(scenes: int, seeds: int) -> Iterator[Case]:
 
 def scenario(seed: int, moving: bool) -> dict[str, Any]:
     """A scene at random, and a newcomer in a free place."""
-    tables = varied(seed)
+    tables = random_tables(seed)
     traffic = tables["traffic"] | {"moving": moving}
     for key in ("pedestrians", "cyclists"):  # as in training: nights are emptier than what is worth looking at
         traffic[key] += 1

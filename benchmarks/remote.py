@@ -28,7 +28,7 @@ from luxloop.loop.simulation.clock import FromZero
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame, Plant
 from luxloop.loop.simulation.remote_plant import RemotePlant
 from luxloop.loop.studio.client.decoding import unpacked
-from luxloop.world.messages import packed, raw
+from luxloop.world.messages import pack, raw
 
 SIZES = ((640, 360), (1280, 720))
 STEPS = 100
@@ -58,7 +58,7 @@ def answer(address: str) -> None:
         except OSError:
             time.sleep(0.05)
     with there:
-        there.send(packed({"type": "hello", "protocol": 1}))
+        there.send(pack({"type": "hello", "protocol": 1}))
         image, came = np.zeros((1, 1), np.uint16), {"type": "arrivals", "number": None, "time_s": 0.0}
         for data in there:
             assert isinstance(data, bytes)
@@ -66,12 +66,12 @@ def answer(address: str) -> None:
             if head["type"] == "welcome":
                 image = np.full((head["camera"]["height"], head["camera"]["width"]), 100, np.uint16)
             elif head["type"] == "start":
-                there.send(packed(came))
+                there.send(pack(came))
             elif head["type"] == "show":
                 end_s = head["start_s"] + head["duration_s"]
                 frame = {"number": head["number"], "taken_s": head["start_s"], "arrived_s": end_s}
                 told = came | {"number": head["number"], "time_s": end_s, "frames": [frame]}
-                there.send(packed(told, {f"frame.{head['number']}": raw(image)}))
+                there.send(pack(told, {f"frame.{head['number']}": raw(image)}))
 
 
 def measured(plant: Plant, lights: tuple[Utilisation, ...], steps: int) -> tuple[float, float]:

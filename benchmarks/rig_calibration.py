@@ -47,7 +47,7 @@ def uneven(light: Headlight, seed: int = 1) -> Headlight:
     """A lamp whose pixels differ by 15 % and of which two are dead."""
     share = np.exp(0.15 * np.random.default_rng(seed).standard_normal(light.n_pixels)).clip(0.5, 1.5)
     share[[light.n_pixels // 3, light.n_pixels // 2 + 5]] = 0
-    return light.dimmed(torch.from_numpy(share.astype(np.float32)))
+    return light.dim(torch.from_numpy(share.astype(np.float32)))
 
 
 def lamp(size: str) -> tuple[Headlight, dict[str, Any]]:

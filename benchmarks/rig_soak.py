@@ -37,7 +37,7 @@ from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.build_plant import from_zero
 from luxloop.loop.simulation.lamps import lamp_modules
 from luxloop.loop.simulation.protocol import Exposure
-from luxloop.world.validation import validated
+from luxloop.world.validation import validate_model
 
 ROOT = Path(__file__).parents[1]
 KEYS = ("camera.width_px=640", "camera.height_px=360", "camera.oversampling=2", "renderer=raycast")
@@ -161,7 +161,7 @@ def measured(minutes: int) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """A row a minute, and the rig's statistics of the whole."""
     light = {"kind": "ddp", "timecode": True, "host": "127.0.0.1", "port": LIGHT, "bits": 16}
     camera = {"kind": "http", "url": f"http://127.0.0.1:{CAMERA}/camera", "bits": 12}
-    params = validated(RigParams, {"light": light, "camera": camera, "timing": TIMING}, "")
+    params = validate_model(RigParams, {"light": light, "camera": camera, "timing": TIMING}, "")
     scenario = load("snowflake", [*KEYS, "plant.kind=rig", "checks={}", "steps=100000"])
     with rig_process() as process, TemporaryDirectory() as folder:
         grids = pixel_grids(scenario)

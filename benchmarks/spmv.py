@@ -53,7 +53,7 @@ def check(name: str, lamp: Lamp, product: torch.Tensor, expected: torch.Tensor) 
 
 def measure_lamp(lamp: Lamp, copy: Copy, rounds: int, names: list[str] | None = None) -> dict[str, Any]:
     """Every format beside SciPy, and the fastest that can pay; each product is checked."""
-    csr = Csr.from_scipy(lamp.matrix).settled()
+    csr = Csr.from_scipy(lamp.matrix).streamable()
     u = torch.rand(csr.n_cols, generator=torch.Generator().manual_seed(1))
     vector = u.numpy()
     expected = torch.from_numpy(lamp.matrix @ vector)

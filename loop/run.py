@@ -28,7 +28,7 @@ from luxloop.loop.simulation.protocol import Plant
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.arrays import read_parquet
-from luxloop.world.errors import LuxloopError, located
+from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import output_folder
 
 VIDEO_FPS = 10  # slower than most loops, so that the eye can follow their steps
@@ -189,7 +189,7 @@ def _cut(name: str, symbol: ControlledSymbol) -> list[str]:
 def _first_look(simulation: Simulation) -> dict[str, Any]:
     if simulation.pipeline is None:
         return {}
-    with located(simulation.scenario.source):
+    with locate(simulation.scenario.source):
         first = next((each for each in simulation.run() if each.frame is not None), None)
     if first is None or first.look is None:
         return {"boxes": None, "lx_max": None, "known": simulation.truth is not None}

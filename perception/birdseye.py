@@ -9,7 +9,7 @@ from torch.nn.functional import avg_pool2d, pad
 
 from luxloop.perception.appearance import Axes
 from luxloop.world.frames import View
-from luxloop.world.texels import resampled
+from luxloop.world.texels import resample
 
 NOWHERE_PX = -1e6
 
@@ -109,5 +109,5 @@ def rectify(view: BirdsEye, image: Tensor, u_start: int = 0, v_start: int = 0) -
     height, width = flat.shape[-2:]
     u = (2 * (view.map_u.to(image) - u_start + half) / width - 1)[None].expand(flat.shape[0], -1, -1)
     v = (2 * (view.map_v.to(image) - v_start) / height - 1)[None].expand(flat.shape[0], -1, -1)
-    plane = resampled(flat, u, v)
+    plane = resample(flat, u, v)
     return plane.reshape(*image.shape[:-2], *plane.shape[-2:])

@@ -9,7 +9,7 @@ from torch import Tensor
 from luxloop.world.frames import View
 from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.rendering.raycast import first_hits
-from luxloop.world.scene.triangles import Placed, Triangles
+from luxloop.world.scene.triangles import Instance, Triangles
 from luxloop.world.traffic.tracked import Category
 
 Box = tuple[float, float, float, float]
@@ -88,7 +88,7 @@ def _seen(pixels: Tensor) -> Box:
     return float(left), float(top), float(right + 1), float(bottom + 1)
 
 
-def _whole(placed: Placed, view: View) -> Box:
+def _whole(placed: Instance, view: View) -> Box:
     """Box of the corners ahead of the view's plane; an object that crosses the plane reaches out of the image and is clipped there."""
     image, depth = view.project(placed.corners.flatten(0, 1).T)
     u, v = image[:, depth > 0.1]
@@ -102,14 +102,14 @@ def _clipped(box: Box, view: View) -> Box:
     return u0, v0, u1, v1
 
 
-def _pixels_alone(placed: Placed, view: View, whole: Box) -> int:
+def _pixels_alone(placed: Instance, view: View, whole: Box) -> int:
     """Number of the image's pixels that would see the object if it were alone."""
     u0, v0, u1, v1 = _clipped(whole, view)
     columns, rows = slice(int(u0), min(int(u1) + 1, view.width)), slice(int(v0), min(int(v1) + 1, view.height))
     return int((first_hits(Triangles((placed,)), view.origin, view.within(rows, columns).rays().flatten(1)) >= 0).sum())
 
 
-def _materials(surfaces: GBuffer, seen: Tensor, placed: Placed) -> dict[str, int]:
+def _materials(surfaces: GBuffer, seen: Tensor, placed: Instance) -> dict[str, int]:
     if surfaces.part is None or not placed.body.parts:
         return {}
     counts = torch.bincount(surfaces.part[seen.unbind(1)].long(), minlength=len(placed.body.parts)).tolist()

@@ -6,7 +6,7 @@ from torch import Tensor
 from luxloop.world.frames import inverse, transform
 from luxloop.world.materials.library import MaterialName
 from luxloop.world.rendering.gbuffer import GBuffer
-from luxloop.world.scene.triangles import Placed, Triangles
+from luxloop.world.scene.triangles import Instance, Triangles
 
 
 def material_picture(surfaces: GBuffer, triangles: Triangles) -> tuple[Tensor, tuple[MaterialName, ...]]:
@@ -26,7 +26,7 @@ def material_picture(surfaces: GBuffer, triangles: Triangles) -> tuple[Tensor, t
     return picture, tuple(names)
 
 
-def _materials(placed: Placed, surfaces: GBuffer, seen: Tensor) -> tuple[tuple[MaterialName, ...], Tensor]:
+def _materials(placed: Instance, surfaces: GBuffer, seen: Tensor) -> tuple[tuple[MaterialName, ...], Tensor]:
     """Names of a body's materials, and which of them is at each of the pixels where it is seen."""
     body = placed.body
     if body.parts and surfaces.part is not None:

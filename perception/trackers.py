@@ -48,14 +48,14 @@ def tracker(params: TrackerParams | OwnTracker, classes: tuple[Category, ...], v
 
 def own_tracker(made_by: type, params: OwnTracker, classes: tuple[Category, ...], view: View) -> "CheckedTracker":
     """A user-defined tracker of a class with the methods. Raises LuxloopError if it cannot be made."""
-    return CheckedTracker(plugin.made(made_by, params.kind, KEY, {"classes": classes, "view": view}, params.options), classes)
+    return CheckedTracker(plugin.construct(made_by, params.kind, KEY, {"classes": classes, "view": view}, params.options), classes)
 
 
 @dataclass(frozen=True)
 class CheckedTracker:
     """A user-defined tracker whose reports are checked. classes: the detector's."""
 
-    own: plugin.Guarded
+    own: plugin.Guard
     classes: tuple[Category, ...]
 
     def start(self) -> Any:

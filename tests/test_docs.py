@@ -27,7 +27,7 @@ from luxloop.loop.studies.campaign import CampaignParams
 from luxloop.loop.studio.page import PAGE
 from luxloop.world.lamps import description
 from luxloop.world.lamps.description import LampDescription
-from luxloop.world.validation import validated
+from luxloop.world.validation import validate_model
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -192,7 +192,7 @@ def test_lamp_snippets_are_valid() -> None:
 def test_rig_snippets_are_valid() -> None:
     for page in PAGES:
         for block in blocks(page, "toml rig"):
-            validated(RigParams, tomllib.loads(block), str(page))
+            validate_model(RigParams, tomllib.loads(block), str(page))
 
 
 def test_scenario_snippets_are_valid() -> None:

@@ -40,7 +40,7 @@ def all_of(sentences: Sequence[str]) -> LuxloopError:
 
 
 def _line(sentence: str) -> str:
-    shown = re.sub(r"[\0-\x1f\x7f-\x9f]", "?", re.sub(r"[\t-\r]+", " ", redacted(sentence)))  # input must not control the terminal
+    shown = re.sub(r"[\0-\x1f\x7f-\x9f]", "?", re.sub(r"[\t-\r]+", " ", redact(sentence)))  # input must not control the terminal
     words = re.sub(rf"\S{{{LONGEST_WORD},}}", lambda word: _short(word[0], LONGEST_WORD), shown)
     return _short(words, LONGEST_SENTENCE)
 
@@ -51,17 +51,17 @@ def _short(text: str, longest: int) -> str:
     return text if len(text) <= longest else f"{text[:half]}...{text[-half:]}"
 
 
-def redacted(value: Any) -> Any:
+def redact(value: Any) -> Any:
     """Plain data without logins: those in addresses of texts, and texts under keys such as `password` or `headers`."""
     if isinstance(value, str):
         return LOGINS.sub(lambda found: f"{found[1] or ''}{HIDDEN}", value)
     if isinstance(value, Mapping):
-        return {key: HIDDEN if isinstance(each, str) and SECRETS.search(key) else redacted(each) for key, each in value.items()}
-    return [redacted(each) for each in value] if isinstance(value, list | tuple) else value
+        return {key: HIDDEN if isinstance(each, str) and SECRETS.search(key) else redact(each) for key, each in value.items()}
+    return [redact(each) for each in value] if isinstance(value, list | tuple) else value
 
 
 @contextmanager
-def located(place: str) -> Iterator[None]:
+def locate(place: str) -> Iterator[None]:
     """Put a place, such as a file or key, before every LuxloopError of a block."""
     try:
         yield

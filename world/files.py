@@ -102,8 +102,8 @@ def output_folder(folder: Path) -> Iterator[None]:
     Half-written files of writers that were killed are removed. Raises LuxloopError where another process writes into it, or it
     cannot be made.
     """
-    with _opened(folder) as descriptor:
-        if not _locked(descriptor, fcntl.LOCK_EX):
+    with _open_folder(folder) as descriptor:
+        if not _lock(descriptor, fcntl.LOCK_EX):
             raise _in_use(folder)
         for part in folder.glob(PARTS):
             part.unlink(missing_ok=True)
@@ -117,14 +117,14 @@ def shared_folder(folder: Path, journal: Path, mend: Callable[[], None]) -> Iter
     mend: called if no other process works in the folder: trials that the journal lists as running were then killed. Raises LuxloopError
     where another process has locked the folder, or it cannot be made.
     """
-    with _opened(folder) as descriptor:
-        if not _locked(descriptor, fcntl.LOCK_SH) and not journal.exists():  # before a journal is created in a foreign folder
+    with _open_folder(folder) as descriptor:
+        if not _lock(descriptor, fcntl.LOCK_SH) and not journal.exists():  # before a journal is created in a foreign folder
             raise _in_use(folder)
         fcntl.flock(descriptor, fcntl.LOCK_UN)  # waiting processes do not count as working
         with turn(journal):
-            if _locked(descriptor, fcntl.LOCK_EX):
+            if _lock(descriptor, fcntl.LOCK_EX):
                 mend()
-            if not _locked(descriptor, fcntl.LOCK_SH):
+            if not _lock(descriptor, fcntl.LOCK_SH):
                 raise _in_use(folder)
         yield
 
@@ -141,7 +141,7 @@ def turn(file: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _opened(folder: Path) -> Iterator[int]:
+def _open_folder(folder: Path) -> Iterator[int]:
     try:
         new = [each for each in (folder, *folder.parents) if not each.exists()]
         folder.mkdir(parents=True, exist_ok=True)
@@ -157,7 +157,7 @@ def _opened(folder: Path) -> Iterator[int]:
         os.close(descriptor)
 
 
-def _locked(descriptor: int, how: int) -> bool:
+def _lock(descriptor: int, how: int) -> bool:
     try:
         fcntl.flock(descriptor, how | fcntl.LOCK_NB)
     except BlockingIOError:

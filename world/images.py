@@ -19,7 +19,7 @@ FLIPS: Final = {2: 1, 3: -1, 4: 0, 6: 1, 7: -1, 8: 0}  # of an EXIF orientation,
 TRANSPOSED: Final = (5, 6, 7, 8)  # orientations of pictures that are transposed before the flip
 
 
-def decoded(coded: bytes, what: str, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarray | None:
+def decode(coded: bytes, what: str, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarray | None:
     """The picture as OpenCV decodes it with `flags`, upright by its EXIF orientation, or None where it is none.
 
     what: the picture, as a message begins.
@@ -63,7 +63,7 @@ _OUTSIDE: Final = re.compile(r"url\(\s*['\"]?\s*(?!['\"#\s])|@import", re.I)  # 
 _UNDRAWN: Final = re.compile(r"(?:^|:)\s*[-+]?[\d.]+(?:e[-+]?\d+)?(q|rem|ch|lh|vw|vh|vmin|vmax)\s*(?:$|[;}!])", re.I)
 
 
-def self_contained(data: bytes) -> str:
+def svg_text(data: bytes) -> str:
     """The text of an .svg or .svgz. Raises ValueError with the reason where it must not be drawn."""
     if data.startswith(GZIP):
         try:

@@ -30,7 +30,7 @@ Size = Annotated[int, Field(ge=0, lt=2**31)]
 
 
 @dataclass(frozen=True)
-class Coded:
+class ArrayBytes:
     """An array as a message carries it."""
 
     dtype: str
@@ -39,19 +39,19 @@ class Coded:
     data: bytes
 
 
-def coded(array: np.ndarray) -> Coded:
+def encode(array: np.ndarray) -> ArrayBytes:
     """An array, compressed where that pays. Raises KeyError for a dtype that has no code."""
     whole = raw(array)
     small = zlib.compress(whole.data, 1)
     return replace(whole, coding="deflate", data=small) if len(small) < 0.9 * len(whole.data) else whole
 
 
-def raw(array: np.ndarray) -> Coded:
+def raw(array: np.ndarray) -> ArrayBytes:
     """An array as it is. Raises KeyError for a dtype that has no code."""
-    return Coded(CODES[str(array.dtype)], array.shape, "raw", np.ascontiguousarray(array).tobytes())
+    return ArrayBytes(CODES[str(array.dtype)], array.shape, "raw", np.ascontiguousarray(array).tobytes())
 
 
-def grey(array: np.ndarray) -> Coded:
+def grey(array: np.ndarray) -> ArrayBytes:
     """A picture `[height, width]` uint8 as PNG."""
     import cv2
 
@@ -60,7 +60,7 @@ def grey(array: np.ndarray) -> Coded:
         cv2.IMWRITE_PNG_STRATEGY: cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY,
         cv2.IMWRITE_PNG_FILTER: cv2.IMWRITE_PNG_FILTER_NONE,
     }
-    return Coded("u1", array.shape, "png", cv2.imencode(".png", array, list(chain.from_iterable(how.items())))[1].tobytes())
+    return ArrayBytes("u1", array.shape, "png", cv2.imencode(".png", array, list(chain.from_iterable(how.items())))[1].tobytes())
 
 
 class ArrayHead(Params):
@@ -89,10 +89,10 @@ def given_arrays(heads: Mapping[str, ArrayHead], body: Any, wanted: Mapping[str,
             raise ValueError(f"array {name} is {head.dtype}; it may be {' or '.join(wanted[name])}")
         if int(head.dtype[1]) * prod(head.shape) > most_bytes:
             raise ValueError(f"array {name} has the shape {list(head.shape)}; arrays have at most {most_bytes} bytes")
-    return {name: _decoded(name, head, bytes(body[head.start : head.start + head.bytes])) for name, head in heads.items()}
+    return {name: _decode(name, head, bytes(body[head.start : head.start + head.bytes])) for name, head in heads.items()}
 
 
-def _decoded(name: str, head: ArrayHead, data: bytes) -> np.ndarray:
+def _decode(name: str, head: ArrayHead, data: bytes) -> np.ndarray:
     size = int(head.dtype[1]) * prod(head.shape)
     if head.coding == "png":
         return _picture(name, head, data)
@@ -133,7 +133,7 @@ class Body(Params):
     arrays: dict[str, ArrayHead] = Field({}, max_length=MOST_ARRAYS)
 
 
-def packed(head: Mapping[str, Any], arrays: Mapping[str, Coded] | None = None) -> bytes:
+def pack(head: Mapping[str, Any], arrays: Mapping[str, ArrayBytes] | None = None) -> bytes:
     """A message. Numbers that are not finite become null, which JSON has in their place."""
     listed, start = {}, 0
     for name, each in (arrays or {}).items():
@@ -143,7 +143,7 @@ def packed(head: Mapping[str, Any], arrays: Mapping[str, Coded] | None = None) -
     return b"".join([LENGTH.pack(len(text)), text, *(each.data for each in (arrays or {}).values())])
 
 
-def parted(data: bytes | str) -> tuple[dict[str, Any], Mapping[str, ArrayHead], memoryview]:
+def unpack(data: bytes | str) -> tuple[dict[str, Any], Mapping[str, ArrayHead], memoryview]:
     """Head, what it says of arrays, and body of a message, of which nothing is copied. Raises what `understood` turns into a sentence."""
     if isinstance(data, str):
         raise ValueError("it is text; messages are binary")

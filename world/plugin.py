@@ -63,7 +63,7 @@ def known_or_own(key: str, default: str | None = None) -> Discriminator:
     return Discriminator(tag)
 
 
-def dotted(text: str) -> str | None:
+def colon_remedy(text: str) -> str | None:
     """What to write in place of a name with a dot for its colon; None of other texts, such as a file's name."""
     meant = ":".join(text.rsplit(".", 1))
     return f"write {meant}, with a colon before the class" if re.fullmatch(PATTERN, meant) and not text.endswith(".py") else None
@@ -85,19 +85,19 @@ def beside(text: str, folder: Path) -> str:
     return f"{place}/{name.module}:{name.attribute}" if found else text
 
 
-def named(params: Any, key: str = "") -> Iterator[tuple[str, Name]]:
+def own_names(params: Any, key: str = "") -> Iterator[tuple[str, Name]]:
     """All user-defined modules that a model names, with their keys."""
     if isinstance(params, Name):
         yield key, params
     elif isinstance(params, BaseModel):
         for field, value in params:
-            yield from named(value, f"{key}.{field}".strip("."))
+            yield from own_names(value, f"{key}.{field}".strip("."))
     elif isinstance(params, Mapping):
         for name, value in params.items():
-            yield from named(value, f"{key}.{name}")
+            yield from own_names(value, f"{key}.{name}")
     elif isinstance(params, tuple):
         for k, value in enumerate(params):
-            yield from named(value, f"{key}[{k}]")
+            yield from own_names(value, f"{key}[{k}]")
 
 
 def refuse_code(params: BaseModel, source: str, typed: Collection[str] = ()) -> None:
@@ -105,7 +105,7 @@ def refuse_code(params: BaseModel, source: str, typed: Collection[str] = ()) -> 
 
     source: the file, for the message. typed: names that the user gave beside the file, which are trusted.
     """
-    if found := [(key, name) for key, name in named(params) if name not in typed]:
+    if found := [(key, name) for key, name in own_names(params) if name not in typed]:
         modules = list(dict.fromkeys(name.module for _, name in found))
         several = "s" if len(modules) > 1 else ""
         raise LuxloopError(
@@ -157,19 +157,19 @@ def make(name: Name, key: str, given: Mapping[str, Any], options: Mapping[str, A
     key: that of the scenario which names it; `options` stands beside it. Raises what `load` does, and LuxloopError where an option is not
     one that it takes or is missing, or it cannot be made.
     """
-    return made(load(name, key, methods), name, key, given, options)
+    return construct(load(name, key, methods), name, key, given, options)
 
 
-def made(made_by: type, name: Name, key: str, given: Mapping[str, Any], options: Mapping[str, Any]) -> Any:
+def construct(made_by: type, name: Name, key: str, given: Mapping[str, Any], options: Mapping[str, Any]) -> Any:
     """The same of a class that is at hand."""
     table = f"{key.rpartition('.')[0]}.options".removeprefix(".")
     _fitting(made_by, name, table, tuple(given.values()), options)
     with running(name, key, f"__init__ with {' and '.join([*(f'the {each}' for each in given), table])}"):
-        return Guarded(made_by(*given.values(), **options), name, key)
+        return Guard(made_by(*given.values(), **options), name, key)
 
 
 @dataclass(frozen=True)
-class Guarded:
+class Guard:
     """A user-defined part whose failing methods raise LuxloopError with file and line."""
 
     part: Any
@@ -180,14 +180,14 @@ class Guarded:
         if attribute.startswith("__"):  # what copy and pickle ask of a value that has no part yet
             raise AttributeError(attribute)
         found = getattr(self.part, attribute)
-        return self._guarded(found) if callable(found) else found
+        return self._guard(found) if callable(found) else found
 
-    def _guarded(self, method: Callable[..., Any]) -> Callable[..., Any]:
+    def _guard(self, method: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(method)
         def call(*arguments: Any, **keywords: Any) -> Any:
             with running(self.name, self.key, method.__name__):
                 result = method(*arguments, **keywords)
-            return Guarded(result, self.name, self.key) if isinstance(result, type(self.part)) else result
+            return Guard(result, self.name, self.key) if isinstance(result, type(self.part)) else result
 
         return call
 

@@ -38,7 +38,7 @@ def zeros(shape: tuple[int, ...], dtype: torch.dtype, device: torch.device) -> T
     return torch.frombuffer(memory, dtype=dtype).view(shape)
 
 
-def settled(tensor: Tensor) -> Tensor:
+def streamable(tensor: Tensor) -> Tensor:
     """A copy that will be read again and again."""
     return zeros(tuple(tensor.shape), tensor.dtype, tensor.device).copy_(tensor.detach())
 
@@ -70,7 +70,7 @@ class Csr:
         return cls(
             torch.from_numpy(csr.indptr.astype(np.int32)),
             torch.from_numpy(csr.indices.astype(np.int32)),
-            settled(torch.from_numpy(np.asarray(csr.data)).to(dtype)),
+            streamable(torch.from_numpy(np.asarray(csr.data)).to(dtype)),
             csr.shape[1],
         )
 
@@ -88,11 +88,11 @@ class Csr:
         """The same pattern with other values `[nnz]`."""
         return Csr(self.indptr, self.indices, values, self.n_cols)
 
-    def settled(self) -> "Csr":
+    def streamable(self) -> "Csr":
         """A copy that will be streamed again and again (see `settled`); itself where it is not on the CPU."""
         if self.values.device.type != "cpu":
             return self
-        return Csr(settled(self.indptr), settled(self.indices), settled(self.values), self.n_cols)
+        return Csr(streamable(self.indptr), streamable(self.indices), streamable(self.values), self.n_cols)
 
     def band(self, start: int, stop: int) -> "Csr":
         """Rows start to stop as a matrix of their own; a view of indices and values, not a copy."""
@@ -116,7 +116,7 @@ class Csr:
         return torch.sparse_csr_tensor(self.indptr, self.indices, self.values.detach(), (self.n_rows, self.n_cols), check_invariants=False)
 
     @cached_property
-    def transposed(self) -> "Csr":
+    def transpose(self) -> "Csr":
         return Csr.from_scipy(self.to_scipy().T, self.values.dtype).to(self.values.device)
 
 
@@ -130,7 +130,7 @@ class _Multiply(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[None, Tensor]:
-        return None, multiply(ctx.matrix.transposed, grad_outputs[0])
+        return None, multiply(ctx.matrix.transpose, grad_outputs[0])
 
 
 def _product(matrix: Csr, x: Tensor) -> Tensor:
@@ -205,10 +205,10 @@ def solve(
     squared = torch.ones_like(low) if weight is None else weight.to(low).square().expand(low.shape)
     upper = low.new_ones(matrix.n_cols) if upper is None else upper.to(low)
     u = low.new_zeros(*low.shape[:-1], matrix.n_cols) if start is None else start.to(low).expand(*low.shape[:-1], -1).clone()
-    transposed = matrix.transposed
+    transposed = matrix.transpose
     # |A|' W^2 |A| 1 on the diagonal dominates A' W^2 A: a step of each pixel's own length that never overshoots, without its norm.
     size = matrix.with_values(matrix.values.abs())
-    curvature = multiply(size.transposed, squared * multiply(size, torch.ones_like(u)))
+    curvature = multiply(size.transpose, squared * multiply(size, torch.ones_like(u)))
     step = torch.where(curvature > 0, 1 / curvature, 0.0)
 
     ahead, momentum = u, u.new_ones(*u.shape[:-1], 1)

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import afford, content, reading
-from luxloop.world.images import decoded, self_contained
+from luxloop.world.images import decode, svg_text
 
 DRAWN_PX = 512  # longer side of what is drawn from an SVG, and the largest of a video: finer than a lamp can show
 CSS_DPI = 96.0  # px an inch of the units of an SVG (CSS Values and Units 4, 6.2)
@@ -98,10 +98,10 @@ def _picture(path: Path) -> Tensor:
         raise LuxloopError(f"symbol {path} cannot be read ({error.strerror}): check the path and its permissions") from error
     if path.suffix.lower() in DRAWINGS:
         try:
-            coded = resvg_py.svg_to_bytes(svg_string=self_contained(coded), width=DRAWN_PX, height=DRAWN_PX, dpi=CSS_DPI)
+            coded = resvg_py.svg_to_bytes(svg_string=svg_text(coded), width=DRAWN_PX, height=DRAWN_PX, dpi=CSS_DPI)
         except ValueError as error:
             raise LuxloopError(f"symbol {path} is not a valid SVG ({error}): export it again as plain SVG, or save it as a PNG") from error
-    image = decoded(coded, f"symbol {path}")
+    image = decode(coded, f"symbol {path}")
     if image is None or image.dtype.kind != "u":
         raise LuxloopError(f"symbol {path} cannot be read as a picture of 8 or 16 bits: save it as an 8-bit PNG")
     grey = image.astype(np.float32) / (2 ** (8 * image.itemsize) - 1)

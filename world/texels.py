@@ -84,7 +84,7 @@ def bilinear(grid: TexelGrid, row: Tensor, col: Tensor) -> tuple[Tensor, Tensor]
     return texel, weight * inside
 
 
-def resampled(image: Tensor, u: Tensor, v: Tensor, beyond: Literal["zeros", "border"] = "zeros", corners: bool = False) -> Tensor:
+def resample(image: Tensor, u: Tensor, v: Tensor, beyond: Literal["zeros", "border"] = "zeros", corners: bool = False) -> Tensor:
     """An image `[B, channels, H, W]` at places u, v `[B or 1, h, w]`, which run from -1 to 1 over its width and height:
     `[B, channels, h, w]`.
 

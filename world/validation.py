@@ -11,9 +11,9 @@ from typing import Any, TypeVar, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from luxloop.world.errors import LuxloopError, all_of, did_you_mean, near, redacted
+from luxloop.world.errors import LuxloopError, all_of, did_you_mean, near, redact
 from luxloop.world.files import content, reading
-from luxloop.world.plugin import OWN, dotted
+from luxloop.world.plugin import OWN, colon_remedy
 
 WANTED = {
     "int_type": "a whole number",
@@ -84,7 +84,7 @@ def _unworkable(value: Any, levels: int) -> str:
     return next(filter(None, (_unworkable(each, levels - 1) for each in inner)), "")
 
 
-def validated(model: type[Model], data: Mapping[str, Any], example: str) -> Model:
+def validate_model(model: type[Model], data: Mapping[str, Any], example: str) -> Model:
     """The model of a file's plain data. example: where to find a complete file, for those who lack a key.
 
     Raises LuxloopError with all errors, each with its key and remedy.
@@ -177,19 +177,19 @@ def _what(detail: Any, key: str, fields: dict[str, FieldInfo], variants: Iterabl
     if kind in (*TABLE_ERRORS, "union_tag_not_found"):
         meant = (each for model in variants for each, field in model.model_fields.items() if given in get_args(field.annotation))
         written = next((f"{name} = {toml({each: given})}" for each in meant), "key = value below a [header]")
-        return f"{_shown(given)} is no table of keys; write {written}"
+        return f"{_value_text(given)} is no table of keys; write {written}"
     if kind == "tuple_type" and isinstance(given, dict):
         return f"is one table, but a list of them is wanted; write [[{table}]] above each"
     if kind == "union_tag_invalid":
-        known = _quoted(context["expected_tags"])
-        remedy = dotted(context["tag"]) if OWN in known else None
+        known = _names_in(context["expected_tags"])
+        remedy = colon_remedy(context["tag"]) if OWN in known else None
         return f"there is no {context['tag']!r}; {remedy or did_you_mean(context['tag'], known)}"
     if kind == "literal_error":
         expected = context["expected"].replace(" or ", ", ")
-        return f"{_shown(given)} is not possible; {did_you_mean(str(given), _quoted(expected), f'give one of {expected}')}"
+        return f"{_value_text(given)} is not possible; {did_you_mean(str(given), _names_in(expected), f'give one of {expected}')}"
     if kind in WANTED:
         quotes = "; the shell took its quotes, put all of key=value into single ones" if str(given).startswith("[") else ""
-        return f"{_shown(given)} is not {WANTED[kind]}{quotes}"
+        return f"{_value_text(given)} is not {WANTED[kind]}{quotes}"
     if kind == "value_error":
         return str(context["error"])
     message = detail["msg"]
@@ -200,15 +200,15 @@ def _what(detail: Any, key: str, fields: dict[str, FieldInfo], variants: Iterabl
         if name.endswith("_deg") and HALF_TURN in (context.get("le"), -context.get("ge", 0))
         else ""
     )
-    return f"{_shown(given)} {message.replace(' after validation', '')}{turn}"
+    return f"{_value_text(given)} {message.replace(' after validation', '')}{turn}"
 
 
-def _shown(value: Any) -> str:
+def _value_text(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, dict):
         return "a table"
-    text = redacted(repr(value))
+    text = redact(repr(value))
     return text if len(text) <= SHOWN_CHARACTERS else f"{text[:SHOWN_CHARACTERS]}..."
 
 
@@ -216,7 +216,7 @@ def _discriminator(detail: Any) -> str:
     return str(detail["ctx"]["discriminator"]).strip("'()")
 
 
-def _quoted(names: str) -> list[str]:
+def _names_in(names: str) -> list[str]:
     return [name.strip(" '") for name in names.split(",")]
 
 

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from luxloop.world.spmv import Csr, row_of_entries, settled
+from luxloop.world.spmv import Csr, row_of_entries, streamable
 from sparse.protocol import SparseFormat, Storage, lit_rows, lit_window
 
 
@@ -57,7 +57,7 @@ class Window(SparseFormat):
         self.start, self.stop = lit_window(csr)
         self.written_rows = self.stop - self.start
         band = csr.band(self.start, self.stop)
-        self.csr = Csr(settled(band.indptr), band.indices, band.values, csr.n_cols)
+        self.csr = Csr(streamable(band.indptr), band.indices, band.values, csr.n_cols)
 
     @classmethod
     def count(cls, csr: Csr) -> Storage:
@@ -84,7 +84,7 @@ class Submatrix(SparseFormat):
         self.rows = lit_rows(csr)
         self.written_rows = len(self.rows)
         offsets = torch.cat([csr.indptr[self.rows], csr.indptr[-1:]])
-        self.csr = Csr(settled(offsets), csr.indices, csr.values, csr.n_cols)
+        self.csr = Csr(streamable(offsets), csr.indices, csr.values, csr.n_cols)
 
     @classmethod
     def count(cls, csr: Csr) -> Storage:

@@ -21,7 +21,7 @@ def build(csr: Csr, name: str) -> SparseFormat:
     """A matrix in a format by name, in memory of its own on the CPU. Raises LuxloopError for a name that is none of FORMATS."""
     if name not in FORMATS:
         raise LuxloopError(f"there is no sparse format {name!r}; {did_you_mean(name, FORMATS)}")
-    return FORMATS[name].from_csr(csr.settled())
+    return FORMATS[name].from_csr(csr.streamable())
 
 
 def candidates(csr: Csr) -> list[str]:

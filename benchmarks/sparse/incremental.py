@@ -47,7 +47,7 @@ class ChangedPixels:
     """
 
     def __init__(self, csr: Csr, x: Tensor) -> None:
-        self.csr, self.transposed = csr, csr.transposed
+        self.csr, self.transpose = csr, csr.transpose
         self.previous = x.clone()
         self.out = torch.mv(csr.torch_csr, x)
         self.flags = torch.zeros(csr.n_rows, dtype=torch.bool, device=x.device)
@@ -56,8 +56,8 @@ class ChangedPixels:
         """`A x` as `[n_rows]`, the same tensor at each call."""
         pixels = (x != self.previous).nonzero()[:, 0]
         self.previous.copy_(x)
-        entries, _ = _entries(self.transposed, pixels)
-        rows = self.flags.zero_().index_fill_(0, self.transposed.indices[entries].long(), True).nonzero()[:, 0]
+        entries, _ = _entries(self.transpose, pixels)
+        rows = self.flags.zero_().index_fill_(0, self.transpose.indices[entries].long(), True).nonzero()[:, 0]
         entries, lengths = _entries(self.csr, rows)
         indptr = torch.nn.functional.pad(lengths.cumsum(0), (1, 0)).int()
         flagged = Csr(indptr, self.csr.indices[entries], self.csr.values[entries], self.csr.n_cols)

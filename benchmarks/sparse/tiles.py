@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from luxloop.world.spmv import Csr, row_of_entries, settled, zeros
+from luxloop.world.spmv import Csr, row_of_entries, streamable, zeros
 from sparse.padded import equal_runs
 from sparse.protocol import SparseFormat, Storage, lit_rows, lit_window
 
@@ -41,7 +41,7 @@ class Tiles(SparseFormat):
         self.values[cell[plan.cell_of_entry], plan.place[row_of_entries(csr)] % height] = csr.values
         rank = torch.nn.functional.pad(rank, (0, 1), value=len(order))  # dark rows, at place -1, read behind the last sum
         place = plan.place[self.start : self.stop]
-        self.places = settled(torch.where(place < 0, self.n_sums, rank[place // height] * height + place % height).int())
+        self.places = streamable(torch.where(place < 0, self.n_sums, rank[place // height] * height + place % height).int())
 
     @classmethod
     def count(cls, csr: Csr) -> Storage:

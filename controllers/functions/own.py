@@ -37,7 +37,7 @@ def function_of(made_by: type, params: OwnFunction) -> "CheckedFunction | Checke
     """As `own_function`, for a class that is already imported."""
     learns = any(hasattr(made_by, method) for method in ADAPTIVE)
     plugin.check_methods(made_by, f"{KEY}: {params.kind}", ADAPTIVE if learns else METHODS)
-    own = plugin.made(made_by, params.kind, KEY, {}, params.options)
+    own = plugin.construct(made_by, params.kind, KEY, {}, params.options)
     return CheckedAdaptive(own) if learns else CheckedFunction(own)
 
 
@@ -45,7 +45,7 @@ def function_of(made_by: type, params: OwnFunction) -> "CheckedFunction | Checke
 class CheckedFunction:
     """A user-defined function whose primitives are checked."""
 
-    own: plugin.Guarded
+    own: plugin.Guard
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """Raises LuxloopError where it fails, or gives something else."""
@@ -56,7 +56,7 @@ class CheckedFunction:
 class CheckedAdaptive:
     """A user-defined adaptive function whose primitives are checked."""
 
-    own: plugin.Guarded
+    own: plugin.Guard
 
     def start(self) -> Any:
         """The state before the first frame."""
@@ -83,7 +83,7 @@ class CheckedAdaptive:
 def own_commands(function: Any) -> Any:
     """The object that commands modules for a function: `commands` of a user-defined one, if it has that; else the function itself."""
     own = getattr(function, "own", None)
-    if not isinstance(own, plugin.Guarded):
+    if not isinstance(own, plugin.Guard):
         return function
     return OwnCommands(own) if hasattr(own.part, "commands") else None
 
@@ -92,7 +92,7 @@ def own_commands(function: Any) -> Any:
 class OwnCommands:
     """The `commands` of a user-defined function, by names of lamps and modules, checked."""
 
-    own: plugin.Guarded
+    own: plugin.Guard
 
     def commanded(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
         """Raises LuxloopError where it fails, gives something else, or commands what is not there."""
@@ -115,7 +115,7 @@ def _possible(command: Any) -> bool:
     return isinstance(command, ModuleCommand) and all(map(math.isfinite, astuple(command))) and 0 <= command.intensity <= 1
 
 
-def check_primitives(parts: Any, own: plugin.Guarded, method: str) -> tuple[Primitives, ...]:
+def check_primitives(parts: Any, own: plugin.Guard, method: str) -> tuple[Primitives, ...]:
     """The parts as a tuple of primitives. Raises LuxloopError if lamps cannot draw them."""
     where = f"{KEY}: {own.name}: {method}"
     if not isinstance(parts, tuple | list) or not all(isinstance(each, Primitives) for each in parts):

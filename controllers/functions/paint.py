@@ -15,7 +15,7 @@ from torch import Tensor
 
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.world.errors import LuxloopError
-from luxloop.world.images import decoded
+from luxloop.world.images import decode
 from luxloop.world.params import Params
 
 Picture = np.ndarray  # `[rows, columns]` uint8
@@ -106,7 +106,7 @@ def _pictures(text: str) -> tuple[Picture, Picture]:
         file = base64.b64decode(text, validate=True)
     except binascii.Error as error:
         raise LuxloopError(f"is no base64 text; {REMEDY}") from error
-    image = decoded(file, "the picture") if file.startswith(b"\x89PNG") else None
+    image = decode(file, "the picture") if file.startswith(b"\x89PNG") else None
     if image is None or image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 4:
         raise LuxloopError(f"is no such picture; {REMEDY}")
     return cv2.cvtColor(image, cv2.COLOR_BGRA2GRAY), np.ascontiguousarray(image[..., 3])

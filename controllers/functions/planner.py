@@ -34,7 +34,7 @@ from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.situation import AdaptiveFunction, Indicator, LightingFunction, Situation
 from luxloop.controllers.zones.material import MaterialParams
 from luxloop.controllers.zones.zone import ZoneParams
-from luxloop.world.errors import located
+from luxloop.world.errors import locate
 from luxloop.world.params import Params, PlainName
 from luxloop.world.plugin import OWN, known_or_own
 from luxloop.world.symbols import SymbolSource, load
@@ -144,10 +144,10 @@ class Planner:
         ordered, symbols = in_order(functions) if valid else TypeAdapter(Functions).validate_python(functions), dict[str, SymbolSource]()
         made: dict[str, LightingFunction | AdaptiveFunction] = {}
         for name, function in ordered.items():
-            with located(f"functions.{name}"):
+            with locate(f"functions.{name}"):
                 made[name] = own_function(function) if isinstance(function, OwnFunction) else function
             if (image := getattr(function, "image", None)) and image not in symbols:
-                with located(f"functions.{name}.image"):
+                with locate(f"functions.{name}.image"):
                     symbols[image] = load(find(image))
         return cls(made, lighting, symbols, dtype)
 
@@ -185,7 +185,7 @@ class Planner:
         now = replace(now, symbols=dict(self.symbols))
         stepped = {}
         for name in self.functions:
-            with located(f"functions.{name}"):
+            with locate(f"functions.{name}"):
                 stepped[name] = self.adaptive[name].step(states[name], now) if name in self.adaptive else None
         return stepped
 
@@ -195,7 +195,7 @@ class Planner:
         """The commands of all functions now for the car's modules, by name. given: their previous commands."""
         found = {}
         for name, each in self.commanding.items():
-            with located(f"functions.{name}"):
+            with locate(f"functions.{name}"):
                 found[name] = each.commanded(given.get(name), now, modules)
         return found
 
@@ -204,7 +204,7 @@ class Planner:
         now = replace(now, symbols=dict(self.symbols))
         found = {}
         for name, function in self.functions.items():
-            with located(f"functions.{name}"):
+            with locate(f"functions.{name}"):
                 learns = self.adaptive.get(name)
                 found[name] = cast(LightingFunction, function).primitives(now) if learns is None else learns.adapted(states[name], now)
         return found

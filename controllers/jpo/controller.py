@@ -97,7 +97,7 @@ class Jpo:
         texture[cut] = torch.where(hit, asked, texture[cut])
         weights[cut] = torch.where(hit, weight, 1.0)
         counts[cut] = hit & (weight > 0)
-        touched = reaching(grid.matrix.transposed, counts.flatten(-2))
+        touched = reaching(grid.matrix.transpose, counts.flatten(-2))
         start = torch.where(touched, self.ssc.reduced(setpoints)[0], self.default)
         return pixel_goal(grid, texture, weights, start, touched)
 

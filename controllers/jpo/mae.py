@@ -127,7 +127,7 @@ def _undecided(matrix: Csr, goal: PixelGoal) -> _Undecided:
     The error of a texel without a positive setpoint is linear in u. A pixel whose light costs more there than it can ever gain at the other
     texels is off in every optimum. Rows that only such pixels light are not needed.
     """
-    transposed = matrix.transposed
+    transposed = matrix.transpose
     target = without_fixed(matrix, goal)
     short = (target > 0) & (goal.weight > 0)
     gain, cost = (multiply(transposed, torch.where(mask, goal.weight, 0.0)) for mask in (short, ~short))

@@ -48,7 +48,7 @@ def pixel_goal(
         raise LuxloopError(
             f"the start has {start.shape[-1]} pixels and {headlight.name!r} has {headlight.n_pixels}: give one utilisation each"
         )
-    transposed = headlight.matrix.transposed
+    transposed = headlight.matrix.transpose
     target = texture.flatten(-2)
     weight = torch.ones_like(target) if weight is None else weight.flatten(-2).to(target).expand_as(target)
     masked = reaching(transposed, weight.isinf() & (target <= 0))

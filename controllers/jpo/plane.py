@@ -112,7 +112,7 @@ def lighting(headlight: Headlight, T_world_headlight: Tensor, point: Tensor) -> 
         return pixels[:0], cd[:0]
     much = cd >= MUCH * cd.max()
     pixels, cd = pixels[much], cd[much]
-    columns = headlight.matrix.transposed
+    columns = headlight.matrix.transpose
     most = torch.stack([columns.values[columns.indptr[k] : columns.indptr[k + 1]].max() for k in pixels.tolist()]).cpu()
     own = cd >= THERE * most
     return pixels[own], cd[own]

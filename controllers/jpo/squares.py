@@ -20,7 +20,7 @@ def least_squares(matrix: Csr, goal: PixelGoal, iterations: int = 300, tolerance
     a positive remaining setpoint is off, since it could only increase the error. Stops when ten steps in a row move no pixel by more than
     the tolerance.
     """
-    transposed = matrix.transposed
+    transposed = matrix.transpose
     target = without_fixed(matrix, goal)
     short = torch.where((target > 0) & (goal.weight > 0), 1.0, 0.0).to(target)
     useful = goal.free & (multiply(transposed, short) > 0)
@@ -58,7 +58,7 @@ class MoorePenrose:
             )
         A = headlight.matrix.to_scipy().astype("float64")
         gram = torch.from_numpy((A.T @ A).toarray()).to(headlight.matrix.values.device)
-        return cls(headlight.matrix.transposed.to(torch.float64), torch.linalg.pinv(gram, hermitian=True))
+        return cls(headlight.matrix.transpose.to(torch.float64), torch.linalg.pinv(gram, hermitian=True))
 
     def utilisation(self, texture: Tensor) -> Tensor:
         """Utilisation `[..., n_p]` in 0..1 for a wanted light texture `[..., rows, cols]` in cd."""

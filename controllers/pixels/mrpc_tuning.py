@@ -56,7 +56,7 @@ def part(headlight: Headlight, wanted: Tensor) -> Part:
     pixels = np.unique(headlight.matrix.to_scipy()[lit].indices)
     if not len(pixels):
         raise LuxloopError(f"no pixel of {headlight.name!r} reaches the wanted light: place it inside the lamp's field")
-    columns = headlight.matrix.transposed.to_scipy()[pixels]
+    columns = headlight.matrix.transpose.to_scipy()[pixels]
     touched = lit.copy()
     touched[columns.indices] = True
     rows, cols = (np.flatnonzero(touched.reshape(headlight.rows, headlight.cols).any(axis)) for axis in (1, 0))
@@ -76,7 +76,7 @@ def part(headlight: Headlight, wanted: Tensor) -> Part:
         pixel_cols=len(pixels),
         chroma=None,
     )
-    spread = pixel_spread(headlight.matrix.transposed, headlight)
+    spread = pixel_spread(headlight.matrix.transpose, headlight)
     return Part(cropped, wanted.cpu()[window], torch.from_numpy(pixels.astype(np.int64)), window, spread)
 
 
@@ -108,7 +108,7 @@ class TextureControl:
     def __init__(self, part: Part) -> None:
         self.part = part
         light = part.headlight
-        entries = light.matrix.transposed
+        entries = light.matrix.transpose
         self._texel = entries.indices.numpy()
         self._first = entries.indptr.numpy()[:-1]
         self._each = np.diff(entries.indptr.numpy())

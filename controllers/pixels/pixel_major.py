@@ -53,7 +53,7 @@ class PixelMajor:
 
 def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
     """The tables of a headlight for these parameters: the weights of T eq. 7.4.5 with the exclusion of T eq. 7.4.3."""
-    entries = headlight.matrix.transposed
+    entries = headlight.matrix.transpose
     if params.shape == "rectangle":
         entries = rectangular(entries, headlight, params.a_x or 0.5)
     pixel, texel, I_m = row_of_entries(entries), entries.indices.long(), entries.values

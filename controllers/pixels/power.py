@@ -27,6 +27,6 @@ def pixel_flux(headlight: Headlight) -> Tensor:
     y, z = headlight.tangents(headlight.matrix.values.dtype, headlight.matrix.values.device)
     plane = (headlight.left - headlight.right) * (headlight.top - headlight.bottom) / headlight.n_texels
     solid_angle = plane / (1 + y * y + z[:, None] ** 2) ** 1.5
-    entries = headlight.matrix.transposed
+    entries = headlight.matrix.transpose
     flux = entries.values * solid_angle.flatten()[entries.indices.long()]
     return flux.new_zeros(headlight.n_pixels).index_add(0, row_of_entries(entries), flux)

@@ -56,7 +56,7 @@ class Light:
 
     def under(self, command: ModuleCommand) -> "Light":
         """The light of the module turned and dimmed as commanded."""
-        return replace(self, T_world_headlight=command.turned(self.T_world_headlight), intensity=command.intensity)
+        return replace(self, T_world_headlight=command.turn(self.T_world_headlight), intensity=command.intensity)
 
     @classmethod
     def of(cls, headlight: Headlight, T_world_headlight: Tensor) -> "Light":

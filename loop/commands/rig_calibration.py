@@ -352,9 +352,9 @@ def _shots(bench: "Bench", response: "Response", folder: Path, scenario: "Scenar
 
 def _board(columns: int, rows: int, square_mm: float) -> Any:
     from luxloop.loop.rig.calibration.board import BoardParams
-    from luxloop.world.validation import validated
+    from luxloop.world.validation import validate_model
 
-    return validated(BoardParams, {"columns": columns, "rows": rows, "square_mm": square_mm}, "see `luxloop rig board --help`")
+    return validate_model(BoardParams, {"columns": columns, "rows": rows, "square_mm": square_mm}, "see `luxloop rig board --help`")
 
 
 def _pictures(path: Path) -> dict[Path, Any]:
@@ -362,13 +362,13 @@ def _pictures(path: Path) -> dict[Path, Any]:
     import cv2
 
     from luxloop.world.files import content, files_at, reading
-    from luxloop.world.images import decoded
+    from luxloop.world.images import decode
 
     found = {}
     for file in files_at(path):
         if file.suffix.lower() in PICTURES:
             with reading(file, "no picture", "take it out of the folder"):
-                picture = decoded(content(file), str(file), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+                picture = decode(content(file), str(file), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
                 if picture is None:
                     raise ValueError("damaged")
                 found[file] = picture

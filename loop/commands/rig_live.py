@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from luxloop.loop.commands.rig_runs import await_rig, in_words, of_run, refuse_failed
 from luxloop.loop.report import terminal as tables
-from luxloop.world.errors import located, redacted
+from luxloop.world.errors import locate, redact
 
 if TYPE_CHECKING:
     from luxloop.loop.rig.live.plant import LivePlant
@@ -39,16 +39,16 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
 
     file, armed, allow_code = rig_file
     params = load_rig(file, allow_code=allow_code)
-    with located(str(file)):
+    with locate(str(file)):
         calibration_file = refuse_unfit(params)
     calibration = load(calibration_file)
     checks = {name: each for name, each in scenario.checks.items() if each.compare is None}
     scenario = scenario.model_copy(update={"plant": SimulatedPlantParams(), "checks": checks})
-    with located(scenario.source):
+    with locate(scenario.source):
         modules = tuple(mounted(scenario.headlight, torch.device("cpu"), lambda lamp: lamp.modules))
         number = digitised_number(scenario, [each.name for each in modules])
     exposures = scenario.steps * len(scenario.shares)
-    with located(str(file)), opened(params, grids_of([modules[number]]), None, armed=armed) as rig, ExitStack() as stack:
+    with locate(str(file)), opened(params, grids_of([modules[number]]), None, armed=armed) as rig, ExitStack() as stack:
         await_rig(rig)
         if not armed:
             tables.console().print("dry run: the lamp stays dark, and so does its module; give --arm to light it", markup=False)
@@ -56,7 +56,7 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
 
         def plant(simulation: Any) -> Any:
             nonlocal live
-            with located(str(calibration_file)):
+            with locate(str(calibration_file)):
                 live = stack.enter_context(live_plant(rig, simulation.plant, calibration, scenario.camera, exposures))
             rig.statistics = type(rig.statistics)()
             return live
@@ -68,7 +68,7 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
             if live is not None and rig.statistics.exposures and out.is_dir():
                 found = of_run(rig, len(scenario.shares)) | {"judged": {}}
                 beam = live.beam.summary() | {"module": modules[number].name, "seen": live.digitiser.seen}
-                write_json(out / RIG, {"rig": redacted(params.model_dump(mode="json")), "armed": armed, **found, "live": beam})
+                write_json(out / RIG, {"rig": redact(params.model_dump(mode="json")), "armed": armed, **found, "live": beam})
                 if live.beam.newest is not None:
                     texture, u = live.beam.newest
                     draw_beam(out / BEAM, texture, live.truth.modules[number].headlight, u)

@@ -8,7 +8,7 @@ from luxloop.loop.commands.given import scenario_of
 from luxloop.loop.commands.options import AllowCode, Flag, Keys
 from luxloop.loop.commands.rig_runs import Named, await_rig, pixel_grids
 from luxloop.loop.report.progress import progress
-from luxloop.world.errors import LuxloopError, located
+from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import whole
 
 
@@ -39,7 +39,7 @@ def take(file: Path, /, *, out: Path = Path("boards"), count: int = 20, every_s:
         raise LuxloopError("--count is at least 1, --every-s from 0 to 60")
     params = load_rig(file, allow_code=allow_code).model_copy(update={"mark": None})
     paths = [out] if single else [out / f"{k:03d}.png" for k in range(count)]
-    with located(str(file)), opened(params, (), None, armed=False) as rig, progress("pictures", len(paths)) as advance:
+    with locate(str(file)), opened(params, (), None, armed=False) as rig, progress("pictures", len(paths)) as advance:
         await_rig(rig)
         for k, path in enumerate(paths):
             time.sleep(every_s if k else 0.0)
@@ -104,7 +104,7 @@ def light(
         print(f"{file}: all {count:,} pixels would be lit for {seconds:g} s; give --arm to light them")
         return
     on = tuple(np.full(grid, level, np.float32) for grid in grids)
-    with located(str(file)), opened(params, grids, None, armed=True) as rig, progress("light", max(round(seconds), 1)) as advance:
+    with locate(str(file)), opened(params, grids, None, armed=True) as rig, progress("light", max(round(seconds), 1)) as advance:
         await_rig(rig)
         until_s, number = time.monotonic() + seconds, 0
         while time.monotonic() < until_s:

@@ -13,7 +13,7 @@ from luxloop.loop.commands.given import scenario_of
 from luxloop.loop.commands.options import AllowCode, Flag, Keys
 from luxloop.loop.report import terminal as tables
 from luxloop.loop.report.progress import progress
-from luxloop.world.errors import LuxloopError, located, redacted
+from luxloop.world.errors import LuxloopError, locate, redact
 from luxloop.world.files import whole
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def run_on_rig(
     scenario, left_out = _without_truth(scenario)
     if left_out:
         tables.console().print(f"checks that need the truth are left out: {', '.join(left_out)}", markup=False)
-    with located(str(file)), opened(params, pixel_grids(scenario), scenario.camera, armed=armed) as rig:
+    with locate(str(file)), opened(params, pixel_grids(scenario), scenario.camera, armed=armed) as rig:
         await_rig(rig)
         rig.refuse_misfit()
         if not armed:
@@ -77,7 +77,7 @@ def run_on_rig(
         finally:
             rig.dark("the run has ended")
             found = of_run(rig, len(scenario.shares)) | {"judged": {} if judged is None else judged.summary()}
-            told = {"rig": redacted(params.model_dump(mode="json")), "armed": armed, **found}
+            told = {"rig": redact(params.model_dump(mode="json")), "armed": armed, **found}
             if out.is_dir() and rig.statistics.exposures:
                 write_json(out / RIG, told)
             tables.show(tables.facts(in_words(found) | {"judge": JUDGED}))
@@ -108,7 +108,7 @@ def check(file: Path, /, *, scenario: Named = "snowflake", set: Keys = None, all
 
     params = load_rig(file, allow_code=allow_code)
     given = scenario_of(scenario, set, allow_code=allow_code)
-    with located(str(file)):
+    with locate(str(file)):
         grids = pixel_grids(given)
         light = open_light(params.light, grids)
         light.close()
@@ -171,7 +171,7 @@ def blink(
     if not arm:
         print(f"{file}: all {sum(rows * columns for rows, columns in grids):,} pixels would blink {blinks} times; give --arm to light them")
         return
-    with located(str(file)), opened(params, grids, None, armed=True) as rig, progress("blink", blinks + 2) as advance:
+    with locate(str(file)), opened(params, grids, None, armed=True) as rig, progress("blink", blinks + 2) as advance:
         await_rig(rig)
         found = measure(rig, grids, blinks, level, advance)
     tables.show(tables.facts(_blinked(found)))
@@ -215,7 +215,7 @@ def pixel_grids(scenario: "Scenario") -> tuple[tuple[int, int], ...]:
     from luxloop.loop.rig.plant import grids_of
     from luxloop.loop.simulation.build_lamps import mounted
 
-    with located(scenario.source):
+    with locate(scenario.source):
         return grids_of(tuple(mounted(scenario.headlight, torch.device("cpu"), lambda lamp: lamp.modules)))
 
 

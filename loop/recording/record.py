@@ -21,7 +21,7 @@ from luxloop.loop.simulation.redrawn import covering, opened
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.evaluator import Metrics
-from luxloop.world.errors import located
+from luxloop.world.errors import locate
 
 # name: (type, unit, description); lamps and objects have columns of their own.
 STEP = {
@@ -250,7 +250,7 @@ def summary_of(
 def refuse_unknown_columns(simulation: Simulation) -> None:
     """Raises LuxloopError where a check names a column or light that is not there, or that the plant does not know."""
     scenario = simulation.scenario
-    with located(scenario.source):
+    with locate(scenario.source):
         others = [simulation.lit_by(light) for light in lights(scenario.checks)]
         compared = {name for other in others for name in valued(other)}
         refuse_unknown(scenario.checks, schema(simulation), compared, schema(simulation, detects=True).names)

@@ -23,7 +23,7 @@ from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.arrays import read_parquet
-from luxloop.world.errors import LuxloopError, located
+from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import content, reading, whole
 from luxloop.world.plugin import refuse_code
 from luxloop.world.validation import parsed_json
@@ -75,7 +75,7 @@ def rerun(recording: Recording, simulation: Simulation) -> Iterator[tuple[Simula
         reached, by = state, simulation.scenario
         while edits and edits[0].step <= step:
             simulation, state = edited(simulation, reached, repeated(simulation.scenario, edits.popleft()), by)
-        with located(simulation.scenario.source):
+        with locate(simulation.scenario.source):
             state, result = simulation.step(state)
         yield simulation, result
 

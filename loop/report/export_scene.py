@@ -17,7 +17,7 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.files import whole
 from luxloop.world.frames import View
 from luxloop.world.scene.body import Body, albedo_picture
-from luxloop.world.scene.triangles import Placed
+from luxloop.world.scene.triangles import Instance
 
 ROOT, SCENE, CAMERA = "world y-up", "world z-up", "front camera"  # names that no object can have
 ALBEDO: Final = "albedo "  # before its number in the name of a material of one colour
@@ -65,7 +65,7 @@ def _add_camera(scene: trimesh.Scene, view: View) -> None:
     scene.camera_transform = T_GLTF_WORLD @ view.T_world_view.numpy() @ T_VIEW_CAMERA
 
 
-def _add(scene: trimesh.Scene, placed: Placed, name: str) -> None:
+def _add(scene: trimesh.Scene, placed: Instance, name: str) -> None:
     """A node for a body, with its mesh, or with those of its parts as nodes of their own below it."""
     body, T = placed.body, placed.T_world_body.numpy()
     if body.part_of_face is None:

@@ -40,7 +40,7 @@ def cuts(distribution: Distribution) -> tuple[Image, dict[str, Image]]:
 
     Types A and B: angles to the right and up, from the axis. Type C: from nadir, towards the half plane that is named first.
     """
-    v, h, candela = distribution.unfolded
+    v, h, candela = distribution.full_table
     i, j = np.unravel_index(int(candela.argmax()), candela.shape)
     angles = np.linspace(-180, 180, 1441)
     if distribution.type == "C":
@@ -66,7 +66,7 @@ def _title(photometry: Photometry) -> list[str]:
 
 
 def _map(axes: Axes, distribution: Distribution) -> None:
-    v, h, _ = distribution.unfolded
+    v, h, _ = distribution.full_table
     across, up = np.linspace(h[0], h[-1], SAMPLES[0]), np.linspace(v[0], v[-1], SAMPLES[1])
     candela = distribution.at(up[::-1, None], across)
     axes.set_title("Luminous intensity")

@@ -48,7 +48,7 @@ class LitCar:
         lamps, patterns = dict(self.lamps), dict(self.patterns)
         for side in lamps.keys() & commands.keys():
             modules = zip(lamps[side].modules, commands[side], strict=True)
-            lamps[side] = replace(lamps[side], modules=tuple(replace(m, T_lamp_module=c.turned(m.T_lamp_module)) for m, c in modules))
+            lamps[side] = replace(lamps[side], modules=tuple(replace(m, T_lamp_module=c.turn(m.T_lamp_module)) for m, c in modules))
             patterns[side] = [command.intensity * u for u, command in zip(patterns[side], commands[side], strict=True)]
         return replace(self, lamps=lamps, patterns=patterns)
 

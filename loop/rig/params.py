@@ -6,10 +6,10 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, Tag, model_validator
 
-from luxloop.world.errors import LuxloopError, located
+from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.params import Params
 from luxloop.world.plugin import OWN, OwnName, beside, known_or_own, refuse_code
-from luxloop.world.validation import read_toml, validated
+from luxloop.world.validation import read_toml, validate_model
 
 Port = Annotated[int, Field(ge=1, le=65535)]
 Host = Annotated[str, Field(min_length=1, max_length=255)]
@@ -300,8 +300,8 @@ def load_rig(file: Path, *, allow_code: bool = False) -> RigParams:
     allow_code: whether modules that it names may run. Raises LuxloopError that names file, key and remedy.
     """
     data = read_toml(file)
-    with located(str(file)):
-        rig = validated(RigParams, _beside(data, file.parent), EXAMPLE)
+    with locate(str(file)):
+        rig = validate_model(RigParams, _beside(data, file.parent), EXAMPLE)
     if not allow_code:
         refuse_code(rig, str(file))
     return rig

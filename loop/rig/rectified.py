@@ -13,7 +13,7 @@ from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.world.arrays import read_npz
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import reading, regular
-from luxloop.world.images import decoded
+from luxloop.world.images import decode
 
 AS_SENT: Final = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION  # a camera that is mounted upside down is calibrated so
 GREY: Final = cv2.IMREAD_GRAYSCALE | AS_SENT
@@ -114,7 +114,7 @@ def grey(data: bytes | NDArray[np.generic]) -> NDArray[np.generic]:
 def camera_picture(data: bytes, flags: int) -> NDArray[np.generic]:
     """An encoded picture as OpenCV decodes it with these flags. Raises WrongPicture if it is damaged, in part too, or too large."""
     try:
-        picture = decoded(data, "camera: a picture", flags)
+        picture = decode(data, "camera: a picture", flags)
     except LuxloopError as error:
         raise WrongPicture(str(error)) from error
     if picture is None or (data.startswith(JPEG) and not _whole(data)):

@@ -7,10 +7,10 @@ from luxloop.loop.scenario.edits import Edit, changed
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.overrides import tables
 from luxloop.world.errors import LuxloopError
-from luxloop.world.scene.driver import Controls, driven, let_go, taken_over
+from luxloop.world.scene.driver import Controls, drive_on, let_go, taken_over
 from luxloop.world.scene.vehicle import CourseParams, VehicleParams
 from luxloop.world.traffic.generator import DriveParams
-from luxloop.world.validation import toml, validated
+from luxloop.world.validation import toml, validate_model
 
 MOST_STEPS = 100_000
 
@@ -37,7 +37,7 @@ def driven_on(scenario: Scenario, step: int, controls: Controls) -> tuple[Scenar
 
     Raises LuxloopError where it has as many steps as can be.
     """
-    added = driven(_vehicle(scenario), step / scenario.rate_hz, (step + 1) / scenario.rate_hz, controls)
+    added = drive_on(_vehicle(scenario), step / scenario.rate_hz, (step + 1) / scenario.rate_hz, controls)
     return _longer(scenario, added, _steps(step))
 
 
@@ -65,7 +65,7 @@ def repeated(scenario: Scenario, edit: Edit) -> Scenario:
         if key == "steps" and isinstance(value, int) and 1 <= value <= MOST_STEPS:
             steps = value
         elif key == f"vehicle.course[{len(course)}]" and isinstance(value, dict):
-            course = (*course, validated(CourseParams, value, "record the run again"))
+            course = (*course, validate_model(CourseParams, value, "record the run again"))
         else:
             raise LuxloopError(f"edits: {key} is nothing that somebody drives; record the run again")
     return _longer(scenario, course[len(_vehicle(scenario).course) :], steps)[0]

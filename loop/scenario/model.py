@@ -26,16 +26,16 @@ from luxloop.perception.detection.params import DetectorParams
 from luxloop.perception.sensors import SensorParams
 from luxloop.perception.trackers import AnyTracker
 from luxloop.perception.tracking import TrackerParams
-from luxloop.world.errors import LuxloopError, did_you_mean, located
+from luxloop.world.errors import LuxloopError, did_you_mean, locate
 from luxloop.world.materials.library import RoadSurfaceParams, SpotParams
 from luxloop.world.params import Params, PlainName
-from luxloop.world.plugin import PATTERN, Name, dotted, refuse_code
+from luxloop.world.plugin import PATTERN, Name, colon_remedy, refuse_code
 from luxloop.world.roads.shapes import Flat, RoadParams
 from luxloop.world.scene.scene import StreetLamp
 from luxloop.world.scene.vehicle import VehicleParams
 from luxloop.world.traffic.generator import TrafficParams
 from luxloop.world.traffic.objects import ObjectParams
-from luxloop.world.validation import read_toml, validated
+from luxloop.world.validation import read_toml, validate_model
 
 SCHEMA_VERSION: Final = 1
 PIXEL_CONTROLLERS = ("ssc", "jpo")
@@ -132,7 +132,7 @@ class Scenario(Params):
     @classmethod
     def _known_or_own(cls, name: str) -> str:
         if name not in PIXEL_CONTROLLERS and not re.fullmatch(PATTERN, name):
-            remedy = dotted(name) or f"{did_you_mean(name, PIXEL_CONTROLLERS)} Give your own as package.module:Name"
+            remedy = colon_remedy(name) or f"{did_you_mean(name, PIXEL_CONTROLLERS)} Give your own as package.module:Name"
             raise ValueError(f"there is no pixel controller {name!r}; {remedy}")
         return name if name in PIXEL_CONTROLLERS else Name(name)
 
@@ -333,10 +333,10 @@ def validate(data: Mapping[str, Any], source: str) -> Scenario:
         raise LuxloopError(
             f"{source}: schema_version: this luxloop reads version {SCHEMA_VERSION}, not {version!r}; get another luxloop for it"
         )
-    with located(source):
+    with locate(source):
         if "symbol" in data:
             raise LuxloopError('symbol: unknown key; a symbol is a lighting function, write [functions.NAME] with kind = "symbol"')
-        return validated(Scenario, _spelt_out(data), EXAMPLES).model_copy(update={"source": source})
+        return validate_model(Scenario, _spelt_out(data), EXAMPLES).model_copy(update={"source": source})
 
 
 def _spelt_out(data: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from luxloop.world.traffic.generator import varied
+from luxloop.world.traffic.generator import random_tables
 from luxloop.world.validation import toml
 
 HEAD: Final = """\
@@ -15,7 +15,7 @@ schema_version = 1
 
 def night(name: str, seed: int) -> str:
     """The text of a scenario of lighting functions with traffic, road and light drawn from a seed."""
-    world = varied(seed)
+    world = random_tables(seed)
     tables = {
         **world,
         "traffic": world["traffic"] | {"on_road": True},

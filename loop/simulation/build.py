@@ -12,7 +12,7 @@ from luxloop.loop.scenario import data
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.shipped import named
 from luxloop.loop.simulation.made import Made
-from luxloop.world.errors import located
+from luxloop.world.errors import locate
 from luxloop.world.materials.library import SpottedTexture
 from luxloop.world.roads.base import Road
 from luxloop.world.roads.scan import OpenCrgRoad
@@ -77,5 +77,5 @@ def _located(road: Road) -> Road:
 
 def symbol_path(image: str) -> Path:
     """File of a symbol given by shipped name or path. Raises LuxloopError with the nearest name."""
-    with located("image"):
+    with locate("image"):
         return named(image, "symbols")

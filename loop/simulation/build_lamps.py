@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from luxloop.loop.scenario.model import HeadlightParams
-from luxloop.world.errors import LuxloopError, located
+from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp, Module, Range
@@ -46,7 +46,7 @@ def mounted(params: HeadlightParams, device: torch.device, unnamed: Callable[[La
     """
     for side in params.lamps:
         lamp = load_lamp(params.model, side)
-        with located("headlight.modules"):
+        with locate("headlight.modules"):
             modules = unnamed(lamp) if params.modules is None else [lamp.module(name) for name in params.modules]
         names = ", ".join(module.name for module in modules)
         for movement in ("swivel_deg", "level_deg"):
@@ -58,7 +58,7 @@ def mounted(params: HeadlightParams, device: torch.device, unnamed: Callable[[La
         scale = 1.0 if params.intensity_cd is None else params.intensity_cd / peak_cd
         for module in modules:
             number = [each.name for each in lamp.modules].index(module.name)
-            rest, light = turned(module, side, params), module.headlight.scaled(scale).to(device)
+            rest, light = turned(module, side, params), module.headlight.scale(scale).to(device)
             T_world_module = T_world_lamp(side, params) @ rest.T_lamp_module
             yield MountedModule(side, lamp, number, light, T_world_module.to(device), rest.swivel_deg, rest.level_deg)
 
@@ -71,7 +71,7 @@ def T_world_lamp(side: str, params: HeadlightParams) -> Tensor:
 def turned(part: TurnedPart, side: str, params: HeadlightParams) -> TurnedPart:
     """A lamp or module turned as a scenario says. Raises LuxloopError that names the lamp's side where it cannot be turned so far."""
     try:
-        return part.turned(params.swivel_deg, params.level_deg)
+        return part.turn(params.swivel_deg, params.level_deg)
     except LuxloopError as error:
         mirrored = "; a right lamp is the left one's mirror image, and so is its range" if side == "right" else ""
         raise LuxloopError(f"headlight: {side} lamp, {error}{mirrored}") from error

@@ -12,7 +12,7 @@ from luxloop.loop.simulation.objects import row_of
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame
 from luxloop.perception.camera import CameraParams
 from luxloop.perception.egomotion import VALUES, Sample
-from luxloop.world.errors import LuxloopError, did_you_mean, located
+from luxloop.world.errors import LuxloopError, did_you_mean, locate
 from luxloop.world.plugin import in_a_line
 
 ROUNDING_S = 1e-6  # of sums of periods and of clocks that count from 1970
@@ -45,7 +45,7 @@ def check_frames(arrivals: Arrivals) -> None:
     for frame in arrivals.frames:
         if not isinstance(frame.number, int):
             raise LuxloopError(f"gives a frame of exposure {frame.number!r}; number it as its exposure, exposure.number")
-        with located(f"frame {frame.number}"):
+        with locate(f"frame {frame.number}"):
             if strange := [each for each in (frame.taken_s, frame.arrived_s) if not _is_time(each)]:
                 raise LuxloopError(f"has the time {strange[0]!r}; {TIME}")
             if not isinstance(frame.shown, Exposure | None):
@@ -59,7 +59,7 @@ def check_samples(arrivals: Arrivals, like: Tensor) -> None:
     for sample in arrivals.samples:
         if sample.sensor not in VALUES:
             raise LuxloopError(f"gives a sample of {sample.sensor!r}; {did_you_mean(str(sample.sensor), VALUES)}")
-        with located(f"sample of {sample.sensor}"):
+        with locate(f"sample of {sample.sensor}"):
             if strange := [each for each in (sample.measured_s, sample.arrived_s) if not _is_time(each)]:
                 raise LuxloopError(f"has the time {strange[0]!r}; {TIME}")
             if not sample.measured_s <= sample.arrived_s + ROUNDING_S <= arrivals.time_s + 2 * ROUNDING_S:
@@ -95,7 +95,7 @@ def check_frame(frame: Frame, start_s: float, now_s: float, camera: CameraParams
     """Raises LuxloopError for a frame that cannot be of an exposure from the plant's start to now, or of the camera."""
     if frame.image is None:
         return
-    with located(f"frame {frame.number}"):
+    with locate(f"frame {frame.number}"):
         if not start_s - ROUNDING_S <= frame.taken_s <= frame.arrived_s + ROUNDING_S <= now_s + 2 * ROUNDING_S:
             raise LuxloopError(
                 f"was taken at {frame.taken_s:.10g} s and arrived at {frame.arrived_s:.10g} s, but the plant's time is {start_s:.10g} "

@@ -10,7 +10,7 @@ from luxloop.loop.simulation.checked import check_frame, check_frames, check_obj
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame, Plant
 from luxloop.loop.simulation.world import World
 from luxloop.perception.camera import CameraParams
-from luxloop.world.errors import located
+from luxloop.world.errors import locate
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class FromZero:
 
     def start(self) -> tuple[Any, Arrivals]:
         """State and arrivals before the first exposure, at 0 s. Raises LuxloopError where the plant gives no such thing."""
-        with located(f"{self.name}: start"):
+        with locate(f"{self.name}: start"):
             state, arrivals = pair(self.plant.start())
             check_time(arrivals, None)
             check_samples(arrivals, self.like)
@@ -44,7 +44,7 @@ class FromZero:
         """Show an exposure; what has come in by its end. Raises LuxloopError where the plant gives no such thing."""
         start_s, own = state
         exposure = replace(exposure, start_s=start_s + exposure.start_s)
-        with located(f"{self.name}: show"):
+        with locate(f"{self.name}: show"):
             own, arrivals = pair(self.plant.show(own, exposure))
             check_time(arrivals, exposure)
             check_frames(arrivals)

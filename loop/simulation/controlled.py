@@ -34,7 +34,7 @@ from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.egomotion import Ego
 from luxloop.perception.evaluator import Metrics
 from luxloop.perception.extraction import Crop, ExtractionStatus
-from luxloop.world.errors import located
+from luxloop.world.errors import locate
 from luxloop.world.headlight.lamp import pixel_area
 from luxloop.world.symbols import load_still
 
@@ -245,7 +245,7 @@ class ControlledSymbol:
 
 def _projector(function: SymbolFunctionParams, modules: Sequence[ShiningModule], plan: Plan, eye_m: Tensor) -> Projector:
     drawing = tuple(DrawingModule(each.name, each.controller.over(each.base(plan)), each.T_world_module) for each in modules)
-    with located("image"):
+    with locate("image"):
         image = load_still(named(function.image, "symbols")).to(modules[0].flux.device)
     return Projector(drawing, image, function.held, eye_m)
 
@@ -257,7 +257,7 @@ def controlled_symbols(
     found: dict[str, ControlledSymbol] = {}
     for name, function in planner.functions.items():
         if isinstance(function, SymbolFunctionParams) and function.controller is not None:
-            with located(f"functions.{name}"):
+            with locate(f"functions.{name}"):
                 found[name] = ControlledSymbol.prepare(name, scenario, modules, planner, world, made)
     return found
 

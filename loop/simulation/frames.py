@@ -28,7 +28,7 @@ from luxloop.world.arrays import Arrays, read_npz, read_parquet, write_npz
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import content, reading, regular, whole
 from luxloop.world.headlight.lamp import Commands, ModuleCommand
-from luxloop.world.images import decoded
+from luxloop.world.images import decode
 from luxloop.world.params import PLAIN
 
 FOLDER: Final = "frames"
@@ -100,7 +100,7 @@ def write_image(file: Path, image: Tensor, bits: int) -> None:
 def read_image(file: Path, camera: CameraParams, like: Tensor) -> Tensor:
     """Digital numbers `[height, width]` in the dtype and on the device of like. Raises LuxloopError for a frame of another camera."""
     with reading(file, "damaged, or no frame of a recording", AGAIN):
-        image = decoded(content(file), str(file))
+        image = decode(content(file), str(file))
         small = image is not None and camera.bits <= 8 and image.dtype == np.uint8  # earlier versions wrote these with 16 bits, too
         if image is None or not (small or image.dtype == np.uint16) or image.ndim != 2:
             raise ValueError("no grey PNG of 16 bits")

@@ -24,7 +24,7 @@ from luxloop.loop.simulation.made import Made
 from luxloop.loop.simulation.pixel_control import pixel_controller
 from luxloop.loop.simulation.truth import LampModule
 from luxloop.loop.simulation.world import World
-from luxloop.world.errors import LuxloopError, located
+from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Commands, ModuleCommand
 from luxloop.world.lamps.utilisations import RawUtilisation, read_sequence
@@ -48,7 +48,7 @@ class ShiningModule(MountedModule):
 
     def under(self, command: ModuleCommand) -> "ShiningModule":
         """The module as it is commanded."""
-        return replace(self, T_world_module=command.turned(self.T_world_module), intensity=command.intensity)
+        return replace(self, T_world_module=command.turn(self.T_world_module), intensity=command.intensity)
 
     def beam(self, name: str) -> Tensor:
         """Utilisation `[n_p]` of a beam of the lamp. Raises LuxloopError where it has none of that name."""
@@ -151,7 +151,7 @@ def _raw(scenario: Scenario, name: str, headlight: Headlight) -> RawUtilisation 
         both = " and ".join(f"lighting.raw[{i}]" for i, _ in mine[:2])
         raise LuxloopError(f"{both} both apply to module {name!r}; name the modules of each in its modules")
     for i, raw in mine:
-        with located(f"lighting.raw[{i}].file, for module {name!r} (its modules say which are meant)"):
+        with locate(f"lighting.raw[{i}].file, for module {name!r} (its modules say which are meant)"):
             file = named(raw.file, "utilisations")
             return read_sequence(file, headlight.pixel_rows, headlight.pixel_cols, raw.rate_hz, raw.repeat)
     return None

@@ -7,7 +7,7 @@ from luxloop.controllers.pixels.ssc import PixelController, Ssc
 from luxloop.loop.scenario.model import Scenario
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
-from luxloop.world.plugin import Guarded, Name, load, running
+from luxloop.world.plugin import Guard, Name, load, running
 
 
 def pixel_controller(scenario: Scenario, headlight: Headlight) -> PixelController:
@@ -32,4 +32,4 @@ def _own(name: Name, headlight: Headlight) -> PixelController:
         made = made_by.prepare(headlight)
     if lacking := [part for part in ("headlight", "default", "utilisation", "over") if not hasattr(made, part)]:
         raise LuxloopError(f"{key}: {name} has no {lacking[0]!r}; write one as in docs/python.md")
-    return cast(PixelController, Guarded(made, name, key))
+    return cast(PixelController, Guard(made, name, key))

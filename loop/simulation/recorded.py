@@ -16,7 +16,7 @@ from luxloop.loop.simulation.objects import read_objects
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame
 from luxloop.loop.simulation.truth import LampModule
 from luxloop.perception.camera import CameraParams
-from luxloop.world.errors import LuxloopError, located
+from luxloop.world.errors import LuxloopError, locate
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,7 @@ def to_the_end(scenario: Scenario) -> Scenario:
     """The scenario with no more steps than the recording that it plays has. Raises LuxloopError as `recorded_rows`."""
     if not isinstance(scenario.plant, RecordedPlantParams):
         return scenario
-    with located(scenario.source):
+    with locate(scenario.source):
         steps = (len(recorded_rows(Path(scenario.plant.folder))) - 1) // len(scenario.shares)
     return scenario.model_copy(update={"steps": max(min(scenario.steps, steps), 1)})
 

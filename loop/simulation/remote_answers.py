@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, TypeAdapter
 
 from luxloop.perception.egomotion import Sensor
-from luxloop.world.messages import LARGEST_HEAD, LENGTH, Arrays, given_arrays, parted, understood
+from luxloop.world.messages import LARGEST_HEAD, LENGTH, Arrays, given_arrays, understood, unpack
 from luxloop.world.params import Params
 from luxloop.world.traffic.tracked import Category
 
@@ -106,7 +106,7 @@ def largest(size: tuple[int, int]) -> int:
 def read(data: bytes | str, size: tuple[int, int]) -> tuple[Message, Arrays]:
     """A message, and the digital numbers of its frames by name, each of this height and width. Raises LuxloopError for anything else."""
     with understood():
-        head, heads, body = parted(data)
+        head, heads, body = unpack(data)
         message = MESSAGE.validate_python(head)
         frames = [each for each in message.frames if not each.lost] if isinstance(message, Answer) else []
         wanted: Mapping[str, Any] = {f"frame.{each.number}": ("u1", "u2") for each in frames}

@@ -14,7 +14,7 @@ from websockets.sync.server import ServerConnection, serve
 
 from luxloop.loop.simulation.remote_answers import PROTOCOL, Answer, Failed, Hello, Message, largest, read
 from luxloop.world.errors import LuxloopError
-from luxloop.world.messages import Arrays, Coded, packed
+from luxloop.world.messages import ArrayBytes, Arrays, pack
 
 GREET_S: Final = 10.0  # in which a program that has connected must say hello
 CLOSE_S: Final = 1.0  # in which it must answer the end of its connection
@@ -53,7 +53,7 @@ class Link:
             ) from None
         self._send({"type": "welcome", "protocol": PROTOCOL, **welcome})
 
-    def ask(self, head: Mapping[str, Any], arrays: Mapping[str, Coded] | None = None) -> tuple[Answer, Arrays]:
+    def ask(self, head: Mapping[str, Any], arrays: Mapping[str, ArrayBytes] | None = None) -> tuple[Answer, Arrays]:
         """Send a message, and wait for the arrivals that answer it by the same `number`.
 
         Raises LuxloopError where the simulator goes away, does not answer in time, breaks the protocol, or says that it fails; the
@@ -135,11 +135,11 @@ class Link:
         self._opened.callback(server.shutdown)
         threading.Thread(target=server.serve_forever, name="remote plant", daemon=True).start()
 
-    def _send(self, head: Mapping[str, Any], arrays: Mapping[str, Coded] | None = None) -> None:
+    def _send(self, head: Mapping[str, Any], arrays: Mapping[str, ArrayBytes] | None = None) -> None:
         if self._met is None:
             raise LuxloopError("no simulator is connected any more; start the run anew")
         try:
-            self._met[0].send(packed(head, arrays))
+            self._met[0].send(pack(head, arrays))
         except ConnectionClosed as error:
             raise self._broken(f"has gone, or does not read within {self._timeout_s:g} s ({error})") from error
 
@@ -155,5 +155,5 @@ def _received(connection: ServerConnection, timeout_s: float, size: tuple[int, i
 
 def _dismiss(connection: ServerConnection, head: Mapping[str, Any], code: int) -> None:
     with suppress(ConnectionClosed):
-        connection.send(packed(head))
+        connection.send(pack(head))
     connection.close(code)

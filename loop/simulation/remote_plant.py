@@ -20,7 +20,7 @@ from luxloop.perception.camera import camera_view, saturation_luminance
 from luxloop.perception.egomotion import Sample
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import REST
-from luxloop.world.messages import Arrays, Coded, raw
+from luxloop.world.messages import ArrayBytes, Arrays, raw
 
 Window = tuple[int, int, int, int]  # first row, end row, first column, end column
 
@@ -62,9 +62,9 @@ class RemotePlant:
         answer, frames = self.link.ask(head, arrays)
         return self._came(exposure.number + 1, state.objects, answer, frames)
 
-    def parts(self, exposure: Exposure) -> tuple[dict[str, Any], dict[str, Coded]]:
+    def parts(self, exposure: Exposure) -> tuple[dict[str, Any], dict[str, ArrayBytes]]:
         """Head and arrays of the message that shows an exposure."""
-        commands, windows, arrays = exposure.commands or (REST,) * len(self.modules), list[Window](), dict[str, Coded]()
+        commands, windows, arrays = exposure.commands or (REST,) * len(self.modules), list[Window](), dict[str, ArrayBytes]()
         for k, (module, light, command) in enumerate(zip(self.modules, exposure.lights, commands, strict=True)):
             lamp = module.headlight
             if self.sends == "texture":

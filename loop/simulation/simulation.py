@@ -48,7 +48,7 @@ from luxloop.loop.simulation.simulated import as_simulated
 from luxloop.loop.simulation.world import LitScene, World
 from luxloop.perception.camera import luminance_of, saturation_luminance
 from luxloop.perception.egomotion import Ego, Samples, ego_of, newest
-from luxloop.world.errors import LuxloopError, located
+from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.frames import View, inverse
 from luxloop.world.headlight.lamp import REST, Commands
 from luxloop.world.rendering.rasterise import check_process
@@ -84,7 +84,7 @@ class Simulation:
         """
         device = torch.device(device)
         made = Made(None if before is None or before.device != device else before.made)
-        with located(scenario.source):
+        with locate(scenario.source):
             simulation = cls(scenario, device, made=made, **parts(scenario, device, made))
             simulation.planner.plan(simulation.situation(0.0))
         made.end()
@@ -135,7 +135,7 @@ class Simulation:
         if light == "open_loop":
             return replace(self, controlled={name: each.in_open_loop() for name, each in self.controlled.items()})
         beam = BEAMS[light]
-        with located(f"checks: compare = {light!r}"):
+        with locate(f"checks: compare = {light!r}"):
             modules = tuple(module.showing(beam) for module in self.modules)
         alone = self.scenario.lighting.model_copy(update={"base": BaseBeamParams(beam=beam), "raw": (), "painted": ()})
         scenario = self.scenario.model_copy(update={"lighting": alone, "functions": {}})
@@ -349,7 +349,7 @@ class Simulation:
         projections = {name: each.controller.projection(state.held[name].controller, ego) for name, each in shown.items()}
         commands = {}
         for name, projection in projections.items():
-            with located(f"functions.{name}"):
+            with locate(f"functions.{name}"):
                 commands[name] = shown[name].command(projection, None if ego is None else attitude(ego))
         return projections, self.planner.drawn(now, state.functions) | commands
 
@@ -387,7 +387,7 @@ class Simulation:
         with closed(self.plant):
             state = self.start()
             for _ in range(self.scenario.steps):
-                with located(self.scenario.source):
+                with locate(self.scenario.source):
                     state, result = self.step(state)
                 yield result
 

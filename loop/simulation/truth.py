@@ -79,4 +79,4 @@ def worn(headlight: Headlight, name: str, wear: WearParams, number: int) -> Head
     left = np.ones(n, np.float32)
     left[order[dead : dead + round(wear.aged * n)]] = wear.aged_factor
     left[[*order[:dead], *wear.dead_pixels]] = 0
-    return headlight.dimmed(torch.from_numpy(left))
+    return headlight.dim(torch.from_numpy(left))

@@ -97,7 +97,7 @@ class LitScene:
             assert isinstance(each, DirectTransport)
             lx, samples, factor = each.illuminance(u if command.intensity == 1 else command.intensity * u)
             pixels = each.pixel(samples)
-            leaving.index_add_(0, pixels, each.reflected(lx, factor))
+            leaving.index_add_(0, pixels, each.reflect(lx, factor))
             arriving.index_add_(0, pixels, lx * each.central(samples))
         return arriving.view_as(self.surfaces.albedo), leaving.view_as(self.surfaces.albedo)
 
@@ -400,7 +400,7 @@ class World:
         @lru_cache(maxsize=KEPT_VIEWS * len(modules))
         def turned(number: int, command: ModuleCommand) -> LightTransport:
             module = modules[number]
-            headlight, T_body_headlight = module.headlight, command.turned(module.T_world_headlight)
+            headlight, T_body_headlight = module.headlight, command.turn(module.T_world_headlight)
             T_world_headlight = T_world_body.to(T_body_headlight) @ T_body_headlight
             if direct:
                 cast = shadows(*T_world_headlight[:3, 3].tolist())

@@ -17,11 +17,11 @@ from luxloop.loop.scenario.model import Scenario, load, only, validate
 from luxloop.loop.scenario.overrides import resolve_paths
 from luxloop.loop.studies.jobs.executors import ALL_CORES, Executor
 from luxloop.loop.studies.jobs.runner import Job, Results, Together, run
-from luxloop.world.errors import LuxloopError, located
+from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import output_folder
 from luxloop.world.params import Params
 from luxloop.world.plugin import refuse_code
-from luxloop.world.validation import read_toml, validated
+from luxloop.world.validation import read_toml, validate_model
 
 if TYPE_CHECKING:
     from luxloop.loop.simulation.result import Rollout
@@ -100,8 +100,8 @@ def read(file: Path, *, allow_code: bool = False) -> list[Run]:
     Raises LuxloopError that names the file, the key and the remedy.
     """
     data = read_toml(file)
-    with located(str(file)):
-        params = validated(CampaignParams, data, "docs/campaigns.md has an example")
+    with locate(str(file)):
+        params = validate_model(CampaignParams, data, "docs/campaigns.md has an example")
     n_runs = math.prod(map(len, (params.scenarios, params.controllers or [0], params.variants or [0], params.seeds))) + len(params.runs)
     if n_runs > MOST_RUNS:
         raise LuxloopError(f"{file}: names {n_runs:,} runs, more than {MOST_RUNS:,}; split it into several campaigns")
@@ -206,7 +206,7 @@ def _run(file: Path, params: CampaignParams, one: RunParams, allow_code: bool) -
         raise LuxloopError(f"{file}: runs: there is no variant {one.variant!r}; write its keys below [variants.{one.variant}]")
     changes: list[dict[str, Any]] = [params.set, params.variants[one.variant] if one.variant else {}, {"seed": one.seed}]
     beside = file.parent / one.scenario
-    with located(f"{file}: variants.{one.variant}" if one.variant else str(file)):
+    with locate(f"{file}: variants.{one.variant}" if one.variant else str(file)):
         name = str(beside) if os.path.isfile(beside) else one.scenario
         if one.controller:
             held = only(load(name, allow_code=True).controlled)

@@ -23,7 +23,7 @@ from luxloop.loop.studies.study import STUDY, finished, keeping, study_in
 from luxloop.loop.studies.surrogate import Learned, near
 from luxloop.loop.studies.tune import FAILURES, SETTLED, TRACES, Task, Trace, Tuned, begun, failed, ran
 from luxloop.perception.extraction import ExtractionParams
-from luxloop.world.errors import LuxloopError, located
+from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import turn
 
 STARTS, DRAWS = 24, 3  # parallel descents, and noise draws of each
@@ -51,7 +51,7 @@ def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) 
         raise LuxloopError(f"--key {whole[0]}: takes whole numbers, which have no gradient; leave it out, or tune without --gradient")
     simulations = []
     for scenario in task.scenarios:
-        with located(f"{scenario.name}: --gradient"):
+        with locate(f"{scenario.name}: --gradient"):
             symbol = scenario.symbol
         if not isinstance(symbol.extraction, ExtractionParams):
             key = f"functions.{only(scenario.controlled)}.extraction.kind"

@@ -8,7 +8,7 @@ from typing import Any
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.scenario.overrides import INDEX, overridden, toml_key
-from luxloop.world.errors import LuxloopError, located
+from luxloop.world.errors import LuxloopError, locate
 
 Values = Mapping[str, float | int]
 
@@ -46,7 +46,7 @@ def parse(text: str, scenarios: Sequence[Scenario], given_as: str = "--key") -> 
         raise LuxloopError(f"{where}: the range is the wrong way round or empty; {turned}")
     if scale and low <= 0:
         raise LuxloopError(f"{where}: a range that reaches {low:g} has no logarithm; let it begin above 0, or leave :log out")
-    with located(where):
+    with locate(where):
         found = [value_of(scenario, key) for scenario in scenarios]
         # A key without a value has no type; the validated lower end has one.
         kinds = found if any(value is not None for value in found) else [value_of(changed(scenarios[0], {key: _number(low_text)}), key)]

@@ -14,7 +14,7 @@ from luxloop.loop.studio.shapes import merged
 from luxloop.loop.studio.shared import Blocks
 from luxloop.loop.studio.snapshot import Snapshot
 from luxloop.world.headlight import Headlight
-from luxloop.world.messages import Coded, coded, grey, packed, raw
+from luxloop.world.messages import ArrayBytes, encode, grey, pack, raw
 
 MOST_UNSHOWN: Final = 2  # steps of a run that a client may not have shown yet: one on its way, and one that it is at
 PERIOD_S: Final = 0.05  # between two steps of a run that plays, at least
@@ -57,7 +57,7 @@ class Feed:
         if published.number != self._number and published.scenario is not None:
             self._number = published.number
             self._sent = [SentRun(number, run, self._blocks) for number, run in enumerate(published.runs)]
-            yield packed(published.scenario)
+            yield pack(published.scenario)
         for sent in self._sent:
             rows, done = sent.run.rows, len(sent.run.rows)
             yield from sent.edits()  # which bring all columns that these rows have
@@ -96,7 +96,7 @@ class SentRun:
         for left, edit in zip(range(len(fresh) - 1, -1, -1), fresh, strict=True):
             model = None if left else self.run.simulation.scenario.model_dump(mode="json")
             facts = None if left else self.run.facts()
-            yield packed({"type": "edit", "run": self.number, **edit.model_dump(mode="json"), "model": model, "facts": facts})
+            yield pack({"type": "edit", "run": self.number, **edit.model_dump(mode="json"), "model": model, "facts": facts})
 
     def rows(self, rows: list[np.ndarray], done: int) -> Iterator[bytes]:
         """Values of the steps that it lacks, as far as they are done."""
@@ -108,7 +108,7 @@ class SentRun:
             values = np.full((len(fresh), max(map(len, fresh))), np.nan, np.float32)
             for k, each in enumerate(fresh):
                 values[k, : len(each)] = each
-            yield packed(head, {"rows": coded(values)})
+            yield pack(head, {"rows": encode(values)})
 
     def step(self, number: int, request: Request, id_: int) -> Iterator[bytes]:
         """A step, and before it the meshes that it lacks; nothing where it has got all that it wants of that step."""
@@ -123,7 +123,7 @@ class SentRun:
         if made := {number: mesh for number in sorted(there - self._meshes) if (mesh := meshes.get(number)) is not None}:
             self._meshes.update(made)
             heads, arrays = merged(list(made.values()))
-            yield packed({"type": "meshes", "run": self.number, "meshes": heads}, {name: coded(each) for name, each in arrays.items()})
+            yield pack({"type": "meshes", "run": self.number, "meshes": heads}, {name: encode(each) for name, each in arrays.items()})
         notes = head["notes"] + ([PASSED] if there - self._meshes else [])
         bodies = [each for each in head["bodies"] if each["mesh"] in self._meshes]
         seen = self.run.pictured(snapshot) if scrubbed or was_scrubbed or before is None else snapshot
@@ -132,7 +132,7 @@ class SentRun:
     def _packed(self, head: dict[str, Any], snapshot: Snapshot, seen: Snapshot, request: Request) -> bytes:
         """The message of a step, whose arrays nobody holds while it waits for the client. seen: the step whose pictures are shown."""
         wanted, notes = request.wanted, head["notes"]
-        pictures, plain, windows, scales = dict[str, Coded](), dict[str, np.ndarray](), dict[str, Any](), []
+        pictures, plain, windows, scales = dict[str, ArrayBytes](), dict[str, np.ndarray](), dict[str, Any](), []
         for k, peak_cd in enumerate(self.run.peaks_cd):
             scales.append(max(peak_cd, 1e-6) / HALF_PEAK)
             if not snapshot.lights:
@@ -156,9 +156,9 @@ class SentRun:
         modules = [{**each, "scale_cd": scale} for each, scale in zip(head["modules"], scales, strict=True)]
         head = {"type": "step", "run": self.number, **head, "notes": notes, "light_windows": windows, "modules": modules}
         if request.shared and (shared := self._blocks.put(self.number, head["id"], {**plain, **exact})) is not None:
-            return packed({**head, "shared": shared}, pictures)
-        sent = {name: coded(array) for name, array in plain.items()} | {name: raw(array) for name, array in exact.items()}
-        return packed(head, pictures | sent)
+            return pack({**head, "shared": shared}, pictures)
+        sent = {name: encode(array) for name, array in plain.items()} | {name: raw(array) for name, array in exact.items()}
+        return pack(head, pictures | sent)
 
     def _lit(self, k: int, u: torch.Tensor, scale_cd: float) -> tuple[list[int], np.ndarray] | None:
         """The window of a module's light texture that the pixels light which differ from those that it has got, in units of scale_cd, and

@@ -8,7 +8,7 @@ from typing import Annotated, Final, Literal
 from pydantic import Field, TypeAdapter
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.messages import Arrays, given_arrays, parted, understood
+from luxloop.world.messages import Arrays, given_arrays, understood, unpack
 from luxloop.world.params import Metres, Params
 
 PROTOCOL: Final = 1
@@ -205,7 +205,7 @@ class Request:
 def read(data: bytes | str) -> tuple[Message, Arrays]:
     """A client's message, and the arrays that messages of its type have. Raises LuxloopError that says what is wrong with it."""
     with understood():
-        head, arrays, body = parted(data)
+        head, arrays, body = unpack(data)
         message = MESSAGE.validate_python(head)
         return message, given_arrays(arrays, body, ARRAYS.get(message.type, {}))
 
@@ -213,5 +213,5 @@ def read(data: bytes | str) -> tuple[Message, Arrays]:
 def ask_of(data: bytes | str) -> int | None:
     """The number `ask` of a message that is refused, None where it has none."""
     with suppress(LuxloopError), understood():
-        return Told(ask=parted(data)[0].get("ask")).ask
+        return Told(ask=unpack(data)[0].get("ask")).ask
     return None

@@ -34,7 +34,7 @@ from luxloop.loop.studio.shapes import Shapes
 from luxloop.loop.studio.snapshot import Snapshot, bodies_at, snapshot
 from luxloop.loop.studio.sources import Source, loaded
 from luxloop.perception.camera import camera_view, saturation_luminance
-from luxloop.world.errors import LuxloopError, located
+from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import output_folder
 from luxloop.world.frames import inverse
 from luxloop.world.headlight.lamp import Lamp, Module
@@ -99,7 +99,7 @@ class Run:
         while self.recorded is not None and (due := self.recorded.due(len(self.snapshots))) is not None:
             self._go_on(self.edited(repeated(self.simulation.scenario, due)), due.overrides, due.driven)
         began_s = time.perf_counter()
-        with located(self.simulation.scenario.source):
+        with locate(self.simulation.scenario.source):
             state, result = self.simulation.step(self._state)
         self.step_ms = 1e3 * (time.perf_counter() - began_s)
         rests = still or len(self.snapshots) + 1 >= self.simulation.scenario.steps
@@ -166,7 +166,7 @@ class Run:
     def look_again(self, wanted: Collection[View]) -> None:
         """Take the last snapshot anew, with all that somebody looks at now, and in the simulated world as edits make the next step."""
         if self._ahead and self._next is None and self.simulation.scenario.plant.kind == "simulated":  # others show what they are asked
-            with located(self.simulation.scenario.source):
+            with locate(self.simulation.scenario.source):
                 _, following = self.simulation.step(self._state)
             self._next = self.simulation, replace(following, step=self._made[1].step)
         seen = self._next or (self._made[0], self._repainted())

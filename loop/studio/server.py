@@ -43,7 +43,7 @@ from luxloop.loop.studio.messages import (
 from luxloop.loop.studio.session import Session
 from luxloop.loop.studio.sources import Source
 from luxloop.world.errors import LuxloopError
-from luxloop.world.messages import packed
+from luxloop.world.messages import pack
 
 if TYPE_CHECKING:
     from luxloop.loop.studio.feed import Feed
@@ -288,13 +288,13 @@ class Studio:
             published = self.session.published
             answers, client.answers = client.answers, []
             for head in answers:
-                await client.send(packed(head))
+                await client.send(pack(head))
             if published.progress != preparing:
                 preparing = published.progress
-                await client.send(packed({"type": "progress", "text": preparing}))
+                await client.send(pack({"type": "progress", "text": preparing}))
             if published.choices is not chosen:
                 chosen = published.choices
-                await client.send(packed({"type": "choices", **(chosen or {})}))
+                await client.send(pack({"type": "choices", **(chosen or {})}))
             keys = ("playing", "speed", "step_ms", "real_time", "failed", "recording", "steps")
             status = {"type": "status", **{key: getattr(published, key) for key in keys}, "pen": self._pen, "clients": len(self._clients)}
             text, waits_s = json.dumps(status), said_s + STATUS_S - time.monotonic()
@@ -302,7 +302,7 @@ class Studio:
                 soon = False
             elif waits_s <= 0 or not published.playing:
                 last, said_s, soon = text, time.monotonic(), False
-                await client.send(packed(status))
+                await client.send(pack(status))
             elif not soon:
                 soon = True
                 self._loop.call_later(waits_s, client.changed.set)

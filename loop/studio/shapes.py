@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from luxloop.world.scene.body import Body, albedo_picture
-from luxloop.world.scene.triangles import Placed
+from luxloop.world.scene.triangles import Instance
 
 KEPT_BYTES: Final = 2**28  # of meshes: those of some 1.5 km of road
 
@@ -27,7 +27,7 @@ class Shapes:
         self._seen: dict[int, int] = {}  # bytes of the meshes, that which was seen last at the end
         self._numbers = count()
 
-    def number(self, placed: Placed) -> int:
+    def number(self, placed: Instance) -> int:
         """That of a placed body's mesh."""
         number = self._known.get(placed.body)
         if number is None:
@@ -38,7 +38,7 @@ class Shapes:
         self._seen[number] = self._seen.pop(number)
         return number
 
-    def numbered(self, placed: Sequence[Placed]) -> list[tuple[int, Placed]]:
+    def numbered(self, placed: Sequence[Instance]) -> list[tuple[int, Instance]]:
         """All bodies of a step with their numbers; meshes of earlier steps beyond KEPT_BYTES are forgotten."""
         found = [(self.number(each), each) for each in placed]
         while sum(self._seen.values()) > KEPT_BYTES and len(self._seen) > len(found):

@@ -20,7 +20,7 @@ from luxloop.loop.studio.messages import View
 from luxloop.world.frames import transform
 from luxloop.world.headlight.lamp import REST
 from luxloop.world.scene.body import Spotlight
-from luxloop.world.scene.triangles import NOTHING, Placed, Triangles
+from luxloop.world.scene.triangles import NOTHING, Instance, Triangles
 
 Pictures = dict[str, np.ndarray]  # `[height, width]` uint8, by name
 
@@ -56,7 +56,7 @@ def bodies_at(simulation: Simulation, time_s: float, before: Triangles) -> Trian
 
 
 def snapshot(
-    simulation: Simulation, result: StepResult, bodies: Sequence[tuple[int, Placed]], before: Snapshot | None, wanted: Collection[View]
+    simulation: Simulation, result: StepResult, bodies: Sequence[tuple[int, Instance]], before: Snapshot | None, wanted: Collection[View]
 ) -> Snapshot:
     """Of a step that was just done. bodies: what is there, with the numbers of their meshes. before: the snapshot of the step before.
     wanted: what somebody looks at.
@@ -84,7 +84,7 @@ def snapshot(
         "T_world_body": _numbers(T_world_body),
         "T_world_camera": _numbers((simulation.view if world is None else world.view_at(time_s)).T_world_view),
         "modules": [
-            {"T_world_module": _numbers(T_world_body @ command.turned(T.double().cpu()))}
+            {"T_world_module": _numbers(T_world_body @ command.turn(T.double().cpu()))}
             for T, command in zip(resting, commands, strict=True)
         ],
         "bodies": [{"mesh": number, "T_world_body": _numbers(each.T_world_body)} for number, each in bodies],

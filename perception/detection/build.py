@@ -16,7 +16,7 @@ from luxloop.perception.detection.params import HogParams, NetworkParams, OnnxPa
 from luxloop.perception.detection.protocol import Detections, Detector
 from luxloop.perception.detection.yolo import SHARES
 from luxloop.world import plugin
-from luxloop.world.errors import LuxloopError, located
+from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.traffic.tracked import Category
 
 KEY = "detector.kind"
@@ -40,7 +40,7 @@ def detector(params: RunParams, device: torch.device) -> Detector:
 
 def own_detector(made_by: type, params: OwnDetector, device: torch.device) -> "CheckedDetector":
     """A user-defined detector of a class with the methods. Raises LuxloopError if it cannot be made or its classes are unknown."""
-    own = plugin.made(made_by, params.kind, KEY, {"device": device}, params.options)
+    own = plugin.construct(made_by, params.kind, KEY, {"device": device}, params.options)
     classes, known = getattr(own, "classes", None), get_args(Category)
     if not isinstance(classes, tuple) or not classes or any(each not in known for each in classes):
         given = "no classes" if classes is None else f"classes = {classes!r}"
@@ -51,7 +51,7 @@ def own_detector(made_by: type, params: OwnDetector, device: torch.device) -> "C
 def network_detector(params: NetworkParams, device: torch.device) -> NetworkDetector:
     """luxloop's own detector with shipped or other weights. Raises LuxloopError if the file holds none."""
     if params.weights is not None:
-        with located("detector.weights"):
+        with locate("detector.weights"):
             network, classes = load(Path(params.weights), device)
     else:
         with as_file(files("luxloop.perception.detection") / WEIGHTS) as file:
@@ -63,7 +63,7 @@ def network_detector(params: NetworkParams, device: torch.device) -> NetworkDete
 class CheckedDetector:
     """A user-defined detector whose detections are checked. kind: its name in the scenario."""
 
-    own: plugin.Guarded
+    own: plugin.Guard
     kind: plugin.Name
 
     @property
@@ -89,7 +89,7 @@ class CheckedDetector:
             if (boxes, scores) != ((count, 4), (count, classes)) or not finite:
                 what = f"boxes {list(boxes)} and scores {list(scores)}" + ("" if finite else ", some of which are not finite")
                 raise LuxloopError(f"{where} gives {what}; with {classes} classes it must {GIVES}")
-        with located(where):
+        with locate(where):
             for each in found:
                 _check_ranges(each, *frames.shape[1:])
         return found

@@ -18,7 +18,7 @@ from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.ground_truth import ground_truth
 from luxloop.world.rendering.surfaces import ExactSurfaces, face_source, surface_source
 from luxloop.world.scene.scene import Scene
-from luxloop.world.traffic.generator import varied
+from luxloop.world.traffic.generator import random_tables
 
 T = TypeVar("T")
 SCENES = 8
@@ -52,7 +52,7 @@ def times() -> None:
         return result
 
     for seed in range(SCENES):
-        scenario = validate({"name": "night", "lighting": {}, **varied(seed)}, f"seed {seed}")
+        scenario = validate({"name": "night", "lighting": {}, **random_tables(seed)}, f"seed {seed}")
         items = scenario.all_objects
         objects = timed("make the objects", lambda items=items: [item.build() for item in items])
         road = road or build_scene(scenario).bodies[0]

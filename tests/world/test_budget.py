@@ -11,7 +11,7 @@ import pytest
 from luxloop.world.arrays import read_npy, read_npz
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import BUDGET_BYTES, afford, content
-from luxloop.world.images import decoded
+from luxloop.world.images import decode
 from luxloop.world.lamps import archive
 from luxloop.world.messages import ArrayHead, given_arrays
 
@@ -79,11 +79,11 @@ def test_entries_that_are_no_arrays_are_told_in_a_sentence(tmp_path: Path) -> No
 
 
 def test_pictures_declare_no_more_pixels_than_the_budget_bears() -> None:
-    assert decoded(png(30, 1), "it") is not None
+    assert decode(png(30, 1), "it") is not None
     for side in (10_000, 12_000, 100_000):
         with pytest.raises(LuxloopError, match=r"^it: its pixels would take at least .* GB of memory.*shrink the picture$"):
-            decoded(png(side, side), "it")
-    assert decoded(b"", "it") is None and decoded(b"GIF89a", "it") is None
+            decode(png(side, side), "it")
+    assert decode(b"", "it") is None and decode(b"GIF89a", "it") is None
 
 
 @pytest.mark.parametrize("shape", [(5, 7), (1000, 1000)])

@@ -4,7 +4,7 @@ import pickle
 
 import pytest
 
-from luxloop.world.errors import LuxloopError, all_of, did_you_mean, located, redacted
+from luxloop.world.errors import LuxloopError, all_of, did_you_mean, locate, redact
 
 KNOWN = ("zones", "flat", "gfhb", "belgian_block", "kp")
 
@@ -36,7 +36,7 @@ def test_input_in_a_message_does_not_control_the_terminal() -> None:
 
 
 def test_several_errors_name_their_place_once() -> None:
-    with pytest.raises(LuxloopError) as caught, located("my.toml"):
+    with pytest.raises(LuxloopError) as caught, locate("my.toml"):
         raise all_of([f"key{k}: is\nwrong" for k in range(12)])
     assert caught.value.args == ("my.toml: 12 errors", *(f"key{k}: is wrong" for k in range(10)), "and 2 more")
     assert str(caught.value).splitlines()[1] == "  key0: is wrong"
@@ -56,4 +56,4 @@ def test_plain_data_is_told_without_logins() -> None:
         "camera": {"url": "rtsp://***@host/x?user=c&PWD=***&n=1", "options": {"password": "***", "rtsp_transport": "tcp", "width": 3}},
         "list": ["x://***@g"],
     }
-    assert redacted(rig) == told
+    assert redact(rig) == told

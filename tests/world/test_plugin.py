@@ -157,7 +157,7 @@ def test_a_class_of_the_main_program_is_placed_as_well(tmp_path: Path) -> None:
     """As in a script or a notebook."""
     (file := tmp_path / "script.py").write_text(
         "from luxloop.world import plugin\n\nclass Part:\n    def work(self):\n        return None.frames\n\n"
-        "plugin.made(Part, plugin.Name('__main__:Part'), 'road.kind', {}, {}).work()\n"
+        "plugin.construct(Part, plugin.Name('__main__:Part'), 'road.kind', {}, {}).work()\n"
     )
     done = subprocess.run(
         [sys.executable, file], env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, capture_output=True, text=True

@@ -24,7 +24,7 @@ def test_products_are_those_of_scipy(matrix: sp.csr_array, data: st.DataObject) 
     expected = x.numpy() @ matrix.T.toarray()
     close(multiply(csr, x), expected)
     close(multiply(csr, x[0, 0]), expected[0, 0])
-    close(multiply(csr.transposed, torch.ones(csr.n_rows, dtype=torch.float64)), matrix.sum(0))
+    close(multiply(csr.transpose, torch.ones(csr.n_rows, dtype=torch.float64)), matrix.sum(0))
 
     start = data.draw(st.integers(0, csr.n_rows))
     stop = data.draw(st.integers(start, csr.n_rows))
@@ -75,7 +75,7 @@ def test_float32_on_every_device(device: torch.device) -> None:
     assert (y.dtype, y.device.type) == (torch.float32, device.type)
     # Sums of ten float32 products.
     np.testing.assert_allclose(y[2].cpu(), matrix @ x.cpu().double().numpy(), rtol=1e-5, atol=1e-6)
-    assert csr.transposed.values.device.type == device.type
+    assert csr.transpose.values.device.type == device.type
     assert csr.to(torch.float64).values.dtype == torch.float64
 
 

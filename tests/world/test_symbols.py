@@ -13,7 +13,7 @@ import torch
 from PIL import ExifTags, Image, ImageOps
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.images import LONGEST, decoded
+from luxloop.world.images import LONGEST, decode
 from luxloop.world.symbols import DRAWN_PX, Frames, Still, load, load_still
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 40 20"><rect x="10" width="20" height="10" fill="{}"/></svg>'
@@ -198,7 +198,7 @@ def test_pictures_are_upright_by_their_exif_orientation(kind: str, tmp_path: Pat
         image.save(file, exif=image.getexif(), lossless=True)
         upright = np.asarray(ImageOps.exif_transpose(image))
         for flags in (cv2.IMREAD_UNCHANGED, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH):
-            read = decoded(file.read_bytes(), "it", flags)
+            read = decode(file.read_bytes(), "it", flags)
             assert read is not None and read.shape[:2] == upright.shape
             assert np.abs(read.reshape(*upright.shape, -1)[..., 0].astype(int) - upright).max() < 16  # JPEG is lossy
 

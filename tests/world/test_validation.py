@@ -8,7 +8,7 @@ from pydantic import Field, Tag
 from luxloop.world.errors import LuxloopError
 from luxloop.world.params import Params
 from luxloop.world.plugin import OWN, OwnName, known_or_own
-from luxloop.world.validation import validated
+from luxloop.world.validation import validate_model
 
 
 class Disc(Params):
@@ -38,7 +38,7 @@ class Sheet(Params):
 
 def errors(**data: Any) -> list[str]:
     with pytest.raises(LuxloopError) as caught:
-        validated(Sheet, data, "the docs have one")
+        validate_model(Sheet, data, "the docs have one")
     return list(caught.value.args)
 
 
@@ -69,7 +69,7 @@ def test_a_variant_has_its_own_errors_alone() -> None:
 
 
 def test_a_default_that_cannot_be_made_is_no_error() -> None:
-    assert validated(Sheet, {"name": "x", "low": 3}, "").high == 4
+    assert validate_model(Sheet, {"name": "x", "low": 3}, "").high == 4
     assert errors(name="x", low="a") == ["low: 'a' is not a whole number"]
 
 

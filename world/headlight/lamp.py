@@ -27,7 +27,7 @@ class ModuleCommand:
     level_deg: float = 0.0
     intensity: float = 1.0
 
-    def turned(self, T: Tensor) -> Tensor:
+    def turn(self, T: Tensor) -> Tensor:
         """The pose `[4, 4]` of a module at rest, turned about its photometric centre."""
         if not (self.swivel_deg or self.level_deg):
             return T
@@ -57,9 +57,9 @@ class Module:
         for movement, angle, (low, high) in (("swivel", swivel_deg, self.swivel_deg), ("level", level_deg, self.level_deg)):
             if not low <= angle <= high:
                 raise LuxloopError(f"module {self.name!r}: {movement} of {angle:g} deg is out of its range, {low:g} to {high:g} deg")
-        return ModuleCommand(swivel_deg, level_deg).turned(self.T_lamp_module)
+        return ModuleCommand(swivel_deg, level_deg).turn(self.T_lamp_module)
 
-    def turned(self, swivel_deg: float, level_deg: float) -> "Module":
+    def turn(self, swivel_deg: float, level_deg: float) -> "Module":
         """The module with a turned pose as its rest, and with the remaining ranges.
 
         Movements that it lacks have no effect. Raises as `pose`.
@@ -70,11 +70,11 @@ class Module:
         swivels, levels = ((low - angle, high - angle) for angle, (low, high) in ((swivel, self.swivel_deg), (level, self.level_deg)))
         return replace(self, T_lamp_module=self.pose(swivel, level), swivel_deg=swivels, level_deg=levels)
 
-    def mirrored(self) -> "Module":
+    def mirror(self) -> "Module":
         """The module of the other side's lamp."""
         low, high = self.swivel_deg
         T = _MIRROR @ self.T_lamp_module @ _MIRROR
-        return replace(self, headlight=self.headlight.mirrored(), T_lamp_module=T, swivel_deg=(-high, -low))
+        return replace(self, headlight=self.headlight.mirror(), T_lamp_module=T, swivel_deg=(-high, -low))
 
 
 @dataclass(frozen=True)
@@ -93,9 +93,9 @@ class Lamp:
                 return module
         raise LuxloopError(f"lamp {self.name!r} has no module {name!r}; it has {', '.join(module.name for module in self.modules)}")
 
-    def turned(self, swivel_deg: float, level_deg: float) -> "Lamp":
+    def turn(self, swivel_deg: float, level_deg: float) -> "Lamp":
         """The lamp with all movable modules turned. Raises LuxloopError beyond a module's range."""
-        return replace(self, modules=tuple(module.turned(swivel_deg, level_deg) for module in self.modules))
+        return replace(self, modules=tuple(module.turn(swivel_deg, level_deg) for module in self.modules))
 
     @property
     def finest(self) -> Module:

@@ -37,11 +37,11 @@ class Headlight(TexelGrid):
         """Largest luminous intensity of a texel with all pixels at full utilisation."""
         return float(self.light_texture(torch.ones(self.n_pixels).to(self.matrix.values)).max())
 
-    def scaled(self, factor: float) -> "Headlight":
+    def scale(self, factor: float) -> "Headlight":
         """The headlight with all intensities multiplied by a factor."""
         return self if factor == 1 else replace(self, matrix=self.matrix.with_values(self.matrix.values * factor))
 
-    def dimmed(self, left: Tensor) -> "Headlight":
+    def dim(self, left: Tensor) -> "Headlight":
         """The headlight with each pixel's light multiplied by a share `[n_p]`."""
         of_entry = left.to(self.matrix.values).index_select(0, self.matrix.indices)
         return replace(self, matrix=self.matrix.with_values(self.matrix.values * of_entry))
@@ -106,7 +106,7 @@ class Headlight(TexelGrid):
         texel, weight = bilinear(self, row, col)
         return (light_texture.flatten(-2)[..., texel] * (weight * (x > 0)).to(light_texture)).sum(-2)  # bilinear, ahead only, [..., N]
 
-    def mirrored(self) -> "Headlight":
+    def mirror(self) -> "Headlight":
         """The mirror image of the headlight, with pixels again numbered from the left."""
         texel = np.arange(self.n_texels).reshape(self.rows, self.cols)[:, ::-1].ravel()
         pixel = np.arange(self.n_pixels).reshape(self.pixel_rows, self.pixel_cols)[:, ::-1].ravel()

@@ -84,7 +84,7 @@ def reduce(
         reduced.data *= np.repeat(1 + lost / np.where(left > 0, left, 1), counts)
         if method == "least_squares":
             changed = np.flatnonzero((lost > 0) & (left > 0))
-            _fit_rows(csr, reduced, changed, _stacked(use_cases, matrix.n_cols))
+            _fit_rows(csr, reduced, changed, _use_case_table(use_cases, matrix.n_cols))
     return Csr(
         torch.from_numpy(reduced.indptr.astype(np.int32)),
         torch.from_numpy(reduced.indices.astype(np.int32)),
@@ -97,7 +97,7 @@ def errors(matrix: Csr, reduced: Csr, use_cases: Sequence[npt.ArrayLike]) -> Ove
     """Compare the light of a reduced matrix with that of the full one. Raises LuxloopError without use cases of n_p pixels."""
     full, less = (each.to_scipy().astype(np.float64) for each in (matrix, reduced))
     squares = energy = largest = brightest = darkening = 0.0
-    cases = _stacked(use_cases, matrix.n_cols)
+    cases = _use_case_table(use_cases, matrix.n_cols)
     for u in cases:
         light = full @ u
         difference = less @ u - light
@@ -118,7 +118,7 @@ def standard_use_cases(pixel_rows: int, pixel_cols: int, randoms: int = 8, seed:
     return [np.ones(len(row)), checkerboard, 1 - checkerboard, *generator.random((randoms, len(row)))]
 
 
-def _stacked(use_cases: Sequence[npt.ArrayLike], n_pixels: int) -> Array:
+def _use_case_table(use_cases: Sequence[npt.ArrayLike], n_pixels: int) -> Array:
     cases = np.array([np.asarray(u, dtype=np.float64) for u in use_cases])
     if cases.ndim != 2 or cases.shape[1] != n_pixels:
         shape = f"not {cases.shape}" if len(use_cases) else "but there are none"

@@ -45,7 +45,7 @@ class _Pixels(Params):
         middle = 0.5 * (s[1:] + s[:-1])
         return left + share * (right - left), 1 / (1 + self.widening * middle**2)
 
-    def _checked(self) -> Self:
+    def _left_of_right(self) -> Self:
         if self.left_deg <= self.right_deg:
             raise ValueError(f"left_deg = {self.left_deg:g} must exceed right_deg = {self.right_deg:g}: left is positive")
         return self
@@ -72,7 +72,7 @@ class GaussianPixels(_Pixels):
         for name in ("row_sigmas_deg", "peak_cd"):
             if len(getattr(self, name)) != rows:
                 raise ValueError(f"{name} has {len(getattr(self, name))} values for the {rows} rows of row_centres_deg: give one a row")
-        return self._checked()
+        return self._left_of_right()
 
     def matrix(self, grid: TexelGrid, magnification: float = 1.0) -> Matrix:
         """Headlight matrix `[n_texels, n_p]` in cd, float64, and its pixel rows and columns.
@@ -110,7 +110,7 @@ class BlurredRectangles(_Pixels):
             raise ValueError(f"top_deg = {self.top_deg:g} must exceed bottom_deg = {self.bottom_deg:g}: up is positive")
         if self.row_heights and len(self.row_heights) != self.rows:
             raise ValueError(f"row_heights has {len(self.row_heights)} values for {self.rows} rows: give one a row, or none")
-        return self._checked()
+        return self._left_of_right()
 
     def matrix(self, grid: TexelGrid, magnification: float = 1.0) -> Matrix:
         """Headlight matrix `[n_texels, n_p]` in cd, float64, and its pixel rows and columns.
@@ -192,7 +192,7 @@ def headlight(name: str, model: GaussianPixels | BlurredRectangles, grid: TexelG
     chroma = None
     if chromatic_shift:
         channels = [model.matrix(grid, 1 + 0.5 * share * chromatic_shift)[0] for share in (-1, 0, 1)]
-        matrix, chroma = _coloured(channels)
+        matrix, chroma = _luminance_and_chroma(channels)
     return Headlight(
         name=name,
         matrix=Csr.from_scipy(matrix),
@@ -208,7 +208,7 @@ def headlight(name: str, model: GaussianPixels | BlurredRectangles, grid: TexelG
     )
 
 
-def _coloured(channels: list[sp.csr_array]) -> tuple[sp.csr_array, Tensor]:
+def _luminance_and_chroma(channels: list[sp.csr_array]) -> tuple[sp.csr_array, Tensor]:
     """The luminance of three channels, and what of each channel comes with an entry `[3, nnz]`."""
     luminance = sp.csr_array(sum(weight * channel for weight, channel in zip(LUMINANCE, channels, strict=True)))
     luminance.sort_indices()

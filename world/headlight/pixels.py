@@ -54,7 +54,7 @@ class PixelArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Assembled:
+class PixelMatrix:
     """A headlight matrix and its errors against the source.
 
     matrix: `[n_texels, n_p]` cd. chroma: `[3, nnz]` or None, as Headlight has it. dropped: share of all light that was cut off.
@@ -74,7 +74,7 @@ class Assembled:
 
 def assemble(
     array: PixelArray, grid: TexelGrid, cutoff: float = CUTOFF, on_progress: Callable[[int, int], None] | None = None
-) -> Assembled:
+) -> PixelMatrix:
     """Resample every pixel onto the texture.
 
     Each pixel is a light texture (see world.photometry.texture), restricted to the texels that it can light. on_progress: called with the
@@ -90,7 +90,7 @@ def assemble(
         texel = (window[0][:, None] * grid.cols + window[1]).ravel()
         return texel, light_texture(distribution, grid, array.aim, turn, window).ravel() if len(texel) else np.empty(0)
 
-    _check_entries([light_of(pixel.distribution, pixel.turn)[1] for pixel in _sampled(array)], array, grid, cutoff)
+    _check_entries([light_of(pixel.distribution, pixel.turn)[1] for pixel in _samples(array)], array, grid, cutoff)
     probes = max(PROBES // len(array.pixels), FEWEST_PROBES)
     rows: list[NDArray[np.intp]] = []
     values: list[Array] = []
@@ -128,7 +128,7 @@ def assemble(
     entry = matrix.data.astype(np.int64) - 1
     matrix.data = np.concatenate(values)[entry]
     rmse_cd = math.sqrt(squares / solid)
-    return Assembled(
+    return PixelMatrix(
         matrix=matrix,
         chroma=np.concatenate(chroma, axis=1)[:, entry] if chroma else None,
         dropped=lost / total,
@@ -139,7 +139,7 @@ def assemble(
     )
 
 
-def _sampled(array: PixelArray) -> list[Pixel]:
+def _samples(array: PixelArray) -> list[Pixel]:
     number = len(array.pixels)
     return [array.pixels[k] for k in sorted({int((i + 0.5) * number / SAMPLED) for i in range(SAMPLED)})]
 
@@ -181,7 +181,7 @@ def default_grid(array: PixelArray) -> TexelGrid:
     farthest = math.radians(LARGEST_ANGLE_DEG)
     for pixel in array.pixels:
         directions, _, lit = _nodes(pixel.distribution, array.aim)
-        x, y, z = _turned(directions[:, lit], pixel.turn)
+        x, y, z = _turn(directions[:, lit], pixel.turn)
         aside = np.hypot(y, z)
         angle = np.arctan2(aside, x)  # from the beam axis
         if (angle < farthest).any():
@@ -201,7 +201,7 @@ def default_grid(array: PixelArray) -> TexelGrid:
 
 def border_share(distribution: Distribution) -> float:
     """Greatest intensity at the border of the measured angles, as a share of the peak; 0 if the measurement covers the full circle."""
-    v, h, candela = distribution.unfolded
+    v, h, candela = distribution.full_table
     all_round = (v[0] <= -90 if distribution.type != "C" else v[0] <= 0, v[-1] >= (180 if distribution.type == "C" else 90))
     borders = [candela[:, end] for end, closed in zip((0, -1), all_round, strict=True) if not closed]
     if distribution.type != "C":
@@ -240,7 +240,7 @@ def _window(grid: TexelGrid, axis: Array, reach: float) -> Window:
 @lru_cache(maxsize=4)
 def _nodes(distribution: Distribution, aim: Aim) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Directions `[3, V, H]` in which a distribution was measured, its cd there `[V, H]`, and where it or a neighbour shines."""
-    v, h, _ = distribution.unfolded
+    v, h, _ = distribution.full_table
     if distribution.type == "C":  # one plane may stand for all
         h = np.union1d(h, h[0] + np.arange(0.0, h[-1] - h[0], AZIMUTHS_DEG))
     v_at, h_at = np.meshgrid(v, h, indexing="ij")
@@ -263,10 +263,10 @@ def _cap(distribution: Distribution, aim: Aim) -> tuple[Array, float]:
 
 def _widest(distribution: Distribution) -> float:
     """The widest step of a distribution's angles in deg."""
-    return max(float(np.diff(angles).max(initial=0)) for angles in distribution.unfolded[:2])
+    return max(float(np.diff(angles).max(initial=0)) for angles in distribution.full_table[:2])
 
 
-def _turned(directions: Array, turn: Array | None) -> Array:
+def _turn(directions: Array, turn: Array | None) -> Array:
     return directions if turn is None else np.tensordot(turn, directions, 1)
 
 

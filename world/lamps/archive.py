@@ -15,7 +15,7 @@ from pydantic import ConfigDict, Field, ValidationError, model_validator
 from torch import Tensor
 
 from luxloop.world.arrays import Arrays, read_npz, write_npz
-from luxloop.world.errors import LuxloopError, located
+from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import afford, reading, whole
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp, Module
@@ -107,7 +107,7 @@ def load(path: Path) -> Lamp:
     with reading(path, "damaged, or no lamp file of luxloop", "build it again with `luxloop headlight build`"):
         arrays = read_npz(path)
         header = _header(path, arrays)
-        with located(str(path)):
+        with locate(str(path)):
             return _lamp(header, arrays)
 
 

@@ -13,7 +13,7 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from luxloop.world.errors import LuxloopError, did_you_mean, located
+from luxloop.world.errors import LuxloopError, did_you_mean, locate
 from luxloop.world.files import files_at
 from luxloop.world.headlight.lamp import Lamp
 from luxloop.world.headlight.sources import SUFFIXES, FileSource
@@ -25,7 +25,7 @@ from luxloop.world.params import Params
 from luxloop.world.photometry import Distribution
 from luxloop.world.photometry.distribution import Array
 from luxloop.world.regulation.tables import Traffic
-from luxloop.world.validation import read_toml, validated
+from luxloop.world.validation import read_toml, validate_model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,8 +105,8 @@ def describe(path: Path) -> LampDescription:
 
 def validate(data: Mapping[str, Any], source: str) -> LampDescription:
     """Check a description given as plain data. Raises LuxloopError that names the source, the key and the remedy."""
-    with located(source):
-        return validated(LampDescription, data, "`luxloop new --like lamp.toml` copies a complete file")
+    with locate(source):
+        return validate_model(LampDescription, data, "`luxloop new --like lamp.toml` copies a complete file")
 
 
 def build(path: Path, side: Side = "left", on_progress: Progress | None = None) -> tuple[Lamp, tuple[ModuleReport, ...]]:
@@ -130,7 +130,7 @@ def build(path: Path, side: Side = "left", on_progress: Progress | None = None) 
             built.append(build_module(params, folder, use_cases, progress))
         except LuxloopError as error:
             raise LuxloopError(f"{path}: module {params.name!r}: {error}") from error
-    modules = tuple(module if side == "left" else module.mirrored() for module, _ in built)
+    modules = tuple(module if side == "left" else module.mirror() for module, _ in built)
     bare = Lamp(description.name, modules, notes=description.notes)
     given = {name: _beam(bare, files, folder) for name, files in description.beams.given.items()}
     # A chain writes to its first map alone, and fits the beams of the second when it is asked for them.
@@ -184,7 +184,7 @@ def load_lamp(name: str | Path, side: Side = "left") -> Lamp:
     if suffix == ".toml":
         return build(path, side)[0]
     lamp = archive.load(path) if suffix == ".npz" else _of_one_pixel(path)
-    return lamp if side == "left" else replace(lamp, modules=tuple(module.mirrored() for module in lamp.modules))
+    return lamp if side == "left" else replace(lamp, modules=tuple(module.mirror() for module in lamp.modules))
 
 
 def for_traffic(lamp: Lamp, traffic: Traffic) -> Lamp:

@@ -32,10 +32,10 @@ def fit(lamp: Lamp, pattern: Pattern, traffic: Traffic = "right") -> tuple[Tenso
     The limits of the pattern's rules take precedence over its form if the lamp can meet those within its field
     (`luxloop.check_beam`). traffic: on the left, the pattern and its rules are mirrored.
     """
-    return Sampled(lamp).fit(pattern, traffic)
+    return LampFit(lamp).fit(pattern, traffic)
 
 
-class Sampled:
+class LampFit:
     """Light of a lamp's pixels, sampled in one direction or more per pixel over each module's field."""
 
     def __init__(self, lamp: Lamp) -> None:
@@ -62,15 +62,15 @@ class Sampled:
         """Start of the fit: for each pixel the mean share of the wanted light in its directions; smooth, as the solver keeps what does not
         matter.
         """
-        possible = multiply(self.matrix.transposed, self.full)
-        return torch.where(possible > 0, multiply(self.matrix.transposed, target) / possible, 0.0).clamp(0, 1)
+        possible = multiply(self.matrix.transpose, self.full)
+        return torch.where(possible > 0, multiply(self.matrix.transpose, target) / possible, 0.0).clamp(0, 1)
 
     def _handover(self, target: Tensor) -> Tensor:
         """Upper bounds of utilisations: towards its module's border a pixel fades out as far as other modules can replace it.
 
         Otherwise the module's edge and the coarser light of other modules beside it would show as a seam.
         """
-        mean = self.matrix.transposed
+        mean = self.matrix.transpose
         lit = multiply(mean, torch.ones(len(target))).clamp(min=1e-6)
         wanted = multiply(mean, target) / lit
         start, uppers = 0, []

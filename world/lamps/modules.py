@@ -20,8 +20,8 @@ from luxloop.world.headlight.parametric import BlurredRectangles, GaussianPixels
 from luxloop.world.headlight.pixels import (
     CUTOFF,
     TEXELS_A_PIXEL,
-    Assembled,
     PixelArray,
+    PixelMatrix,
     affordable,
     assemble,
     border_share,
@@ -156,7 +156,7 @@ class ModuleReport:
     """Report on how a module reproduces its source.
 
     entries_per_texel: before and after overlap reduction. dropped: share of the light below `cutoff`, flux, peak, rmse and rmse_cd: against
-    the source (see world.headlight.pixels.Assembled); all None where the source is no measurement. overlap: None where nothing was reduced.
+    the source (see headlight.pixels.PixelMatrix); all None where the source is no measurement. overlap: None where nothing was reduced.
     """
 
     name: str
@@ -187,7 +187,7 @@ def build_module(
     if _dark(full):
         raise LuxloopError(f"its source lights no texel of the texture ({describe(full)}); widen the texture, or look at the source")
     if params.overlap is not None:
-        light, overlap = _reduced(full, params.overlap, use_cases(full.pixel_rows, full.pixel_cols))
+        light, overlap = _reduce_overlap(full, params.overlap, use_cases(full.pixel_rows, full.pixel_cols))
         if _dark(light):
             raise LuxloopError(
                 f"overlap: bound_cd = {params.overlap.bound_cd:g} leaves no light; the brightest texel has {full.peak_cd:g} cd"
@@ -216,7 +216,7 @@ def _dark(light: Headlight) -> bool:
     return not bool((light.matrix.values > DARK_CD).any())
 
 
-def _with_light(params: ModuleParams, folder: Path, on_progress: Progress | None) -> tuple[Module, Assembled | None]:
+def _with_light(params: ModuleParams, folder: Path, on_progress: Progress | None) -> tuple[Module, PixelMatrix | None]:
     """The module as its source gives it, and how true that is to what was measured."""
     source = params.source
     if isinstance(source, PresetSource):
@@ -271,7 +271,7 @@ def warn_of_oddities(source: FolderSource | FileSource | TableSource, array: Pix
         )
 
 
-def _reduced(light: Headlight, params: OverlapParams, given: Sequence[Array]) -> tuple[Headlight, OverlapErrors]:
+def _reduce_overlap(light: Headlight, params: OverlapParams, given: Sequence[Array]) -> tuple[Headlight, OverlapErrors]:
     """With fewer entries, judged by random utilisations that were not fitted."""
     fitted, judged = ([*standard_use_cases(light.pixel_rows, light.pixel_cols, seed=seed), *given] for seed in (0, 1))
     matrix = reduce(light.matrix, params.keep, params.method, fitted, params.bound_cd)

@@ -201,5 +201,5 @@ def lamp(name: str, side: Literal["left", "right"] = "left", chromatic_shift: fl
         raise LuxloopError(f"a lamp's side is 'left' or 'right', not {side!r}")
     _, build, notes = _LAMPS[name]
     modules = build(chromatic_shift)
-    bare = Lamp(name, modules if side == "left" else tuple(module.mirrored() for module in modules), notes=notes)
+    bare = Lamp(name, modules if side == "left" else tuple(module.mirror() for module in modules), notes=notes)
     return replace(bare, beams=FittedBeams(bare))

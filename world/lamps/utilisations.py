@@ -15,7 +15,7 @@ from luxloop.world.arrays import read_npy, read_npz
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import afford, content, reading
 from luxloop.world.headlight.sources import separators
-from luxloop.world.images import decoded
+from luxloop.world.images import decode
 from luxloop.world.photometry.distribution import Array
 from luxloop.world.symbols import FOLDER_HZ, VIDEOS, frame_at, video
 
@@ -143,7 +143,7 @@ def _csv(path: Path) -> Array:
 
 
 def _png(path: Path) -> Array:
-    image = decoded(content(path), str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+    image = decode(content(path), str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
     if image is None:
         raise ValueError("no picture")
     return np.asarray(image, np.float64) / (65535 if image.dtype == np.uint16 else 255)

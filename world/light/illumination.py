@@ -234,7 +234,7 @@ class DirectTransport:
         if not (texture.requires_grad or bool(texture.any())):
             nothing = texture.new_empty(0)
             return texture.new_empty(*texture.shape[:-2], 0), nothing.long(), nothing
-        surface = self.surface if band is None or texture.requires_grad else self._reached(texture)
+        surface = self.surface if band is None or texture.requires_grad else self._part_of_surface(texture)
         lx = illuminance(surface, texture)
         lit = torch.arange(len(surface.index), device=lx.device)
         if not lx.requires_grad:
@@ -250,13 +250,13 @@ class DirectTransport:
         if band is not None and band.stop <= band.start:
             return utilisation.new_zeros(*utilisation.shape[:-1], 0), torch.empty(0, dtype=torch.int64, device=utilisation.device)
         lx, samples, factor = self.illuminance(utilisation, band)
-        luminance, pixels = self.reflected(lx, factor), self.pixel(samples)
+        luminance, pixels = self.reflect(lx, factor), self.pixel(samples)
         if within is None:
             return luminance, pixels
         kept = (pixels >= within.start) & (pixels < within.stop)
         return luminance[..., kept], pixels[kept]
 
-    def reflected(self, lx: Tensor, luminance_factor: Tensor) -> Tensor:
+    def reflect(self, lx: Tensor, luminance_factor: Tensor) -> Tensor:
         """Luminance `[..., m]` in cd/m^2 that samples of an illuminance `[..., m]` add to their pixels."""
         return lx * luminance_factor / (math.pi * self.oversampling)
 
@@ -268,7 +268,7 @@ class DirectTransport:
         """Which samples `[m]` stand for their pixel's centre, `[m]` bool."""
         return samples // self.width % self.oversampling == self.oversampling // 2
 
-    def _reached(self, texture: Tensor) -> LitSurface:
+    def _part_of_surface(self, texture: Tensor) -> LitSurface:
         """What a light texture `[..., rows, cols]` reaches of which a part is lit."""
         lit = (texture != 0).view(-1, *texture.shape[-2:]).any(0)
         ends = (torch.nonzero(lit.any(dim))[:, 0].tolist() or [0] for dim in (1, 0))

@@ -53,7 +53,7 @@ class Material:
         """`1 - cos` of the lobe's width."""
         return 2 * math.sin(math.radians(self.retro_width_deg) / 2) ** 2
 
-    def darkened(self, albedo: Tensor) -> Tensor:
+    def darken(self, albedo: Tensor) -> Tensor:
         """Albedo under the interface: of what is scattered up, a share is thrown back and scattered again (Lekner & Dorf 1988)."""
         below = albedo * (1 - self.trapped) / (1 - self.trapped * albedo)
         return torch.lerp(albedo, below, self.interface)

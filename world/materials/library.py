@@ -114,7 +114,7 @@ class RoadSurfaceParams(Params):
     @property
     def seen_albedo(self) -> float:
         """Mean albedo of the asphalt in its current state, wet or dry, without markings."""
-        return float(self.ground.darkened(torch.tensor(self.albedo, dtype=torch.float64)))
+        return float(self.ground.darken(torch.tensor(self.albedo, dtype=torch.float64)))
 
     def texture(self) -> Texture:
         """A tile of 36 x 18 m, or 36 x 54 m with markings, 2 cm a texel, centred on y = 0, whose opposite edges match."""
@@ -138,7 +138,7 @@ class RoadSurfaceParams(Params):
             broken = (np.abs(y - self.lane_width_m / 2) < 0.06)[None] & ((x % 9) < 3)[:, None]
             painted = solid[None] | broken
             albedo = np.where(painted, (0.6 + albedo - self.albedo).clip(0, 1), albedo)
-        seen = self.ground.darkened(torch.from_numpy(albedo.astype(np.float32)))
+        seen = self.ground.darken(torch.from_numpy(albedo.astype(np.float32)))
         origin_m = (0.0, -n_y * texel_m / 2)
         if not self.markings:
             return Texture(seen, texel_m, origin_m, (self.ground,), names=(self.ground_name,))
@@ -220,22 +220,22 @@ class SpottedTexture:
         """Albedo, float32 in the shape of x and y (m, body frame)."""
         shape, x, y = x.shape, x.flatten(), y.flatten()
         albedo = self._around.at(x, y)
-        for spot, there in zip(self.spots, self._covered(x, y), strict=True):
+        for spot, there in zip(self.spots, self._covers(x, y), strict=True):
             dry = self._dry.at(x[there], y[there]) * spot.albedo_factor
-            albedo[there] = self._material(spot).darkened(dry.clamp(max=1))
+            albedo[there] = self._material(spot).darken(dry.clamp(max=1))
         return albedo.view(shape)
 
     def material_at(self, x: Tensor, y: Tensor) -> Tensor:
         """Which of the materials is there, int64 in the shape of x and y (m, body frame)."""
         shape, x, y = x.shape, x.flatten(), y.flatten()
         number = self._around.material_at(x, y)
-        for k, (spot, there) in enumerate(zip(self.spots, self._covered(x, y), strict=True), len(self._around.materials)):
+        for k, (spot, there) in enumerate(zip(self.spots, self._covers(x, y), strict=True), len(self._around.materials)):
             if spot.material is not None:
                 number[there] = k
         return number.view(shape)
 
     @cached_property
-    def _covered(self) -> Callable[[Tensor, Tensor], tuple[Tensor, ...]]:
+    def _covers(self) -> Callable[[Tensor, Tensor], tuple[Tensor, ...]]:
         return keeping(1, self._covered_of)  # for albedo and material of the same points
 
     def _covered_of(self, x: Tensor, y: Tensor) -> tuple[Tensor, ...]:

@@ -54,7 +54,7 @@ class Crg:
         return self.u_start + self.u_step * (len(self.z) - 1)
 
 
-def filled(crg: Crg, offset_m: float = 0.0) -> Crg:
+def fill_gaps(crg: Crg, offset_m: float = 0.0) -> Crg:
     """Replace every NaN by the nearest valid elevation of its cross-section plus `offset_m`; an empty one takes its neighbour's."""
     valid = np.isfinite(crg.z)
     rows = np.flatnonzero(valid.any(axis=1))

@@ -185,7 +185,7 @@ def _read(path: Path, depth: int) -> Crg:
     modifiers = header.numbers("ROAD_CRG_MODS") if "ROAD_CRG_MODS" in header.sections else None
     comment = "\n".join(text for _, text in header.sections.get("CT", []))
     if "ROAD_CRG_FILE" in header.sections:
-        inner = _referenced(header, depth)
+        inner = _follow_reference(header, depth)
         if inner.modifiers is not None or modifiers is not None:
             modifiers = {**(inner.modifiers or {}), **(modifiers or {})}
         return replace(inner, options={**inner.options, **options}, modifiers=modifiers, comment=comment)
@@ -229,7 +229,7 @@ def _read(path: Path, depth: int) -> Crg:
     )
 
 
-def _referenced(header: Header, depth: int) -> Crg:
+def _follow_reference(header: Header, depth: int) -> Crg:
     lines = header.sections["ROAD_CRG_FILE"]
     named = "".join(text for _, text in lines)
     if not named or "$" in named:

@@ -14,7 +14,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-from luxloop.world.opencrg.crg import filled
+from luxloop.world.opencrg.crg import fill_gaps
 
 Floats = NDArray[np.float64]
 NO_VALUE, ZERO, KEEP, REPEAT, MIRROR = range(5)
@@ -41,7 +41,7 @@ class CrgSurface:
         ends = [crg.road.get(f"reference_line_end_{axis}") for axis in "xy"]
         mixing = np.arange(1, n) / (n - 1)
         end = np.array(ends) if crg.phi is not None and None not in ends else None
-        self.points: Floats = _integrated(start, steps, end, mixing)  # [n, 2]
+        self.points: Floats = _integrate(start, steps, end, mixing)  # [n, 2]
         self.heights = self._line_heights(mixing)  # [n]
         self.banking = np.full(n, crg.line("start_b")) if crg.banking is None else crg.banking
         self._check()
@@ -68,7 +68,7 @@ class CrgSurface:
             return np.full(n, start)
         steps = self.u_step * (np.full(n, slope) if crg.slope is None else crg.slope)[1:, None]
         end = crg.road.get("reference_line_end_z")
-        heights = _integrated(np.array([start]), steps, None if end is None else np.array([end]), mixing - 1 / (n - 1))[:, 0]
+        heights = _integrate(np.array([start]), steps, None if end is None else np.array([end]), mixing - 1 / (n - 1))[:, 0]
         if end is not None:
             heights[-1] = end
         return cast(Floats, heights)
@@ -80,7 +80,7 @@ class CrgSurface:
         closes = directions[0] @ directions[1] > 0.5 and all(across @ direction >= 0 for direction in directions)
         return float(across @ directions[1]) if asked and closes else None
 
-    def _wrapped(self, u: Floats) -> Floats:
+    def _wrap(self, u: Floats) -> Floats:
         if self._gap is None:
             return u
         first = self.u_start - self._gap / 2
@@ -89,9 +89,9 @@ class CrgSurface:
     def z(self, u: ArrayLike, v: ArrayLike) -> Floats:
         """Elevation in m; NaN in a cell with a NaN corner, and beyond the border in border mode 0."""
         options = self.crg.options
-        u, v = np.broadcast_arrays(self._wrapped(np.asarray(u, np.float64)), np.asarray(v, np.float64))
-        u, u_mode, u_out = _bordered(u, self.u_start, self.u_end, options.get("border_mode_u", KEEP))
-        v, v_mode, v_out = _bordered(v, self.crg.v[0], self.crg.v[-1], options.get("border_mode_v", KEEP))
+        u, v = np.broadcast_arrays(self._wrap(np.asarray(u, np.float64)), np.asarray(v, np.float64))
+        u, u_mode, u_out = _border(u, self.u_start, self.u_end, options.get("border_mode_u", KEEP))
+        v, v_mode, v_out = _border(v, self.crg.v[0], self.crg.v[-1], options.get("border_mode_v", KEEP))
         i, a = self._cell(u)
         grid_v = self.crg.v
         j = np.clip(np.searchsorted(grid_v, v, side="right") - 1, 0, len(grid_v) - 2)
@@ -105,9 +105,9 @@ class CrgSurface:
                 z = np.where(out, 0.0 if mode == ZERO else np.nan, z)
             if mode in (ZERO, KEEP):
                 z = np.where(out, z + options.get(key, 0.0), z)
-        return self._smoothed(u, z)
+        return self._smooth(u, z)
 
-    def _smoothed(self, u: Floats, z: Floats) -> Floats:
+    def _smooth(self, u: Floats, z: Floats) -> Floats:
         ends = (("border_smooth_ubeg", u - self.u_start, self.heights[0]), ("border_smooth_uend", self.u_end - u, self.heights[-1]))
         for key, inside, height in ends:
             if self.crg.options.get(key, 0.0) > 0:
@@ -121,7 +121,7 @@ class CrgSurface:
 
     def xy(self, u: ArrayLike, v: ArrayLike) -> tuple[Floats, Floats]:
         """Position of a grid coordinate in m; straight on beyond the ends."""
-        u, v = np.broadcast_arrays(self._wrapped(np.asarray(u, np.float64)), np.asarray(v, np.float64))
+        u, v = np.broadcast_arrays(self._wrap(np.asarray(u, np.float64)), np.asarray(v, np.float64))
         i, a = self._cell(u)
         p0, p1, p2, p3 = self._neighbours(i)
         normal = _left(p2 - p1)
@@ -139,7 +139,7 @@ class CrgSurface:
 
     def phi(self, u: ArrayLike) -> Floats:
         """Heading of the reference line at u in rad, `START_PHI` and `END_PHI` at its ends."""
-        u = self._wrapped(np.asarray(u, np.float64))
+        u = self._wrap(np.asarray(u, np.float64))
         i, _ = self._cell(u)
         direction = self.points[i + 1] - self.points[i]
         inside = np.where(u >= self.u_end, self._phi_ends[1], np.arctan2(direction[..., 1], direction[..., 0]))
@@ -194,14 +194,14 @@ class CrgSurface:
             phi, offset = self._phi_ends[end], p - self.points[-end]
             u = np.where(beyond, u_at + offset[..., 0] * np.cos(phi) + offset[..., 1] * np.sin(phi), u)
             v = np.where(beyond, offset[..., 1] * np.cos(phi) - offset[..., 0] * np.sin(phi), v)
-        return self._wrapped(u), v
+        return self._wrap(u), v
 
     def _neighbours(self, i: NDArray[np.intp]) -> tuple[Floats, Floats, Floats, Floats]:
         points, last = self.points, len(self.points) - 1
         return points[np.maximum(i - 1, 0)], points[i], points[i + 1], points[np.minimum(i + 2, last)]
 
 
-def _integrated(start: Floats, steps: Floats, end: Floats | None, mixing: Floats) -> Floats:
+def _integrate(start: Floats, steps: Floats, end: Floats | None, mixing: Floats) -> Floats:
     """Points from a start and steps `[n - 1, d]`; with an end given the misfit of the backward line fades out as the mixing grows."""
     forward = np.concatenate([start[None], start + np.cumsum(steps, axis=0)])
     if end is None:
@@ -212,7 +212,7 @@ def _integrated(start: Floats, steps: Floats, end: Floats | None, mixing: Floats
     return cast(Floats, backward + shrink[:, None] * (start - backward[0]))
 
 
-def _bordered(value: Floats, low: float, high: float, mode: float) -> tuple[Floats, int, NDArray[np.bool_]]:
+def _border(value: Floats, low: float, high: float, mode: float) -> tuple[Floats, int, NDArray[np.bool_]]:
     outside = (value < low) | (value > high)
     if mode == REPEAT:
         value = np.where(outside, low + np.mod(value - low, high - low), value)
@@ -244,15 +244,15 @@ Point = tuple[float, float]
 NAN_KEEP, NAN_ZERO, NAN_LAST = range(3)
 
 
-def modified(crg: Crg, modifiers: Mapping[str, float] | None = None) -> Crg:
+def modify(crg: Crg, modifiers: Mapping[str, float] | None = None) -> Crg:
     """The grid after `modifiers`, or after the file's own (the libraries' defaults where it has none). Order: scale, NaN, position."""
     own = LIBRARY_DEFAULTS if crg.modifiers is None else crg.modifiers
     mods = own if modifiers is None else modifiers
-    crg = replace(_with_nan_handled(_scaled(crg, mods), mods), modifiers={})
+    crg = replace(_handle_nan(_scale_grid(crg, mods), mods), modifiers={})
     if any(key.startswith("refpoint_") for key in mods):
-        return _moved(crg, *_to_reference_point(crg, mods))
+        return _move(crg, *_to_reference_point(crg, mods))
     if any(key.startswith("refline_offset_") for key in mods):
-        return _moved(
+        return _move(
             crg,
             turn=mods.get("refline_offset_phi", 0.0),
             about=(mods.get("refline_rotcenter_x", crg.line("start_x")), mods.get("refline_rotcenter_y", crg.line("start_y"))),
@@ -261,7 +261,7 @@ def modified(crg: Crg, modifiers: Mapping[str, float] | None = None) -> Crg:
     return crg
 
 
-def _scaled(crg: Crg, mods: Mapping[str, float]) -> Crg:
+def _scale_grid(crg: Crg, mods: Mapping[str, float]) -> Crg:
     line = dict(crg.road)
     z = crg.z * mods.get("scale_z_grid", 1.0)
     slope_scale, banking_scale = mods.get("scale_slope", 1.0), mods.get("scale_banking", 1.0)
@@ -304,7 +304,7 @@ def _scale(line: dict[str, float], factor: float, *keys: str) -> None:
             line[key] *= factor
 
 
-def _with_nan_handled(crg: Crg, mods: Mapping[str, float]) -> Crg:
+def _handle_nan(crg: Crg, mods: Mapping[str, float]) -> Crg:
     if "grid_nan_mode" not in mods and "grid_nan_offset" not in mods:
         return crg
     mode, offset = mods.get("grid_nan_mode", NAN_LAST), mods.get("grid_nan_offset", 0.0)
@@ -312,7 +312,7 @@ def _with_nan_handled(crg: Crg, mods: Mapping[str, float]) -> Crg:
         raise CrgError(f"{crg.source}: GRID_NAN_MODE = {mode:g} is unknown; use 0 (keep), 1 (zero) or 2 (last valid value)")
     if mode == NAN_ZERO:
         return replace(crg, z=np.where(np.isfinite(crg.z), crg.z, offset))
-    return filled(crg, offset) if mode == NAN_LAST else crg
+    return fill_gaps(crg, offset) if mode == NAN_LAST else crg
 
 
 def _to_reference_point(crg: Crg, mods: Mapping[str, float]) -> tuple[float, Point, tuple[float, float, float]]:
@@ -334,7 +334,7 @@ def _to_reference_point(crg: Crg, mods: Mapping[str, float]) -> tuple[float, Poi
     return target[3] - float(surface.phi(u)), (x, y), (target[0] - x, target[1] - y, target[2] - z)
 
 
-def _moved(crg: Crg, turn: float, about: Point, shift: tuple[float, float, float]) -> Crg:
+def _move(crg: Crg, turn: float, about: Point, shift: tuple[float, float, float]) -> Crg:
     """Turn by `turn` rad about a point, then shift by `[3]` m."""
     line = dict(crg.road)
     cos, sin = math.cos(turn), math.sin(turn)

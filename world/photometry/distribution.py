@@ -56,7 +56,7 @@ class Distribution:
             raise LuxloopError(f"distribution: luminous intensities must be finite and not negative, {BRIGHTEST_CD:g} cd at most")
 
     @cached_property
-    def unfolded(self) -> tuple[Array, Array, Array]:
+    def full_table(self) -> tuple[Array, Array, Array]:
         """Vertical `[V']` and horizontal angles `[H']` in deg, and candela `[H', V']`, of the whole table without symmetry."""
         v, h, candela = self.vertical_deg, self.horizontal_deg, self.candela
         if len(h) == 1:
@@ -73,12 +73,12 @@ class Distribution:
     @property
     def complete(self) -> bool:
         """Whether a type C distribution covers every azimuth; types A and B count as complete."""
-        _, h, _ = self.unfolded
+        _, h, _ = self.full_table
         return self.type != "C" or h[-1] - h[0] >= 360 - _BEYOND_DEG
 
     def at(self, vertical_deg: ArrayLike, horizontal_deg: ArrayLike) -> Array:
         """Luminous intensity in cd at angles `[...]` in deg: bilinear in the table, symmetry unfolded, zero beyond it."""
-        v, h, candela = self.unfolded
+        v, h, candela = self.full_table
         v_at, h_at = np.asarray(vertical_deg, np.float64), np.asarray(horizontal_deg, np.float64)
         if self.type == "C":
             h_at = h[0] + np.mod(h_at - h[0], 360.0)
@@ -99,7 +99,7 @@ class Distribution:
     @cached_property
     def luminous_flux(self) -> float:
         """Flux in lm: the exact integral of what `at` returns over the sphere."""
-        v, h, candela = (np.deg2rad(each) if each.ndim == 1 else each for each in self.unfolded)
+        v, h, candela = (np.deg2rad(each) if each.ndim == 1 else each for each in self.full_table)
         if self.type == "B":
             return float(_cosine_weights(h) @ candela @ _trapezoid_weights(v))
         elevation = v - np.pi / 2 if self.type == "C" else v

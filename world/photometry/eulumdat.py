@@ -92,7 +92,7 @@ def parse(text: str, path: Path) -> Photometry:
         raise PhotometryError(f"{path}, line {len(body)}: expected C plane 1 of {n_c} on line {first}, found the file's end")
     numbers = Numbers(path, body[-1], first, comma=".")
     c = numbers.ascending(n_c, "C plane", 0.0, 360.0)
-    planes = _stored(symmetry, c, numbers)
+    planes = _planes(symmetry, c, numbers)
     gamma = numbers.ascending(n_gamma, "angle gamma", *VERTICAL_RANGE["C"])
     table = numbers.many(len(planes) * n_gamma, "value in cd/klm")
     if (table < 0).any():
@@ -133,7 +133,7 @@ def has_counts(text: str) -> bool:
     return _COUNTS.match(text) is not None
 
 
-def _stored(symmetry: int, c: Array, numbers: Numbers) -> Array:
+def _planes(symmetry: int, c: Array, numbers: Numbers) -> Array:
     """The planes that a symmetry stores: all (0), one (1), C0 to C180 (2), C270 through C0 to C90 (3), C0 to C90 (4).
 
     C360, where it is counted, is C0.

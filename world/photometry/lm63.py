@@ -197,11 +197,11 @@ def write(path: str | Path, distribution: Distribution, keywords: Mapping[str, s
     code = next(code for code, kind in _TYPES.items() if kind == distribution.type)
     # One lamp of unknown flux; an opening of no size, in metres. 1.00001: how the file came about is not told.
     head = ["IES:LM-63-2019", *labels, "TILT=NONE", f"1 -1 1 {len(v)} {len(h)} {code} 2 0 0 0", "1 1.00001 0"]
-    lines = [line for values in (v, h, *distribution.candela) for line in _wrapped(values)]
+    lines = [line for values in (v, h, *distribution.candela) for line in _lines(values)]
     with whole(Path(path)) as part:
         part.write_bytes("\r\n".join([*head, *lines, ""]).encode())
 
 
-def _wrapped(values: NDArray[np.float64]) -> Iterator[str]:
+def _lines(values: NDArray[np.float64]) -> Iterator[str]:
     for start in range(0, len(values), _PER_LINE):
         yield " ".join(f"{value:.9g}" for value in values[start : start + _PER_LINE])

@@ -60,11 +60,11 @@ def samples(distribution: Distribution, v_deg: Array, h_deg: Array) -> tuple[NDA
 
     Few numbers (2, 3, 4, 6, 8, 12 and so on), so that many texels can be averaged together v_deg and h_deg: see angles_about.
     """
-    v, h, candela = distribution.unfolded
+    v, h, candela = distribution.full_table
     if distribution.type == "C":
         h_deg = h[0] + np.mod(h_deg - h[0], 360.0)
-    v_at, h_at = _counted(v_deg, v, candela.T), _counted(h_deg, h, candela)
-    turn = _counted(h, h, candela)[-1] if distribution.type == "C" and distribution.complete else np.inf
+    v_at, h_at = _table_steps(v_deg, v, candela.T), _table_steps(h_deg, h, candela)
+    turn = _table_steps(h, h, candela)[-1] if distribution.type == "C" and distribution.complete else np.inf
     counts = []
     for axis, inner in ((1, slice(1, -1)), (0, slice(1, -1))):
         dv, dh = np.abs(np.diff(v_at, axis=axis)), np.abs(np.diff(h_at, axis=axis))
@@ -115,7 +115,7 @@ def squared_error(
 @lru_cache(maxsize=4)
 def _probes(distribution: Distribution, aim: Aim, number: int) -> tuple[Array, Array, float]:
     """Directions `[3, N]` into which a distribution shines, its cd there `[N]`, and the solid angle of each in sr."""
-    v, h, candela = distribution.unfolded
+    v, h, candela = distribution.full_table
     # Additive recurrence with the reciprocals of the plastic number: as even as a grid, without its rows.
     across, up = (np.arange(number) * share % 1.0 for share in (0.7548776662466927, 0.5698402909980532))
     (v0, v1), (h0, h1) = _lit(v, candela.T), _lit(h, candela)
@@ -157,7 +157,7 @@ def _centres(n: int) -> Array:
     return (np.arange(n) + 0.5) / n
 
 
-def _counted(x: Array, nodes: Array, light: Array) -> Array:
+def _table_steps(x: Array, nodes: Array, light: Array) -> Array:
     """Where angles lie in the table, counted in its steps; its edges count as more where light stops at once. light: `[nodes, ...]`."""
     count = np.append(0.0, np.cumsum(np.where(np.diff(nodes) <= EDGE_DEG, EDGE_STEPS, 1)))
     before, behind = (EDGE_STEPS if each.any() else 0 for each in (light[0], light[-1]))

@@ -144,13 +144,13 @@ def check_beam(
     for an unknown id.
     """
     rules = rule_set(set_id)
-    seen = aimed(intensity, aim, traffic)
+    seen = turn_lamp(intensity, aim, traffic)
     results = evaluate(seen, rules, conditional, step_deg) + judge_cutoff(seen, rules)
     sign = -1.0 if traffic == "left" else 1.0
     return tuple(replace(each, where=each.where and (sign * each.where[0], each.where[1])) for each in results)
 
 
-def aimed(intensity: Intensity, aim: Point, traffic: Traffic = "right") -> Intensity:
+def turn_lamp(intensity: Intensity, aim: Point, traffic: Traffic = "right") -> Intensity:
     """The intensity in photometry's directions, for traffic on the right, of a lamp turned by aim `(h, v)` in deg to the right and up."""
     h, v = torch.deg2rad(torch.tensor(aim, dtype=torch.float64))
     R_photometry_lamp = rotation(torch.zeros_like(h), -v, -h)
@@ -161,15 +161,15 @@ def aimed(intensity: Intensity, aim: Point, traffic: Traffic = "right") -> Inten
 def evaluate(intensity: Intensity, rules: RuleSet, conditional: bool = False, step_deg: float = STEP_DEG) -> tuple[Result, ...]:
     """All requirements but those on the cut-off. Two calls of intensity: everywhere, then finer where zones are worst."""
     samples = [samples_of(each, step_deg) for each in rules.requirements]
-    values = _seen(intensity, samples)
+    values = _values_at(intensity, samples)
     finer = [_finer(*each, step_deg) for each in zip(rules.requirements, samples, values, strict=True)]
-    values = [torch.cat(pair) for pair in zip(values, _seen(intensity, finer), strict=True)]
+    values = [torch.cat(pair) for pair in zip(values, _values_at(intensity, finer), strict=True)]
     samples = [torch.cat(pair, 1) for pair in zip(samples, finer, strict=True)]
     found = {each.id: _value(each, *at) for each, *at in zip(rules.requirements, samples, values, strict=True)}
     return tuple(_result(each, found, rules, conditional) for each in rules.requirements)
 
 
-def _seen(intensity: Intensity, samples: list[Tensor]) -> list[Tensor]:
+def _values_at(intensity: Intensity, samples: list[Tensor]) -> list[Tensor]:
     return list(intensity(direction(*torch.cat(samples, 1))).split([each.shape[1] for each in samples]))
 
 
@@ -244,16 +244,16 @@ def aim_beam(intensity: Intensity, set_id: str, *, traffic: Traffic = "right") -
     LuxloopError for an unknown id.
     """
     rules = rule_set(set_id)
-    seen = aimed(intensity, (0.0, 0.0), traffic)
+    seen = turn_lamp(intensity, (0.0, 0.0), traffic)
 
-    def judged(turn: Point, step_deg: float) -> tuple[bool, float]:
-        turned = aimed(seen, turn)
+    def evaluate_aim(turn: Point, step_deg: float) -> tuple[bool, float]:
+        turned = turn_lamp(seen, turn)
         results = evaluate(turned, rules, step_deg=step_deg) + judge_cutoff(turned, rules)
         return passes(results), least_margin(results)
 
     best = _nominal(seen, rules)
-    if not judged(best, STEP_DEG)[0]:
-        passing = [(margin, turn) for turn in _within(best, rules) for passed, margin in [judged(turn, SEARCH_STEP_DEG)] if passed]
+    if not evaluate_aim(best, STEP_DEG)[0]:
+        passing = [(margin, turn) for turn in _within(best, rules) for passed, margin in [evaluate_aim(turn, SEARCH_STEP_DEG)] if passed]
         best = max(passing)[1] if passing else best
     return (-best[0] if traffic == "left" else best[0], best[1])
 
@@ -262,7 +262,7 @@ def _nominal(seen: Intensity, rules: RuleSet) -> Point:
     if rules.cutoff:
         edge = max(rules.cutoff, key=lambda each: inflection(seen, each.scan_h_deg, each.at_v_deg).sharpness)
         v = edge.at_v_deg - inflection(seen, edge.scan_h_deg, edge.at_v_deg).v_deg
-        return (_sideways(aimed(seen, (0.0, v)), edge) if edge.shoulder else 0.0), v
+        return (_sideways(turn_lamp(seen, (0.0, v)), edge) if edge.shoulder else 0.0), v
     return _to_maximum(seen) if rules.beam == "high" else (0.0, 0.0)
 
 

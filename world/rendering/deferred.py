@@ -15,7 +15,7 @@ from luxloop.world.frames import View, inverse
 from luxloop.world.partial import Part
 from luxloop.world.rendering.rasterise import FAR_M, NEAR_M, context
 from luxloop.world.scene.body import Body
-from luxloop.world.scene.triangles import Placed, Triangles
+from luxloop.world.scene.triangles import Instance, Triangles
 
 PART_BITS = 6  # of a body: its number and that of a part share a float of 24 bits
 MOST_PARTS = 2**PART_BITS
@@ -50,7 +50,7 @@ class DeferredRenderer:
         """Raises NoOpenGL."""
         context()
         self._arrays: WeakKeyDictionary[Body, tuple[int, int]] = WeakKeyDictionary()
-        self._still: dict[tuple[float, ...], tuple[tuple[Placed, ...], Tensor | None]] = {}  # by the numbers of a view and its part
+        self._still: dict[tuple[float, ...], tuple[tuple[Instance, ...], Tensor | None]] = {}  # by the numbers of a view and its part
 
     def fragments(self, triangles: Triangles, view: View, part: Part | None = None) -> Fragments:
         """Draw the triangles as `view` sees them, or a part of that to the same bits."""
@@ -61,7 +61,7 @@ class DeferredRenderer:
         z = (object_id >= 0).float().sub_(x * x).sub_(y * y).clamp_(min=0).sqrt_().copysign_(-number)
         return Fragments(depth, torch.stack([x, y, z]), object_id, code.bitwise_and_(MOST_PARTS - 1))
 
-    def _image(self, placed: tuple[Placed, ...], view: View, part: Part) -> Tensor:
+    def _image(self, placed: tuple[Instance, ...], view: View, part: Part) -> Tensor:
         """`[height, width, 4]` of the part, depth first, zero where there is nothing."""
         placed, edges = _in_sight(placed, view, part), (end for each in part for end in (each.start, each.stop))
         numbers = (view.width, view.height, view.fx, view.fy, view.cx, view.cy, *edges, *view.T_world_view.flatten().tolist())
@@ -79,7 +79,7 @@ class DeferredRenderer:
         depth, behind = over[..., :1], image[..., :1]
         return torch.where((depth > 0) & ((behind == 0) | (depth < behind)), over, image)
 
-    def _draw(self, bodies: Sequence[Placed], view: View, part: Part) -> Tensor:
+    def _draw(self, bodies: Sequence[Instance], view: View, part: Part) -> Tensor:
         from OpenGL import GL
 
         context()
@@ -179,7 +179,7 @@ def _projection(view: View) -> np.ndarray:
     return P
 
 
-def _in_sight(placed: tuple[Placed, ...], view: View, part: Part) -> tuple[Placed, ...]:
+def _in_sight(placed: tuple[Instance, ...], view: View, part: Part) -> tuple[Instance, ...]:
     """Without the bodies of which the corners of the bounding box lie wholly beyond one edge of a part of a view, or behind it."""
     if not placed:
         return placed

@@ -9,7 +9,7 @@ from luxloop.world.frames import View, inverse, transform, unit
 from luxloop.world.materials.brdf import LAMBERTIAN, Material
 from luxloop.world.materials.library import MATERIALS
 from luxloop.world.rendering.raycast import hits_on
-from luxloop.world.scene.triangles import Placed, Triangles
+from luxloop.world.scene.triangles import Instance, Triangles
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def gbuffer(triangles: Triangles, view: View, face_ids: Tensor) -> GBuffer:
     return GBuffer(position.view(3, *shape), normal.view(3, *shape), albedo.view(shape), object_id.view(shape), finish, seen_part)
 
 
-def reflection(placed: Placed, points: Tensor, numbers: dict[Material, int], part: Tensor | None) -> tuple[Tensor, Tensor]:
+def reflection(placed: Instance, points: Tensor, numbers: dict[Material, int], part: Tensor | None) -> tuple[Tensor, Tensor]:
     """Albedo `[M]` float32 and number of the material `[M]` int64 at points `[3, M]` of a body, world, on its parts `[M]`.
 
     New materials are numbered on.

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from luxloop.world.frames import View
-from luxloop.world.scene.triangles import Hits, Placed, Triangles, intersect, on_planes
+from luxloop.world.scene.triangles import Hits, Instance, Triangles, intersect, on_planes
 
 TOLERANCE_M = 2e-3  # by which a surface lies before itself, along the ray
 BELOW_M = 1e-5  # and across its face, to float32: a ray that grazes it would meet a point there far before itself
@@ -109,7 +109,7 @@ def _cast(triangles: Triangles, origin: Tensor, directions: Tensor, farthest: Te
     return nearest, depth, across
 
 
-def _towards(placed: Sequence[Placed], origin: Tensor, ways: Tensor, farthest: Tensor) -> Iterator[Tensor]:
+def _towards(placed: Sequence[Instance], origin: Tensor, ways: Tensor, farthest: Tensor) -> Iterator[Tensor]:
     """Indices of the rays `[3, N]` that may meet each body: cheap tests, which most do not pass, first of several rays at once.
 
     Of how far they go towards the sides of the box around it in the world; and of where this box is to a camera at the origin that looks
@@ -125,7 +125,7 @@ def _towards(placed: Sequence[Placed], origin: Tensor, ways: Tensor, farthest: T
     reached = torch.cat([ways[sides] / ahead, ways * farthest.clamp(max=FARTHEST)])  # slopes and ends of the rays, [5, N]
     aside = torch.nonzero((ahead <= 0).logical_or_((reached[:2].abs() > STEEPEST).any(0)))[:, 0]
     reached[:, aside] = torch.inf  # no slope that a body admits
-    low, high = _admitted(placed, origin, axis, sides, sign)  # [n, 5] each
+    low, high = _ray_limits(placed, origin, axis, sides, sign)  # [n, 5] each
     padded = pad(reached, (0, -reached.shape[1] % TOGETHER), value=torch.inf).unflatten(1, (-1, TOGETHER))  # [5, m, TOGETHER]
     least, most = padded.amin(-1), padded.amax(-1)  # [5, m] each
     near = ((most >= low[:, :, None]) & (least <= high[:, :, None])).all(1)  # [n, m]
@@ -137,7 +137,7 @@ def _towards(placed: Sequence[Placed], origin: Tensor, ways: Tensor, farthest: T
         yield torch.cat([met, aside]) if len(aside) else met
 
 
-def _admitted(placed: Sequence[Placed], origin: Tensor, axis: int, sides: list[int], sign: float) -> tuple[Tensor, Tensor]:
+def _ray_limits(placed: Sequence[Instance], origin: Tensor, axis: int, sides: list[int], sign: float) -> tuple[Tensor, Tensor]:
     """Least and most `[n, 5]` float32 of the two slopes and three ends of rays that may meet each body's box."""
     corners = torch.stack([each.box for each in placed]) - origin  # [n, 8, 3]
     low, high = corners.amin(1), corners.amax(1)  # [n, 3] each

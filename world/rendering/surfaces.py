@@ -15,7 +15,7 @@ from luxloop.world.rendering.deferred import DeferredRenderer
 from luxloop.world.rendering.gbuffer import Finish, GBuffer, gbuffer, reflection
 from luxloop.world.rendering.rasterise import NoOpenGL, Rasteriser
 from luxloop.world.rendering.raycast import RayCaster
-from luxloop.world.scene.triangles import Placed, Triangles
+from luxloop.world.scene.triangles import Instance, Triangles
 
 
 class FaceSource(Protocol):
@@ -107,7 +107,7 @@ class QuickSurfaces:
         return GBuffer(position.view(3, *shape), normal.view(3, *shape), albedo.view(shape), object_id.view(shape), finish, seen_part)
 
 
-def _one_an_object(triangles: Triangles) -> tuple[Placed, ...]:
+def _one_an_object(triangles: Triangles) -> tuple[Instance, ...]:
     return tuple({placed.object_id: placed for placed in triangles.placed}.values())
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.opencrg import CrgSurface, filled, modified, read_crg
+from luxloop.world.opencrg import CrgSurface, fill_gaps, modify, read_crg
 from luxloop.world.roads.base import Floats, MeshGrid, RoadModel, ahead, smoothstep
 
 # Where the tyres touch: front axle 0.8 m behind the lamps, wheelbase 2.8 m, track 1.6 m.
@@ -50,10 +50,10 @@ class OpenCrgRoad(RoadModel):
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """Height in m over the plane that the vehicle stands on. Raises LuxloopError where file or place do not fit."""
-        return _placed(self).z(x, y)
+        return _scan(self).z(x, y)
 
     def grid(self) -> MeshGrid:
-        scan = _placed(self)
+        scan = _scan(self)
         crg = scan.surface.crg
         default = MeshGrid()
         x_m, y_m = (_overlap(*limits) for limits in zip((default.x_m, default.y_m), scan.extent(), strict=True))
@@ -64,7 +64,7 @@ class OpenCrgRoad(RoadModel):
 
 
 @dataclass(frozen=True)
-class _Placed:
+class _Scan:
     road: OpenCrgRoad
     surface: CrgSurface
     u: float
@@ -110,7 +110,7 @@ class _Placed:
         dx, dy = x - x_0, y - y_0
         return self.road.at_x_m + cos * dx + sin * dy, self.road.at_y_m - sin * dx + cos * dy
 
-    def levelled(self) -> "_Placed":
+    def level(self) -> "_Scan":
         """The same with the plane that wheels or scan define."""
         x, y = WHEELS_M.T
         height, outside_m = self._residual(x, y)
@@ -124,20 +124,20 @@ class _Placed:
         return replace(self, plane=cast(Floats, plane), standing=standing)
 
 
-def _placed(road: OpenCrgRoad) -> _Placed:
+def _scan(road: OpenCrgRoad) -> _Scan:
     path = Path(road.file)
     return _read(road, path, path.stat().st_mtime_ns if os.path.isfile(path) else 0)
 
 
 @lru_cache(maxsize=8)
-def _read(road: OpenCrgRoad, path: Path, changed_ns: int) -> _Placed:
+def _read(road: OpenCrgRoad, path: Path, changed_ns: int) -> _Scan:
     crg = read_crg(path)
-    surface = CrgSurface(filled(crg if crg.modifiers is None else modified(crg)))
+    surface = CrgSurface(fill_gaps(crg if crg.modifiers is None else modify(crg)))
     u = (surface.u_start + surface.u_end) / 2 if road.u_m is None else road.u_m
     for key, value, low, high in (("u_m", u, surface.u_start, surface.u_end), ("v_m", road.v_m, surface.crg.v[0], surface.crg.v[-1])):
         if not low <= value <= high:
             raise LuxloopError(f"road.{key} = {value:g} is not on the scan {path}; give a value from {low:g} to {high:g}")
-    return _Placed(road, surface, u, np.zeros(3), False).levelled()
+    return _Scan(road, surface, u, np.zeros(3), False).level()
 
 
 def _overlap(default: tuple[float, float], extent: Floats) -> tuple[float, float]:

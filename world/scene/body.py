@@ -83,14 +83,14 @@ class PoseTrack:
 
     def pose_at(self, t_s: float) -> Tensor:
         """`T_world_body` `[4, 4]` float64 at a time in s; the last ones are kept, since a step asks for the same again and again."""
-        return self._known(t_s)
+        return self._pose_cache(t_s)
 
     @cached_property
-    def _known(self) -> Callable[[float], Tensor]:
+    def _pose_cache(self) -> Callable[[float], Tensor]:
         return keeping(4, self._pose)
 
     def _pose(self, t_s: float) -> Tensor:
-        T = self._interpolated(t_s)
+        T = self._interpolate(t_s)
         if self.road is None:
             return T
         R = T[:3, :3]
@@ -104,7 +104,7 @@ class PoseTrack:
         pitch, roll = -torch.atan2(rise, z.new_tensor(length)), torch.atan2(lean, z.new_tensor(width)) if width else z.new_zeros(())
         return pose(T[:3, 3] + torch.stack([z.new_zeros(()), z.new_zeros(()), z.mean()]), R @ rotation(roll, pitch, z.new_zeros(())))
 
-    def _interpolated(self, t_s: float) -> Tensor:
+    def _interpolate(self, t_s: float) -> Tensor:
         from scipy.spatial.transform import Rotation, Slerp
 
         t = min(max(t_s, self.times_s[0]), self.times_s[-1])
@@ -197,16 +197,16 @@ class Figure:
 
     def at(self, t_s: float) -> Body:
         """The shape at a time."""
-        return self.made(self.phase_at(t_s))
+        return self.shape_at(self.phase_at(t_s))
 
     @cached_property
     def bounds(self) -> Tensor:
         """Lowest and highest coordinates of all shapes in the body frame, `[2, 3]` float64 m."""
-        low, high = torch.stack([self.made(k / SHAPES).bounds for k in range(SHAPES)], 1)
+        low, high = torch.stack([self.shape_at(k / SHAPES).bounds for k in range(SHAPES)], 1)
         return torch.stack([low.amin(0), high.amax(0)])
 
     @cached_property
-    def made(self) -> Callable[[float], Body]:
+    def shape_at(self) -> Callable[[float], Body]:
         """`shape`, memoised, so that what is derived from a body is used again."""
         return cache(self.shape)
 

@@ -34,7 +34,7 @@ def taken_over(course: tuple[CourseParams, ...], now_s: float) -> tuple[CoursePa
     return past if past[-1].time_s == now_s else (*past, CourseParams(time_s=now_s, speed_m_s=speed, curvature_1_m=curvature))
 
 
-def driven(params: VehicleParams, now_s: float, until_s: float, controls: Controls) -> tuple[CourseParams, ...]:
+def drive_on(params: VehicleParams, now_s: float, until_s: float, controls: Controls) -> tuple[CourseParams, ...]:
     """What is to be added to a course that stays as it is from now on, so that it is driven until another time; nothing where it stays."""
     last, dt = params.course[-1], until_s - now_s
     speed = _speed(last.speed_m_s, controls.throttle, dt)

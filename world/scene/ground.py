@@ -23,7 +23,7 @@ from torch import Tensor
 from luxloop.world.kept import keeping
 from luxloop.world.materials.library import SpottedTexture, Texture
 from luxloop.world.scene.body import Body, PoseTrack
-from luxloop.world.scene.triangles import Placed
+from luxloop.world.scene.triangles import Instance
 
 SCENE_X_M = (-6.0, 120.0)
 SCENE_Y_M = (-25.0, 25.0)
@@ -101,17 +101,17 @@ class StandingRoad:
         refuse_broken(self.road)
 
     @cached_property
-    def _placed(self) -> Callable[[int], Placed]:
+    def _road(self) -> Callable[[int], Instance]:
         """`_make`, memoised."""
         return keeping(1, self._make)
 
-    def near(self, object_id: int, T_world_ground: Tensor) -> tuple[Placed, ...]:
+    def near(self, object_id: int, T_world_ground: Tensor) -> tuple[Instance, ...]:
         """All of it, wherever the vehicle is, as the body `object_id`."""
-        return (self._placed(object_id),)
+        return (self._road(object_id),)
 
-    def _make(self, object_id: int) -> Placed:
+    def _make(self, object_id: int) -> Instance:
         body = Body(self.name, road_mesh(self.road), self.albedo, self.texture, smooth=True)
-        return Placed(object_id, body, torch.eye(4, dtype=torch.float64))
+        return Instance(object_id, body, torch.eye(4, dtype=torch.float64))
 
 
 LENGTH_M: Final = 6.0  # of a tile
@@ -149,11 +149,11 @@ class RoadTiles:
         return min((low - wide, *others_y_m)), max((high + wide, *others_y_m))
 
     @cached_property
-    def _tile(self) -> Callable[[int, int, bool], Placed]:
+    def _tile(self) -> Callable[[int, int, bool], Instance]:
         """`_make`, memoised for the last tiles."""
         return keeping(TILES_IN_SIGHT * math.ceil(self.sight_m / LENGTH_M), self._make)
 
-    def near(self, object_id: int, T_world_ground: Tensor) -> tuple[Placed, ...]:
+    def near(self, object_id: int, T_world_ground: Tensor) -> tuple[Instance, ...]:
         """The tiles in sight of a vehicle at `T_world_ground` `[4, 4]`, as parts of the body `object_id`."""
         (cos, sin), (x, y) = T_world_ground[:2, 0].tolist(), T_world_ground[:2, 3].tolist()
         tiles = []
@@ -164,7 +164,7 @@ class RoadTiles:
                 tiles.append(self._tile(object_id, k, far))
         return tuple(tiles)
 
-    def _make(self, object_id: int, k: int, far: bool) -> Placed:
+    def _make(self, object_id: int, k: int, far: bool) -> Instance:
         """Rows share their columns at all distances, so that tiles meet without gaps; normals look one row beyond the tile."""
         start, grid = k * LENGTH_M, self.road.grid()
         rows = round(LENGTH_M / ALONG_M[far])
@@ -178,7 +178,7 @@ class RoadTiles:
         dx, dy = np.gradient(z, around, y)
         normals = np.stack([-dx, -dy, np.ones_like(z)], axis=-1)
         mesh = grid_mesh(*np.meshgrid(x, y, indexing="ij"), z[1:-1], normals[1:-1])
-        return Placed(object_id, Body(self.name, mesh, self.albedo, self.texture, smooth=True), torch.eye(4, dtype=torch.float64))
+        return Instance(object_id, Body(self.name, mesh, self.albedo, self.texture, smooth=True), torch.eye(4, dtype=torch.float64))
 
 
 SIDE_M: Final = 12.0  # of a patch
@@ -201,11 +201,11 @@ class RoadPatches:
     sight_m: float = SIGHT_M
 
     @cached_property
-    def _patch(self) -> Callable[[int, int, int, bool], Placed]:
+    def _patch(self) -> Callable[[int, int, int, bool], Instance]:
         """`_make`, memoised for the last patches."""
         return keeping(MOST_PATCHES, self._make)
 
-    def near(self, object_id: int, T_world_ground: Tensor) -> tuple[Placed, ...]:
+    def near(self, object_id: int, T_world_ground: Tensor) -> tuple[Instance, ...]:
         """The patches in sight of a vehicle at `T_world_ground` `[4, 4]`, as parts of the body `object_id`."""
         (cos, sin), place = T_world_ground[:2, 0].tolist(), T_world_ground[:2, 3].numpy()
         reach = math.ceil((self.sight_m + SIDE_M) / SIDE_M)
@@ -216,7 +216,7 @@ class RoadPatches:
         far = np.hypot(np.clip(abs(x) - SIDE_M / 2, 0, None), np.clip(abs(y) - SIDE_M / 2, 0, None)) > PATCH_NEAR_M
         return tuple(self._patch(object_id, *each) for each in zip(i[seen].tolist(), j[seen].tolist(), far[seen].tolist(), strict=True))
 
-    def _make(self, object_id: int, i: int, j: int, far: bool) -> Placed:
+    def _make(self, object_id: int, i: int, j: int, far: bool) -> Instance:
         """Normals look one row beyond the patch."""
         grid, spacing = self.road.grid(), SPACING_M[far]
         x, y = _lines(i * SIDE_M, spacing, grid.x_lines_m), _lines(j * SIDE_M, spacing, grid.y_lines_m)
@@ -227,7 +227,7 @@ class RoadPatches:
         X, Y, Z, dx, dy = (np.pad(each, 1, mode="edge") for each in grids)
         Z = Z - np.pad(np.zeros((len(x), len(y))), 1, constant_values=SKIRT_M)
         mesh = grid_mesh(X, Y, Z, np.stack([-dx, -dy, np.ones_like(dx)], axis=-1))
-        return Placed(object_id, Body(self.name, mesh, self.albedo, self.texture, smooth=True), torch.eye(4, dtype=torch.float64))
+        return Instance(object_id, Body(self.name, mesh, self.albedo, self.texture, smooth=True), torch.eye(4, dtype=torch.float64))
 
 
 def _lines(start: float, spacing: float, required: tuple[float, ...]) -> Floats:

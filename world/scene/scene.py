@@ -10,7 +10,7 @@ from luxloop.world.frames import transform
 from luxloop.world.params import Metres, Params
 from luxloop.world.scene.body import Body, Figure, PoseTrack, Spotlight
 from luxloop.world.scene.ground import RoadPatches, RoadTiles, StandingRoad
-from luxloop.world.scene.triangles import NOTHING, Placed, Triangles
+from luxloop.world.scene.triangles import NOTHING, Instance, Triangles
 
 __all__ = ["Body", "Ground", "PoseTrack", "Scene", "StreetLamp"]
 
@@ -66,13 +66,13 @@ class Scene:
         known = {placed.object_id: placed for placed in before.placed}
         return Triangles(tuple(placed for i, _ in self.key_at(t_s) for placed in self._place(i, t_s, here, known.get(i))))
 
-    def _place(self, i: int, t_s: float, T_world_ground: Tensor, before: Placed | None) -> tuple[Placed, ...]:
+    def _place(self, i: int, t_s: float, T_world_ground: Tensor, before: Instance | None) -> tuple[Instance, ...]:
         body = self.bodies[i]
         if isinstance(body, Ground):
             return body.near(i, T_world_ground)
         T, shape = body.track.pose_at(t_s), body.at(t_s) if isinstance(body, Figure) else body
         rests = before is not None and before.body is shape and before.T_world_body.equal(T)
-        return (before if before is not None and rests else Placed(i, shape, T),)
+        return (before if before is not None and rests else Instance(i, shape, T),)
 
     def spotlights_at(self, t_s: float) -> tuple[Spotlight, ...]:
         """The lamps of all bodies that are there at a time, in the world."""

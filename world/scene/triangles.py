@@ -15,7 +15,7 @@ CHUNK: Final = 2**15  # rays at a time, whose numbers stay in the processor's ca
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class Instance:
     """A body at a pose. object_id: index of the body in its scene. T_world_body: `[4, 4]` float64."""
 
     object_id: int
@@ -51,9 +51,9 @@ class Placed:
 class Triangles:
     """All triangles of a scene at one time; face ids count through the placed bodies in their order."""
 
-    placed: tuple[Placed, ...]
+    placed: tuple[Instance, ...]
 
-    def parts(self) -> Iterator[tuple[int, Placed]]:
+    def parts(self) -> Iterator[tuple[int, Instance]]:
         """Each placed body with its first face id."""
         first = 0
         for placed in self.placed:
@@ -72,7 +72,7 @@ class Hits:
     front: `[M]`, the face is seen from the side where its corners run counter-clockwise.
     """
 
-    placed: Placed
+    placed: Instance
     pixels: Tensor
     faces: Tensor
     depth: Tensor

@@ -159,14 +159,14 @@ class Motion:
 
     def at(self, t_s: float) -> VehicleState:
         """The vehicle at a time in s, linear between the integrated times and constant outside."""
-        return self._known(min(max(t_s, float(self.times_s[0])), float(self.times_s[-1])))
+        return self._state_cache(min(max(t_s, float(self.times_s[0])), float(self.times_s[-1])))
 
     @cached_property
-    def _known(self) -> Callable[[float], VehicleState]:
+    def _state_cache(self) -> Callable[[float], VehicleState]:
         """States by time; a control step asks for the same few again and again."""
-        return keeping(8, self._interpolated)
+        return keeping(8, self._interpolate)
 
-    def _interpolated(self, t_s: float) -> VehicleState:
+    def _interpolate(self, t_s: float) -> VehicleState:
         k = max(int(np.searchsorted(self.times_s, t_s)) - 1, 0)
         times_s, states = self.times_s[k : k + 2], self.states[k : k + 2]
         now = {name: float(np.interp(t_s, times_s, column)) for name, column in zip(COLUMNS, states.T, strict=True)}
@@ -205,7 +205,7 @@ def drive(params: VehicleParams, road: Road, duration_s: float, before: Motion =
     dt = 1 / params.simulation_hz
     afford(f"vehicle: a drive of {duration_s:.3g} s", BYTES_A_MOMENT * duration_s / dt, "take fewer steps, or raise rate_hz")
     times: Floats = np.arange(math.ceil(duration_s / dt) + 2, dtype=np.float64) * dt
-    kept = _kept(before, params, road, times)
+    kept = _moments_alike(before, params, road, times)
     first = max(kept - 2, 0)  # two moments that are known are what filters and slopes go on from
     t, start, past = times[first:], before.states[first], before.modes[first:kept].T if kept else None
     x, y, yaw, speed, yaw_rate = course(params, t, start[:3])
@@ -234,7 +234,7 @@ def drive(params: VehicleParams, road: Road, duration_s: float, before: Motion =
     return Motion(times, states, params.pivot_x_m, params.rear_x_m, inner, (params, road))
 
 
-def _kept(before: Motion, params: VehicleParams, road: Road, times: Floats) -> int:
+def _moments_alike(before: Motion, params: VehicleParams, road: Road, times: Floats) -> int:
     """How many moments of another drive are those of this one as well: none, or two at least."""
     if before.of is None or before.of != (params.model_copy(update={"course": before.of[0].course}), road):
         return 0
@@ -264,11 +264,11 @@ def _ground(
     back = int(np.searchsorted(before.modes[:first, 0], way_m[0] - max(LOW_PASS_M) / 2 - 1))
     along = np.concatenate([before.modes[back:first, 0], way_m])
     x, y, yaw = (np.concatenate([before.states[back:first, k], each]) for k, each in enumerate(pose))
-    level, slope = followed(params, road, along, x, y, yaw)
+    level, slope = ground_levels(params, road, along, x, y, yaw)
     return level, slope, np.gradient(level, dt), np.gradient(slope, dt)
 
 
-def followed(
+def ground_levels(
     params: VehicleParams,
     road: Road,
     way_m: Floats,
@@ -347,14 +347,14 @@ class _Mode:
     def follows(self, base: Floats, known: Floats | None) -> Floats:
         """Its place where its other ends move as `base` `[N]`."""
         omega = 2 * math.pi * self.rate_hz
-        return self._filtered([2 * self.damping * omega, omega**2], base, known)
+        return self._response([2 * self.damping * omega, omega**2], base, known)
 
     def answers(self, base: Floats, load: Floats, known: Floats | None) -> Floats:
         """The same, and a load `[N]` that deflects it by its own value in the end; both add up."""
         omega = 2 * math.pi * self.rate_hz
-        return self.follows(base, known) + self._filtered([omega**2], load, None if known is None else 0 * known)
+        return self.follows(base, known) + self._response([omega**2], load, None if known is None else 0 * known)
 
-    def _filtered(self, numerator: list[float], values: Floats, known: Floats | None) -> Floats:
+    def _response(self, numerator: list[float], values: Floats, known: Floats | None) -> Floats:
         from scipy.signal import lfilter, lfilter_zi, lfiltic  # takes a fifth of a command's start, and only vehicles that move need it
 
         omega = 2 * math.pi * self.rate_hz

@@ -8,13 +8,13 @@ from pydantic import Field
 from luxloop.world.materials.library import MaterialName
 from luxloop.world.scene.body import Body, Figure
 from luxloop.world.traffic.shapes import Floats, Piece, ellipsoid, limb, tube, xyz
-from luxloop.world.traffic.tracked import Category, MadeParams
+from luxloop.world.traffic.tracked import Category, RandomParams
 
 STRIDE = 1.4  # of the height of the shoulders
 GAIT = (0.0, 0.5, 0.25, 0.75)  # left and right forelegs, then hind legs, of a walk
 
 
-class AnimalParams(MadeParams):
+class AnimalParams(RandomParams):
     """A deer; the origin lies on the ground below its middle."""
 
     kind: Literal["animal"] = "animal"
@@ -35,12 +35,12 @@ class AnimalParams(MadeParams):
 
         def shape(phase: float) -> Body:
             pieces = [*_trunk(girth, grazing and not moves, antlers), *_legs(phase, 1.0 if moves else 0.3)]
-            return self.made([_scaled(piece, height) for piece in pieces], looks, track)
+            return self.body([_scale(piece, height) for piece in pieces], looks, track)
 
         return Figure(self.name, shape, STRIDE * height, track, start) if moves else shape(start)
 
 
-def _scaled(piece: Piece, factor: float) -> Piece:
+def _scale(piece: Piece, factor: float) -> Piece:
     return Piece(piece.part, piece.vertices * factor, piece.faces)
 
 

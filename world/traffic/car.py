@@ -9,7 +9,7 @@ from pydantic import Field
 from luxloop.world.materials.library import MaterialName
 from luxloop.world.scene.body import Body, Spotlight
 from luxloop.world.traffic.shapes import Floats, Piece, ellipsoid, plate, tube, xyz
-from luxloop.world.traffic.tracked import Category, MadeParams
+from luxloop.world.traffic.tracked import Category, RandomParams
 
 Style = Literal["hatchback", "saloon", "van"]
 # Length, width, height in m; then in shares of the length from the rear: foot of the rear window, its top, top of the windscreen, its foot.
@@ -23,7 +23,7 @@ TAIL_CD = 8.0
 WHEEL_M = 0.32
 
 
-class CarParams(MadeParams):
+class CarParams(RandomParams):
     """A car; the origin lies on the road below its middle."""
 
     wheels_m: ClassVar = (2.6, 1.5)
@@ -49,7 +49,7 @@ class CarParams(MadeParams):
             **{name: ("glass", 0.03) for name in ("windscreen", "rear_window", "windows")},
         }
         pieces = [*_lower(size, style), *_cabin(size, style), *_wheels(size), *_lamps(size)]
-        return self.made(pieces, looks, self.pose_track(), _spotlights(size) if self.lit else ())
+        return self.body(pieces, looks, self.pose_track(), _spotlights(size) if self.lit else ())
 
 
 def _belt(size: Floats) -> float:

@@ -73,14 +73,14 @@ class TrafficParams(Params):
         rng = np.random.default_rng(self.seed)
         taken: list[tuple[float, float, float]] = []
         found: list[ObjectParams] = []
-        for kind, number, (radius_m, _, make) in self._counted():
+        for kind, number, (radius_m, _, make) in self._numbers_by_role():
             for k in range(number):
                 seed = int(rng.integers(2**31))
                 keys, speed, place = next(self._free(rng, taken, radius_m, make), ({}, 0.0, None))
                 if place is not None:
                     taken.append((place[0], place[1], radius_m))
                     keys |= {"on_road": self.on_road}
-                    found.append(_made(kind, f"{kind}_{k + 1}", seed, place, speed if self.moving else 0.0, keys))
+                    found.append(_object(kind, f"{kind}_{k + 1}", seed, place, speed if self.moving else 0.0, keys))
         return tuple(found)
 
     def along(self, vehicle: VehicleParams, duration_s: float) -> tuple[ObjectParams, ...]:
@@ -94,14 +94,14 @@ class TrafficParams(Params):
             vehicle, duration_s = vehicle.model_copy(update={"course": self.drive.course}), self.drive.lasts_s
         return self.objects() if not any(each.speed_m_s for each in vehicle.course) else _along(self, vehicle, duration_s)
 
-    def _counted(self) -> Iterator[tuple[str, int, "Role"]]:
+    def _numbers_by_role(self) -> Iterator[tuple[str, int, "Role"]]:
         numbers = (self.cars, self.animals, self.cyclists, self.pedestrians, self.parked, self.signs, self.clutter)
         return ((kind, number, role) for (kind, role), number in zip(ROLES.items(), numbers, strict=True))
 
     def _stretch(self, k: int, route: Route, taken: list[Met]) -> Iterator[tuple[str, int, dict[str, Any], Met]]:
         """Kinds, seeds and keys of what stands or moves in a stretch of a drive, and how it is met; it is added to what is taken."""
         rng = np.random.default_rng([self.seed, k])
-        for kind, number, role in self._counted():
+        for kind, number, role in self._numbers_by_role():
             for _ in range(number):
                 seed = int(rng.integers(2**31))
                 for keys, met in self._tries(rng, k, route, kind, role):
@@ -158,7 +158,7 @@ KINDS: dict[str, Any] = {
 }
 
 
-def _made(kind: str, name: str, seed: int, place: Place, speed_m_s: float, keys: dict[str, Any]) -> ObjectParams:
+def _object(kind: str, name: str, seed: int, place: Place, speed_m_s: float, keys: dict[str, Any]) -> ObjectParams:
     x, y, yaw = (round(value, 3) for value in place)
     if speed_m_s == 0:
         return KINDS[kind](name=name, seed=seed, track=({"position_m": (x, y, 0.0), "yaw_deg": yaw},), **keys)
@@ -172,7 +172,7 @@ def _made(kind: str, name: str, seed: int, place: Place, speed_m_s: float, keys:
 def _along(params: TrafficParams, vehicle: VehicleParams, duration_s: float) -> tuple[ObjectParams, ...]:
     route = Route.of(vehicle, duration_s, params.sight_m)
     moments_s = tuple(takewhile(math.isfinite, (params._moment_s(k, route) for k in count())))
-    number = len(moments_s) * sum(each for _, each, _ in params._counted())
+    number = len(moments_s) * sum(each for _, each, _ in params._numbers_by_role())
     afford(f"traffic: {number:,} objects", BYTES_AN_OBJECT * number, "take fewer steps or objects, or raise far_m")
     found: list[ObjectParams] = []
     taken: list[Met] = []
@@ -196,7 +196,7 @@ def _car(rng: np.random.Generator) -> Made:
     return {}, float(rng.uniform(3, 12)), float(rng.normal(0, 0.2)), 0.0
 
 
-def _parked(rng: np.random.Generator) -> Made:
+def _parking_car(rng: np.random.Generator) -> Made:
     left = _side(rng)
     y = LANE_M * 1.5 + 1.1 if left else -LANE_M / 2 - 1.1
     return {"lit": False, "category": None}, 0.0, y + float(rng.normal(0, 0.1)), 180.0 if left else 0.0
@@ -244,13 +244,13 @@ ROLES: dict[str, Role] = {
     "deer": (1.0, (0.9, 0.9), _deer),
     "cyclist": (1.1, (1.0, 0.4), _cyclist),
     "pedestrian": (0.5, (0.4, 0.4), _pedestrian),
-    "parked_car": (2.6, (2.6, 1.0), _parked),
+    "parked_car": (2.6, (2.6, 1.0), _parking_car),
     "sign": (0.5, (0.4, 0.4), _sign),
     "clutter": (0.9, (0.9, 0.9), _clutter),
 }
 
 
-def varied(seed: int) -> dict[str, Any]:
+def random_tables(seed: int) -> dict[str, Any]:
     """Tables `road`, `surface`, `light` and `traffic` of a scenario, from a seed: about level roads, light of the night."""
     rng = np.random.default_rng([seed, 1])
     roads: list[dict[str, Any]] = [

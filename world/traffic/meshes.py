@@ -48,7 +48,7 @@ def _read_gltf(file: Path, data: bytes) -> dict[str, trimesh.Trimesh]:
         if number in seen:
             raise ValueError("its nodes are no tree")
         seen.add(number)
-        node, T_world_node = nodes[number], T_world_parent @ _placed(nodes[number])
+        node, T_world_node = nodes[number], T_world_parent @ _node_pose(nodes[number])
         todo += [(child, T_world_node) for child in node.get("children", [])]
         primitives = tree["meshes"][node["mesh"]]["primitives"] if "mesh" in node else []
         drawn = [each for each in primitives if each.get("mode", TRIANGLES) in (TRIANGLES, STRIP, FAN) and "POSITION" in each["attributes"]]
@@ -91,7 +91,7 @@ def _buffer(file: Path, buffer: Json, chunk: bytes | None) -> bytes | None:
         raise LuxloopError(f"{file}: buffers: {uri} cannot be read ({error.strerror}); put it beside the file") from error
 
 
-def _placed(node: Json) -> NDArray[np.float64]:
+def _node_pose(node: Json) -> NDArray[np.float64]:
     """T_parent_node (glTF 2.0, 3.5.3)."""
     if "matrix" in node:
         return np.reshape(np.asarray(node["matrix"], np.float64), (4, 4)).T
@@ -126,17 +126,17 @@ def _numbers(tree: Json, buffers: list[bytes | None], accessor: Json) -> Numbers
     """`[count, components]` of an accessor: sparse ones with their values, normalised ones as shares of 1 (glTF 2.0, 3.6.2)."""
     count, width, dtype = accessor["count"], WIDTHS[accessor["type"]], np.dtype(DTYPES[accessor["componentType"]])
 
-    def stored(part: Json, count: int, width: int, dtype: "np.dtype[Any]") -> Numbers:
+    def view_numbers(part: Json, count: int, width: int, dtype: "np.dtype[Any]") -> Numbers:
         view = tree["bufferViews"][part["bufferView"]]
         start = view.get("byteOffset", 0)
         strides = (view.get("byteStride") or width * dtype.itemsize, dtype.itemsize)
         data = buffers[view["buffer"]][start : start + view["byteLength"]]
         return np.ndarray((count, width), dtype, data, part.get("byteOffset", 0), strides).copy()
 
-    found = stored(accessor, count, width, dtype) if "bufferView" in accessor else np.zeros((count, width), dtype)
+    found = view_numbers(accessor, count, width, dtype) if "bufferView" in accessor else np.zeros((count, width), dtype)
     if sparse := accessor.get("sparse"):
-        places = stored(sparse["indices"], sparse["count"], 1, np.dtype(DTYPES[sparse["indices"]["componentType"]]))
-        found[places[:, 0]] = stored(sparse["values"], sparse["count"], width, dtype)
+        places = view_numbers(sparse["indices"], sparse["count"], 1, np.dtype(DTYPES[sparse["indices"]["componentType"]]))
+        found[places[:, 0]] = view_numbers(sparse["values"], sparse["count"], width, dtype)
     if accessor.get("normalized"):
         return np.maximum(found / np.iinfo(dtype).max, -1)
     return found
@@ -165,7 +165,7 @@ def read_nodes(file: Path) -> Mapping[str, trimesh.Trimesh]:
     return nodes
 
 
-def joined(meshes: Iterable[trimesh.Trimesh]) -> trimesh.Trimesh:
+def join_meshes(meshes: Iterable[trimesh.Trimesh]) -> trimesh.Trimesh:
     """One mesh of several, their faces one after the other."""
     return cast(trimesh.Trimesh, trimesh.util.concatenate(list(meshes)))
 

@@ -33,7 +33,7 @@ class SolidParams(TrackedParams):
         given = given or SurfaceParams()
         material = given.material or self.material or "matt"
         albedo = torch.tensor(self.albedo if given.albedo is None else given.albedo, dtype=torch.float64)
-        return Part(name, float(MATERIALS[material].darkened(albedo)), material)
+        return Part(name, float(MATERIALS[material].darken(albedo)), material)
 
 
 class BoxParams(SolidParams):
@@ -73,11 +73,11 @@ class MeshParams(SolidParams):
 
     def build(self) -> Body:
         """Read the file. Raises LuxloopError where it is missing, unreadable or has no triangles, or has no such part."""
-        from luxloop.world.traffic.meshes import joined, read_nodes
+        from luxloop.world.traffic.meshes import join_meshes, read_nodes
 
         nodes = read_nodes(self.file)
         check_parts(self.name, self.parts, list(nodes))
-        mesh = joined(nodes.values())
+        mesh = join_meshes(nodes.values())
         ahead, up = (AXES["xyz".index(axis[-1])] * (-1 if axis[0] == "-" else 1) for axis in (self.forward, self.up))
         turn = np.eye(4)
         turn[:3, :3] = [ahead, np.cross(up, ahead), up]

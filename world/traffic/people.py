@@ -9,7 +9,7 @@ from pydantic import Field
 from luxloop.world.materials.library import MaterialName
 from luxloop.world.scene.body import Body, Figure
 from luxloop.world.traffic.shapes import Floats, Piece, block, ellipsoid, limb, tube, xyz
-from luxloop.world.traffic.tracked import Category, MadeParams
+from luxloop.world.traffic.tracked import Category, RandomParams
 
 UPPER_ARM, FOREARM, THIGH, SHANK, FOOT = 0.186, 0.20, 0.245, 0.246, 0.11
 TRUNK = 0.29  # from the hips to the line of the shoulders
@@ -73,7 +73,7 @@ def someone(rng: np.random.Generator, height_m: float | None, clothing: Clothing
     return Person(height, girth, coat, hat, bag, looks, clothing == "vest")
 
 
-def dressed(who: Person, j: Joints, helmet: bool = False) -> list[Piece]:
+def dress(who: Person, j: Joints, helmet: bool = False) -> list[Piece]:
     """The pieces of someone whose joints are there; facing x, left is y."""
     h, w = who.height_m, who.girth
     left = np.array([0.0, 1.0, 0.0])
@@ -177,7 +177,7 @@ TURN_M = 4.6  # that a bicycle goes for a turn of its cranks
 CRANK_M, WHEEL_M = 0.17, 0.34
 
 
-class PedestrianParams(MadeParams):
+class PedestrianParams(RandomParams):
     """Someone on foot; the origin lies between the feet."""
 
     kind: Literal["pedestrian"] = "pedestrian"
@@ -192,15 +192,15 @@ class PedestrianParams(MadeParams):
         who = someone(rng, self.height_m, self.clothing)
         start, moves = float(rng.random()), len(track.times_s) > 1
         if self.stance == "standing" or (self.stance is None and not moves):
-            return self.made(dressed(who, standing(who, rng)), who.looks, track)
+            return self.body(dress(who, standing(who, rng)), who.looks, track)
 
         def shape(phase: float) -> Body:
-            return self.made(dressed(who, walking(who, phase)), who.looks, track)
+            return self.body(dress(who, walking(who, phase)), who.looks, track)
 
         return Figure(self.name, shape, STRIDE * who.height_m, track, start) if moves else shape(start)
 
 
-class CyclistParams(MadeParams):
+class CyclistParams(RandomParams):
     """Someone on a bicycle; the origin lies between the wheels' feet."""
 
     wheels_m: ClassVar = (1.06, 0.0)
@@ -226,7 +226,7 @@ class CyclistParams(MadeParams):
         }
 
         def shape(phase: float) -> Body:
-            return self.made([*dressed(who, riding(who, phase, lean), helmet), *bicycle(who, phase)], who.looks | machine, track)
+            return self.body([*dress(who, riding(who, phase, lean), helmet), *bicycle(who, phase)], who.looks | machine, track)
 
         return Figure(self.name, shape, TURN_M, track, start) if len(track.times_s) > 1 else shape(start)
 

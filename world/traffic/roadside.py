@@ -8,7 +8,7 @@ from pydantic import Field
 from luxloop.world.materials.library import MaterialName
 from luxloop.world.scene.body import Body
 from luxloop.world.traffic.shapes import Piece, blob, block, limb, plate, polygon, tube, xyz
-from luxloop.world.traffic.tracked import Category, MadeParams
+from luxloop.world.traffic.tracked import Category, RandomParams
 
 SignShape = Literal["round", "triangle", "square", "octagon"]
 CORNERS: dict[SignShape, tuple[int, float]] = {
@@ -20,7 +20,7 @@ CORNERS: dict[SignShape, tuple[int, float]] = {
 Clutter = Literal["tree", "bush", "post", "bin", "delineator"]
 
 
-class TrafficSignParams(MadeParams):
+class TrafficSignParams(RandomParams):
     """A traffic sign of retroreflective sheet on a post; it faces the way that its x axis points, its origin is the post's foot."""
 
     kind: Literal["traffic_sign"] = "traffic_sign"
@@ -48,10 +48,10 @@ class TrafficSignParams(MadeParams):
         pieces.append(plate("back", polygon(middle, -1, radius, corners, turn)))
         for k, (part, share) in enumerate((("border", 1.0), ("face", 0.8), ("picture", 0.3))):
             pieces.append(plate(part, polygon(middle + xyz(0.003 * (k + 1), 0, 0), 1, share * radius, corners, turn)))
-        return self.made(pieces, looks, self.pose_track())
+        return self.body(pieces, looks, self.pose_track())
 
 
-class ClutterParams(MadeParams):
+class ClutterParams(RandomParams):
     """A tree, bush, post, bin or delineator; the origin is its foot."""
 
     kind: Literal["clutter"] = "clutter"
@@ -68,7 +68,7 @@ class ClutterParams(MadeParams):
             "pole": ("car_paint", 0.6),
             "stripe": ("retroreflective_sign", 0.4),
         }
-        return self.made(_clutter(self.shape, rng), looks, self.pose_track())
+        return self.body(_clutter(self.shape, rng), looks, self.pose_track())
 
 
 def _clutter(shape: Clutter, rng: np.random.Generator) -> list[Piece]:

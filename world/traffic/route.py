@@ -111,7 +111,7 @@ class Route:
         else:
             in_the_way = (np.abs(places[1]) < LANE_M / 2 + half_m[1]) & (-OWN_M - half_m[0] < ahead) & (ahead < clear_m + half_m[0])
         stride = 2 if led else max(1, round(KEYFRAME_M / speed_m_s / STEP_S)) if speed_m_s else 0
-        return None if np.any(in_the_way) or self._doubled(places[:, :: round(1 / STEP_S)]) else Met(first, places, yaw_deg, half_m, stride)
+        return None if np.any(in_the_way) or self._folds(places[:, :: round(1 / STEP_S)]) else Met(first, places, yaw_deg, half_m, stride)
 
     def keys(self, met: Met) -> dict[str, Any]:
         """Track of an object that is met, and the time that it is there."""
@@ -126,7 +126,7 @@ class Route:
             "vanishes_s": round(met.stop_s, 3) if met.first + last + 1 < len(self.way_m) else None,
         }
 
-    def _doubled(self, places_m: Floats) -> bool:
+    def _folds(self, places_m: Floats) -> bool:
         """Whether the lane comes nearer to one of the places `[2, K]` elsewhere than beside it, as in bends narrower than its distance."""
         low, high = places_m[0].min() - self.sight_m, places_m[0].max() + self.sight_m
         points = self._lane[:, (self._lane[0] >= low) & (self._lane[0] <= high)]

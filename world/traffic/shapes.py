@@ -115,7 +115,7 @@ def blob(part: str, centre: ArrayLike, radii: ArrayLike, rng: np.random.Generato
     return Piece(part, away * np.asarray(radii, float) + np.asarray(centre, float), np.asarray(ball.faces, dtype=np.int64))
 
 
-def joined(pieces: list[Piece]) -> tuple["trimesh.Trimesh", tuple[str, ...], NDArray[np.int64]]:
+def join(pieces: list[Piece]) -> tuple["trimesh.Trimesh", tuple[str, ...], NDArray[np.int64]]:
     """One mesh, the names of its parts in the order in which they come, and which of them each face belongs to `[F]`."""
     import trimesh
 

@@ -14,7 +14,7 @@ from luxloop.world.frames import pose_from_degrees
 from luxloop.world.materials.library import MaterialName
 from luxloop.world.params import Metres, Params, PlainName
 from luxloop.world.scene.body import Body, Part, PoseTrack, Spotlight
-from luxloop.world.traffic.shapes import Piece, joined
+from luxloop.world.traffic.shapes import Piece, join
 
 PATH_STEP_M = 0.5  # between the poses along a curve
 
@@ -123,7 +123,7 @@ def check_parts(owner: str, given: Iterable[str], names: Sequence[str]) -> None:
             raise LuxloopError(f"object {owner!r}: parts: there is no part {name!r}; {did_you_mean(name, names)}")
 
 
-class MadeParams(TrackedParams):
+class RandomParams(TrackedParams):
     """An object made from a seed."""
 
     seed: int = Field(0, ge=0, lt=2**63, description="seed of proportions, clothes and colours")
@@ -132,9 +132,9 @@ class MadeParams(TrackedParams):
     def random(self) -> np.random.Generator:
         return np.random.default_rng(self.seed)
 
-    def made(self, pieces: Sequence[Piece], looks: Looks, track: PoseTrack, spotlights: tuple[Spotlight, ...] = ()) -> Body:
+    def body(self, pieces: Sequence[Piece], looks: Looks, track: PoseTrack, spotlights: tuple[Spotlight, ...] = ()) -> Body:
         """The body of pieces. Raises LuxloopError where `parts` names one that it has not."""
-        mesh, names, of_face = joined(list(pieces))
+        mesh, names, of_face = join(list(pieces))
         check_parts(self.name, self.parts, names)
         parts = tuple(self._part(name, *looks[name]) for name in names)
         return Body(self.name, mesh, smooth=True, track=track, parts=parts, part_of_face=torch.from_numpy(of_face), spotlights=spotlights)

@@ -21,7 +21,7 @@ from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from luxloop.perception.birdseye import Region
 from luxloop.perception.camera import camera_view
 from luxloop.perception.egomotion import Ego
-from luxloop.world.errors import located
+from luxloop.world.errors import locate
 from luxloop.world.frames import inverse, transform
 from luxloop.world.params import Params
 from luxloop.world.roads.base import Floats
@@ -48,7 +48,7 @@ class Feedforward:
 
     def __init__(self, params: FeedforwardParams, sensor: SymbolSensor) -> None:
         symbol = sensor.projector.params
-        with located("controller"):
+        with locate("controller"):
             plane = HERE if symbol.target == "appearance" else plane_of(params.road.z, symbol)
             eye = transform(inverse(plane), camera_view(sensor.camera).origin[:, None])[:, 0]
             relief = height_map_of(params.road.z, region_around(sensor), eye, params.offset_m, plane)

@@ -17,7 +17,7 @@ from luxloop.perception.extraction import Crop, Extraction, difference, symbol_i
 from luxloop.world.frames import View, inverse
 from luxloop.world.headlight import Headlight
 from luxloop.world.spmv import Csr, multiply
-from luxloop.world.texels import resampled
+from luxloop.world.texels import resample
 
 SIGMAS = 1.4826  # of a normal distribution, in its median deviations
 BESIDE_PX = 2  # of a place in an image, pixels that its value may come from
@@ -177,7 +177,7 @@ class ForwardModel:
             for low, high in [((place.aminmax().min + 1) * size / 2 - BESIDE_PX, (place.max() + 1) * size / 2 + BESIDE_PX)]
         )
         seen[read] = off[read]
-        return resampled(seen[None, None], u, v, "border")[0, 0]
+        return resample(seen[None, None], u, v, "border")[0, 0]
 
     def on_pixels(self, nodes: Tensor) -> Tensor:
         """Values of nodes `[..., n]` at the pixels, `[..., h, w]`."""

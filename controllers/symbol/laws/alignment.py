@@ -13,7 +13,7 @@ from torch.nn.functional import interpolate
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement, SymbolSensor
 from luxloop.perception.birdseye import BirdsEye, Region, birds_eye, rectify
 from luxloop.perception.extraction import Crop
-from luxloop.world.texels import resampled
+from luxloop.world.texels import resample
 
 CELL_M = 0.04
 BEYOND = (0.5, 0.4)  # of the symbol's length and width, on every side
@@ -50,7 +50,7 @@ class Placement:
 
     def _at(self, values: Tensor, points: Tensor) -> Tensor:
         u, v = (axis[None] / end for axis, end in zip(points, self.extent, strict=True))
-        return resampled(values[None], u, v, "border", corners=True)[0]
+        return resample(values[None], u, v, "border", corners=True)[0]
 
 
 @dataclass(frozen=True)
@@ -154,4 +154,4 @@ class Alignment:
 
     def _sampled(self, image: Tensor, where: Tensor) -> Tensor:
         u, v = (axis[None] / end for axis, end in zip(where, self.still.extent, strict=True))
-        return resampled(image[None, None], u, v, corners=True)[0, 0]
+        return resample(image[None, None], u, v, corners=True)[0, 0]

@@ -6,7 +6,7 @@ from torch.nn.functional import adaptive_avg_pool2d, interpolate
 
 from luxloop.controllers.symbol.sensing.projection import CELLS, ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector
-from luxloop.world.texels import resampled
+from luxloop.world.texels import resample
 
 SIDES = ("left", "right", "top", "bottom")  # of a module's light texture
 EVERY = 8  # every eighth cell of a rectangle along and across is tested
@@ -55,4 +55,4 @@ def _white(symbol: Tensor, projection: ProjectionCommand, rows: int, cols: int) 
         return coarse[0, 0]
     u, v = interpolate(projection.warp.source, (rows, cols), mode="nearest-exact").unbind(1)
     coarse = coarse.expand(len(u), -1, -1, -1)
-    return resampled(coarse, u, v)[:, 0].mean(0)
+    return resample(coarse, u, v)[:, 0].mean(0)

@@ -13,7 +13,7 @@ from luxloop.controllers.symbol.sensing.planes import below_lamps, holding, plac
 from luxloop.controllers.symbol.sensing.projection import CELLS, ProjectionCommand, Warp
 from luxloop.controllers.symbol.sensing.shape import reached
 from luxloop.world.frames import inverse, pose, rotation, transform
-from luxloop.world.texels import resampled
+from luxloop.world.texels import resample
 
 FOLLOWED = 4  # light is followed for every fourth cell along and across, and interpolated between them
 FARTHEST, NOWHERE = 3.0, 1e3  # of the way to the plane z = 0 and to the patch: where lines of sight and light end that meet no road
@@ -80,6 +80,6 @@ def _warped(warp: Warp | None, source: Tensor, size_m: tuple[float, float]) -> W
         return Warp(source, torch.ones_like(source[:, 0]), size_m)
     u, v = source.unbind(1)
     of, dimming = (each.expand(len(u), -1, -1, -1) for each in (warp.source, warp.dimming[:, None]))
-    taken = resampled(of, u, v, "border")
-    dimmed = resampled(dimming, u, v)
+    taken = resample(of, u, v, "border")
+    dimmed = resample(dimming, u, v)
     return Warp(taken, dimmed[:, 0], size_m)

@@ -21,7 +21,7 @@ from luxloop.perception.extraction import Crop
 from luxloop.world.frames import View
 from luxloop.world.kept import keeping
 from luxloop.world.params import Params
-from luxloop.world.texels import resampled
+from luxloop.world.texels import resample
 
 CORNERS = 4  # of a rectangle
 AHEAD_M = 0.1  # nearer to the camera than that nothing is seen
@@ -158,7 +158,7 @@ class Projector:
             return [self.rectangle(projection)] * len(self.modules)
         u, v = projection.warp.source.unbind(1)
         symbol = self.symbol.expand(len(u), 1, -1, -1)
-        warped = resampled(symbol, u, v)[:, 0] * projection.warp.dimming
+        warped = resample(symbol, u, v)[:, 0] * projection.warp.dimming
         if clear:
             warped = torch.stack([warped, (projection.warp.source.abs().amax(1) <= 1).to(warped)], 1)
         images = warped.expand(len(self.modules), *warped.shape[1:])

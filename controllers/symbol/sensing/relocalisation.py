@@ -18,7 +18,7 @@ from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projecto
 from luxloop.controllers.symbol.sensing.shape import reached
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.world.frames import View
-from luxloop.world.texels import TexelGrid, resampled
+from luxloop.world.texels import TexelGrid, resample
 
 GRID = (28, 16)  # rays of a pattern, along and across
 MARGIN = 0.5  # of the pattern's extent, that is compared around it and has to be dark
@@ -151,7 +151,7 @@ class Relocaliser:
     def _match(self, shapes: Tensor, image: Tensor, pattern: Pattern) -> Tensor:
         size = image.new_tensor([[image.shape[-1]], [image.shape[-2]]])
         u, v = (2 * self._seen_at(shapes, pattern) / size - 1).unbind(1)
-        seen = resampled(image, u[None], v[None])[0, 0]
+        seen = resample(image, u[None], v[None])[0, 0]
         seen, values = seen - seen.mean(-1, keepdim=True), (pattern.values - pattern.values.mean()).flatten()
         return seen @ values / (seen.norm(dim=-1) * values.norm()).clamp(min=1e-6)
 

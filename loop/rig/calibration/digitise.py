@@ -204,7 +204,7 @@ def scaled(modules: Sequence[Digitised], readings: Sequence[Reading]) -> tuple[t
         places = np.stack([module.u.ravel(), module.v.ravel()], -1)
         share = np.exp(_terms(places, len(readings), (shape.width, shape.height)) @ solved)
         intensity = module.measured.intensity * share.reshape(module.u.shape)
-        light = module.light.dimmed(torch.from_numpy(share.astype(np.float32)))
+        light = module.light.dim(torch.from_numpy(share.astype(np.float32)))
         made.append(replace(module, light=light, measured=replace(module.measured, intensity=intensity)))
     return tuple(made), std
 

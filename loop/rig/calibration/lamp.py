@@ -112,4 +112,4 @@ def measured_lamp(scenario: Scenario, lights: Sequence[Headlight], name: str, no
     for mount, light in zip(mounts, lights, strict=True):
         modules[mount.number] = replace(modules[mount.number], headlight=light)
     lamp = Lamp(name, tuple(modules), notes=notes)
-    return lamp if mounts[0].side == "left" else replace(lamp, modules=tuple(each.mirrored() for each in modules))
+    return lamp if mounts[0].side == "left" else replace(lamp, modules=tuple(each.mirror() for each in modules))

@@ -17,7 +17,7 @@ from luxloop.loop.rig.params import RigParams
 from luxloop.loop.rig.rectified import Rectifier, grey
 from luxloop.loop.rig.rig import CAMERA_S, Rig, opened
 from luxloop.perception.camera import CameraParams
-from luxloop.world.errors import LuxloopError, located
+from luxloop.world.errors import LuxloopError, locate
 
 TRIES: Final = 20  # of one frame, or of light that a limit slows down
 
@@ -74,7 +74,7 @@ def live_bench(
     """Open an armed rig. ready: waits until it is ready. Raises LuxloopError if a device cannot be opened, or no picture arrives."""
     if params.mark is not None:
         raise LuxloopError(f"{file}: mark: lies in the light that is to be measured; take it out to calibrate")
-    with located(str(file)), opened(params, grids, None, armed=True) as rig:
+    with locate(str(file)), opened(params, grids, None, armed=True) as rig:
         ready(rig)
         if params.triggered:
             rig.camera.trigger()

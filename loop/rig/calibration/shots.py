@@ -14,7 +14,7 @@ from luxloop.loop.rig.calibration.bench import Array, Bench, Image
 from luxloop.loop.rig.calibration.response import Response
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import content, reading, whole
-from luxloop.world.images import decoded
+from luxloop.world.images import decode
 
 NOTE: Final = "bench.json"
 SATURATED: Final = 0.98  # of the largest digital number
@@ -93,7 +93,7 @@ class Shots:
 
     def _read(self, path: Path) -> Image:
         with reading(path, "no frame of this bench", "remove it, to have it taken again"):
-            frame = decoded(content(path), str(path))
+            frame = decode(content(path), str(path))
             if frame is None or frame.shape != self.bench.shape or frame.max() > self.bench.levels:
                 raise ValueError("another size or depth")
             return frame

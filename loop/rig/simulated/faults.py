@@ -8,9 +8,9 @@ from pydantic import Field, model_validator
 
 from luxloop.loop.scenario.disturbances import PoseErrorParams
 from luxloop.loop.scenario.overrides import overridden
-from luxloop.world.errors import located
+from luxloop.world.errors import locate
 from luxloop.world.params import Params
-from luxloop.world.validation import read_toml, validated
+from luxloop.world.validation import read_toml, validate_model
 
 PREFIX: Final = "faults"
 
@@ -127,8 +127,8 @@ def read(file: Path | None, changes: Sequence[str] = ()) -> FaultParams:
     if changes:
         data = overridden({PREFIX: {**FaultParams().model_dump(mode="json"), **data}}, changes)[PREFIX]
     source = [*([] if file is None else [str(file)]), *(f"--set {each}" for each in changes)]
-    with located(" with ".join(source) or PREFIX):
-        return validated(FaultParams, data, "docs/rig.md has an example")
+    with locate(" with ".join(source) or PREFIX):
+        return validate_model(FaultParams, data, "docs/rig.md has an example")
 
 
 def split(overrides: Sequence[str]) -> tuple[list[str], list[str]]:

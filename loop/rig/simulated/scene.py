@@ -139,7 +139,7 @@ def _true(modules: Sequence[LampModule], faults: FaultParams) -> tuple[LampModul
     error = faults.lamp
     aim = AimParams(**{name: getattr(error, name) for name in PoseErrorParams.model_fields})
     wrong = DisturbanceParams(aim=(aim,), wear=WearParams(dead=error.dead, seed=faults.seed))
-    scaled = (replace(each, headlight=each.headlight.scaled(error.scale)) for each in modules)
+    scaled = (replace(each, headlight=each.headlight.scale(error.scale)) for each in modules)
     return true_modules(wrong, scaled)
 
 

@@ -25,7 +25,7 @@ from luxloop.perception.detection.build import detector
 from luxloop.perception.detection.network import NetworkDetector
 from luxloop.perception.detection.params import NetworkParams, TruthParams
 from luxloop.perception.detection.protocol import Detector
-from luxloop.world.errors import LuxloopError, all_of, located
+from luxloop.world.errors import LuxloopError, all_of, locate
 from luxloop.world.files import output_folder, whole
 from luxloop.world.validation import sentences
 
@@ -52,7 +52,7 @@ def optimise_beam(
         raise LuxloopError(f"--steps {steps}: too few; give 1 or more")
     scenario = scenario.model_copy(update={"functions": {}})
     simulation = Simulation.prepare(scenario, torch_device(device))
-    with located(scenario.source):
+    with locate(scenario.source):
         judge = BeamJudge.prepare(simulation, goal, _detector(scenario, goal.metric, simulation.device))
     method = _method(method, judge)
     start, number = begin(judge), steps or STEPS[method]

@@ -18,8 +18,8 @@ from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.contracts.values import check_calls, check_state, check_tensor, name_of, pure
 from luxloop.perception.egomotion import Ego, Sample, Samples, Sensor, ego_of
 from luxloop.perception.extraction import ExtractionStatus
-from luxloop.world.errors import LuxloopError, located
-from luxloop.world.plugin import Guarded, check_methods, made
+from luxloop.world.errors import LuxloopError, locate
+from luxloop.world.plugin import Guard, check_methods, construct
 
 CALLS = {"start": ("pose",), "projection": ("state", "ego"), "step": ("state", "observation")}
 SCENARIO: dict[str, Any] = {
@@ -73,7 +73,7 @@ def check_in(simulation: Simulation, controller: type, options: Mapping[str, Any
     """Raises LuxloopError as `check_controller`, of a controller in a world that others can share."""
     name = name_of(controller)
     check_methods(controller, f"{KEY}: {name}", METHODS)
-    own = made(controller, name, KEY, {"sensor": simulation.symbol.sensor}, options)
+    own = construct(controller, name, KEY, {"sensor": simulation.symbol.sensor}, options)
     check_calls(own, CALLS)
     symbol = simulation.symbol
     watched = replace(simulation, controlled={"symbol": replace(symbol, controller=Watched(own, symbol))})
@@ -103,7 +103,7 @@ class WatchedState:
 class Watched:
     """The controller in the simulation, of which each call is checked."""
 
-    own: Guarded
+    own: Guard
     symbol: ControlledSymbol
 
     def start(self, pose: Tensor) -> WatchedState:
@@ -115,7 +115,7 @@ class Watched:
     def projection(self, state: WatchedState, ego: Ego | None) -> ProjectionCommand:
         """The controller's projection command, with a pose in reach."""
         projection = pure(self.own, "projection", {"state": state.inner, "ego": ego}, "projection")
-        with located(f"{self.own.key}: {self.own.name}: projection"):
+        with locate(f"{self.own.key}: {self.own.name}: projection"):
             self._check(projection)
         return projection
 
@@ -124,15 +124,15 @@ class Watched:
         after = self._stepped(state, observation)
         if state.steps in LOST_AFTER and observation.frames is not None:
             for situation, lost in self._lost(observation, observation.frames).items():
-                with located(f"in {situation}"):
+                with locate(f"in {situation}"):
                     blind = self._stepped(state, lost)
                     self.projection(blind, observation.ego)
-                with located(f"after {situation}"):
+                with locate(f"after {situation}"):
                     self.projection(self._stepped(blind, observation), observation.ego)
         if state.steps == DRIVES_AFTER:
             for situation, ego in self._driving().items():
                 moving = replace(observation, ego=ego, shown=replace(observation.shown, ego=ego))
-                with located(f"on a car {situation}"):
+                with locate(f"on a car {situation}"):
                     self.projection(self._stepped(state, moving), ego)
         return after
 

@@ -12,8 +12,8 @@ from luxloop.loop.scenario.model import validate
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.contracts.values import check_calls, check_state, name_of, pure
-from luxloop.world.errors import LuxloopError, located
-from luxloop.world.plugin import Guarded
+from luxloop.world.errors import LuxloopError, locate
+from luxloop.world.plugin import Guard
 
 Result = TypeVar("Result")
 CALLS = {"primitives": ("now",)}
@@ -57,7 +57,7 @@ def check_function(function: type, options: Mapping[str, Any] | None = None, dev
 def check_in(world: tuple[Simulation, list[StepResult]], function: type, options: Mapping[str, Any]) -> None:
     """Raises LuxloopError as `check_function`, of a function in a world that others can share."""
     name, (simulation, bare) = name_of(function), world
-    with located("check_function"):
+    with locate("check_function"):
         made = function_of(function, OwnFunction(kind=name, options=dict(options)))
         calls = ADAPTIVE_CALLS if isinstance(made, CheckedAdaptive) else CALLS
         check_calls(made.own, calls | ({"commands": ("now",)} if hasattr(function, "commands") else {}))
@@ -94,7 +94,7 @@ def _steps(simulation: Simulation) -> list[StepResult]:
 class WatchedFunction:
     """The function in the simulation, of which each call is checked."""
 
-    own: Guarded
+    own: Guard
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """The function's primitives."""
@@ -108,7 +108,7 @@ class WatchedAdaptive:
     function: CheckedAdaptive
 
     @property
-    def own(self) -> Guarded:
+    def own(self) -> Guard:
         """The function itself."""
         return self.function.own
 
@@ -136,6 +136,6 @@ class WatchedAdaptive:
 
 def _twice(call: Callable[[Situation], Result], now: Situation) -> Result:
     """What a call gives for a situation; it is made for the same one without objects, too."""
-    with located("where now.objects is empty"):
+    with locate("where now.objects is empty"):
         call(replace(now, objects=()))
     return call(now)

@@ -16,8 +16,8 @@ from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.simulation.world import World
 from luxloop.loop.studies.contracts.values import Parts, check_calls, check_state, copied, difference, name_of, pure
-from luxloop.world.errors import LuxloopError, located
-from luxloop.world.plugin import Guarded, Name, check_methods, made
+from luxloop.world.errors import LuxloopError, locate
+from luxloop.world.plugin import Guard, Name, check_methods, construct
 
 CALLS = {"start": (), "show": ("state", "exposure")}
 GIVES = "(state, arrivals)"
@@ -59,7 +59,7 @@ def check_in(worlds: tuple[Simulation, Simulation], plant: type, options: Mappin
 
 def _check_shown(plant: type, name: Name, options: Mapping[str, Any], simulation: Simulation, exposures: int) -> None:
     """Raises LuxloopError as `check_plant`, of one in a world and so many exposures."""
-    own = made(plant, name, KEY, {"scenario": simulation.scenario, "modules": lamp_modules(simulation.modules)}, options)
+    own = construct(plant, name, KEY, {"scenario": simulation.scenario, "modules": lamp_modules(simulation.modules)}, options)
     check_calls(own, CALLS)
     _check_truth(own)
     shown: list[Shown] = []
@@ -103,7 +103,7 @@ class Shown:
     gave: Parts
 
 
-def _check_truth(own: Guarded) -> None:
+def _check_truth(own: Guard) -> None:
     truth = getattr(own, "truth", None)
     if truth is not None and not isinstance(truth, World):
         raise LuxloopError(
@@ -111,21 +111,21 @@ def _check_truth(own: Guarded) -> None:
         )
 
 
-def _said(own: Guarded, method: str, inputs: Mapping[str, Any], shown: Sequence[Shown], simulation: Simulation) -> tuple[Any, Arrivals]:
+def _said(own: Guard, method: str, inputs: Mapping[str, Any], shown: Sequence[Shown], simulation: Simulation) -> tuple[Any, Arrivals]:
     """State and arrivals of a call after what was shown. Raises LuxloopError where these cannot be."""
     gave = pure(own, method, inputs, GIVES)
     where = f"{own.key}: {own.name}: {method}"
-    with located(where):
+    with locate(where):
         state, arrivals = pair(gave)
     check_state(own, method, state)
-    with located(where):
+    with locate(where):
         check_time(arrivals, inputs.get("exposure"))
         check_frames(arrivals)
         starts_s = [each.exposure.start_s for each in shown] + [each.start_s for each in inputs.values() if isinstance(each, Exposure)]
         came = [frame for each in shown for frame in each.arrivals.frames]
         for frame in arrivals.frames:
             _check_number(frame, len(starts_s), came)
-            with located(f"frame {frame.number}"):
+            with locate(f"frame {frame.number}"):
                 start_s, end_s = (*starts_s, arrivals.time_s)[frame.number : frame.number + 2]
                 _check_times(frame, start_s, end_s, arrivals.time_s, came)
                 _check_image(frame.image, simulation)

@@ -15,7 +15,7 @@ from luxloop.loop.studies.contracts.values import check_calls, check_state, name
 from luxloop.perception.detection.protocol import Detections
 from luxloop.perception.trackers import KEY, METHODS, CheckedTracker, OwnTracker, own_tracker
 from luxloop.perception.tracks import TrackedBoxes
-from luxloop.world.errors import LuxloopError, located
+from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.frames import View
 from luxloop.world.plugin import check_methods
 from luxloop.world.traffic.tracked import Category
@@ -82,9 +82,9 @@ def check_tracker(tracker: type, options: Mapping[str, Any] | None = None, devic
                 )
         if k in EMPTY_AFTER:
             empty = Detections(each.found.boxes[:0], each.found.scores[:0])
-            with located("in a frame without detections"):
+            with locate("in a frame without detections"):
                 blind = _followed(own, state, empty, frames[k + 1])
-            with located("after a frame without detections"):
+            with locate("after a frame without detections"):
                 _followed(own, blind, frames[k + 2].found, frames[k + 2])
     if not numbers:
         warnings.warn(

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from luxloop.world.errors import LuxloopError
 from luxloop.world.partial import PartialImage
-from luxloop.world.plugin import Guarded, Name
+from luxloop.world.plugin import Guard, Name
 
 DATA = (Tensor, np.ndarray, np.generic, bool, int, float, complex, str, bytes, type(None), Enum, Path, torch.device, torch.dtype)
 Parts = dict[str, Any]  # what a value consists of, by its place: "state.gains[0]"
@@ -27,7 +27,7 @@ def name_of(made_by: type) -> Name:
     return Name(f"{made_by.__module__}:{made_by.__name__}")
 
 
-def check_calls(own: Guarded, calls: Mapping[str, tuple[str, ...]]) -> None:
+def check_calls(own: Guard, calls: Mapping[str, tuple[str, ...]]) -> None:
     """Raises LuxloopError where a method does not take the values with which it is called."""
     for method, values in calls.items():
         takes = signature(getattr(own.part, method))
@@ -38,7 +38,7 @@ def check_calls(own: Guarded, calls: Mapping[str, tuple[str, ...]]) -> None:
             raise LuxloopError(f"{own.key}: {own.name}: {method} takes {takes}, but is called as {called}; let it take these") from error
 
 
-def pure(own: Guarded, method: str, inputs: Mapping[str, Any], gives: str) -> Any:
+def pure(own: Guard, method: str, inputs: Mapping[str, Any], gives: str) -> Any:
     """What a method gives for inputs; gives: what that is called.
 
     Raises LuxloopError where the method changes an input, or gives something else for the same inputs once more.
@@ -63,7 +63,7 @@ def pure(own: Guarded, method: str, inputs: Mapping[str, Any], gives: str) -> An
     return result
 
 
-def check_state(own: Guarded, method: str, state: Any) -> None:
+def check_state(own: Guard, method: str, state: Any) -> None:
     """Raises LuxloopError where a state holds anything but data, so that it cannot be saved and taken up elsewhere."""
     for place, part in _parts(state, "state"):
         if not isinstance(part, DATA):

@@ -13,10 +13,10 @@ from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.scenario.overrides import overridden, resolve_paths
 from luxloop.loop.studies.ranges import Range, changed, parse
 from luxloop.loop.studies.training.scenes import tables
-from luxloop.world.errors import LuxloopError, located
+from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.params import Params
 from luxloop.world.plugin import refuse_code
-from luxloop.world.validation import read_toml, validated
+from luxloop.world.validation import read_toml, validate_model
 
 DRAWING: Final = 3  # of what is drawn for a scene, beside its world
 
@@ -70,8 +70,8 @@ def read(file: Path, number: int, *, allow_code: bool = False) -> Dataset:
     if number < 1:
         raise LuxloopError(f"--scenes {number}: too few; give 1 or more")
     data = read_toml(file)
-    with located(str(file)):
-        params = validated(DatasetParams, data, "docs/data.md has an example")
+    with locate(str(file)):
+        params = validate_model(DatasetParams, data, "docs/data.md has an example")
         for each in (params.set, *params.variants.values()):
             resolve_paths(each, file.parent)
         first = tuple(_scenario(params, params.seed, variant) for variant in params.variants or [""])
@@ -103,7 +103,7 @@ def _scenario(params: DatasetParams, seed: int, variant: str) -> Scenario:
     name = f"scene {seed}"
     own = {"name": name, "steps": params.steps, "rate_hz": params.rate_hz, "seed": seed, "lighting": {}}
     data = validate({**own, **tables(seed)}, name).model_dump(mode="json")
-    with located(f"variants.{variant}" if variant else "set"):
+    with locate(f"variants.{variant}" if variant else "set"):
         return validate(overridden(data, [params.set, params.variants[variant] if variant else {}]), name)
 
 

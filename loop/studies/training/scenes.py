@@ -26,7 +26,7 @@ from luxloop.world.rendering.surfaces import SurfaceSource, face_source, surface
 from luxloop.world.scene.scene import Ground, Scene
 from luxloop.world.scene.triangles import Triangles
 from luxloop.world.spmv import Csr
-from luxloop.world.traffic.generator import varied
+from luxloop.world.traffic.generator import random_tables
 
 CAMERA: Final = CameraParams(width_px=640, height_px=360, pitch_deg=1.5, oversampling=1, saturation_e=2000)
 LAMPS_M: Final = ((0.0, 0.6, 0.75), (0.0, -0.6, 0.75))
@@ -165,7 +165,7 @@ def _file(folder: str, seed: int) -> Path:
 
 def tables(seed: int) -> dict[str, Any]:
     """Tables `road`, `surface`, `light` and `traffic` of a scenario, from a seed, with something to be found in most."""
-    found = varied(seed)
+    found = random_tables(seed)
     traffic = found["traffic"]
     for key in ("pedestrians", "cyclists", "animals"):  # nights are emptier than what is worth drawing
         traffic[key] += 1

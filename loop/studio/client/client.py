@@ -18,7 +18,7 @@ from luxloop.loop.studio.client.shared import Mapped
 from luxloop.loop.studio.client.state import State
 from luxloop.loop.studio.messages import View
 from luxloop.world.errors import LuxloopError
-from luxloop.world.messages import coded, packed
+from luxloop.world.messages import encode, pack
 from luxloop.world.validation import toml
 
 VIEWS: Final[tuple[View, ...]] = ("frames", "light", "matrix")
@@ -229,7 +229,7 @@ class Client:
 
     def _send(self, head: Mapping[str, Any], arrays: Mapping[str, np.ndarray] | None = None) -> None:
         try:
-            self._socket.send(packed(head, {name: coded(each) for name, each in (arrays or {}).items()}))
+            self._socket.send(pack(head, {name: encode(each) for name, each in (arrays or {}).items()}))
         except ConnectionClosed as error:
             raise LuxloopError(self._told(error)) from error
 
@@ -256,7 +256,7 @@ class Client:
                         self._got.take(head, arrays | there)
                     self._news.notify_all()
                 if head["type"] == "step":
-                    self._socket.send(packed({"type": "shown", "id": head["id"]}))
+                    self._socket.send(pack({"type": "shown", "id": head["id"]}))
             lost = "the studio has ended"
         except ConnectionClosed as error:
             lost = self._told(error)

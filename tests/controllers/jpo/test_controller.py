@@ -59,7 +59,7 @@ def test_a_mask_is_dark_and_its_surroundings_are_not(hd84: Headlight) -> None:
     mask = on_a_wall(value=0.0, weight=float("inf"))
     goal, u = jpo.goal(mask, T_LAMP), jpo.utilisation(mask, T_LAMP).u
     dark = goal.target == 0
-    reached = multiply(hd84.matrix.transposed, dark.float()) > 0
+    reached = multiply(hd84.matrix.transpose, dark.float()) > 0
     assert dark.sum() > 500 and (u[reached] == 0).all() and (u[~reached] > 0.9).all()
     assert (hd84.light_texture(u).flatten()[dark] == 0).all()
 

@@ -30,7 +30,7 @@ def wall(value: float = 0.5, half: float = 1.0):
 @pytest.mark.parametrize("sampling", get_args(Sampling))
 def test_samples_are_those_of_the_reference(sampling: str) -> None:
     light = lamp("hd84").modules[0].headlight
-    entries = light.matrix.transposed
+    entries = light.matrix.transpose
     weights = sample_weights(entries, light, sampling)
     pixel = row_of_entries(entries)
     for j in (0, 17, 40, 83):
@@ -45,7 +45,7 @@ def test_samples_are_those_of_the_reference(sampling: str) -> None:
 @pytest.mark.parametrize(("sampling", "samples", "total"), [("brightest", 1, 1), ("centroid", 1, 1), ("uniform", 4, 4), ("quincunx", 5, 1)])
 def test_every_pixel_has_its_samples(sampling: str, samples: int, total: float) -> None:
     light = idealised(8, 20, texels_per_pixel=(6, 6))
-    entries = light.matrix.transposed
+    entries = light.matrix.transpose
     weights = sample_weights(entries, light, sampling)
     pixel = row_of_entries(entries)
     assert torch.bincount(pixel, weights=(weights > 0).double(), minlength=160).eq(samples).all()

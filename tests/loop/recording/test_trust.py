@@ -94,7 +94,7 @@ def test_a_scenario_runs_no_code_unless_that_is_allowed(key: str, text: str, min
     for part in (f"{file}: {key}: ", "the module mine;", "--allow-code", "allow_code=True"):
         assert part in str(caught.value), caught.value
     scenario = load(str(file), allow_code=True)
-    ((found, name),) = plugin.named(scenario)
+    ((found, name),) = plugin.own_names(scenario)
     assert (found, name.folder, name.module) == (key, mine, "mine")
     assert digests(scenario)["module mine"] and not ran(mine), "even so, nothing runs before it is needed"
 
@@ -108,7 +108,7 @@ def test_what_is_typed_or_given_in_python_is_the_users_own(key: str, mine: Path,
     sets = [f"{key}=mine:{name}"]
     if key == "functions.symbol.controller.road.kind":
         sets = [f"functions.symbol.controller={{ name='feedforward', road={{ kind='mine:{name}' }} }}"]
-    assert [each for _, each in plugin.named(load(base, sets))] == [f"{mine}/mine:{name}"]
+    assert [each for _, each in plugin.own_names(load(base, sets))] == [f"{mine}/mine:{name}"]
     if key == "functions.symbol.controller.name":
         assert load(base, controller={"name": f"mine:{name}"}).symbol.controller.name == f"{mine}/mine:{name}"
     (mine / "keys.toml").write_text("[road]\nkind = 'mine:Road'\n")
@@ -162,7 +162,7 @@ def test_a_campaign_names_code_as_a_scenario_does(mine: Path) -> None:
             campaign.read(file)
         (one,) = campaign.read(file, allow_code=True)
         job = campaign.checked(one.scenario.model_dump(mode="json"), digests(one.scenario))
-        assert [name.folder for _, name in plugin.named(job)] == [mine], "workers have the decision with the name"
+        assert [name.folder for _, name in plugin.own_names(job)] == [mine], "workers have the decision with the name"
     (mine / "plain.toml").write_text(NAMING["road.kind"])
     file.write_text('scenarios = ["plain.toml"]\n')
     with pytest.raises(LuxloopError, match=r"plain\.toml: road\.kind: .*--allow-code"):

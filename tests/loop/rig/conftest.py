@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from luxloop.loop.rig.params import RigParams
-from luxloop.world.validation import validated
+from luxloop.world.validation import validate_model
 
 ROOT = Path(__file__).parents[3]
 SMALL = Path(__file__).parent / "small_rig.py"
@@ -48,7 +48,7 @@ class Process:
         timing = {"latency_s": 0.02, "jitter_s": 0.01, "rolling_s": 0.006, "wait_s": 0.6}
         light = {"kind": "ddp", "timecode": True, "host": "127.0.0.1", "port": self.light, "dark_after_s": self.keys.get("dark_s", 0.1)}
         camera = {"kind": "http", "url": f"http://127.0.0.1:{self.camera}/camera", "timeout_s": 0.3}
-        return validated(RigParams, {"light": light, "camera": camera, "timing": timing, **tables}, "")
+        return validate_model(RigParams, {"light": light, "camera": camera, "timing": timing, **tables}, "")
 
 
 @pytest.fixture

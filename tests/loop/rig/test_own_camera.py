@@ -16,7 +16,7 @@ from luxloop.loop.rig.params import RigParams
 from luxloop.loop.rig.rig import Rig, await_camera, opened
 from luxloop.perception.camera import CameraParams
 from luxloop.world.errors import LuxloopError
-from luxloop.world.validation import validated
+from luxloop.world.validation import validate_model
 
 GRID = (4, 4)
 CAMERA = CameraParams(width_px=64, height_px=48, bits=8)
@@ -61,7 +61,7 @@ def params(folder: Path, name: str, **camera: object) -> RigParams:
     (folder / f"{module}.py").write_text(OWN)
     timing = {"latency_s": 0.02, "jitter_s": 0.01, "rolling_s": 0.006, "wait_s": 0.3}
     given = {"kind": f"{folder}/{module}:{name}", "timeout_s": 0.3, **camera}
-    return validated(RigParams, {"light": {"kind": "files", "folder": str(folder)}, "camera": given, "timing": timing}, "")
+    return validate_model(RigParams, {"light": {"kind": "files", "folder": str(folder)}, "camera": given, "timing": timing}, "")
 
 
 @contextmanager
@@ -118,4 +118,6 @@ def test_numbers_beyond_those_of_the_camera_are_told_in_a_calibration(tmp_path: 
 
 def test_only_a_camera_of_ones_own_is_triggered(tmp_path: Path) -> None:
     with pytest.raises(LuxloopError, match="triggered"):
-        validated(RigParams, {"light": {"kind": "ddp", "host": "a"}, "camera": {"kind": "folder", "folder": ".", "triggered": True}}, "")
+        validate_model(
+            RigParams, {"light": {"kind": "ddp", "host": "a"}, "camera": {"kind": "folder", "folder": ".", "triggered": True}}, ""
+        )

@@ -44,7 +44,7 @@ from luxloop.loop.rig.wire.datagrams import encoded
 from luxloop.perception.camera import CameraParams
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import ModuleCommand
-from luxloop.world.validation import validated
+from luxloop.world.validation import validate_model
 from tests.loop.rig.conftest import eventually, free_port
 
 WHOLE = """
@@ -269,7 +269,7 @@ HEAD = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=fr
 )
 def test_a_camera_that_answers_with_something_else_says_so(answer: bytes, words: str) -> None:
     port = answering(answer)
-    rig = validated(
+    rig = validate_model(
         RigParams, {"light": {"kind": "ddp", "host": "a"}, "camera": {"kind": "http", "url": f"http://127.0.0.1:{port}/camera"}}, ""
     )
     camera = Camera(opener(rig.camera), 0.3)
@@ -363,7 +363,7 @@ def test_a_camera_that_is_silent_or_drips_is_given_up(monkeypatch: pytest.Monkey
 def test_pictures_from_a_queue_are_told_from_those_that_were_awaited() -> None:
     part = b"--frame\r\nContent-Type: image/png\r\nContent-Length: 3\r\n\r\nabc\r\n"
     port = answering(HEAD + 3 * part)
-    rig = validated(
+    rig = validate_model(
         RigParams, {"light": {"kind": "ddp", "host": "a"}, "camera": {"kind": "http", "url": f"http://127.0.0.1:{port}/camera"}}, ""
     )
     source = opener(rig.camera)()
@@ -390,7 +390,7 @@ def test_a_boundary_that_follows_the_picture_before_is_not_the_next_one(tmp_path
 
     threading.Thread(target=serve, daemon=True).start()
     url = f"http://127.0.0.1:{server.getsockname()[1]}/"
-    source = opener(validated(RigParams, {"light": {"kind": "ddp", "host": "a"}, "camera": {"kind": "http", "url": url}}, "").camera)()
+    source = opener(validate_model(RigParams, {"light": {"kind": "ddp", "host": "a"}, "camera": {"kind": "http", "url": url}}, "").camera)()
     for k in range(3):
         picture = source.read(1.0)
         assert picture is not None and picture.data == b"abc" and picture.awaited
@@ -421,7 +421,7 @@ def test_a_camera_of_ones_own_is_read_and_looked_at(tmp_path: Path) -> None:
 
     def camera(wrong: bool) -> Camera:
         given = {"kind": f"{tmp_path}/owncam:Cam", "options": {"wrong": wrong}}
-        rig = validated(RigParams, {"light": {"kind": "ddp", "host": "a"}, "camera": given}, "")
+        rig = validate_model(RigParams, {"light": {"kind": "ddp", "host": "a"}, "camera": given}, "")
         return Camera(opener(rig.camera), 0.3)
 
     good, bad = camera(False), camera(True)

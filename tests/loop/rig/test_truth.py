@@ -24,7 +24,7 @@ from luxloop.loop.simulation.build_plant import from_zero
 from luxloop.loop.simulation.lamps import lamp_modules
 from luxloop.loop.simulation.protocol import Arrivals, Exposure
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.world.validation import validated
+from luxloop.world.validation import validate_model
 from tests.loop.rig.conftest import ROOT, free_port
 
 pytestmark = pytest.mark.slow
@@ -57,7 +57,7 @@ class Bench:
     def params(self, **tables: Any) -> RigParams:
         light = {"kind": "ddp", "timecode": True, "host": "127.0.0.1", "port": self.light, "bits": 16}
         camera = {"kind": "http", "url": f"http://127.0.0.1:{self.camera}/camera", "bits": 12}
-        return validated(RigParams, {"light": light, "camera": camera, "timing": TIMING, **tables}, "")
+        return validate_model(RigParams, {"light": light, "camera": camera, "timing": TIMING, **tables}, "")
 
 
 class Watched:

@@ -92,7 +92,7 @@ def test_what_the_lamp_has_not_is_named(scenario: Scenario, values: dict, words:
 
 
 def test_modules_that_give_no_light_cannot_be_scaled(tmp_path: Path) -> None:
-    archive.save(tmp_path / "dark.npz", Lamp("dark", (Module("main", idealised(4, 8).scaled(0.0)),)))
+    archive.save(tmp_path / "dark.npz", Lamp("dark", (Module("main", idealised(4, 8).scale(0.0)),)))
     with pytest.raises(LuxloopError, match="main give no light"):
         shining_modules(load("flat", [f"headlight.model={tmp_path / 'dark.npz'}", "headlight.intensity_cd=1000"]), CPU)
 

@@ -116,7 +116,7 @@ def test_levelling_holds_the_beam_over_the_ground_while_the_body_pitches(lamp: s
         heights = []
         for result in simulation.run():
             (command, *_) = result.now.commands or (REST,)
-            T = simulation.world.motion.at(result.time_s).T_ground_body @ command.turned(simulation.modules[0].T_world_module)
+            T = simulation.world.motion.at(result.time_s).T_ground_body @ command.turn(simulation.modules[0].T_world_module)
             heights.append(float(T[2, 3] + 25 / T[0, 0] * T[2, 0]))
         return heights
 

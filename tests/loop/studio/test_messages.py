@@ -10,7 +10,7 @@ import pytest
 
 from luxloop.loop.studio.messages import Paint, Set, Speed, read
 from luxloop.world.errors import LuxloopError
-from luxloop.world.messages import LENGTH, coded, grey, packed
+from luxloop.world.messages import LENGTH, encode, grey, pack
 from tests.loop.studio.clients import message, unpacked
 
 
@@ -18,7 +18,7 @@ from tests.loop.studio.clients import message, unpacked
 def test_arrays_come_back_bit_for_bit(dtype: type) -> None:
     rng = np.random.default_rng(0)
     sent = {"noise": (100 * rng.random((5, 7))).astype(dtype), "zeros": np.zeros((40, 30), dtype)}
-    head, got = unpacked(packed({"type": "test"}, {name: coded(each) for name, each in sent.items()}))
+    head, got = unpacked(pack({"type": "test"}, {name: encode(each) for name, each in sent.items()}))
     assert head["type"] == "test" and head["arrays"]["zeros"]["coding"] == "deflate"
     for name, each in sent.items():
         assert got[name].dtype == each.dtype and np.array_equal(got[name], each)
@@ -26,12 +26,12 @@ def test_arrays_come_back_bit_for_bit(dtype: type) -> None:
 
 def test_pictures_come_back_bit_for_bit() -> None:
     picture = np.random.default_rng(0).integers(0, 256, (9, 13)).astype(np.uint8)
-    _, got = unpacked(packed({}, {"picture": grey(picture)}))
+    _, got = unpacked(pack({}, {"picture": grey(picture)}))
     assert np.array_equal(got["picture"], picture)
 
 
 def test_numbers_that_are_not_finite_are_null() -> None:
-    text = packed({"values": [float("nan"), {"deep": float("inf")}, 1.5]})[LENGTH.size :]
+    text = pack({"values": [float("nan"), {"deep": float("inf")}, 1.5]})[LENGTH.size :]
     assert json.loads(text) == {"values": [None, {"deep": None}, 1.5]}
 
 

@@ -7,11 +7,11 @@ import trimesh
 from luxloop.loop.studio import shapes
 from luxloop.loop.studio.shapes import Shapes
 from luxloop.world.scene.body import Body
-from luxloop.world.scene.triangles import Placed
+from luxloop.world.scene.triangles import Instance
 
 
-def placed(name: str) -> Placed:
-    return Placed(1, Body(name, trimesh.creation.box(), 0.5), torch.eye(4, dtype=torch.float64))
+def placed(name: str) -> Instance:
+    return Instance(1, Body(name, trimesh.creation.box(), 0.5), torch.eye(4, dtype=torch.float64))
 
 
 def test_the_mesh_not_seen_for_longest_is_forgotten_and_made_again(monkeypatch: pytest.MonkeyPatch) -> None:

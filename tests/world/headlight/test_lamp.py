@@ -49,7 +49,7 @@ def test_a_movement_out_of_range_names_the_module(headlight: Headlight) -> None:
 
 def test_modules_add_up_and_the_mirrored_one_lights_the_other_side(headlight: Headlight) -> None:
     aside = Module("aside", headlight, pose_from_degrees((0, 0.1, 0), yaw_deg=8), swivel_deg=(-1, 4))
-    other = aside.mirrored()
+    other = aside.mirror()
     assert other.swivel_deg == (-4, 1)
     assert other.T_lamp_module[1, 3] == -0.1
     lamp = Lamp("both", (aside, other))
@@ -82,8 +82,8 @@ def test_the_finest_module_has_the_smallest_pixels_and_scaling_sets_the_peak(hea
     wide = replace(headlight, left=2 * headlight.left)
     lamp = Lamp("lamp", (Module("wide", wide), Module("narrow", headlight)))
     assert lamp.finest.name == "narrow"
-    assert headlight.scaled(0.5).peak_cd == pytest.approx(0.5 * headlight.peak_cd)
-    assert headlight.scaled(1.0) is headlight
+    assert headlight.scale(0.5).peak_cd == pytest.approx(0.5 * headlight.peak_cd)
+    assert headlight.scale(1.0) is headlight
 
 
 def test_the_field_is_that_of_all_modules_as_they_are_mounted(headlight: Headlight) -> None:
@@ -97,10 +97,10 @@ def test_the_field_is_that_of_all_modules_as_they_are_mounted(headlight: Headlig
 def test_a_turned_lamp_has_what_can_be_turned_where_its_pose_says(headlight: Headlight) -> None:
     mount = pose_from_degrees((0.0, 0.1, 0.0), pitch_deg=0.5)
     fixed, free = Module("fixed", headlight, mount), Module("free", headlight, mount, swivel_deg=(-5, 5))
-    one, other = Lamp("lamp", (fixed, free)).turned(4.0, 1.0).modules
+    one, other = Lamp("lamp", (fixed, free)).turn(4.0, 1.0).modules
     assert one.T_lamp_module.equal(mount)
     assert other.T_lamp_module.equal(free.pose(4.0)), "it swivels and cannot be levelled"
     with pytest.raises(LuxloopError, match="'free': swivel of 4"):
         Lamp("lamp", (other,)).modules[0].pose(4.0)
     with pytest.raises(LuxloopError, match="'free': swivel of 6"):
-        Lamp("lamp", (fixed, free)).turned(6.0, 0.0)
+        Lamp("lamp", (fixed, free)).turn(6.0, 0.0)

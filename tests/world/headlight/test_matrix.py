@@ -97,13 +97,13 @@ def test_view_sees_the_texture(device: torch.device) -> None:
 def test_mirroring_twice_gives_the_module_back_and_once_swaps_left_and_right() -> None:
     lamp = replace(idealised(3, 5, texels_per_pixel=(2, 3)), left=tan(12), chroma=None)
     lamp = replace(lamp, chroma=torch.rand(3, len(lamp.matrix.values)))
-    mirrored = lamp.mirrored()
+    mirrored = lamp.mirror()
     assert (mirrored.left, mirrored.right) == (-lamp.right, -lamp.left)
     u = torch.rand(3, 5)
     assert_equal = partial(torch.testing.assert_close, rtol=1e-6, atol=1e-2)
     assert_equal(mirrored.light_texture(u.flip(1).reshape(-1)), lamp.light_texture(u.reshape(-1)).flip(1))
     assert_equal(mirrored.colour_texture(u.flip(1).reshape(-1)), lamp.colour_texture(u.reshape(-1)).flip(2))
-    twice = mirrored.mirrored()
+    twice = mirrored.mirror()
     assert twice.matrix.values.equal(lamp.matrix.values) and twice.matrix.indices.equal(lamp.matrix.indices)
 
 

@@ -131,11 +131,11 @@ def test_lane_paint_has_the_luminance_of_its_class() -> None:
 def test_a_wet_road_is_dark_to_its_own_lamps_and_mirrors_those_ahead() -> None:
     to_lamp, to_driver = to_the_side(-(90 - 2.5)), to_the_side(-(90 - 4.5))
     mirrored = to_the_side(90 - 2.5)
-    albedo = WET.darkened(torch.tensor(0.2)).item()
+    albedo = WET.darken(torch.tensor(0.2)).item()
     assert albedo == pytest.approx(0.2 * 0.53 / (1 - 0.47 * 0.2), rel=1e-6)
     assert beta(WET, albedo, to_lamp, to_driver).item() < 0.6 * 0.2
     assert beta(WET, albedo, to_lamp, mirrored).item() > 20
-    assert WET.darkened(torch.tensor([0.0, 1.0])).tolist() == [0.0, 1.0]
+    assert WET.darken(torch.tensor([0.0, 1.0])).tolist() == [0.0, 1.0]
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,7 @@ def test_beads_make_the_lines_shine_and_only_them() -> None:
 def test_water_darkens_the_road_and_drowns_the_beads() -> None:
     dry, wet = road(markings=True, beads=True, grain=0.0).texture, road(markings=True, beads=True, grain=0.0, wet=1.0).texture
     assert dry is not None and wet is not None
-    torch.testing.assert_close(wet.albedo, WET.darkened(dry.albedo))
+    torch.testing.assert_close(wet.albedo, WET.darken(dry.albedo))
     assert [material.retro > 0 for material in dry.materials] == [False, True]
     assert [material.retro > 0 for material in wet.materials] == [False, False]
     own = shown(see(road(wet=1.0))) / shown(see(road()))
@@ -125,7 +125,7 @@ def test_the_assumed_road_is_as_wet_as_the_real_one() -> None:
 def test_a_puddle_is_as_dark_as_wet_asphalt() -> None:
     puddle = board(material="wet_asphalt", albedo=0.2)
     assert MATERIALS[puddle.parts[0].material] == WET
-    assert puddle.parts[0].albedo == pytest.approx(WET.darkened(torch.tensor(0.2)).item(), rel=1e-6)
+    assert puddle.parts[0].albedo == pytest.approx(WET.darken(torch.tensor(0.2)).item(), rel=1e-6)
 
 
 def test_a_texel_is_of_one_material() -> None:

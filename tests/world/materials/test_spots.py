@@ -57,7 +57,7 @@ def test_on_a_wet_road_a_patch_is_wet_and_paint_shows_its_own() -> None:
     patch, paint = SpotParams(x_m=10, albedo_factor=2.0), SpotParams(x_m=20, albedo_factor=9.0, material="lane_paint")
     texture = spotted(patch, paint, surface=surface)
     at = texture.at(torch.tensor([10.0, 20.0]), torch.zeros(2))
-    assert float(at[0]) == pytest.approx(float(surface.ground.darkened(torch.tensor(0.4))))
+    assert float(at[0]) == pytest.approx(float(surface.ground.darken(torch.tensor(0.4))))
     assert float(at[1]) == 1.0  # 9 x 0.2 is more than all light
     assert texture.materials[texture.material_at(torch.tensor([20.0]), torch.zeros(1))] == MATERIALS["lane_paint"]
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from luxloop.world.opencrg import Crg, CrgError, CrgSurface, filled, modified, read_crg
+from luxloop.world.opencrg import Crg, CrgError, CrgSurface, fill_gaps, modify, read_crg
 from tests.world.opencrg.writer import write_crg
 
 # The library keeps elevations as float32 and its x, y are printed to 1e-9 m, so we differ by 2e-9 m at most; this is the promise.
@@ -70,10 +70,10 @@ def test_agrees_with_the_reference_library(scan: Crg, reference: dict) -> None:
     assert_close(bordered(scan, 1).z(u, v), zero)
     if facts.get("nan_keep_last"):
         u, v, z = columns(facts["nan_keep_last"]["rows"])
-        assert_close(CrgSurface(modified(scan, {"grid_nan_mode": 2})).z(u, v), z)
+        assert_close(CrgSurface(modify(scan, {"grid_nan_mode": 2})).z(u, v), z)
     if facts.get("modifiers_applied"):
         u, v, z, x, y = columns(facts["modifiers_applied"]["rows"])
-        moved = CrgSurface(modified(scan))
+        moved = CrgSurface(modify(scan))
         assert_close(np.stack([moved.z(u, v), *moved.xy(u, v)]), np.stack([z, x, y]))
 
 
@@ -163,7 +163,7 @@ def test_line_meets_its_end_if_given(given: bool) -> None:
 def test_modifiers_move_the_reference_point_and_keep_the_shape() -> None:
     crg = grid()
     mods = {"refpoint_u": 7.0, "refpoint_v": 0.3, "refpoint_x": 5.0, "refpoint_y": -2.0, "refpoint_z": 1.0, "refpoint_phi": 0.7}
-    before, after = CrgSurface(crg), CrgSurface(modified(crg, mods))
+    before, after = CrgSurface(crg), CrgSurface(modify(crg, mods))
     np.testing.assert_allclose([*after.xy(7.0, 0.3), after.z(7.0, 0.3), after.phi(7.0)], [5.0, -2.0, 1.0, 0.7], atol=1e-12)
     u, v = np.random.default_rng(0).uniform([[4.0], [-1.0]], [[11.0], [1.0]], (2, 50))
     np.testing.assert_allclose(after.z(u, v) - before.z(u, v), 1.0 - before.z(7.0, 0.3), atol=1e-12)
@@ -173,21 +173,21 @@ def test_modifiers_move_the_reference_point_and_keep_the_shape() -> None:
 
 def test_modifiers_scale() -> None:
     crg = grid("straight")
-    scaled = modified(crg, {"scale_z_grid": 2.0, "scale_length": 3.0, "scale_width": 0.5})
+    scaled = modify(crg, {"scale_z_grid": 2.0, "scale_length": 3.0, "scale_width": 0.5})
     np.testing.assert_array_equal(scaled.z, 2 * crg.z)
     np.testing.assert_array_equal(scaled.v, crg.v / 2)
     assert (scaled.u_start, scaled.u_end) == (crg.u_start, crg.u_start + 3 * (crg.u_end - crg.u_start))
-    turned = CrgSurface(modified(grid(), {"scale_curvature": 0.0}))
+    turned = CrgSurface(modify(grid(), {"scale_curvature": 0.0}))
     np.testing.assert_allclose(turned.phi(np.linspace(3.0, 12.7, 9)), 0.3)
 
 
 def test_nan_is_filled_outwards() -> None:
     nan = np.nan
     crg = replace(grid("straight", 3, 4), z=np.array([[nan, 1, 2, nan], [nan] * 4, [nan, nan, 7, nan]]), v=np.arange(4.0))
-    np.testing.assert_array_equal(filled(crg, 0.0).z[[0, 2]], [[1, 1, 2, 2], [7, 7, 7, 7]])
-    np.testing.assert_array_equal(filled(crg, 0.5).z[0], [1.5, 1, 2, 2.5])
-    assert np.isfinite(filled(crg).z).all()
-    np.testing.assert_array_equal(modified(crg, {"grid_nan_mode": 1}).z[0], [0, 1, 2, 0])
+    np.testing.assert_array_equal(fill_gaps(crg, 0.0).z[[0, 2]], [[1, 1, 2, 2], [7, 7, 7, 7]])
+    np.testing.assert_array_equal(fill_gaps(crg, 0.5).z[0], [1.5, 1, 2, 2.5])
+    assert np.isfinite(fill_gaps(crg).z).all()
+    np.testing.assert_array_equal(modify(crg, {"grid_nan_mode": 1}).z[0], [0, 1, 2, 0])
 
 
 def test_a_file_may_refer_to_another(tmp_path: Path) -> None:
@@ -330,4 +330,4 @@ def test_what_modifiers_make_is_a_road_or_refused_in_a_sentence(changed: dict[st
     phi = np.linspace(0.0, 0.2, 9)
     crg = Crg(np.full((9, 3), 0.2), np.array([-1.0, 0.0, 1.0]), {"reference_line_increment": 0.5}, phi)
     with pytest.raises(CrgError, match=r"are not those of a road; correct \$ROAD_CRG and \$ROAD_CRG_MODS"):
-        CrgSurface(modified(crg, changed))
+        CrgSurface(modify(crg, changed))

@@ -7,7 +7,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from luxloop.world.roads.shapes import Flat, Iso8608, Road
-from luxloop.world.scene.driver import BRAKES_M_S2, FASTEST_M_S, LARGEST_1_M, LATERAL_M_S2, PULLS_M_S2, Controls, driven, let_go, taken_over
+from luxloop.world.scene.driver import (
+    BRAKES_M_S2,
+    FASTEST_M_S,
+    LARGEST_1_M,
+    LATERAL_M_S2,
+    PULLS_M_S2,
+    Controls,
+    drive_on,
+    let_go,
+    taken_over,
+)
 from luxloop.world.scene.vehicle import CourseParams, Motion, VehicleParams, drive
 
 RATE_HZ = 30.0
@@ -23,7 +33,7 @@ def driven_by(controls: list[tuple[float, float, int]], speed_m_s: float) -> Veh
     vehicle, step = rolling(speed_m_s), 0
     for throttle, steering, steps in controls:
         for _ in range(steps):
-            added = driven(vehicle, step / RATE_HZ, (step + 1) / RATE_HZ, Controls(throttle, steering))
+            added = drive_on(vehicle, step / RATE_HZ, (step + 1) / RATE_HZ, Controls(throttle, steering))
             vehicle, step = VehicleParams(**{**dict(vehicle), "course": (*vehicle.course, *added)}), step + 1
     return vehicle
 
@@ -44,7 +54,7 @@ def test_the_wheels_turn_as_far_as_the_speed_allows_and_back() -> None:
     assert math.isclose(vehicle.course[-1].curvature_1_m, LATERAL_M_S2 / 20**2, rel_tol=1e-6)
     straight = let_go(vehicle, 60 / RATE_HZ)
     assert straight[-1].curvature_1_m == 0 and straight[-1].speed_m_s == 20.0
-    assert driven(rolling(20.0), 0.0, 1 / RATE_HZ, Controls()) == () == let_go(rolling(20.0), 3.0)
+    assert drive_on(rolling(20.0), 0.0, 1 / RATE_HZ, Controls()) == () == let_go(rolling(20.0), 3.0)
 
 
 def test_a_course_that_is_taken_over_stays_as_it_is() -> None:

@@ -18,7 +18,7 @@ from luxloop.world.rendering.surfaces import QuickSurfaces
 from luxloop.world.scene.body import SHAPES, Body, Figure
 from luxloop.world.scene.scene import Scene
 from luxloop.world.traffic.car import LOW_BEAM_CD, CarParams
-from luxloop.world.traffic.generator import SIGHT, TrafficParams, varied
+from luxloop.world.traffic.generator import SIGHT, TrafficParams, random_tables
 from luxloop.world.traffic.objects import MeshParams, ObjectParams
 from luxloop.world.traffic.people import SHANK, STRIDE, THIGH, PedestrianParams, riding, someone, walking
 from luxloop.world.traffic.shapes import Piece, blob, block, ellipsoid, limb, tube
@@ -237,8 +237,8 @@ def test_traffic_that_is_nowhere_is_told():
 
 
 def test_worlds_vary_with_their_seed():
-    worlds = [varied(seed) for seed in range(12)]
-    assert varied(3) == worlds[3] and {each["road"]["kind"] for each in worlds} == {"flat", "bumps", "iso8608"}
+    worlds = [random_tables(seed) for seed in range(12)]
+    assert random_tables(3) == worlds[3] and {each["road"]["kind"] for each in worlds} == {"flat", "bumps", "iso8608"}
     assert len({each["surface"]["albedo"] for each in worlds}) == 12
 
 

@@ -22,7 +22,7 @@ from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import validate
 from luxloop.loop.simulation.remote_link import Link
 from luxloop.world.errors import LuxloopError
-from luxloop.world.messages import packed, raw
+from luxloop.world.messages import pack, raw
 from tests.loop.conftest import SMALL
 from tests.loop.simulation.remote.test_remote import free_port
 from tests.loop.studio.clients import message, unpacked
@@ -102,7 +102,7 @@ def test_the_bytes_that_the_page_shows_are_a_message() -> None:
     head, arrays = unpacked(bytes.fromhex(length) + text.encode() + bytes.fromhex(body))
     assert head["windows"] == [[2, 3, 3, 4]] and arrays["light.0"].tolist() == [[0.5]]
     head.pop("arrays")
-    assert packed(head, {"light.0": raw(arrays["light.0"])}) == bytes.fromhex(length) + text.encode() + bytes.fromhex(body)
+    assert pack(head, {"light.0": raw(arrays["light.0"])}) == bytes.fromhex(length) + text.encode() + bytes.fromhex(body)
 
 
 SAMPLE = {"sensor": "wheels", "measured_s": 0, "arrived_s": 0}
