@@ -25,7 +25,7 @@ from luxloop.world.files import content, files_at, reading, regular, whole
 from luxloop.world.lamps.description import lamp_files
 from luxloop.world.lamps.utilisations import sequence_files
 from luxloop.world.params import Params
-from luxloop.world.plugin import named as named_parts
+from luxloop.world.plugin import own_names
 from luxloop.world.roads.shapes import OpenCrgRoad
 from luxloop.world.traffic.objects import MeshParams
 from luxloop.world.validation import parsed_json, sentences
@@ -165,7 +165,7 @@ def input_files(scenario: Scenario) -> Iterator[tuple[str, Path]]:
         yield "road.file", Path(data.locate(scenario.road.file))
     for file in lamp_files(scenario.headlight.model):
         yield f"headlight.model {os.path.relpath(file, Path(scenario.headlight.model).parent)}", file
-    for _, part in named_parts(scenario):
+    for _, part in own_names(scenario):
         yield from ((f"module {name}", file) for name, file in sources_of(part.module, part.folder).items())
     for i, item in enumerate(scenario.objects):
         if isinstance(item, MeshParams):
