@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from luxloop.controllers.jpo.mae import least_error
-from luxloop.controllers.jpo.part import pixel_goal
+from luxloop.controllers.pixels.jpo_part import pixel_goal
+from luxloop.controllers.pixels.jpo_solvers import least_error
 from luxloop.world.headlight import Headlight
 from luxloop.world.lamps.patterns import RECTANGLES, Rectangle
 from luxloop.world.lamps.presets import lamp

@@ -20,8 +20,7 @@ from luxloop.loop.studies.training.scenes import CAMERA, HELD_OUT, DarkScene, re
 from luxloop.loop.studies.training.train import LEAST_SCORE, drawn
 from luxloop.perception.camera import expose
 from luxloop.perception.detection.build import WEIGHTS, detector
-from luxloop.perception.detection.params import HogParams, NetworkParams
-from luxloop.perception.detection.protocol import Detector
+from luxloop.perception.detection.detector import Detector, HogParams, NetworkParams
 from luxloop.perception.noise import FrameNoise
 
 ROOT = Path(__file__).parents[1]

@@ -21,10 +21,9 @@ import matplotlib.pyplot as plt  # noqa: E402
 from bench import processor  # noqa: E402
 from torch import Tensor  # noqa: E402
 
-from luxloop.controllers.jpo.controller import Jpo  # noqa: E402
-from luxloop.controllers.jpo.mae import least_error  # noqa: E402
-from luxloop.controllers.jpo.part import PixelGoal, pixel_goal  # noqa: E402
-from luxloop.controllers.jpo.squares import least_squares  # noqa: E402
+from luxloop.controllers.pixels.jpo import Jpo  # noqa: E402
+from luxloop.controllers.pixels.jpo_part import PixelGoal, pixel_goal  # noqa: E402
+from luxloop.controllers.pixels.jpo_solvers import least_error, least_squares  # noqa: E402
 from luxloop.controllers.pixels.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints  # noqa: E402
 from luxloop.controllers.pixels.primitives import I_V, Primitives, rectangle  # noqa: E402
 from luxloop.controllers.pixels.rthc import Setpoints  # noqa: E402

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from luxloop.controllers.obl.function import ObjectBasedState
+from luxloop.controllers.functions.object_based import ObjectBasedState
 from luxloop.loop.scenario.model import Scenario, load, validate
 from luxloop.loop.scenario.overrides import Override
 from luxloop.loop.simulation.detection import DetectionPipeline, pairs

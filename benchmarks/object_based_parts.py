@@ -15,8 +15,7 @@ from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.simulation.world import World
 from luxloop.loop.studies.jobs.runner import Job
 from luxloop.perception.camera import expose
-from luxloop.perception.detection.protocol import Detections
-from luxloop.perception.detection.suppression import SAME, overlaps
+from luxloop.perception.detection.detector import SAME, Detections, overlaps
 from luxloop.perception.metrics import dssim
 from luxloop.perception.noise import FrameNoise
 from luxloop.world.headlight.overlap import reduce

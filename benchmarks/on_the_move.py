@@ -18,7 +18,7 @@ from torch import Tensor
 
 from luxloop.controllers.symbol.heights.feedforward import height_map_of
 from luxloop.controllers.symbol.heights.height_controller import HeightControllerParams, region_of
-from luxloop.controllers.symbol.heights.patch import drawn_on
+from luxloop.controllers.symbol.heights.height_map import drawn_on
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import Observation
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor

@@ -12,7 +12,7 @@ from luxloop.controllers.symbol.sensing.projector import DrawingModule
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.batch.copies import Lights
 from luxloop.perception.birdseye import rectify
-from luxloop.perception.evaluator import THRESHOLD
+from luxloop.perception.metrics import THRESHOLD
 from luxloop.world.rendering.raycast import depths, first_hits
 from luxloop.world.scene.triangles import Triangles
 

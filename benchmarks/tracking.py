@@ -16,8 +16,7 @@ from luxloop.loop.report.terminal import markdown
 from luxloop.loop.scenario.model import validate
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import CameraParams, camera_view
-from luxloop.perception.detection.protocol import Detections
-from luxloop.perception.detection.suppression import SAME, overlaps
+from luxloop.perception.detection.detector import SAME, Detections, overlaps
 from luxloop.perception.tracking import Tracker, TrackerParams
 from luxloop.world.traffic.tracked import Category
 

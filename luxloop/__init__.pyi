@@ -40,11 +40,11 @@ from .loop.studies.environment.randomised import Randomised as Randomised
 from .loop.studies.environment.randomised import RandomisedVector as RandomisedVector
 from .loop.studio.client.client import Client as Client
 from .loop.studio.client.client import connect as connect
-from .perception.detection.protocol import Detections as Detections
+from .perception.detection.detector import Detections as Detections
 from .perception.egomotion import Ego as Ego
 from .perception.egomotion import Sample as Sample
 from .perception.extraction import ExtractionStatus as ExtractionStatus
-from .perception.tracks import TrackedBoxes as TrackedBoxes
+from .perception.tracking import TrackedBoxes as TrackedBoxes
 from .world.errors import LuxloopError as LuxloopError
 from .world.frames import pose_from_degrees as pose_from_degrees
 from .world.headlight.lamp import Lamp as Lamp

@@ -7,9 +7,8 @@ import torch
 from pydantic import Field, Tag
 from torch import Tensor
 
-from luxloop.perception.detection.protocol import Detections
-from luxloop.perception.tracking import Tracker, TrackerParams
-from luxloop.perception.tracks import ObjectTracker, TrackedBoxes
+from luxloop.perception.detection.detector import Detections
+from luxloop.perception.tracking import ObjectTracker, TrackedBoxes, Tracker, TrackerParams
 from luxloop.world import plugin
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import View

@@ -1,7 +1,8 @@
-"""Light along curves on the road: paths, symbols bent along them, lane borders (T B.2)."""
+"""Light along curves on the road: Bezier curves, bands and symbols along them, the lane, the car's width (T 3.5.2, B.2)."""
 
 import math
 from functools import lru_cache
+from math import comb
 from typing import Literal, Self
 
 import cv2
@@ -10,11 +11,82 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from luxloop.controllers.functions.bezier import closest, derivative, length_at, point
-from luxloop.controllers.geometry import Place, on_road
+from luxloop.controllers.geometry import Place, on_road, strip
 from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.situation import DrawingParams, Situation
 from luxloop.world.params import Metres
+
+HALLEY_STEPS = 6  # from the best sample, Halley's cubic convergence needs three or four
+SAMPLES_PER_DEGREE = (
+    64  # so dense because a curve turns fast near a cusp, where the closest point may lie between two samples that are not the closest
+)
+INTERVALS, NODES = 32, 8  # of the arc length's quadrature: error about 1e-9 of the length for curves without a cusp
+
+
+def point(control: Tensor, t: Tensor) -> Tensor:
+    """Curve points `[..., N, D]` at parameters `[..., N]` in 0..1 (T eq. B.2.1). control: control points `[..., n + 1, D]`, in any unit."""
+    n = control.shape[-2] - 1
+    power = torch.arange(n + 1, device=control.device)
+    binomial = torch.tensor([comb(n, i) for i in range(n + 1)]).to(control)
+    return (binomial * (1 - t[..., None]) ** (n - power) * t[..., None] ** power) @ control
+
+
+def derivative(control: Tensor) -> Tensor:
+    """Control points `[..., max(n, 1), D]` of the curve's derivative, itself a Bezier curve."""
+    n = control.shape[-2] - 1
+    return n * control.diff(dim=-2) if n else torch.zeros_like(control)
+
+
+def length_at(control: Tensor, t: Tensor) -> Tensor:
+    """Arc length `[..., N]` from the start to the parameters `[..., N]` in 0..1, by Gauss-Legendre quadrature piece by piece."""
+    knots = torch.linspace(0, 1, INTERVALS + 1).to(control)
+    piece = (t.detach() * INTERVALS).long().clamp(0, INTERVALS - 1)
+    whole = _arc(control, knots[:-1], knots[1:]).cumsum(-1)
+    before = torch.nn.functional.pad(whole, (1, 0)).expand(*t.shape[:-1], -1).gather(-1, piece)
+    return before + _arc(control, knots[piece], t)
+
+
+def closest(control: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+    """Parameter and distance, both `[..., N]`, of the curve's point that is closest to each of `points` `[..., N, D]` (T eq. B.2.3, B.2.4).
+
+    Halley's steps start at the best of several samples, both ends included, and stay between its neighbours, since free steps may run to a
+    maximum. The better of result and sample is returned.
+    """
+    n = control.shape[-2] - 1
+    samples = torch.linspace(0, 1, SAMPLES_PER_DEGREE * max(n, 1) + 1).to(control)
+    t = samples[torch.cdist(points, point(control, samples)).argmin(-1)]
+    step = 1 / (len(samples) - 1)
+    low, high = (t - step).clamp(min=0), (t + step).clamp(max=1)
+    curves = [control]
+    for _ in range(3):
+        curves.append(derivative(curves[-1]))
+    best, nearest = t, _squared(control, t, points)
+    for _ in range(HALLEY_STEPS):
+        b, b1, b2, b3 = (point(curve, t) for curve in curves)
+        away = b - points
+        f1 = (away * b1).sum(-1)
+        f2 = (b1 * b1 + away * b2).sum(-1)
+        f3 = (3 * b1 * b2 + away * b3).sum(-1)
+        slope = 2 * f2 * f2 - f1 * f3  # T eq. B.2.4; f1, f2, f3 are half the derivatives of T eq. B.2.3, [..., N]
+        t = (t - torch.where(slope == 0, 0.0, 2 * f1 * f2 / torch.where(slope == 0, 1.0, slope))).clamp(low, high)
+        squared = _squared(control, t, points)
+        closer = squared < nearest
+        best, nearest = torch.where(closer, t, best), torch.where(closer, squared, nearest)
+    return best, nearest.sqrt()
+
+
+def _squared(control: Tensor, t: Tensor, points: Tensor) -> Tensor:
+    return (point(control, t) - points).square().sum(-1)
+
+
+def _arc(control: Tensor, start: Tensor, stop: Tensor) -> Tensor:
+    """Length `[..., N]` of the curve from parameters `[..., N]` to others."""
+    nodes, weights = (torch.from_numpy(each).to(control) for each in np.polynomial.legendre.leggauss(NODES))
+    half = ((stop - start) / 2)[..., None]
+    t = start[..., None] + half * (nodes + 1)
+    speed = point(derivative(control), t.flatten(-2)).norm(dim=-1).unflatten(-1, t.shape[-2:])
+    return (speed * weights * half).sum(-1)
+
 
 Point = tuple[float, float]
 MOST_TEXELS = 1e7  # limit of a drawing: 250 m x 100 m at 5 cm
@@ -128,3 +200,87 @@ class Drawing:
 
     def _soft(self, inside_m: Tensor) -> Tensor:
         return (0.5 + inside_m / self.texel_m).clamp(0, 1)
+
+
+QUARTER_TURN = math.pi / 2  # rad, the largest arc that one cubic curve approximates
+STRAIGHT_1_M = 1e-5  # a curve of less curvature leaves its tangent by 2 cm in 60 m
+
+
+class Stretch(DrawingParams):
+    """A drawing on the road between two distances."""
+
+    near_m: float = Field(ge=-10_000, le=10_000)
+    far_m: float = Field(ge=-10_000, le=10_000)
+
+    @model_validator(mode="after")
+    def _far_is_beyond_near(self) -> Self:
+        if self.far_m <= self.near_m:
+            raise ValueError(f"far_m: {self.far_m:g} m is not beyond near_m = {self.near_m:g} m, so nothing would be drawn; raise it")
+        return self
+
+
+class LaneParams(Stretch):
+    """A carpet of light on the lane, or a line along each of its borders, bent like the car's course."""
+
+    kind: Literal["lane"] = "lane"
+    style: Literal["carpet", "lines"] = Field("carpet", description="`carpet` fills the lane, `lines` marks its borders")
+    lane_width_m: float = Field(2.6, gt=0, le=10_000, description="width of the carpet, or distance between the centres of the lines")
+    line_width_m: float = Field(0.2, gt=0, le=10_000, description="width of a line")
+    near_m: float = Field(6.0, gt=0, le=10_000, description="where it starts, ahead of the car")
+    far_m: float = Field(40.0, gt=0, le=10_000, description="where it ends; in a tight bend it ends after a quarter turn")
+    y_m: float = Field(0.0, ge=-10_000, le=10_000, description="lateral position of the lane's centre at the car, left positive")
+    texel_m: float = Field(0.1, gt=0, le=1, description="resolution of the drawing in a bend")
+
+    def primitives(self, now: Situation) -> tuple[Primitives, ...]:
+        """Rectangles on a straight course; a drawing along a cubic curve in a bend."""
+        if not self.active(now):
+            return ()
+        carpet = self.style == "carpet"
+        offsets, width = ((0.0,), self.lane_width_m) if carpet else ((self.lane_width_m / 2, -self.lane_width_m / 2), self.line_width_m)
+        if abs(now.curvature_1_m) < STRAIGHT_1_M:
+            return tuple(straight(self, now, self.near_m, self.far_m, self.y_m + offset, width) for offset in offsets)
+        far_m = min(self.far_m, self.near_m + QUARTER_TURN / abs(now.curvature_1_m))
+        drawing = Drawing(arc(now.curvature_1_m, self.near_m, far_m, self.y_m), offsets[0] + width / 2, self.texel_m)
+        lines = torch.stack([drawing.band(width / 2, offset) for offset in offsets]).amax(0)
+        return (self.draw(drawing.place(now.T_world_vehicle), opacity=lines),)
+
+
+class WidthParams(Stretch):
+    """Two lines that show the car's width, for narrow passages."""
+
+    kind: Literal["width"] = "width"
+    vehicle_width_m: float = Field(
+        2.1, gt=0, le=10_000, description="distance between the outer edges of the lines: the car's width with mirrors"
+    )
+    line_width_m: float = Field(0.15, gt=0, le=10_000, description="width of a line")
+    near_m: float = Field(5.0, gt=0, le=10_000, description="where the lines begin, ahead of the car")
+    far_m: float = Field(25.0, gt=0, le=10_000, description="where they end")
+
+    def primitives(self, now: Situation) -> tuple[Primitives, ...]:
+        if not self.active(now):
+            return ()
+        y = (self.vehicle_width_m - self.line_width_m) / 2
+        return tuple(straight(self, now, self.near_m, self.far_m, side * y, self.line_width_m) for side in (1, -1))
+
+
+def straight(params: DrawingParams, now: Situation, near_m: float, far_m: float, y_m: float, width_m: float) -> Primitives:
+    """One line along the car's axis."""
+    start, stop = (torch.tensor([x, y_m], dtype=torch.float64) for x in (near_m, far_m))
+    return params.draw(strip(now.T_world_vehicle, start, stop, width_m))
+
+
+def arc(curvature_1_m: float, near_m: float, far_m: float, y_m: float = 0.0) -> torch.Tensor:
+    """Control points `[4, 2]` m of a cubic Bezier curve that approximates the car's circular course between two arc lengths.
+
+    Up to a quarter turn it deviates from the circle by less than 3e-4 of the radius.
+    """
+    angle = curvature_1_m * (far_m - near_m)
+    reach = 4 / 3 * math.tan(angle / 4) / curvature_1_m
+
+    def at(s: float) -> tuple[torch.Tensor, torch.Tensor]:
+        heading = curvature_1_m * s
+        place = torch.tensor([math.sin(heading), 1 - math.cos(heading)], dtype=torch.float64) / curvature_1_m
+        return place + place.new_tensor([0.0, y_m]), torch.tensor([math.cos(heading), math.sin(heading)], dtype=torch.float64)
+
+    (start, ahead), (stop, on) = at(near_m), at(far_m)
+    return torch.stack([start, start + reach * ahead, stop - reach * on, stop])

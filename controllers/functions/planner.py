@@ -9,7 +9,7 @@ from typing import Annotated, Any, Final, cast
 import torch
 from pydantic import AfterValidator, Field, Tag, TypeAdapter
 
-from luxloop.controllers.functions.base_beams import BaseBeam, BaseBeamParams, RawParams
+from luxloop.controllers.functions.base_beams import BaseBeam, BaseBeamParams, PaintedParams, PaintLayer, RawParams, paint_layers
 from luxloop.controllers.functions.commands import (
     BendingParams,
     CommandingFunction,
@@ -19,21 +19,16 @@ from luxloop.controllers.functions.commands import (
     LevellingParams,
     Movable,
 )
-from luxloop.controllers.functions.glare_free import GlareFreeParams
-from luxloop.controllers.functions.lane import LaneParams, WidthParams
-from luxloop.controllers.functions.marker import MarkerParams
+from luxloop.controllers.functions.material import MaterialParams
+from luxloop.controllers.functions.object_based import ObjectBasedParams
+from luxloop.controllers.functions.objects import GlareFreeParams, MarkerParams, SignParams
 from luxloop.controllers.functions.own import OwnFunction, own_commands, own_function
-from luxloop.controllers.functions.paint import PaintedParams, PaintLayer, paint_layers
-from luxloop.controllers.functions.path import PathParams
-from luxloop.controllers.functions.primitive import PrimitiveParams
-from luxloop.controllers.functions.sign import SignParams
-from luxloop.controllers.functions.symbol import SymbolFunctionParams
-from luxloop.controllers.obl.function import ObjectBasedParams
+from luxloop.controllers.functions.path import LaneParams, PathParams, WidthParams
+from luxloop.controllers.functions.symbol import PrimitiveParams, SymbolFunctionParams
+from luxloop.controllers.functions.zone import ZoneParams
 from luxloop.controllers.pixels.primitives import Primitives, concatenate
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.situation import AdaptiveFunction, Indicator, LightingFunction, Situation
-from luxloop.controllers.zones.material import MaterialParams
-from luxloop.controllers.zones.zone import ZoneParams
 from luxloop.world.errors import locate
 from luxloop.world.params import Params, PlainName
 from luxloop.world.plugin import OWN, known_or_own

@@ -6,7 +6,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from luxloop.controllers.pixels.mrpc_params import MrpcParams
+from luxloop.controllers.pixels.pixel_major import MrpcParams
 from luxloop.controllers.pixels.primitives import Primitives, rectangle
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.world.frames import pose, rotation

@@ -16,8 +16,8 @@ from scipy.ndimage import gaussian_filter
 from scipy.optimize import differential_evolution, minimize
 from torch import Tensor
 
+from luxloop.controllers.pixels.mrpc import FAINT
 from luxloop.controllers.pixels.sampling import pixel_spread
-from luxloop.controllers.pixels.sharpening import FAINT
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
 from luxloop.world.spmv import Csr
@@ -86,7 +86,7 @@ class Trial:
 
     a_m: None gives every pixel the whole setpoint (no mapping). a_x: exclusion by a pixel's intensity. shape: rectangle uses all texels
     with light in the bounding rectangle of those that are not excluded, like controls with simplified pixels (T 3.5.1, 8.5). The others are
-    those of `luxloop.controllers.pixels.mrpc_params`.
+    those of `luxloop.controllers.pixels.pixel_major`.
     """
 
     a_m: float | None = 1.0

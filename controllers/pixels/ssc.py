@@ -1,4 +1,7 @@
-"""SuperSampling Control (SSC, T 7) from primitives to pixel utilisations, and the protocol of all pixel controllers."""
+"""SuperSampling Control (SSC, T 7) from primitives to pixel utilisations, and the protocol of all pixel controllers.
+
+`WindowedSsc` is the same for one primitive that is drawn over dark pixels again and again near one place.
+"""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -7,12 +10,14 @@ from typing import Protocol, Self
 import torch
 from torch import Tensor
 
-from luxloop.controllers.pixels.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints
+from luxloop.controllers.pixels.mapping import Band, light_of
+from luxloop.controllers.pixels.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints, same_for_all_pixels
 from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.pixels.rthc import RayBatch, Setpoints, masks
 from luxloop.controllers.pixels.secondary import SecondaryRays
-from luxloop.controllers.pixels.windows import projected_windows
+from luxloop.controllers.pixels.windows import Window, projected_windows
 from luxloop.world.headlight import Headlight
+from luxloop.world.spmv import Csr, multiply, numbers, row_of_entries
 
 
 @dataclass(frozen=True)
@@ -98,3 +103,46 @@ class Ssc:
 def _on_host(primitives: Primitives) -> bool:
     """Whether it is a single scene on the host, whose windows can be computed without waiting for a device."""
     return primitives.origin.ndim == 2 and primitives.origin.device.type == "cpu"
+
+
+@dataclass(frozen=True, eq=False)
+class WindowedSsc:
+    """Utilisations of the pixels that light a window of the light texture, from primitives within that window.
+
+    pixels: `[m]` int64, ascending. weight: `[m, rows * cols]`, their part of the pixel-major matrix. window: of rows x cols texels.
+    """
+
+    ssc: Ssc
+    window: Window
+    pixels: Tensor
+    weight: Csr
+
+    @classmethod
+    def of(cls, ssc: Ssc, window: Window) -> "WindowedSsc":
+        """Cut the window's part out of the tables."""
+        band = Band.touched(ssc.pixels, window).pixels
+        matrix, grid = ssc.pixels.full.band(band.start, band.stop), ssc.pixels.grid
+        texel = torch.arange(grid.rows * grid.cols, device=matrix.indices.device).view(grid.rows, grid.cols)[window.slices].flatten()
+        number = numbers(texel, grid.rows * grid.cols)
+        lit = torch.unique_consecutive(row_of_entries(matrix)[number[matrix.indices] >= 0])
+        weight = matrix.part(numbers(lit, matrix.n_rows), number, (len(lit), len(texel)))
+        return cls(ssc, window, band.start + lit, weight)
+
+    def utilisation(self, casting: RayBatch) -> Tensor:
+        """Utilisation `[m]` of the pixels, as `Ssc.utilisation` gives them."""
+        height, width = (each.stop - each.start for each in self.window.slices)
+        image = self.ssc.default.new_zeros(height, width)
+        for stroke in casting.strokes():
+            image[stroke.window.within(self.window)] = light_of(stroke, self.ssc.pixels) * stroke.hit
+        return multiply(self.weight, image.flatten()).clamp(0, 1)
+
+
+def serves(controller: PixelController, primitives: Primitives, T_world_headlight: Tensor) -> bool:
+    """Whether a window's products are all that primitives need: there is one, its setpoints are the same utilisation for all pixels of a
+    texel, all pixels beside it are dark, and neither weights nor the number of lit setpoints count.
+    """
+    if not isinstance(controller, Ssc) or not controller.dark or len(primitives) != 1:
+        return False
+    casting, params = controller.casting(primitives, T_world_headlight), controller.params
+    alone = casting.unit and casting.finite and not (params.sharpening or params.corrections or params.a_ac)
+    return alone and same_for_all_pixels(casting, controller.pixels, params, dark=True)

@@ -4,16 +4,13 @@ from typing import Annotated
 
 from pydantic import Tag
 
-from luxloop.controllers.symbol.heights.feedforward import Feedforward, FeedforwardParams, Surveyed
+from luxloop.controllers.symbol.feedback import Feedback, GaussNewtonParams, ModelReferenceParams, ThesisPid, ThesisPidParams
+from luxloop.controllers.symbol.heights.feedforward import Feedforward, FeedforwardParams, OpenLoop, OpenLoopParams, Surveyed
 from luxloop.controllers.symbol.heights.height_controller import HeightController, HeightControllerParams
-from luxloop.controllers.symbol.laws.feedback import Feedback, GaussNewtonParams, ModelReferenceParams
-from luxloop.controllers.symbol.laws.open_loop import OpenLoop, OpenLoopParams
-from luxloop.controllers.symbol.laws.own import OwnParams, own_controller
-from luxloop.controllers.symbol.laws.stages import StagedParams, staged
-from luxloop.controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams
 from luxloop.controllers.symbol.sensing.projector import StartParams
 from luxloop.controllers.symbol.sensing.protocol import SymbolController
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.controllers.symbol.stages import OwnParams, StagedParams, own_controller, staged
 from luxloop.world.plugin import OWN, known_or_own
 
 NamedParams = HeightControllerParams | OpenLoopParams | FeedforwardParams | ThesisPidParams | GaussNewtonParams | ModelReferenceParams

@@ -8,7 +8,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from luxloop.controllers.functions.commands import MOVEMENTS, Movable
-from luxloop.controllers.zones.material import Quantity
+from luxloop.controllers.functions.material import Quantity
 from luxloop.loop.recording.summary import column
 from luxloop.world.headlight.lamp import REST
 

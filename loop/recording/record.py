@@ -20,7 +20,7 @@ from luxloop.loop.simulation.on_materials import quantities
 from luxloop.loop.simulation.redrawn import covering, opened
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.perception.evaluator import Metrics
+from luxloop.perception.metrics import Metrics
 from luxloop.world.errors import locate
 
 # name: (type, unit, description); lamps and objects have columns of their own.

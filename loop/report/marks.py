@@ -9,9 +9,9 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from luxloop.controllers.functions.zone import ZoneParams
 from luxloop.controllers.situation import TrackedObject
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
-from luxloop.controllers.zones.zone import ZoneParams
 from luxloop.loop.recording.functions_summary import spoken
 from luxloop.loop.simulation.detection import name_of
 from luxloop.loop.simulation.result import FrameDetections, StepResult

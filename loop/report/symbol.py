@@ -31,7 +31,7 @@ from luxloop.loop.simulation.simulated import SimulatedPlant
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.birdseye import rectify
 from luxloop.perception.camera import luminance_of
-from luxloop.perception.evaluator import THRESHOLD
+from luxloop.perception.metrics import THRESHOLD
 
 Lights = tuple[Utilisation, ...]
 Pairs = dict[str, tuple[Lights, Lights]]  # with a symbol and without it, by when

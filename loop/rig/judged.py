@@ -17,7 +17,7 @@ from luxloop.loop.simulation.controlled import ControlledSymbol
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.perception.birdseye import BirdsEye, birds_eye, region_around
 from luxloop.perception.camera import CameraParams, camera_view, luminance_of
-from luxloop.perception.evaluator import CELL_M, Metrics, Target, evaluate, target
+from luxloop.perception.metrics import CELL_M, Metrics, Target, evaluate, target
 
 LAST = 10  # pairs of frames
 

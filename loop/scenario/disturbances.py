@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from luxloop.perception.glare import OncomingParams
+from luxloop.perception.camera import OncomingParams
 from luxloop.world.params import Params
 
 FRAMES = ("on", "off")

@@ -53,7 +53,7 @@ def listing(kind: Kind) -> list[dict[str, Any]]:
 
             return _variants(RoadParams)
         case "detectors":
-            from luxloop.perception.detection.params import DetectorParams
+            from luxloop.perception.detection.detector import DetectorParams
 
             return _variants(DetectorParams)
 

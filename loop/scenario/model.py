@@ -13,7 +13,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from luxloop.controllers.functions.planner import Functions, LightingParams
 from luxloop.controllers.functions.symbol import SymbolFunctionParams
-from luxloop.controllers.jpo.controller import JpoParams
+from luxloop.controllers.pixels.jpo import JpoParams
 from luxloop.controllers.pixels.mrpc import MrpcParams
 from luxloop.loop.scenario.checks import CheckParams, Light, refuse_lights
 from luxloop.loop.scenario.disturbances import DisturbanceParams
@@ -22,7 +22,7 @@ from luxloop.loop.scenario.overrides import Override, is_file, overridden, resol
 from luxloop.loop.scenario.plant import PlantParams, SimulatedPlantParams, refuse_long_exposures
 from luxloop.loop.scenario.shipped import find
 from luxloop.perception.camera import CameraParams
-from luxloop.perception.detection.params import DetectorParams
+from luxloop.perception.detection.detector import DetectorParams
 from luxloop.perception.sensors import SensorParams
 from luxloop.perception.trackers import AnyTracker
 from luxloop.perception.tracking import TrackerParams

@@ -14,7 +14,7 @@ from luxloop.controllers.pixels.primitives import Primitives, concatenate, meant
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.situation import LAYERS, Situation
 from luxloop.controllers.symbol import ControllerParams
-from luxloop.controllers.symbol.laws.open_loop import OpenLoopParams
+from luxloop.controllers.symbol.heights.feedforward import OpenLoopParams
 from luxloop.controllers.symbol.sensing.field import cut
 from luxloop.controllers.symbol.sensing.flat_model import flat_model
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
@@ -32,8 +32,8 @@ from luxloop.loop.simulation.pairing import Arrived
 from luxloop.loop.simulation.world import World
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.egomotion import Ego
-from luxloop.perception.evaluator import Metrics
 from luxloop.perception.extraction import Crop, ExtractionStatus
+from luxloop.perception.metrics import Metrics
 from luxloop.world.errors import locate
 from luxloop.world.headlight.lamp import pixel_area
 from luxloop.world.symbols import load_still

@@ -9,15 +9,12 @@ from torch import Tensor
 
 from luxloop.controllers.situation import TrackedObject
 from luxloop.loop.simulation.world import LitScene
+from luxloop.perception.boxes import place_boxes
 from luxloop.perception.detection.build import detector
-from luxloop.perception.detection.params import AnyParams, TruthParams
-from luxloop.perception.detection.protocol import Detections, Detector
-from luxloop.perception.detection.suppression import SAME, overlaps
-from luxloop.perception.placing import place_boxes
+from luxloop.perception.detection.detector import SAME, AnyParams, Detections, Detector, TruthParams, overlaps
 from luxloop.perception.trackers import OwnTracker
 from luxloop.perception.trackers import tracker as build_tracker
-from luxloop.perception.tracking import TrackerParams
-from luxloop.perception.tracks import ObjectTracker, TrackedBoxes
+from luxloop.perception.tracking import ObjectTracker, TrackedBoxes, TrackerParams
 from luxloop.world.frames import View
 from luxloop.world.traffic.tracked import Category
 

@@ -31,8 +31,8 @@ from luxloop.loop.simulation.result import (
     without,
 )
 from luxloop.loop.simulation.world import ObjectLight, World, categories
-from luxloop.perception.detection.protocol import Detections
-from luxloop.perception.evaluator import Metrics
+from luxloop.perception.detection.detector import Detections
+from luxloop.perception.metrics import Metrics
 
 
 @dataclass(frozen=True, eq=False)

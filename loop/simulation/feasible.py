@@ -13,7 +13,7 @@ from luxloop.loop.simulation.judging import Judge
 from luxloop.loop.simulation.truth import true_camera
 from luxloop.loop.simulation.world import World
 from luxloop.perception.camera import CameraParams, camera_view, saturation_luminance
-from luxloop.perception.evaluator import THRESHOLD
+from luxloop.perception.metrics import THRESHOLD
 from luxloop.world.errors import LuxloopError
 from luxloop.world.light.emitters import ambient_luminance
 from luxloop.world.rendering.gbuffer import flat_road

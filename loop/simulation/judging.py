@@ -16,7 +16,7 @@ from luxloop.controllers.symbol.sensing.projector import SymbolParams
 from luxloop.loop.simulation.lamps import ShiningModule
 from luxloop.loop.simulation.world import LitScene, World
 from luxloop.perception.birdseye import BirdsEye, Region, birds_eye, cells, region_around
-from luxloop.perception.evaluator import CELL_M, Metrics, Target, evaluate, target
+from luxloop.perception.metrics import CELL_M, Metrics, Target, evaluate, target
 from luxloop.world.frames import View, inverse, transform
 from luxloop.world.headlight import Headlight
 from luxloop.world.roads.base import Road

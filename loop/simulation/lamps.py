@@ -10,7 +10,7 @@ from torch import Tensor
 from luxloop.controllers.functions.base_beams import BaseBeam
 from luxloop.controllers.functions.planner import Plan
 from luxloop.controllers.pixels.morphing import Morphing
-from luxloop.controllers.pixels.power import limit_power, pixel_flux
+from luxloop.controllers.pixels.mrpc import limit_power, pixel_flux
 from luxloop.controllers.pixels.primitives import Primitives, meant
 from luxloop.controllers.pixels.secondary import SecondaryRays, scene_caster
 from luxloop.controllers.pixels.ssc import PixelController, Utilisation

@@ -6,7 +6,7 @@ from luxloop.loop.scenario.model import Scenario, objects_named
 from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation.columns import of_truth
 from luxloop.loop.simulation.lamps import ShiningModule
-from luxloop.perception.detection.params import TruthParams
+from luxloop.perception.detection.detector import TruthParams
 from luxloop.world.errors import LuxloopError, all_of, did_you_mean
 
 

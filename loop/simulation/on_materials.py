@@ -7,9 +7,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from luxloop.controllers.functions.material import MaterialLightParams, MaterialParams, MaterialState, Quantity
+from luxloop.controllers.functions.zone import ZoneParams, region_of
 from luxloop.controllers.situation import Situation
-from luxloop.controllers.zones.material import MaterialLightParams, MaterialParams, MaterialState, Quantity
-from luxloop.controllers.zones.zone import ZoneParams, region_of
 from luxloop.loop.simulation.world import LitScene, World
 from luxloop.world.frames import View, inverse, transform
 

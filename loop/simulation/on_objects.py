@@ -7,7 +7,7 @@ from typing import Any
 
 from torch import Tensor
 
-from luxloop.controllers.functions.glare_free import GlareFreeParams
+from luxloop.controllers.functions.objects import GlareFreeParams
 from luxloop.controllers.pixels.rthc import masks
 from luxloop.controllers.situation import Situation, TrackedObject
 from luxloop.loop.simulation.detection import LEAST_PX, Recognised, name_of

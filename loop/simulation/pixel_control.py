@@ -2,7 +2,7 @@
 
 from typing import cast
 
-from luxloop.controllers.jpo.controller import Jpo
+from luxloop.controllers.pixels.jpo import Jpo
 from luxloop.controllers.pixels.ssc import PixelController, Ssc
 from luxloop.loop.scenario.model import Scenario
 from luxloop.world.errors import LuxloopError

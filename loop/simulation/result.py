@@ -23,9 +23,9 @@ from luxloop.loop.simulation.on_materials import InZone, OnMaterial
 from luxloop.loop.simulation.on_objects import OnObject
 from luxloop.loop.simulation.pairing import UnderWay
 from luxloop.loop.simulation.protocol import Arrivals, Frame, Showing
-from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.detection.detector import Detections
 from luxloop.perception.egomotion import Ego, Samples
-from luxloop.perception.tracks import TrackedBoxes
+from luxloop.perception.tracking import TrackedBoxes
 from luxloop.world.frames import View
 from luxloop.world.partial import PartialImage
 

@@ -14,9 +14,8 @@ from luxloop.loop.simulation.made import Made
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame, Plant
 from luxloop.loop.simulation.truth import LampModule, true_camera, true_modules
 from luxloop.loop.simulation.world import World
-from luxloop.perception.camera import expose
+from luxloop.perception.camera import expose, glare
 from luxloop.perception.egomotion import Sample
-from luxloop.perception.glare import glare
 from luxloop.perception.noise import FrameNoise
 from luxloop.perception.sensors import EXACT, SensorParams, Sensors
 from luxloop.world.errors import LuxloopError

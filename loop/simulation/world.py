@@ -14,10 +14,8 @@ from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.situation import TrackedObject
 from luxloop.loop.simulation.truth import LampModule
 from luxloop.perception.camera import CameraParams, average_rows, camera_view
-from luxloop.perception.detection.params import TruthParams
-from luxloop.perception.detection.protocol import Detections
-from luxloop.perception.ground_truth import Box, GroundTruth, ground_truth, part_mask, part_picture
-from luxloop.perception.materials import material_picture
+from luxloop.perception.detection.detector import Detections, TruthParams
+from luxloop.perception.ground_truth import Box, GroundTruth, ground_truth, material_picture, part_mask, part_picture
 from luxloop.world.frames import View
 from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand
 from luxloop.world.light.emitters import ambient_luminance

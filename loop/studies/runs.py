@@ -19,7 +19,7 @@ from luxloop.loop.studies.batch.copies import Copies, refuse_scenario
 from luxloop.loop.studies.batch.courses import Course, Courses, course_of
 from luxloop.loop.studies.batch.laws import refuse_controller, shape_of
 from luxloop.loop.studies.metrics import Figures, ready, tabulated, traced
-from luxloop.perception.evaluator import Metrics
+from luxloop.perception.metrics import Metrics
 from luxloop.world.errors import LuxloopError
 
 # What may differ within a batch, beside the seed, the controller's numbers and the start of the symbol.

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from luxloop.controllers.functions.paint import PaintedParams, Picture
+from luxloop.controllers.functions.base_beams import PaintedParams, Picture
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studio.messages import Paint
 from luxloop.world.errors import LuxloopError

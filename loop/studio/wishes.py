@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from luxloop.controllers.functions.paint import Picture
-from luxloop.controllers.jpo.plane import Raster, fit_plane, lighting
+from luxloop.controllers.functions.base_beams import Picture
+from luxloop.controllers.pixels.jpo_plane import Raster, fit_plane, lighting
 from luxloop.loop.report.picture import WALL_M
 from luxloop.loop.studio.messages import Place, Wish
 from luxloop.loop.studio.painting import layer, override

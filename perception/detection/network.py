@@ -13,8 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate, max_pool2d
 
-from luxloop.perception.detection.protocol import Detections
-from luxloop.perception.detection.suppression import suppress
+from luxloop.perception.detection.detector import Detections, suppress
 from luxloop.world.files import afford, reading
 from luxloop.world.traffic.tracked import Category
 

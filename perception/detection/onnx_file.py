@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import cv2
 
-from luxloop.perception.detection.params import MOST_PX, OnnxParams
+from luxloop.perception.detection.detector import MOST_PX, OnnxParams
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import afford
 

@@ -6,7 +6,7 @@ It imports from internal packages of luxloop, which may change.
 import sys
 
 from luxloop import load, prepare
-from luxloop.perception.materials import material_picture
+from luxloop.perception.ground_truth import material_picture
 
 REACH_M = (12.0, 45.0)  # ahead, where both lamps light the road
 

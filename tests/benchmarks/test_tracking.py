@@ -9,9 +9,8 @@ import torch
 from pydantic import ValidationError
 
 from benchmarks.tracking import CLASSES, RATE_HZ, SCENES, SIZES, TRACKER, VIEW, Judge, followed, seen
-from luxloop.perception.detection.protocol import Detections
-from luxloop.perception.tracking import LINGER_S, Tracker, TrackerParams
-from luxloop.perception.tracks import EACH
+from luxloop.perception.detection.detector import Detections
+from luxloop.perception.tracking import EACH, LINGER_S, Tracker, TrackerParams
 from tests.benchmarks.tracked import BOX, NOTHING, detections, shown
 
 DEFAULTS = TRACKER.params

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from benchmarks.tracking import RATE_HZ, SIZES, TRACKER, VIEW
-from luxloop.perception.parts import WIDTHS_M
+from luxloop.perception.boxes import WIDTHS_M
 from tests.benchmarks.tracked import BOX, NOTHING, detections, plate, shown
 
 CHILD = (0.45, 1.2)  # m

@@ -3,9 +3,8 @@
 import torch
 
 from benchmarks.tracking import CLASSES, RATE_HZ, TRACKER, VIEW
-from luxloop.perception.detection.protocol import Detections
-from luxloop.perception.tracking import Tracker, TrackerParams
-from luxloop.perception.tracks import Tracks
+from luxloop.perception.detection.detector import Detections
+from luxloop.perception.tracking import Tracker, TrackerParams, Tracks
 
 BOX = (300.0, 126.0, 340.0, 226.0)  # of a pedestrian of 1.75 m
 NOTHING = Detections(torch.zeros(0, 4), torch.zeros(0, len(CLASSES)))

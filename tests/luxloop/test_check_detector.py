@@ -9,7 +9,7 @@ from torch import Tensor
 
 from luxloop import Detections, LuxloopError, check_detector
 from luxloop.perception.detection.build import network_detector
-from luxloop.perception.detection.params import NetworkParams
+from luxloop.perception.detection.detector import NetworkParams
 
 
 class Brightest:

@@ -7,8 +7,7 @@ from torch.nn.functional import avg_pool2d
 
 from luxloop.perception.birdseye import birds_eye, rectify, region_around
 from luxloop.perception.camera import CameraParams, average_rows, camera_view
-from luxloop.perception.evaluator import SSIM_RADIUS, Target, evaluate, target
-from luxloop.perception.metrics import ssim
+from luxloop.perception.metrics import SSIM_RADIUS, Target, evaluate, ssim, target
 from luxloop.world.rendering.gbuffer import flat_road
 
 CAMERA = CameraParams()

@@ -5,8 +5,7 @@ import math
 import pytest
 import torch
 
-from luxloop.perception.camera import CameraParams, camera_view
-from luxloop.perception.glare import OncomingParams, glare
+from luxloop.perception.camera import CameraParams, OncomingParams, camera_view, glare
 
 VIEW = camera_view(CameraParams(width_px=320, height_px=180, pitch_deg=0.0))
 PIXEL_SR = 1 / VIEW.fx**2  # of a pixel in the middle

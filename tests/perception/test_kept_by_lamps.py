@@ -5,9 +5,9 @@ from typing import get_args
 import pytest
 import torch
 
+from luxloop.perception.boxes import ABOVE_M
 from luxloop.perception.camera import CameraParams, camera_view
-from luxloop.perception.detection.protocol import Detections
-from luxloop.perception.lamps import ABOVE_M
+from luxloop.perception.detection.detector import Detections
 from luxloop.perception.tracking import Tracker, TrackerParams
 from luxloop.world.traffic.tracked import Category
 

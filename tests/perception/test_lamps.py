@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from luxloop.perception.lamps import ABOVE_M, by_lamps
+from luxloop.perception.boxes import ABOVE_M, by_lamps
 
 METRE = 20.0  # px
 BOX = torch.tensor([[100.0, 100.0, 136.0, 130.0]]).double()  # 1.8 m by 1.5 m

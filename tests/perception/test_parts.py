@@ -5,8 +5,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from luxloop.perception.camera import CameraParams, camera_view
-from luxloop.perception.parts import (
+from luxloop.perception.boxes import (
     HEIGHTS_M,
     LEANS,
     MEASURED,
@@ -15,11 +14,12 @@ from luxloop.perception.parts import (
     belonging,
     complete,
     hiding,
+    place_boxes,
     spread_of,
     standing,
     uncut,
 )
-from luxloop.perception.placing import place_boxes
+from luxloop.perception.camera import CameraParams, camera_view
 
 VIEW = camera_view(CameraParams(width_px=640, height_px=360, pitch_deg=1.5))
 

@@ -5,8 +5,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from luxloop.perception.boxes import FARTHEST_M, LENGTH_M, place_boxes
 from luxloop.perception.camera import CameraParams, camera_view
-from luxloop.perception.placing import FARTHEST_M, LENGTH_M, place_boxes
 from luxloop.world.frames import View, transform
 
 VIEW = camera_view(CameraParams(width_px=640, height_px=360, pitch_deg=1.5, yaw_deg=3.0))

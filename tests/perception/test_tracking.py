@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from luxloop.perception.camera import CameraParams, camera_view
-from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.detection.detector import Detections
 from luxloop.perception.tracking import Tracker, TrackerParams
 
 VIEW = camera_view(CameraParams(width_px=640, height_px=360, pitch_deg=1.5))

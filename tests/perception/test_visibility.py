@@ -3,7 +3,8 @@
 import pytest
 import torch
 
-from luxloop.perception.visibility import around, edge_definition, unevenness, weber_contrast
+from luxloop.perception.metrics import edge_definition, unevenness, weber_contrast
+from luxloop.perception.metrics import ring as around
 
 MASK = torch.zeros(40, 60, dtype=torch.bool)
 MASK[10:30, 20:40] = True

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, grid_sample
 
-from luxloop.controllers.symbol.sensing.planes import HERE
+from luxloop.controllers.symbol.sensing.road_shape import HERE
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from luxloop.perception.birdseye import Region
 from luxloop.perception.camera import CameraParams, average_rows, camera_view, luminance_of

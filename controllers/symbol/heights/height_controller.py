@@ -11,16 +11,14 @@ from torch import Tensor
 from luxloop.controllers.symbol.heights.body_filter import BodyFilter, BodyParams
 from luxloop.controllers.symbol.heights.body_poses import AT_REST, BodyPoses, Following, ground_at
 from luxloop.controllers.symbol.heights.forward_model import ForwardModel
-from luxloop.controllers.symbol.heights.patch import drawn_on
-from luxloop.controllers.symbol.heights.plane_sweep import plane_sweep
-from luxloop.controllers.symbol.heights.registration import HEIGHT_M, ITERATIONS, Heights, Registration
+from luxloop.controllers.symbol.heights.height_map import drawn_on
+from luxloop.controllers.symbol.heights.registration import HEIGHT_M, ITERATIONS, Heights, Registration, plane_sweep
 from luxloop.controllers.symbol.heights.road_map import RoadMap
-from luxloop.controllers.symbol.sensing.aim import aimed, elsewhere
-from luxloop.controllers.symbol.sensing.planes import HERE, placed
+from luxloop.controllers.symbol.sensing.field import aimed, elsewhere
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
 from luxloop.controllers.symbol.sensing.protocol import Observation
-from luxloop.controllers.symbol.sensing.shape import reached
+from luxloop.controllers.symbol.sensing.road_shape import HERE, placed, reached
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from luxloop.perception.birdseye import Region
 from luxloop.perception.camera import camera_view

@@ -1,14 +1,52 @@
-"""Heights of the road by registration: the light that was shown, laid over a road of these heights, shall be what the camera sees."""
+"""Heights of the road from one observation: a plane sweep for the start, registration by Gauss-Newton in band matrices for the rest."""
 
 import math
 from dataclasses import dataclass
 from functools import lru_cache
 
 import torch
+from scipy.linalg import solveh_banded
 from torch import Tensor
+from torch.nn.functional import pad
 
-from luxloop.controllers.symbol.heights import banded
 from luxloop.controllers.symbol.heights.forward_model import ForwardModel
+
+
+def whole(band: Tensor) -> Tensor:
+    """The whole matrix `[n, n]`."""
+    width, n = band.shape
+    matrix = band.new_zeros(n * (n + width))
+    # Element (j, j + d) at d + j (n + 1), (j + d, j) at d n + j (n + 1). Those with j + d >= n are zero: of the first, which land in the
+    # lower half, the second write over what is in the band.
+    matrix.as_strided((width, n), (1, n + 1)).copy_(band)
+    matrix.as_strided((width, n), (n, n + 1)).copy_(band)
+    return matrix[: n * n].view(n, n)
+
+
+def band_of(matrix: Tensor, width: int) -> Tensor:
+    """Main diagonal and the width - 1 below it of a symmetric matrix `[n, n]`."""
+    places, there = _places(width, len(matrix), matrix.device)
+    return matrix.flatten()[places] * there
+
+
+def solve(band: Tensor, right: Tensor) -> Tensor:
+    """The `x [n]` with `A x = right [n]` of a positive definite band matrix A."""
+    if band.device.type != "cpu":
+        return solve_whole(whole(band), right)
+    return torch.from_numpy(solveh_banded(band.numpy(), right.numpy(), lower=True, check_finite=False))
+
+
+def solve_whole(matrix: Tensor, right: Tensor) -> Tensor:
+    """The same of a matrix `[n, n]`."""
+    return torch.cholesky_solve(right[:, None], torch.linalg.cholesky(matrix))[:, 0]
+
+
+@lru_cache(maxsize=4)
+def _places(width: int, n: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Where the elements (j + d, j) `[width, n]` are in a flattened matrix `[n, n]`, and which of them are in it."""
+    d, j = torch.arange(width, device=device)[:, None], torch.arange(n, device=device)
+    return (d * n + j * (n + 1)).clamp(max=n * n - 1), d + j < n
+
 
 BLURS = ((1.0, 4.0, 0.4), (0.6, 2.5, 0.25))  # rows and camera columns, and half the residual of an outlier
 HIDDEN = 0.6  # outliers begin so much earlier where light is missing, since it may be hidden
@@ -116,11 +154,11 @@ class Registration:
                 matrix[0].add_(1 / HEIGHT_M**2)
                 # The step of Gauss-Newton, (matrix + L)^-1 force [n].
                 if known.spread:
-                    moved = banded.solve_whole(banded.whole(matrix) + known.information, force)
+                    moved = solve_whole(whole(matrix) + known.information, force)
                 else:
-                    moved = banded.solve(matrix + banded.band_of(known.information, len(matrix)), force)
+                    moved = solve(matrix + band_of(known.information, len(matrix)), force)
                 nodes = nodes + moved.clamp(-LARGEST_STEP_M, LARGEST_STEP_M)
-        return Heights(nodes, banded.whole(self._squared(weighted * slope)), known.base, known.spread)
+        return Heights(nodes, whole(self._squared(weighted * slope)), known.base, known.spread)
 
     def _predicted(self, heights: Tensor, textures: tuple[Tensor, ...], limit: Tensor, blur: tuple[float, float, float]) -> Tensor:
         """Blurred symbol images `[k, h, w]` of heights `[k, h, w]` m at the pixels."""
@@ -161,3 +199,40 @@ def _gaussian(sigma: float, size: int, device: torch.device) -> Tensor:
     kernel = get_gaussian_kernel1d(2 * reach + 1, sigma, device=device)[0]
     apart = (k[:, None] - k).abs()
     return torch.where(apart <= reach, kernel[(reach + apart).clamp(max=2 * reach)], 0.0)
+
+
+CAPS = (0.25, 0.6)  # a pixel costs no more than this where light is missing, which may be hidden, and where it comes from nowhere
+PIXEL = 0.4  # of the camera, cost as much as one height step between neighbours
+STEP, JUMP = 0.3, 3.0  # cost of neighbours that differ by one height step, and by more
+
+
+def plane_sweep(
+    forward_model: ForwardModel, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor, heights: Tensor, base: Tensor
+) -> Tensor:
+    """Heights in m at the nodes `[n]`, out of `[k]` over the base `[n]` that are tried, in even steps about zero.
+
+    seen: symbol image `[h, w]`. limit: threshold `[h, w]` cd/m^2. textures: light that was shown, `[rows, cols]` cd a module.
+    """
+    tried = heights[:, None, None] + forward_model.on_pixels(base)
+    lack = seen - forward_model.symbol(forward_model.luminance(textures, tried), limit)
+    cost = torch.where(lack < 0, (-lack).clamp(max=CAPS[0]), lack.clamp(max=CAPS[1])) * forward_model.inside
+    costs = forward_model.on_nodes(cost) * (PIXEL * forward_model.step) + 0.4 * heights.abs()[:, None]
+    return base + heights[semi_global(costs.T.unflatten(0, (forward_model.rows, forward_model.cols))).flatten()]
+
+
+def semi_global(costs: Tensor) -> Tensor:
+    """The cheapest label `[rows, cols]` for costs `[rows, cols, labels]`, with neighbours in four directions (Hirschmueller 2008)."""
+    total = torch.zeros_like(costs)
+    for dim in (0, 1):
+        for backwards in (False, True):
+            along = costs.transpose(0, dim)
+            along = along.flip(0) if backwards else along
+            path = [along[0]]
+            for cost in along[1:]:
+                before = path[-1]
+                least = before.amin(-1, keepdim=True)
+                beside = torch.minimum(pad(before[:, 1:], (0, 1), value=torch.inf), pad(before[:, :-1], (1, 0), value=torch.inf)) + STEP
+                path.append(cost + torch.minimum(torch.minimum(before, beside), least + JUMP) - least)
+            paths = torch.stack(path)
+            total += (paths.flip(0) if backwards else paths).transpose(0, dim)
+    return total.argmin(-1)

@@ -8,8 +8,8 @@ from torch import Tensor
 
 from luxloop.controllers.symbol.heights.height_map import HeightMap
 from luxloop.controllers.symbol.heights.registration import Heights
-from luxloop.controllers.symbol.sensing.planes import HERE
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.road_shape import HERE
 from luxloop.perception.birdseye import Region
 from luxloop.world.frames import inverse, transform
 

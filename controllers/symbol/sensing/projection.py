@@ -33,8 +33,8 @@ class ProjectionCommand:
     pose: `[..., 4]` = x, y in m, roll, pitch in rad, in the body frame. z: `[...]` m, height of the centre above the assumed road, None for
     none. warp: None for the symbol as it is. raw: utilisations `[n_p]`, one a module, that are shown in place of any symbol, None for the
     symbol. shape: `[4]` of a road on which the eye shall see what it would see of the rest on the plane z = 0, see
-    `luxloop.controllers.symbol.sensing.lift`, None for that plane. aim: `[2]`, x and y in m of the road where the symbol lies because its
-    target cannot be lit, None for the target.
+    `luxloop.controllers.symbol.sensing.projector`, None for that plane. aim: `[2]`, x and y in m of the road where the symbol lies because
+    its target cannot be lit, None for the target.
     """
 
     pose: Tensor

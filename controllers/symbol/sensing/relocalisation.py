@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, pad
 
 from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector
-from luxloop.controllers.symbol.sensing.shape import reached
+from luxloop.controllers.symbol.sensing.road_shape import reached
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.world.frames import View
 from luxloop.world.texels import TexelGrid, resample

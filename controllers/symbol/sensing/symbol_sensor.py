@@ -29,8 +29,8 @@ class Measurement:
     ground has errors as well, which the motion in `Projection` explains. pose_error: `[..., 4]`, the same in m and rad of x, y, roll,
     pitch, each divided by its plant gain. area_ratio: `[...]`, seen to expected. appearance: five centroids and second moments. symbol:
     `[..., h, w]` in 0..1, the lit share of each pixel, cut from the camera's image at crop. crop: where that is, px. shape: `[4]` of the
-    road on which it was looked for, see `luxloop.controllers.symbol.sensing.shape`, None for the flat one. acquired: what a search of the
-    whole image found, None where there was no search.
+    road on which it was looked for, see `luxloop.controllers.symbol.sensing.road_shape`, None for the flat one. acquired: what a search of
+    the whole image found, None where there was no search.
     """
 
     code: Tensor

@@ -8,8 +8,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-from luxloop.controllers.pixels.ssc import Ssc, Utilisation
-from luxloop.controllers.pixels.windowed import serves
+from luxloop.controllers.pixels.ssc import Ssc, Utilisation, serves
 from luxloop.controllers.pixels.windows import Window
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
@@ -20,8 +19,8 @@ from luxloop.loop.studies.batch.drawing import Reached, casting, utilisations
 from luxloop.loop.studies.batch.judging import judged
 from luxloop.loop.studies.batch.looking import Scene, Taken, joined, look, rendered
 from luxloop.loop.studies.batch.windows import EMPTY, Windows, hull
-from luxloop.perception.evaluator import Metrics
 from luxloop.perception.extraction import Crop, ExtractionStatus
+from luxloop.perception.metrics import Metrics
 from luxloop.world.errors import LuxloopError
 from luxloop.world.light.illumination import Transport, added_light
 from luxloop.world.rendering.rasterise import check_process

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from luxloop.controllers.symbol.laws.lifting import Lifting
 from luxloop.controllers.symbol.sensing.field import cut
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
+from luxloop.controllers.symbol.stages import Lifting
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.controlled import ControlledSymbol
 from luxloop.loop.studies.batch.arrivals import Arrival, arrivals
@@ -18,8 +18,8 @@ from luxloop.loop.studies.batch.copies import Copies
 from luxloop.loop.studies.batch.laws import asking, asks, law_of, rows
 from luxloop.loop.studies.batch.looking import Taken, at_ends
 from luxloop.loop.studies.batch.searching import finds_another_road
-from luxloop.perception.evaluator import Metrics
 from luxloop.perception.extraction import ExtractionStatus
+from luxloop.perception.metrics import Metrics
 
 Copy = tuple[Scenario, ControlledSymbol]
 

@@ -7,11 +7,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from luxloop.controllers.pixels.map_products import light_of
+from luxloop.controllers.pixels.mapping import light_of
 from luxloop.controllers.pixels.primitives import U_ABS, Primitives
 from luxloop.controllers.pixels.rthc import GRAZING, RayBatch
-from luxloop.controllers.pixels.ssc import Ssc
-from luxloop.controllers.pixels.windowed import WindowedSsc
+from luxloop.controllers.pixels.ssc import Ssc, WindowedSsc
 from luxloop.controllers.pixels.windows import Window, banded
 from luxloop.perception.extraction import Crop
 from luxloop.world.light.illumination import Transport

@@ -1,4 +1,4 @@
-"""`luxloop.perception.evaluator.evaluate` of many images at once, with fewer passes over them: the places in the image, and what is known
+"""`luxloop.perception.metrics.evaluate` of many images at once, with fewer passes over them: the places in the image, and what is known
 of the target, are the same for all.
 """
 
@@ -8,8 +8,7 @@ from torch.nn.functional import avg_pool2d, grid_sample, pad
 
 from luxloop.perception.appearance import appearance
 from luxloop.perception.birdseye import BirdsEye, span
-from luxloop.perception.evaluator import SSIM_RADIUS, THRESHOLD, Metrics, Target, around, hull
-from luxloop.perception.metrics import gaussian
+from luxloop.perception.metrics import SSIM_RADIUS, THRESHOLD, Metrics, Target, around, gaussian, hull
 
 
 def judged(luminance: Tensor, view: BirdsEye, goal: Target, u_start: int, v_start: int) -> Metrics:

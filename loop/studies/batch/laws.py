@@ -11,13 +11,11 @@ from torch import Tensor
 from luxloop.controllers.pid import PidGains
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.symbol import AnyParams
-from luxloop.controllers.symbol.laws.feedback import Feedback, FeedbackParams, ModelReferenceParams
-from luxloop.controllers.symbol.laws.lifting import Lifting
-from luxloop.controllers.symbol.laws.stages import StagedParams
-from luxloop.controllers.symbol.laws.thesis_pid import ThesisPid
+from luxloop.controllers.symbol.feedback import Feedback, FeedbackParams, ModelReferenceParams, ThesisPid
 from luxloop.controllers.symbol.sensing.flat_model import FlatModel
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import SymbolController
+from luxloop.controllers.symbol.stages import Lifting, StagedParams
 from luxloop.world.errors import LuxloopError
 
 LAWS = ("open", "thesis_pid", "gauss_newton", "model_reference")

@@ -8,11 +8,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from luxloop.controllers.symbol.laws.lifting import Lifting
-from luxloop.controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams
+from luxloop.controllers.symbol.feedback import ThesisPid, ThesisPidParams
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
+from luxloop.controllers.symbol.stages import Lifting
 from luxloop.loop.simulation.result import Rollout
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.batch import copies

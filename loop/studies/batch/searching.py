@@ -1,13 +1,13 @@
 """Whether a single run whose symbol reaches the end of the footprint would find a road other than the plane z = 0.
 
-It then draws for that road (`luxloop.controllers.symbol.laws.lifting`), as no copy of a batch does.
+It then draws for that road (`luxloop.controllers.symbol.stages`), as no copy of a batch does.
 """
 
 import torch
 from torch import Tensor
 
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.controllers.symbol.laws.lifting import SURE
+from luxloop.controllers.symbol.stages import SURE
 from luxloop.loop.studies.batch.copies import Copies, Light
 from luxloop.loop.studies.batch.looking import Taken
 from luxloop.perception.camera import expose

@@ -12,11 +12,10 @@ from torch import Tensor
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.simulation.world import LitScene
 from luxloop.perception.camera import expose, luminance_of, noise_std
+from luxloop.perception.detection.detector import SAME, Detector, overlaps
 from luxloop.perception.detection.network import Network, NetworkDetector, boxes_of, middles, network_input
-from luxloop.perception.detection.protocol import Detector
-from luxloop.perception.detection.suppression import SAME, overlaps
+from luxloop.perception.metrics import edge_definition, unevenness, weber_contrast
 from luxloop.perception.noise import FrameNoise
-from luxloop.perception.visibility import edge_definition, unevenness, weber_contrast
 from luxloop.world.errors import LuxloopError
 from luxloop.world.params import Params
 

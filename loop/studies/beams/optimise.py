@@ -22,9 +22,8 @@ from luxloop.loop.studies.beams.goal import BeamGoal, BeamJudge, Metric
 from luxloop.loop.studies.beams.picture import write_picture
 from luxloop.loop.studies.beams.search import Found, Lights, alike, begin, descend, sample
 from luxloop.perception.detection.build import detector
+from luxloop.perception.detection.detector import Detector, NetworkParams, TruthParams
 from luxloop.perception.detection.network import NetworkDetector
-from luxloop.perception.detection.params import NetworkParams, TruthParams
-from luxloop.perception.detection.protocol import Detector
 from luxloop.world.errors import LuxloopError, all_of, locate
 from luxloop.world.files import output_folder, whole
 from luxloop.world.validation import sentences

@@ -8,9 +8,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from luxloop.controllers.symbol.laws.own import KEY, METHODS
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from luxloop.controllers.symbol.sensing.protocol import Observation
+from luxloop.controllers.symbol.stages import KEY, METHODS
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import validate
 from luxloop.loop.simulation.controlled import ControlledSymbol, Frames

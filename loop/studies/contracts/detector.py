@@ -12,8 +12,7 @@ from luxloop.loop.run import prepare, torch_device
 from luxloop.loop.scenario.model import validate
 from luxloop.loop.studies.contracts.values import check_calls, name_of, pure
 from luxloop.perception.detection.build import KEY, METHODS, CheckedDetector, own_detector
-from luxloop.perception.detection.params import OwnDetector
-from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.detection.detector import Detections, OwnDetector
 from luxloop.world.errors import LuxloopError
 from luxloop.world.plugin import check_methods
 

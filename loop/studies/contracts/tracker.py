@@ -12,9 +12,9 @@ from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import validate
 from luxloop.loop.simulation.detection import pairs
 from luxloop.loop.studies.contracts.values import check_calls, check_state, name_of, pure
-from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.detection.detector import Detections
 from luxloop.perception.trackers import KEY, METHODS, CheckedTracker, OwnTracker, own_tracker
-from luxloop.perception.tracks import TrackedBoxes
+from luxloop.perception.tracking import TrackedBoxes
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.frames import View
 from luxloop.world.plugin import check_methods

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
+from luxloop.controllers.symbol.feedback import ThesisPid, ThesisPidParams, ThesisPidState
 from luxloop.controllers.symbol.heights.feedforward import CELL_M, region_around, shown_on
 from luxloop.controllers.symbol.heights.height_map import HeightMap
-from luxloop.controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams, ThesisPidState
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import Observation
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor

@@ -12,8 +12,8 @@ from torch.nn.functional import interpolate
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.loop.studies.environment.acting import Acting
 from luxloop.perception.egomotion import Ego
-from luxloop.perception.evaluator import Metrics
 from luxloop.perception.extraction import ExtractionStatus
+from luxloop.perception.metrics import Metrics
 from luxloop.world.errors import LuxloopError
 
 Floats = npt.NDArray[np.float32]

@@ -24,8 +24,8 @@ from luxloop.loop.studies.batch.laws import rows
 from luxloop.loop.studies.batch.looking import Taken
 from luxloop.loop.studies.environment.single import SEEDS, SymbolEnv, start_of
 from luxloop.loop.studies.environment.task import Floats, Look, Reward, action_of, as_gymnasium, observation, reward
-from luxloop.perception.evaluator import Metrics
 from luxloop.perception.extraction import ExtractionStatus
+from luxloop.perception.metrics import Metrics
 from luxloop.world.errors import LuxloopError
 
 Mask = npt.NDArray[np.bool_]

@@ -8,8 +8,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from luxloop.controllers.jpo.mae import least_error
-from luxloop.controllers.jpo.part import pixel_goal
+from luxloop.controllers.pixels.jpo_part import pixel_goal
+from luxloop.controllers.pixels.jpo_solvers import least_error
 from luxloop.controllers.pixels.mrpc_tuning import OPTIONS, THESIS, Part, TextureControl, Trial, part, tune
 from luxloop.perception.metrics import dssim, mae, mare, rmse
 from luxloop.world.headlight import Headlight

@@ -10,12 +10,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from luxloop.controllers.obl.light import ObjectLightParams
+from luxloop.controllers.functions.object_based import ObjectLightParams
 from luxloop.loop.studies.training.light import lit_alone, luminance
 from luxloop.loop.studies.training.scenes import CAMERA, CLASSES, DarkScene, Labelled, read
 from luxloop.perception.camera import expose
-from luxloop.perception.detection.protocol import Detections, Detector
-from luxloop.perception.detection.suppression import overlaps
+from luxloop.perception.detection.detector import Detections, Detector, overlaps
 from luxloop.perception.noise import FrameNoise
 
 ILLUMINANCES_LX = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0)

@@ -16,8 +16,8 @@ from luxloop.loop.studies.training.calibrate import calibrate
 from luxloop.loop.studies.training.fit import BATCH, fit
 from luxloop.loop.studies.training.judge import judge
 from luxloop.loop.studies.training.report import overview, write_report
+from luxloop.perception.detection.detector import NetworkParams
 from luxloop.perception.detection.network import NetworkDetector, save
-from luxloop.perception.detection.params import NetworkParams
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import output_folder, whole
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from luxloop.controllers.functions.symbol import SymbolFunctionParams
-from luxloop.controllers.pixels.anamorphic import drawing_rectangle, sight
+from luxloop.controllers.pixels.homographies import drawing_rectangle, sight
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.controllers.situation import Situation
 from luxloop.perception.metrics import iou

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.interpolate import BPoly
 
-from luxloop.controllers.functions.bezier import closest, derivative, length_at, point
+from luxloop.controllers.functions.path import closest, derivative, length_at, point
 
 T = torch.linspace(0, 1, 21, dtype=torch.float64)
 

@@ -10,12 +10,8 @@ from pydantic import ValidationError
 from torch import Tensor
 
 from luxloop.controllers.functions.base_beams import BaseBeamParams, bend_of_course
-from luxloop.controllers.functions.bezier import length_at, point
-from luxloop.controllers.functions.glare_free import GlareFreeParams
-from luxloop.controllers.functions.lane import LaneParams, WidthParams, arc
-from luxloop.controllers.functions.marker import MarkerParams
-from luxloop.controllers.functions.path import Drawing, PathParams
-from luxloop.controllers.functions.sign import SignParams
+from luxloop.controllers.functions.objects import GlareFreeParams, MarkerParams, SignParams
+from luxloop.controllers.functions.path import Drawing, LaneParams, PathParams, WidthParams, arc, length_at, point
 from luxloop.controllers.functions.symbol import SymbolFunctionParams
 from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.pixels.ssc import Ssc

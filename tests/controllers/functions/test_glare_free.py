@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from luxloop.controllers.functions.glare_free import GlareFreeParams, enlarged
+from luxloop.controllers.functions.objects import GlareFreeParams, enlarged
 from luxloop.controllers.geometry import cuboid
 from luxloop.controllers.pixels.primitives import Primitives, concatenate
 from luxloop.controllers.pixels.ssc import Ssc

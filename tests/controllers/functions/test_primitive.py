@@ -8,8 +8,7 @@ from pydantic import ValidationError
 
 from luxloop.controllers.functions.base_beams import BaseBeamParams
 from luxloop.controllers.functions.planner import LightingParams, Planner
-from luxloop.controllers.functions.primitive import PrimitiveParams
-from luxloop.controllers.functions.symbol import SymbolFunctionParams
+from luxloop.controllers.functions.symbol import PrimitiveParams, SymbolFunctionParams
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.controllers.situation import Situation
 from luxloop.world.frames import pose_from_degrees, transform

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from luxloop.controllers.jpo.controller import Jpo, JpoParams
+from luxloop.controllers.pixels.jpo import Jpo, JpoParams
 from luxloop.controllers.pixels.primitives import Primitives, concatenate, rectangle
 from luxloop.controllers.pixels.secondary import Light, SecondaryRays
 from luxloop.controllers.pixels.ssc import Ssc

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from luxloop.controllers.jpo.plane import Raster, fit_plane, lighting
+from luxloop.controllers.pixels.jpo_plane import Raster, fit_plane, lighting
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import inverse, pose_from_degrees, transform
 from luxloop.world.headlight import Headlight

@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog, lsq_linear
 
-from luxloop.controllers.jpo.mae import least_error
-from luxloop.controllers.jpo.part import PixelGoal, every_nth_column, pixel_goal, submatrix
-from luxloop.controllers.jpo.squares import MoorePenrose, least_squares
+from luxloop.controllers.pixels.jpo_part import PixelGoal, every_nth_column, pixel_goal, submatrix
+from luxloop.controllers.pixels.jpo_solvers import MoorePenrose, least_error, least_squares
 from luxloop.perception.metrics import mae, rmse
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight

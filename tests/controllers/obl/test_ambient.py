@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from luxloop.controllers.obl.ambient import Ambient, AmbientLoopParams
+from luxloop.controllers.functions.object_loop import Ambient, AmbientLoopParams
 
 PARAMS = AmbientLoopParams()
 

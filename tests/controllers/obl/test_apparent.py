@@ -5,7 +5,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from luxloop.controllers.obl.apparent import Apparent
+from luxloop.controllers.functions.object_based import Apparent
 from luxloop.controllers.situation import TrackedObject
 from luxloop.world.frames import pose_from_degrees
 

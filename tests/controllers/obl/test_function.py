@@ -10,12 +10,11 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from torch import Tensor
 
-from luxloop.controllers.functions.glare_free import GlareFreeParams
+from luxloop.controllers.functions.object_based import CELLS, NEAREST_M, ObjectBasedParams, ObjectBasedState, ObjectLightParams, frontal
+from luxloop.controllers.functions.object_loop import Ambient
+from luxloop.controllers.functions.objects import GlareFreeParams
 from luxloop.controllers.geometry import cuboid
-from luxloop.controllers.obl.ambient import Ambient
-from luxloop.controllers.obl.function import ObjectBasedParams, ObjectBasedState
-from luxloop.controllers.obl.light import CELLS, NEAREST_M, ObjectLightParams, frontal
-from luxloop.controllers.pixels.mrpc_params import MrpcParams
+from luxloop.controllers.pixels.pixel_major import MrpcParams
 from luxloop.controllers.pixels.primitives import concatenate
 from luxloop.controllers.pixels.secondary import Light, SecondaryRays
 from luxloop.controllers.pixels.ssc import Ssc

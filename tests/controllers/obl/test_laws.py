@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from luxloop.controllers.obl.laws import LowerParams, RaiseParams, Trial
-from luxloop.controllers.obl.object_loop import ObjectLoop, ObjectLoopParams
+from luxloop.controllers.functions.object_loop import LowerParams, ObjectLoop, ObjectLoopParams, RaiseParams, Trial
 from luxloop.controllers.situation import TrackedObject
 from luxloop.world.traffic.tracked import Category
 

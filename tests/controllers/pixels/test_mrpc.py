@@ -9,10 +9,9 @@ import torch
 from pydantic import ValidationError
 from torch import Tensor
 
-from luxloop.controllers.pixels.mrpc import MrpcParams, pixel_major, reduce_setpoints
+from luxloop.controllers.pixels.mrpc import FAINT, MrpcParams, pixel_major, reduce_setpoints
 from luxloop.controllers.pixels.primitives import I_V, QUANTITIES, U_ABS, Quantity
 from luxloop.controllers.pixels.rthc import Setpoints
-from luxloop.controllers.pixels.sharpening import FAINT
 from luxloop.controllers.pixels.windows import Window, whole
 from luxloop.world.headlight import Headlight
 from luxloop.world.lamps.presets import idealised

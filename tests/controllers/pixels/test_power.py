@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from luxloop.controllers.pixels.power import limit_power, pixel_flux
+from luxloop.controllers.pixels.mrpc import limit_power, pixel_flux
 from luxloop.world.errors import LuxloopError
 from luxloop.world.lamps.presets import idealised
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from luxloop.controllers.jpo.controller import Jpo
+from luxloop.controllers.pixels.jpo import Jpo
 from luxloop.controllers.pixels.mrpc import MrpcParams
 from luxloop.controllers.pixels.primitives import Primitives, Quantity, concatenate, road_symbol
 from luxloop.controllers.pixels.ssc import Ssc

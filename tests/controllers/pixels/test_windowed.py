@@ -7,8 +7,7 @@ import torch
 
 from luxloop.controllers.pixels.mrpc import MrpcParams
 from luxloop.controllers.pixels.primitives import Primitives, Quantity, concatenate, road_symbol
-from luxloop.controllers.pixels.ssc import Ssc
-from luxloop.controllers.pixels.windowed import WindowedSsc, serves
+from luxloop.controllers.pixels.ssc import Ssc, WindowedSsc, serves
 from luxloop.controllers.pixels.windows import union
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.lamps.presets import idealised

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from luxloop.controllers.symbol.heights import banded
+from luxloop.controllers.symbol.heights import registration
 
 
 def matrix(n: int, width: int, device: torch.device) -> torch.Tensor:
@@ -17,7 +17,7 @@ def matrix(n: int, width: int, device: torch.device) -> torch.Tensor:
 @pytest.mark.parametrize(("n", "width"), [(30, 6), (8, 6), (6, 6)])  # a band that is narrow, and one of a grid of two rows
 def test_bands_are_whole_matrices(n: int, width: int, device: torch.device) -> None:
     A, right = matrix(n, width, device), torch.linspace(-1, 1, n, dtype=torch.float64, device=device)
-    band = banded.band_of(A, width)
-    assert torch.equal(banded.whole(band), A)
-    torch.testing.assert_close(banded.solve(band, right), torch.linalg.solve(A, right))
-    torch.testing.assert_close(banded.solve_whole(A, right), banded.solve(band, right))
+    band = registration.band_of(A, width)
+    assert torch.equal(registration.whole(band), A)
+    torch.testing.assert_close(registration.solve(band, right), torch.linalg.solve(A, right))
+    torch.testing.assert_close(registration.solve_whole(A, right), registration.solve(band, right))

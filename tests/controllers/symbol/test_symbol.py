@@ -14,8 +14,8 @@ from torch import Tensor
 from luxloop.controllers.pixels.primitives import road_symbol
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.controllers.symbol import CONTROLLERS, build_controller
-from luxloop.controllers.symbol.laws.open_loop import OpenLoop, OpenLoopParams
-from luxloop.controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams
+from luxloop.controllers.symbol.feedback import ThesisPid, ThesisPidParams
+from luxloop.controllers.symbol.heights.feedforward import OpenLoop, OpenLoopParams
 from luxloop.controllers.symbol.sensing.flat_model import FeatureParams, FlatModel, flat_model
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams

@@ -8,12 +8,12 @@ import torch
 from pydantic import ValidationError
 from torch import Tensor
 
+from luxloop.controllers.functions.material import MaterialParams, image_plane
+from luxloop.controllers.functions.zone import box_region
 from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.pixels.rthc import Setpoints, trace
 from luxloop.controllers.situation import CameraImage, Situation, TrackedObject
-from luxloop.controllers.zones.material import MaterialParams, image_plane
 from luxloop.perception.camera import CameraParams, camera_view
-from luxloop.perception.regions import box_region
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees, transform
 from luxloop.world.lamps.presets import idealised

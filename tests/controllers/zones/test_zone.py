@@ -10,13 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from luxloop.controllers.functions.zone import ZoneParams, box_region
 from luxloop.controllers.pixels.primitives import E_V
 from luxloop.controllers.pixels.secondary import Light
 from luxloop.controllers.situation import CameraImage, Situation
-from luxloop.controllers.zones.zone import ZoneParams
 from luxloop.perception.camera import CameraParams, camera_view, expose, luminance_of, saturation_luminance
 from luxloop.perception.noise import FrameNoise
-from luxloop.perception.regions import box_region
 from luxloop.world.frames import pose_from_degrees, transform
 from luxloop.world.lamps.presets import idealised
 

@@ -24,7 +24,7 @@ from luxloop.loop.run import check, in_words, run
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.detection import recognised
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.detection.detector import Detections
 
 WALKER = {"kind": "pedestrian", "name": "walker", "seed": 3, "track": [{"position_m": [15, -2, 0]}]}
 ZONE = {"kind": "zone", "centre_m": [14, 1, 1.0], "size_m": [0, 1.6, 1.6], "luminance_cd_m2": 0.1}

@@ -5,11 +5,10 @@ from typing import Any
 
 import pytest
 
-from luxloop.controllers.functions.lane import LaneParams
+from luxloop.controllers.functions.path import LaneParams
 from luxloop.controllers.functions.planner import LightingParams
-from luxloop.controllers.symbol.laws.feedback import GaussNewtonParams
-from luxloop.controllers.symbol.laws.thesis_pid import ThesisPidParams
-from luxloop.controllers.symbol.laws.warping import WarpParams
+from luxloop.controllers.symbol.feedback import GaussNewtonParams, ThesisPidParams
+from luxloop.controllers.symbol.stages import WarpParams
 from luxloop.loop.scenario.model import load
 from luxloop.perception.camera import CameraParams
 from luxloop.world.errors import LuxloopError

@@ -21,7 +21,7 @@ from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.simulation.world import LitScene
-from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.detection.detector import Detections
 from luxloop.world.errors import LuxloopError
 
 CAMERA = {"width_px": 320, "height_px": 180, "pitch_deg": 1.5, "oversampling": 1, "saturation_e": 2000}

@@ -6,7 +6,7 @@ import torch
 from luxloop.loop.scenario.model import validate
 from luxloop.loop.simulation.build import build_scene
 from luxloop.perception.camera import CameraParams, camera_view
-from luxloop.perception.materials import material_picture
+from luxloop.perception.ground_truth import material_picture
 from luxloop.world.materials.library import MATERIALS
 from luxloop.world.rendering.gbuffer import gbuffer
 from luxloop.world.rendering.surfaces import face_source

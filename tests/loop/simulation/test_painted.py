@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from luxloop.controllers.functions.paint import PaintedParams, PaintLayer
+from luxloop.controllers.functions.base_beams import PaintedParams, PaintLayer
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.scenario.model import Scenario, load, validate
 from luxloop.loop.simulation.simulation import Simulation

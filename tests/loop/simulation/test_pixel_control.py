@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 import torch
 
-from luxloop.controllers.jpo.controller import Jpo
+from luxloop.controllers.pixels.jpo import Jpo
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.pixel_control import pixel_controller

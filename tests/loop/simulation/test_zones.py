@@ -7,7 +7,7 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 
-from luxloop.controllers.zones.zone import ZoneParams, region_of
+from luxloop.controllers.functions.zone import ZoneParams, region_of
 from luxloop.loop.report.marks import marks
 from luxloop.loop.report.run_table import shown
 from luxloop.loop.run import run

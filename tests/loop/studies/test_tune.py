@@ -249,7 +249,7 @@ def test_another_search_has_other_trials(tuned: Tuned, scenario: Scenario, tmp_p
 
 
 FRAIL = """
-from luxloop.controllers.symbol.laws.open_loop import OpenLoop
+from luxloop.controllers.symbol.heights.feedforward import OpenLoop
 from luxloop.world.errors import LuxloopError
 
 

@@ -9,7 +9,7 @@ from selenium import webdriver
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 
-from luxloop.controllers.jpo.plane import lighting
+from luxloop.controllers.pixels.jpo_plane import lighting
 from luxloop.loop.studio.page import PAGE
 from luxloop.loop.studio.sources import Source
 from tests.loop.studio.conftest import SMALL, Served, serving

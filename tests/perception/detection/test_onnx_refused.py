@@ -10,8 +10,8 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
+from luxloop.perception.detection.detector import OnnxParams
 from luxloop.perception.detection.onnx import OnnxDetector
-from luxloop.perception.detection.params import OnnxParams
 from luxloop.world.errors import LuxloopError
 
 SIZE = 64  # px, of which a stride of 8 makes 64 boxes

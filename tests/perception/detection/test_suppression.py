@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from luxloop.perception.detection.suppression import overlaps, suppress
+from luxloop.perception.detection.detector import overlaps, suppress
 
 numbers = st.integers(0, 40)
 boxes = st.lists(st.tuples(numbers, numbers, st.integers(1, 20), st.integers(1, 20)), min_size=1, max_size=12).map(

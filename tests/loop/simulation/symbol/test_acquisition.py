@@ -8,7 +8,7 @@ from torch import Tensor
 
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.relocalisation import Relocalisation
-from luxloop.controllers.symbol.sensing.shape import reached
+from luxloop.controllers.symbol.sensing.road_shape import reached
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation

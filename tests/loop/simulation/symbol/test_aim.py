@@ -5,10 +5,9 @@ from functools import cache
 import pytest
 import torch
 
-from luxloop.controllers.symbol.sensing.aim import aimed, elsewhere
-from luxloop.controllers.symbol.sensing.planes import HERE
+from luxloop.controllers.symbol.sensing.field import aimed, elsewhere
 from luxloop.controllers.symbol.sensing.projector import Projector, SymbolParams
-from luxloop.controllers.symbol.sensing.shape import height
+from luxloop.controllers.symbol.sensing.road_shape import HERE, height
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.frames import inverse, transform

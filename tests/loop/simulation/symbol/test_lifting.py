@@ -5,16 +5,16 @@ from dataclasses import replace
 import pytest
 import torch
 
-from luxloop.controllers.symbol.laws.lifting import LOSSES, Lifting
 from luxloop.controllers.symbol.sensing.field import cut
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
 from luxloop.controllers.symbol.sensing.relocalisation import Relocalisation
+from luxloop.controllers.symbol.stages import LOSSES, Lifting
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.perception.evaluator import Metrics
 from luxloop.perception.extraction import ExtractionStatus
+from luxloop.perception.metrics import Metrics
 from luxloop.world.frames import inverse, pose, rotation, transform
 from tests.loop.conftest import frames_of
 

@@ -14,14 +14,12 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from luxloop.controllers.symbol.heights.height_map import HeightMap
-from luxloop.controllers.symbol.heights.patch import CELLS, FOLLOWED, _fitted, drawn_on
-from luxloop.controllers.symbol.heights.plane_sweep import plane_sweep, semi_global
-from luxloop.controllers.symbol.sensing.planes import HERE
+from luxloop.controllers.symbol.heights.height_map import CELLS, FOLLOWED, HeightMap, _fitted, drawn_on
+from luxloop.controllers.symbol.heights.registration import plane_sweep, semi_global
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
 from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
-from luxloop.controllers.symbol.sensing.shape import reached
+from luxloop.controllers.symbol.sensing.road_shape import HERE, reached
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import DisturbanceParams, load
 from luxloop.loop.simulation.result import SimulationState

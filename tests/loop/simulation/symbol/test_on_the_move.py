@@ -10,13 +10,12 @@ import torch
 from scipy.signal import lsim
 from torch import Tensor
 
-from luxloop.controllers.symbol.heights.body_filter import CELL_M, BodyFilter, BodyParams
+from luxloop.controllers.symbol.heights.body_filter import CELL_M, PARTS, BodyFilter, BodyParams, followed
 from luxloop.controllers.symbol.heights.feedforward import height_map_of
 from luxloop.controllers.symbol.heights.forward_model import ForwardModel
 from luxloop.controllers.symbol.heights.height_controller import HeightController, HeightControllerParams, laid
 from luxloop.controllers.symbol.heights.registration import Heights
 from luxloop.controllers.symbol.heights.road_map import RoadMap
-from luxloop.controllers.symbol.heights.springs import PARTS, followed
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.birdseye import Region

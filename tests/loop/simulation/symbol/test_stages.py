@@ -5,7 +5,7 @@ import pickle
 import pytest
 import torch
 
-from luxloop.controllers.symbol.laws.alignment import Alignment, Placement
+from luxloop.controllers.symbol.alignment import Alignment, Placement
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from luxloop.controllers.pixels.windowed import WindowedSsc
+from luxloop.controllers.pixels.ssc import WindowedSsc
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.pixels.ssc import Ssc
-from luxloop.controllers.symbol.laws.thesis_pid import ThesisPid
+from luxloop.controllers.symbol.feedback import ThesisPid
 from luxloop.loop.scenario.model import Scenario, load
 from luxloop.loop.simulation.lamps import ShiningModule, shining_modules
 from luxloop.loop.simulation.made import Made

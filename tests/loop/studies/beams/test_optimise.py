@@ -17,7 +17,7 @@ from luxloop.loop.studies.beams.goal import BeamGoal, BeamJudge
 from luxloop.loop.studies.beams.optimise import _method
 from luxloop.loop.studies.beams.search import alike, begin, descend, sample
 from luxloop.perception.detection.build import detector
-from luxloop.perception.detection.params import HogParams, NetworkParams
+from luxloop.perception.detection.detector import HogParams, NetworkParams
 from luxloop.world.errors import LuxloopError
 
 SCENE: dict[str, Any] = {

@@ -13,9 +13,8 @@ from torch import Tensor
 
 from luxloop.perception.detection import network as network_file
 from luxloop.perception.detection.build import detector
+from luxloop.perception.detection.detector import NetworkParams, overlaps
 from luxloop.perception.detection.network import STRIDE, Network, NetworkDetector, boxes_of, load, middles, save
-from luxloop.perception.detection.params import NetworkParams
-from luxloop.perception.detection.suppression import overlaps
 from luxloop.world.errors import LuxloopError
 from tests.loop.studies.training.lit import Lit
 

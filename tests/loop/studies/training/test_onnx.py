@@ -12,10 +12,9 @@ from pydantic import ValidationError
 from torch import Tensor, nn
 
 from luxloop.perception.detection.build import detector
+from luxloop.perception.detection.detector import NetworkParams, OnnxParams, overlaps
 from luxloop.perception.detection.network import CODE, Network, NetworkDetector, boxes_of
 from luxloop.perception.detection.onnx import OnnxDetector
-from luxloop.perception.detection.params import NetworkParams, OnnxParams
-from luxloop.perception.detection.suppression import overlaps
 from luxloop.world.errors import LuxloopError
 from tests.loop.studies.training.lit import Lit
 

@@ -7,9 +7,7 @@ import pytest
 import torch
 
 from luxloop.perception.detection.build import detector
-from luxloop.perception.detection.params import HogParams, OwnDetector
-from luxloop.perception.detection.protocol import Detections
-from luxloop.perception.detection.suppression import overlaps
+from luxloop.perception.detection.detector import Detections, HogParams, OwnDetector, overlaps
 from luxloop.world.errors import LuxloopError
 from tests.loop.studies.training.lit import Lit
 
@@ -44,7 +42,7 @@ def test_hog_takes_frames_smaller_than_its_window(size: tuple[int, int]) -> None
 
 OWN = """
 import torch
-from luxloop.perception.detection.protocol import Detections
+from luxloop.perception.detection.detector import Detections
 
 class Brightest:
     classes = ("other",)

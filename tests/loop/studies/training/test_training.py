@@ -20,9 +20,8 @@ from luxloop.loop.studies.training.report import overview, page
 from luxloop.loop.studies.training.scenes import CAMERA, CLASSES, HELD_OUT, TRAINING, DarkScene, Labelled, draw, read
 from luxloop.loop.studies.training.train import LEAST_SCORE, drawn, store
 from luxloop.perception.detection.build import WEIGHTS, detector
+from luxloop.perception.detection.detector import Detections, NetworkParams
 from luxloop.perception.detection.network import STRIDE, Network, NetworkDetector
-from luxloop.perception.detection.params import NetworkParams
-from luxloop.perception.detection.protocol import Detections
 from luxloop.world.errors import LuxloopError
 
 CPU = torch.device("cpu")

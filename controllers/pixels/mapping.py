@@ -1,4 +1,4 @@
-"""Mapping for setpoints that are the same utilisation for all pixels of a texel: sums are matrix-image products (T 7.4.1)."""
+"""Mapping of ray setpoints to pixels, and the sums of the reduction (T 7.4.1): by matrix-image products, or entry by entry."""
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -6,13 +6,69 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from luxloop.controllers.pixels.map_sums import Band, Sums
-from luxloop.controllers.pixels.mrpc_params import MrpcParams
-from luxloop.controllers.pixels.pixel_major import PixelMajor
+from luxloop.controllers.pixels.pixel_major import MrpcParams, PixelMajor
 from luxloop.controllers.pixels.primitives import E_V, HEAVIEST, I_V, U_ABS, U_REL
 from luxloop.controllers.pixels.rthc import RayBatch, Setpoints, Stroke, expanded
 from luxloop.controllers.pixels.windows import Window
-from luxloop.world.spmv import Csr, multiply
+from luxloop.world.spmv import Csr, multiply, row_of_entries, span_of
+from luxloop.world.texels import TexelGrid
+
+MOST = 0.7  # share of all pixels from which on a part of the matrix costs more than it saves
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Sums of each pixel in a band, `[..., band]` each. light, weight: numerator and denominator of T eq. 7.4.5 over rays of finite weight;
+    weight is None if it is 1. forced_light, forced_weight: the same over rays of infinite weight, None if there are none. lit: number of
+    lit setpoints. ruled_from: a weight from here on stands for an infinite one of a zero setpoint; None if infinite weights are summed
+    separately.
+    """
+
+    light: Tensor
+    weight: Tensor | None
+    forced_light: Tensor | None = None
+    forced_weight: Tensor | None = None
+    lit: Tensor | None = None
+    ruled_from: float | None = None
+
+
+@dataclass(frozen=True)
+class Band:
+    """A contiguous range of pixels that reach some texture rows, and all texture rows that these pixels reach."""
+
+    pixels: slice
+    rows: slice
+
+    @classmethod
+    def touched(cls, pixels: PixelMajor, w: Window) -> "Band":
+        """The band of the pixels that reach the rows of a window."""
+        grid = pixels.grid
+        if w.empty:
+            return cls(slice(0, 0), slice(0, 0))
+        if (w.row_start, w.row_stop) == (0, grid.rows):
+            return cls(slice(0, grid.n_pixels), slice(0, grid.rows))
+        low, high = span_of(pixels.pixel_first, pixels.pixel_last, slice(w.row_start, w.row_stop))
+        first = min(low, grid.n_pixels)
+        band = slice(first, max(high + 1, first))
+        if band.stop - band.start > MOST * grid.n_pixels:
+            return cls(slice(0, grid.n_pixels), slice(0, grid.rows))
+        if band.stop == band.start:
+            return cls(band, slice(w.row_start, w.row_stop))
+        low, high = span_of(pixels.row_first, pixels.row_last, band)
+        return cls(band, slice(min(low, w.row_start), max(high + 1, w.row_stop)))
+
+    def blank(self, like: Tensor, batch: tuple[int, ...], grid: TexelGrid, filled: float) -> Tensor:
+        """An image `[..., rows, cols]` of the texture, filled in the band's rows; the other rows are undefined and never read."""
+        texture = like.new_empty(*batch, grid.rows, grid.cols)
+        texture[..., self.rows, :].fill_(filled)  # three times as fast as an assignment
+        return texture
+
+    def texture(self, image: Tensor, w: Window, grid: TexelGrid, beside: float = 0.0) -> Tensor:
+        """Texels `[..., rows * cols]` of an image on a window, with a constant outside it."""
+        texture = self.blank(image, tuple(image.shape[:-2]), grid, beside)
+        texture[..., *w.slices] = image
+        return texture.flatten(-2)
+
 
 RULING = 1e36  # stands for an infinite weight of a zero setpoint; no sum of finite weights comes near it
 RULED = 2 * HEAVIEST  # sums from here on contain an infinite weight; no sum of finite weights is rounded up to it
@@ -183,3 +239,57 @@ def _summed(images: dict[str, Tensor], ruling: bool, pixels: PixelMajor, default
         counts = summed(pixels.ones, "lit", "missed", "lit_of_default")
         lit = counts.pop("lit") + sum((default > 0) * count for count in counts.values())  # misses and shares are lit where u_def,j > 0
     return Sums(light, sums.get("weight"), forced_light, forced_weight, lit, RULED if ruling else None)
+
+
+def by_entries(setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, default: Tensor, place: Band) -> Sums:
+    """The sums of T eq. 7.4.5 over the entries of a band of pixels, mapped by T eq. 7.4.1 to 7.4.3. default: `[n_p]`."""
+    band = place.pixels
+    entries = pixels.entries.band(band.start, band.stop)
+    pixel, texel, I_m = row_of_entries(entries), entries.indices.long(), entries.values
+    own = slice(None)
+    if entries is not pixels.entries:
+        own = slice(int(pixels.entries.indptr[band.start]), int(pixels.entries.indptr[band.stop]))
+
+    def of_entries(image: Tensor, beside: float = 0.0) -> Tensor:
+        return place.texture(image, setpoints.window, pixels.grid, beside)[..., texel]
+
+    value, cover = of_entries(setpoints.value), of_entries(setpoints.cover)
+    in_cd, relative = (
+        portion if isinstance(portion, float) else of_entries(portion)
+        for portion in (setpoints.portion(setpoints.in_cd, I_V, E_V), setpoints.portion(setpoints.relative, U_REL))
+    )
+    weight = None if setpoints.finite is None else of_entries(setpoints.finite, 1.0)
+    forced = None if setpoints.forced is None else of_entries(setpoints.forced)
+    shared = value * pixels.share[texel]  # utilisations [..., nnz] of T eq. 7.4.1
+    shared = shared if pixels.potential is None else shared * pixels.potential[own]
+    mapped = _blended(_blended(value, value * default[band][pixel], relative), shared, in_cd)  # u_abs, u_rel or cd (T 7.2.1), [..., nnz]
+    if pixels.darkening is not None:
+        mapped = mapped * pixels.darkening[texel]  # T eq. 7.4.2
+    if params.lower_cd:
+        masked = torch.zeros_like(cover, dtype=torch.bool) if forced is None else (forced > 0) & (value == 0)
+        mapped = torch.where(masked, 0.0, mapped.maximum(params.lower_cd / I_m))  # the user's lower bound (T 7.4.1)
+    if params.upper_cd is not None:
+        mapped = mapped.minimum(params.upper_cd / I_m)  # the user's upper bound (T 7.4.1)
+    mapped = torch.where(cover > 0, mapped.clamp(0, 1), default[band][pixel])  # 0 <= I_s,ij <= I_m,ij; u_def,j without a hit
+    kept = pixels.kept[own]
+    if params.a_x and params.exclusion == "printed":
+        kept = torch.where(mapped * I_m <= params.a_x * pixels.peak[band][pixel], 0.0, kept)  # T eq. 7.4.3 as printed
+
+    def summed(terms: Tensor) -> Tensor:
+        zeros = torch.zeros(*mapped.shape[:-1], entries.n_rows, dtype=terms.dtype, device=terms.device)
+        return zeros.index_add(-1, pixel, terms.expand(*mapped.shape[:-1], -1))
+
+    lit = summed((mapped > 0).to(mapped)) if params.a_ac else None
+    finite = kept if weight is None else weight * kept  # w_ij I_m,ij^a_r of T eq. 7.4.5, [..., nnz]
+    forced_light = forced_weight = None
+    if forced is not None:
+        alone = forced * pixels.full.values[own]
+        forced_light, forced_weight = summed(alone * mapped), summed(alone)  # T eq. 7.4.5 over infinite weights, [..., band]
+    return Sums(summed(finite * mapped), summed(finite), forced_light, forced_weight, lit)
+
+
+def _blended(a: Tensor, b: Tensor, portion: Tensor | float) -> Tensor:
+    """a where portion is 0, b where it is 1."""
+    if isinstance(portion, float):
+        return b if portion else a
+    return torch.lerp(a, b, portion)

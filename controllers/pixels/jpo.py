@@ -1,7 +1,7 @@
 """Joint pixel optimisation (JPO, T 3.5.2, 8.4): the utilisations of all pixels together that come closest to the wanted light.
 
-`Jpo` minimises absolute deviations (`luxloop.controllers.jpo.mae`) or squares (`luxloop.controllers.jpo.squares`) with a budget of
-iterations per step, starts from SSC, and has the protocol of all pixel controllers.
+`Jpo` minimises absolute deviations (`luxloop.controllers.pixels.jpo_solvers`) or squares (`luxloop.controllers.pixels.jpo_solvers`) with a
+budget of iterations per step, starts from SSC, and has the protocol of all pixel controllers.
 """
 
 from dataclasses import dataclass, replace
@@ -11,9 +11,8 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from luxloop.controllers.jpo.mae import least_error
-from luxloop.controllers.jpo.part import PixelGoal, pixel_goal, reaching
-from luxloop.controllers.jpo.squares import least_squares
+from luxloop.controllers.pixels.jpo_part import PixelGoal, pixel_goal, reaching
+from luxloop.controllers.pixels.jpo_solvers import least_error, least_squares
 from luxloop.controllers.pixels.mrpc import MrpcParams
 from luxloop.controllers.pixels.primitives import E_V, I_V, U_REL, Primitives
 from luxloop.controllers.pixels.rthc import Setpoints

@@ -18,9 +18,24 @@ from luxloop.controllers.geometry import Place, facing
 from luxloop.controllers.pid import PidGains, PidParams, PidState, pid_gains, pid_reset, pid_step
 from luxloop.controllers.pixels.primitives import Primitives, meant, rectangle
 from luxloop.controllers.situation import LAYERS, Situation
-from luxloop.perception.regions import box_region
-from luxloop.world.frames import View, pose_from_degrees
+from luxloop.world.frames import View, inverse, pose_from_degrees
 from luxloop.world.params import Metres, Params
+
+
+def box_region(view: View, T_world_box: Tensor, low: Tensor, high: Tensor) -> Tensor:
+    """Pixels whose centres see a box, `[height, width]` bool, ignoring occlusion.
+
+    T_world_box: `[4, 4]`. low, high: `[3]` m, opposite corners in the box's frame; equal along one axis of a rectangle. A ray hits the box
+    where it is between all three pairs of planes at once (slab method).
+    """
+    T = inverse(T_world_box.to(view.T_world_view))
+    eye = T[:3, :3] @ view.origin + T[:3, 3]
+    rays = torch.einsum("ij,jhw->ihw", T[:3, :3], view.rays())
+    rays = torch.where(rays == 0, torch.finfo(rays.dtype).tiny, rays)
+    first, second = ((corner.to(eye) - eye)[:, None, None] / rays for corner in (low, high))
+    enter, leave = torch.minimum(first, second).amax(0), torch.maximum(first, second).amin(0)
+    return (enter <= leave) & (leave > 0)
+
 
 DARKEST = 0.01  # of the target: least measured luminance, so that the logarithm stays finite
 CLIPPED = 0.5  # share of saturated pixels from which on the mean is only a lower bound of the zone's luminance

@@ -1,14 +1,75 @@
-"""Detectors by name; a scenario names one."""
+"""Object detectors: their protocol, their parameters in a scenario, and what they have in common."""
 
-from typing import Annotated, Any, Literal
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Protocol
 
+import numpy as np
+import torch
 from pydantic import Field, Tag
+from torch import Tensor
 
-from luxloop.perception.detection.yolo import Layout
 from luxloop.world import plugin
 from luxloop.world.params import Params
 from luxloop.world.plugin import OWN, known_or_own
 from luxloop.world.traffic.tracked import Category
+
+Layout = Literal["yolov5", "yolov8", "yolov10"]
+
+
+@dataclass(frozen=True)
+class Detections:
+    """Detections in one frame; detectors order them by descending score, trackers accept any order.
+
+    boxes: `[n, 4]` px, left, top, right, bottom, including hidden parts. scores: `[n, C]` in 0..1, one for each class of the detector.
+    """
+
+    boxes: Tensor
+    scores: Tensor
+
+    def __len__(self) -> int:
+        return len(self.boxes)
+
+
+class Detector(Protocol):
+    """Detects objects in grey frames, each frame by itself."""
+
+    @property
+    def classes(self) -> tuple[Category, ...]:
+        """The classes of its scores, in order."""
+        ...
+
+    def detect(self, frames: Tensor) -> Sequence[Detections]:
+        """One Detections for each of the frames `[B, height, width]`, digital numbers as shares 0..1 of the largest."""
+        ...
+
+
+def encode(frame: Tensor, gamma: float) -> np.ndarray:
+    """Levels 0..255 `[height, width]` uint8 of a frame `[height, width]` in 0..1."""
+    picture: np.ndarray = frame.float().clamp(0, 1).pow(1 / gamma).mul(255).round().byte().cpu().numpy()
+    return picture
+
+
+SAME = 0.3  # least overlap of a box with the object that it is said to show
+
+
+def overlaps(boxes: Tensor, others: Tensor) -> Tensor:
+    """Intersection over union `[..., n, m]` of boxes `[..., n, 4]` and others `[..., m, 4]`: left, top, right, bottom; 0 of empty ones."""
+    low = torch.maximum(boxes[..., :, None, :2], others[..., None, :, :2])
+    high = torch.minimum(boxes[..., :, None, 2:], others[..., None, :, 2:])
+    both = (high - low).clamp(min=0).prod(-1)
+    areas = [(each[..., 2:] - each[..., :2]).clamp(min=0).prod(-1) for each in (boxes, others)]
+    return both / (areas[0][..., :, None] + areas[1][..., None, :] - both).clamp(min=1e-9)
+
+
+def suppress(boxes: Tensor, overlap: float) -> Tensor:
+    """Boxes `[..., n, 4]`, by descending score, that overlap one of higher score with an IoU above `overlap`: `[..., n]` bool (Fast NMS,
+    Bolya 2019).
+
+    A box suppresses others even if it is suppressed itself, so that all are compared at once.
+    """
+    return overlaps(boxes, boxes).triu(1).amax(-2) > overlap
+
 
 # What COCO's numbers of classes, which most networks of others know, are here; all else that they find is left out.
 COCO: dict[int, Category] = {

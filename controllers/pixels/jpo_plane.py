@@ -12,8 +12,8 @@ import scipy.sparse as sp
 import torch
 from torch import Tensor
 
-from luxloop.controllers.jpo.part import PixelGoal
-from luxloop.controllers.jpo.squares import least_squares
+from luxloop.controllers.pixels.jpo_part import PixelGoal
+from luxloop.controllers.pixels.jpo_solvers import least_squares
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import inverse, transform
 from luxloop.world.headlight import Headlight

@@ -1,13 +1,76 @@
-"""Boxes of parts: light and other objects hide a head, feet or a side, and detectors then say where the rest is."""
+"""Boxes in the image and on the road: where they stand, what of them is hidden, and vehicles by their own lamps."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from luxloop.perception.placing import road_rows
 from luxloop.world.frames import View
 from luxloop.world.traffic.tracked import Category
+
+FARTHEST_M = 150.0  # distance assumed for objects on the horizon
+LOWEST_M = 0.05  # of a camera, below which feet and horizon cannot be distinguished
+LENGTH_M: Mapping[Category, float] = {"pedestrian": 0.5, "cyclist": 1.0, "animal": 1.0, "motorcycle": 1.5, "car": 4.0, "truck": 8.0}
+OTHER_LENGTH_M = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class RoadBoxes:
+    """Boxes on the road. T_world_box: `[n, 4, 4]`, origin at the centre of the foot, x away from the camera. size_m: `[n, 3]`, length,
+    width, height.
+    """
+
+    T_world_box: Tensor
+    size_m: Tensor
+
+
+def place_boxes(boxes: Tensor, categories: tuple[Category, ...], view: View) -> RoadBoxes:
+    """Upright boxes whose side facing the camera fills the image boxes `[n, 4]` px; their length is that of their class.
+
+    An error of one pixel at the foot moves a box by `d^2 / (f h)` along the line of sight (1.6 m at 50 m for f = 1194 px and a camera
+    height h = 1.3 m), but not in the image.
+    """
+    T = view.T_world_view
+    left, top, right, bottom = boxes.to(T).unbind(-1)
+    middle = (left + right) / 2
+    foot, head = (_direction(view, middle, v) for v in (bottom, top))
+    depth = 1 / nearness(view, middle, bottom)
+    near = view.origin[:2] + depth[:, None] * foot[:, :2]
+    forward = torch.nn.functional.normalize(foot[:, :2], dim=-1)
+    high = _height(view) + depth * foot[:, :2].norm(dim=-1) * head[:, 2] / head[:, :2].norm(dim=-1)
+    length = torch.tensor([LENGTH_M.get(each, OTHER_LENGTH_M) for each in categories]).to(T)
+    size = torch.stack([length, (right - left) / view.fx * depth, high.clamp(min=0.01)], -1)
+    T_world_box = torch.eye(4).to(T).repeat(len(boxes), 1, 1)
+    T_world_box[:, :2, 0] = forward
+    T_world_box[:, :2, 1] = torch.stack([-forward[:, 1], forward[:, 0]], -1)
+    T_world_box[:, :2, 3] = near + length[:, None] / 2 * forward
+    return RoadBoxes(T_world_box, size)
+
+
+def nearness(view: View, u: Tensor, v: Tensor) -> Tensor:
+    """Inverse depth in 1/m of the road z = 0 at image points `[...]` px, at least that of `FARTHEST_M`."""
+    return (-_direction(view, u, v)[..., 2] / _height(view)).clamp(min=1 / FARTHEST_M)
+
+
+def road_rows(view: View, u: Tensor) -> tuple[Tensor, float]:
+    """Row of the horizon in columns `[...]` px, and the inverse of the camera's height in 1/m along its view.
+
+    The latter is the growth of a metre on the road, in px, from row to row.
+    """
+    _, down, ahead = view.T_world_view[2, :3].unbind()
+    across = view.T_world_view[2, 0] * (u - view.cx) / view.fx
+    return view.cy - view.fy * (across + ahead) / down, float(-down * view.fx / view.fy / _height(view))
+
+
+def _height(view: View) -> float:
+    return max(float(view.origin[2]), LOWEST_M)
+
+
+def _direction(view: View, u: Tensor, v: Tensor) -> Tensor:
+    """`[..., 3]` in the world, of depth 1."""
+    return torch.stack([(u - view.cx) / view.fx, (v - view.cy) / view.fy, torch.ones_like(u)], -1) @ view.T_world_view[:3, :3].T
+
 
 HEIGHTS_M: Mapping[Category, tuple[float, float]] = {  # of the lowest and of the highest on the road
     "pedestrian": (1.0, 2.05),
@@ -136,3 +199,38 @@ def alike(classes: tuple[Category, ...]) -> Tensor:
     """`[C, C]`: which classes look like each other in part."""
     groups = torch.tensor([next((k for k, each in enumerate(ALIKE) if name in each), -1 - n) for n, name in enumerate(classes)])
     return groups[:, None] == groups[None]
+
+
+SHINE: frozenset[Category] = frozenset({"car", "truck"})
+BRIGHT = 0.95  # of the largest digital number: threshold of light sources
+ABOVE_M = 0.6  # height of a lamp's middle
+APART = 0.5  # of a box's width: least distance of two lamps
+BETWEEN = 0.1  # of a box's width, to both sides of their middle, where nothing shines: else it is one light
+AROUND = 0.25  # of a box's width, within which its lamps are looked for at its sides
+
+
+def by_lamps(frame: Tensor, boxes: Tensor, pixels_a_metre: Tensor, others: Tensor) -> Tensor:
+    """Boxes `[n, 4]` px moved so that the bright spots inside them are two headlamps or rear lamps; NaN without such spots.
+
+    The centre of a box goes to the centre of the outermost spots, and its foot below their mean row. frame: `[height, width]`, shares of
+    the largest digital number. pixels_a_metre: `[n]`, px per m at the boxes. others: boxes `[m, 4]` px in which bright spots are no lamps.
+    """
+    v, u = (each.double().cpu() + 0.5 for each in (frame >= BRIGHT).nonzero().unbind(-1))
+    u, v = (each[~_inside(u, v, others).any(0)] for each in (u, v))
+    if not len(u):
+        return torch.full_like(boxes, torch.nan)
+    width = boxes[:, 2] - boxes[:, 0]
+    near = _inside(u, v, boxes + width[:, None] * torch.tensor([-AROUND, 0.0, AROUND, 0.0]).double())
+    first, last = torch.where(near, u, torch.inf).amin(1), torch.where(near, u, -torch.inf).amax(1)
+    middle = (first + last) / 2
+    two = (last - first >= APART * width) & ~(near & ((u - middle[:, None]).abs() < BETWEEN * width[:, None])).any(1)
+    across = middle - (boxes[:, 0] + boxes[:, 2]) / 2
+    down = (near * v).sum(1) / near.sum(1) + ABOVE_M * pixels_a_metre - boxes[:, 3]
+    moved = boxes + torch.stack([across, down, across, down], -1)
+    return torch.where(two[:, None], moved, torch.nan)
+
+
+def _inside(u: Tensor, v: Tensor, boxes: Tensor) -> Tensor:
+    """`[n, m]`: which points lie in which boxes `[n, 4]`."""
+    left, top, right, bottom = boxes[..., None].unbind(1)
+    return (u > left) & (u < right) & (v > top) & (v < bottom)

@@ -1,0 +1,260 @@
+"""Object-based lighting: the road stays nearly dark, and each object gets as much light as a detector benefits from (T 9.3)."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Literal, Self
+
+import torch
+from pydantic import Field, field_validator
+from torch import Tensor
+
+from luxloop.controllers.functions.object_loop import Ambient, AmbientLoopParams, ObjectLoop, ObjectLoopParams
+from luxloop.controllers.geometry import Place
+from luxloop.controllers.pixels.primitives import Primitives, rectangle
+from luxloop.controllers.situation import LAYERS, MASK, SelectionParams, Situation, TrackedObject, fade
+from luxloop.perception.tracking import LINGER_S
+from luxloop.world.frames import transform
+from luxloop.world.params import Params
+from luxloop.world.traffic.tracked import ROAD_USERS, Category
+
+NEAREST_M = 1.0  # objects nearer to a lamp are not lit; no lamp's light falls on heads there
+TEXEL_RAD = 1e-3  # of a light texture, which interpolates light between texels
+SURE = 0.7  # confidence below which any object may be a person
+CELLS = 16  # texels per stripe
+CORE_M = 0.3  # width of an object's core, in its middle, that hides all light behind it
+Pattern = Literal["homogeneous", "stripes", "checks"]
+
+
+class ObjectLightParams(Params):
+    """Area and pattern of the light on an object."""
+
+    pattern: Pattern = Field(
+        "homogeneous", description="`homogeneous` or structured light: `stripes` (vertical) or `checks` show edges with less flux"
+    )
+    period_m: float = Field(0.5, ge=0.05, le=5, description="period of the structure on the object")
+    margin_m: float = Field(
+        0.1,
+        ge=0,
+        le=10_000,
+        description="margin of the light beyond the box on all sides; below the foot it shows the contact with the road",
+    )
+    dark: dict[Category, Annotated[float, Field(ge=0, le=1)]] = Field(
+        {"pedestrian": 0.25, "cyclist": 0.25, "motorcycle": 0.3, "car": 0.45, "truck": 0.6},
+        description="share of the box's height, from the top, that stays dark with all behind it: heads and windscreens",
+    )
+    dark_lx: float = Field(
+        0.6,
+        ge=0,
+        le=1e6,
+        description="illuminance of the dark part, whatever the rest gets, with `ssc.a_d` = 1; detectors need heads",
+    )
+
+    def on(
+        self, each: TrackedObject, lamps: Tensor, lx: float, priority: int, nearer: int, modules: tuple[str, ...]
+    ) -> tuple[Primitives, ...]:
+        """Primitives that light the object with lx and leave part of it dark; none for objects beside or behind the lamps.
+
+        lamps: positions `[L, 3]` m. nearer: number of nearer objects. The dark part overrides all light except on the cores of nearer
+        objects, which hide it. Only road users have a core, since much of an animal's box is air. The dark part reaches as far above the
+        box as into it, since a detector's box may end below a dark head.
+        """
+        length, width, height = each.size_m
+        low, high = torch.tensor([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, height]], dtype=torch.float64)
+        body = frontal(each.T_world_object, low, high, lamps, self.margin_m, self.margin_m)
+        if body is None:
+            return ()
+        layer, facing = (MASK - 2 * nearer) * LAYERS, body.normal
+        image = self._image(body)
+        parts = [
+            rectangle(body.origin, body.d1, body.d2, lx, "E_v", normal=facing, symbol=image, priority=priority * LAYERS, modules=modules)
+        ]
+        if image is None and each.category in ROAD_USERS and not math.isnan(each.score):
+            across, down = min(1.0, CORE_M / float(body.d1.norm())), 1 - self.margin_m / float(body.d2.norm())
+            core = body.origin + (1 - across) / 2 * body.d1
+            parts.append(
+                rectangle(
+                    core, across * body.d1, down * body.d2, lx, "E_v", normal=facing, forced=True, priority=layer - LAYERS, modules=modules
+                )
+            )
+        share = self.dark.get(each.category, 0.0)
+        if each.confidence < SURE:
+            share = max(share, self.dark.get("pedestrian", 0.0))
+        low[2], high[2] = (1 - share) * height, (1 + share) * height
+        below = TEXEL_RAD * float((body.origin - lamps.mean(0)).norm())
+        eyes = frontal(each.T_world_object, low, high, lamps, self.margin_m, below) if share else None
+        if eyes is not None:
+            dim = rectangle(
+                eyes.origin, eyes.d1, eyes.d2, self.dark_lx, "E_v", normal=eyes.normal, weight=math.inf, forced=True, priority=layer
+            )
+            parts.append(dim)
+        return tuple(parts)
+
+    def _image(self, place: Place) -> Tensor | None:
+        """Image `[h, w]` of the structure, whole cells from the top left; None for homogeneous light."""
+        if self.pattern == "homogeneous":
+            return None
+        across, down = (torch.arange(max(1, round(2 * float(d.norm()) / self.period_m))) % 2 == 0 for d in (place.d1, place.d2))
+        cells = across[None] if self.pattern == "stripes" else across == down[:, None]
+        return cells.double().repeat_interleave(CELLS, 0).repeat_interleave(CELLS, 1)
+
+
+def frontal(T_world_box: Tensor, low: Tensor, high: Tensor, lamps: Tensor, margin_m: float, foot_m: float) -> Place | None:
+    """The upright rectangle facing the lamps, in the plane of the box's nearest corner, that covers the box as seen from each lamp.
+
+    low, high: `[3]` m, opposite corners in the box's frame. lamps: `[L, 3]` m. margin_m: margin on all sides but the foot. foot_m: margin
+    at the foot. None if a corner is nearer than NEAREST_M.
+    """
+    T, lamps = T_world_box.double(), lamps.double()
+    up, viewer = T[:3, 2], lamps.mean(0)
+    corners = transform(T, torch.cartesian_prod(*torch.stack([low, high]).double().T).T).T
+    away = corners.mean(0) - viewer
+    ahead = torch.nn.functional.normalize(away - (away @ up) * up, dim=0)
+    nearest = ((corners - viewer) @ ahead).amin()
+    rays = corners - lamps[:, None]
+    depth = rays @ ahead
+    if nearest < NEAREST_M or depth.amin() < NEAREST_M:
+        return None
+    plane = nearest - (lamps - viewer) @ ahead
+    seen = lamps[:, None] + rays * (plane[:, None] / depth)[..., None] - viewer
+    right = torch.linalg.cross(ahead, up)
+    across, height = (seen @ right).flatten(), (seen @ up).flatten()
+    left_at, right_at = across.amin() - margin_m, across.amax() + margin_m
+    top_at, foot_at = height.amax() + margin_m, height.amin() - foot_m
+    origin = viewer + nearest * ahead + left_at * right + top_at * up
+    return Place(origin, (right_at - left_at) * right, (foot_at - top_at) * up, -ahead)
+
+
+ALIKE = 1.5  # largest ratio of two apparent heights of the same object
+
+
+@dataclass(frozen=True)
+class Apparent:
+    """Angles in rad: azimuth (left positive), width and height. In the height, errors of the distance cancel out."""
+
+    bearing_rad: float
+    width_rad: float
+    height_rad: float
+
+    @classmethod
+    def of(cls, each: TrackedObject, lamps: Tensor) -> Self:
+        """The appearance of an object from the lamps' positions `[L, 3]` m."""
+        x, y, _ = (each.T_world_object[:3, 3].double() - lamps.double().mean(0)).tolist()
+        _, width, height = each.size_m
+        distance_m = max(math.hypot(x, y), NEAREST_M)
+        return cls(math.atan2(y, x), width / distance_m, height / distance_m)
+
+    def same(self, other: "Apparent") -> bool:
+        """Whether both are at the same place, within the larger width, and of about the same height."""
+        off = abs(math.remainder(self.bearing_rad - other.bearing_rad, math.tau))
+        low, high = sorted((self.height_rad, other.height_rad))
+        return off < max(self.width_rad, other.width_rad) and high < ALIKE * low
+
+
+@dataclass(frozen=True)
+class ObjectBasedState:
+    """State: the ambient loop, and the loop of each object by its name."""
+
+    ambient: Ambient
+    loops: Mapping[str, ObjectLoop] = field(default_factory=dict)
+
+    @property
+    def share(self) -> float:
+        return self.ambient.share
+
+
+class ObjectBasedParams(SelectionParams):
+    """Light on objects, over a dimmed base beam."""
+
+    kind: Literal["object_based"] = "object_based"
+    method: Literal["confidence", "class", "constant"] = Field(
+        "confidence",
+        description="`confidence`: loops on a detector's confidence; `class`: a setpoint for each class; `constant`: one setpoint for all",
+    )
+    categories: tuple[Category, ...] = Field(
+        ("pedestrian", "cyclist", "car", "animal", "truck", "motorcycle"), min_length=1, description="classes of objects that it lights"
+    )
+    ambient: AmbientLoopParams = Field(AmbientLoopParams(), description="loop of the base beam, for `confidence`")
+    loop: ObjectLoopParams = Field(ObjectLoopParams(), description="loop of each object, for `confidence`")
+    share: float = Field(0.2, ge=0, le=1, description="share of the base beam, for `class` and `constant`")
+    setpoint_lx: float = Field(
+        10.0, ge=0, le=1e6, description="setpoint on each object, for `constant`, and for classes without one of their own"
+    )
+    setpoints_lx: dict[Category, Annotated[float, Field(ge=0, le=1e6)]] = Field(
+        {"pedestrian": 10.0, "cyclist": 10.0, "animal": 15.0, "car": 3.0, "truck": 3.0, "motorcycle": 5.0},
+        description="setpoints on objects by their class, for `class`",
+    )
+    light: ObjectLightParams = Field(ObjectLightParams(), description="where and how objects are lit")
+    fade_out_s: float = Field(0.6, ge=0, le=LINGER_S, description="time until the light on a vanished object is off")
+    priority: int = Field(20, ge=0, le=100, description="where functions overlap, the higher priority is drawn")
+    modules: tuple[str, ...] = Field((), description="lamps or modules that draw it; left out: all")
+
+    @field_validator("setpoints_lx")
+    @classmethod
+    def _not_negative(cls, setpoints_lx: dict[Category, float]) -> dict[Category, float]:
+        for category, lx in setpoints_lx.items():
+            if lx < 0:
+                raise ValueError(f"{category}: {lx:g} lx is negative; give 0 or more")
+        return setpoints_lx
+
+    def start(self) -> ObjectBasedState:
+        return ObjectBasedState(Ambient(self.ambient.first if self.method == "confidence" else self.share))
+
+    def step(self, state: ObjectBasedState, now: Situation) -> ObjectBasedState:
+        """The state after one more frame; objects that the tracker no longer reports are dropped.
+
+        A new object at the place of a lost one is taken for it and continues its loop.
+        """
+        if self.method != "confidence":
+            return state
+        objects = self.selected(now)
+        seen = {each.name: Apparent.of(each, now.lamps) for each in objects}
+        missed = [each.name for each in objects if each.name in state.loops and math.isnan(each.score)]
+        loops: dict[str, ObjectLoop] = {}
+        for each in objects:
+            at, old = seen[each.name], state.loops.get(each.name)
+            if each.until_s <= now.time_s:
+                loops |= {} if old is None else {each.name: old}
+            elif each.since_s <= now.time_s:
+                old = old or next((replace(state.loops[name], scores=()) for name in missed if at.same(seen[name])), None)
+                if old is None:
+                    loops[each.name] = self.loop.start(each, at.height_rad)
+                else:
+                    loops[each.name] = self.loop.step(old, each, at.height_rad) if _in_sight(each, now) else old
+        known = [
+            loop
+            for each in now.objects
+            if (loop := loops.get(each.name)) and each.until_s > now.time_s and self.ambient.sure(loop.peak) and _in_sight(each, now)
+        ]
+        doubtful = [loop.recent for loop in known if self.loop.exhausted(loop)]
+        return ObjectBasedState(self.ambient.step(state.ambient, [loop.recent for loop in known], doubtful), loops)
+
+    def adapted(self, state: ObjectBasedState, now: Situation) -> tuple[Primitives, ...]:
+        """The primitives of each object: its light and its dark part."""
+        parts: list[Primitives] = []
+        for nearer, each in enumerate(sorted(self.selected(now), key=now.distance_m)):
+            share = fade(now.time_s, each.since_s, each.until_s, 0.0, self.fade_out_s)
+            if share:
+                parts += self.light.on(each, now.lamps, share * self.lx(state, each), self.priority, nearer, self.modules)
+        return tuple(parts)
+
+    def base_share(self, state: ObjectBasedState) -> float:
+        return state.share
+
+    def lx(self, state: ObjectBasedState, each: TrackedObject) -> float:
+        """Setpoint of an object in lx."""
+        if self.method == "constant":
+            return self.setpoint_lx
+        if self.method == "class":
+            return self.setpoints_lx.get(each.category, self.setpoint_lx)
+        loop = state.loops.get(each.name)
+        return self.loop.first_lx if loop is None else loop.lx
+
+
+def _in_sight(each: TrackedObject, now: Situation) -> bool:
+    """Whether the camera sees its centre; true without a camera."""
+    if now.seen is None:
+        return True
+    middle = each.T_world_object[:3, 3:] + each.T_world_object[:3, 2:3] * each.size_m[2] / 2
+    (u, v), depth = now.seen.view.project(middle)
+    return bool(depth > 0) and 0 <= float(u) < now.seen.view.width and 0 <= float(v) < now.seen.view.height

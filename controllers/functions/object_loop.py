@@ -1,0 +1,250 @@
+"""The loops of object-based lighting: light on one object, and the share of the base beam (T 9.3).
+
+An object's loop searches its illuminance by one of two search laws, keeps and monitors it, and searches again when the view has changed.
+"""
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from luxloop.controllers.situation import TrackedObject
+from luxloop.world.params import Params
+from luxloop.world.traffic.tracked import Category
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A tried illuminance in lx and the mean confidence over some frames in it."""
+
+    lx: float
+    confidence: float
+
+
+@dataclass(frozen=True)
+class Next:
+    """The next illuminance in lx, to try or, at the end of the search, to keep."""
+
+    lx: float
+    settled: bool
+
+
+class LowerParams(Params):
+    """Starts bright, then bisects downwards as long as the confidence stays."""
+
+    kind: Literal["lower"] = "lower"
+    bright_lx: float = Field(20.0, gt=0, le=1e6, description="first illuminance on a new object; it gives the confidence in full light")
+    least_lx: float = Field(2.0, gt=0, le=1e6, description="approximate lower limit of the illuminance")
+    ratio: float = Field(
+        1.5,
+        gt=1,
+        le=1e6,
+        description="the search ends when the ratio of least sufficient to greatest insufficient illuminance is below this",
+    )
+    tolerance: float = Field(0.02, ge=0, le=1, description="loss of confidence against the best that is accepted")
+    confirm: int = Field(2, ge=1, le=10, description="trials that must find an illuminance sufficient before it is kept")
+
+    @model_validator(mode="after")
+    def _downwards(self) -> Self:
+        if self.bright_lx < self.least_lx:
+            raise ValueError(f"bright_lx: {self.bright_lx:g} lx is below least_lx, {self.least_lx:g} lx; give more")
+        return self
+
+    @property
+    def bounds_lx(self) -> tuple[float, float]:
+        """Bounds in lx of the search for a new object."""
+        return self.least_lx, self.bright_lx
+
+    def next(self, trials: Sequence[Trial], bounds_lx: tuple[float, float]) -> Next:
+        """The logarithmic middle between the least illuminance that keeps the confidence and the greatest below it that does not."""
+        least, most = bounds_lx
+        if all(trial.lx < most for trial in trials):
+            return Next(most, False)
+        confidence = means(trials)
+        best = max(confidence, key=confidence.__getitem__)
+        lost = [lx for lx, mean in confidence.items() if lx < best and mean < confidence[best] - self.tolerance]
+        low = max(lost, default=least)
+        high = min(lx for lx in confidence if lx > low or lx == best)
+        if high > self.ratio * low:
+            return Next(math.sqrt(low * high), False)
+        return Next(high, sum(trial.lx == high for trial in trials) >= self.confirm)
+
+
+class RaiseParams(Params):
+    """Raises the light step by step until the confidence stays or falls (T 9.3)."""
+
+    kind: Literal["raise"] = "raise"
+    first_lx: float = Field(1.0, gt=0, le=1e6, description="first illuminance on a new object")
+    factor: float = Field(2.0, gt=1, le=1e6, description="factor of a step")
+    most_lx: float = Field(40.0, gt=0, le=1e6, description="upper limit of the illuminance")
+    gain: float = Field(0.04, ge=0, le=1, description="a step that gains less confidence than this counts as plateau")
+    patience: int = Field(2, ge=1, le=10, description="number of such steps that ends the search")
+
+    @model_validator(mode="after")
+    def _upwards(self) -> Self:
+        if self.first_lx > self.most_lx:
+            raise ValueError(f"first_lx: {self.first_lx:g} lx is above most_lx, {self.most_lx:g} lx; give less")
+        return self
+
+    @property
+    def bounds_lx(self) -> tuple[float, float]:
+        """Bounds in lx of the search for a new object."""
+        return self.first_lx, self.most_lx
+
+    def next(self, trials: Sequence[Trial], bounds_lx: tuple[float, float]) -> Next:
+        """The illuminance one factor higher, or that of the best step."""
+        least, most = bounds_lx
+        if not trials:
+            return Next(least, False)
+        best, without = -math.inf, 0
+        for trial in trials:
+            without = 0 if trial.confidence >= best + self.gain else without + 1
+            best = max(best, trial.confidence)
+        lx = trials[-1].lx * self.factor
+        if without < self.patience and lx <= most:
+            return Next(lx, False)
+        return Next(max(trials, key=lambda trial: trial.confidence).lx, True)
+
+
+def means(trials: Sequence[Trial]) -> dict[float, float]:
+    """Mean confidence by illuminance in lx, over all trials of it."""
+    ordered = sorted(trials, key=lambda trial: trial.lx)
+    groups = ((lx, [trial.confidence for trial in group]) for lx, group in groupby(ordered, key=lambda trial: trial.lx))
+    return {lx: sum(found) / len(found) for lx, found in groups}
+
+
+RECENT = 0.3  # weight of the newest frame in the recent mean
+FOLLOWING = 0.2  # weight of a new mean in the expected confidence of a settled object, to follow slow changes with other causes than light
+
+
+@dataclass(frozen=True)
+class ObjectLoop:
+    """State of the loop. lx: setpoint. bounds_lx: of the search. category, height_rad: class and apparent height when the search began.
+
+    scores: confidences of frames in this light that are not averaged yet, 0 where the object was not detected. trials: of the search.
+    expected: expected confidence, once settled. recent: weighted mean of the latest scores. peak: highest mean in any light.
+    """
+
+    lx: float
+    bounds_lx: tuple[float, float]
+    category: Category
+    height_rad: float
+    settled: bool = False
+    scores: tuple[float, ...] = ()
+    trials: tuple[Trial, ...] = ()
+    expected: float = 0.0
+    recent: float = 0.0
+    peak: float = 0.0
+
+
+class ObjectLoopParams(Params):
+    """Search and monitoring of the light on each object."""
+
+    search: Annotated[LowerParams | RaiseParams, Field(discriminator="kind")] = Field(
+        LowerParams(), description='`kind = "lower"` starts bright, `"raise"` dark'
+    )
+    frames: int = Field(6, ge=1, le=100, description="frames averaged per trial of the search")
+    watch_frames: int = Field(15, ge=1, le=300, description="frames averaged once settled")
+    drop: float = Field(
+        0.1, gt=0, le=1, description="deviation from the expected confidence that starts a search up to the brightest light"
+    )
+    change: float = Field(
+        1.5,
+        gt=1,
+        le=1e6,
+        description="a change of apparent height by this factor, or of class, starts a search around the setpoint",
+    )
+    around: float = Field(
+        2.0, gt=1, le=1e6, description="range of that search: from the setpoint divided by this to the setpoint times this"
+    )
+
+    @property
+    def first_lx(self) -> float:
+        """First illuminance in lx on a new object."""
+        return self.search.next((), self.search.bounds_lx).lx
+
+    def start(self, each: TrackedObject, height_rad: float) -> ObjectLoop:
+        """The loop of a new object."""
+        return ObjectLoop(self.first_lx, self.search.bounds_lx, each.category, height_rad, recent=_found(each))
+
+    def exhausted(self, loop: ObjectLoop) -> bool:
+        """Whether only the base beam can help: settled at the brightest light, or after a search up to it that did not raise the
+        confidence.
+        """
+        most = self.search.bounds_lx[1]
+        return loop.settled and (loop.lx >= most or (loop.bounds_lx[1] >= most and loop.recent > loop.expected - self.drop))
+
+    def step(self, loop: ObjectLoop, each: TrackedObject, height_rad: float) -> ObjectLoop:
+        """The state after one more frame of the object in the light that the loop demanded."""
+        score = _found(each)
+        loop = replace(loop, recent=loop.recent + RECENT * (score - loop.recent), scores=(*loop.scores, score))
+        if len(loop.scores) < (self.watch_frames if loop.settled else self.frames):
+            return loop
+        mean = sum(loop.scores) / len(loop.scores)
+        loop = replace(loop, scores=(), peak=max(loop.peak, mean))
+        if loop.settled:
+            low, high = sorted((height_rad, loop.height_rad))
+            changed = each.category != loop.category or high > self.change * low
+            other = abs(mean - loop.expected) > self.drop
+            if not changed and not other:
+                return replace(loop, expected=loop.expected + FOLLOWING * (mean - loop.expected))
+            least, most = self.search.bounds_lx
+            bounds_lx = max(loop.lx / self.around, least), most if other else min(loop.lx * self.around, most)
+            loop = replace(loop, bounds_lx=bounds_lx, category=each.category, height_rad=height_rad, trials=())
+        trials = (*loop.trials, Trial(loop.lx, mean))
+        following = self.search.next(trials, loop.bounds_lx)
+        expected = means(trials).get(following.lx, 0.0)
+        return replace(loop, lx=following.lx, settled=following.settled, trials=trials, expected=expected)
+
+
+def _found(each: TrackedObject) -> float:
+    return 0.0 if math.isnan(each.score) else each.score
+
+
+@dataclass(frozen=True)
+class Ambient:
+    """State of the loop. share: of the base beam, 0..1. rested: frames since the last step. risen: whether that step was up."""
+
+    share: float
+    rested: int = 0
+    risen: bool = False
+
+
+class AmbientLoopParams(Params):
+    """Dims the base beam in steps, raises it at once if needed, and then waits long before it dims again, so that it does not hunt."""
+
+    first: float = Field(1.0, ge=0, le=1, description="share of the base beam at the start, which should show everything present")
+    least: float = Field(0.05, gt=0, le=1, description="lower limit of the share, for objects not yet detected")
+    fall: float = Field(0.5, gt=0, lt=1, description="factor of a step down, taken when every object is detected surely")
+    fall_frames: int = Field(4, ge=1, le=300, description="frames before a step down")
+    rise: float = Field(
+        2.0, gt=1, le=1e6, description="factor of a step up, taken when an object is doubtful and more light on it does not help"
+    )
+    patience: int = Field(60, ge=1, le=1_000_000, description="frames without another step after a step up")
+    doubtful: float = Field(0.2, ge=0, le=1, description="confidence below which an object that had more is doubtful")
+    margin: float = Field(0.1, ge=0, le=1, description="confidence above `doubtful` from which on an object is detected surely")
+
+    @model_validator(mode="after")
+    def _begins_above(self) -> Self:
+        if self.first < self.least:
+            raise ValueError(f"first: {self.first:g} is below least, {self.least:g}; give least or more")
+        return self
+
+    def sure(self, confidence: float) -> bool:
+        return confidence >= self.doubtful + self.margin
+
+    def step(self, ambient: Ambient, confidences: Collection[float], exhausted: Collection[float]) -> Ambient:
+        """The state after one more frame. confidences: current ones of all objects in view that have ever been detected surely.
+
+        exhausted: the confidences of those among them for which more light of their own does not help; the base beam rises for these only.
+        """
+        rested = ambient.rested + 1
+        if min(exhausted, default=1.0) < self.doubtful and ambient.share < 1 and rested >= (self.patience if ambient.risen else 1):
+            return Ambient(min(self.rise * ambient.share, 1.0), risen=True)
+        sure = all(self.sure(confidence) for confidence in confidences)
+        if sure and ambient.share > self.least and rested >= (self.patience if ambient.risen else self.fall_frames):
+            return Ambient(max(self.fall * ambient.share, self.least))
+        return replace(ambient, rested=rested)

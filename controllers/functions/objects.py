@@ -1,0 +1,180 @@
+"""Light for tracked objects: glare-free high beam, sign dimming and markers (T 3.5.1, 7.2.2)."""
+
+import math
+from itertools import pairwise
+from typing import Literal, Self
+
+import torch
+from pydantic import Field, model_validator
+from torch import Tensor
+
+from luxloop.controllers.functions.animations import Animated, AnimationParams
+from luxloop.controllers.geometry import Place, cuboid, facing, strip
+from luxloop.controllers.pixels.primitives import Primitives, rectangle
+from luxloop.controllers.situation import (
+    LAYERS,
+    MASK,
+    Category,
+    DrawingParams,
+    SelectionParams,
+    Situation,
+    TrackedObject,
+    check_share,
+    fade,
+)
+from luxloop.perception.tracking import LINGER_S
+from luxloop.world.frames import inverse, transform
+from luxloop.world.params import Params
+from luxloop.world.symbols import Still
+
+FADING = 1e6  # weight of a fading mask: above all others but the infinite weight of full masks, with which it must not be averaged
+CLEARANCE = 0.8  # share of the gap between a box and a nearby lamp that a margin may take
+
+
+class SoftZoneParams(Params):
+    """A larger box around the mask in which the base beam is dimmed."""
+
+    margin_m: float = Field(gt=0, le=10_000, examples=[0.5], description="margin beyond the mask on each side")
+    u_rel: float = Field(ge=0, le=1, examples=[0.3], description="share of the base beam that remains in it")
+
+
+class GlareFreeParams(SelectionParams):
+    """Keeps light off other road users."""
+
+    kind: Literal["glare_free"] = "glare_free"
+    margin_m: float = Field(0.2, ge=0, le=10_000, description="safety margin around the box, except below its foot")
+    margin_deg: float = Field(0.2, ge=0, le=5, description="additional margin as an angle seen from the lamps")
+    fade_in_s: float = Field(0.0, ge=0, le=1e6, description="time until a new object is dark; 0 is immediate and safe")
+    fade_out_s: float = Field(0.6, ge=0, le=LINGER_S, description="time until full light returns where an object has vanished")
+    soft_zones: tuple[SoftZoneParams, ...] = Field((), max_length=LAYERS - 1, description="dimmed boxes around the mask, inner ones first")
+
+    @model_validator(mode="after")
+    def _inner_zones_first(self) -> Self:
+        margins = [zone.margin_m for zone in self.soft_zones]
+        if any(outer <= inner for inner, outer in pairwise(margins)):
+            raise ValueError(f"soft_zones: margin_m must ascend, here {margins}; put the smallest first")
+        return self
+
+    def primitives(self, now: Situation) -> tuple[Primitives, ...]:
+        """A cuboid of six outward primitives for each object, forced and of infinite weight, and one cuboid for each soft zone.
+
+        A fading mask lets light through again and must yield to full masks, so its weight is finite and its priority lower.
+        """
+        return tuple(part for each in self.selected(now) for part in self._around(each, now))
+
+    def _around(self, each: TrackedObject, now: Situation) -> tuple[Primitives, ...]:
+        share = fade(now.time_s, each.since_s, each.until_s, self.fade_in_s, self.fade_out_s)
+        if share == 0:
+            return ()
+        T, lamps = each.T_world_object, now.lamps
+        distance = float((T[:3, 3] - lamps.to(T)).norm(dim=-1).amin())
+        margin = self.margin_m + distance * math.tan(math.radians(self.margin_deg))
+        mask = cuboid(T, *enlarged(each, margin, lamps))
+        dark = share == 1
+        quantity: Literal["u_abs", "u_rel"] = "u_abs" if dark else "u_rel"
+        weight, priority = math.inf if dark else FADING, (MASK + dark) * LAYERS + LAYERS - 1
+        parts = [rectangle(*mask, 1 - share, quantity, weight=weight, forced=True, priority=priority)]
+        for layer, zone in enumerate(self.soft_zones, 1):
+            box = cuboid(T, *enlarged(each, margin + zone.margin_m, lamps))
+            parts.append(rectangle(*box, 1 - share * (1 - zone.u_rel), "u_rel", forced=True, priority=MASK * LAYERS + LAYERS - 1 - layer))
+        return tuple(parts)
+
+
+def enlarged(each: TrackedObject, margin_m: float, lamps: Tensor) -> tuple[Tensor, Tensor]:
+    """Two opposite corners `[3]` m, in the object's frame, of its box with a margin on all sides but the foot: the road below stays lit.
+
+    lamps: positions `[L, 3]` m. A box around a lamp would show it only back faces, which mask nothing, so the margin ends before the lamp,
+    on the side where the lamp is farthest from the box.
+    """
+    length, width, height = each.size_m
+    low, high = torch.tensor([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, height]], dtype=torch.float64)
+    margins_low, margins_high = torch.tensor([[margin_m, margin_m, 0.0], [margin_m] * 3], dtype=torch.float64)
+    for lamp in transform(inverse(each.T_world_object.double()), lamps.double().T).T:
+        below, above = low - lamp, lamp - high
+        gap, axis = torch.cat([below, above]).max(dim=0)
+        side, k = divmod(int(axis), 3)
+        margins = margins_high if side else margins_low
+        margins[k] = torch.minimum(margins[k], CLEARANCE * gap.clamp(min=0))
+    return low - margins_low, high + margins_high
+
+
+class SignParams(SelectionParams):
+    """Sets the light on traffic signs, to dim them or keep them readable."""
+
+    kind: Literal["sign"] = "sign"
+    categories: tuple[Category, ...] = Field(("sign",), min_length=1, description="classes of objects that it dims")
+    quantity: Literal["E_v", "u_abs", "u_rel"] = Field(
+        "u_rel", description="unit of the setpoint: u_rel, share of the base beam; u_abs, utilisation; E_v, lx on the sign"
+    )
+    value: float = Field(0.2, ge=0, le=1e9, description="setpoint")
+    weight: float = Field(1.0, ge=0, le=1e6, description="weight against other light where a pixel lights more than the sign")
+    priority: int = Field(50, ge=0, le=100, description="where functions overlap, the higher priority is drawn")
+    margin_m: float = Field(0.1, ge=0, le=10_000, description="margin of the primitive beyond the sign on each side")
+
+    @model_validator(mode="after")
+    def _share_of_a_pixel(self) -> Self:
+        check_share(self.quantity, self.value)
+        return self
+
+    def primitives(self, now: Situation) -> tuple[Primitives, ...]:
+        """One forced primitive in the face of each sign, facing the car."""
+        present = (each for each in self.selected(now) if each.since_s <= now.time_s < each.until_s)
+        return tuple(self._face(each, now) for each in present)
+
+    def _face(self, each: TrackedObject, now: Situation) -> Primitives:
+        length, width, height = each.size_m
+        m = self.margin_m
+        low, high = torch.tensor([[-length / 2, -width / 2 - m, -m], [length / 2, width / 2 + m, height + m]], dtype=torch.float64)
+        T = each.T_world_object.double()
+        origin, d1, d2 = cuboid(T, low, high)
+        ahead = (now.lamps.mean(0).to(T) - T[:3, 3]) @ T[:3, 0] >= 0
+        face = 0 if ahead else 1  # the faces across x
+        return rectangle(
+            origin[face], d1[face], d2[face], self.value, self.quantity, weight=self.weight, forced=True, priority=self.priority * LAYERS
+        )
+
+
+SHORTEST_M = 0.5  # shorter lines are not drawn
+WHITE = Still(torch.ones(1, 1))
+
+
+class MarkerParams(DrawingParams, SelectionParams):
+    """Directs the driver's attention to an object."""
+
+    kind: Literal["marker"] = "marker"
+    categories: tuple[Category, ...] = Field(("pedestrian", "animal"), min_length=1, description="classes of objects that it marks")
+    target: Literal["road", "body"] = Field("road", description="`road`: a line towards the object; `body`: light on the object")
+    width_m: float = Field(0.25, gt=0, le=10_000, description="width of the line")
+    near_m: float = Field(8.0, gt=0, le=10_000, description="where the line starts, ahead of the lamps")
+    gap_m: float = Field(0.5, ge=0, le=10_000, description="distance from the end of the line to the object")
+    up_to: float = Field(0.6, gt=0, le=1, description="share of the body's height that is lit, from the feet up, to avoid dazzling")
+    surround_m: float = Field(0.0, ge=0, le=10_000, description="width of the dimmed surround on each side of the line, for contrast")
+    surround_u_rel: float = Field(0.3, ge=0, le=1, description="share of the base beam that remains in the surround")
+    animation: AnimationParams | None = Field(None, description="animation; left out: none")
+
+    def primitives(self, now: Situation) -> tuple[Primitives, ...]:
+        if not self.active(now) or (self.animation and not Animated(WHITE, self.animation).shows(now.time_s)):
+            return ()
+        present = (each for each in self.selected(now) if each.since_s <= now.time_s < each.until_s)
+        return tuple(part for each in present for part in (self._line(each, now) if self.target == "road" else self._body(each, now)))
+
+    def _line(self, each: TrackedObject, now: Situation) -> tuple[Primitives, ...]:
+        foot = transform(inverse(now.T_world_vehicle), each.T_world_object[:3, 3:].to(now.T_world_vehicle))[:2, 0]
+        way = foot / foot.norm()
+        start, stop = self.near_m * way, (now.distance_m(each) - self.gap_m) * way
+        if (stop - start) @ way < SHORTEST_M:
+            return ()
+        line = self._draw(strip(now.T_world_vehicle, start, stop, self.width_m), now)
+        if not self.surround_m:
+            return (line,)
+        around = strip(now.T_world_vehicle, start, stop, self.width_m + 2 * self.surround_m)
+        dimmed = self.model_copy(update={"quantity": "u_rel", "value": self.surround_u_rel, "weight": 1.0})
+        return line, dimmed.draw(around)
+
+    def _body(self, each: TrackedObject, now: Situation) -> tuple[Primitives, ...]:
+        length, width, height = each.size_m
+        low, high = torch.tensor([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, self.up_to * height]], dtype=torch.float64)
+        return (self._draw(facing(each.T_world_object, low, high, now.lamps.mean(0)), now),)
+
+    def _draw(self, place: Place, now: Situation) -> Primitives:
+        return self.draw(place, (Animated(WHITE, self.animation) if self.animation else WHITE).at(now.time_s), layer=1)

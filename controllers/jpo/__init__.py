@@ -1,1 +1,0 @@
-"""Joint Pixel Optimisation (T 8)."""

@@ -1,1 +1,0 @@
-"""Feedback laws without heights of the road, and the stages around them."""

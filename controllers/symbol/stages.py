@@ -1,0 +1,283 @@
+"""Stages on top of any controller with feedback: a warp and a supervisor, if a scenario has them, and lifting onto the road that was found.
+
+Also the controllers of a user: `package.module:Name`.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from luxloop.controllers.symbol.alignment import Alignment, Kind, Placement
+from luxloop.controllers.symbol.sensing.projection import CELLS, ProjectionCommand, Warp
+from luxloop.controllers.symbol.sensing.protocol import Observation, SymbolController
+from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.perception.egomotion import Ego
+from luxloop.perception.extraction import ExtractionStatus
+from luxloop.world import plugin
+from luxloop.world.params import Params
+
+BEYOND = (0.4, 0.15)  # of the symbol's length and width, by which a warp's rectangle is larger on every side
+LEAST_SHARE = 0.2  # of a placement: after a few that did not help there is nothing more to be had
+
+
+class WarpParams(Params):
+    """How the symbol is warped once the controller has brought it near its place."""
+
+    kind: Kind = Field("homography+mesh", description="a homography, and heights of a mesh, which move the symbol along epipolar lines")
+    takes_over: float = Field(0.3, gt=0, le=1, description="largest residual, 1 minus IoU, that the first registration may leave")
+    least_drop: float = Field(0.005, ge=0, lt=1, description="drop of the residual below which nothing is changed")
+
+
+@dataclass(frozen=True)
+class WarpingState:
+    """inner: the controller's state. residual: 1 minus IoU of the best symbol seen so far, or of the controller's last.
+
+    best: what was shown then, None while the controller draws. projection: what is tried now. share: of a placement that is undone at once,
+    zero when there is nothing more to be had.
+    """
+
+    inner: Any
+    residual: float = 1.0
+    best: ProjectionCommand | None = None
+    projection: ProjectionCommand | None = None
+    share: float = 1.0
+
+
+class Warping:
+    """The controller's own projection until that gets no better; from then on a warp, composed exactly with each registration."""
+
+    def __init__(self, params: WarpParams, inner: SymbolController, sensor: SymbolSensor) -> None:
+        self.params, self.inner, self.projector = params, inner, sensor.projector
+        self.alignment = Alignment.prepare(sensor)
+
+    def start(self, pose: Tensor) -> WarpingState:
+        """State that shows the pose `[4]` first."""
+        return WarpingState(self.inner.start(pose))
+
+    def projection(self, state: WarpingState, ego: Ego | None) -> ProjectionCommand:
+        """What is tried, or what the controller draws."""
+        return state.projection or self.inner.projection(state.inner, ego)
+
+    def step(self, state: WarpingState, observation: Observation) -> WarpingState:
+        """Keep a warp whose symbol lies better than any before, else go half as far; give a lost symbol back to the controller."""
+        lost = observation.measurement.code != ExtractionStatus.SEEN
+        if state.projection is None or (lost and observation.measurement.code != ExtractionStatus.NO_FRAME):
+            return self._led(state, observation, bool(lost))
+        if lost or not observation.shown.projection.shows(state.projection):
+            return state
+        image = self.alignment.image(observation.measurement)
+        residual = float(self.alignment.residual(image))
+        if state.projection is not state.best and residual > state.residual:
+            return replace(state, projection=state.best, share=state.share / 2)
+        changed = residual > state.residual + self.params.least_drop
+        if state.share < LEAST_SHARE and not changed:
+            return state
+        seen = replace(state, residual=residual, best=state.projection, share=1.0 if changed else state.share)
+        return self._tried(seen, self.alignment.register(image, self.params.kind), image)
+
+    def _led(self, state: WarpingState, observation: Observation, lost: bool) -> WarpingState:
+        following = WarpingState(self.inner.step(state.inner, observation))
+        if lost:
+            return following
+        image = self.alignment.image(observation.measurement)
+        residual = float(self.alignment.residual(image))
+        following = replace(following, residual=residual)
+        if residual < state.residual - self.params.least_drop:
+            return following
+        placement = self.alignment.register(image, self.params.kind)
+        if float(self.alignment.residual(self.alignment.undone(image, placement))) > self.params.takes_over:
+            return following
+        return self._tried(replace(following, best=observation.shown.projection), placement, image)
+
+    def _tried(self, state: WarpingState, placement: Placement, image: Tensor) -> WarpingState:
+        assert state.best is not None
+        drop = state.residual - float(self.alignment.residual(self.alignment.undone(image, placement)))
+        if drop < self.params.least_drop:
+            return replace(state, projection=state.best, share=0.0)
+        warp = state.best.warp or self._whole()
+        placed = torch.stack([placement.of(source) for source in warp.source])
+        warp = replace(warp, source=torch.lerp(warp.source, placed, state.share))
+        return replace(state, projection=replace(state.best, warp=warp))
+
+    def _whole(self) -> Warp:
+        """The symbol as it is, on a warp's rectangle."""
+        p, margins = self.projector.params, [1 + 2 * beyond for beyond in BEYOND]
+        centres = [(2 * torch.arange(n, device=self.projector.symbol.device) + 1) / n - 1 for n in CELLS]
+        v, u = (centre * margin for centre, margin in zip(centres, margins, strict=True))
+        source = torch.stack([u.expand(*CELLS), v[:, None].expand(*CELLS)])[None]
+        return Warp(source, torch.ones_like(source[:, 0]), (p.length_m * margins[0], p.width_m * margins[1]))
+
+
+class SupervisorParams(Params):
+    """When a controller is given the charge, and when it loses it."""
+
+    grace_steps: int = Field(
+        8, ge=1, le=1_000_000, description="observations of the controller's symbol, after which it has to lie better than the open loop's"
+    )
+    explained: float = Field(
+        0.3, ge=0, le=1, description="share of the residual that registration explains at least; of obstacles it is less"
+    )
+    changed: float = Field(0.05, gt=0, le=1, description="change of the open loop's residual, 1 minus IoU, that is worth another try")
+
+
+@dataclass(frozen=True)
+class SupervisingState:
+    """inner: state of the controller in charge, None for the open loop. opened: residual of the open loop when it was last seen.
+
+    observations: at the controller's symbol so far. failed: residual of the open loop that nothing could be done about, None for none.
+    """
+
+    inner: Any = None
+    opened: float = 1.0
+    observations: int = 0
+    failed: float | None = None
+
+
+class Supervising:
+    """Begins with the open loop; the controller takes over from there where the road is uneven, as long as it is better."""
+
+    def __init__(self, params: SupervisorParams, inner: SymbolController, sensor: SymbolSensor) -> None:
+        self.params, self.inner, self.target = params, inner, sensor.projector.target
+        self.alignment = Alignment.prepare(sensor)
+        self.flat = ProjectionCommand(self.target)
+
+    def start(self, pose: Tensor) -> SupervisingState:
+        """The open loop, whatever the pose `[4]`."""
+        return SupervisingState()
+
+    def projection(self, state: SupervisingState, ego: Ego | None) -> ProjectionCommand:
+        """The open loop's, or the controller's."""
+        return self.flat if state.inner is None else self.inner.projection(state.inner, ego)
+
+    def step(self, state: SupervisingState, observation: Observation) -> SupervisingState:
+        """Judge what was seen, then step the controller if it is in charge."""
+        if observation.measurement.code == ExtractionStatus.NO_FRAME:
+            return state if state.inner is None else replace(state, inner=self.inner.step(state.inner, observation))
+        image = (
+            self.alignment.image(observation.measurement)
+            if observation.measurement.code == ExtractionStatus.SEEN
+            else torch.zeros_like(self.alignment.target)
+        )
+        residual = float(self.alignment.residual(image))
+        opened = observation.shown.projection.shows(self.flat)
+        if state.inner is None:
+            return self._tried(residual, image, state, observation) if opened else state
+        if opened:
+            return replace(state, opened=residual, inner=self.inner.step(state.inner, observation))
+        if state.observations >= self.params.grace_steps and residual >= state.opened:
+            return SupervisingState(failed=state.opened)
+        return replace(state, observations=state.observations + 1, inner=self.inner.step(state.inner, observation))
+
+    def _tried(self, residual: float, image: Tensor, state: SupervisingState, observation: Observation) -> SupervisingState:
+        """The controller, unless it has failed here before or a registration explains too little, as where something hides the road."""
+        if observation.measurement.code != ExtractionStatus.SEEN or (
+            state.failed is not None and abs(residual - state.failed) < self.params.changed
+        ):
+            return state
+        placement = self.alignment.register(image, "homography+mesh")
+        left = float(self.alignment.residual(self.alignment.undone(image, placement)))
+        if left > (1 - self.params.explained) * residual:
+            return SupervisingState(failed=residual)
+        return SupervisingState(self.inner.step(self.inner.start(self.target), observation), residual)
+
+
+SURE = 0.85  # match with which a road is believed though the symbol is seen as on another; on grades it is above 0.9
+LOSSES = 4  # in a row, after which a shape is given up: more than after which controllers show their target again
+
+
+@dataclass(frozen=True)
+class LiftingState:
+    """inner: the controller's state. shape: `[4]` of the road that is drawn for, None for the plane z = 0. losses: in a row, on a shape."""
+
+    inner: Any
+    shape: Tensor | None = None
+    losses: int = 0
+
+
+class Lifting:
+    """The controller draws and sees as on the plane z = 0, and begins anew at the target on every other road that is acquired."""
+
+    def __init__(self, inner: SymbolController, sensor: SymbolSensor) -> None:
+        self.inner, self.sensor, self.projector = inner, sensor, sensor.projector
+
+    def start(self, pose: Tensor) -> LiftingState:
+        """State that shows the pose `[..., 4]` first."""
+        return LiftingState(self.inner.start(pose))
+
+    def projection(self, state: LiftingState, ego: Ego | None) -> ProjectionCommand:
+        """The controller's, for the road as it is known."""
+        projection = self.inner.projection(state.inner, ego)
+        return projection if state.shape is None else replace(projection, shape=state.shape)
+
+    def step(self, state: LiftingState, observation: Observation) -> LiftingState:
+        """Step the controller by what was drawn for the road as it is known; the errors of earlier light are those of another plant."""
+        if not _same(observation.shown.projection.shape, state.shape):
+            return state
+        shape, losses = self._known(state, observation)
+        if not _same(shape, state.shape):
+            return LiftingState(self.inner.start(self.projector.target), shape)
+        if shape is not None:
+            projection = replace(observation.shown.projection, shape=None)
+            observation = replace(
+                observation, shown=replace(observation.shown, projection=projection, lights=self.projector.draw(projection))
+            )
+        return LiftingState(self.inner.step(state.inner, observation), shape, losses)
+
+    def _known(self, state: LiftingState, observation: Observation) -> tuple[Tensor | None, int]:
+        """The road's shape after an observation, None on the move, which shapes do not follow, and how often in a row the symbol was lost
+        on it.
+        """
+        moving = observation.ego is not None and not observation.ego.stands
+        if observation.measurement.code.dim() or moving:
+            return None, 0
+        if observation.measurement.code == ExtractionStatus.SEEN:
+            return self._beyond(state.shape, observation) if observation.measurement.acquired is None else observation.measurement.shape, 0
+        losses = state.losses + int(state.shape is not None and observation.measurement.code != ExtractionStatus.NO_FRAME)
+        return (None, 0) if losses == LOSSES else (state.shape, losses)
+
+    def _beyond(self, known: Tensor | None, observation: Observation) -> Tensor | None:
+        """The known shape, or that of a road farther off where the symbol reaches the footprint's ends."""
+        if observation.frames is None or not self.sensor.at_ends(observation.measurement):
+            return known
+        found = self.sensor.acquire(observation.frames, observation.shown.lights)
+        risen = found.shape[0] - (0.0 if known is None else known[0])
+        return found.shape if found.match > SURE and found.found and risen.abs() > self.sensor.params.footprint_margin_m else known
+
+
+def _same(a: Tensor | None, b: Tensor | None) -> bool:
+    return a is b or (a is not None and b is not None and a.equal(b))
+
+
+class StagedParams(Params):
+    """Keys of every controller that can have stages."""
+
+    warp: WarpParams | None = Field(None, description="warps the symbol where the controller can do no more; left out: none")
+    supervisor: SupervisorParams | None = Field(None, description="shows the open loop where control does not better it; left out: none")
+
+
+def staged(params: StagedParams, controller: SymbolController, sensor: SymbolSensor) -> SymbolController:
+    """The controller with the stages that its keys ask for, lifted onto the road."""
+    if params.warp is not None:
+        controller = Warping(params.warp, controller, sensor)
+    if params.supervisor is not None:
+        controller = Supervising(params.supervisor, controller, sensor)
+    return Lifting(controller, sensor)
+
+
+KEY = "controller.name"
+METHODS = ("start", "projection", "step")
+
+
+class OwnParams(StagedParams):
+    """`Name(sensor, **options)` of a module of the user's own makes the controller."""
+
+    name: plugin.OwnName
+    options: dict[str, Any] = Field({}, description="keyword arguments of Name, beside the sensor")
+
+
+def own_controller(params: OwnParams, sensor: SymbolSensor) -> SymbolController:
+    """Import and call it. Raises LuxloopError where there is none, it does not take what it is given, or lacks a method."""
+    return cast(SymbolController, plugin.make(params.name, KEY, {"sensor": sensor}, params.options, METHODS))

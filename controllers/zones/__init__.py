@@ -1,1 +1,0 @@
-"""Lighting functions that follow what the camera measures of places and materials."""
