@@ -30,7 +30,7 @@ from luxloop.controllers.pixels.rthc import Setpoints  # noqa: E402
 from luxloop.controllers.pixels.ssc import Ssc  # noqa: E402
 from luxloop.controllers.pixels.windows import whole  # noqa: E402
 from luxloop.loop.report.terminal import markdown  # noqa: E402
-from luxloop.loop.simulation.build import symbol_path  # noqa: E402
+from luxloop.loop.scenario.shipped import find_file  # noqa: E402
 from luxloop.perception.metrics import mae  # noqa: E402
 from luxloop.world.frames import pose_from_degrees  # noqa: E402
 from luxloop.world.headlight import Headlight  # noqa: E402
@@ -138,7 +138,7 @@ def on_a_wall(y_m: float, symbol: Tensor) -> Primitives:
 def picture(file: Path) -> str:
     """The snowflake of SSC and of joint optimisation, light above and pixels below (T fig. 8.1); returns their errors in words."""
     light = lamp("ssl-hd-lores").modules[0].headlight
-    place = on_a_wall(0.0, load_still(symbol_path("snowflake")))
+    place = on_a_wall(0.0, load_still(find_file("snowflake", "symbols")))
     jpo = Jpo.prepare(light)
     goal = jpo.goal(place, T_LAMP).target.unflatten(-1, (light.rows, light.cols))
     drawn = {START: Ssc.prepare(light).utilisation(place, T_LAMP).u}

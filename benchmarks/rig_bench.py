@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 from scipy.ndimage import gaussian_filter
 
 from luxloop.loop.rig.calibration.bench import Array, SimulatedBench, simulated_bench
@@ -13,7 +12,8 @@ from luxloop.loop.rig.calibration.board import Corners
 from luxloop.loop.rig.calibration.geometry import CameraModel, Geometry, Pose
 from luxloop.loop.rig.calibration.intrinsics import lens
 from luxloop.loop.scenario.model import Scenario, validate
-from luxloop.loop.simulation.lamps import lamp_modules, shining_modules
+from luxloop.loop.simulation.build_lamps import mount
+from luxloop.loop.simulation.lamps import lamp_modules
 from luxloop.perception.camera import camera_view
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp, Module
@@ -77,7 +77,7 @@ def wall(model: str, width: int, height: int, hfov_deg: float, **camera: float) 
 
 def rig(scenario: Scenario, effects: Effects, fine: int = 2, seed: int = 0) -> Rig:
     """The rig of a scenario with effects; its camera and screen as a board would have shown them."""
-    (module,) = lamp_modules(shining_modules(scenario, torch.device("cpu")))
+    (module,) = lamp_modules(mount(scenario.headlight))
     pinhole = CameraModel.of(scenario.camera)
     true_lens = _lens(pinhole, effects.lens)
     bench = simulated_bench(scenario, [module], true_lens, fine)

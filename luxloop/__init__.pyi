@@ -22,8 +22,8 @@ from .loop.run import run as run
 from .loop.scenario.model import Scenario as Scenario
 from .loop.scenario.model import load as load
 from .loop.scenario.model import validate as validate
-from .loop.scenario.shown import Shown as Shown
-from .loop.scenario.shown import show as show
+from .loop.scenario.studio_window import StudioWindow as StudioWindow
+from .loop.scenario.studio_window import show as show
 from .loop.simulation.protocol import Arrivals as Arrivals
 from .loop.simulation.protocol import Exposure as Exposure
 from .loop.simulation.protocol import Frame as Frame

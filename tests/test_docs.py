@@ -22,7 +22,7 @@ from luxloop.loop.rig.params import RigParams
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import Scenario, load, validate
 from luxloop.loop.scenario.overrides import TAGS
-from luxloop.loop.scenario.shipped import shipped
+from luxloop.loop.scenario.shipped import scenario_files
 from luxloop.loop.studies.campaign import CampaignParams
 from luxloop.loop.studio.page import PAGE
 from luxloop.world.lamps import description
@@ -63,7 +63,9 @@ CHEAP_PYTHON = {
 FULLY_RUN = ("README",)  # pages whose commands the fast tests run, all of them; of others they run what is quick, or needed on the page
 LONG = r"luxloop (run|check|tune|headlight show|export)\b|python "
 
-MEASURED = "|".join(["data get", "opencrg", *(name for name, path in shipped().items() if 'kind = "opencrg"' in path.read_text("utf-8"))])
+MEASURED = "|".join(
+    ["data get", "opencrg", *(name for name, path in scenario_files().items() if 'kind = "opencrg"' in path.read_text("utf-8"))]
+)
 
 
 def blocks(page: Path, language: str) -> list[str]:

@@ -24,7 +24,7 @@ from luxloop.loop.commands.rig import rig_app
 from luxloop.loop.commands.studies import campaign, dataset, evaluate, optimise_beam, train_detector, tune
 from luxloop.loop.commands.studio import studio
 from luxloop.loop.report import terminal as tables
-from luxloop.loop.scenario.shipped import TEMPLATE, copied, examples, original
+from luxloop.loop.scenario.shipped import TEMPLATE, copy_text, examples, original
 from luxloop.world.errors import LuxloopError, did_you_mean
 
 DEBUG = "--debug"
@@ -151,13 +151,13 @@ def new(file: Path | None = None, /, *, like: str | None = None, traffic: int | 
         file = file or Path(source.name)
         if file.suffix != source.suffix:
             raise LuxloopError(f"{file}: --like {like} copies a {source.suffix} file; give its copy the same ending")
-        text = copied(source, file.stem)
+        text = copy_text(source, file.stem)
     elif file is not None and traffic is not None:
-        from luxloop.loop.scenario.night import night
+        from luxloop.loop.scenario.text import night
 
         text = night(file.stem, traffic)
     elif file is not None:
-        text = copied(TEMPLATE, file.stem)
+        text = copy_text(TEMPLATE, file.stem)
     else:
         raise LuxloopError("luxloop new: name a file to write, such as my.toml, or give --like NAME to copy under the same name")
     try:
@@ -285,10 +285,10 @@ def run(
         raise LuxloopError("--twin compares what a lit rig shows with the simulation; give --rig FILE and --arm as well")
     given |= {} if rig is None else {"plant": {"kind": "rig"}}
     scenario = (recorded_scenario_of if itself else scenario_of)(name, set, controller, allow_code=allow_code, **given)
-    if scenario.digitised is not None and rig is None and plant is None:
+    if scenario.digitised_module is not None and rig is None and plant is None:
         from luxloop.loop.simulation.digitised import needs_rig
 
-        raise LuxloopError(f"{scenario.source}: {needs_rig(f'modules.{scenario.digitised}')}")
+        raise LuxloopError(f"{scenario.source}: {needs_rig(f'modules.{scenario.digitised_module}')}")
     from luxloop.loop.commands.runs import run_scenario
 
     if plant is not None and steps is None:
@@ -297,7 +297,7 @@ def run(
         scenario = to_the_end(scenario)
     kept = {"video": video, "report": report, "frames": frames, "labels": labels, "masks": masks, "depth": depth, "lux": lux}
     folder = out or Path("runs") / Path(os.path.abspath(name)).stem
-    if rig is not None and scenario.digitised is not None:
+    if rig is not None and scenario.digitised_module is not None:
         from luxloop.loop.commands.rig_live import run_live
 
         if twin:

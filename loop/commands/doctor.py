@@ -156,10 +156,10 @@ def data_check() -> Check:
     """Road scans and photometric files of the registry, in the folder that `LUXLOOP_DATA` names or among what was fetched."""
     from luxloop.loop.scenario import data
 
-    rows, own = data.rows(), os.environ.get(data.FOLDER_VARIABLE)
-    here = sum(row.path is not None for row in rows)
+    names, own = data.registry(), os.environ.get(data.FOLDER_VARIABLE)
+    here = sum(data.present(name) is not None for name in names)
     looked = f"{data.FOLDER_VARIABLE} is {own or 'not set'}, fetched files are in {data.cache_folder()}"
-    found = f"{here} of {len(rows)} road and photometric files; {looked}"
+    found = f"{here} of {len(names)} road and photometric files; {looked}"
     return Check("data", "ok", found) if here else Check("data", "warn", f"{found}; measured roads cannot be run", "luxloop data get all")
 
 

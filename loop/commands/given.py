@@ -32,9 +32,9 @@ def recorded_scenario_of(
     Raises LuxloopError where it is no recording, and as `load`.
     """
     from luxloop.loop.recording.manifest import Manifest
-    from luxloop.loop.scenario.model import changed_as_given
+    from luxloop.loop.scenario.model import load_data
 
     if controller is not None:
         given["controller"] = {"name": controller}
     data = Manifest.read(Path(folder)).scenario
-    return changed_as_given(data, Path(folder), set or [], given, allow_code=allow_code)
+    return load_data(data, Path(folder), set or [], given, allow_code=allow_code)

@@ -76,9 +76,9 @@ def data_list() -> None:
             f"{each.bytes / 1e6:.1f}",
             escape(each.licence),
             escape(each.description),
-            escape(str(each.path)) if each.path else "[yellow]not here[/]",
+            escape(str(path)) if (path := data.present(each.name)) else "[yellow]not here[/]",
         )
-        for each in data.rows()
+        for each in data.registry().values()
     )
     caption = "Get one with `luxloop data get NAME`, all with `luxloop data get all`."
     tables.show(tables.plain(("name", "kind", "MB", "licence", "description", "where it is"), rows, caption=caption))

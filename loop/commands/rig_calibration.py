@@ -315,14 +315,14 @@ def fit(
 
 
 @contextmanager
-def _bench(scenario: "Scenario", rig: Path | None, allow_code: bool) -> Iterator[tuple["Bench", list["LampModule"]]]:
+def _bench(scenario: "Scenario", rig: Path | None, allow_code: bool) -> Iterator[tuple["Bench", tuple["LampModule", ...]]]:
     """The lit rig, or without a rig file the scenario's simulated world, and the modules that shine."""
-    import torch
 
     from luxloop.loop.rig.calibration.bench import simulated_bench
-    from luxloop.loop.simulation.lamps import lamp_modules, shining_modules
+    from luxloop.loop.simulation.build_lamps import mount
+    from luxloop.loop.simulation.lamps import lamp_modules
 
-    modules = lamp_modules(shining_modules(scenario, torch.device("cpu")))
+    modules = lamp_modules(mount(scenario.headlight))
     if rig is None:
         yield simulated_bench(scenario, modules), modules
         return

@@ -22,7 +22,6 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
     LuxloopError if the rig cannot be opened or does not fit the scenario, and KeyboardInterrupt that says what was kept; the lamp is dark
     then. Raises LuxloopError after a run to which too few frames came.
     """
-    import torch
 
     from luxloop.loop.commands.runs import run_scenario
     from luxloop.loop.recording.files import BEAM, RIG
@@ -34,7 +33,7 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
     from luxloop.loop.rig.plant import grids_of
     from luxloop.loop.rig.rig import opened
     from luxloop.loop.scenario.plant import SimulatedPlantParams
-    from luxloop.loop.simulation.build_lamps import mounted
+    from luxloop.loop.simulation.build_lamps import mount
     from luxloop.loop.simulation.digitised import digitised_number
 
     file, armed, allow_code = rig_file
@@ -45,7 +44,7 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
     checks = {name: each for name, each in scenario.checks.items() if each.compare is None}
     scenario = scenario.model_copy(update={"plant": SimulatedPlantParams(), "checks": checks})
     with locate(scenario.source):
-        modules = tuple(mounted(scenario.headlight, torch.device("cpu"), lambda lamp: lamp.modules))
+        modules = mount(scenario.headlight)
         number = digitised_number(scenario, [each.name for each in modules])
     exposures = scenario.steps * len(scenario.shares)
     with locate(str(file)), opened(params, grids_of([modules[number]]), None, armed=armed) as rig, ExitStack() as stack:

@@ -210,13 +210,12 @@ def written(file: Path, timing: Mapping[str, float]) -> None:
 
 def pixel_grids(scenario: "Scenario") -> tuple[tuple[int, int], ...]:
     """Rows and columns of the pixels of the scenario's modules."""
-    import torch
 
     from luxloop.loop.rig.plant import grids_of
-    from luxloop.loop.simulation.build_lamps import mounted
+    from luxloop.loop.simulation.build_lamps import mount
 
     with locate(scenario.source):
-        return grids_of(tuple(mounted(scenario.headlight, torch.device("cpu"), lambda lamp: lamp.modules)))
+        return grids_of(mount(scenario.headlight))
 
 
 def await_rig(rig: "Rig") -> None:

@@ -1,7 +1,6 @@
 """A simulation whose vehicle somebody drives: it goes on along a longer course, and all else stays as it was made."""
 
 from dataclasses import replace
-from functools import partial
 
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.simulated import SimulatedPlant, driven_plant
@@ -16,11 +15,11 @@ def driven_on(simulation: Simulation, scenario: Scenario) -> Simulation | None:
     vehicle = before.vehicle.model_copy(update={"course": scenario.vehicle.course})
     if before.model_copy(update={"vehicle": vehicle, "steps": scenario.steps}) != scenario:
         return None
-    made = simulation.made.going_on()
-    plant, controlled = driven_plant(plant, scenario, made), {}
+    cache = simulation.cache.copy()
+    plant, controlled = driven_plant(plant, scenario, cache), {}
     for name, each in simulation.controlled.items():
         if (judge := each.judge) is not None:
-            judge = made(f"{name}: judge", (each.sensor, plant.world), partial(replace, judge, world=plant.world))
+            judge = replace(judge, world=plant.world)
         controlled[name] = replace(each, judge=judge)
-    made.end()
-    return replace(simulation, scenario=scenario, plant=plant, controlled=controlled, made=made)
+    cache.end()
+    return replace(simulation, scenario=scenario, plant=plant, controlled=controlled, cache=cache)

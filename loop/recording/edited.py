@@ -9,7 +9,7 @@ from torch import Tensor
 
 from luxloop.loop.recording.driven import driven_on
 from luxloop.loop.recording.record import refuse_unknown_columns
-from luxloop.loop.scenario.acts import acts
+from luxloop.loop.scenario.edits import acts
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.overrides import TAGS
 from luxloop.loop.simulation.result import SimulationState

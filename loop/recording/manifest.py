@@ -17,8 +17,7 @@ from luxloop.loop.recording.sources import sources_of
 from luxloop.loop.scenario import data
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.plant import RecordedPlantParams
-from luxloop.loop.scenario.shipped import named
-from luxloop.loop.simulation.build import symbol_path
+from luxloop.loop.scenario.shipped import find_file
 from luxloop.loop.simulation.frames import TABLE
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import content, files_at, reading, regular, whole
@@ -149,14 +148,14 @@ def input_files(scenario: Scenario) -> Iterator[tuple[str, Path]]:
         yield "plant.folder", Path(scenario.plant.folder) / TABLE
     for name, function in scenario.functions.items():
         if (image := getattr(function, "image", None)) is not None:
-            path = symbol_path(image)
+            path = find_file(image, "symbols")
             for file in files_at(path) if os.path.isdir(path) else (path,):
                 yield f"functions.{name}.image {file.name}", file
         believed = getattr(getattr(function, "controller", None), "road", None)
         if isinstance(believed, OpenCrgRoad):
             yield f"functions.{name}.controller.road.file", Path(data.locate(believed.file))
     for i, raw in enumerate(scenario.lighting.raw):
-        for file in sequence_files(named(raw.file, "utilisations")):
+        for file in sequence_files(find_file(raw.file, "utilisations")):
             yield f"lighting.raw[{i}].file {file.name}", file
     for key in ("file", "weights"):
         if (given := getattr(scenario.detector, key, None)) is not None:

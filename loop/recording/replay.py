@@ -17,7 +17,7 @@ from luxloop.loop.recording.edited import edited
 from luxloop.loop.recording.files import EDITS, TRAJECTORY, table_of
 from luxloop.loop.recording.manifest import FILE, Manifest
 from luxloop.loop.recording.record import row, schema
-from luxloop.loop.scenario.driving import repeated
+from luxloop.loop.scenario.driving import repeat
 from luxloop.loop.scenario.edits import Edit
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.result import StepResult
@@ -60,7 +60,7 @@ def refuse_foreign(directory: Path, scenario: Scenario, edits: Iterable[Edit]) -
     """Raises LuxloopError where the scenario of a recording, or an edit of it, names a module of Python."""
     refuse_code(scenario, str(directory / FILE))
     for edit in edits:
-        scenario = repeated(scenario, edit)
+        scenario = repeat(scenario, edit)
         if not edit.driven:
             refuse_code(scenario, str(directory / EDITS))
 
@@ -74,7 +74,7 @@ def rerun(recording: Recording, simulation: Simulation) -> Iterator[tuple[Simula
     for step in range(recording.table.num_rows):
         reached, by = state, simulation.scenario
         while edits and edits[0].step <= step:
-            simulation, state = edited(simulation, reached, repeated(simulation.scenario, edits.popleft()), by)
+            simulation, state = edited(simulation, reached, repeat(simulation.scenario, edits.popleft()), by)
         with locate(simulation.scenario.source):
             state, result = simulation.step(state)
         yield simulation, result

@@ -103,7 +103,7 @@ def _draw_light(
 def _title(simulation: Simulation, last: StepResult, summary: Mapping[str, Any]) -> str:
     dark_lx, scenario = summary["dark_lx_max"], simulation.scenario
     masked = "" if dark_lx is None else f"  ·  {dark_lx:.3g} lx at most on masked objects"
-    flicker = f"  ·  symbols on for {1 - scenario.off_share:.0%} at {scenario.rate_hz:g} Hz" if scenario.controlled else ""
+    flicker = f"  ·  symbols on for {1 - scenario.off_share:.0%} at {scenario.rate_hz:g} Hz" if scenario.symbols else ""
     if (folder := shadow_of(scenario.plant)) is not None:
         flicker += f"  ·  {SHADOW} {Path(folder).name}"
     steps = f"{summary['steps']} steps to {last.time_s:.2f} s"

@@ -1,6 +1,5 @@
 """Checks of a scenario: bounds on what its recording shows, so that a run says by itself whether it is as it should be."""
 
-from collections.abc import Mapping, Sequence
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
@@ -39,7 +38,7 @@ class CheckParams(Params):
     )
 
     @model_validator(mode="after")
-    def _bounded(self) -> Self:
+    def _check_bounds(self) -> Self:
         if self.at_least is None and self.at_most is None:
             raise ValueError("has no bound; give at_least, at_most or both")
         if self.at_least is not None and self.at_most is not None and self.at_least > self.at_most:
@@ -53,14 +52,3 @@ class CheckParams(Params):
         if self.compare is not None and self.metric.endswith("_ms"):
             raise ValueError(f"compare: the runs share rendering, so {self.metric} cannot be compared; leave compare out")
         return self
-
-
-def refuse_lights(checks: Mapping[str, CheckParams], possible: Sequence[Light]) -> None:
-    """Raises ValueError where a check compares with a light that its scenario does not have."""
-    for name, check in checks.items():
-        if check.compare is not None and check.compare not in possible:
-            lacking = "controller of a symbol" if check.compare == "open_loop" else "lighting function"
-            raise ValueError(
-                f"checks.{name}.compare: {check.compare} takes every {lacking} away, but there is none here; "
-                f"give {' or '.join(possible)}, or leave compare out"
-            )

@@ -31,34 +31,30 @@ class DataFile:
 
 
 @dataclass(frozen=True)
-class Fetched:
+class Download:
     """Where a file is now; `downloaded` is False where it was there before."""
 
     path: Path
     downloaded: bool
 
 
-Registry = Mapping[str, DataFile]
-
-
 @cache
-def registry() -> Registry:
+def registry() -> Mapping[str, DataFile]:
     """The files that luxloop knows, by name."""
     entries = tomllib.loads(Path(__file__).with_name("data_registry.toml").read_text("utf-8"))
     return {name: DataFile(name=name, **entry) for name, entry in entries.items()}
 
 
-def entry(name: str, known: Registry | None = None) -> DataFile:
+def entry(name: str) -> DataFile:
     """A registered file. Raises LuxloopError with the nearest name."""
-    known = registry() if known is None else known
-    if name in known:
+    if name in (known := registry()):
         return known[name]
     raise LuxloopError(f"there is no data file {name!r}; {did_you_mean(name, known, '`luxloop data list` shows all')}")
 
 
-def present(name: str, known: Registry | None = None) -> Path | None:
+def present(name: str) -> Path | None:
     """Where the file is on this machine: in the folder `LUXLOOP_DATA` (as `roads/X`, `ies/X` or `X`), then among what was fetched."""
-    file = Path(entry(name, known).file)
+    file = Path(entry(name).file)
     own = os.environ.get(FOLDER_VARIABLE)
     if own and not Path(own).is_dir():
         raise LuxloopError(f"{FOLDER_VARIABLE} names {own}, which is not a folder; correct it or unset it")
@@ -66,12 +62,11 @@ def present(name: str, known: Registry | None = None) -> Path | None:
     return next((path for path in [*candidates, cache_folder() / file] if path.is_file()), None)
 
 
-def find(name: str, known: Registry | None = None) -> Path:
+def find(name: str) -> Path:
     """Path of a registered file on this machine. Raises LuxloopError that says how to get it."""
-    path = present(name, known)
-    if path is None:
-        raise LuxloopError(f"data file {name!r} is not on this machine; get it with `luxloop data get {name}`")
-    return path
+    if (path := present(name)) is not None:
+        return path
+    raise LuxloopError(f"data file {name!r} is not on this machine; get it with `luxloop data get {name}`")
 
 
 def locate(name_or_path: str | Path) -> Path:
@@ -80,23 +75,23 @@ def locate(name_or_path: str | Path) -> Path:
     return Path(text) if any(mark in text for mark in "/\\.") else find(text)
 
 
-def get(name: str, directory: str | Path | None = None, base_url: str | None = None, known: Registry | None = None) -> Fetched:
+def get(name: str, directory: str | Path | None = None) -> Download:
     """Fetch a registered file unless it is here already; without `directory` it goes where `find` looks.
 
-    `base_url` (or `LUXLOOP_DATA_URL`) is a mirror to ask instead of the file's source. A file must have the registered SHA-256: what is
-    fetched appears whole or not at all, and what was fetched before and has changed is fetched again. Raises LuxloopError where there is
-    no connection, no such file or another content, in the folder `LUXLOOP_DATA` too, which is the user's own.
+    `LUXLOOP_DATA_URL` is a mirror to ask instead of the file's source. A file must have the registered SHA-256: what is fetched appears
+    whole or not at all, and what was fetched before and has changed is fetched again. Raises LuxloopError where there is no connection, no
+    such file or another content, in the folder `LUXLOOP_DATA` too, which is the user's own.
     """
-    wanted = entry(name, known)
-    target = (cache_folder() if directory is None else Path(directory)) / wanted.file
-    here = (present(name, known) if directory is None else None) or target
-    if here.is_file() and _sha256(here) == wanted.sha256:
-        return Fetched(here, downloaded=False)
+    known = entry(name)
+    target = (cache_folder() if directory is None else Path(directory)) / known.file
+    here = (present(name) if directory is None else None) or target
+    if here.is_file() and _sha256(here) == known.sha256:
+        return Download(here, downloaded=False)
     if here != target:
         raise LuxloopError(f"{here}: is not {name!r} as registered (SHA-256 differs); move it away, then get {name} again")
-    mirror = base_url or os.environ.get(MIRROR_VARIABLE)
-    _download(wanted, f"{mirror.rstrip('/')}/{wanted.file}" if mirror else wanted.url, target)
-    return Fetched(target, downloaded=True)
+    mirror = os.environ.get(MIRROR_VARIABLE)
+    _download(known, f"{mirror.rstrip('/')}/{known.file}" if mirror else known.url, target)
+    return Download(target, downloaded=True)
 
 
 def _download(wanted: DataFile, url: str, target: Path) -> None:
@@ -120,24 +115,6 @@ def _download(wanted: DataFile, url: str, target: Path) -> None:
         raise LuxloopError(f"{url} has other content than registered (SHA-256 differs); nothing was kept, try again") from error
     except OSError as error:
         raise LuxloopError(f"{target} cannot be written ({error.strerror}); give another folder with --dir") from error
-
-
-@dataclass(frozen=True)
-class DataRow:
-    """What `luxloop data list` shows of a file; `path` is None where it is not on this machine."""
-
-    name: str
-    kind: str
-    licence: str
-    bytes: int
-    path: Path | None
-    description: str
-
-
-def rows(known: Registry | None = None) -> list[DataRow]:
-    """All registered files, in the registry's order."""
-    known = registry() if known is None else known
-    return [DataRow(each.name, each.kind, each.licence, each.bytes, present(each.name, known), each.description) for each in known.values()]
 
 
 def cache_folder() -> Path:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
-from luxloop.loop.scenario.edits import Edit, changed
+from luxloop.loop.scenario.edits import Edit, with_overrides
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.overrides import tables
 from luxloop.world.errors import LuxloopError
@@ -15,7 +15,7 @@ from luxloop.world.validation import toml, validate_model
 MOST_STEPS = 100_000
 
 
-def begun(scenario: Scenario, step: int) -> Scenario:
+def begin_drive(scenario: Scenario, step: int) -> Scenario:
     """The scenario for somebody who drives from a step on: the road is there all around, the course stays as it is from then on, and the
     traffic remains that which was met along the course so far.
 
@@ -32,7 +32,7 @@ def begun(scenario: Scenario, step: int) -> Scenario:
     return scenario.model_copy(update={"vehicle": vehicle, "traffic": traffic, "steps": _steps(step)})
 
 
-def driven_on(scenario: Scenario, step: int, controls: Controls) -> tuple[Scenario, tuple[str, ...]]:
+def continue_drive(scenario: Scenario, step: int, controls: Controls) -> tuple[Scenario, tuple[str, ...]]:
     """The scenario with a course for one step more, and the overrides that make it.
 
     Raises LuxloopError where it has as many steps as can be.
@@ -41,12 +41,12 @@ def driven_on(scenario: Scenario, step: int, controls: Controls) -> tuple[Scenar
     return _longer(scenario, added, _steps(step))
 
 
-def ended(scenario: Scenario, step: int, steps: int) -> tuple[Scenario, tuple[str, ...]]:
+def end_drive(scenario: Scenario, step: int, steps: int) -> tuple[Scenario, tuple[str, ...]]:
     """The same where nobody drives any more, with at least as many steps as given: the vehicle goes straight on as fast as it is."""
     return _longer(scenario, let_go(_vehicle(scenario), step / scenario.rate_hz), max(scenario.steps, steps))
 
 
-def as_driven(scenario: Scenario, now: Scenario) -> Scenario:
+def with_drive(scenario: Scenario, now: Scenario) -> Scenario:
     """A scenario with the course that was driven in another one, if that was."""
     if now.vehicle is None or scenario.vehicle is None or not now.vehicle.roams:
         return scenario
@@ -56,10 +56,10 @@ def as_driven(scenario: Scenario, now: Scenario) -> Scenario:
     return scenario.model_copy(update={"vehicle": vehicle, "traffic": traffic, "steps": now.steps})
 
 
-def repeated(scenario: Scenario, edit: Edit) -> Scenario:
+def repeat(scenario: Scenario, edit: Edit) -> Scenario:
     """A scenario after an edit. Modules that it names may run, unless somebody drove. Raises LuxloopError as `changed`."""
     if not edit.driven:
-        return changed(scenario, edit.overrides)
+        return with_overrides(scenario, edit.overrides)
     course, steps = _vehicle(scenario).course, scenario.steps
     for key, value in (item for each in edit.overrides for item in _items(tables(each))):
         if key == "steps" and isinstance(value, int) and 1 <= value <= MOST_STEPS:

@@ -1,7 +1,7 @@
 """Changes of a scenario while it runs: other values of keys from a step on."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Final, Literal
 
 from pydantic import Field
 
@@ -10,6 +10,18 @@ from luxloop.loop.scenario.overrides import TAGS, overridden
 from luxloop.world.errors import LuxloopError
 from luxloop.world.params import Params
 from luxloop.world.validation import toml
+
+Acts = Literal["step", "prepared", "restart"]
+
+# by the longest beginning of a key
+ACTS: Final[dict[str, Acts]] = {
+    "": "prepared",
+    **dict.fromkeys(("name", "description", "steps", "judge_every", "checks", "conditions", "lighting", "functions"), "step"),
+    **dict.fromkeys(("schema_version", "seed", "rate_hz", "off_share", "plant", "renderer", "pixel_controller"), "restart"),
+    **dict.fromkeys(("headlight.model", "headlight.lamps", "headlight.modules"), "restart"),
+    **dict.fromkeys(("camera.width_px", "camera.height_px", "camera.oversampling", "camera.bits"), "restart"),
+    **dict.fromkeys(("detector", "detector_frames", "tracker"), "restart"),
+}
 
 
 class Edit(Params):
@@ -34,7 +46,7 @@ def replaces(edit: Edit, last: Edit) -> bool:
     return (edit.step, edit.driven, keys) == (last.step, last.driven, before) and not table
 
 
-def changed(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
+def with_overrides(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
     """A scenario with other values of keys. Modules that they name may run. Raises LuxloopError as `validate`."""
     return validate(overridden(scenario.model_dump(mode="json"), overrides), scenario.source)
 
@@ -42,7 +54,7 @@ def changed(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
 def differences(before: Scenario, after: Scenario) -> tuple[str, ...]:
     """Overrides that make one scenario of another. Raises LuxloopError where there are none."""
     found = tuple(_differences(before.model_dump(mode="json"), after.model_dump(mode="json")))
-    if changed(before, found) != after:
+    if with_overrides(before, found) != after:
         raise LuxloopError(f"{after.name}: this change cannot be said in values of keys; open the scenario anew")
     return found
 
@@ -58,3 +70,31 @@ def _differences(before: Mapping[str, Any], after: Mapping[str, Any], within: st
             yield from _differences(old, new, f"{whole}.")
         else:
             yield f"{whole}={toml(new)}"
+
+
+def acts(before: Scenario, after: Scenario) -> Acts:
+    """When what tells two scenarios apart acts: at the next step; once it is prepared, while the simulation goes on; or in one that starts
+    anew.
+    """
+    found = {_acts(key) for key in _keys_that_differ(before, after)}
+    if before.shares != after.shares or (before.vehicle is None) != (after.vehicle is None):
+        return "restart"
+    if "restart" in found or (found - {"step"} and after.plant.kind != "simulated"):
+        return "restart"
+    longer = before.steps != after.steps and after.vehicle is not None  # for which its motion is integrated
+    return "prepared" if "prepared" in found or longer or before.meters_light != after.meters_light else "step"
+
+
+def _keys_that_differ(before: Scenario, after: Scenario) -> list[str]:
+    keys = [key for key in Scenario.model_fields if getattr(before, key) != getattr(after, key)]
+    inner = {key: type(getattr(after, key)).model_fields for key in ("headlight", "camera") if key in keys}
+    within = [f"{key}.{name}" for key, names in inner.items() for name in names if _of(before, key, name) != _of(after, key, name)]
+    return [key for key in keys if key not in inner] + within
+
+
+def _of(scenario: Scenario, key: str, name: str) -> object:
+    return getattr(getattr(scenario, key), name)
+
+
+def _acts(key: str) -> Acts:
+    return ACTS.get(key) or ACTS.get(key.partition(".")[0]) or ACTS[""]

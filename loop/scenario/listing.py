@@ -4,7 +4,7 @@ import tomllib
 from typing import Any, Literal, get_args
 
 from luxloop.loop.scenario import data
-from luxloop.loop.scenario.shipped import examples, shipped, shipped_files
+from luxloop.loop.scenario.shipped import examples, scenario_files, shipped_files
 
 Kind = Literal["scenarios", "functions", "controllers", "roads", "symbols", "detectors", "lamps", "plants", "examples"]
 USES: dict[Kind, str] = {
@@ -61,7 +61,7 @@ def listing(kind: Kind) -> list[dict[str, Any]]:
 def _scenarios() -> list[dict[str, Any]]:
     """Read without validation, which the tests have done."""
     found = []
-    for name, file in shipped().items():
+    for name, file in scenario_files().items():
         content = tomllib.loads(file.read_text("utf-8"))
         road = content.get("road", {}).get("file", "")
         lacking = road in data.registry() and data.present(road) is None
@@ -85,7 +85,7 @@ def _controller(function: dict[str, Any]) -> str | None:
 
 def _showing(symbol: str) -> list[str]:
     """The scenarios that show a symbol."""
-    contents = {name: tomllib.loads(file.read_text("utf-8")) for name, file in shipped().items()}
+    contents = {name: tomllib.loads(file.read_text("utf-8")) for name, file in scenario_files().items()}
     functions = {name: content.get("functions", {}).values() for name, content in contents.items()}
     return [name for name, each in functions.items() if symbol in [function.get("image") for function in each]]
 

@@ -4,8 +4,9 @@ import hashlib
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import cached_property
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -15,11 +16,10 @@ from luxloop.controllers.functions.planner import Functions, LightingParams
 from luxloop.controllers.functions.symbol import SymbolFunctionParams
 from luxloop.controllers.pixels.jpo import JpoParams
 from luxloop.controllers.pixels.mrpc import MrpcParams
-from luxloop.loop.scenario.checks import CheckParams, Light, refuse_lights
+from luxloop.loop.scenario.checks import CheckParams, Light
 from luxloop.loop.scenario.disturbances import DisturbanceParams
-from luxloop.loop.scenario.modules import ModuleSourceParams
 from luxloop.loop.scenario.overrides import Override, is_file, overridden, resolve_paths, tables, texts
-from luxloop.loop.scenario.plant import PlantParams, SimulatedPlantParams, refuse_long_exposures
+from luxloop.loop.scenario.plant import ModuleSourceParams, PlantParams, SimulatedPlantParams
 from luxloop.loop.scenario.shipped import find
 from luxloop.perception.camera import CameraParams
 from luxloop.perception.detection.detector import DetectorParams
@@ -137,73 +137,9 @@ class Scenario(Params):
         return name if name in PIXEL_CONTROLLERS else Name(name)
 
     @model_validator(mode="after")
-    def _jpo_at_work(self) -> Self:
-        if self.pixel_controller != "jpo" and self.jpo != JpoParams():
-            raise ValueError(f'jpo: is for pixel_controller = "jpo", which is {self.pixel_controller!r} here; set that, or leave it out')
-        return self
-
-    @model_validator(mode="after")
-    def _compared_with_what_there_is(self) -> Self:
-        refuse_lights(self.checks, self.lights)
-        return self
-
-    @model_validator(mode="after")
-    def _one_beam_on_the_screen(self) -> Self:
-        for name, each in self.modules.items():
-            if each.source == "digitised" and name != self.digitised:
-                raise ValueError(
-                    f"modules.{name}.source: {self.digitised} is digitised, too, and a camera cannot tell two beams apart; simulate one"
-                )
-            if each.source == "simulated" and each != ModuleSourceParams():
-                raise ValueError(f'modules.{name}: latency_s and delay_body are for source = "digitised"; set that, or leave them out')
-            if each.delay_body and self.vehicle is None:
-                raise ValueError(f"modules.{name}.delay_body: the vehicle stands, there is no [vehicle]; leave it out")
-        return self
-
-    @model_validator(mode="after")
-    def _aimed_lamps_draw(self) -> Self:
-        for k, aim in enumerate(self.disturbances.aim):
-            if aim.lamp is not None and aim.lamp not in self.headlight.lamps:
-                raise ValueError(f"disturbances.aim[{k}].lamp: the {aim.lamp} lamp is dark here; name it in headlight.lamps as well")
-        return self
-
-    @model_validator(mode="after")
-    def _has_on_frames_alone(self) -> Self:
-        if self.controlled:
-            refuse_long_exposures(self.camera.exposure_s, self.off_share, self.rate_hz)
-            return self
-        if self.off_share != 0.5:
-            raise ValueError("off_share: no controller holds a symbol here; leave it out")
-        for key in ("oncoming", "ambient"):
-            if off := [k for k, each in enumerate(getattr(self.disturbances, key)) if each.frames == "off"]:
-                raise ValueError(f"disturbances.{key}[{off[0]}].frames: without a held symbol, steps have no off frame; leave it out")
-        return self
-
-    @model_validator(mode="after")
-    def _tracks_what_is_detected(self) -> Self:
-        if self.detector_frames != "on" and not (self.controlled and self.detector):
-            lacking = "detector" if self.controlled else "symbol that a controller holds"
-            raise ValueError(f"detector_frames: there is no {lacking} here, so it has no effect; leave it out")
-        if self.detector is None and self.tracker != TrackerParams():
-            raise ValueError('tracker: follows what a detector finds, but there is none; give one, detector = {kind = "network"} say')
-        named = {f"functions.{name}.{key}": name for name, each in self.functions.items() for key, _ in objects_named(each)}
-        if self.detector is not None and named:
-            emptied = " ".join(f"{key}=[]" for key in named if key.endswith("names"))
-            remedies = [*([f"--set {emptied}"] if emptied else []), *(f"leave {key} out" for key in named if not key.endswith("names"))]
-            raise ValueError(
-                f"functions.{next(iter(named.values()))}: names objects, but a detector knows only their class; "
-                f"{' and '.join(remedies)}, or take the [detector] out"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
-        times = [each.time_s for each in self.conditions]
-        if any(later <= earlier for earlier, later in pairwise(times)):
-            raise ValueError(f"conditions: time_s must ascend from entry to entry, here {times}")
-        names = [each.name for each in self.all_objects]
-        if doubled := [name for name in names if names.count(name) > 1]:
-            raise ValueError(f"objects: the name {doubled[0]!r} occurs twice, but recordings identify objects by name; rename one")
+    def _consistent(self) -> Self:
+        for sentence in chain.from_iterable(topic(self) for topic in (_lamps, _modules, _exposures, _detection, _order)):
+            raise ValueError(sentence)
         return self
 
     @property
@@ -229,41 +165,113 @@ class Scenario(Params):
         return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
 
     @property
-    def metered(self) -> bool:
+    def meters_light(self) -> bool:
         """Whether the light on objects or for functions is asked for, beside what the camera sees."""
-        told = any(each.category for each in self.all_objects) or self.digitised is not None
-        return told or self.detector is not None or len(self.functions) > len(self.controlled)
+        told = any(each.category for each in self.all_objects) or self.digitised_module is not None
+        return told or self.detector is not None or len(self.functions) > len(self.symbols)
 
     @property
-    def digitised(self) -> str | None:
+    def digitised_module(self) -> str | None:
         """Name of the module whose light is digitised, None where all are simulated."""
         return next((name for name, each in self.modules.items() if each.source == "digitised"), None)
 
     @property
-    def controlled(self) -> tuple[str, ...]:
-        """Names of the symbols that a controller holds."""
-        return tuple(name for name, each in self.functions.items() if getattr(each, "controller", None) is not None)
+    def symbols(self) -> Mapping[str, SymbolFunctionParams]:
+        """The symbols under control, each by its name."""
+        functions = self.functions.items()
+        return {name: each for name, each in functions if isinstance(each, SymbolFunctionParams) and each.controller is not None}
 
     @property
     def symbol(self) -> SymbolFunctionParams:
-        """The only symbol that a controller holds. Raises LuxloopError where there are several or none."""
-        symbol = self.functions[only(self.controlled)]
-        assert isinstance(symbol, SymbolFunctionParams)
-        return symbol
+        """The only symbol under control. Raises LuxloopError where there are several or none."""
+        return self.symbols[only(self.symbols)]
 
     @property
     def shares(self) -> tuple[float, ...]:
         """Of a control step, one an exposure: with the symbols that are held and without them, or the whole."""
-        return (1 - self.off_share, self.off_share) if self.controlled else (1.0,)
+        return (1 - self.off_share, self.off_share) if self.symbols else (1.0,)
 
     @property
     def lights(self) -> tuple[Light, ...]:
         """Those that checks may compare with."""
-        return ("full_light", "low_beam", *(("open_loop",) if self.controlled else ()))
+        return ("full_light", "low_beam", *(("open_loop",) if self.symbols else ()))
 
 
-def objects_named(function: Any) -> Iterator[tuple[str, str]]:
-    """The objects that a function names, each after its key."""
+def _lamps(scenario: Scenario) -> Iterator[str]:
+    """Contradictions between pixel controllers, lamps and the lights that checks compare with."""
+    if scenario.pixel_controller != "jpo" and scenario.jpo != JpoParams():
+        yield f'jpo: is for pixel_controller = "jpo", which is {scenario.pixel_controller!r} here; set that, or leave it out'
+    for k, aim in enumerate(scenario.disturbances.aim):
+        if aim.lamp is not None and aim.lamp not in scenario.headlight.lamps:
+            yield f"disturbances.aim[{k}].lamp: the {aim.lamp} lamp is dark here; name it in headlight.lamps as well"
+    for name, check in scenario.checks.items():
+        if check.compare is not None and check.compare not in scenario.lights:
+            lacking = "controller of a symbol" if check.compare == "open_loop" else "lighting function"
+            yield (
+                f"checks.{name}.compare: {check.compare} takes every {lacking} away, but there is none here; "
+                f"give {' or '.join(scenario.lights)}, or leave compare out"
+            )
+
+
+def _modules(scenario: Scenario) -> Iterator[str]:
+    """Contradictions between the sources of modules' light: one beam on the screen at most."""
+    for name, each in scenario.modules.items():
+        if each.source == "digitised" and name != (first := scenario.digitised_module):
+            yield f"modules.{name}.source: {first} is digitised, too, and a camera cannot tell two beams apart; simulate one"
+        if each.source == "simulated" and each != ModuleSourceParams():
+            yield f'modules.{name}: latency_s and delay_body are for source = "digitised"; set that, or leave them out'
+        if each.delay_body and scenario.vehicle is None:
+            yield f"modules.{name}.delay_body: the vehicle stands, there is no [vehicle]; leave it out"
+
+
+def _exposures(scenario: Scenario) -> Iterator[str]:
+    """Contradictions between exposures and the control period: on and off frames with symbols under control, else on frames alone."""
+    if scenario.symbols:
+        exposure_s, share, rate_hz = scenario.camera.exposure_s, min(scenario.off_share, 1 - scenario.off_share), scenario.rate_hz
+        if exposure_s > share / rate_hz:
+            part, nearer = ("half", "") if scenario.off_share == 0.5 else (f"{share:.3g} of", ", or set off_share nearer to 0.5")
+            yield (
+                f"camera.exposure_s: {exposure_s:g} s is longer than {part} a control period, "
+                f"but an on and an off frame must fit into one; give at most {share / rate_hz:.4g} s or lower rate_hz{nearer}"
+            )
+        return
+    if scenario.off_share != 0.5:
+        yield "off_share: no controller holds a symbol here; leave it out"
+    for key in ("oncoming", "ambient"):
+        for k, each in enumerate(getattr(scenario.disturbances, key)):
+            if each.frames == "off":
+                yield f"disturbances.{key}[{k}].frames: without a held symbol, steps have no off frame; leave it out"
+
+
+def _detection(scenario: Scenario) -> Iterator[str]:
+    """Contradictions between detector, tracker and the objects that functions name."""
+    if scenario.detector_frames != "on" and not (scenario.symbols and scenario.detector):
+        lacking = "detector" if scenario.symbols else "symbol that a controller holds"
+        yield f"detector_frames: there is no {lacking} here, so it has no effect; leave it out"
+    if scenario.detector is None:
+        if scenario.tracker != TrackerParams():
+            yield 'tracker: follows what a detector finds, but there is none; give one, detector = {kind = "network"} say'
+        return
+    if keys := {f"functions.{name}.{key}": name for name, each in scenario.functions.items() for key, _ in object_names(each)}:
+        emptied = " ".join(f"{key}=[]" for key in keys if key.endswith("names"))
+        remedies = [*([f"--set {emptied}"] if emptied else []), *(f"leave {key} out" for key in keys if not key.endswith("names"))]
+        yield (
+            f"functions.{next(iter(keys.values()))}: names objects, but a detector knows only their class; "
+            f"{' and '.join(remedies)}, or take the [detector] out"
+        )
+
+
+def _order(scenario: Scenario) -> Iterator[str]:
+    """Times that do not ascend, and names that occur twice."""
+    times, names = [each.time_s for each in scenario.conditions], [each.name for each in scenario.all_objects]
+    if any(later <= earlier for earlier, later in pairwise(times)):
+        yield f"conditions: time_s must ascend from entry to entry, here {times}"
+    if doubled := [name for name in names if names.count(name) > 1]:
+        yield f"objects: the name {doubled[0]!r} occurs twice, but recordings identify objects by name; rename one"
+
+
+def object_names(function: Any) -> Iterator[tuple[str, str]]:
+    """Names of the objects that a function names, each after its key."""
     for table in ("", "when.", "unless."):
         selection = getattr(function, table[:-1], None) if table else function
         yield from ((f"{table}names", name) for name in getattr(selection, "names", None) or ())
@@ -294,19 +302,19 @@ def load(name: str, overrides: Sequence[Override] = (), *, allow_code: bool = Fa
     path = find(name)
     data = read_toml(path)
     resolve_paths(data, path.parent)
-    return changed_as_given(data, path, overrides, values, allow_code=allow_code)
+    return load_data(data, path, overrides, values, allow_code=allow_code)
 
 
-def changed_as_given(
-    data: dict[str, Any], path: Path, overrides: Sequence[Override], values: Mapping[str, Any], *, allow_code: bool
-) -> Scenario:
+def load_data(data: dict[str, Any], path: Path, overrides: Sequence[Override], values: Mapping[str, Any], *, allow_code: bool) -> Scenario:
     """The scenario of plain data that were read at a path, with other values; the rest, and what is raised, as for `load`."""
     keys = tables(values)
     if "controller" in keys:
-        _of_the_controlled(data, path)["controller"] = keys.pop("controller")
+        _only_symbol(data, path)["controller"] = keys.pop("controller")
     data.update(keys)
     if overrides:
-        data = overridden(_with_defaults(data), overrides)
+        with suppress(LuxloopError):  # of data with errors, which overrides may mend
+            data = validate(data, "").model_dump(mode="json")
+        data = overridden(data, overrides)
     given = [
         *(f"{key}={_name(value)}" for key, value in values.items()),
         *dict.fromkeys(override if isinstance(override, str) else "these changes" for override in overrides if override),
@@ -318,7 +326,7 @@ def changed_as_given(
 
 
 def _name(value: Any) -> Any:
-    """What tells a table apart, for messages: its name, or a recording's folder."""
+    """A table's name, or the folder of a recording, for messages."""
     return next((value[key] for key in ("name", "folder") if key in value), value) if isinstance(value, dict) else value
 
 
@@ -352,7 +360,7 @@ def _spelt_out(data: Mapping[str, Any]) -> Mapping[str, Any]:
     return {**data, "functions": {name: table(function) for name, function in functions.items()}}
 
 
-def _of_the_controlled(data: dict[str, Any], path: Path) -> dict[str, Any]:
+def _only_symbol(data: dict[str, Any], path: Path) -> dict[str, Any]:
     """The table of the only symbol that a controller holds. Raises LuxloopError where there are several or none."""
     functions = data.get("functions")
     items = functions.items() if isinstance(functions, dict) else ()
@@ -361,11 +369,3 @@ def _of_the_controlled(data: dict[str, Any], path: Path) -> dict[str, Any]:
         return next(iter(held.values()))
     told = f"several symbols have one: {', '.join(held)}; set functions.NAME.controller" if held else "none of its functions has one"
     raise LuxloopError(f"{path}: controller: {told}")
-
-
-def _with_defaults(data: dict[str, Any]) -> dict[str, Any]:
-    """The same scenario with all defaults in place; data that is none, which overrides may mend, stays as it is."""
-    try:
-        return validate(data, "").model_dump(mode="json")
-    except LuxloopError:
-        return data

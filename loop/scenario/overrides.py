@@ -3,7 +3,7 @@
 import copy
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,6 +12,16 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.validation import parsed_toml, read_toml
 
 Override = str | Mapping[str, Any]
+FUNCTIONS = ("", "functions.*.")  # `load` may give a controller beside them
+FILES = (  # keys of paths, where * stands for each name, and a list's items are all meant
+    *("road.file", "headlight.model", "plant.folder", "detector.file", "detector.weights", "objects.file", "objects.*.file"),
+    *("functions.image", "functions.*.image", "lighting.raw.file", "lighting.raw.*.file"),
+    *(f"{function}controller.road.file" for function in FUNCTIONS),
+)
+CLASSES = (  # keys that may name a class of the user's own
+    *("road.kind", "detector.kind", "tracker.kind", "plant.kind", "functions.*.kind", "pixel_controller"),
+    *(f"{function}{key}" for function in FUNCTIONS for key in ("controller.road.kind", "controller.name", "controller", "extraction.kind")),
+)
 INDEX = re.compile(r"\[(\d+)\]")  # of a list's item in --set objects[0].albedo=0.5
 CLEARED: Final = object()  # in place of what goes back to its default
 TAGS = ("kind", "name")  # keys that tell the variants of a table apart: the first that it has
@@ -26,15 +36,15 @@ def overridden(data: Mapping[str, Any], overrides: Sequence[Override]) -> dict[s
     changed = copy.deepcopy(dict(data))
     for changes in (*map(_variants, given), *given):
         _merge(changed, changes)
-    left: dict[str, Any] = _uncleared(changed)
+    left: dict[str, Any] = _clear(changed)
     return left
 
 
-def _uncleared(data: Any) -> Any:
+def _clear(data: Any) -> Any:
     """Plain data without what was cleared."""
     if isinstance(data, dict):
-        return {key: _uncleared(value) for key, value in data.items() if value is not CLEARED}
-    return [_uncleared(value) for value in data if value is not CLEARED] if isinstance(data, list) else data
+        return {key: _clear(value) for key, value in data.items() if value is not CLEARED}
+    return [_clear(value) for value in data if value is not CLEARED] if isinstance(data, list) else data
 
 
 def _variants(changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -67,13 +77,13 @@ def tables(override: Override) -> dict[str, Any]:
     """The nested tables of an override, its paths absolute. Raises LuxloopError where it is none."""
     folder, data = Path.cwd(), override
     if isinstance(data, str):
-        folder, data = (Path(data).parent, read_toml(Path(data))) if is_file(data) else (folder, _parsed(data))
+        folder, data = (Path(data).parent, read_toml(Path(data))) if is_file(data) else (folder, _parse(data))
     data = copy.deepcopy(dict(data))
     resolve_paths(data, folder)
     return data
 
 
-def _parsed(text: str) -> dict[str, Any]:
+def _parse(text: str) -> dict[str, Any]:
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
         raise LuxloopError(f"--set {text}: not of the form key=value; write for example --set camera.bits=8, or name a .toml file of keys")
@@ -125,25 +135,21 @@ def _same_variant(table: Mapping[str, Any], changes: Mapping[str, Any]) -> bool:
 
 def resolve_paths(data: dict[str, Any], folder: Path) -> None:
     """Make paths absolute against the file's folder, those of modules that lie there too; names of what is shipped or known stay names."""
-    objects, functions, lighting = (data.get(key) for key in ("objects", "functions", "lighting"))
-    held = [*(functions.values() if isinstance(functions, dict) else ()), data]  # `load` may give a controller beside them
-    controllers = [each["controller"] for each in held if isinstance(each, dict) and isinstance(each.get("controller"), dict)]
-    believed = [each.get("road") for each in controllers]
-    extractions = [(each.get("extraction"), "kind") for each in held if isinstance(each, dict)]
-    raw = lighting.get("raw") if isinstance(lighting, dict) else None
-    tables = [(data.get("road"), "file"), (data.get("headlight"), "model"), (data.get("plant"), "folder")]
-    tables += [(road, "file") for road in believed]
-    tables += [(data.get("detector"), key) for key in ("file", "weights")]
-    for items, key in ((objects, "file"), (functions, "image"), (raw, "file")):
-        items = list(items.values()) if isinstance(items, dict) else items
-        tables += [(item, key) for item in items] if isinstance(items, list) else []
-    for table, key in tables:
-        if isinstance(table, dict) and isinstance(table.get(key), str) and (key == "folder" or any(mark in table[key] for mark in "/\\.")):
+    for table, key in _places(data, FILES):
+        if key == "folder" or any(mark in table[key] for mark in "/\\."):
             table[key] = str((folder / table[key]).resolve())
-    parts = [(data.get(key), "kind") for key in ("road", "detector", "tracker", "plant")]
-    parts += [(function, "kind") for function in functions.values()] if isinstance(functions, dict) else []
-    parts += [*((road, "kind") for road in believed), *((each, "name") for each in controllers), *extractions]
-    parts += [(each, "controller") for each in held]
-    for table, key in [*parts, (data, "pixel_controller")]:
-        if isinstance(table, dict) and isinstance(table.get(key), str):
-            table[key] = plugin.beside(table[key], folder)
+    for table, key in _places(data, CLASSES):
+        table[key] = plugin.beside(table[key], folder)
+
+
+def _places(data: Any, keys: Iterable[str]) -> list[tuple[dict[str, Any], str]]:
+    """Tables with a text under one of the keys, each with the last part of that key."""
+    found = []
+    for key in keys:
+        *path, last = key.split(".")
+        tables = [data]
+        for part in path:
+            inner = [each for table in tables if isinstance(table, dict) for each in (table.values() if part == "*" else [table.get(part)])]
+            tables = [each for one in inner for each in (one if isinstance(one, list) else [one])]
+        found += [(table, last) for table in tables if isinstance(table, dict) and isinstance(table.get(last), str)]
+    return found

@@ -1,4 +1,4 @@
-"""Plants by name; a scenario names one, and what it asks of one."""
+"""Plants by name, and where the light of modules comes from: the scenario's lamp, or a real one whose beam is digitised live (T 4.3)."""
 
 from typing import Annotated, Any, Literal
 
@@ -54,15 +54,22 @@ def shadow_of(plant: SimulatedPlantParams | RecordedPlantParams | RemotePlantPar
     return plant.folder if isinstance(plant, RecordedPlantParams) else None
 
 
-def refuse_long_exposures(exposure_s: float, off_share: float, rate_hz: float) -> None:
-    """Raises ValueError where an on and an off frame do not fit into a control period."""
-    least = min(off_share, 1 - off_share)
-    if exposure_s > least / rate_hz:
-        part, nearer = ("half", "") if off_share == 0.5 else (f"{least:.3g} of", ", or set off_share nearer to 0.5")
-        raise ValueError(
-            f"camera.exposure_s: {exposure_s:g} s is longer than {part} a control period, "
-            f"but an on and an off frame must fit into one; give at most {least / rate_hz:.4g} s or lower rate_hz{nearer}"
-        )
+class ModuleSourceParams(Params):
+    """One module of the lamps, by its name, or its lamp's side where that has a single one."""
+
+    source: Literal["simulated", "digitised"] = Field(
+        "simulated", description="simulated, or digitised from a picture of a real lamp's light on a screen; needs `--rig FILE`"
+    )
+    latency_s: float = Field(
+        0.0, ge=0, le=10, description="delay of digitised light in the simulated world; at 0 the world waits for the light"
+    )
+    delay_body: bool = Field(
+        False, description="whether the motion of the vehicle's body on its springs is delayed by latency_s, so that it matches the light"
+    )
+
+    def late_steps(self, rate_hz: float) -> int:
+        """Control steps, rate_hz of them a second, by which its light is late, and its body as well where that is delayed."""
+        return round(self.latency_s * rate_hz)
 
 
 PlantParams = Annotated[

@@ -12,7 +12,7 @@ from luxloop.world.errors import LuxloopError, did_you_mean
 TEMPLATE: Final = Path(str(files("luxloop.scenarios") / "template" / "template.toml"))
 
 
-def shipped() -> dict[str, Path]:
+def scenario_files() -> dict[str, Path]:
     """Scenario files that come with luxloop, by name."""
     return {path.stem: path for path in sorted(Path(str(files("luxloop.scenarios"))).glob("*.toml"))}
 
@@ -27,7 +27,7 @@ def shipped_files(kind: str) -> dict[str, Path]:
     return {path.stem: path for path in sorted(Path(str(files("luxloop.scenarios") / kind)).iterdir())}
 
 
-def named(name: str, kind: str) -> Path:
+def find_file(name: str, kind: str) -> Path:
     """File of a kind given by shipped name or path. Raises LuxloopError with the nearest name."""
     known = shipped_files(kind)
     if name in known:
@@ -40,17 +40,17 @@ def named(name: str, kind: str) -> Path:
 
 def original(like: str) -> Path:
     """The file of a shipped scenario or example, to copy. Raises LuxloopError with the nearest name."""
-    known = shipped() | examples()
+    known = scenario_files() | examples()
     if like not in known:
         hint = did_you_mean(like, known, "`luxloop list` and `luxloop list examples` show all")
         raise LuxloopError(f"--like {like}: there is no shipped scenario or example of this name; {hint}")
     return known[like]
 
 
-def copied(source: Path, name: str) -> str:
+def copy_text(source: Path, name: str) -> str:
     """The text of a shipped file; a scenario, or the template of one, gets another name."""
     text = source.read_text("utf-8")
-    if source not in (TEMPLATE, shipped().get(source.stem)):
+    if source not in (TEMPLATE, scenario_files().get(source.stem)):
         return text
     return re.sub(r'^name = "[^"]*"', lambda _: f"name = {json.dumps(name, ensure_ascii=False)}", text, count=1, flags=re.MULTILINE)
 
@@ -58,7 +58,7 @@ def copied(source: Path, name: str) -> str:
 def find(name: str) -> Path:
     """The file of a scenario given by shipped name or by path. Raises LuxloopError with the nearest name."""
     path = Path(name)
-    known = shipped()
+    known = scenario_files()
     if name in known:
         return known[name]
     if os.path.isfile(path):

@@ -1,66 +1,62 @@
-"""The modules of the car's lamps that a scenario chooses: where they are mounted, how they are turned, how bright they are."""
+"""From a scenario to its lamps: modules mounted and turned, their beams, raw utilisations and pixel controllers."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import TypeVar
+from collections.abc import Mapping, Sequence
+from typing import TypeVar, cast
 
 import torch
 from torch import Tensor
 
-from luxloop.loop.scenario.model import HeadlightParams
+from luxloop.controllers.functions.base_beams import RawParams
+from luxloop.controllers.functions.symbol import SymbolFunctionParams
+from luxloop.controllers.pixels.jpo import Jpo, JpoParams
+from luxloop.controllers.pixels.morphing import Morphing
+from luxloop.controllers.pixels.mrpc import pixel_flux
+from luxloop.controllers.pixels.pixel_major import MrpcParams
+from luxloop.controllers.pixels.primitives import meant
+from luxloop.controllers.pixels.ssc import PixelController, Ssc
+from luxloop.loop.scenario.model import HeadlightParams, Scenario
+from luxloop.loop.scenario.shipped import find_file
+from luxloop.loop.simulation.lamps import MountedModule, ShiningModule
+from luxloop.loop.simulation.part_cache import PartCache
+from luxloop.world import plugin
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
-from luxloop.world.headlight.lamp import Lamp, Module, Range
-from luxloop.world.lamps.description import load_lamp
+from luxloop.world.headlight.lamp import Lamp, Module, pixel_area
+from luxloop.world.lamps.description import Side, load_lamp
+from luxloop.world.lamps.utilisations import RawUtilisation, read_sequence
 
-TurnedPart = TypeVar("TurnedPart", Lamp, Module)
-
-
-@dataclass(frozen=True, eq=False)
-class MountedModule:
-    """One module of a lamp on the car.
-
-    number: its place in the lamp. headlight: its light with the scenario's intensity. T_world_module: `[4, 4]`, at rest. swivel_deg,
-    level_deg: how far it can be turned from there, least and most.
-    """
-
-    side: str
-    lamp: Lamp
-    number: int
-    headlight: Headlight
-    T_world_module: Tensor
-    swivel_deg: Range
-    level_deg: Range
-
-    @property
-    def name(self) -> str:
-        """As lighting functions name it, "left hires"."""
-        return f"{self.side} {self.lamp.modules[self.number].name}"
+PartOfLamp = TypeVar("PartOfLamp", Lamp, Module)
+PIXEL_METHODS = ("headlight", "default", "utilisation", "over")
 
 
-def mounted(params: HeadlightParams, device: torch.device, unnamed: Callable[[Lamp], Sequence[Module]]) -> Iterator[MountedModule]:
-    """The modules that a scenario names in each of its lamps, those that `unnamed` chooses where it names none.
+def mount(params: HeadlightParams, device: str = "cpu") -> tuple[MountedModule, ...]:
+    """The modules of a scenario's lamps that shine, all where it names none.
 
     Raises LuxloopError where there is no such lamp, module or movement, and where the modules of a lamp give no light.
     """
-    for side in params.lamps:
-        lamp = load_lamp(params.model, side)
-        with locate("headlight.modules"):
-            modules = unnamed(lamp) if params.modules is None else [lamp.module(name) for name in params.modules]
-        names = ", ".join(module.name for module in modules)
-        for movement in ("swivel_deg", "level_deg"):
-            if getattr(params, movement) and not any(any(getattr(module, movement)) for module in modules):
-                raise LuxloopError(f"headlight.{movement}: none of the modules ({names}) can turn in this way; leave it out or name others")
-        peak_cd = max(module.headlight.peak_cd for module in modules)
-        if not peak_cd > 0:
-            raise LuxloopError(f"headlight.modules: {names} give no light; name others")
-        scale = 1.0 if params.intensity_cd is None else params.intensity_cd / peak_cd
-        for module in modules:
-            number = [each.name for each in lamp.modules].index(module.name)
-            rest, light = turned(module, side, params), module.headlight.scale(scale).to(device)
-            T_world_module = T_world_lamp(side, params) @ rest.T_lamp_module
-            yield MountedModule(side, lamp, number, light, T_world_module.to(device), rest.swivel_deg, rest.level_deg)
+    return tuple(module for side in params.lamps for module in _of_side(side, params, torch.device(device)))
+
+
+def _of_side(side: Side, params: HeadlightParams, device: torch.device) -> Sequence[MountedModule]:
+    lamp = load_lamp(params.model, side)
+    with locate("headlight.modules"):
+        modules = lamp.modules if params.modules is None else tuple(lamp.module(name) for name in params.modules)
+    names = ", ".join(module.name for module in modules)
+    for movement in ("swivel_deg", "level_deg"):
+        if getattr(params, movement) and not any(any(getattr(module, movement)) for module in modules):
+            raise LuxloopError(f"headlight.{movement}: none of the modules ({names}) can turn in this way; leave it out or name others")
+    peak_cd = max(module.headlight.peak_cd for module in modules)
+    if not peak_cd > 0:
+        raise LuxloopError(f"headlight.modules: {names} give no light; name others")
+    scale = 1.0 if params.intensity_cd is None else params.intensity_cd / peak_cd
+    mounts = []
+    for module in modules:
+        rest, number = turn(module, side, params), [each.name for each in lamp.modules].index(module.name)
+        T_world_module = (T_world_lamp(side, params) @ rest.T_lamp_module).to(device)
+        light = module.headlight.scale(scale).to(device)
+        mounts.append(MountedModule(side, lamp, number, light, T_world_module, rest.swivel_deg, rest.level_deg))
+    return mounts
 
 
 def T_world_lamp(side: str, params: HeadlightParams) -> Tensor:
@@ -68,10 +64,80 @@ def T_world_lamp(side: str, params: HeadlightParams) -> Tensor:
     return pose_from_degrees((0.0, (0.5 if side == "left" else -0.5) * params.distance_m, params.height_m))
 
 
-def turned(part: TurnedPart, side: str, params: HeadlightParams) -> TurnedPart:
+def turn(part: PartOfLamp, side: str, params: HeadlightParams) -> PartOfLamp:
     """A lamp or module turned as a scenario says. Raises LuxloopError that names the lamp's side where it cannot be turned so far."""
     try:
         return part.turn(params.swivel_deg, params.level_deg)
     except LuxloopError as error:
         mirrored = "; a right lamp is the left one's mirror image, and so is its range" if side == "right" else ""
         raise LuxloopError(f"headlight: {side} lamp, {error}{mirrored}") from error
+
+
+def shining_modules(scenario: Scenario, mounts: Sequence[MountedModule], cache: PartCache) -> tuple[ShiningModule, ...]:
+    """The modules with their pixel controllers and beams. Raises LuxloopError where a file of raw utilisations is missing or broken, or a
+    pixel controller of the user's own cannot be made.
+    """
+    return tuple(_shining(scenario, each, cache) for each in mounts)
+
+
+def _shining(scenario: Scenario, module: MountedModule, cache: PartCache) -> ShiningModule:
+    light, name, lighting = module.headlight, module.name, scenario.lighting
+    flux = cache(f"{name}: flux", pixel_flux, light)
+    raw = cache(f"{name}: raw", _raw, lighting.raw, name, light)
+    names = lighting.base.names if raw is None else ()
+    beams: dict[str, Morphing] = {
+        beam: cache(f"{name}: {beam} beam", _beam, module.lamp, module.number, beam, light, flux) for beam in names
+    }
+    controller = cache(f"{name}: pixel controller", pixel_controller, light, scenario.pixel_controller, scenario.ssc, scenario.jpo)
+    if (lasting := beams.get(lighting.base.beam)) is not None:  # None of a beam by the situation
+        controller = cache(
+            f"{name}: pixel controller over its beam", lambda controller, beam: controller.over(beam), controller, lasting.beam
+        )
+    return cache(f"{name}: module", _module, module, controller, flux, beams, raw)
+
+
+def _module(
+    module: MountedModule, controller: PixelController, flux: Tensor, beams: Mapping[str, Morphing], raw: RawUtilisation | None
+) -> ShiningModule:
+    return ShiningModule(**vars(module), controller=controller, flux=flux, flux_lm=float(flux.sum()), beams=beams, raw=raw)
+
+
+def _beam(lamp: Lamp, number: int, name: str, light: Headlight, flux: Tensor) -> Morphing:
+    return Morphing(light, lamp.beam(name)[number].to(flux))
+
+
+def _raw(given: Sequence[RawParams], module: str, headlight: Headlight) -> RawUtilisation | None:
+    """The raw utilisations of a module. Raises LuxloopError that names the key and the file where they are not its own."""
+    for i, raw in enumerate(given):
+        if meant(raw.modules, module):
+            with locate(f"lighting.raw[{i}].file, for module {module!r} (its modules say which are meant)"):
+                file = find_file(raw.file, "utilisations")
+                return read_sequence(file, headlight.pixel_rows, headlight.pixel_cols, raw.rate_hz, raw.repeat)
+    return None
+
+
+def pixel_controller(headlight: Headlight, name: str, ssc: MrpcParams, jpo: JpoParams) -> PixelController:
+    """The pixel controller of a name, for one headlight, over a dark base pattern.
+
+    One of the user's own, "package.module:Name", is made by its `Name.prepare(headlight)`.
+    Raises LuxloopError where there is no such class, or it cannot be made.
+    """
+    if name == "ssc":
+        return Ssc.prepare(headlight, ssc)
+    if name == "jpo":
+        return Jpo.prepare(headlight, jpo, mrpc=ssc)
+    key, own = "pixel_controller", plugin.Name(name)
+    made_by = plugin.load(own, key, ("prepare", "utilisation", "over"))
+    with plugin.running(own, key, "prepare"):
+        made = made_by.prepare(headlight)
+    if lacking := [part for part in PIXEL_METHODS if not hasattr(made, part)]:
+        raise LuxloopError(f"{key}: {name} has no {lacking[0]!r}; write one as in docs/python.md")
+    return cast(PixelController, plugin.Guard(made, own, key))
+
+
+def drawing_modules(function: SymbolFunctionParams, modules: Sequence[MountedModule]) -> tuple[int, ...]:
+    """Indices of the modules that draw a symbol under control: those that it names, else the finest one of the first lamp."""
+    if function.modules:
+        return tuple(k for k, each in enumerate(modules) if meant(function.modules, each.name))
+    first = [k for k, each in enumerate(modules) if each.side == modules[0].side]
+    return (min(first, key=lambda k: pixel_area(modules[k].headlight)),)

@@ -1,4 +1,4 @@
-"""Modules that functions turn and dim: what is commanded in a step, and what a scenario cannot ask for."""
+"""Modules that functions turn and dim: what is commanded in a step."""
 
 from collections.abc import Mapping, Sequence
 
@@ -16,6 +16,7 @@ from luxloop.controllers.functions.planner import Planner
 from luxloop.controllers.situation import Situation
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.plant import SimulatedPlantParams
+from luxloop.loop.simulation.check import at_rest
 from luxloop.loop.simulation.controlled import ControlledSymbol
 from luxloop.loop.simulation.lamps import ShiningModule
 from luxloop.world.errors import LuxloopError
@@ -40,26 +41,8 @@ def commanded(
     for symbol, held in controlled.items():
         for k in held.drawn_by:
             if commands[k] != REST:
-                raise _held(symbol, modules[k], "turned or dimmed")
+                raise LuxloopError(at_rest(symbol, modules[k].name, "turned or dimmed"))
     return now.commanded(commands), given
-
-
-def refuse_commands(planner: Planner, modules: Sequence[ShiningModule], controlled: Mapping[str, ControlledSymbol]) -> None:
-    """Raises LuxloopError where a function means no module that can be turned so, or one with which a controller holds a symbol."""
-    for name, function in planner.commanding.items():
-        if isinstance(function, DirectParams) and function.command != REST:
-            for symbol, each in controlled.items():
-                for module in (modules[k] for k in each.drawn_by if function.moves(modules[k])):
-                    raise _held(symbol, module, f"turned or dimmed by functions.{name}")
-        if isinstance(function, CommandParams):
-            how = MOVEMENTS[function.movement]
-            if not any(function.moves(module) for module in modules):
-                raise LuxloopError(
-                    f"functions.{name}.modules: none of these modules can be {how}; name others, or take another lamp as headlight.model"
-                )
-            for symbol, each in controlled.items():
-                for module in (modules[k] for k in each.drawn_by if function.moves(modules[k])):
-                    raise _held(symbol, module, f"{how} by functions.{name}")
 
 
 def unmoved(scenario: Scenario) -> list[str]:
@@ -85,10 +68,3 @@ def moved(planner: Planner, modules: Sequence[ShiningModule]) -> list[tuple[str,
     return [
         (module.name, movement) for module in modules for movement in MOVEMENTS if any(of(each, module, movement) for each in functions)
     ]
-
-
-def _held(symbol: str, module: ShiningModule, how: str) -> LuxloopError:
-    return LuxloopError(
-        f"functions.{symbol}.modules: {module.name!r} is {how}, but a controller can hold a symbol only with modules at rest; "
-        "name another module here, or other modules in the function that moves them"
-    )

@@ -8,35 +8,23 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from luxloop.controllers.functions.planner import Plan, Planner
 from luxloop.controllers.functions.symbol import SymbolFunctionParams
-from luxloop.controllers.pixels.primitives import Primitives, concatenate, meant
+from luxloop.controllers.pixels.primitives import Primitives, concatenate
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.controllers.situation import LAYERS, Situation
-from luxloop.controllers.symbol import ControllerParams
+from luxloop.controllers.situation import LAYERS
+from luxloop.controllers.symbol import ControllerParams, build_controller
 from luxloop.controllers.symbol.heights.feedforward import OpenLoopParams
 from luxloop.controllers.symbol.sensing.field import cut
-from luxloop.controllers.symbol.sensing.flat_model import flat_model
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector
+from luxloop.controllers.symbol.sensing.projector import Projector
 from luxloop.controllers.symbol.sensing.protocol import Observation, Projection, SymbolController
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement, SymbolSensor
-from luxloop.loop.scenario.model import Scenario
-from luxloop.loop.scenario.shipped import named
-from luxloop.loop.simulation.build import build_road, build_symbol_controller
-from luxloop.loop.simulation.feasible import brightness, refuse_undrawable, refuse_unseen
+from luxloop.loop.simulation.feasible import brightness
 from luxloop.loop.simulation.judging import Judge
-from luxloop.loop.simulation.lamps import ShiningModule
-from luxloop.loop.simulation.made import Made
 from luxloop.loop.simulation.pairing import Arrived
-from luxloop.loop.simulation.world import World
-from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.egomotion import Ego
 from luxloop.perception.extraction import Crop, ExtractionStatus
 from luxloop.perception.metrics import Metrics
-from luxloop.world.errors import locate
-from luxloop.world.headlight.lamp import pixel_area
-from luxloop.world.symbols import load_still
 
 Frames = tuple[Tensor, Tensor]
 SAME = 1e-4  # of a utilisation, which more than rounding changes
@@ -121,42 +109,6 @@ class ControlledSymbol:
     controller: SymbolController
     judge: Judge | None
 
-    @classmethod
-    def prepare(
-        cls, name: str, scenario: Scenario, modules: Sequence[ShiningModule], planner: Planner, world: World | None, made: Made
-    ) -> "ControlledSymbol":
-        """The symbol of a name. Raises LuxloopError where its file is missing or broken, and where its lamps cannot draw it or the camera
-        cannot see it.
-        """
-        function, camera, light = planner.functions[name], scenario.camera, scenario.light
-        assert isinstance(function, SymbolFunctionParams) and function.controller is not None
-        refuse_unseen(function.held, scenario)
-        plan = planner.composed(Situation(0.0, torch.eye(4), torch.zeros(0, 3)), planner.start(), {})
-        drawn_by = _chosen(function, modules)
-
-        def sensor_of(camera: CameraParams) -> SymbolSensor:
-            projector = _projector(function, [modules[k] for k in drawn_by], plan, camera_view(scenario.camera).origin)
-            model = flat_model(projector, camera, scenario.surface, light.ambient_lx, function.extraction, function.features)
-            return SymbolSensor(projector, model, camera, function.extraction)
-
-        drawn = {key: each for key, each in function if key not in ("controller", "start")}
-        of_sensor = drawn, vars(plan.base), tuple(modules), camera, scenario.surface, light.ambient_lx
-        sensor = made(f"{name}: sensor", of_sensor, lambda: sensor_of(camera))
-
-        def checked() -> Judge | None:
-            judge = None
-            if world is not None:
-                knows = sensor if world.camera == camera else sensor_of(world.camera)  # where the camera is
-                flat_luminance = knows.model.luminance(sensor.projector.light(sensor.projector.target))
-                judge = Judge.of(world, function.held, build_road(scenario), flat_luminance)
-            refuse_undrawable(sensor, judge, plan.base.name)
-            return judge
-
-        judge = made(f"{name}: judge", (sensor, world), checked)
-        of_controller = function.controller, sensor
-        controller = made(f"{name}: controller", of_controller, lambda: build_symbol_controller(*of_controller))
-        return cls(function, drawn_by, sensor, controller, judge)
-
     @property
     def params(self) -> ControllerParams:
         """Of its controller."""
@@ -175,7 +127,7 @@ class ControlledSymbol:
 
     def in_open_loop(self) -> "ControlledSymbol":
         """The same without control: drawn at its target for a flat road."""
-        return replace(self, controller=build_symbol_controller(OpenLoopParams(), self.sensor))
+        return replace(self, controller=build_controller(OpenLoopParams(), self.sensor))
 
     def start(self) -> HeldState:
         """Before anything is seen."""
@@ -243,25 +195,6 @@ class ControlledSymbol:
         return self.projector.footprint(projection, self.sensor.model.eye.view, self.sensor.params.footprint_margin_m)
 
 
-def _projector(function: SymbolFunctionParams, modules: Sequence[ShiningModule], plan: Plan, eye_m: Tensor) -> Projector:
-    drawing = tuple(DrawingModule(each.name, each.controller.over(each.base(plan)), each.T_world_module) for each in modules)
-    with locate("image"):
-        image = load_still(named(function.image, "symbols")).to(modules[0].flux.device)
-    return Projector(drawing, image, function.held, eye_m)
-
-
-def controlled_symbols(
-    scenario: Scenario, modules: Sequence[ShiningModule], planner: Planner, world: World | None, made: Made
-) -> Mapping[str, ControlledSymbol]:
-    """All of a scenario by name, from top to bottom. Raises LuxloopError as `ControlledSymbol.prepare`."""
-    found: dict[str, ControlledSymbol] = {}
-    for name, function in planner.functions.items():
-        if isinstance(function, SymbolFunctionParams) and function.controller is not None:
-            with locate(f"functions.{name}"):
-                found[name] = ControlledSymbol.prepare(name, scenario, modules, planner, world, made)
-    return found
-
-
 def turn(
     symbols: Mapping[str, ControlledSymbol], states: Mapping[str, HeldState], projections: Mapping[str, ProjectionCommand]
 ) -> tuple[str, ...]:
@@ -274,14 +207,6 @@ def turn(
         if not any(_meet(where, other) for other in taken.values()):
             taken[name] = where
     return tuple(taken)
-
-
-def _chosen(function: SymbolFunctionParams, modules: Sequence[ShiningModule]) -> tuple[int, ...]:
-    """Those that the function names, else the finest one of the first lamp."""
-    if function.modules:
-        return tuple(k for k, each in enumerate(modules) if meant(function.modules, each.name))
-    first = [k for k, each in enumerate(modules) if each.side == modules[0].side]
-    return (min(first, key=lambda k: pixel_area(modules[k].headlight)),)
 
 
 def _meet(a: Crop, b: Crop) -> bool:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from luxloop.controllers.pixels.primitives import meant
 from luxloop.loop.scenario.model import Scenario
-from luxloop.loop.simulation.made import Made
+from luxloop.loop.simulation.part_cache import PartCache
 from luxloop.loop.simulation.protocol import Arrivals, Exposure
 from luxloop.loop.simulation.simulated import SimulatedPlant, simulated_plant
 from luxloop.loop.simulation.truth import LampModule
@@ -72,18 +72,18 @@ def needs_rig(key: str) -> str:
     return f"{key}: is digitised from a real lamp; run it with `luxloop run NAME --rig FILE`, or play a recording of it with --plant"
 
 
-def digitised_plant(scenario: Scenario, modules: Sequence[LampModule], made: Made | None = None) -> DigitisedPlant:
+def digitised_plant(scenario: Scenario, modules: Sequence[LampModule], cache: PartCache | None = None) -> DigitisedPlant:
     """The world of a scenario with a digitised module. Raises LuxloopError where that is no single module, and as `simulated_plant`."""
     number = digitised_number(scenario, [each.name for each in modules])
     measured = MeasuredTextures(modules[number].headlight)
     shining = [replace(each, measured=measured) if k == number else each for k, each in enumerate(modules)]
     late = max(each.late_steps(scenario.rate_hz) for each in scenario.modules.values()) * len(scenario.shares)
-    return DigitisedPlant(simulated_plant(scenario, shining, made), f"modules.{scenario.digitised}", number, measured, late)
+    return DigitisedPlant(simulated_plant(scenario, shining, cache), f"modules.{scenario.digitised_module}", number, measured, late)
 
 
 def digitised_number(scenario: Scenario, names: Sequence[str]) -> int:
     """Which of the modules that shine, by their names, is digitised. Raises LuxloopError where it is no single one."""
-    name = scenario.digitised or ""
+    name = scenario.digitised_module or ""
     found = [k for k, each in enumerate(names) if meant([name], each)]
     if len(found) != 1:
         told = f"{len(found)} modules are called {name!r}" if found else f"there is no module {name!r}"

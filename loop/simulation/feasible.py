@@ -1,35 +1,22 @@
-"""Whether a symbol can be drawn and seen at its target at all."""
+"""Whether a symbol's light can be drawn and measured at its target at all."""
 
 import math
 
-import torch
 from torch import Tensor
 
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
-from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.judging import Judge
-from luxloop.loop.simulation.truth import true_camera
 from luxloop.loop.simulation.world import World
-from luxloop.perception.camera import CameraParams, camera_view, saturation_luminance
+from luxloop.perception.camera import saturation_luminance
 from luxloop.perception.metrics import THRESHOLD
 from luxloop.world.errors import LuxloopError
 from luxloop.world.light.emitters import ambient_luminance
 from luxloop.world.rendering.gbuffer import flat_road
 
-LEAST_PX = 4  # of the target in either direction; quadrants need two pixels each
 
-
-def refuse_unseen(symbol: SymbolParams, scenario: Scenario) -> None:
-    """Raises LuxloopError where the camera does not see the target."""
-    if not _in_the_image(symbol, scenario.camera):
-        raise LuxloopError(f"{_target(symbol)} is outside of the camera's view; move it, or turn the camera")
-    if not _in_the_image(symbol, true_camera(scenario)):
-        raise LuxloopError(f"{_target(symbol)} is outside of the view of the true camera; reduce disturbances.calibration")
-
-
-def refuse_undrawable(sensor: SymbolSensor, judge: Judge | None, beam: str) -> None:
+def check_light(sensor: SymbolSensor, judge: Judge | None, beam: str) -> None:
     """Raises LuxloopError where lamps cannot draw the symbol at its target, or the camera cannot measure it.
 
     beam: name of the base beam.
@@ -98,13 +85,3 @@ def _pixels_there(projector: Projector) -> str:
         f"a pixel of {module.name} spans about {across:.3g} x {down:.3g} deg across and down, and the symbol "
         f"{width_deg:.3g} x {length_deg:.3g} deg seen from the lamp"
     )
-
-
-def _in_the_image(symbol: SymbolParams, camera: CameraParams) -> bool:
-    view = camera_view(camera)
-    x = symbol.x_m + symbol.length_m * torch.tensor([-0.5, -0.5, 0.5, 0.5], dtype=torch.float64)
-    y = symbol.y_m + symbol.width_m * torch.tensor([-0.5, 0.5, -0.5, 0.5], dtype=torch.float64)
-    uv, depth = view.project(torch.stack([x, y, torch.zeros_like(x)]))
-    size = torch.tensor([view.width, view.height], dtype=torch.float64)
-    extent = torch.minimum(uv.amax(-1), size) - uv.amin(-1).clamp(min=0)
-    return bool((depth > 0).all() and (extent >= LEAST_PX).all())

@@ -1,8 +1,7 @@
 """The car's lamps, ready to be driven: every module that shines, with its pixel controller and its base beams."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import torch
 from torch import Tensor
@@ -10,25 +9,42 @@ from torch import Tensor
 from luxloop.controllers.functions.base_beams import BaseBeam
 from luxloop.controllers.functions.planner import Plan
 from luxloop.controllers.pixels.morphing import Morphing
-from luxloop.controllers.pixels.mrpc import limit_power, pixel_flux
-from luxloop.controllers.pixels.primitives import Primitives, meant
+from luxloop.controllers.pixels.mrpc import limit_power
+from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.pixels.secondary import SecondaryRays, scene_caster
 from luxloop.controllers.pixels.ssc import PixelController, Utilisation
 from luxloop.controllers.pixels.windows import projected_windows
 from luxloop.controllers.situation import Situation
 from luxloop.loop.scenario.model import Scenario
-from luxloop.loop.scenario.shipped import named
-from luxloop.loop.simulation.build_lamps import MountedModule, mounted
 from luxloop.loop.simulation.ground import seen_from
-from luxloop.loop.simulation.made import Made
-from luxloop.loop.simulation.pixel_control import pixel_controller
 from luxloop.loop.simulation.truth import LampModule
 from luxloop.loop.simulation.world import World
-from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.headlight import Headlight
-from luxloop.world.headlight.lamp import Commands, ModuleCommand
-from luxloop.world.lamps.utilisations import RawUtilisation, read_sequence
+from luxloop.world.headlight.lamp import Commands, Lamp, ModuleCommand, Range
+from luxloop.world.lamps.utilisations import RawUtilisation
 from luxloop.world.scene.scene import StreetLamp
+
+
+@dataclass(frozen=True, eq=False)
+class MountedModule:
+    """One module of a lamp on the car.
+
+    number: its place in the lamp. headlight: its light with the scenario's intensity. T_world_module: `[4, 4]`, at rest. swivel_deg,
+    level_deg: how far it can be turned from there, least and most.
+    """
+
+    side: str
+    lamp: Lamp
+    number: int
+    headlight: Headlight
+    T_world_module: Tensor
+    swivel_deg: Range
+    level_deg: Range
+
+    @property
+    def name(self) -> str:
+        """As lighting functions name it, "left hires"."""
+        return f"{self.side} {self.lamp.modules[self.number].name}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,56 +123,6 @@ def mean_powers(powers: Sequence[Mapping[str, LampPower]], shares: Sequence[floa
     return {side: of(side) for side in first}
 
 
-def shining_modules(scenario: Scenario, device: torch.device, made: Made | None = None) -> tuple[ShiningModule, ...]:
-    """The shining modules of a scenario's lamps, all where it names none. Raises LuxloopError as `mounted`, and for a missing beam."""
-    made, headlight = made or Made(), scenario.headlight
-    mounts = made("mounted modules", (headlight, str(device)), lambda: tuple(mounted(headlight, device, lambda lamp: lamp.modules)))
-    return tuple(_shining(scenario, each, made) for each in mounts)
-
-
-def _shining(scenario: Scenario, mount: MountedModule, made: Made) -> ShiningModule:
-    light, name, given = mount.headlight, mount.name, scenario.lighting
-    flux = made(f"{name}: flux", light, lambda: pixel_flux(light))
-    raw = made(f"{name}: raw", (light, given.raw), lambda: _raw(scenario, name, light))
-    wanted = given.base.names if raw is None else ()
-    beams: dict[str, Morphing] = {beam: made(f"{name}: {beam} beam", light, partial(_beam, mount, beam, flux)) for beam in wanted}
-    lasting = beams.get(given.base.beam)  # None of one by the situation
-    driven_by = light, scenario.pixel_controller, scenario.ssc, scenario.jpo
-    controller = made(f"{name}: pixel controller", driven_by, lambda: pixel_controller(scenario, light))
-    if lasting is not None:
-        controller = made(f"{name}: pixel controller over its beam", (controller, lasting), lambda: controller.over(lasting.beam))
-
-    def module() -> ShiningModule:
-        where = mount.T_world_module, mount.swivel_deg, mount.level_deg
-        return ShiningModule(mount.side, mount.lamp, mount.number, light, *where, controller, flux, float(flux.sum()), beams, raw)
-
-    return made(f"{name}: module", (mount, controller, flux, beams, raw), module)
-
-
-def _beam(mount: MountedModule, name: str, flux: Tensor) -> Morphing:
-    return Morphing(mount.headlight, _base_beam(mount, name).to(flux))
-
-
-def _base_beam(module: MountedModule, name: str) -> Tensor:
-    try:
-        return module.lamp.beam(name)[module.number]
-    except LuxloopError as error:
-        raise LuxloopError(f'lighting.base.beam: {error}; write beam = "full" for all pixels on') from error
-
-
-def _raw(scenario: Scenario, name: str, headlight: Headlight) -> RawUtilisation | None:
-    """The raw utilisations of a module. Raises LuxloopError that names the key and the file where they are not its own."""
-    mine = [(i, raw) for i, raw in enumerate(scenario.lighting.raw) if meant(raw.modules, name)]
-    if len(mine) > 1:
-        both = " and ".join(f"lighting.raw[{i}]" for i, _ in mine[:2])
-        raise LuxloopError(f"{both} both apply to module {name!r}; name the modules of each in its modules")
-    for i, raw in mine:
-        with locate(f"lighting.raw[{i}].file, for module {name!r} (its modules say which are meant)"):
-            file = named(raw.file, "utilisations")
-            return read_sequence(file, headlight.pixel_rows, headlight.pixel_cols, raw.rate_hz, raw.repeat)
-    return None
-
-
 def under(modules: tuple[ShiningModule, ...], commands: Commands) -> tuple[ShiningModule, ...]:
     """Modules as they are commanded."""
     return tuple(each.under(command) for each, command in zip(modules, commands, strict=True)) if commands else modules
@@ -171,9 +137,9 @@ def in_reach(modules: Sequence[ShiningModule], primitives: Primitives, now: Situ
     return False
 
 
-def lamp_modules(modules: Sequence[ShiningModule]) -> list[LampModule]:
-    """What a plant is given of the modules."""
-    return [LampModule(each.name, each.headlight, each.T_world_module) for each in modules]
+def lamp_modules(modules: Iterable[MountedModule]) -> tuple[LampModule, ...]:
+    """The modules as a plant gets them."""
+    return tuple(LampModule(each.name, each.headlight, each.T_world_module) for each in modules)
 
 
 def flux_by_side(modules: Sequence[ShiningModule], lights: Sequence[Tensor]) -> dict[str, float]:

@@ -64,10 +64,10 @@ def recorded_plant(scenario: Scenario, params: RecordedPlantParams, modules: Seq
     pixels, like = tuple(module.headlight.n_pixels for module in modules), modules[0].headlight.matrix.values
     if len(rows) > per_step:
         lights = [read_light(inside(light_file(folder, row["light"]), folder), pixels, like.device) for row in rows[:per_step]]
-        if scenario.controlled and not (held := lights[0][1].keys() - lights[-1][1].keys()) & set(scenario.controlled):
+        if scenario.symbols and not (held := lights[0][1].keys() - lights[-1][1].keys()) & set(scenario.symbols):
             shown = ", ".join(sorted(held)) or "none"
             raise LuxloopError(
-                f"plant.folder: {folder} shows none of the symbols that are held here, {', '.join(scenario.controlled)}, but {shown}; "
+                f"plant.folder: {folder} shows none of the symbols that are held here, {', '.join(scenario.symbols)}, but {shown}; "
                 "run it with the scenario that was recorded"
             )
         given_s, shown_s = rows[0]["duration_s"], scenario.shares[0] / scenario.rate_hz

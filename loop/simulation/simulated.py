@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -9,8 +10,8 @@ from torch import Tensor
 
 from luxloop.loop.scenario.disturbances import UNDISTURBED, DisturbanceParams
 from luxloop.loop.scenario.model import Scenario
-from luxloop.loop.simulation.build import build_motion, build_scene
-from luxloop.loop.simulation.made import Made
+from luxloop.loop.simulation.build_scene import build_motion, build_scene
+from luxloop.loop.simulation.part_cache import PartCache
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame, Plant
 from luxloop.loop.simulation.truth import LampModule, true_camera, true_modules
 from luxloop.loop.simulation.world import World
@@ -124,32 +125,28 @@ class SimulatedPlant:
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(step, key)))
 
 
-def simulated_plant(scenario: Scenario, modules: Sequence[LampModule], made: Made | None = None) -> SimulatedPlant:
-    """The world of a scenario, lit by these modules. made: parts that serve again, None for none. Raises LuxloopError where a file is
+def simulated_plant(scenario: Scenario, modules: Sequence[LampModule], cache: PartCache | None = None) -> SimulatedPlant:
+    """The world of a scenario, lit by these modules. cache: parts that serve again, None for none. Raises LuxloopError where a file is
     missing or broken.
     """
-    made, wrong, given = made or Made(), scenario.disturbances, scenario.all_objects
-    source = made("face source", scenario.renderer, lambda: FirstFound() if scenario.renderer == "auto" else face_source(scenario.renderer))
-    motion = _motion(scenario, made)
-    scene, camera = build_scene(scenario, motion, made), true_camera(scenario)
-    true = made("true modules", (tuple(modules), wrong.aim, wrong.wear), lambda: true_modules(wrong, modules))
-    of_world = scene, true, camera, source, motion, scenario.metered, given
-    world = made("world", of_world, lambda: World(*of_world).after(made.before("world", None)))
-    return SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, scenario.disturbances, scenario.shares)
+    cache, errors = cache or PartCache(), scenario.disturbances
+    motion = build_motion(scenario, cache)
+    scene = build_scene(scenario, motion, cache)
+    source = cache("face source", lambda name: FirstFound() if name == "auto" else face_source(name), scenario.renderer)
+    true = cache("true modules", true_modules, tuple(modules), errors.aim, errors.wear)
+    world = _world(cache, scene, true, true_camera(scenario), source, motion, scenario.meters_light, scenario.all_objects)
+    return SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, errors, scenario.shares)
 
 
-def driven_plant(plant: SimulatedPlant, scenario: Scenario, made: Made) -> SimulatedPlant:
-    """The same plant whose vehicle goes on along the scenario's course. made: its parts, of which motion and world are replaced."""
+def driven_plant(plant: SimulatedPlant, scenario: Scenario, cache: PartCache) -> SimulatedPlant:
+    """The same plant whose vehicle goes on along the scenario's course. cache: its parts, of which motion and world are replaced."""
     old = plant.world
-    of_world = old.scene, old.modules, old.camera, old.source, _motion(scenario, made), old.metered, old.given
-    return replace(plant, world=made("world", of_world, lambda: World(*of_world).after(old)))
+    motion = build_motion(scenario, cache)
+    return replace(plant, world=_world(cache, old.scene, old.modules, old.camera, old.source, motion, old.metered, old.given))
 
 
-def _motion(scenario: Scenario, made: Made) -> Motion:
-    lasts = scenario.vehicle and (scenario.steps, scenario.rate_hz)
-    motion = made("motion", (scenario.vehicle, scenario.road, lasts), lambda: build_motion(scenario, made.before("motion", STANDING)))
-    late = max((each.late_steps(scenario.rate_hz) for each in scenario.modules.values() if each.delay_body), default=0)
-    return LateBody.behind(motion, late / scenario.rate_hz) if late else motion
+def _world(cache: PartCache, *parts: Any) -> World:
+    return cache("world", lambda *key: World(*key).after(cache.before("world", None)), *parts)
 
 
 def as_simulated(plant: Plant, asked: str) -> SimulatedPlant:

@@ -20,16 +20,16 @@ from luxloop.controllers.symbol.sensing.protocol import SymbolController
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.loop.scenario.checks import Light as OtherLight
 from luxloop.loop.scenario.model import Scenario, only
-from luxloop.loop.scenario.shown import Shown
+from luxloop.loop.scenario.studio_window import StudioWindow
+from luxloop.loop.simulation.build import build
 from luxloop.loop.simulation.commanded import commanded
 from luxloop.loop.simulation.controlled import ControlledSymbol, Moment, turn
 from luxloop.loop.simulation.detection import DetectionPipeline
 from luxloop.loop.simulation.evaluator import Evaluator
 from luxloop.loop.simulation.ground import attitude, moved
 from luxloop.loop.simulation.lamps import LampDriver, ShiningModule, in_reach, mean_powers
-from luxloop.loop.simulation.made import Made
 from luxloop.loop.simulation.pairing import paired
-from luxloop.loop.simulation.parts import parts
+from luxloop.loop.simulation.part_cache import PartCache
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Objects, Plant, Showing, closed
 from luxloop.loop.simulation.result import (
     Clock,
@@ -61,7 +61,7 @@ class Simulation:
     """A scenario made ready to run on one device.
 
     Functions live in the ground frame, which drives with the car. view: what the camera of a car on a level body would see, as the car
-    believes. pipeline: None without a detector. controlled: symbols that are held, by name. made: the parts. Without detector and held
+    believes. pipeline: None without a detector. controlled: symbols that are held, by name. cache: its parts. Without detector and held
     symbols steps depend on their time alone, unless a function learns, or commands modules.
     """
 
@@ -74,7 +74,7 @@ class Simulation:
     plant: Plant
     pipeline: DetectionPipeline | None = None
     controlled: Mapping[str, ControlledSymbol] = field(default_factory=dict)
-    made: Made = field(default_factory=Made)
+    cache: PartCache = field(default_factory=PartCache)
 
     @classmethod
     def prepare(cls, scenario: Scenario, device: torch.device | str = "cpu", before: "Simulation | None" = None) -> "Simulation":
@@ -83,11 +83,11 @@ class Simulation:
         before: another simulation, of which all that has stayed as it was serves again.
         """
         device = torch.device(device)
-        made = Made(None if before is None or before.device != device else before.made)
+        cache = PartCache(None if before is None or before.device != device else before.cache)
         with locate(scenario.source):
-            simulation = cls(scenario, device, made=made, **parts(scenario, device, made))
+            simulation = cls(scenario, device, cache=cache, **build(scenario, device, cache))
             simulation.planner.plan(simulation.situation(0.0))
-        made.end()
+        cache.end()
         return simulation
 
     @property
@@ -378,9 +378,9 @@ class Simulation:
         told = "base beam off" if beam == "off" else f"{beam} beam"
         return "raw utilisations" if all(raw) else f"{told} and raw utilisations" if any(raw) else told
 
-    def show(self) -> Shown:
+    def show(self) -> StudioWindow:
         """Watch and steer the scenario in the page of `luxloop studio`, in a frame of a notebook; as `luxloop.show`, which says more."""
-        return Shown(self.scenario, str(self.device))
+        return StudioWindow(self.scenario, str(self.device))
 
     def run(self) -> Generator[StepResult, None, None]:
         """All steps of the scenario, after which the plant is closed."""

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from luxloop.loop.scenario.disturbances import AimParams, DisturbanceParams, WearParams
+from luxloop.loop.scenario.disturbances import AimParams, WearParams
 from luxloop.loop.scenario.model import Scenario
 from luxloop.perception.camera import CameraParams
 from luxloop.world.errors import LuxloopError
@@ -31,34 +31,32 @@ class LampModule:
 
 
 def true_camera(scenario: Scenario) -> CameraParams:
-    """The camera with its error of calibration. Raises LuxloopError where that puts it under the road."""
+    """The camera with its error of calibration."""
     camera, error = scenario.camera, scenario.disturbances.calibration
     half = math.tan(math.radians(camera.hfov_deg) / 2) / (1 + error.focal_percent / 100)
     moved = {name: getattr(camera, name) + value for name, value in error if name != "focal_percent" and value}
     if error.focal_percent:
         moved["hfov_deg"] = math.degrees(2 * math.atan(half))
-    if error.z_m and moved["z_m"] <= 0:
-        raise LuxloopError(f"disturbances.calibration.z_m: the camera is at {moved['z_m']:.3g} m, not above the road; lower it less")
     return camera.model_copy(update=moved)
 
 
-def true_modules(disturbances: DisturbanceParams, modules: Iterable[LampModule]) -> tuple[LampModule, ...]:
+def true_modules(modules: Iterable[LampModule], aim: Iterable[AimParams], wear: WearParams) -> tuple[LampModule, ...]:
     """Modules with dead and aged pixels, and with errors of aim.
 
     Raises LuxloopError where a module lacks a pixel that is named, and where its aim puts it under the road.
     """
     true = []
     for number, module in enumerate(modules):
-        aims = [aim for aim in disturbances.aim if aim.lamp is None or module.name.startswith(f"{aim.lamp} ")]
-        headlight = worn(module.headlight, module.name, disturbances.wear, number)
-        true.append(replace(module, headlight=headlight, T_world_headlight=misaimed(module.T_world_headlight, aims)))
+        errors = [each for each in aim if each.lamp is None or module.name.startswith(f"{each.lamp} ")]
+        headlight = wear_out(module.headlight, module.name, wear, number)
+        true.append(replace(module, headlight=headlight, T_world_headlight=misaim(module.T_world_headlight, errors)))
     return tuple(true)
 
 
-def misaimed(T_world_headlight: Tensor, aims: list[AimParams]) -> Tensor:
+def misaim(T_world_headlight: Tensor, errors: Iterable[AimParams]) -> Tensor:
     """A pose `[4, 4]` moved and turned by errors, about its own origin and the vehicle's axes."""
     T = T_world_headlight.clone()
-    for aim in aims:
+    for aim in errors:
         if aim.z_m and T[2, 3] > 0 >= T[2, 3] + aim.z_m:
             raise LuxloopError(f"disturbances.aim.z_m: the lamp is at {float(T[2, 3]) + aim.z_m:.3g} m, not above the road; lower it less")
         error = pose_from_degrees((aim.x_m, aim.y_m, aim.z_m), aim.roll_deg, aim.pitch_deg, aim.yaw_deg).to(T)
@@ -67,7 +65,7 @@ def misaimed(T_world_headlight: Tensor, aims: list[AimParams]) -> Tensor:
     return T
 
 
-def worn(headlight: Headlight, name: str, wear: WearParams, number: int) -> Headlight:
+def wear_out(headlight: Headlight, name: str, wear: WearParams, number: int) -> Headlight:
     """A module's headlight with dead and aged pixels. Raises LuxloopError where it lacks a pixel that is named."""
     n = headlight.n_pixels
     if wrong := [pixel for pixel in wear.dead_pixels if not 0 <= pixel < n]:

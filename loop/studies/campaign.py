@@ -65,7 +65,7 @@ class Run:
     @property
     def row(self) -> Row:
         """The columns that identify the run."""
-        held = self.scenario.symbol.controller if len(self.scenario.controlled) == 1 else None
+        held = self.scenario.symbol.controller if len(self.scenario.symbols) == 1 else None
         controller = None if held is None else held.name
         return {
             "scenario": Path(self.params.scenario).stem,
@@ -209,7 +209,7 @@ def _run(file: Path, params: CampaignParams, one: RunParams, allow_code: bool) -
     with locate(f"{file}: variants.{one.variant}" if one.variant else str(file)):
         name = str(beside) if os.path.isfile(beside) else one.scenario
         if one.controller:
-            held = only(load(name, allow_code=True).controlled)
+            held = only(load(name, allow_code=True).symbols)
             changes.insert(0, {"functions": {held: {"controller": {"name": one.controller}}}})
         for each in changes:
             resolve_paths(each, file.parent)

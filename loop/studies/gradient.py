@@ -54,7 +54,7 @@ def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) 
         with locate(f"{scenario.name}: --gradient"):
             symbol = scenario.symbol
         if not isinstance(symbol.extraction, ExtractionParams):
-            key = f"functions.{only(scenario.controlled)}.extraction.kind"
+            key = f"functions.{only(scenario.symbols)}.extraction.kind"
             raise LuxloopError(f"{scenario.name}: {key}: no error model for an own extraction; leave it out, or tune without --gradient")
         simulations.append(prepare(scenario, task.device))
         check(simulations[-1], [each.key for each in task.ranges])

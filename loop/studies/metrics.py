@@ -17,7 +17,7 @@ from luxloop.loop.recording.summary import column, judged
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import Scenario, only
 from luxloop.loop.scenario.plant import SimulatedPlantParams
-from luxloop.loop.simulation.build import build_symbol_controller
+from luxloop.loop.simulation.build_symbols import build_symbol_controller
 from luxloop.loop.simulation.columns import of_one
 from luxloop.loop.simulation.controlled import Held
 from luxloop.loop.simulation.result import Rollout, StepResult
@@ -104,7 +104,7 @@ def ready(scenario: Scenario, device: str) -> Simulation:
     """A simulation of the scenario; all but controllers and noise is taken from one that is ready where there is one."""
     if not isinstance(scenario.plant, SimulatedPlantParams):
         return prepare(scenario, device)
-    functions = {name: {"controller"} for name in scenario.controlled}
+    functions = {name: {"controller"} for name in scenario.symbols}
     decisive = scenario.model_dump_json(exclude={"seed": True, "functions": functions})
     like = _prepared(_Shared(scenario, device, decisive, (*digests(scenario).items(),)))
     assert isinstance(like.plant, SimulatedPlant)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.loop.scenario.model import Scenario, only
-from luxloop.loop.simulation.build import build_symbol_controller
+from luxloop.loop.simulation.build_symbols import build_symbol_controller
 from luxloop.loop.simulation.controlled import Held
 from luxloop.loop.simulation.lamps import LampPower, mean_powers
 from luxloop.loop.simulation.result import Rollout, StepResult
@@ -36,7 +36,7 @@ def kind(scenario: Scenario) -> str | None:
         refuse(scenario)
     except LuxloopError:
         return None
-    held = {only(scenario.controlled): {"controller", "start"}}
+    held = {only(scenario.symbols): {"controller", "start"}}
     numbers: Any = {"seed": True, "camera": OF_CAMERA, "disturbances": OF_DISTURBANCES, "functions": held}
     return json.dumps([scenario.model_dump_json(exclude=numbers), *shape_of(scenario.symbol.controller)])
 
@@ -78,7 +78,7 @@ def _simulations(simulation: Simulation, scenarios: Sequence[Scenario]) -> list[
         assert params is not None
         if (key := params.model_dump_json()) not in controllers:
             controllers[key] = build_symbol_controller(params, symbol.sensor)
-        held = {only(each.controlled): replace(symbol, function=each.symbol, controller=controllers[key])}
+        held = {only(each.symbols): replace(symbol, function=each.symbol, controller=controllers[key])}
         found.append(replace(simulation, scenario=each, controlled=held))
     return found
 

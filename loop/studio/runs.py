@@ -21,9 +21,8 @@ from luxloop.loop.recording.recorder import Recorder, Tally
 from luxloop.loop.report.picture import white_of
 from luxloop.loop.report.watched import Watched
 from luxloop.loop.run import prepare
-from luxloop.loop.scenario.acts import ACTS
-from luxloop.loop.scenario.driving import repeated
-from luxloop.loop.scenario.edits import Edit, replaces
+from luxloop.loop.scenario.driving import repeat
+from luxloop.loop.scenario.edits import ACTS, Edit, replaces
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.redrawn import unpainted
 from luxloop.loop.simulation.result import SimulationState, StepResult
@@ -97,7 +96,7 @@ class Run:
         if self._below is not None or self._next is not None:
             self.snapshots[-1] = self._taken(*self._made, self.snapshots[-1], wanted)
         while self.recorded is not None and (due := self.recorded.due(len(self.snapshots))) is not None:
-            self._go_on(self.edited(repeated(self.simulation.scenario, due)), due.overrides, due.driven)
+            self._go_on(self.edited(repeat(self.simulation.scenario, due)), due.overrides, due.driven)
         began_s = time.perf_counter()
         with locate(self.simulation.scenario.source):
             state, result = self.simulation.step(self._state)

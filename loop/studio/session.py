@@ -183,7 +183,7 @@ class Session:
         self._changed()
 
     def _do(self, asked: Asked) -> None:  # noqa: C901 (a case a message)
-        from luxloop.loop.scenario.written import written
+        from luxloop.loop.scenario.text import scenario_text
 
         match asked.message:
             case Button(type="play"):
@@ -205,14 +205,14 @@ class Session:
                 self._let_go()
                 self._start_anew()
             case Button(type="undo" | "redo" as way):
-                from luxloop.loop.scenario.driving import as_driven
+                from luxloop.loop.scenario.driving import with_drive
 
                 before = self._scenarios()
-                self._become(tuple(as_driven(*pair) for pair in zip(self._history.newest(way), before, strict=True)))
+                self._become(tuple(with_drive(*pair) for pair in zip(self._history.newest(way), before, strict=True)))
                 self._history.go(way, before)
             case Button(type="save"):
                 scenario = self._run(0).simulation.scenario
-                asked.reply({"type": "saved", "name": f"{scenario.name}.toml", "text": written(scenario)})
+                asked.reply({"type": "saved", "name": f"{scenario.name}.toml", "text": scenario_text(scenario)})
             case Record(folder=folder):
                 self._record(folder)
             case Speed(factor=factor):
@@ -281,29 +281,29 @@ class Session:
 
     def _taken_over(self) -> Driven:
         """Somebody drives from the next step on."""
-        from luxloop.loop.scenario.driving import begun
+        from luxloop.loop.scenario.driving import begin_drive
 
         before = self._scenarios()
-        self._become(tuple(begun(each, len(run.snapshots)) for each, run in zip(before, self.published.runs, strict=True)))
+        self._become(tuple(begin_drive(each, len(run.snapshots)) for each, run in zip(before, self.published.runs, strict=True)))
         return Driven(tuple(each.steps for each in before))
 
     def _let_go(self) -> None:
         """Nobody drives any more."""
-        from luxloop.loop.scenario.driving import ended
+        from luxloop.loop.scenario.driving import end_drive
 
         driven, self._driven = self._driven, None
         if driven is not None:
             runs = zip(self._scenarios(), self.published.runs, driven.steps, strict=True)
-            scenarios, told = zip(*(ended(each, len(run.snapshots), steps) for each, run, steps in runs), strict=True)
+            scenarios, told = zip(*(end_drive(each, len(run.snapshots), steps) for each, run, steps in runs), strict=True)
             self._become(scenarios, told)
 
     def _drive(self, driven: Driven) -> None:
         """The course goes on for the next step of all runs."""
-        from luxloop.loop.scenario.driving import driven_on
+        from luxloop.loop.scenario.driving import continue_drive
         from luxloop.world.scene.driver import Controls
 
         for run in self.published.runs:
-            scenario, told = driven_on(run.simulation.scenario, len(run.snapshots), Controls(driven.throttle, driven.steering))
+            scenario, told = continue_drive(run.simulation.scenario, len(run.snapshots), Controls(driven.throttle, driven.steering))
             run.edit(run.edited(scenario), told, driven=True)
 
     def _step(self) -> None:
@@ -338,19 +338,18 @@ class Session:
 
     def _edit(self, overrides: tuple[str, ...], stroke: int = 0) -> None:
         """Other values of keys in all runs. stroke: as of `History.add`. Raises LuxloopError where one cannot have them."""
-        from luxloop.loop.scenario.edits import changed
+        from luxloop.loop.scenario.edits import with_overrides
 
         before = self._scenarios()
         told = [(*overrides, *source.apart) for source in self._sources]
-        self._become(tuple(changed(*pair) for pair in zip(before, told, strict=True)), told)
+        self._become(tuple(with_overrides(*pair) for pair in zip(before, told, strict=True)), told)
         self._history.add(before, overrides, stroke)
 
     def _become(self, scenarios: tuple["Scenario", ...], overrides: Sequence[tuple[str, ...]] | None = None) -> None:
         """Other values of keys: while the runs go on, as far as that can be, else in runs that start anew. overrides: that make each of
         the one there is; None for what tells them apart.
         """
-        from luxloop.loop.scenario.acts import acts
-        from luxloop.loop.scenario.edits import differences
+        from luxloop.loop.scenario.edits import acts, differences
 
         runs = self.published.runs
         before = self._scenarios()
@@ -369,12 +368,12 @@ class Session:
 
     def _reload(self) -> None:
         """What has changed in the file is an edit."""
-        from luxloop.loop.scenario.edits import changed, differences
+        from luxloop.loop.scenario.edits import differences, with_overrides
 
         before, after = self._file.scenario, loaded(self._sources[0], self._allow_code)[0]
         if before is not None and self.published.runs and (told := differences(before, after)):
             scenarios = self._scenarios()
-            self._become(tuple(changed(each, told) for each in scenarios), [told] * len(scenarios))
+            self._become(tuple(with_overrides(each, told) for each in scenarios), [told] * len(scenarios))
             self._history.add(scenarios, told)
         self._file.scenario = after
 
@@ -387,14 +386,14 @@ class Session:
 
     def _compare(self, compared: Compare) -> None:
         """Two runs from their first step on, the first one with all edits."""
-        from luxloop.loop.scenario.edits import changed
+        from luxloop.loop.scenario.edits import with_overrides
 
         overrides, (first, *_), kept = compared.overrides or (), self._sources, (*self._kept(), None)[0]
         self._refuse(overrides)
         if compared.recording is not None:
             self._prepare((first, self._source(compared)), (kept, None))
         else:
-            self._prepare((first, replace(first, apart=overrides)), (kept, kept and changed(kept, overrides)))
+            self._prepare((first, replace(first, apart=overrides)), (kept, kept and with_overrides(kept, overrides)))
 
     def _record(self, folder: str | None) -> None:
         if folder is not None and any(each.recording and each.recording.resolve() == (RUNS / folder).resolve() for each in self._sources):

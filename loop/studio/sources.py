@@ -41,12 +41,12 @@ def named(asked: Open | Compare, given: Sequence[Source], recordings: Collection
 
     Raises LuxloopError for all else.
     """
-    from luxloop.loop.scenario.shipped import shipped
+    from luxloop.loop.scenario.shipped import scenario_files
 
     name = asked.name if isinstance(asked, Open) else ""
     recording = None if asked.recording is None else Path(asked.recording)
     known = any((each.name, each.recording) == (name, recording) for each in given)
-    if not (allow_code or known or (asked.recording in recordings if recording else name in shipped())):
+    if not (allow_code or known or (asked.recording in recordings if recording else name in scenario_files())):
         raise LuxloopError(
             f"{recording or name!r}: is neither a shipped scenario, nor a recording in runs, nor what luxloop studio was started with; "
             "start it with that or with --allow-code"
@@ -56,9 +56,9 @@ def named(asked: Open | Compare, given: Sequence[Source], recordings: Collection
 
 def file_of(source: Source) -> Path | None:
     """The file of a scenario of somebody's own."""
-    from luxloop.loop.scenario.shipped import find, shipped
+    from luxloop.loop.scenario.shipped import find, scenario_files
 
-    return None if source.recording or source.name in shipped() else find(source.name)
+    return None if source.recording or source.name in scenario_files() else find(source.name)
 
 
 def loaded(source: Source, allow_code: bool) -> tuple["Scenario", "Recording | None"]:

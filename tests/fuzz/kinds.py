@@ -27,7 +27,7 @@ from luxloop.loop.rig.simulated import faults
 from luxloop.loop.rig.simulated.lens import Lens
 from luxloop.loop.run import check
 from luxloop.loop.scenario.model import load, validate
-from luxloop.loop.scenario.shipped import examples, shipped
+from luxloop.loop.scenario.shipped import examples, scenario_files
 from luxloop.loop.simulation import frames
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.studies import campaign
@@ -99,7 +99,7 @@ def _written(folder: Path, *writers: tuple[str, Callable[[Path], Any]]) -> dict[
 @functools.cache
 def scenarios() -> dict[str, Path]:
     """Those shipped that need no data of others."""
-    return {name: path for name, path in shipped().items() if 'kind = "opencrg"' not in path.read_text("utf-8")}
+    return {name: path for name, path in scenario_files().items() if 'kind = "opencrg"' not in path.read_text("utf-8")}
 
 
 def _scenarios(folder: Path) -> dict[str, bytes]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from luxloop.loop.scenario.edits import changed
+from luxloop.loop.scenario.edits import with_overrides
 from luxloop.loop.simulation import remote_answers as answers
 from luxloop.loop.simulation.clock import FromZero
 from luxloop.loop.simulation.protocol import Exposure
@@ -95,9 +95,9 @@ def read_studio(path: Path) -> None:
     match asks:
         case Set(overrides=overrides):
             refuse_foreign(overrides)
-            changed(_run().simulation.scenario, overrides)
+            with_overrides(_run().simulation.scenario, overrides)
         case Paint():
-            changed(_run().simulation.scenario, [painted(_run().simulation, asks, arrays)])
+            with_overrides(_run().simulation.scenario, [painted(_run().simulation, asks, arrays)])
         case Place():
             placed(_run(), asks)
         case Wish():

@@ -10,6 +10,7 @@ from torch import Tensor
 from luxloop import Detections, LuxloopError, check_detector
 from luxloop.perception.detection.build import network_detector
 from luxloop.perception.detection.detector import NetworkParams
+from tests.luxloop.variants import assert_refused, variant
 
 
 class Brightest:
@@ -23,8 +24,14 @@ class Brightest:
 
     def found(self, frame: Tensor) -> Any:
         row, column = divmod(int(frame.argmax()), frame.shape[1])
-        box = [column - self.half, row - self.half, column + self.half, row + self.half]
-        return Detections(torch.tensor([box]).to(frame), frame.max().view(1, 1))
+        box = torch.tensor([[column - self.half, row - self.half, column + self.half, row + self.half]]).to(frame)
+        return Detections(self.boxes(box), self.scores(frame.max().view(1, 1)))
+
+    def boxes(self, box: Tensor) -> Tensor:
+        return box
+
+    def scores(self, score: Tensor) -> Tensor:
+        return score
 
 
 class Nothing(Brightest):
@@ -32,112 +39,10 @@ class Nothing(Brightest):
         return Detections(frame.new_zeros(0, 4), frame.new_zeros(0, 1))
 
 
-class OfBytes(Nothing):
-    classes = ("car",)
-
-
-class AsShares(Brightest):
-    def found(self, frame: Tensor) -> Detections:
-        found = super().found(frame)
-        return Detections(found.boxes / frame.shape[1], found.scores)
-
-
-class OfALargerPicture(Brightest):
-    def found(self, frame: Tensor) -> Detections:
-        found = super().found(frame)
-        return Detections(10 * found.boxes + 1000, found.scores)
-
-
-class MiddleAndSize(Brightest):
-    def found(self, frame: Tensor) -> Detections:
-        left, top, right, bottom = super().found(frame).boxes[0]
-        return Detections(torch.stack([left + right, top + bottom, right - left, bottom - top])[None] / 2, frame.max().view(1, 1))
-
-
-class Logits(Brightest):
-    def found(self, frame: Tensor) -> Detections:
-        found = super().found(frame)
-        return Detections(found.boxes, found.scores.logit(1e-6))
-
-
-class OneScore(Brightest):
-    def found(self, frame: Tensor) -> Detections:
-        found = super().found(frame)
-        return Detections(found.boxes, found.scores[:, 0])
-
-
-class Relative(Brightest):
-    def found(self, frame: Tensor) -> Detections:
-        found, contrast = super().found(frame), (frame > 0.3).to(frame)
-        return Detections(found.boxes, (contrast.sum() / contrast.sum()).view(1, 1))
-
-
-class FirstOnly(Brightest):
-    def detect(self, frames: Tensor) -> Any:
-        return [self.found(frames[0])]
-
-
-class MeanOfAll(Brightest):
-    def detect(self, frames: Tensor) -> Any:
-        return [self.found(frames.mean(0))] * len(frames)
-
-
 class Remembering(Brightest):
-    def found(self, frame: Tensor) -> Detections:
-        self.memory[0] = 0.5 * (self.memory[0] + float(frame.max()))
-        return Detections(super().found(frame).boxes, frame.new_tensor([[self.memory[0]]]))
-
-
-class Lazy(Brightest):
-    def detect(self, frames: Tensor) -> Any:
-        return (self.found(frame) for frame in frames)
-
-
-class InPlace(Brightest):
-    def detect(self, frames: Tensor) -> Any:
-        return super().detect(frames.sqrt_())
-
-
-class NoneInTheDark(Brightest):
-    def found(self, frame: Tensor) -> Detections | None:
-        return super().found(frame) if frame.max() > 0.3 else None
-
-
-class OfDogs(Brightest):
-    classes = ("dog",)
-
-
-class Blind:
-    classes = ("other",)
-
-    def __init__(self, device: torch.device) -> None: ...
-
-
-BROKEN: dict[Any, list[str]] = {
-    Blind: ["has no method detect"],
-    OfDogs: ["classes = ('dog',)", "pedestrian"],
-    AsShares: ["seem to be shares of the frame", "here 640 and 360 px"],
-    OfALargerPicture: ["middle is outside of the frame of 640 x 360 px", "not of a picture of another size"],
-    MiddleAndSize: ["sides down to -", "left, top, right, bottom"],
-    Logits: ["scores from -", "sigmoid"],
-    OneScore: ["scores [1]", "scores [n, classes]"],
-    Relative: ["some of which are not finite"],
-    FirstOnly: ["gives 1 for 3 frames"],
-    MeanOfAll: ["something else in a frame where others are beside it", "by itself"],
-    Remembering: ["another detections[0].scores", "same frames", "keep nothing in self"],
-    Lazy: ["gives a generator", "a list with one luxloop.Detections a frame"],
-    InPlace: ["changes frames, which was passed to it"],
-    NoneInTheDark: ["'NoneType' object has no attribute 'boxes'"],
-}
-
-
-@pytest.mark.parametrize("broken", BROKEN, ids=lambda each: each.__name__)
-def test_each_way_to_break_the_contract_is_told_in_a_sentence(broken: Any, device: torch.device) -> None:
-    with pytest.raises(LuxloopError) as caught:
-        check_detector(broken, device=device.type)
-    (sentence,) = caught.value.args
-    assert f"detector.kind: {__name__}:{broken.__name__}: " in sentence
-    assert all(words in sentence for words in BROKEN[broken]), sentence
+    def scores(self, score: Tensor) -> Tensor:
+        self.memory[0] = 0.5 * (self.memory[0] + float(score))
+        return torch.full_like(score, self.memory[0])
 
 
 class Network:
@@ -149,17 +54,52 @@ class Network:
         return self.network.detect(frames)
 
 
-@pytest.mark.parametrize("kept", [Brightest, Nothing, Network])
-def test_what_keeps_the_contract_passes(kept: Any, device: torch.device) -> None:
-    check_detector(kept, device=device.type)
+class Blind:
+    classes = ("other",)
+
+    def __init__(self, device: torch.device) -> None: ...
 
 
-def test_a_detector_of_cars_that_finds_none_is_told_what_frames_are(device: torch.device) -> None:
-    with pytest.warns(UserWarning, match=r"nothing found in 3 frames, .*; frames are shares 0\.\.1 of the largest number"):
-        check_detector(OfBytes, device=device.type)
+def middle_and_size(self: Brightest, box: Tensor) -> Tensor:
+    return torch.cat([(box[:, :2] + box[:, 2:]) / 2, box[:, 2:] - box[:, :2]], 1)
 
 
-def test_options_are_those_of_the_scenario(device: torch.device) -> None:
+def only_in_light(self: Brightest, frame: Tensor) -> Detections | None:
+    return Brightest.found(self, frame) if frame.max() > 0.3 else None
+
+
+BROKEN: dict[type, list[str]] = {
+    Blind: ["has no method detect"],
+    variant(Brightest, "OfDogs", classes=("dog",)): ["classes = ('dog',)", "pedestrian"],
+    variant(Brightest, "AsShares", boxes=lambda self, box: box / 640): ["seem to be shares of the frame", "here 640 and 360 px"],
+    variant(Brightest, "OfALargerPicture", boxes=lambda self, box: 10 * box + 1000): ["middle is outside of the frame of 640 x 360 px"],
+    variant(Brightest, "MiddleAndSize", boxes=middle_and_size): ["sides down to -", "left, top, right, bottom"],
+    variant(Brightest, "Logits", scores=lambda self, score: score.logit(1e-6)): ["scores from -", "sigmoid"],
+    variant(Brightest, "OneScore", scores=lambda self, score: score[:, 0]): ["scores [1]", "scores [n, classes]"],
+    variant(Brightest, "Relative", scores=lambda self, score: score * torch.nan): ["some of which are not finite"],
+    variant(Brightest, "FirstOnly", detect=lambda self, frames: [self.found(frames[0])]): ["gives 1 for 3 frames"],
+    variant(Brightest, "MeanOfAll", detect=lambda self, frames: [self.found(frames.mean(0))] * len(frames)): [
+        "something else in a frame where others are beside it"
+    ],
+    Remembering: ["another detections[0].scores", "same frames", "keep nothing in self"],
+    variant(Brightest, "Lazy", detect=lambda self, frames: map(self.found, frames)): ["gives a map", "a list with one luxloop.Detections"],
+    variant(Brightest, "InPlace", detect=lambda self, frames: [self.found(each) for each in frames.sqrt_()]): [
+        "changes frames, which was passed to it"
+    ],
+    variant(Brightest, "NoneInTheDark", found=only_in_light): ["'NoneType' object has no attribute 'boxes'"],
+}
+
+
+@pytest.mark.parametrize("broken", BROKEN, ids=lambda each: each.__name__)
+def test_each_way_to_break_the_contract_is_told_in_a_sentence(broken: type, device: torch.device) -> None:
+    assert_refused(lambda each: check_detector(each, device=device.type), broken, "detector.kind", BROKEN[broken])
+
+
+def test_what_keeps_the_contract_passes(device: torch.device) -> None:
+    for detector in (Nothing, Network):
+        check_detector(detector, device=device.type)
     check_detector(Brightest, {"size_px": 30}, device.type)
     with pytest.raises(LuxloopError, match=r"detector\.options\.size: .*did you mean 'size_px'\?"):
         check_detector(Brightest, {"size": 30}, device.type)
+    with pytest.warns(UserWarning, match=r"nothing found in 3 frames, .*; frames are shares 0\.\.1 of the largest number"):
+        check_detector(variant(Nothing, "OfCars", classes=("car",)), device=device.type)

@@ -1,5 +1,6 @@
 """The contract of lighting functions: what keeps it passes, and each way of breaking it has a sentence with cause and remedy."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -8,6 +9,7 @@ import torch
 
 from luxloop import LuxloopError, ModuleCommand, Situation, check_function, rectangle
 from luxloop.loop.studies.contracts.function import check_in, world
+from tests.luxloop.variants import assert_refused, variant
 
 
 @pytest.fixture(scope="module")
@@ -27,51 +29,6 @@ class Line:
         return [rectangle(corner, -3 * left, -2 * forward, self.lx, "E_v", normal=up)]
 
 
-class Nothing(Line):
-    def primitives(self, now: Situation) -> Any:
-        return ()
-
-
-class InCentimetres(Line):
-    def primitives(self, now: Situation) -> Any:
-        return [replace(each, origin=100 * each.origin) for each in super().primitives(now)]
-
-
-class FacesAway(Line):
-    def primitives(self, now: Situation) -> Any:
-        return [replace(each, normal=-each.normal) for each in super().primitives(now)]
-
-
-class One(Line):
-    def primitives(self, now: Situation) -> Any:
-        return (*super().primitives(now), None)[0]
-
-
-class Corners(Line):
-    def primitives(self, now: Situation) -> Any:
-        return [each.origin for each in super().primitives(now)]
-
-
-class NotANumber(Line):
-    def primitives(self, now: Situation) -> Any:
-        return [replace(each, origin=each.origin * torch.nan) for each in super().primitives(now)]
-
-
-class Batched(Line):
-    def primitives(self, now: Situation) -> Any:
-        return [replace(each, origin=each.origin[None]) for each in super().primitives(now)]
-
-
-class LuxAsShare(Line):
-    def primitives(self, now: Situation) -> Any:
-        return [replace(each, quantity=torch.full_like(each.quantity, 2)) for each in super().primitives(now)]
-
-
-class Flickering(Line):
-    def primitives(self, now: Situation) -> Any:
-        return [replace(each, value=each.value * torch.rand(1)) for each in super().primitives(now)]
-
-
 class Moving(Line):
     def primitives(self, now: Situation) -> Any:
         now.T_world_vehicle[0, 3] += 1
@@ -81,11 +38,6 @@ class Moving(Line):
 class ForSomebody(Line):
     def primitives(self, now: Situation) -> Any:
         return super().primitives(now) if now.objects[0].score else []
-
-
-class TakesLess(Line):
-    def primitives(self) -> Any:  # type: ignore[override]
-        return []
 
 
 class Silent: ...
@@ -106,24 +58,6 @@ class Learning:
         return None if state else 0.5
 
 
-class KeepsItself(Learning):
-    def start(self) -> Any:
-        return (0.0, self)
-
-
-class InPercent(Learning):
-    def base_share(self, state: Any) -> Any:
-        return 50
-
-
-class InPlace(Learning):
-    def start(self) -> Any:
-        return torch.zeros(1)
-
-    def step(self, state: Any, now: Situation) -> Any:
-        return state.add_(1)
-
-
 class Levels(Line):
     def commands(self, now: Situation) -> Any:
         return {"left": ModuleCommand(level_deg=0.5 * len(now.objects))}
@@ -139,15 +73,14 @@ class LevelsOnAndOn(Levels):
         return {"left": ModuleCommand(level_deg=self.level_deg)}
 
 
-class LevelsTheWorld(Levels):
-    def commands(self, now: Situation) -> Any:
-        now.lamps[:, 2] += 0.1
-        return {}
+def level_the_world(self: Line, now: Situation) -> Any:
+    now.lamps[:, 2] += 0.1
+    return {}
 
 
-class LevelsForSomebody(Levels):
-    def commands(self, now: Situation) -> Any:
-        return {"left": ModuleCommand(level_deg=now.objects[0].score)}
+def drawn(name: str, change: Callable[[Any], Any]) -> type:
+    """A line whose primitives are changed."""
+    return variant(Line, name, primitives=lambda self, now: [change(each) for each in Line.primitives(self, now)])
 
 
 class HalfLearnt:
@@ -156,41 +89,55 @@ class HalfLearnt:
     def step(self, state: Any, now: Situation) -> None: ...
 
 
-BROKEN: dict[Any, list[str]] = {
+BROKEN: dict[type, list[str]] = {
     Silent: ["has no method primitives"],
     HalfLearnt: ["has no method adapted", "start, step, adapted, base_share"],
-    TakesLess: ["primitives takes () -> Any, but is called as primitives(now)"],
-    InCentimetres: ["change no lamp's light", "[1400.0, 150.0, 0.0] m", "places are in m in the world"],
-    FacesAway: ["change no lamp's light", "normals", "point to the lamps"],
-    One: ["gives a NoneType", "an empty one draws nothing"],
-    Corners: ["gives a list of Tensor", "luxloop.rectangle"],
-    NotANumber: ["not finite", "leave out"],
-    Batched: ["corners [1, 1, 3]", "[P, 3]"],
-    LuxAsShare: ["the setpoint 20", '0 to 1 for the quantity "u_abs"', '"E_v" in lx'],
-    Flickering: ["another primitives[0].value", "same now", "seed random numbers"],
+    variant(Line, "TakesLess", primitives=lambda self: []): ["primitives takes ()", "but is called as primitives(now)"],
+    drawn("InCentimetres", lambda each: replace(each, origin=100 * each.origin)): [
+        "change no lamp's light",
+        "[1400.0, 150.0, 0.0] m",
+        "places are in m in the world",
+    ],
+    drawn("FacesAway", lambda each: replace(each, normal=-each.normal)): ["change no lamp's light", "normals", "point to the lamps"],
+    variant(Line, "One", primitives=lambda self, now: None): ["gives a NoneType", "an empty one draws nothing"],
+    drawn("Corners", lambda each: each.origin): ["gives a list of Tensor", "luxloop.rectangle"],
+    drawn("NotANumber", lambda each: replace(each, origin=each.origin * torch.nan)): ["not finite", "leave out"],
+    drawn("Batched", lambda each: replace(each, origin=each.origin[None])): ["corners [1, 1, 3]", "[P, 3]"],
+    drawn("LuxAsShare", lambda each: replace(each, quantity=torch.full_like(each.quantity, 2))): [
+        "the setpoint 20",
+        '0 to 1 for the quantity "u_abs"',
+    ],
+    drawn("Flickering", lambda each: replace(each, value=each.value * torch.rand(1))): [
+        "another primitives[0].value",
+        "seed random numbers",
+    ],
     Moving: ["changes now.T_world_vehicle, which was passed to it"],
     ForSomebody: ["where now.objects is empty", "primitives fails at", "IndexError"],
-    KeepsItself: ["start gives a state that cannot be saved", "state[1] is of the type KeepsItself"],
-    InPercent: ["base_share gives 50", "share of the base beam, 0..1"],
+    variant(Learning, "KeepsItself", start=lambda self: (0.0, self)): [
+        "start gives a state that cannot be saved",
+        "state[1] is of the type",
+    ],
+    variant(Learning, "InPercent", base_share=lambda self, state: 50): ["base_share gives 50", "share of the base beam, 0..1"],
+    variant(Learning, "InPlace", start=lambda self: torch.zeros(1), step=lambda self, state, now: state.add_(1)): [
+        "step changes state, which was passed to it"
+    ],
     LevelsOnAndOn: ["commands gives another commands.left.level_deg", "same now", "keep nothing in self"],
-    LevelsTheWorld: ["commands changes now.lamps, which was passed to it"],
-    LevelsForSomebody: ["commands fails at", "IndexError"],
-    InPlace: ["step changes state, which was passed to it"],
+    variant(Levels, "LevelsTheWorld", commands=level_the_world): ["commands changes now.lamps, which was passed to it"],
+    variant(Levels, "LevelsForSomebody", commands=lambda self, now: {"left": ModuleCommand(level_deg=now.objects[0].score)}): [
+        "commands fails at",
+        "IndexError",
+    ],
 }
 
 
 @pytest.mark.parametrize("broken", BROKEN, ids=lambda each: each.__name__)
-def test_each_way_to_break_the_contract_is_told_in_a_sentence(broken: Any, shared: Any) -> None:
-    with pytest.raises(LuxloopError) as caught:
-        check_in(shared, broken, {})
-    (sentence,) = caught.value.args
-    assert sentence.startswith("check_function: ") and f"kind: {__name__}:{broken.__name__}: " in sentence
-    assert all(words in sentence for words in BROKEN[broken]), sentence
+def test_each_way_to_break_the_contract_is_told_in_a_sentence(broken: type, shared: Any) -> None:
+    assert_refused(lambda each: check_in(shared, each, {}), broken, "kind", ["check_function: ", *BROKEN[broken]])
 
 
-@pytest.mark.parametrize("kept", [Line, Nothing, Learning, Levels])
-def test_what_keeps_the_contract_passes(kept: Any, shared: Any) -> None:
-    check_in(shared, kept, {})
+@pytest.mark.parametrize("function", [variant(Line, "Nothing", primitives=lambda self, now: ()), Learning, Levels])
+def test_what_keeps_the_contract_passes(function: type, shared: Any) -> None:
+    check_in(shared, function, {})
 
 
 def test_options_are_those_of_the_scenario(device: torch.device) -> None:

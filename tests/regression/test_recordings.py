@@ -23,7 +23,7 @@ from luxloop.loop.recording.files import table_of
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.scenario import data
 from luxloop.loop.scenario.model import Scenario, load
-from luxloop.loop.scenario.shipped import shipped
+from luxloop.loop.scenario.shipped import scenario_files
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.roads.shapes import OpenCrgRoad
@@ -66,7 +66,7 @@ def trajectory(name: str, whole: bool = True) -> pa.Table:
     skip_without_data(scenario)
     if name in SENSITIVE and not ALIKE.items() <= os.environ.items():
         return trajectory_elsewhere(name, whole)
-    if scenario.metered:
+    if scenario.meters_light:
         return coarse(name, STEPS if whole else FIRST_ROWS)
     return of_each_step(Simulation.prepare(scenario), scenario.steps if whole else FIRST_STEPS)
 
@@ -116,10 +116,10 @@ def moments(result: StepResult, simulation: Simulation) -> dict[str, float]:
 def held(name: str) -> dict[str, FeatureParams]:
     """What is looked at of each symbol that is held."""
     scenario = load(name)
-    return {each: scenario.functions[each].features for each in scenario.controlled}
+    return {each: scenario.functions[each].features for each in scenario.symbols}
 
 
-@pytest.mark.parametrize("name", [name for name in shipped() if name not in LIKE_OTHERS])
+@pytest.mark.parametrize("name", [name for name in scenario_files() if name not in LIKE_OTHERS])
 def test_scenario_begins_as_recorded(name: str, re_record: bool) -> None:
     if re_record:
         pytest.skip("the recording is replaced")
@@ -127,7 +127,7 @@ def test_scenario_begins_as_recorded(name: str, re_record: bool) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", scenario_files())
 def test_scenario_runs_as_recorded(name: str, re_record: bool, capsys: pytest.CaptureFixture[str]) -> None:
     now, file = trajectory(name), file_of(name)
     kept = pq.read_table(file) if file.is_file() else None
@@ -170,7 +170,7 @@ def test_recordings_hold_on_other_machines(setting: dict[str, str]) -> None:
 
 
 def test_every_recording_has_its_scenario() -> None:
-    assert {file.stem for file in FOLDER.glob("*")} <= set(shipped())
+    assert {file.stem for file in FOLDER.glob("*")} <= set(scenario_files())
 
 
 if __name__ == "__main__":

@@ -15,9 +15,10 @@ from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.rig.calibration.bench import Array
 from luxloop.loop.rig.calibration.geometry import SIDE, blocks, covariance_of, grouped
 from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.simulation.build_lamps import mount
 from luxloop.loop.simulation.frames import image_file, light_file, read_image, read_light
-from luxloop.loop.simulation.lamps import lamp_modules, shining_modules
-from luxloop.loop.simulation.made import Made
+from luxloop.loop.simulation.lamps import lamp_modules
+from luxloop.loop.simulation.part_cache import PartCache
 from luxloop.loop.simulation.recorded import inside, recorded_rows
 from luxloop.loop.simulation.simulated import simulated_plant
 from luxloop.perception.camera import CameraParams, expose, luminance_of
@@ -71,7 +72,7 @@ def recorded(folder: Path, scenario: Scenario, most: int) -> list[Shown]:
     rows = [row for row in recorded_rows(folder)[:-1] if row["lost"] is False]
     if not rows:
         raise LuxloopError(f"{folder}: all frames are lost; record another run with --frames")
-    modules = lamp_modules(shining_modules(scenario, torch.device("cpu")))
+    modules = lamp_modules(mount(scenario.headlight))
     pixels, like = [each.headlight.n_pixels for each in modules], modules[0].headlight.matrix.values
     shown = []
     for k in np.unique(np.linspace(0, len(rows) - 1, most).astype(int)):
@@ -100,15 +101,15 @@ def fit(
     some = max(1, sum(each.image.numel() for each in shown) // MOST_PIXELS)
     wanted = [each.image.double().numpy() for each in shown]
     used = [(each < levels).ravel() & (np.arange(each.size) % some == 0) for each in wanted]
-    made, count = Made(), 0
+    cache, count = PartCache(), 0
 
     def pictures(x: Array) -> list[Array]:
-        nonlocal made, count
-        made, count = Made(made), count + 1
+        nonlocal cache, count
+        cache, count = PartCache(cache), count + 1
         values = dict(zip((each.key for each in varied), (start + span * (x - 1)).tolist(), strict=True))
         blur = abs(values.pop(BLUR, 0.0))
         on_step()
-        return _pictures(scenario_of(values), shown, made, blur)
+        return _pictures(scenario_of(values), shown, cache, blur)
 
     def residuals(x: Array) -> Array:
         return np.concatenate([(a - b).ravel()[use] for a, b, use in zip(pictures(x), wanted, used, strict=True)])
@@ -140,10 +141,10 @@ def fit(
     return Fitted(values, stds, before, after, noise, covariance / np.outer(std, std), count)
 
 
-def _pictures(scenario: Scenario, shown: Sequence[Shown], made: Made, blur: float) -> list[Array]:
+def _pictures(scenario: Scenario, shown: Sequence[Shown], cache: PartCache, blur: float) -> list[Array]:
     """Digital numbers before rounding of what a scenario's camera would see, blurred by so many px."""
-    modules = made("modules", scenario.headlight, lambda: lamp_modules(shining_modules(scenario, torch.device("cpu"))))
-    world = simulated_plant(scenario, modules, made).world
+    modules = cache("modules", lambda headlight: lamp_modules(mount(headlight)), scenario.headlight)
+    world = simulated_plant(scenario, modules, cache).world
     found = [world.luminance(each.time_s, each.lights, each.commands)[0].double().numpy() for each in shown]
     seen = [gaussian_filter(each, blur) if blur else each.copy() for each in found]
     return [expose(torch.from_numpy(each), world.camera, quantise=False).numpy() for each in seen]

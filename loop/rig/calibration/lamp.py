@@ -7,14 +7,13 @@ from typing import Final
 
 import numpy as np
 import scipy.sparse as sp
-import torch
 
 from luxloop.loop.rig.calibration.bench import Array
 from luxloop.loop.rig.calibration.charts import Chart
 from luxloop.loop.rig.calibration.combs import REACH
 from luxloop.loop.rig.calibration.shapes import Blocks, Measured
 from luxloop.loop.scenario.model import Scenario
-from luxloop.loop.simulation.lamps import shining_modules
+from luxloop.loop.simulation.build_lamps import mount
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp
@@ -106,10 +105,10 @@ def digitised_side(scenario: Scenario) -> str:
 
 def measured_lamp(scenario: Scenario, lights: Sequence[Headlight], name: str, notes: str) -> Lamp:
     """The scenario's lamp with measured lights, one per lit module, as a left lamp, the kind that lamp files have."""
-    mounts = shining_modules(scenario, torch.device("cpu"))
+    mounts = mount(scenario.headlight)
     lamp = mounts[0].lamp
     modules = list(lamp.modules)
-    for mount, light in zip(mounts, lights, strict=True):
-        modules[mount.number] = replace(modules[mount.number], headlight=light)
+    for each, light in zip(mounts, lights, strict=True):
+        modules[each.number] = replace(modules[each.number], headlight=light)
     lamp = Lamp(name, tuple(modules), notes=notes)
     return lamp if mounts[0].side == "left" else replace(lamp, modules=tuple(each.mirror() for each in modules))

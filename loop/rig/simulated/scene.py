@@ -13,9 +13,10 @@ from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.rig.simulated.faults import FaultParams, LampErrorParams, ScreenParams
 from luxloop.loop.rig.simulated.lens import Image, Lens
 from luxloop.loop.rig.wire.ddp import LightFrame, WireCommand, utilisations_of
-from luxloop.loop.scenario.disturbances import AimParams, DisturbanceParams, PoseErrorParams, WearParams
+from luxloop.loop.scenario.disturbances import AimParams, PoseErrorParams, WearParams
 from luxloop.loop.scenario.model import Scenario
-from luxloop.loop.simulation.build_lamps import mounted
+from luxloop.loop.simulation.build_lamps import mount
+from luxloop.loop.simulation.lamps import lamp_modules
 from luxloop.loop.simulation.simulated import simulated_plant
 from luxloop.loop.simulation.truth import LampModule, true_modules
 from luxloop.loop.simulation.world import LitScene, World
@@ -35,9 +36,7 @@ class LitBench:
 
     def __init__(self, scenario: Scenario, faults: FaultParams) -> None:
         """Build all. Raises LuxloopError where something is missing or broken, or where the lens folds the picture."""
-        mounts = tuple(mounted(scenario.headlight, torch.device("cpu"), lambda lamp: lamp.modules))
-        given = tuple(LampModule(each.name, each.headlight, each.T_world_module) for each in mounts)
-        world = simulated_plant(scenario, given).world
+        world = simulated_plant(scenario, lamp_modules(mount(scenario.headlight))).world
         self.modules = _true(world.modules, faults)
         self.camera, self.gamma, self.screen = world.camera, faults.light.gamma, faults.screen
         self.lens, self.columns = Lens.of(faults.lens, world.camera), faults.camera.columns
@@ -138,9 +137,8 @@ def commands_of(commands: Sequence[WireCommand] | None, modules: int) -> Command
 def _true(modules: Sequence[LampModule], faults: FaultParams) -> tuple[LampModule, ...]:
     error = faults.lamp
     aim = AimParams(**{name: getattr(error, name) for name in PoseErrorParams.model_fields})
-    wrong = DisturbanceParams(aim=(aim,), wear=WearParams(dead=error.dead, seed=faults.seed))
     scaled = (replace(each, headlight=each.headlight.scale(error.scale)) for each in modules)
-    return true_modules(wrong, scaled)
+    return true_modules(scaled, (aim,), WearParams(dead=error.dead, seed=faults.seed))
 
 
 def _stuck(module: LampModule, error: LampErrorParams, seed: int, number: int) -> Tensor:

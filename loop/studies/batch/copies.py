@@ -45,8 +45,8 @@ def check(simulation: Simulation, otherwise: str = "run it one by one") -> None:
 
 def refuse_scenario(scenario: Scenario, otherwise: str = "run it one by one") -> None:
     """The part of `check` that needs only the scenario's keys. Raises LuxloopError as `check`."""
-    only(scenario.controlled)
-    if scenario.metered:
+    only(scenario.symbols)
+    if scenario.meters_light:
         others = "other functions, the detector and objects' categories"
         raise LuxloopError(f"{scenario.name}: batches are of a single symbol; take {others} out, or {otherwise}")
     if scenario.lighting.painted:
@@ -54,10 +54,10 @@ def refuse_scenario(scenario: Scenario, otherwise: str = "run it one by one") ->
     if scenario.lighting.power_limit is not None:
         raise LuxloopError(f"{scenario.name}: lighting.power_limit: batches have no limit; leave it out, or {otherwise}")
     if timed := [key for key in ("start_s", "stop_s", "indicated", "when", "unless") if getattr(scenario.symbol, key) is not None]:
-        key = f"functions.{only(scenario.controlled)}.{timed[0]}"
+        key = f"functions.{only(scenario.symbols)}.{timed[0]}"
         raise LuxloopError(f"{scenario.name}: {key}: batches show the symbol in all steps; leave it out, or {otherwise}")
     if scenario.symbol.weight != 1:
-        key = f"functions.{only(scenario.controlled)}.weight"
+        key = f"functions.{only(scenario.symbols)}.weight"
         raise LuxloopError(f"{scenario.name}: {key}: batches draw with weight 1; leave it out, or {otherwise}")
     if scenario.disturbances.oncoming:
         raise LuxloopError(f"{scenario.name}: batches do not support disturbances.oncoming; leave it out, or {otherwise}")

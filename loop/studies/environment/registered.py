@@ -6,7 +6,7 @@ from typing import Final
 
 import gymnasium
 
-from luxloop.loop.scenario.shipped import shipped
+from luxloop.loop.scenario.shipped import scenario_files
 
 IDS: Final[Mapping[str, str]] = {"": "moves", "Gains": "gains", "Heights": "heights"}
 SINGLE: Final = "luxloop.loop.studies.environment.single:SymbolEnv"
@@ -28,7 +28,7 @@ def register() -> tuple[str, ...]:
 
 def symbols() -> Iterator[str]:
     """Names of the shipped scenarios with exactly one held symbol."""
-    for name, path in shipped().items():
+    for name, path in scenario_files().items():
         functions = tomllib.loads(path.read_text("utf-8")).get("functions", {})
         if sum("controller" in each for each in functions.values()) == 1:
             yield name

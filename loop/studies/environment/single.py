@@ -14,7 +14,7 @@ from gymnasium.utils import EzPickle
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.loop.report.picture import frame_picture, white_of
 from luxloop.loop.run import torch_device
-from luxloop.loop.scenario.edits import changed
+from luxloop.loop.scenario.edits import with_overrides
 from luxloop.loop.scenario.model import Scenario, load, only
 from luxloop.loop.simulation.result import SimulationState, StepResult
 from luxloop.loop.simulation.simulated import as_simulated
@@ -75,7 +75,7 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
         Raises LuxloopError if there is no such scenario, if it has not exactly one held symbol, or if its plant does not know the truth.
         """
         EzPickle.__init__(self, scenario, overrides, action=action, image=image, render_mode=render_mode, device=device)
-        self.scenario = changed(load(str(scenario)) if isinstance(scenario, str | Path) else scenario, [*overrides, "judge_every=1"])
+        self.scenario = with_overrides(load(str(scenario)) if isinstance(scenario, str | Path) else scenario, [*overrides, "judge_every=1"])
         self.render_mode, self.image, self._device, self._action = render_mode, image, torch_device(device), known_action(action)
         self._simulation: Simulation | None = None
         self.prepare({})
@@ -89,7 +89,7 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
 
     def prepare(self, values: dict[str, float | int]) -> None:
         """Change values of the scenario's keys and prepare only what they affect; call `reset` next."""
-        scenario = changed(self.scenario, [f"{key}={value!r}" for key, value in values.items()])
+        scenario = with_overrides(self.scenario, [f"{key}={value!r}" for key, value in values.items()])
         prepared = Simulation.prepare(scenario, self._device, self._simulation)
         as_simulated(prepared.plant, "an environment")
         symbol = prepared.symbol

@@ -291,9 +291,9 @@ def test_list_names_missing_data_and_how_to_get_it(lux: Lux, tmp_path: Path, mon
 def test_data_commands(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fetched: list[tuple[str, Path | None]] = []
 
-    def get(name: str, directory: Path | None = None) -> data.Fetched:
+    def get(name: str, directory: Path | None = None) -> data.Download:
         fetched.append((data.entry(name).name, directory))
-        return data.Fetched(tmp_path / name, downloaded=name != "Barber")
+        return data.Download(tmp_path / name, downloaded=name != "Barber")
 
     monkeypatch.setattr(data, "get", get)
     code, out, _ = lux("data", "list")

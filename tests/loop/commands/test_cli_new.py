@@ -8,7 +8,7 @@ import pytest
 
 from luxloop.loop.commands import cli
 from luxloop.loop.scenario.model import Scenario, load
-from luxloop.loop.scenario.shipped import examples, shipped
+from luxloop.loop.scenario.shipped import examples, scenario_files
 from tests.loop.conftest import Lux, assert_one_sentence
 
 
@@ -29,7 +29,7 @@ def test_new_scenario_is_valid_and_shows_the_defaults(lux: Lux, tmp_path: Path) 
     assert len(load("all.toml").objects) == 1
 
 
-@pytest.mark.parametrize("like", shipped())
+@pytest.mark.parametrize("like", scenario_files())
 def test_new_scenario_like_a_shipped_one_differs_in_its_name_alone(lux: Lux, like: str) -> None:
     assert lux("new", "my.toml", "--like", like)[0] == 0
     assert load("my.toml").model_copy(update={"name": like}) == load(like)

@@ -14,7 +14,7 @@ from luxloop.loop.recording.record import row, schema
 from luxloop.loop.run import check, run
 from luxloop.loop.scenario.checks import CheckParams
 from luxloop.loop.scenario.model import load, validate
-from luxloop.loop.scenario.shipped import shipped
+from luxloop.loop.scenario.shipped import scenario_files
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
@@ -274,7 +274,7 @@ def test_columns_like_one_that_is_not_there_are_named(metric: str, said: str) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in shipped() if load(name).checks])
+@pytest.mark.parametrize("name", [name for name in scenario_files() if load(name).checks])
 def test_shipped_scenarios_pass_their_checks(name: str) -> None:
     summary = run(name, device="cpu", video=False, report=False, checks=True).summary
     failed = {key: line for key, line in lines(summary).items() if not line.endswith("passed")}

@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from luxloop.loop.recording.edited import edited
-from luxloop.loop.scenario.acts import acts
-from luxloop.loop.scenario.edits import changed
+from luxloop.loop.scenario.edits import acts, with_overrides
 from luxloop.loop.scenario.model import Scenario, load
 from luxloop.loop.simulation.result import SimulationState, StepResult
 from luxloop.loop.simulation.simulation import Simulation
@@ -109,7 +108,7 @@ WHEN = {
 @pytest.mark.parametrize(("when", "key"), [(when, key) for when, keys in WHEN.items() for key in keys])
 def test_keys_act_when_it_is_said(when: str, key: str) -> None:
     before = scenario("headlight.model=ssl-hd")
-    assert acts(before, changed(before, [key])) == when
+    assert acts(before, with_overrides(before, [key])) == when
 
 
 def test_a_car_cannot_begin_to_drive_in_a_run_that_stands(simulation: Simulation) -> None:

@@ -10,7 +10,7 @@ from luxloop.loop.recording.edited import edited
 from luxloop.loop.recording.files import EDITS
 from luxloop.loop.recording.recorder import Recorder
 from luxloop.loop.recording.replay import load, replay, rerun
-from luxloop.loop.scenario.edits import Edit, changed
+from luxloop.loop.scenario.edits import Edit, with_overrides
 from luxloop.loop.scenario.model import load as scenario
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.arrays import read_parquet
@@ -42,7 +42,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with Recorder(directory, simulation) as recorder:
         for step in range(9):
             if overrides := EDITS_MADE.get(step):
-                simulation, state = edited(simulation, state, changed(simulation.scenario, overrides))
+                simulation, state = edited(simulation, state, with_overrides(simulation.scenario, overrides))
                 recorder.edit(simulation, Edit(step=step, overrides=overrides))
             state, result = simulation.step(state)
             recorder.add(result)

@@ -102,7 +102,7 @@ def test_depth_and_light_are_those_of_the_scene(drive: tuple[Path, list[StepResu
 
 def test_light_without_anybody_who_asks_for_it(tmp_path: Path) -> None:
     scenario = street(objects=[], vehicle=None, steps=1)
-    assert not scenario.metered
+    assert not scenario.meters_light
     run(scenario, tmp_path / "plain", video=False, report=False, labels="coco", lux=True)
     run(street(vehicle=None, steps=1), tmp_path / "metered", video=False, report=False, labels="coco", lux=True)
     plain, metered = (np.load(tmp_path / name / "labels" / "lux_00000000.npz")["lux"] for name in ("plain", "metered"))

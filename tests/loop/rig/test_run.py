@@ -18,8 +18,9 @@ import torch
 from luxloop.loop.commands.rig_runs import written
 from luxloop.loop.rig.params import load_rig
 from luxloop.loop.scenario.model import load
+from luxloop.loop.simulation.build_lamps import mount
 from luxloop.loop.simulation.frames import image_file, read_light, twin_file
-from luxloop.loop.simulation.lamps import lamp_modules, shining_modules
+from luxloop.loop.simulation.lamps import lamp_modules
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.simulated import simulated_plant
 from luxloop.world.arrays import read_parquet
@@ -88,7 +89,7 @@ def test_the_twin_of_a_rig_is_put_beside_its_frames(small_rig: Callable[..., Pro
         assert (row["mean_rig"], row["mean_simulated"]) == pytest.approx((rig.mean(), simulated.mean()))
         assert -1 <= row["ssim"] <= 1
     assert told["on"]["mean_simulated"] > told["off"]["mean_simulated"]
-    modules = lamp_modules(shining_modules(scenario, torch.device("cpu")))
+    modules = lamp_modules(mount(scenario.headlight))
     light = read_light(folder / "frames/light_00000000.npz", [each.headlight.n_pixels for each in modules], torch.device("cpu"))[0]
     shown = simulated_plant(scenario, modules).show((), Exposure(0, 0.0, 1 / scenario.rate_hz / 2, light))[1].frames[0].image
     assert shown is not None

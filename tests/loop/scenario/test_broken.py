@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from luxloop.loop.scenario.model import load
-from luxloop.loop.scenario.shipped import shipped
+from luxloop.loop.scenario.shipped import scenario_files
 from luxloop.world.errors import LuxloopError
 from tests.loop.scenario.files import BOX, GOOD, LIT, PID, SYMBOL, failure, is_one_sentence
 
@@ -119,7 +119,7 @@ def test_missing_file_folder_and_unknown_name(tmp_path: Path) -> None:
     assert "luxloop list" in failure("zzzz")
 
 
-@pytest.mark.skipif("snowflake" not in shipped(), reason="no scenario called snowflake is shipped")
+@pytest.mark.skipif("snowflake" not in scenario_files(), reason="no scenario called snowflake is shipped")
 def test_misspelt_name_of_a_shipped_scenario() -> None:
     assert "did you mean 'snowflake'?" in failure("snowflak")
 
@@ -210,7 +210,7 @@ def leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
         yield key, value
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", scenario_files())
 def test_each_key_that_is_broken_is_named(name: str) -> None:
     rng = random.Random(name)
     alone = (".kind", ".controller.name", "schema_version")  # others of the table, or of the file, mean nothing once they are wrong

@@ -2,27 +2,34 @@
 
 import hashlib
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
 
 from luxloop.loop.scenario import data
-from luxloop.loop.scenario.data import DataFile
+from luxloop.loop.scenario.data import DataFile, Download
 from luxloop.world.errors import LuxloopError
 
 CONTENT = b"$ROAD_CRG\r\n\x00\xff a scan\n"
 REAL = data.registry()
+Known = Callable[..., None]
 
 
-@pytest.fixture(autouse=True)
-def nothing_at_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A machine that has fetched nothing yet; returns its cache folder."""
+@pytest.fixture
+def known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Known:
+    """Makes "setts" the only file of the registry, on a machine that has fetched nothing yet."""
     monkeypatch.delenv(data.FOLDER_VARIABLE, raising=False)
     monkeypatch.delenv(data.MIRROR_VARIABLE, raising=False)
     monkeypatch.setattr(data, "cache_folder", lambda: tmp_path / "cache")
-    return tmp_path / "cache"
+
+    def known(url: str = "http://127.0.0.1:9", content: bytes = CONTENT, file: str = "roads/setts.crg") -> None:
+        sha256 = hashlib.sha256(content).hexdigest()
+        setts = DataFile("setts", file, "road", "stones", "Apache-2.0", len(content), sha256, f"{url}/{file}")
+        monkeypatch.setattr(data, "registry", lambda: {"setts": setts})
+
+    return known
 
 
 @pytest.fixture
@@ -36,8 +43,7 @@ def server(tmp_path: Path) -> Iterator[str]:
         def __init__(self, *args: object) -> None:
             super().__init__(*args, directory=str(root))
 
-        def log_message(self, *_: object) -> None:
-            pass
+        def log_message(self, *_: object) -> None: ...
 
     httpd = ThreadingHTTPServer(("127.0.0.1", 0), Quiet)
     thread = threading.Thread(target=httpd.serve_forever, args=(0.01,), daemon=True)
@@ -48,112 +54,71 @@ def server(tmp_path: Path) -> Iterator[str]:
     thread.join()
 
 
-def known(url: str = "http://127.0.0.1:9", content: bytes = CONTENT, file: str = "roads/setts.crg") -> dict[str, DataFile]:
-    sha256 = hashlib.sha256(content).hexdigest()
-    return {"setts": DataFile("setts", file, "road", "stones", "Apache-2.0", len(content), sha256, f"{url}/{file}")}
-
-
-def files(folder: Path) -> list[Path]:
-    return [path for path in folder.rglob("*") if path.is_file()]
-
-
-def test_fetched_once_then_found(server: str, nothing_at_hand: Path) -> None:
-    files_known = known(server)
+def test_a_file_is_fetched_once_then_found_and_again_when_it_has_changed(server: str, known: Known, tmp_path: Path) -> None:
+    known(server)
     with pytest.raises(LuxloopError, match="`luxloop data get setts`"):
-        data.find("setts", files_known)
-    first = data.get("setts", known=files_known)
-    assert first.downloaded and first.path == nothing_at_hand / "roads" / "setts.crg"
-    assert first.path.read_bytes() == CONTENT
-    again = data.get("setts", known=files_known)
-    assert not again.downloaded and again.path == first.path == data.find("setts", files_known)
-    assert files(nothing_at_hand) == [first.path]
+        data.find("setts")
+    path = tmp_path / "cache" / "roads" / "setts.crg"
+    assert data.get("setts") == Download(path, downloaded=True) and path.read_bytes() == CONTENT
+    assert data.get("setts") == Download(path, downloaded=False) and data.find("setts") == data.locate("setts") == path
+    assert [each for each in (tmp_path / "cache").rglob("*") if each.is_file()] == [path]
+    path.write_bytes(b"spoilt")
+    assert data.get("setts").downloaded and path.read_bytes() == CONTENT
 
 
-def test_a_mirror_stands_in_for_the_source(server: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = data.get("setts", directory=tmp_path / "mine", base_url=server + "/", known=known()).path
+def test_a_mirror_stands_in_for_the_source(server: str, known: Known, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    known()
+    monkeypatch.setenv(data.MIRROR_VARIABLE, server + "/")
+    path = data.get("setts", directory=tmp_path / "mine").path
     assert path == tmp_path / "mine" / "roads" / "setts.crg"
-    monkeypatch.setenv(data.MIRROR_VARIABLE, server)
-    assert data.get("setts", known=known()).downloaded
-    # The folder given is one that LUXLOOP_DATA may name.
-    monkeypatch.setenv(data.FOLDER_VARIABLE, str(tmp_path / "mine"))
-    assert data.find("setts", known()) == path
+    monkeypatch.setenv(data.FOLDER_VARIABLE, str(tmp_path / "mine"))  # the folder given is one that LUXLOOP_DATA may name
+    assert data.find("setts") == path
 
 
 @pytest.mark.parametrize("place", ["roads/setts.crg", "setts.crg"])
-def test_copies_at_hand_come_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
+def test_copies_at_hand_come_first_and_are_left_alone(known: Known, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
+    known()  # whose address leads nowhere
     copy = tmp_path / "own" / place
     copy.parent.mkdir(parents=True)
     copy.write_bytes(CONTENT)
     monkeypatch.setenv(data.FOLDER_VARIABLE, str(tmp_path / "own"))
-    assert data.find("setts", known()) == copy
-    assert data.get("setts", known=known()) == data.Fetched(copy, downloaded=False)  # its address leads nowhere
-
-
-def test_another_content_is_refused_and_not_kept(server: str, nothing_at_hand: Path, tmp_path: Path) -> None:
-    with pytest.raises(LuxloopError, match=r"SHA-256 differs"):
-        data.get("setts", known=known(server, content=b"something else"))
-    assert files(nothing_at_hand) == []
-    spoilt = tmp_path / "mine" / "roads" / "setts.crg"
-    spoilt.parent.mkdir(parents=True)
-    spoilt.write_bytes(b"spoilt")
-    assert data.get("setts", directory=tmp_path / "mine", known=known(server)).downloaded
-    assert spoilt.read_bytes() == CONTENT
-
-
-def test_what_has_changed_since_it_was_fetched_is_fetched_again(server: str) -> None:
-    path = data.get("setts", known=known(server)).path
-    path.write_bytes(b"spoilt")
-    assert data.get("setts", known=known(server)) == data.Fetched(path, downloaded=True)
-    assert path.read_bytes() == CONTENT
-
-
-def test_a_changed_copy_of_the_users_is_refused_and_left_alone(server: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    copy = tmp_path / "setts.crg"
+    assert data.get("setts") == Download(copy, downloaded=False)
     copy.write_bytes(b"mine")
-    monkeypatch.setenv(data.FOLDER_VARIABLE, str(tmp_path))
     with pytest.raises(LuxloopError, match=r"setts\.crg: is not 'setts' as registered \(SHA-256 differs\); move it away"):
-        data.get("setts", known=known(server))
+        data.get("setts")
     assert copy.read_bytes() == b"mine"
 
 
-def test_what_the_server_lacks(server: str, nothing_at_hand: Path) -> None:
-    with pytest.raises(LuxloopError, match=r"none\.crg cannot be fetched: 404 .* save it by hand as .*none\.crg"):
-        data.get("setts", known=known(server, file="roads/none.crg"))
-    assert files(nothing_at_hand) == []
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"content": b"something else"}, r"SHA-256 differs\); nothing was kept"),
+        ({"file": "roads/none.crg"}, r"none\.crg cannot be fetched: 404 .* save it by hand as .*none\.crg"),
+        ({"url": "http://127.0.0.1:9"}, r"cannot be reached; connect .* LUXLOOP_DATA to a folder with roads/setts\.crg"),  # nobody listens
+    ],
+)
+def test_what_cannot_be_fetched_is_not_kept(server: str, known: Known, tmp_path: Path, wrong: dict, words: str) -> None:
+    known(**{"url": server, **wrong})
+    with pytest.raises(LuxloopError, match=words):
+        data.get("setts")
+    assert not [path for path in (tmp_path / "cache").rglob("*") if path.is_file()]
 
 
-def test_no_network(nothing_at_hand: Path) -> None:
-    with pytest.raises(LuxloopError, match=r"cannot be reached; connect .* LUXLOOP_DATA to a folder with roads/setts\.crg"):
-        data.get("setts", known=known())  # port 9: nobody listens
-    assert files(nothing_at_hand) == []
-
-
-def test_a_folder_that_cannot_be_written(server: str, tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written(server: str, known: Known, tmp_path: Path) -> None:
+    known(server)
     (tmp_path / "file").write_text("")
     with pytest.raises(LuxloopError, match=r"cannot be written .* --dir"):
-        data.get("setts", directory=tmp_path / "file", known=known(server))
+        data.get("setts", directory=tmp_path / "file")
 
 
 def test_names(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    with pytest.raises(LuxloopError, match="did you mean 'belgian_block'"):
-        data.find("belgian_blocks")
-    with pytest.raises(LuxloopError, match="did you mean 'Barber'"):
-        data.find("barber")
-    with pytest.raises(LuxloopError, match="`luxloop data list` shows all"):
-        data.find("xyzzy")
+    for name, words in (("belgian_blocks", "did you mean 'belgian_block'"), ("xyzzy", "`luxloop data list` shows all")):
+        with pytest.raises(LuxloopError, match=words):
+            data.find(name)
     assert data.locate("roads/own.crg") == Path("roads/own.crg")
-    with pytest.raises(LuxloopError, match="luxloop data get belgian_block"):
-        data.locate("belgian_block")
     monkeypatch.setenv(data.FOLDER_VARIABLE, str(tmp_path / "nowhere"))
     with pytest.raises(LuxloopError, match=r"LUXLOOP_DATA names .*nowhere, which is not a folder"):
         data.find("belgian_block")
-
-
-def test_rows(server: str) -> None:
-    (row,) = data.rows(known(server))
-    assert (row.name, row.kind, row.licence, row.bytes, row.path) == ("setts", "road", "Apache-2.0", len(CONTENT), None)
-    path = data.get("setts", known=known(server)).path
-    assert data.rows(known(server))[0].path == path
 
 
 def test_the_registry_pins_every_source() -> None:

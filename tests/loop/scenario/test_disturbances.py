@@ -14,7 +14,7 @@ from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulated import SimulatedPlant
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.loop.simulation.truth import true_camera, true_modules, worn
+from luxloop.loop.simulation.truth import true_camera, true_modules, wear_out
 from luxloop.loop.simulation.world import World
 from luxloop.perception.camera import luminance_of, saturation_luminance
 from luxloop.world.errors import LuxloopError
@@ -201,9 +201,8 @@ def test_two_lamps_draw_one_symbol_until_one_is_aimed_aside(plain: Simulation) -
 
 def worn_world(plain: Simulation, **wear: Any) -> World:
     """The plain simulation's world in the light of worn lamps."""
-    disturbances = DisturbanceParams.model_validate({"wear": wear})
     world = plain.world
-    modules = true_modules(disturbances, world.modules)
+    modules = true_modules(world.modules, (), WearParams.model_validate(wear))
     return World(world.scene, modules, world.camera, world.source)
 
 
@@ -223,7 +222,7 @@ def test_modules_wear_each_in_its_own_way_and_as_their_seed_says(plain: Simulati
     module = plain.symbol.projector.modules[0]
 
     def values(seed: int, number: int) -> Tensor:
-        return worn(module.pixel_controller.headlight, module.name, WearParams(dead=0.1, seed=seed), number).matrix.values
+        return wear_out(module.pixel_controller.headlight, module.name, WearParams(dead=0.1, seed=seed), number).matrix.values
 
     assert torch.equal(values(1, 0), values(1, 0))
     assert not torch.equal(values(1, 0), values(1, 1)) and not torch.equal(values(1, 0), values(2, 0))

@@ -10,7 +10,7 @@ from pydantic import BaseModel, TypeAdapter
 
 from luxloop.controllers.symbol import HeightControllerParams
 from luxloop.loop.scenario.model import Scenario, load, validate
-from luxloop.loop.scenario.shipped import shipped
+from luxloop.loop.scenario.shipped import scenario_files
 from luxloop.world.errors import LuxloopError
 from luxloop.world.plugin import Name
 from tests.loop.scenario.files import BOX, GOOD, LIT
@@ -25,7 +25,7 @@ def test_manifest_gives_the_same_scenario_back(file: Path) -> None:
     assert scenario.digest != load(str(file), ["seed=1"]).digest
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", scenario_files())
 def test_shipped_scenarios_are_valid_and_named_like_their_files(name: str) -> None:
     scenario = load(name)
     assert scenario.name == name
@@ -64,7 +64,7 @@ def test_every_key_that_may_be_missing_has_an_example_that_is_possible() -> None
 def test_a_name_alone_is_a_scenario_of_darkness(file: Path) -> None:
     file.write_text('name = "x"')
     scenario = load(str(file))
-    assert (scenario.functions, scenario.lighting.base.beam, scenario.controlled) == ({}, "off", ())
+    assert (scenario.functions, scenario.lighting.base.beam, scenario.symbols) == ({}, "off", {})
     assert (scenario.headlight.model, scenario.headlight.lamps, scenario.headlight.modules) == ("ssl-hd", ("left", "right"), None)
     with pytest.raises(LuxloopError, match="symbols that a controller holds: none, where exactly one is needed"):
         _ = scenario.symbol
@@ -75,17 +75,17 @@ def test_functions_are_given_with_or_without_a_controller(file: Path) -> None:
     scenario = load(str(file), ["lighting.power_limit=0.5"], steps=2)
     assert (scenario.steps, scenario.lighting.power_limit, scenario.lighting.base.beam) == (2, 0.5, "low")
     assert scenario.functions["own"].image == str(file.parent / "mine.svg")  # type: ignore[union-attr]
-    assert scenario.controlled == ("symbol",) and scenario.symbol.controller == HeightControllerParams()
+    assert tuple(scenario.symbols) == ("symbol",) and scenario.symbol.controller == HeightControllerParams()
     assert validate(json.loads(json.dumps(scenario.model_dump(mode="json"))), "manifest.json") == scenario
     both = load(str(file), ["functions.own.controller=open"])
-    assert both.controlled == ("own", "symbol")
+    assert tuple(both.symbols) == ("own", "symbol")
     with pytest.raises(LuxloopError, match="symbols that a controller holds: own, symbol, where exactly one is needed"):
         _ = both.symbol
 
 
 def test_a_detector_goes_with_a_symbol_that_is_held() -> None:
     scenario = load("snowflake", ["detector.kind=hog", "detector_frames=both"])
-    assert scenario.controlled and scenario.detector is not None and scenario.detector.kind == "hog"
+    assert scenario.symbols and scenario.detector is not None and scenario.detector.kind == "hog"
 
 
 def test_traffic_follows_the_drive() -> None:

@@ -113,7 +113,7 @@ def test_an_item_one_beyond_the_last_is_added() -> None:
         ("snowflake", ["road={}"], "road", Flat()),
         ("snowflake", ["road={}", "road.kind=bumps"], "road", Bumps()),
         ("snowflake", ["road.seed=5", "camera={}", "road.kind=bumps"], "road", Bumps(seed=5)),
-        ("flat", ["functions.symbol.controller={}", "functions.symbol.start={}"], "controlled", ()),
+        ("flat", ["functions.symbol.controller={}", "functions.symbol.start={}"], "symbols", {}),
         ("snowflake", ["camera={}", "camera.bits=8"], "camera", CameraParams(bits=8)),
         ("snowflake", ["camera.bits=8", "camera={}"], "camera", CameraParams()),
         ("gfhb", ["lighting={}"], "lighting", LightingParams()),

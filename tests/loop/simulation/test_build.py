@@ -5,9 +5,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from luxloop.loop.scenario.model import Scenario, load, validate
-from luxloop.loop.simulation.build import build_motion, build_scene
-from luxloop.loop.simulation.lamps import shining_modules
+from luxloop.loop.scenario.model import HeadlightParams, Scenario, load, validate
+from luxloop.loop.simulation.build_lamps import mount
+from luxloop.loop.simulation.build_scene import build_motion, build_scene
+from luxloop.loop.simulation.part_cache import PartCache
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees
@@ -15,15 +16,13 @@ from luxloop.world.headlight.lamp import Lamp, Module
 from luxloop.world.lamps import archive
 from luxloop.world.lamps.presets import idealised
 
-CPU = torch.device("cpu")
-
 
 @pytest.fixture(scope="module")
 def lamp_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A wide fixed module and a narrow one, mounted aside, that can be turned."""
     wide, narrow = idealised(4, 8, half_width_deg=20.0, intensity_cd=1000.0), idealised(4, 8, half_width_deg=5.0, intensity_cd=2000.0)
-    mount = pose_from_degrees((0.0, 0.1, 0.05), pitch_deg=0.5)
-    modules = (Module("wide", wide), Module("narrow", narrow, mount, swivel_deg=(-5.0, 12.0), level_deg=(-1.0, 2.0)))
+    aside = pose_from_degrees((0.0, 0.1, 0.05), pitch_deg=0.5)
+    modules = (Module("wide", wide), Module("narrow", narrow, aside, swivel_deg=(-5.0, 12.0), level_deg=(-1.0, 2.0)))
     path = tmp_path_factory.mktemp("lamp") / "two.npz"
     archive.save(path, Lamp("two", modules))
     return path
@@ -41,8 +40,8 @@ def with_headlight(scenario: Scenario, **values: object) -> Scenario:
 def test_modules_are_where_they_are_mounted_and_the_finest_one_draws(tmp_path: Path) -> None:
     """That of the first lamp, unless the symbol names its modules; the others show their base beams, here none."""
     wide, fine = idealised(10, 40, half_width_deg=20.0, intensity_cd=9000.0), idealised(100, 200, intensity_cd=50_000.0)
-    mount = pose_from_degrees((0.0, 0.1, 0.05), pitch_deg=0.5)
-    archive.save(tmp_path / "lamp.npz", Lamp("lamp", (Module("wide", wide), Module("fine", fine, mount))))
+    aside = pose_from_degrees((0.0, 0.1, 0.05), pitch_deg=0.5)
+    archive.save(tmp_path / "lamp.npz", Lamp("lamp", (Module("wide", wide), Module("fine", fine, aside))))
     small = ["camera={ width_px=320, height_px=180 }", "renderer=raycast", "headlight.lamps=['left', 'right']"]
     scenario = load("flat", [f"headlight.model={tmp_path / 'lamp.npz'}", *small])
     simulation = Simulation.prepare(scenario)
@@ -59,18 +58,18 @@ def test_modules_are_where_they_are_mounted_and_the_finest_one_draws(tmp_path: P
 
 def test_named_modules_of_both_lamps_shine_and_the_brightest_gets_the_intensity(scenario: Scenario) -> None:
     both = with_headlight(scenario, lamps=("left", "right"), modules=("wide", "narrow"), intensity_cd=8000.0)
-    modules = shining_modules(both, CPU)
+    modules = mount(both.headlight)
     assert [module.name for module in modules] == ["left wide", "left narrow", "right wide", "right narrow"]
     assert [module.headlight.peak_cd for module in modules] == pytest.approx([4000, 8000, 4000, 8000])
     # The right lamp is the left one's mirror image.
     assert [float(module.T_world_module[1, 3]) for module in modules] == pytest.approx([0.6, 0.7, -0.6, -0.7])
-    (alone,) = shining_modules(with_headlight(scenario, modules=("narrow",)), CPU)
-    assert alone.name == "left narrow" and [each.name for each in shining_modules(scenario, CPU)] == ["left wide", "left narrow"]
+    (alone,) = mount(with_headlight(scenario, modules=("narrow",)).headlight)
+    assert alone.name == "left narrow" and [each.name for each in mount(scenario.headlight)] == ["left wide", "left narrow"]
 
 
 def test_what_can_turn_is_turned_and_the_rest_stays(scenario: Scenario) -> None:
     turned = with_headlight(scenario, modules=("wide", "narrow"), swivel_deg=10.0, level_deg=1.5)
-    wide, narrow = shining_modules(turned, CPU)
+    wide, narrow = mount(turned.headlight)
     assert wide.T_world_module[:3, :3].equal(torch.eye(3, dtype=torch.float64))
     expected = pose_from_degrees((0, 0, 0), pitch_deg=0.5)[:3, :3] @ pose_from_degrees((0, 0, 0), 0, 1.5, 10)[:3, :3]
     torch.testing.assert_close(narrow.T_world_module[:3, :3], expected, rtol=0, atol=1e-12)
@@ -88,20 +87,20 @@ def test_what_can_turn_is_turned_and_the_rest_stays(scenario: Scenario) -> None:
 )
 def test_what_the_lamp_has_not_is_named(scenario: Scenario, values: dict, words: str) -> None:
     with pytest.raises(LuxloopError, match=words):
-        shining_modules(with_headlight(scenario, **values), CPU)
+        mount(with_headlight(scenario, **values).headlight)
 
 
 def test_modules_that_give_no_light_cannot_be_scaled(tmp_path: Path) -> None:
     archive.save(tmp_path / "dark.npz", Lamp("dark", (Module("main", idealised(4, 8).scale(0.0)),)))
     with pytest.raises(LuxloopError, match="main give no light"):
-        shining_modules(load("flat", [f"headlight.model={tmp_path / 'dark.npz'}", "headlight.intensity_cd=1000"]), CPU)
+        mount(HeadlightParams(model=str(tmp_path / "dark.npz"), intensity_cd=1000))
 
 
 def test_the_road_is_there_under_all_that_is_met_on_a_drive() -> None:
     drive = {"course": [{"speed_m_s": 15.0}]}
     traffic = {"seed": 3, "cars": 3, "parked": 2, "clutter": 4}
     given = validate({"name": "met", "steps": 90, "rate_hz": 30, "vehicle": drive, "traffic": traffic, "road": {"kind": "iso8608"}}, "met")
-    motion = build_motion(given)
+    motion = build_motion(given, PartCache())
     scene = build_scene(given, motion)
     farthest_m = 0.0
     for time_s in (0.0, 1.0, 2.0):

@@ -7,7 +7,7 @@ import torch
 
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import Scenario, load, validate
-from luxloop.loop.scenario.shipped import shipped
+from luxloop.loop.scenario.shipped import scenario_files
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import CameraParams, camera_view
@@ -118,7 +118,7 @@ def test_a_mask_that_fades_lights_no_other_masked_body() -> None:
         assert all(light["car"] == 0.0 for light in most_light(simulation, result, {"car"}).values()), step
 
 
-@pytest.mark.parametrize("name", [name for name in shipped() if name.startswith("gfhb")])
+@pytest.mark.parametrize("name", [name for name in scenario_files() if name.startswith("gfhb")])
 def test_shipped_glare_free_scenarios_are_dark_where_they_must_be(name: str) -> None:
     loaded = load(name, camera=CameraParams(width_px=480, height_px=200, hfov_deg=34, pitch_deg=1.5).model_dump(mode="json"))
     simulation = Simulation.prepare(loaded)

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from luxloop.loop.scenario.model import validate
-from luxloop.loop.simulation.build import build_scene
+from luxloop.loop.simulation.build_scene import build_scene
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.ground_truth import material_picture
 from luxloop.world.materials.library import MATERIALS

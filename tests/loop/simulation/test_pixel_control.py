@@ -8,7 +8,7 @@ import torch
 from luxloop.controllers.pixels.jpo import Jpo
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.loop.scenario.model import Scenario, validate
-from luxloop.loop.simulation.pixel_control import pixel_controller
+from luxloop.loop.simulation.build_lamps import pixel_controller
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.metrics import mae
 from luxloop.world.errors import LuxloopError
@@ -146,5 +146,5 @@ WRONG = {
 def test_what_cannot_drive_is_named_in_a_sentence(changes: dict[str, Any], words: list[str]) -> None:
     with pytest.raises(LuxloopError) as caught:
         scenario = lit(**changes)
-        pixel_controller(scenario, Simulation.prepare(lit()).modules[0].headlight)
+        pixel_controller(Simulation.prepare(lit()).modules[0].headlight, scenario.pixel_controller, scenario.ssc, scenario.jpo)
     assert all(word in str(caught.value) for word in words), caught.value

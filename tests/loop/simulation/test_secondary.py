@@ -8,7 +8,7 @@ import torch
 
 from luxloop.controllers.functions.commands import CommandParams
 from luxloop.loop.scenario.model import Scenario, load, validate
-from luxloop.loop.scenario.shipped import shipped
+from luxloop.loop.scenario.shipped import scenario_files
 from luxloop.loop.simulation.observed import WIDTH_PX, observed_symbols, picture_view
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
@@ -20,7 +20,7 @@ WANTED_LX = 1.0  # a single lamp of 50 kcd can give it up to 33 m ahead
 PATCH = (18.0, 26.0, 1.0)  # from, to and half the width in m, well inside of the carpet
 BARRIER = {"kind": "box", "name": "barrier", "size_m": [0.1, 0.5, 0.9], "albedo": 0.2, "track": [{"position_m": [12.0, 0.6, 0]}]}
 SMALL = CameraParams(width_px=240, height_px=135, hfov_deg=26).model_dump(mode="json")
-METERED = [name for name in shipped() if load(name).metered]  # others run as they were recorded, in tests/regression
+METERED = [name for name in scenario_files() if load(name).meters_light]  # others run as they were recorded, in tests/regression
 
 
 def run(lighting: dict[str, Any], function: dict[str, Any] = CARPET, **changes: Any) -> tuple[Simulation, StepResult]:
@@ -135,7 +135,7 @@ def by_lamps_that_load_at_once(name: str) -> Scenario:
 def test_shipped_scenarios_run(name: str) -> None:
     """First and last steps, or two where steps depend on earlier ones; symbols that are held need their own lamps and camera."""
     scenario = load(name)
-    if not scenario.controlled:
+    if not scenario.symbols:
         scenario = by_lamps_that_load_at_once(name)
     simulation = Simulation.prepare(scenario)
     state, first = simulation.step(simulation.start())

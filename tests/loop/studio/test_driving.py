@@ -10,7 +10,7 @@ import pytest
 from luxloop.loop.recording.replay import load as recording
 from luxloop.loop.recording.replay import replay, rerun
 from luxloop.loop.scenario.model import load
-from luxloop.loop.scenario.written import written
+from luxloop.loop.scenario.text import scenario_text
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studio.sources import Source
 from tests.loop.studio.clients import Watcher, watching
@@ -92,7 +92,7 @@ def test_a_drive_is_the_same_as_its_scenario_run_anew(served: Served, driver: Wa
     driver.say(type="drive", throttle=None, steering=None)
     driver.of("edit", step=4)
     driven = served.studio.session.published.runs[0].simulation
-    (tmp_path / "driven.toml").write_text(written(driven.scenario))
+    (tmp_path / "driven.toml").write_text(scenario_text(driven.scenario))
     assert load(str(tmp_path / "driven.toml")) == driven.scenario
     assert load(str(tmp_path / "driven.toml")).vehicle.course == driven.scenario.vehicle.course
 

@@ -12,7 +12,7 @@ from luxloop.loop.recording.files import REPORT, SUMMARY
 from luxloop.loop.recording.replay import load as recording
 from luxloop.loop.recording.replay import replay
 from luxloop.loop.scenario.model import load
-from luxloop.loop.scenario.written import written
+from luxloop.loop.scenario.text import scenario_text
 from luxloop.loop.studio.history import TOGETHER_S
 from luxloop.loop.studio.runs import Starting
 from luxloop.loop.studio.sources import Source
@@ -26,7 +26,7 @@ KP = "functions.symbol.controller.position.kp"
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A scenario's file of somebody's own."""
     path = tmp_path_factory.mktemp("own") / "own.toml"
-    path.write_text(written(load("snowflake", [*SMALL, "steps=30", "judge_every=0"])))
+    path.write_text(scenario_text(load("snowflake", [*SMALL, "steps=30", "judge_every=0"])))
     return path
 
 

@@ -10,7 +10,8 @@ from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.rig.calibration.fit import BLUR, Shown, Varied, fit
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.scenario.overrides import overridden
-from luxloop.loop.simulation.lamps import lamp_modules, shining_modules
+from luxloop.loop.simulation.build_lamps import mount
+from luxloop.loop.simulation.lamps import lamp_modules
 from luxloop.loop.simulation.simulated import simulated_plant
 from luxloop.perception.camera import expose
 from luxloop.perception.noise import FrameNoise
@@ -36,7 +37,7 @@ def scenario_with(values: Mapping[str, float]) -> Scenario:
 def shown(values: Mapping[str, float], blur_px: float = 0.0) -> list[Shown]:
     """Frames of a rig with these values, of two lights."""
     scenario = scenario_with(values)
-    modules = lamp_modules(shining_modules(scenario, torch.device("cpu")))
+    modules = lamp_modules(mount(scenario.headlight))
     world = simulated_plant(scenario, modules).world
     found = []
     for number in range(2):

@@ -9,7 +9,7 @@ import pytest
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
-from luxloop.loop.scenario.edits import changed
+from luxloop.loop.scenario.edits import with_overrides
 from luxloop.loop.scenario.model import validate
 from luxloop.loop.studio.messages import VIEWS
 from luxloop.loop.studio.runs import Starting
@@ -51,7 +51,7 @@ def test_edits_go_on_and_what_starts_anew_begins_again() -> None:
     starting = Starting("cpu", False, lambda text: None)
     try:
         (first,) = starting.runs([Source("studio")], [scenario], (), VIEWS, anew=True)
-        first.edit(first.edited(changed(scenario, MOVED)), MOVED)
+        first.edit(first.edited(with_overrides(scenario, MOVED)), MOVED)
         first.step(VIEWS)
         (again,) = starting.runs([Source("studio")], [scenario], [first], VIEWS, anew=False)
         again.step(VIEWS)

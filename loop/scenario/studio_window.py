@@ -6,9 +6,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final, Self
 
-from luxloop.loop.scenario.edits import changed
+from luxloop.loop.scenario.edits import with_overrides
 from luxloop.loop.scenario.model import Scenario, load
-from luxloop.loop.scenario.written import written
+from luxloop.loop.scenario.text import scenario_text
 from luxloop.world.errors import LuxloopError
 from luxloop.world.plugin import refuse_code
 
@@ -22,16 +22,16 @@ sys.exit(main(sys.argv[1:]))
 """  # it ends with the program that has started it, whose end of the pipe closes
 
 
-def show(scenario: Scenario | str, /, *overrides: str, device: str = "auto") -> "Shown":
+def show(scenario: Scenario | str, /, *overrides: str, device: str = "auto") -> "StudioWindow":
     """Watch and steer a scenario in the page of `luxloop studio`, from step 0 on; a notebook shows the page in a frame.
 
     scenario: a loaded one, or the name or path of one. overrides: other values of its keys, as KEY=VALUE. device: "auto", "cpu" or "cuda".
     The studio runs in a process of its own until `close()` or until the program ends. Raises LuxloopError where it cannot begin.
     """
-    return Shown(changed(load(scenario) if isinstance(scenario, str) else scenario, overrides), device)
+    return StudioWindow(with_overrides(load(scenario) if isinstance(scenario, str) else scenario, overrides), device)
 
 
-class Shown:
+class StudioWindow:
     """A studio that `show` has begun; a context manager that ends it.
 
     address: of the page, to edit; `luxloop.connect` takes it, too. watch: of the page that changes nothing.
@@ -40,7 +40,7 @@ class Shown:
     def __init__(self, scenario: Scenario, device: str) -> None:
         self._folder = TemporaryDirectory(prefix="luxloop_")
         file, told = Path(self._folder.name, "shown.toml"), Path(self._folder.name, "told")
-        file.write_text(written(scenario), "utf-8")
+        file.write_text(scenario_text(scenario), "utf-8")
         command = [sys.executable, "-c", SERVE, "studio", str(file), "--no-open", "--port", "0", "--device", device]
         command += ["--allow-code"] if _has_code(scenario) else []
         with told.open("w") as errors:

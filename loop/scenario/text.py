@@ -1,8 +1,8 @@
-"""A scenario as the text of a file."""
+"""Scenarios as the text of files: a given one, and a night drawn from a seed for `luxloop new`."""
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from pydantic import BaseModel
 
@@ -10,8 +10,15 @@ from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.overrides import TAGS
 from luxloop.world.validation import toml
 
+HEAD: Final = """\
+# A night on the road, drawn from a seed. Check it with `luxloop check FILE`, run it with `luxloop run FILE`.
+# Another traffic.seed: others elsewhere. Add your own objects as [[objects]].
 
-def written(scenario: Scenario) -> str:
+schema_version = 1
+"""
+
+
+def scenario_text(scenario: Scenario) -> str:
     """The text of a file that `load` reads as this scenario; defaults are left out."""
     values, lines, tables = _plain(scenario), list[str](), list[str]()
     for key, value in values.items():
@@ -40,3 +47,22 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(each) for each in value]
     return str(value) if isinstance(value, Path) else value
+
+
+def night(name: str, seed: int) -> str:
+    """The text of a scenario of lighting functions with traffic, road and light drawn from a seed."""
+    from luxloop.world.traffic.generator import random_tables
+
+    world = random_tables(seed)
+    tables = {
+        **world,
+        "traffic": world["traffic"] | {"on_road": True},
+        "camera": {"width_px": 960, "height_px": 400, "hfov_deg": 30.0, "pitch_deg": 1.5},
+        "headlight": {"model": "ssl-hd-lores"},
+        "lighting": {"base": {"beam": "low"}},
+        "functions.guard_traffic": {"kind": "glare_free"},
+    }
+    lines = [f"name = {toml(name)}", "steps = 40", "rate_hz = 20"]
+    for key, table in tables.items():
+        lines += ["", f"[{key}]", *(f"{inner} = {toml(value)}" for inner, value in table.items())]
+    return HEAD + "\n".join(lines) + "\n"

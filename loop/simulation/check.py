@@ -1,0 +1,161 @@
+"""What a scenario cannot ask of its lamps, camera and plant, by topic: each sentence names the key and the remedy."""
+
+from collections.abc import Iterator, Sequence
+from itertools import chain
+from typing import Any
+
+import torch
+
+from luxloop.controllers.functions.commands import MOVEMENTS, CommandParams, DirectParams
+from luxloop.controllers.pixels.primitives import meant
+from luxloop.controllers.symbol.sensing.projector import SymbolParams
+from luxloop.loop.scenario.model import Scenario, object_names
+from luxloop.loop.scenario.plant import RecordedPlantParams, SimulatedPlantParams, shadow_of
+from luxloop.loop.simulation.build_lamps import drawing_modules
+from luxloop.loop.simulation.columns import of_truth
+from luxloop.loop.simulation.lamps import MountedModule
+from luxloop.loop.simulation.truth import true_camera
+from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.perception.detection.detector import TruthParams
+from luxloop.world.errors import LuxloopError, all_of, did_you_mean
+from luxloop.world.headlight.lamp import REST
+
+LEAST_PX = 4  # of a symbol's target in either direction; quadrants need two pixels each
+Sentences = Iterator[str]
+Modules = Sequence[MountedModule]
+
+
+def check(scenario: Scenario, modules: Modules) -> None:
+    """Raises LuxloopError with the first thing that a scenario cannot ask for, before anything is built.
+
+    modules: those that shine. What only a file's content, the user's own class or the rendered light can tell is refused where it is read.
+    """
+    for sentence in chain.from_iterable(topic(scenario, modules) for topic in (_lighting, _functions, _plant, _symbols, _movements)):
+        raise LuxloopError(sentence)
+
+
+def _lighting(scenario: Scenario, modules: Modules) -> Sentences:
+    """Beams, raw utilisations and painted pictures for modules that are there."""
+    lighting, sizes = scenario.lighting, {each.name: (each.headlight.pixel_rows, each.headlight.pixel_cols) for each in modules}
+    for k, painted in enumerate(lighting.painted):
+        key, size = f"lighting.painted[{k}]", painted.pictures[0].shape
+        if (own := sizes.get(painted.module)) is None:
+            yield f"{key}.module: there is no module {painted.module!r}; {did_you_mean(painted.module, sizes)}"
+        elif size != own:
+            yield (
+                f"{key}.png: has {size[0]} x {size[1]} pixels, but the module {painted.module!r} has {own[0]} x {own[1]}; "
+                "bring it to this size"
+            )
+    for k, raw in enumerate(lighting.raw):
+        yield from _unknown_modules(f"lighting.raw[{k}]", raw, modules)
+    for module in modules:
+        own_raw = [f"lighting.raw[{k}]" for k, raw in enumerate(lighting.raw) if meant(raw.modules, module.name)]
+        if len(own_raw) > 1:
+            yield f"{' and '.join(own_raw[:2])} both apply to module {module.name!r}; name the modules of each in its modules"
+        for beam in () if own_raw else lighting.base.names:
+            try:
+                module.lamp.beam(beam)
+            except LuxloopError as error:
+                yield f'lighting.base.beam: {error}; write beam = "full" for all pixels on'
+
+
+def _functions(scenario: Scenario, modules: Modules) -> Sentences:
+    """Functions for modules and objects that are there."""
+    objects = [item.name for item in scenario.all_objects if item.category is not None]
+    for key, function in ((f"functions.{name}", each) for name, each in scenario.functions.items()):
+        yield from _unknown_modules(key, function, modules)
+        for inner, name in object_names(function):
+            if name not in objects:
+                yield (
+                    f"{key}.{inner}: there is no object {name!r} with a category; there are {', '.join(objects) or 'none'}, "
+                    "an object is tracked if it has a category"
+                )
+
+
+def _unknown_modules(key: str, params: Any, modules: Modules) -> Sentences:
+    known = dict.fromkeys(word for module in modules for word in (*module.name.split(" ", 1), module.name))
+    for name in getattr(params, "modules", ()):
+        if name not in known:
+            yield f"{key}.modules: there is no lamp or module {name!r}; there are {', '.join(known)}"
+
+
+def _plant(scenario: Scenario, modules: Modules) -> Sentences:
+    """A digitised module in the simulated world, and a true camera above the road."""
+    plant, error = scenario.plant, scenario.disturbances.calibration
+    if scenario.digitised_module is not None and not isinstance(plant, SimulatedPlantParams | RecordedPlantParams):
+        yield (
+            f"modules.{scenario.digitised_module}.source: a digitised beam lights the simulated world, but the plant is {plant.kind}; "
+            'set plant.kind = "simulated"'
+        )
+    if error.z_m and (z_m := scenario.camera.z_m + error.z_m) <= 0:
+        yield f"disturbances.calibration.z_m: the camera is at {z_m:.3g} m, not above the road; lower it less"
+
+
+def _symbols(scenario: Scenario, modules: Modules) -> Sentences:
+    """Targets of symbols in the camera's view."""
+    for name, symbol in scenario.symbols.items():
+        target = f"functions.{name}: the target at x_m = {symbol.x_m:g}, y_m = {symbol.y_m:g}"
+        if not _in_the_image(symbol.held, scenario.camera):
+            yield f"{target} is outside of the camera's view; move it, or turn the camera"
+        elif not _in_the_image(symbol.held, true_camera(scenario)):
+            yield f"{target} is outside of the view of the true camera; reduce disturbances.calibration"
+
+
+def _in_the_image(symbol: SymbolParams, camera: CameraParams) -> bool:
+    view = camera_view(camera)
+    x = symbol.x_m + symbol.length_m * torch.tensor([-0.5, -0.5, 0.5, 0.5], dtype=torch.float64)
+    y = symbol.y_m + symbol.width_m * torch.tensor([-0.5, 0.5, -0.5, 0.5], dtype=torch.float64)
+    uv, depth = view.project(torch.stack([x, y, torch.zeros_like(x)]))
+    size = torch.tensor([view.width, view.height], dtype=torch.float64)
+    extent = torch.minimum(uv.amax(-1), size) - uv.amin(-1).clamp(min=0)
+    return bool((depth > 0).all() and (extent >= LEAST_PX).all())
+
+
+def _movements(scenario: Scenario, modules: Modules) -> Sentences:
+    """Functions that turn or dim modules which can be turned, and of which none draws a symbol under control."""
+    drawing = [(name, modules[k]) for name, symbol in scenario.symbols.items() for k in drawing_modules(symbol, modules)]
+    for name, function in scenario.functions.items():
+        if isinstance(function, CommandParams):
+            how = MOVEMENTS[function.movement]
+            if not any(map(function.moves, modules)):
+                yield f"functions.{name}.modules: none of these modules can be {how}; name others, or take another lamp as headlight.model"
+        elif isinstance(function, DirectParams) and function.command != REST:
+            how = "turned or dimmed"
+        else:
+            continue
+        yield from (at_rest(symbol, module.name, f"{how} by functions.{name}") for symbol, module in drawing if function.moves(module))
+
+
+def at_rest(symbol: str, module: str, how: str) -> str:
+    """That a module which draws a symbol under control must rest. how: what moves it."""
+    return (
+        f"functions.{symbol}.modules: {module!r} is {how}, but a controller can hold a symbol only with modules at rest; "
+        "name another module here, or other modules in the function that moves them"
+    )
+
+
+def check_truth(scenario: Scenario, known: bool) -> None:
+    """Raises LuxloopError that names all keys that need a plant which knows the truth, unless it is known, or the simulated world.
+
+    In shadow, where nothing is shown, objects are merely unknown.
+    """
+    kind, lighting = scenario.plant.kind, scenario.lighting
+    objects = any(each.category for each in scenario.all_objects) and scenario.detector is None and not shadow_of(scenario.plant)
+    needs = {
+        "detector.kind": (isinstance(scenario.detector, TruthParams), "give a detector that looks at frames"),
+        "objects": (objects, "give a [detector] that finds them in frames, or take them out"),
+        "lighting.street_lamps": (lighting.street_lamps, "leave it out"),
+        "lighting.shadow_rays": (lighting.shadow_rays, "leave it out"),
+        **{f"functions.{name}": (function.kind == "material", "take it out") for name, function in scenario.functions.items()},
+    }
+    truth = f"needs the truth, which the plant {kind} does not know"
+    wrong = [f"{key}: {truth}; {remedy}" for key, (needed, remedy) in needs.items() if needed and not known]
+    for name, check in scenario.checks.items():
+        remedy = f"take it out with --set checks.{name}={{}}"
+        if not known and of_truth(check.metric):
+            wrong.append(f"checks.{name}.metric: {truth}; {remedy}")
+        elif check.compare is not None and (kind != "simulated" or scenario.digitised_module):
+            but = f"modules.{scenario.digitised_module} is digitised" if kind == "simulated" else f"the plant is {kind}"
+            wrong.append(f"checks.{name}.compare: needs the simulated world to run another light in, but {but}; {remedy}")
+    if wrong:
+        raise all_of(wrong)

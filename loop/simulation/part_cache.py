@@ -1,0 +1,57 @@
+"""Parts of a simulation, so that one that is built after an edit takes over those whose inputs are the same."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+from pydantic import BaseModel
+
+Part = TypeVar("Part")
+
+
+class PartCache:
+    """Parts by name, each with its key: the arguments that it was made of. before: the cache of the simulation that was edited."""
+
+    def __init__(self, before: "PartCache | None" = None) -> None:
+        self._parts: dict[str, tuple[Any, Any]] = {}
+        self._before: Mapping[str, tuple[Any, Any]] = {} if before is None else before._parts
+
+    def __call__(self, name: str, make: Callable[..., Part], *key: Any) -> Part:
+        """The part `make(*key)`, that of before where its key is the same: parameters are equal, other values one object."""
+        known = self._before.get(name)
+        part: Part = known[1] if known is not None and same(known[0], key) else make(*key)
+        self._parts[name] = key, part
+        return part
+
+    def before(self, name: str, default: Part) -> Part:
+        """The part of a name before the edit."""
+        known = self._before.get(name)
+        return default if known is None else known[1]
+
+    def without(self, name: str) -> "PartCache":
+        """The same parts but one."""
+        after = PartCache()
+        after._parts = {each: part for each, part in self._parts.items() if each != name}
+        return after
+
+    def copy(self) -> "PartCache":
+        """The same parts, some of which are then replaced."""
+        after = PartCache(self)
+        after._parts = dict(self._parts)
+        return after
+
+    def end(self) -> None:
+        """Release the parts of before."""
+        self._before = {}
+
+
+def same(a: Any, b: Any) -> bool:
+    """Whether two keys are the same: equal parameters, or one object."""
+    if a is b:
+        return True
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, tuple | list):
+        return len(a) == len(b) and all(map(same, a, b))
+    if isinstance(a, Mapping):
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    return isinstance(a, BaseModel | str | int | float) and bool(a == b)
