@@ -1,4 +1,4 @@
-"""The control step as one would write it first: NumPy, SciPy, a picture by pyrender, and all of it for whole textures and frames.
+"""The control step as one would write it first: NumPy and SciPy, whole textures and frames.
 
 It is given what does not change from step to step: rays, headlight matrix, geometry of the G-buffer, what the lamp cannot see, the
 internal model's flat road, its target and gains, and where in the image to look.
@@ -6,8 +6,6 @@ internal model's flat road, its target and gains, and where in the image to look
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +17,6 @@ from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import camera_view
 from luxloop.perception.extraction import NEIGHBOURHOOD, WHOLLY_LIT
 from luxloop.world.rendering.gbuffer import GBuffer, flat_road, gbuffer
-from luxloop.world.rendering.rasterise import FAR_M, GL_OPENCV, NEAR_M
 from luxloop.world.rendering.raycast import sees
 
 Floats = NDArray[np.float32]
@@ -38,46 +35,6 @@ class Surfaces:
     def of(cls, buffer: GBuffer, seen_by_lamp: NDArray[np.bool_] | bool = True) -> "Surfaces":
         albedo = buffer.albedo.flatten().numpy() * (buffer.object_id.flatten().numpy() >= 0) * seen_by_lamp
         return cls(buffer.position.flatten(1).numpy(), buffer.normal.flatten(1).numpy(), albedo.astype(np.float32))
-
-
-class Picture:
-    """The scene in colours by pyrender, textured and lit by one directional light."""
-
-    def __init__(self, simulation: Simulation) -> None:
-        import pyrender
-
-        view = simulation.world.view
-        self.scene = pyrender.Scene(ambient_light=(0.1, 0.1, 0.1))
-        for placed in simulation.world.lit(0.0).triangles.placed:
-            body = placed.body
-            material = pyrender.MetallicRoughnessMaterial(baseColorFactor=(1.0, 1.0, 1.0, 1.0), metallicFactor=0.0, roughnessFactor=1.0)
-            vertices, texcoord = np.asarray(body.mesh.vertices, np.float32), None
-            if body.texture is not None:
-                texture = simulation.scenario.surface.texture()
-                tile = np.repeat((255 * texture.albedo.numpy()).astype(np.uint8)[..., None], 3, axis=2)
-                material.baseColorTexture = pyrender.Texture(source=tile, source_channels="RGB")
-                extent = texture.texel_m * np.array(texture.albedo.shape)
-                texcoord = ((vertices[:, :2] - texture.origin_m) / extent)[:, ::-1].astype(np.float32)
-            normals, faces = np.array(body.mesh.vertex_normals), body.mesh.faces
-            primitive = pyrender.Primitive(vertices, normals, texcoord_0=texcoord, indices=faces, material=material)
-            self.scene.add(pyrender.Mesh([primitive]), pose=body.track.pose_at(0.0).numpy())
-        pose = view.T_world_view.numpy() @ GL_OPENCV
-        self.scene.add(pyrender.IntrinsicsCamera(view.fx, view.fy, view.cx, view.cy, NEAR_M, FAR_M), pose=pose)
-        self.scene.add(pyrender.DirectionalLight(intensity=3.0), pose=pose)
-        self.width, self.height = view.width, view.height
-
-    def render(self) -> NDArray[np.uint8]:
-        """`[height, width, 3]`."""
-        _renderer().viewport_width, _renderer().viewport_height = self.width, self.height
-        return _renderer().render(self.scene)[0]
-
-
-@cache
-def _renderer() -> Any:
-    """One for the whole process: a renderer that goes takes the display of the others with it."""
-    import pyrender
-
-    return pyrender.OffscreenRenderer(1, 1)
 
 
 @dataclass(frozen=True)
@@ -109,8 +66,8 @@ class Pid:
 class Baseline:
     """The same loop as a simulation's: one lamp, u_abs, the raw image, quadrants, a scene that stands still; its state is four PIDs."""
 
-    def __init__(self, simulation: Simulation, picture: Picture | None) -> None:
-        self.picture, self.camera, self.params = picture, simulation.scenario.camera, simulation.scenario.symbol.extraction
+    def __init__(self, simulation: Simulation) -> None:
+        self.camera, self.params = simulation.scenario.camera, simulation.scenario.symbol.extraction
         symbol, world = simulation.symbol, simulation.world
         projector, self.model = symbol.projector, symbol.sensor.model
         (lamp,) = projector.modules
@@ -142,9 +99,6 @@ class Baseline:
     def step(self, pids: Sequence[Pid], lap: Lap) -> tuple[Sequence[Pid], Floats]:
         """One control step; calls lap with the name of each part when it is done. Returns the next state and the four errors in px."""
         pose = [pid.output for pid in pids]
-        if self.picture is not None:
-            self.picture.render()
-        lap("render")
         texture = self._light(*pose)
         lap("light")
         luminance = self._shade(texture, self.surfaces)

@@ -9,51 +9,29 @@ from luxloop.world.frames import View
 from luxloop.world.scene.triangles import Instance, Triangles
 
 Floats = NDArray[np.float64]
-COLUMNS = 2048  # that rays and faces are sorted into
+CHUNK = 64  # rays that are held against the same faces
 ON_EDGE = 1e-12  # rays through an edge meet a face
 
 
 def hidden(triangles: Triangles, lamp: View, points: Tensor, tolerance_m: float) -> Tensor:
     """Which points `[3, N]` in m of a lamp's view have a face nearer to it by more than the tolerance along the ray, `[N]` bool."""
-    rays = _seen(lamp, points.double().T.numpy())
-    hit = np.zeros(len(rays), bool)
-    limit = 1 - tolerance_m / np.linalg.norm(rays, axis=1)
-    for placed in triangles.placed:
-        faces = _seen(lamp, placed.corners.numpy())
-        faces = faces[(faces[..., 2] > 1e-3).all(-1)]
-        for mine, near in _sorted_together(lamp, rays, faces):
-            hit[mine[_nearer(placed, rays[mine], faces[near], limit[mine])]] = True
-    return torch.from_numpy(hit)
-
-
-def _seen(lamp: View, points: Floats) -> Floats:
     T = lamp.T_world_view.numpy()
-    return np.asarray((points - T[:3, 3]) @ T[:3, :3])
-
-
-def _sorted_together(lamp: View, rays: Floats, faces: Floats):  # type: ignore[no-untyped-def]
-    """Pairs of rays and faces whose images overlap, column by column of the lamp's view."""
-    along, across = ((each[..., axis] / each[..., 2] for each in (rays, faces)) for axis in (0, 1))
-    (ray_u, face_u), (ray_v, face_v) = along, across
-    edges = np.linspace(ray_u.min(), ray_u.max() + 1e-9, COLUMNS + 1)
-    column = np.digitize(ray_u, edges) - 1
-    low, high = face_u.min(-1), face_u.max(-1)
-    top, bottom = face_v.min(-1), face_v.max(-1)
-    first, last = np.digitize(low, edges) - 1, np.digitize(high, edges) - 1
-    first, last = first.clip(0), last.clip(max=COLUMNS - 1)
-    count = np.maximum(last - first + 1, 0)
-    face = np.repeat(np.arange(len(faces)), count)
-    bucket = first[face] + np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
-    face = face[np.argsort(bucket, kind="stable")]
-    starts = np.searchsorted(np.sort(bucket), np.arange(COLUMNS + 1))
-    order = np.argsort(column, kind="stable")
-    bounds = np.searchsorted(column[order], np.arange(COLUMNS + 1))
-    for k in range(COLUMNS):
-        mine, near = order[bounds[k] : bounds[k + 1]], face[starts[k] : starts[k + 1]]
-        if len(mine) and len(near):
-            u, v = ray_u[mine, None], ray_v[mine, None]
-            pair = np.nonzero((u >= low[near]) & (u <= high[near]) & (v >= top[near]) & (v <= bottom[near]))
-            yield mine[pair[0]], near[pair[1]]
+    rays = (points.double().T.numpy() - T[:3, 3]) @ T[:3, :3]
+    image, hit = rays[:, :2] / rays[:, 2:], np.zeros(len(rays), bool)
+    limit = 1 - tolerance_m / np.linalg.norm(rays, axis=1)
+    order = np.argsort(image[:, 0])
+    for placed in triangles.placed:
+        faces = (placed.corners.numpy() - T[:3, 3]) @ T[:3, :3]
+        faces = faces[(faces[..., 2] > 1e-3).all(-1)]
+        corners = faces[..., :2] / faces[..., 2:]
+        low, high = corners.min(1), corners.max(1)  # [faces, 2]
+        for chunk in np.split(order, range(CHUNK, len(order), CHUNK)):
+            at = image[chunk][:, None]  # [rays, 1, 2]
+            near = np.flatnonzero((low[:, 0] <= at[-1, 0, 0]) & (high[:, 0] >= at[0, 0, 0]))
+            pair = np.nonzero(((at >= low[near]) & (at <= high[near])).all(-1))
+            mine = chunk[pair[0]]
+            hit[mine[_nearer(placed, rays[mine], faces[near[pair[1]]], limit[mine])]] = True
+    return torch.from_numpy(hit)
 
 
 def _nearer(placed: Instance, rays: Floats, corners: Floats, limit: Floats) -> NDArray[np.bool_]:

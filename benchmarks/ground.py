@@ -4,24 +4,20 @@ Root mean square of the road's height over that plane 12 and 17 m ahead of the l
 length over which the slope is low-passed: for rough roads of ISO 8608, and for hills of +-5 % with vertical curves of a radius.
 """
 
-import argparse
-import json
+from argparse import Namespace
 from itertools import accumulate
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bench import machine
+from bench import run, show
 
-from luxloop.loop.report.terminal import markdown
 from luxloop.world.roads.base import Road
 from luxloop.world.roads.shapes import GradeParams, Iso8608, Profile
 from luxloop.world.scene.vehicle import LOW_PASS_M, CourseParams, VehicleParams, ground_levels
 
 VEHICLE = VehicleParams(course=(CourseParams(speed_m_s=20.0),))
 AHEAD_M = (12.0, 17.0)
-SLOPES_M = (10.0, 30.0, 50.0, 100.0)
-LEVEL = "a plane that stays level"
+SLOPES_M: tuple[float | None, ...] = (10.0, 30.0, 50.0, 100.0, None)  # None: a plane that stays level
 FIRST_M, SPACING_M = 100.0, 0.5  # of the way that counts: behind it the road begins, and the ground goes over to it
 WAY_M, SEEDS = 4000.0, 5
 PERCENT, STRAIGHT_M = 5.0, 65.0  # of hills, between whose curves grades are straight
@@ -36,68 +32,33 @@ def hills(radius_m: float, way_m: float) -> Profile:
 
 
 def roads(way_m: float, seeds: int) -> dict[str, list[Road]]:
-    """By what the table calls them."""
-    rough: dict[str, list[Road]] = {
-        f"class {each}": [Iso8608(roughness_class=each, seed=seed) for seed in range(1, seeds + 1)] for each in ("B", "C", "D")
-    }
-    return rough | {f"R = {radius_m:.0f} m": [hills(radius_m, way_m)] for radius_m in (1000.0, 4000.0)}
+    """By name in the table."""
+    rough = {f"class {each}": [Iso8608(roughness_class=each, seed=seed) for seed in range(1, seeds + 1)] for each in ("B", "C", "D")}
+    return {**rough, **{f"R = {radius_m:.0f} m": [hills(radius_m, way_m)] for radius_m in (1000.0, 4000.0)}}
 
 
-def off_mm(road: Road, slope_m: float | None, way_m: float) -> np.ndarray:
-    """Squares `[2, N]` of the road's height over the plane, by AHEAD_M and the way. slope_m: low-passed over it, None for a level plane."""
+def squares_mm2(road: Road, slope_m: float | None, way_m: float) -> np.ndarray:
+    """Squares `[2, N]` in mm^2 of the road's height over the plane, by AHEAD_M and the way. slope_m: low-pass of the slope."""
     way = np.arange(0.0, way_m, SPACING_M)
     zero = np.zeros_like(way)
     height, slope = ground_levels(VEHICLE, road, way, way, zero, zero, (LOW_PASS_M[0], slope_m or LOW_PASS_M[1]))
     at_axle = height - VEHICLE.rear_x_m * np.sin(slope)
     fall = zero if slope_m is None else np.tan(slope)
     planes = np.stack([at_axle - fall * (x - VEHICLE.rear_x_m) for x in AHEAD_M])
-    there = np.stack([road.z(way + x, zero) for x in AHEAD_M])
-    return (1e3 * (there - planes)[:, way >= FIRST_M]) ** 2
+    heights = np.stack([road.z(way + x, zero) for x in AHEAD_M])
+    return (1e3 * (heights - planes)[:, way >= FIRST_M]) ** 2
 
 
-def measure(way_m: float, seeds: int) -> dict[str, dict[str, list[float]]]:
-    """Root mean squares in mm at AHEAD_M, by slope and road."""
+def measure(given: Namespace) -> dict[str, Any]:
+    way_m, seeds = (400.0, 1) if given.quick else (WAY_M, SEEDS)
     found: dict[str, dict[str, list[float]]] = {}
-    for slope_m in (*SLOPES_M, None):
-        name = LEVEL if slope_m is None else f"{slope_m:g} m"
-        found[name] = {
-            kind: np.sqrt(np.mean([off_mm(road, slope_m, way_m).mean(1) for road in each], axis=0)).tolist()
-            for kind, each in roads(way_m, seeds).items()
-        }
-    return found
-
-
-def table(found: dict[str, dict[str, list[float]]]) -> str:
-    """As Markdown; the length that the car takes is bold."""
-
-    def bold(name: str, cell: str) -> str:
-        return f"**{cell}**" if name == f"{LOW_PASS_M[1]:g} m" else cell
-
-    rows = (
-        (bold(name, name), *(bold(name, ", ".join(f"{mm:.0f}" for mm in each)) for each in row.values())) for name, row in found.items()
-    )
-    return markdown(("slope low-passed over", *next(iter(found.values()))), rows, "lr")
-
-
-def main() -> None:
-    """Measure, print the table of docs/vehicle.md, write the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", type=Path, help="also write the figures here")
-    parser.add_argument("--quick", action="store_true", help="one seed and a short way: shows that it works")
-    arguments = parser.parse_args()
-    way_m, seeds = (400.0, 1) if arguments.quick else (WAY_M, SEEDS)
-    found = measure(way_m, seeds)
-    print(table(found))
-    if arguments.json:
-        results: dict[str, Any] = {
-            "machine": machine("numpy", "scipy"),
-            "way_m": way_m,
-            "seeds": seeds,
-            "ahead_m": AHEAD_M,
-            "rms_mm": found,
-        }
-        arguments.json.write_text(json.dumps(results, indent=1))
+    for slope_m in SLOPES_M:
+        row = found["a plane that stays level" if slope_m is None else f"{slope_m:g} m"] = {}
+        for kind, each in roads(way_m, seeds).items():
+            row[kind] = np.sqrt(np.mean([squares_mm2(road, slope_m, way_m).mean(1) for road in each], axis=0)).tolist()
+    show(f"RMS in mm at {AHEAD_M} m; the car takes {LOW_PASS_M[1]:g} m", found)
+    return {"way_m": way_m, "seeds": seeds, "ahead_m": AHEAD_M, "rms_mm": found}
 
 
 if __name__ == "__main__":
-    main()
+    run(measure, __doc__, packages=("numpy", "scipy"))

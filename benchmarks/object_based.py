@@ -1,115 +1,186 @@
 """What object-based lighting saves and keeps: `python benchmarks/object_based.py [--quick] [--scenes N] [--seeds N]`.
 
 Static and moving scenes that the detector was not trained on, through the whole chain, with all methods side by side; zones; the
-tracker; renderings that should agree. Goes on where an earlier run in the same folder was, and writes docs/results/object_based.md.
+tracker. Goes on where an earlier run in the same folder was. Prints the tables of
+docs/results/object_based.md.
 """
 
-import argparse
 import hashlib
-import json
-import sys
-import time
-from collections.abc import Callable, Mapping, Sequence
+from argparse import Namespace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import object_based_cases
-import object_based_page
-import object_based_parts
-from bench import machine
-from object_based_cases import COMES, FULL, LOW, NEWCOMER, OURS, beam_lights, cases, illuminated, lit
-from object_based_goals import FOUND, Measured, measures, track_rows, zone_rows
-from object_based_parts import agreement, pair_jobs, track_jobs, tracked, zone_jobs, zones
+import numpy as np
+import object_based_jobs as jobs
+import tracking
+from bench import Goal, run, show, study, study_options
+from numpy.typing import NDArray
+from object_based_jobs import COMES, DENSE, END, FULL, FULL_WELLS, LATE, LOW, LUMINANCE, NEWCOMER, OURS, RATE_HZ
 
-from luxloop.loop.recording.digest import digest_of_code
-from luxloop.loop.simulation.lamps import flux_by_side
-from luxloop.loop.simulation.simulation import Simulation
-from luxloop.loop.studies.jobs.executors import local
-from luxloop.loop.studies.jobs.runner import Job, Results, digest_of, run
-from luxloop.perception.camera import expose
+from luxloop.loop.studies.training.judge import SURE
 from luxloop.perception.detection.build import WEIGHTS
-from luxloop.perception.noise import FrameNoise
 
-ROOT = Path(__file__).parents[1]
-DOCS, NETWORK = ROOT / "docs" / "results", ROOT / "perception" / "detection" / WEIGHTS
+NETWORK = Path(__file__).parents[1] / "perception" / "detection" / WEIGHTS
 SCENES, SEEDS = 64, 5
-QUICK = {"scenes": 2, "seeds": 1, "times": 1, "steps": 45, "pairs": 1}
-WHOLE = {"times": 3, "steps": 75, "pairs": 8}  # of the tracker's situations, of their frames, and of pairs of renderings
+QUICK, WHOLE = (1, 45), (3, 75)  # times of the tracker's situations, and frames of each
+FOUND = SURE  # confidence in full light from which on an object counts: what the detector is judged by
+NEAR = 0.05  # confidence that may be lost
+KEPT = 0.5  # share of the judged steps in which a track must show an object, or it is lost
+SETTLED = 0.02  # of the low beam's flux, to which flux comes to stay
+WITHIN = 0.05  # of a zone's luminance
+SECOND = round(RATE_HZ)
+Row = dict[str, Any]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK['scenes']} scenes, one seed, and less of all else")
-    parser.add_argument("--scenes", type=int, default=SCENES, help=f"by default {SCENES}")
-    parser.add_argument("--seeds", type=int, choices=range(1, SEEDS + 1), default=SEEDS, help=f"by default {SEEDS}")
-    parser.add_argument("--out", type=Path, default=Path("runs/object_based"), help="folder for what has been done")
-    parser.add_argument("--page", type=Path, default=DOCS, help="folder for the page and its picture")
-    parser.add_argument("--json", type=Path, help="also write all rows here")
-    parser.add_argument("--jobs", type=int, help="processes, by default one a core")
-    given = parser.parse_args()
-    size = QUICK if given.quick else WHOLE | {"scenes": given.scenes, "seeds": given.seeds}
-    begun = time.perf_counter()
-    failures: dict[str, str] = {}
-    network = hashlib.sha256(NETWORK.read_bytes()).hexdigest()
-    version = digest_of_code() + digest_of(object_based_cases, object_based_parts) + network
+def measures(key: str, result: Mapping[str, Any]) -> Iterator[Row]:
+    """A row for each variant and beam with each seed. key: of the scene, which says whether it moves."""
+    low_lm, full = result["flux_lm"][LOW], result["scores"][FULL]
+    for variant, runs in result["runs"].items():
+        for seed, of_seed in enumerate(runs):
+            row = {"scene": key, "moving": key.endswith("moving"), "variant": variant, "seed": seed}
+            yield row | lit(of_seed, full[seed], low_lm) | kept(of_seed["scores"], full[seed])
+    for beam, of_seeds in result["scores"].items():
+        for seed, scores in enumerate(of_seeds):
+            row = {"scene": key, "moving": key.endswith("moving"), "variant": beam, "seed": seed}
+            yield row | {"saved": 1 - result["flux_lm"][beam] / low_lm} | kept(scores, full[seed])
 
-    def done(function: Callable[..., Mapping[str, Any]], jobs: Sequence[Job], title: str) -> Results:
-        results = run(function, jobs, given.out / "jobs.jsonl", version=version, executor=local(given.jobs), title=title)
-        failures.update(results.failures)
-        return results
 
-    small = [
-        done(zones, list(zone_jobs(size["seeds"])), "zones"),
-        done(tracked, list(track_jobs(size["seeds"], size["times"], size["steps"])), "tracks"),
-        done(agreement, list(pair_jobs(size["pairs"])), "pairs of renderings"),
-    ]
-    chosen = {case.key: case for case in cases(size["scenes"], size["seeds"])}
-    lights = done(illuminated, [Job(key, case.parameters) for key, case in chosen.items()], "scenes").rows
-    scenes = [({"scene": chosen[row["key"]].scene, "moving": chosen[row["key"]].moving}, row) for row in lights]
-    light = [row for scene, result in scenes for row in measures(scene, result)]
-    measured = Measured(light, zone_rows(small[0].rows), track_rows(small[1].rows))
-    if given.json:
-        given.json.write_text(json.dumps({"light": light, "zones": measured.zones, "tracks": measured.tracks}, indent=1))
-    how_much = "" if (given.scenes, given.seeds) == (SCENES, SEEDS) else f"--scenes {given.scenes} --seeds {given.seeds}"
-    about = machine("torch", "numpy") | {
-        "command": f"python benchmarks/object_based.py {'--quick' if given.quick else how_much}".strip(),
-        "scenes": len(scenes),
-        "seeds": "one seed" if size["seeds"] == 1 else f"{size['seeds']} seeds",
-        "left_out": "".join(f"\n\nFailed: {key}: {reason}" for key, reason in failures.items()),
+def lit(run: Mapping[str, Any], full: Mapping[str, float], low_lm: float) -> Row:
+    """What a run saves, when it settles, whom it loses, dazzles and lights late. full: confidence in full light."""
+    flux, eyes = np.array(run["flux_lm"]), [lx for lx in run["eyes_lx"][SECOND:] if lx is not None]
+    seen = [name for name in full if name != NEWCOMER and full[name] >= FOUND]
+    late = [(step, is_tracked) for step, is_tracked in run["dazzled"] if step >= SECOND]
+    frames = len(flux) - SECOND
+    return {
+        "saved": float(1 - flux[END.start : END.stop].mean() / low_lm),
+        "watts": float(np.mean(run["watts"][END.start : END.stop])),
+        "lost": sum(run["found"][name] is not None and run["tracked"][name] < KEPT for name in seen),
+        "settle_s": settle_step(flux[:COMES], SETTLED * low_lm) / RATE_HZ,
+        "searches_s": searches_s(run),
+        "eyes_lx": max(eyes, default=None),
+        "dazzled": len({step for step, _ in late}) / frames,
+        "dazzled_tracked": len({step for step, is_tracked in late if is_tracked}) / frames,
+        **({"newcomer_s": newcomer_s(run)} if run["newcomer_lx"] and full.get(NEWCOMER, 0.0) >= FOUND else {}),
     }
-    pairs = [{name: each for name, each in row.items() if isinstance(each, dict) and "dssim" in each} for row in small[2].rows]
-    object_based_page.write(measured, [each for _, result in scenes for each in drawn(result)], pairs, example(), about, given.page)
-    print(f"written: {given.page / object_based_page.NAME}, after {(time.perf_counter() - begun) / 60:.1f} minutes")
-    if failures:
-        sys.exit("\n".join(f"failed: {key}: {reason}" for key, reason in failures.items()))
 
 
-def drawn(result: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The default's runs in a scene, with what a picture of them needs besides."""
-    low_lm, full = result["lamps"][LOW]["flux_lm"], result["beams"][FULL]
-    runs = enumerate(result["runs"][OURS])
-    return [{**run, "low_lm": low_lm, "newcomer": full[seed].get(NEWCOMER, 0.0) >= FOUND} for seed, run in runs]
+def kept(scores: Mapping[str, float], full: Mapping[str, float]) -> Row:
+    """kept: whether every object that full light shows is within NEAR of it; None where there is none."""
+    gaps = [full[name] - scores[name] for name in full if name != NEWCOMER and full[name] >= FOUND]
+    return {"objects": len(gaps), "kept": max(gaps) <= NEAR if gaps else None, "gap": max(gaps, default=None)}
 
 
-def example() -> object_based_page.Pictures:
-    """The first scene, which stands, in low beam and full light, and as object-based lighting has it when a newcomer comes."""
-    (case,) = cases(1, 1)
-    simulation = Simulation.prepare(lit(case.scenario, case.parameters["variants"][OURS]))
-    state = simulation.start()
-    for _ in range(COMES):
-        state, result = simulation.step(state)
-    beams = beam_lights(simulation)
-    lights = {LOW: beams[LOW], FULL: beams[FULL], "object-based": result.lights}
-    view, camera, pipeline = simulation.world.lit(result.time_s), simulation.scenario.camera, simulation.pipeline
-    assert pipeline is not None
-    pictures = {}
-    for name, each in lights.items():
-        frame = expose(view.light(each)[1] + view.base, camera, FrameNoise.of(0, COMES, 0)) / (2**camera.bits - 1)
-        found = pipeline.find(frame, view)
-        flux = sum(flux_by_side(simulation.modules, each).values())
-        pictures[f"{name}: {flux:.0f} lm"] = (frame.numpy(), found.boxes.tolist(), found.scores.amax(-1).tolist())
-    return pictures
+def settle_step(flux: NDArray[np.float64], within: float) -> int:
+    """First step from which on the flux is that close to its mean over END."""
+    away = np.flatnonzero(np.abs(flux - flux[END.start : END.stop].mean()) > within)
+    return int(away[-1]) + 1 if len(away) else 0
+
+
+def searches_s(run: Mapping[str, Any]) -> list[float]:
+    """How long the loops of tracks of the first half second searched until they first settled; infinite: never."""
+    early = [(first, settled) for first, settled in run["searches"] if first < SECOND / 2]
+    return [float("inf") if settled is None else (settled - first) / RATE_HZ for first, settled in early]
+
+
+def newcomer_s(run: Mapping[str, Any]) -> float:
+    """From a newcomer's first frame to the first after a track's in which it gets half of its light at the end; infinite: never."""
+    found = run["found"].get(NEWCOMER)
+    lx = [0.0 if value is None else value for value in run["newcomer_lx"]]
+    enough = float(np.mean(lx[-len(LATE) :])) / 2
+    lit = (k for k in range(len(lx)) if found is not None and k + COMES > found and lx[k] >= enough > 0)
+    return next(lit, float("inf")) / RATE_HZ
+
+
+def zone_rows(results: Iterable[Mapping[str, Any]]) -> list[Row]:
+    """steps: after which a zone stays within WITHIN of its luminance; as many as there were where it does not."""
+    rows = []
+    for result in results:
+        for errors in np.abs(np.array(result["luminance"]) / LUMINANCE - 1):
+            away = np.flatnonzero(errors > WITHIN)
+            steps = int(away[-1]) + 1 if len(away) else 0
+            rows.append({"saturation_e": result["saturation_e"], "steps": steps, "error": float(errors[-1])})
+    return rows
+
+
+def quantile(rows: Sequence[Row], key: str, share: float) -> float | None:
+    values = [row[key] for row in rows if row.get(key) is not None]
+    return float(np.quantile(values, share)) if values else None
+
+
+def mean(values: Iterable[float | None]) -> float | None:
+    known = [each for each in values if each is not None]
+    return float(np.mean(known)) if known else None
+
+
+def goals(light: Sequence[Row], zones: Sequence[Row], situations: Mapping[str, Sequence[Row]]) -> list[Goal]:
+    own = [row for row in light if row["variant"] == OURS]
+    static, moving = ([row for row in own if row["moving"] is moves] for moves in (False, True))
+    searches = [time_s for row in own for time_s in row["searches_s"]]
+    newcomers = [row["newcomer_s"] <= 0.5 for row in own if "newcomer_s" in row]
+    steps = {well: max((row["steps"] for row in zones if row["saturation_e"] == well), default=None) for well in FULL_WELLS}
+    return [
+        Goal("Flux saved against the low beam, median", quantile(own, "saved", 0.5), 0.85, True),
+        Goal("Every object within 0.05 of full light, share of the runs", mean(row["kept"] for row in own), 0.80, True),
+        Goal(
+            "No object lost that full light keeps, share of the runs", mean(row["lost"] == 0 for row in own if row["objects"]), 0.98, True
+        ),
+        Goal("Settled, static, 90 % quantile, s", quantile(static, "settle_s", 0.9), 2.0),
+        Goal("The same: moving", quantile(moving, "settle_s", 0.9), 2.0),
+        Goal("End of a track's search, 90 % quantile, s", float(np.quantile(searches, 0.9, method="higher")) if searches else None, 2.0),
+        Goal("A newcomer lit within 0.5 s, share", mean(newcomers), 0.90, True),
+        Goal("Heads and windscreens after the first second, lx", quantile(own, "eyes_lx", 1.0), 1.0),
+        Goal("Steps of zones to come within 5 %", steps[FULL_WELLS[0]], 10),
+        Goal("The same: with the detector's camera", steps[FULL_WELLS[1]], 10),
+        Goal("Identity switches", sum(row["switches"] for name, runs in situations.items() if name != DENSE for row in runs), 0),
+    ]
+
+
+def light_table(light: Sequence[Row]) -> dict[str, dict[str, Any]]:
+    """A row for each variant: what is saved beside what is kept."""
+    sets = {name: [row for row in light if row["variant"] == name] for name in dict.fromkeys(row["variant"] for row in light)}
+    own = sets.get(OURS, [])
+    sets |= {f"{OURS}, {kind}": [row for row in own if row["moving"] is (kind == "moving")] for kind in ("static", "moving")}
+    return {
+        name: {
+            "runs": len(rows),
+            "flux saved": {"median": quantile(rows, "saved", 0.5), "10 %": quantile(rows, "saved", 0.1)},
+            "every object kept": mean(row["kept"] for row in rows),
+            "greatest loss": {"median": quantile(rows, "gap", 0.5), "90 %": quantile(rows, "gap", 0.9)},
+            "runs with one lost": mean(row["lost"] > 0 for row in rows if "lost" in row),
+            "heads above 1 lx, frames": {key: mean(row.get(key) for row in rows) for key in ("dazzled", "dazzled_tracked")},
+            "newcomer lit within 0.5 s": mean(row["newcomer_s"] <= 0.5 for row in rows if "newcomer_s" in row),
+        }
+        for name, rows in sets.items()
+    }
+
+
+def measure(given: Namespace) -> dict[str, Any]:
+    (times, steps), scenes, seeds = (QUICK, 2, 1) if given.quick else (WHOLE, given.scenes, given.seeds)
+    failures, found = dict[str, str](), list[dict[str, dict[str, Any]]]()
+    todo = {
+        jobs.zones: jobs.zone_jobs(seeds),
+        jobs.track: jobs.track_jobs(seeds, times, steps),
+        jobs.illuminate: jobs.scene_jobs(scenes, seeds),
+    }
+    for function, of_function in todo.items():
+        results, failed = study(function, of_function, given, [jobs, tracking], hashlib.sha256(NETWORK.read_bytes()).hexdigest())
+        found.append(results)
+        failures |= failed
+    light = [row for key, result in found[2].items() for row in measures(key, result)]
+    zones, situations = zone_rows(found[0].values()), dict[str, list[Row]]()
+    for each in found[1].values():
+        situations.setdefault(each["situation"], []).extend(each["runs"])
+    wells = {f"{well:g} e": [row for row in zones if row["saturation_e"] == well] for well in FULL_WELLS}
+    keys = ("steps", "error")
+    worst = {well: {"mean steps": mean(r["steps"] for r in own), **{k: quantile(own, k, 1.0) for k in keys}} for well, own in wells.items()}
+    show("Light and confidence", light_table(light))
+    show("Zones, worst", worst)
+    show("Tracker", {name: tracking.line(runs) for name, runs in situations.items()})
+    return {"light": light, "zones": zones, "tracks": situations, "goals": goals(light, zones, situations), "failures": failures}
 
 
 if __name__ == "__main__":
-    main()
+    scenes = {"type": int, "default": SCENES, "help": f"by default {SCENES}"}
+    seeds = {"type": int, "choices": range(1, SEEDS + 1), "default": SEEDS, "help": f"by default {SEEDS}"}
+    run(measure, __doc__, packages=("torch", "numpy"), threads=(), scenes=scenes, seeds=seeds, **study_options("object_based"))

@@ -1,61 +1,272 @@
 """How well symbols lie on hard roads: `python benchmarks/places.py [--quick] [--out FOLDER] [--json FILE]`.
 
 Worlds drawn from a seed, and in each of them all controllers side by side, beside what lamp and camera allow there. Goes on where an
-earlier run in the same folder was, and writes docs/places.md. `--quick`: about an eighth of the worlds.
+earlier run in the same folder was. `--quick`: about an eighth of the worlds. Prints the tables of docs/results/places.md.
 """
 
-import argparse
 import json
-import sys
-import time
-from pathlib import Path
+from argparse import Namespace
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, NamedTuple
 
-import places_bound
-import places_cases
-import places_page
-import symbol_control_cases
-from bench import machine
-from places_cases import KINDS, places, run_place
-from places_goals import measures
+import numpy as np
+import side_by_side
+from bench import Goal, run, show, study, study_options
+from side_by_side import DARK, compare, job, road_of, series
 
-from luxloop.loop.recording.digest import digest_of_code
 from luxloop.loop.recording.manifest import digests
-from luxloop.loop.studies.jobs.executors import local
-from luxloop.loop.studies.jobs.runner import Job, digest_of, run
+from luxloop.loop.recording.summary import AXES
+from luxloop.loop.scenario import data
+from luxloop.loop.scenario.model import Scenario, load
 
-DOCS = Path(__file__).parents[1] / "docs" / "results"
+FEEDFORWARD = "feedforward, true road"
+CONTROLLERS = ("open", "thesis_pid", "gauss_newton", "model_reference", FEEDFORWARD, "luxloop")
+ON_THE_ROAD_CONTROLLERS = ("open", FEEDFORWARD, "luxloop")  # the others compare with what a flat road looks like
+SMALL = "camera={width_px=640, height_px=480}"
+SEED = 4
+STEPS = 25  # and as many more as frames are late; the thesis' controller needs 20 to settle
+
+FROM_3_M, ON_ROAD, ROAD_FROM_3_M = "grade from 3 m", "place", "place, grade from 3 m"
+KINDS = (FROM_3_M, "grade", "crest or sag", "cross-fall", "step", "roughness", "scan", ROAD_FROM_3_M, ON_ROAD)
+GRADES_PERCENT = (-3, -2, -1, 1, 2, 3, 4)  # from 3 m on, seen at once from the target's pose
+EVERY_ON_ROAD = 6  # every sixth world is also run with target = "place"
+BEGINS_M = (3.0, 8.0, 13.0)
+CURVED_M = 60.0  # length of a crest or sag, unless it gets too steep before
+PLACES = 16  # of each scan
+# Where on a scan: along it from and to, and how far to its sides, in m. Long ones begin and end with level stretches, which are left out.
+SCANS = {
+    "belgian_block": ((732.0, 738.0), 0.7),
+    "halfround_4in": ((44.0, 56.0), 2.0),
+    "Horstwalde": ((85.0, 165.0), 1.2),
+    "detrended_rms_course_1in": ((100.0, 415.0), 2.0),
+}
+HEADING_DEG = 5.0  # to either side, in either direction of the scan
+SYMBOLS = ("snowflake", "chevrons", "warning_triangle", "distance_warning")
+# The lamp's field ends 3.5 degrees down, which is 12.3 m ahead on a flat road: at 14.5 m the whole symbol of 4 m is in it.
+TARGETS_M = ((14.5, 0.0), (17.0, 0.0), (25.0, 0.0), (17.0, 1.5), (17.0, -1.5))
+AT_TARGET = {"x_m": 17.0, "y_m": 0.0, "roll_deg": 0.0, "pitch_deg": 0.0}
+PERIPHERIES = ((13.8 / 17, -1.4), (20.5 / 17, -2.0), (14.2 / 17, 1.6), (21.0 / 17, 2.6))  # x as a multiple of the target's, y from it in m
+LATENCIES = (0, 1, 2, 3)
+
+END = 5  # steps of which the mean is the end
+VISIBLE = 0.8  # share of the target's cells that lamp and camera allow at least where goals hold
+LOOKS = 3  # after the first frame, within which a symbol is found
+NOTHING = 0.05  # IoU of a symbol that nobody recognises
+BINS = (0.0, 0.2, 0.5, VISIBLE)  # of the visible share, where less can be seen
+Road = dict[str, Any]
+Row = dict[str, Any]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="about an eighth of the worlds")
-    parser.add_argument("--only", nargs="+", choices=KINDS, metavar="KIND", help=f"these kinds of roads alone: {', '.join(KINDS)}")
-    parser.add_argument("--out", type=Path, default=Path("runs/places"), help="folder for what has been done")
-    parser.add_argument("--page", type=Path, default=DOCS, help="folder for the page and its picture")
-    parser.add_argument("--json", type=Path, help="also write a row a world and controller here")
-    parser.add_argument("--jobs", type=int, help="processes, by default one a core")
-    given = parser.parse_args()
-    begun = time.perf_counter()
+@dataclass(frozen=True)
+class Place:
+    """One world: its kind and name, and the scenario of which each controller gets its turn."""
+
+    kind: str
+    name: str
+    scenario: Scenario
+
+    @property
+    def key(self) -> str:
+        s = self.scenario
+        target = f"{s.symbol.x_m:g} m" + (f", {s.symbol.y_m:+g} m aside" if s.symbol.y_m else "")
+        place = " on the road" if s.symbol.target == "place" else ""
+        return f"{self.name}; {s.symbol.image} at {target}{place}, {s.camera.latency_steps} late"
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Of the job."""
+        names = CONTROLLERS if self.scenario.symbol.target == "appearance" else ON_THE_ROAD_CONTROLLERS
+        tables: dict[str, Any] = {name: {"name": name} for name in names}
+        tables[FEEDFORWARD] = {"name": "feedforward", "road": road_of(self.scenario)}
+        return job(self.scenario, tables, bounded=True)
+
+
+def places(quick: bool) -> Iterator[Place]:
+    """All worlds, every eighth of them where it shall be quick, but those whose scan is not here."""
+    for kind, target, grades in ((FROM_3_M, "appearance", GRADES_PERCENT), (ROAD_FROM_3_M, "place", (-4, *GRADES_PERCENT))):
+        for percent in grades[:: 3 if quick else 1]:
+            road = _grade(percent, 0.0, BEGINS_M[0])
+            yield Place(kind, f"{percent:+} % from 3 m on", _scenario(road, "snowflake", (17.0, 0.0), AT_TARGET, 0, target))
+    for k, (kind, name, road) in list(enumerate(_roads(np.random.default_rng(SEED))))[:: 8 if quick else 1]:
+        generator = np.random.default_rng([SEED, k])  # so that a world is the same in both runs
+        x, y = TARGETS_M[generator.integers(len(TARGETS_M))]
+        x_share, beside = PERIPHERIES[generator.integers(len(PERIPHERIES))]
+        start = {"x_m": x_share * x, "y_m": y + beside, "roll_deg": 5.0, "pitch_deg": -2.0}
+        symbol, latency = str(generator.choice(SYMBOLS)), int(generator.choice(LATENCIES))
+        if "file" in road:
+            if data.present(road["file"]) is None:
+                continue
+            road |= {"at_x_m": x, "at_y_m": y}
+        yield Place(kind, name, _scenario(road, symbol, (x, y), start, latency))
+        if k % EVERY_ON_ROAD == 0:
+            yield Place(ON_ROAD, name, _scenario(road, symbol, (x, y), start, latency, "place"))
+
+
+def _roads(generator: np.random.Generator) -> Iterator[tuple[str, str, Road]]:
+    """Kind, name and road of each world that is drawn."""
+    for start in BEGINS_M:
+        for percent in (*range(-6, 0), *range(1, 7)):
+            yield "grade", f"grade {percent:+} % from {start:g} m on", _grade(percent, 0.0, start)
+    for k in range(32):
+        radius = round(float(np.exp(generator.uniform(np.log(150), np.log(2000)))), -1)
+        start, sign = BEGINS_M[k % len(BEGINS_M)], float(generator.choice([-1, 1]))
+        percent = sign * min(20.0, 100 * CURVED_M / radius)
+        road = _grade(percent, 0.0, start) | {"curve_m": abs(percent) / 100 * radius}
+        yield "crest or sag", f"{'sag' if sign > 0 else 'crest'} of {radius:g} m from {start:g} m on", road
+    for percent in np.linspace(-6, 6, 16).round(1).tolist():
+        yield "cross-fall", f"cross-fall {percent:+g} %", _grade(0.0, percent, 3.0)
+    for height in np.linspace(-0.5, 0.5, 24).round(2).tolist():
+        x, ramp = round(generator.uniform(6, 22), 1), round(float(np.exp(generator.uniform(np.log(0.1), np.log(3)))), 2)
+        yield "step", f"step of {height:+g} m at {x:g} m", {"kind": "step", "x_m": x, "height_m": height, "ramp_m": ramp}
+    for seed in range(5):
+        for roughness in "ABCDE":
+            yield "roughness", f"class {roughness}, seed {seed}", {"kind": "iso8608", "roughness_class": roughness, "seed": seed}
+    for file, (along, beside) in SCANS.items():
+        for _ in range(PLACES):
+            u, v = round(generator.uniform(*along), 1), round(generator.uniform(-beside, beside), 1)
+            heading = round(180 * int(generator.integers(2)) + generator.uniform(-HEADING_DEG, HEADING_DEG), 1)
+            road = {"kind": "opencrg", "file": file, "u_m": u, "v_m": v, "heading_deg": heading}
+            yield "scan", f"{file} at {u:g} m, {v:+g} m aside, {heading:g}°", road
+
+
+def _grade(grade_percent: float, crossfall_percent: float, start_x_m: float) -> Road:
+    return {"kind": "grade", "grade_percent": grade_percent, "crossfall_percent": crossfall_percent, "start_x_m": start_x_m}
+
+
+def _scenario(
+    road: Road, symbol: str, at: tuple[float, float], start: dict[str, float], latency: int, target: str = "appearance"
+) -> Scenario:
+    function = {"image": symbol, "x_m": at[0], "y_m": at[1], "target": target, "start": start, "controller": {"name": "luxloop"}}
+    changes = {"road": road, "functions": {"symbol": function}, "camera": {"latency_steps": latency}}
+    return load("flat", (SMALL, changes), steps=STEPS + latency)
+
+
+def measures(place: Place, found: Mapping[str, Any]) -> list[Row]:
+    """A row a controller of a world's result (`side_by_side.compare`).
+
+    iou: mean of the last five steps; so are those of the open loop, the feedforward and the bound beside it. centroid: in % of the symbol's
+    size. found: first step at which the symbol was not lost, None for never. lost, lost_later: steps at which it was lost, all, and those
+    after the first looks. below_open, below_thesis: by how much the IoU is lower; None where the thesis' controller does not run.
+    """
+    judged, latency = found["judged"], place.scenario.camera.latency_steps
+    end = {name: float(series(each, "iou", 0.0)[-END:].mean()) for name, each in judged.items()}
+    world = {"kind": place.kind, "world": place.key, "latency": latency, "iou_bound": found["iou_bound"], "visible": found["visible"]}
+    world |= {"iou_open": end["open"], "iou_feedforward": end[FEEDFORWARD]}
+    rows = []
+    for controller, each in judged.items():
+        offset = np.stack([series(each, axis, DARK) for axis in AXES])[:, -END:].mean(1)
+        seen = np.flatnonzero(~np.array(each["lost"]))
+        row = {
+            "controller": controller,
+            "iou": end[controller],
+            "found": int(seen[0]) if len(seen) else None,
+            "steps": len(each["lost"]),
+            "lost": sum(each["lost"]),
+            "lost_later": sum(each["lost"][latency + LOOKS :]),
+            "centroid": float(np.abs(offset).max()),
+            "below_open": end["open"] - end[controller],
+            "below_thesis": end["thesis_pid"] - end[controller] if "thesis_pid" in end else None,
+        }
+        rows.append(world | row)
+    return rows
+
+
+class Target(NamedTuple):
+    """What holds in at least so large a share of the worlds of which enough is visible. controller: whose rows. kind: of these worlds
+    alone, however much is visible. on_the_road: of worlds with that target, else of those with the other."""
+
+    what: str
+    holds: Callable[[Row], bool]
+    share: float = 1.0
+    controller: str = "luxloop"
+    kind: str | None = None
+    on_the_road: bool = False
+
+    def counts(self, row: Row) -> bool:
+        if row["controller"] != self.controller or self.kind:
+            return row["controller"] == self.controller and row["kind"] == self.kind
+        return row["visible"] >= VISIBLE and row["kind"].startswith(ON_ROAD) == self.on_the_road
+
+    def of(self, rows: Sequence[Row]) -> tuple[int, int]:
+        """In how many worlds it holds, and of how many."""
+        own = [bool(self.holds(row)) for row in rows if self.counts(row)]
+        return sum(own), len(own)
+
+    def goal(self, rows: Sequence[Row]) -> Goal:
+        count, total = self.of(rows)
+        return Goal(self.what, count / total if total else None, self.share, True, f"{count} of {total}")
+
+
+def _near_feedforward(row: Row) -> bool:
+    return row["iou"] >= 0.95 * row["iou_feedforward"]
+
+
+def _not_below_open(row: Row) -> bool:
+    return row["below_open"] <= 0.02
+
+
+TARGETS = (
+    Target("IoU at least 0.95 x feedforward's", _near_feedforward, share=0.95),
+    Target("IoU at least 0.85 x that", lambda r: r["iou"] >= 0.85 * r["iou_feedforward"]),
+    Target("Feedforward within 0.02 of the bound", lambda r: r["iou"] >= r["iou_bound"] - 0.02, controller=FEEDFORWARD),
+    Target("No more than 0.02 below the open loop", _not_below_open),
+    Target("No more than 0.02 below thesis_pid", lambda r: r["below_thesis"] <= 0.02),
+    Target(f"Found within latency + {LOOKS} steps", lambda r: r["found"] is not None and r["found"] <= r["latency"] + LOOKS),
+    Target("Never lost after that", lambda r: r["lost_later"] == 0),
+    Target("Grades of -3 to +4 % from 3 m on: IoU at least 0.95 x the bound", lambda r: r["iou"] >= 0.95 * r["iou_bound"], kind=FROM_3_M),
+    Target("On the road itself: IoU at least 0.95 x feedforward's", _near_feedforward, share=0.95, on_the_road=True),
+    Target("On the road itself: no more than 0.02 below the open loop", _not_below_open, on_the_road=True),
+    Target(
+        "On the road itself, grades from -4 % on: IoU at least 0.85, or 0.95 x the bound",
+        lambda r: r["iou"] >= min(0.85, 0.95 * r["iou_bound"]),
+        kind=ROAD_FROM_3_M,
+    ),
+)
+# What becomes of the symbol where less of it can be seen; the first that is true counts.
+OUTCOMES: dict[str, Callable[[Row], bool]] = {
+    "nothing, nor has the bound": lambda r: r["iou_bound"] < NOTHING,
+    "as good as for the true road": lambda r: r["iou"] >= 0.95 * max(r["iou_feedforward"], r["iou_bound"]),
+    "better than the open loop": lambda r: r["below_open"] < -0.02,
+    "as the open loop": _not_below_open,
+    "worse than the open loop": lambda r: True,
+}
+
+
+def by_kind(rows: Sequence[Row]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """A row a kind of road: mean IoU of each controller and the bound, and luxloop's worst."""
+    for kind in dict.fromkeys(row["kind"] for row in rows):
+        columns = {name: [row["iou"] for row in rows if (row["kind"], row["controller"]) == (kind, name)] for name in CONTROLLERS}
+        columns["bound"] = [row["iou_bound"] for row in rows if (row["kind"], row["controller"]) == (kind, "luxloop")]
+        means = {name: float(np.mean(each)) for name, each in columns.items() if each}
+        yield kind, {"worlds": len(columns["bound"]), **means, "luxloop's worst": min(columns["luxloop"])}
+
+
+def by_share(rows: Sequence[Row]) -> Iterator[tuple[str, dict[str, int]]]:
+    """What becomes of luxloop's symbol where less of it can be seen, counted by visible share."""
+    for low, high in pairwise(BINS):
+        found = [row for row in rows if low <= row["visible"] < high]
+        ends = Counter(next(name for name, holds in OUTCOMES.items() if holds(row)) for row in found)
+        lost = sum(row["lost"] > row["steps"] / 2 for row in found)
+        outcomes = {name: ends[name] for name in OUTCOMES}
+        yield f"{low:g} to {high:g}", {"worlds": len(found), **outcomes, "lost at more than half of the steps": lost}
+
+
+def measure(given: Namespace) -> dict[str, Any]:
     chosen = [place for place in places(given.quick) if not given.only or place.kind in given.only]
-    inputs = sorted({file for place in chosen for file in digests(place.scenario).items()})  # scans among them
-    version = digest_of_code() + digest_of(places_cases, places_bound, symbol_control_cases) + json.dumps(inputs)
-    jobs = [Job(place.key, place.parameters) for place in chosen]
-    results = run(run_place, jobs, given.out / "jobs.jsonl", version=version, executor=local(given.jobs), title="worlds")
-    found = {row["key"]: row for row in results.rows}
+    files = sorted({file for place in chosen for file in digests(place.scenario).items()})  # scans among them
+    found, failures = study(compare, {place.key: place.parameters for place in chosen}, given, [side_by_side], json.dumps(files))
     rows = [row for place in chosen if place.key in found for row in measures(place, found[place.key])]
-    if given.json:
-        given.json.write_text(json.dumps(rows, indent=1))
-    about = machine("torch", "numpy") | {
-        "command": "python benchmarks/places.py"
-        + (" --quick" if given.quick else "")
-        + (f" --only {' '.join(given.only)}" if given.only else ""),
-        "failed": "".join(f"\n\nFailed: {key}: {reason}" for key, reason in results.failures.items()),
-    }
-    places_page.write(rows, chosen, about, given.page)
-    print(f"written: {given.page / 'places.md'}, after {(time.perf_counter() - begun) / 60:.1f} minutes")
-    if results.failures:
-        sys.exit("\n".join(f"failed: {key}: {reason}" for key, reason in results.failures.items()))
+    own = [row for row in rows if row["controller"] == "luxloop"]
+    show(f"IoU where the visible share is at least {VISIBLE:g}", dict(by_kind([row for row in rows if row["visible"] >= VISIBLE])))
+    grades = [row for row in own if row["kind"].endswith(FROM_3_M)]
+    show("Grades", {row["world"]: {"luxloop": row["iou"], "bound": row["iou_bound"]} for row in grades})
+    show("By visible share", dict(by_share(own)))
+    return {"rows": rows, "goals": [target.goal(rows) for target in TARGETS], "failures": failures}
 
 
 if __name__ == "__main__":
-    main()
+    only = {"nargs": "+", "choices": KINDS, "metavar": "KIND", "help": f"these kinds of roads alone: {', '.join(KINDS)}"}
+    run(measure, __doc__, packages=("torch", "numpy"), threads=(), only=only, **study_options("places"))

@@ -4,8 +4,6 @@
 """
 
 import sys
-import time
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,34 +11,26 @@ from typing import Any
 
 import numpy as np
 import torch
-from rig_bench import ALBEDO, Effects, Rig, model, rig, seen_at, wall
+from bench import show
+from rig_bench import ALBEDO, BLUR, VEIL, Effects, Rig, model, rig, wall
 
-from luxloop.loop.report.terminal import markdown
 from luxloop.loop.rig.calibration.bench import Array
 from luxloop.loop.rig.calibration.digitise import Digitised, Nominal, Reading, Settings, digitised, lux, scaled, take
 from luxloop.loop.rig.calibration.geometry import Geometry, candela_factor
 from luxloop.loop.rig.calibration.response import Response
 from luxloop.loop.rig.calibration.shots import Shots
+from luxloop.loop.rig.simulated.faults import LensParams
 from luxloop.world.headlight import Headlight
 from luxloop.world.lamps.presets import idealised
 
 CASES = {
     "nothing": Effects(),
-    "blur": Effects(blur=True),
-    "veiling glare": Effects(veil=True),
+    "blur": Effects(LensParams(**BLUR)),
+    "veiling glare": Effects(LensParams(**VEIL)),
     "glossy screen": Effects(gloss=True),
-    "another lens": Effects(lens=True),
-    "all four": Effects(blur=True, veil=True, gloss=True, lens=True),
+    "another lens": Effects(division=True),
+    "all four": Effects(LensParams(**BLUR, **VEIL), gloss=True, division=True),
 }
-COLUMNS = (
-    "not modelled",
-    "places, px rms",
-    "intensities, % rms",
-    "with 9 readings",
-    "directions, pixels rms",
-    "all pixels on, %",
-    "checked, %",
-)
 
 
 def uneven(light: Headlight, seed: int = 1) -> Headlight:
@@ -73,8 +63,7 @@ def readings(of: Rig, n: int) -> list[Reading]:
             ray = of.truth.lamp.rotation @ np.array([1.0, y, z])
             normal, screen = of.truth.screens[0].rotation[:, 2], of.truth.screens[0].place
             point = of.truth.lamp.place + ray * (normal @ (screen - of.truth.lamp.place) / (normal @ ray))
-            u, v = seen_at(of.truth.camera.project(point[None]), of.lens_of)
-            reading = Reading(1.0, float(u[0]), float(v[0]))
+            reading = Reading(1.0, *of.lens_px(of.truth.camera.project(point[None]))[0].tolist())
             offsets = rng.uniform(-0.005, 0.005, (4000, 2))
             sensor = point + offsets[np.hypot(*offsets.T) < 0.005] @ of.truth.screens[0].rotation[:, :2].T
             found.append(replace(reading, lux=lux(of.light, of.truth, sensor, reading)))
@@ -90,7 +79,7 @@ def places(of: Rig) -> tuple[Array, Array]:
         return (seen @ u) / total, (seen @ v) / total
 
 
-def measured(of: Rig, folder: Path | None = None, settings: Settings | None = None) -> Digitised:
+def digitise(of: Rig, folder: Path | None = None, settings: Settings | None = None) -> Digitised:
     """The rig's lamp, digitised, in the camera's unit."""
     settings = settings or Settings()
     shots = Shots(of.bench, Response.linear(of.bench.levels), folder, "benchmark")
@@ -103,8 +92,8 @@ def measured(of: Rig, folder: Path | None = None, settings: Settings | None = No
     return digitised(taken, nominal, of.known, settings, factor)
 
 
-def figures(of: Rig, found: Digitised) -> list[float]:
-    """The numbers of COLUMNS."""
+def figures(of: Rig, found: Digitised) -> dict[str, float]:
+    """How far a digitised lamp is from the rig's."""
     u, v = places(of)
     alive = np.isfinite(u) & ~found.dead.ravel()
     off = np.hypot(found.u.ravel() - u, found.v.ravel() - v)[alive]
@@ -123,24 +112,27 @@ def figures(of: Rig, found: Digitised) -> list[float]:
     zz, yy = torch.meshgrid(z, y, indexing="ij")
     rays = torch.stack([torch.ones_like(yy), yy, zz]).flatten(1)
     a, b = (each.intensity(each.light_texture(on), rays).numpy() for each in (one.light, of.light))
-    rms = lambda x: float(np.sqrt(np.mean(np.square(x))))  # noqa: E731
-    return [rms(off), *(100 * rms(each) for each in errors), rms(turned), 100 * rms(a - b) / rms(b), 100 * found.checked["full"]]
 
+    def rms(x: Array) -> float:
+        return float(np.sqrt(np.mean(np.square(x))))
 
-def rows(size: str, names: list[str]) -> Iterator[tuple[str, list[float]]]:
-    light, camera = lamp(size)
-    with TemporaryDirectory() as folder:
-        scenario = wall(model(Path(folder) / "lamp.npz", light), camera.pop("width"), camera.pop("height"), **camera)
-        for name in names:
-            of = replace(rig(scenario, CASES[name], 4 if size == "small" else 2), light=light)
-            print(f"{name}: rig built", file=sys.stderr, flush=True)
-            start = time.monotonic()
-            found = measured(of)
-            print(f"{name}: {time.monotonic() - start:.1f} s, {int(found.dead.sum())} dead", file=sys.stderr, flush=True)
-            yield name, figures(of, found)
+    return {
+        "places, px rms": rms(off),
+        "intensities, % rms": 100 * rms(errors[0]),
+        "with 9 readings": 100 * rms(errors[1]),
+        "directions, pixels rms": rms(turned),
+        "all pixels on, %": 100 * rms(a - b) / rms(b),
+        "checked, %": 100 * found.checked["full"],
+    }
 
 
 if __name__ == "__main__":
     size, *chosen = sys.argv[1:] or ["small"]
-    table = [[name, *(f"{each:.3g}" for each in numbers)] for name, numbers in rows(size, chosen or list(CASES))]
-    print(markdown(COLUMNS, table))
+    light, camera = lamp(size)
+    rows = {}
+    with TemporaryDirectory() as folder:
+        scenario = wall(model(Path(folder) / "lamp.npz", light), camera.pop("width"), camera.pop("height"), **camera)
+        for name in chosen or CASES:
+            of = replace(rig(scenario, CASES[name], 4 if size == "small" else 2), light=light)
+            rows[name] = figures(of, digitise(of))
+    show(f"Lamp {size}", rows)

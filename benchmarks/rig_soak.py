@@ -4,7 +4,6 @@
 rate and the losses of exposures, and the memory of both processes; at its end the loop hangs, and the watchdog has to darken the lamp.
 """
 
-import argparse
 import ctypes
 import json
 import math
@@ -14,6 +13,7 @@ import sys
 import time
 import urllib.request
 import zlib
+from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -22,17 +22,15 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from bench import Goal, judged, machine, on_one_thread, show_goals
-from rich.table import Table
+from bench import OMP, Goal, run, show
 from torch import Tensor
 
 from luxloop.loop.commands.rig_runs import pixel_grids
-from luxloop.loop.report import terminal as tables
 from luxloop.loop.rig.judged import Judged
 from luxloop.loop.rig.params import RigParams
 from luxloop.loop.rig.plant import RigPlant
 from luxloop.loop.rig.rig import Rig, await_camera, opened
-from luxloop.loop.run import run
+from luxloop.loop.run import run as run_scenario
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.build_plant import from_zero
 from luxloop.loop.simulation.lamps import lamp_modules
@@ -157,7 +155,7 @@ class Minutes:
         return row
 
 
-def measured(minutes: int) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+def soak(minutes: int) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """A row a minute, and the rig's statistics of the whole."""
     light = {"kind": "ddp", "timecode": True, "host": "127.0.0.1", "port": LIGHT, "bits": 16}
     camera = {"kind": "http", "url": f"http://127.0.0.1:{CAMERA}/camera", "bits": 12}
@@ -184,48 +182,31 @@ def measured(minutes: int) -> tuple[list[dict[str, Any]], dict[str, Any]]:
                 return from_zero(replace(own, look=look), scenario, modules)
 
             with suppress(Enough):
-                run(scenario, folder, device="cpu", video=False, report=False, plant=plant)
+                run_scenario(scenario, folder, device="cpu", video=False, report=False, plant=plant)
             rig.dark("the time is over")
             return watched.rows, rig.statistics.summary(len(scenario.shares)) | {"judged": judges[0].summary()}
 
 
-def goals(rows: list[dict[str, Any]]) -> list[Goal]:
+def measure(given: Namespace) -> dict[str, Any]:
+    rows, statistics = soak(1 if given.quick else given.minutes)
+    show("By minute", {str(number): row for number, row in enumerate(rows, 1)})
     warm = rows[WARM_MINUTES:] or rows
-    minute = np.arange(len(warm))
 
     def growth(key: str) -> float:
         """By a straight line, over the whole time."""
         values = [row[key] for row in warm]
-        return float(np.polyfit(minute, values, 1)[0] * minute[-1]) if len(warm) > 1 else 0.0
+        return float(np.polyfit(range(len(warm)), values, 1)[0] * (len(warm) - 1)) if len(warm) > 1 else 0.0
 
-    return [
-        ("memory that the loop uses grows by, MB", growth("used_mb"), 10.0, False),
-        ("memory of the rig process grows by, MB", growth("rig_mb"), 10.0, False),
-        ("median latency drifts by, ms", abs(growth("latency_ms")), 2.0, False),
-        ("hangs that the watchdog missed", sum(row["missed"] for row in rows), 0, False),
-        ("times that the watchdog darkened without a hang", sum(row["spurious"] for row in rows), 0, False),
+    goals = [
+        Goal("memory that the loop uses grows by, MB", growth("used_mb"), 10.0),
+        Goal("memory of the rig process grows by, MB", growth("rig_mb"), 10.0),
+        Goal("median latency drifts by, ms", abs(growth("latency_ms")), 2.0),
+        Goal("hangs that the watchdog missed", sum(row["missed"] for row in rows), 0),
+        Goal("times that the watchdog darkened without a hang", sum(row["spurious"] for row in rows), 0),
     ]
-
-
-def main() -> None:
-    on_one_thread("OMP_NUM_THREADS")
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--minutes", type=int, default=30)
-    parser.add_argument("--json", type=Path, help="also write the results here")
-    given = parser.parse_args()
-    rows, statistics = measured(given.minutes)
-    table = Table("minute", *rows[0])
-    for number, row in enumerate(rows, 1):
-        table.add_row(str(number), *(f"{value:.1f}" if isinstance(value, float) else str(value) for value in row.values()))
-    tables.show(table)
-    found = judged(goals(rows))
-    show_goals(tables.console(), found)
-    tables.console().print_json(data=statistics)
-    if given.json:
-        report = {"machine": machine("torch"), "minutes": rows, "statistics": statistics, "goals": found}
-        given.json.write_text(json.dumps(report, indent=1))
-    sys.exit(any(each["passed"] is False for each in found))
+    failures = {goal.what: f"{goal.value:.3g}" for goal in goals if goal.passed is False}
+    return {"minutes": rows, "statistics": statistics, "goals": goals, "failures": failures}
 
 
 if __name__ == "__main__":
-    main()
+    run(measure, __doc__, threads=(OMP,), minutes={"type": int, "default": 30, "help": "how long (30)"})

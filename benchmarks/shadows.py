@@ -9,20 +9,17 @@ without any shadow. wrong: share of the points that are taken for the other. Poi
 their share.
 """
 
-import argparse
-import json
+from argparse import Namespace
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from bench import Goal, judged, machine, on_one_thread, show_goals
+from bench import Goal, run, show
 from float64_rays import hidden
 from torch import Tensor
 
-from luxloop.loop.report import terminal as tables
 from luxloop.loop.scenario import data
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
@@ -98,10 +95,10 @@ def outlined(triangles: Triangles, view: View, lamp_m: Tensor, pixels: Tensor) -
     return torch.stack(dark).any(0) != torch.stack(dark).all(0)
 
 
-def measure(
+def shares(
     triangles: Triangles, view: View, true: GBuffer, found: GBuffer, lamp: Headlight, T_world_lamp: Tensor, n: int
 ) -> dict[str, float]:
-    """Figures of one view, true by exact surfaces and found by those of the loop."""
+    """Shares of one view, true by exact surfaces and found by those of the loop."""
     texture, n_pixels = lamp.light_texture(torch.ones(lamp.n_pixels)), view.width * view.height
     reached, lit = reach(true, lamp, T_world_lamp), reach(found, lamp, T_world_lamp, triangles)
     light = torch.zeros(n_pixels).index_put((reached.index,), illuminance(reached, texture))
@@ -118,7 +115,6 @@ def measure(
         "leaked": float(light[leaked].sum()) / all_light,
         "lost": float(light[lost].sum()) / all_light,
         "wrong": float((leaked | lost).float().mean()),
-        "leaked, outlines in": float(light[dark & is_lit].sum()) / all_light,
         "outlines": float(crossed.float().mean()),
     }
 
@@ -130,7 +126,7 @@ def standing(road: Road, world: World, n: int) -> Iterator[tuple[str, dict[str, 
     for name, view in (("camera", world.view), ("above", from_above())):
         exact = ExactSurfaces(face_source("raycast")).gbuffer(triangles, view)
         found = surface_source(world.source, moving=False).gbuffer(triangles, view)
-        yield name, measure(triangles, view, exact, found, module.headlight, module.T_world_headlight, n)
+        yield name, shares(triangles, view, exact, found, module.headlight, module.T_world_headlight, n)
 
 
 def moving(road: Road, world: World, n: int) -> Iterator[tuple[str, dict[str, float]]]:
@@ -143,61 +139,29 @@ def moving(road: Road, world: World, n: int) -> Iterator[tuple[str, dict[str, fl
         view = replace(world.view, T_world_view=T_world_body @ world.view.T_world_view)
         exact = ExactSurfaces(face_source("raycast")).gbuffer(triangles, view)
         T_world_lamp = T_world_body @ module.T_world_headlight
-        yield f"{x_m} m", measure(triangles, view, exact, surfaces.gbuffer(triangles, view), module.headlight, T_world_lamp, n)
+        yield f"{x_m} m", shares(triangles, view, exact, surfaces.gbuffer(triangles, view), module.headlight, T_world_lamp, n)
 
 
-def worst(found: list[dict[str, Any]], kind: str, way: str) -> dict[str, float]:
-    """Of one kind of road the worst of its places and views, and the mean share of shadow and outlines."""
-    figures = [each for each in found if each["kind"] == kind and each["way"] == way]
-    means = {key: float(np.mean([each[key] for each in figures])) for key in ("in shadow", "outlines")}
-    return {**means, **{key: max(each[key] for each in figures) for key in ("leaked", "lost", "wrong", "leaked, outlines in")}}
-
-
-def table(found: list[dict[str, Any]]) -> str:
-    """A row a kind of road, in percent, as Markdown."""
-    keys = ("in shadow", "outlines", "leaked", "lost", "wrong")
-    columns = (f"{way}: {key}" if key == keys[0] else key for way in ("standing", "moving") for key in keys)
-    rows = []
-    for kind in dict.fromkeys(each["kind"] for each in found):
-        figures = (worst(found, kind, way)[key] for way in ("stand", "move") for key in keys)
-        rows.append((kind, *(f"{100 * figure:.{1 if k % len(keys) < 2 else 3}f}" for k, figure in enumerate(figures))))
-    return tables.markdown(("road", *columns), rows)
-
-
-def goals(found: list[dict[str, Any]]) -> list[Goal]:
-    def most(way: str, key: str) -> float:
-        return 100 * max(each[key] for each in found if each["way"] == way)
-
-    limits = (("stand", "leaked", 0.1), ("stand", "wrong", 0.5), ("move", "leaked", 1.0))
-    return [(f"{key} where worlds {way}, %", most(way, key), limit, False) for way, key, limit in limits]
-
-
-def main() -> None:
-    """Measure, show."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="also write the results here")
-    parser.add_argument("--points", type=int, default=3000, help="points a view (3000)")
-    parser.add_argument("--quick", action="store_true", help="two roads and 1,000 points, to see that it works")
-    arguments = parser.parse_args()
-    torch.set_num_threads(1)
-    console, where = tables.console(), machine("torch", "embreex")
-    console.print(", ".join(f"{key} {value}" for key, value in where.items()), markup=False)
-    n = 1000 if arguments.quick else arguments.points
+def measure(given: Namespace) -> dict[str, Any]:
+    n = 1000 if given.quick else given.points
     world = Simulation.prepare(load("snowflake", ("camera.width_px=640", "camera.height_px=480", "camera.oversampling=1"))).world
     found = [
         {"road": name, "kind": kind, "way": way, "view": view, **figures}
-        for name, kind, road in roads(arguments.quick)
-        for way, of in (("stand", standing), ("move", moving))
-        for view, figures in of(road, world, n)
+        for name, kind, road in roads(given.quick)
+        for way, views in (("standing", standing), ("moving", moving))
+        for view, figures in views(road, world, n)
     ]
-    console.print("\nWorlds that stand and that move, %")
-    print(table(found))
-    verdicts = judged(goals(found))
-    show_goals(console, verdicts)
-    if arguments.json:
-        arguments.json.write_text(json.dumps({"machine": where, "results": found, "goals": verdicts}, indent=1) + "\n")
+    rows: dict[str, dict[str, Any]] = {}
+    for kind in dict.fromkeys(each["kind"] for each in found):
+        for way in ("standing", "moving"):
+            own = [each for each in found if (each["kind"], each["way"]) == (kind, way)]
+            means = {key: float(100 * np.mean([each[key] for each in own])) for key in ("in shadow", "outlines")}
+            rows.setdefault(kind, {})[way] = means | {key: 100 * max(each[key] for each in own) for key in ("leaked", "lost", "wrong")}
+    show("Standing and moving worlds, %; means of what is in shadow and of outlines, the worst of the others", rows)
+    limits = (("standing", "leaked", 0.1), ("standing", "wrong", 0.5), ("moving", "leaked", 1.0))
+    goals = [Goal(f"{key}, {way}, %", 100 * max(each[key] for each in found if each["way"] == way), limit) for way, key, limit in limits]
+    return {"results": found, "goals": goals}
 
 
 if __name__ == "__main__":
-    on_one_thread("OMP_NUM_THREADS", "LP_NUM_THREADS")
-    main()
+    run(measure, __doc__, packages=("torch", "embreex"), points={"type": int, "default": 3000, "help": "points a view (3000)"})

@@ -1,167 +1,164 @@
 """How fast primitives become pixel utilisations: `python benchmarks/ssc.py [--json FILE] [--quick]`.
 
 SuperSampling Control of 1.05 million pixels and 3.07 million rays beside one product with the headlight matrix and beside the same in
-plain torch; and the lamps of the thesis' tables B.1 to B.4. In one process with one thread, in process time, all in turn. On CUDA also as
-captured graphs, in clock time with synchronisation.
+plain torch; and the lamps of the thesis' tables B.1 to B.4. In process time of one thread, all in turn. On CUDA also as captured graphs,
+in clock time with synchronisation.
 """
 
-import argparse
-import json
+import itertools
+import math
 import sys
-import time
-from pathlib import Path
+from argparse import Namespace
+from functools import partial
 from typing import Any
 
 import torch
-from bench import judged, machine, on_one_thread, show_goals
-from rich.table import Table
-from spmv_timing import Step, interleaved, statistics
-from ssc_scenes import T_WORLD_LAMP, Plain, covered, lamp, many, symbol
+from bench import Goal, Step, interleaved, on_gpu, run, show
+from lamps import wide_lamp
+from torch import Tensor
 
-from luxloop.controllers.pixels.primitives import Primitives
+from luxloop.controllers.pixels.primitives import Primitives, concatenate, rectangle, road_symbol
 from luxloop.controllers.pixels.ssc import Ssc
-from luxloop.loop.report import terminal as tables
+from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
 
 ROUNDS = 11
-GPU_ROUNDS = 500
-LARGE = (725, 1450, 1238, 2480)  # pixel and texel rows and columns: 1.05 million and 3.07 million
-SMALL = (22, 46, 255, 510)  # 1 k and 130 k
-QUICK = (125, 250, 214, 428)
-# Pixels and rays cast, as in the thesis.
+# Rows and columns of pixels and of rays, as in the thesis.
 SIZES = {
     "84": (3, 28, 107, 428),
-    "1k": SMALL,
+    "1k": (22, 46, 255, 510),
     "30k": (122, 246, 264, 531),
     "100k": (223, 448, 430, 864),
-    "1.05M": LARGE,
+    "1.05M": (725, 1450, 1238, 2480),
 }
-# Medians of tables B.1 (µs), B.2 (ms), B.3 and B.4 (in %, of 185 µs) of the thesis, Nvidia 2080 Ti, in µs.
-THESIS_US = {"B.1": {"84": 257, "30k": 256, "100k": 344}, "B.2, B.3": {"84": 173, "30k": 189, "100k": 308}}
-THESIS_US["B.4"] = {"1k": 185, "30k": 175, "100k": 331, "1.05M": 1787}
-GOALS = {
-    "symbol on 5 %, times one product": (1.5, False),
-    "symbol on 5 %, times faster than plain torch": (15.0, True),
-    "36 primitives on 77 %, times one product": (5.0, False),
-    "cost a ray of 36 primitives, 1.05 M pixels to 1 k": (1.2, False),
-    "ms as a graph on a GPU, symbol on 5 %": (0.15, False),
+QUICK_SIZES = {"1k": SIZES["1k"], "30k": SIZES["30k"]}
+# Medians of tables B.1, B.2, B.3 and B.4 of the thesis, Nvidia 2080 Ti, in µs.
+THESIS_US = {
+    "B.1": {"84": 257, "30k": 256, "100k": 344},
+    "B.2, B.3": {"84": 173, "30k": 189, "100k": 308},
+    "B.4": {"1k": 185, "30k": 175, "100k": 331, "1.05M": 1787},
 }
+T_WORLD_LAMP = pose_from_degrees((0.0, 0.6, 0.75))
+BOARDS = (4, 9)
+COVER = 0.925  # of a board's share of the field along each axis, for 77 % in all
+KINDS = (("u_abs", 1.0, 1.0), ("E_v", 2.0, 1.0), ("u_abs", 0.0, math.inf), ("I_v", 800.0, 2.0))  # quantity, value, weight
 
 
-def product(light: Headlight) -> Step:
-    """One product with the headlight matrix, the measure of all."""
-    u, out = torch.rand(light.n_pixels, generator=torch.Generator().manual_seed(1)), torch.empty(light.n_texels)
-    return lambda: torch.mv(light.matrix.torch_csr, u, out=out)
+def picture(seed: int) -> Tensor:
+    return torch.rand(256, 128, generator=torch.Generator().manual_seed(seed))
 
 
-def measure_large(size: tuple[int, int, int, int], rounds: int) -> dict[str, Any]:
+def symbol() -> Primitives:
+    """256 x 128 grey values on the road."""
+    return road_symbol(torch.tensor([14.0, 0.6, 0.0, 0.0]), 0.0, 2.15, 4.9, picture(1), 1.0, "u_abs")
+
+
+def boards() -> Primitives:
+    """36 boards at several distances all over the field: lit, asked for lx and cd, masked, with images, forced and not."""
+    tall, wide = (2 * math.tan(math.radians(half_deg)) / n for half_deg, n in zip((5.0, 10.0), BOARDS, strict=True))
+    found = []
+    for k, (row, col) in enumerate(itertools.product(*map(range, BOARDS))):
+        x = 20.0 + k % 7
+        y, z = x * wide * (col - (BOARDS[1] - 1) / 2), x * tall * (row - (BOARDS[0] - 1) / 2)
+        w, h = 0.9 * COVER * wide * x, COVER * tall * x
+        quantity, value, weight = KINDS[k % 4]
+        origin = T_WORLD_LAMP[:3, 3].float() + torch.tensor([x, y + w / 2, z + h / 2])
+        edges = torch.tensor([0.0, -w, 0.0]), torch.tensor([0.0, 0.0, -h])
+        more = {"weight": weight, "symbol": picture(2) if k % 9 == 3 else None, "forced": k % 5 == 0, "priority": k % 3}
+        found.append(rectangle(origin, *edges, value, quantity, normal=torch.tensor([-1.0, 0.0, 0.0]), **more))  # type: ignore[arg-type]
+    return concatenate(*found)
+
+
+class Plain:
+    """SSC of one symbol as it is first written in torch: stored rays, a solver a ray, and every entry of the matrix one by one."""
+
+    def __init__(self, light: Headlight) -> None:
+        entries = light.matrix
+        self.texel = torch.repeat_interleave(torch.arange(light.n_texels), (entries.indptr[1:] - entries.indptr[:-1]).long())
+        self.pixel, self.I_m, self.light = entries.indices.long(), entries.values, light
+        y, z = light.tangents(torch.float32, torch.device("cpu"))
+        z, y = torch.meshgrid(z, y, indexing="ij")
+        rays = torch.stack([torch.ones_like(y), y, z], -1).reshape(-1, 3)
+        self.rays = rays / rays.norm(dim=1, keepdim=True) @ T_WORLD_LAMP[:3, :3].T.float()
+
+    def __call__(self, primitive: Primitives) -> Tensor:
+        """Utilisation `[n_p]`."""
+        origin, d1, d2, normal = (v[0] for v in (primitive.origin, primitive.d1, primitive.d2, primitive.normal))
+        system = torch.stack([self.rays, (-d1).expand_as(self.rays), (-d2).expand_as(self.rays)], -1)
+        length, u, v = torch.linalg.solve(system, (origin - T_WORLD_LAMP[:3, 3].float()).expand_as(self.rays)).unbind(-1)
+        hit = (length > 0) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1) & (self.rays @ normal < 0)
+        place = torch.stack([2 * u - 1, 2 * v - 1], -1)[None, None]
+        image = primitive.symbols[0][None, None]
+        seen = torch.nn.functional.grid_sample(image, place, padding_mode="border", align_corners=False)[0, 0, 0]
+        setpoint = torch.where(hit, seen * primitive.value[0], 0.0)
+        I_s = (self.I_m * setpoint[self.texel]).clamp(min=0).minimum(self.I_m)
+        zero = torch.zeros(self.light.n_pixels)
+        total = zero.index_add(0, self.pixel, self.I_m)
+        return (zero.index_add(0, self.pixel, self.I_m * (I_s / self.I_m)) / total).nan_to_num().clamp(0, 1)
+
+
+def large(size: tuple[int, int, int, int], rounds: int) -> dict[str, Any]:
     """The symbol and the many primitives beside one product; the symbol in plain torch as well, after a look at its result."""
-    light, drawn, boards = lamp(*size), symbol(), many()
+    light, one, many = wide_lamp(*size).headlight, symbol(), boards()
     ssc, plain = Ssc.prepare(light), Plain(light)
-    apart = (ssc.utilisation(drawn, T_WORLD_LAMP).u - plain(drawn)).abs()
+    apart = (ssc.utilisation(one, T_WORLD_LAMP).u - plain(one)).abs()
     if not (apart > 1e-3).double().mean() < 1e-4:  # rays at the outline may fall either way
         sys.exit(f"not the same work: plain torch differs by {apart.max():.3g}")
+    u, out = torch.rand(light.n_pixels, generator=torch.Generator().manual_seed(1)), torch.empty(light.n_texels)
     steps: dict[str, Step] = {
-        "product": product(light),
-        "symbol": lambda: ssc.utilisation(drawn, T_WORLD_LAMP),
-        "many": lambda: ssc.utilisation(boards, T_WORLD_LAMP),
+        "product": lambda: torch.mv(light.matrix.torch_csr, u, out=out),
+        "symbol": lambda: ssc.utilisation(one, T_WORLD_LAMP),
+        "many": lambda: ssc.utilisation(many, T_WORLD_LAMP),
     }
-    ms = interleaved(steps, rounds)
-    ms["plain"] = interleaved({"plain": lambda: plain(drawn)}, max(rounds // 4, 1))["plain"]
-    areas = {"symbol": covered(drawn, light), "many": covered(boards, light)}
+    ms = interleaved(steps, rounds) | interleaved({"plain": lambda: plain(one)}, max(rounds // 4, 1))
     shape = {"pixels": light.n_pixels, "rays": light.n_texels, "entries": len(light.matrix.values)}
-    return {**shape, "ms": ms, "covered": areas, "gpu": measure_gpu(light, {"symbol": drawn, "many": boards})}
+    return {**shape, "ms": ms, "gpu": gpu(light, {"symbol": one, "many": many})}
 
 
-def measure_gpu(light: Headlight, scenes: dict[str, Primitives]) -> dict[str, Any] | None:
-    """Captured control steps in ms, synchronised before and after each; None without CUDA."""
+def gpu(light: Headlight, scenes: dict[str, Primitives]) -> dict[str, Any] | None:
+    """Ms of captured control steps; None without CUDA."""
     if not torch.cuda.is_available():
         return None
-    device = torch.device("cuda")
-    ssc, T = Ssc.prepare(light.to(device)), T_WORLD_LAMP.to(device, torch.float32)
-    ms = {}
-    for name, scene in scenes.items():
-        scene, graph, side = scene.to(device), torch.cuda.CUDAGraph(), torch.cuda.Stream()
-        with torch.cuda.stream(side):
+    ssc, T, graphs = Ssc.prepare(light.to(torch.device("cuda"))), T_WORLD_LAMP.to("cuda", torch.float32), {}
+    on_device = {name: scene.to(torch.device("cuda")) for name, scene in scenes.items()}  # held while the graphs read them
+    for name, there in on_device.items():
+        graphs[name] = torch.cuda.CUDAGraph()
+        with torch.cuda.stream(torch.cuda.Stream()):
             for _ in range(3):
-                ssc.utilisation(scene, T)
+                ssc.utilisation(there, T)
         torch.cuda.synchronize()
-        with torch.cuda.graph(graph):
-            ssc.utilisation(scene, T)
-        taken = []
-        for number in range(GPU_ROUNDS + 10):
-            torch.cuda.synchronize()
-            before = time.perf_counter_ns()
-            graph.replay()
-            torch.cuda.synchronize()
-            if number >= 10:
-                taken.append(1e-6 * (time.perf_counter_ns() - before))
-        ms[name] = statistics(taken)
-    return {"device": torch.cuda.get_device_name(), "ms": ms}
+        with torch.cuda.graph(graphs[name]):
+            ssc.utilisation(there, T)
+    return on_gpu({name: graph.replay for name, graph in graphs.items()})
 
 
-def measure_sizes(sizes: dict[str, tuple[int, int, int, int]], rounds: int) -> dict[str, Any]:
-    """The many primitives with every lamp of the tables, in turn."""
-    lights, boards = {name: lamp(*size) for name, size in sizes.items()}, many()
-    controllers = {name: Ssc.prepare(light) for name, light in lights.items()}
-    steps: dict[str, Step] = {name: lambda ssc=ssc: ssc.utilisation(boards, T_WORLD_LAMP) for name, ssc in controllers.items()}
-    ms = interleaved(steps, rounds)
-    return {
-        name: {"pixels": light.n_pixels, "rays": light.n_texels, "ms": ms[name], "gpu": measure_gpu(light, {"many": boards})}
-        for name, light in lights.items()
+def measure(given: Namespace) -> dict[str, Any]:
+    rounds, sizes = (3, QUICK_SIZES) if given.quick else (ROUNDS, SIZES)
+    biggest = large((125, 250, 214, 428) if given.quick else SIZES["1.05M"], rounds)
+    ms = {name: each["median"] for name, each in biggest["ms"].items()}
+    many, lights = boards(), {name: wide_lamp(*size).headlight for name, size in sizes.items()}
+    steps: dict[str, Step] = {name: partial(Ssc.prepare(light).utilisation, many, T_WORLD_LAMP) for name, light in lights.items()}
+    found = {
+        name: {"pixels": lights[name].n_pixels, "rays": lights[name].n_texels, "ms": each, "gpu": gpu(lights[name], {"many": many})}
+        for name, each in interleaved(steps, rounds).items()
     }
-
-
-def found(large: dict[str, Any], sizes: dict[str, Any]) -> list[dict[str, Any]]:
-    """What the goals ask, None where it was not measured."""
-    ms = {name: times["median"] for name, times in large["ms"].items()}
-    ray = {name: each["ms"]["median"] / each["rays"] for name, each in sizes.items()}
-    first, last = "1k", list(sizes)[-1]
-    values = (
-        ms["symbol"] / ms["product"],
-        ms["plain"] / ms["symbol"],
-        ms["many"] / ms["product"],
-        ray[last] / ray[first],
-        large["gpu"] and large["gpu"]["ms"]["symbol"]["median"],
-    )
-    return judged((goal, value, *limit) for (goal, limit), value in zip(GOALS.items(), values, strict=True))
-
-
-def tables_of(sizes: dict[str, Any]) -> Table:
-    """The thesis' tables B.1 to B.4 beside ours."""
-    titles = ("pixels", "rays", "ms, median", "5 %", "95 %", "ns a ray", *(f"thesis {name}, ms" for name in THESIS_US), "GPU, ms")
-    rows = []
-    for name, each in sizes.items():
-        ms = each["ms"]
-        thesis = (f"{THESIS_US[table_name][name] / 1000:.3f}" if name in THESIS_US[table_name] else "" for table_name in THESIS_US)
-        ours = (f"{ms['median']:.2f}", f"{ms['q05']:.2f}", f"{ms['q95']:.2f}", f"{1e6 * ms['median'] / each['rays']:.1f}")
-        gpu = f"{each['gpu']['ms']['many']['median']:.3f}" if each["gpu"] else "not measured"
-        rows.append((f"{each['pixels']:,}", f"{each['rays']:,}", *ours, *thesis, gpu))
-    return tables.plain(titles, rows, "r", title="36 primitives on 77 % of the field")
-
-
-def main() -> None:
-    """Measure, show, write."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", type=Path, help="also write the results here")
-    parser.add_argument("--quick", action="store_true", help="a small lamp and few rounds, to see that it works")
-    arguments = parser.parse_args()
-    torch.set_num_threads(1)
-    console, rounds = tables.console(), 3 if arguments.quick else ROUNDS
-    sizes = {"1k": SMALL, "30k": SIZES["30k"]} if arguments.quick else SIZES
-    where = machine("torch")
-    console.print(", ".join(f"{key} {value}" for key, value in where.items()), markup=False)
-    large = measure_large(QUICK if arguments.quick else LARGE, rounds)
-    measured = measure_sizes(sizes, rounds)
-    goals = found(large, measured)
-    console.print(f"{large['pixels']:,} pixels, {large['rays']:,} rays, {large['entries']:,} entries; covered: {large['covered']}")
-    console.print({name: round(times["median"], 3) for name, times in large["ms"].items()})
-    console.print(tables_of(measured))
-    show_goals(console, goals)
-    if arguments.json:
-        arguments.json.write_text(json.dumps({"machine": where, "large": large, "sizes": measured, "goals": goals}, indent=1) + "\n")
+    show(f"{biggest['pixels']:,} pixels, {biggest['rays']:,} rays, {biggest['entries']:,} entries", {"ms": ms})
+    rows = {}
+    for name, each in found.items():
+        own = {"pixels": each["pixels"], "rays": each["rays"], "ms": each["ms"], "ns a ray": 1e6 * each["ms"]["median"] / each["rays"]}
+        thesis = {number: us[name] for number, us in THESIS_US.items() if name in us}
+        rows[name] = own | {"thesis, µs": thesis, "GPU, ms": each["gpu"] and each["gpu"]["many"]["median"]}
+    show("36 primitives on 77 % of the field", rows)
+    ray = {name: each["ms"]["median"] / each["rays"] for name, each in found.items()}
+    goals = [
+        Goal("symbol on 5 %, times one product", ms["symbol"] / ms["product"], 1.5),
+        Goal("symbol on 5 %, times faster than plain torch", ms["plain"] / ms["symbol"], 15.0, True),
+        Goal("36 primitives on 77 %, times one product", ms["many"] / ms["product"], 5.0),
+        Goal("cost a ray of 36 primitives, largest lamp to 1 k pixels", ray[list(sizes)[-1]] / ray["1k"], 1.2),
+        Goal("ms as a graph on a GPU, symbol on 5 %", biggest["gpu"] and biggest["gpu"]["symbol"]["median"], 0.15),
+    ]
+    return {"large": biggest, "sizes": found, "goals": goals}
 
 
 if __name__ == "__main__":
-    on_one_thread("OMP_NUM_THREADS")
-    main()
+    run(measure, __doc__)

@@ -5,23 +5,18 @@ and of each the median counts; the first leaves compiled modules for the others,
 checkout in the same rounds.
 """
 
-import argparse
-import json
 import os
 import resource
 import subprocess
 import sys
-from collections import defaultdict
+from argparse import Namespace
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from bench import Goal, judged, machine, show_goals
+from bench import MESA, OMP, Goal, run, show
 
-from luxloop.loop.report import terminal as tables
-
-HERE = Path(__file__).parents[1]
 COMMAND = "import sys; from luxloop.loop.commands.cli import main; sys.exit(main())"
 FIRST_STEP = """import os, sys
 from luxloop.loop.commands.cli import main
@@ -30,75 +25,45 @@ step = Simulation.step
 Simulation.step = lambda *arguments: os._exit(step(*arguments) is None)  # where the first step is done
 main()
 """
-NEW, MISTYPED, TORCH = "luxloop new", "luxloop check snowflak, mistyped", "import torch alone"
-CHECKED = ("snowflake", "speed_bump", "driving", "gfhb", "mechanical_bend", "night_drive")
-QUICK_CHECKED = ("snowflake",)
+CHECKS = ("snowflake", "speed_bump", "driving", "gfhb", "mechanical_bend", "night_drive")
+TORCH = "import torch"
+LIMITS_S = {"new my.toml": 1.0, "check snowflak": 1.0}  # the latter is mistyped
+LIMIT_S = 3.0
 
 
-def commands(scenarios: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
-    """Programs and arguments of all that is measured, by name; files are written to the current folder."""
-    return {
-        TORCH: ("import torch",),
-        "luxloop --help": (COMMAND, "--help"),
-        NEW: (COMMAND, "new", "my.toml"),
-        MISTYPED: (COMMAND, "check", "snowflak"),
-        **{f"luxloop check {name}": (COMMAND, "check", name) for name in scenarios},
-        "luxloop run snowflake, to its first step": (FIRST_STEP, "run", "snowflake"),
-    }
+def programs(quick: bool) -> dict[str, tuple[str, ...]]:
+    """Programs and their arguments by name; files are written to the current folder."""
+    checks = (f"check {name}" for name in (CHECKS[:1] if quick else CHECKS))
+    commands = {name: (COMMAND, *name.split()) for name in ("--help", *LIMITS_S, *checks)}
+    return {TORCH: (TORCH,), **commands, "run snowflake, to its first step": (FIRST_STEP, "run", "snowflake")}
 
 
-def seconds(checkout: Path, program: str, arguments: tuple[str, ...]) -> float:
+def seconds(checkout: Path, program: tuple[str, ...]) -> float:
     """Processor time in s of a program that imports from a checkout."""
     inherited = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    environment = {**inherited, "PYTHONPATH": str(checkout), "OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
+    environment = {**inherited, "PYTHONPATH": str(checkout), OMP: "1", MESA: "1"}
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with TemporaryDirectory() as folder:
-        subprocess.run([sys.executable, "-c", program, *arguments], cwd=folder, env=environment, capture_output=True)
+        subprocess.run([sys.executable, "-c", *program], cwd=folder, env=environment, capture_output=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def measure(scenarios: tuple[str, ...], rounds: int, before: Path | None) -> dict[str, dict[str, float]]:
-    """Median s of each command, `now` and, of another checkout, `before`."""
-    found: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
-    checkouts = {"now": HERE, **({} if before is None else {"before": before.resolve()})}
-    for _ in range(rounds):
-        for name, (program, *arguments) in commands(scenarios).items():
+def measure(given: Namespace) -> dict[str, Any]:
+    checkouts = {"now": Path(__file__).parents[1]} | ({"before": given.before.resolve()} if given.before else {})
+    taken: dict[str, dict[str, list[float]]] = {name: {which: [] for which in checkouts} for name in programs(given.quick)}
+    for _ in range(1 if given.quick else given.rounds):
+        for name, program in programs(given.quick).items():
             for which, checkout in checkouts.items():
-                found[name][which].append(seconds(checkout, program, tuple(arguments)))
-    return {name: {which: median(values) for which, values in each.items()} for name, each in found.items()}
-
-
-def goals(found: dict[str, dict[str, float]]) -> list[Goal]:
-    limits = {NEW: 1.0, MISTYPED: 1.0}
-    return [
-        (f"{name}, s", each["now"], limits.get(name, 3.0), False) for name, each in found.items() if name not in (TORCH, "luxloop --help")
-    ]
-
-
-def main() -> None:
-    """Measure, show."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", type=Path, help="also write the results here")
-    parser.add_argument("--rounds", type=int, default=5, help="rounds to take the median of (5)")
-    parser.add_argument("--before", type=Path, metavar="FOLDER", help="another checkout, measured in turn")
-    parser.add_argument("--quick", action="store_true", help="one round of few commands, to see that it works")
-    arguments = parser.parse_args()
-    console, where = tables.console(), machine("torch", "pydantic")
-    console.print(", ".join(f"{key} {value}" for key, value in where.items()), markup=False)
-    rounds, scenarios = (1, QUICK_CHECKED) if arguments.quick else (arguments.rounds, CHECKED)
-    found = measure(scenarios, rounds, arguments.before)
-    rows = [
-        (name, *(f"{each[which]:.2f}" for which in ("before", "now") if which in each), f"{each['now'] / found[TORCH]['now']:.2f}")
-        for name, each in found.items()
-    ]
-    columns = ("s of one core", *(() if arguments.before is None else ("before",)), "now", "now, in imports of torch")
-    console.print(tables.plain(columns, rows, "lr"))
-    show_goals(console, judged(goals(found)))
-    if arguments.json:
-        report: dict[str, Any] = {"machine": where, "rounds": rounds, "seconds": found, "goals": judged(goals(found))}
-        arguments.json.write_text(json.dumps(report, indent=1) + "\n")
+                taken[name][which].append(seconds(checkout, program))
+    found = {name: {which: median(values) for which, values in each.items()} for name, each in taken.items()}
+    show("s of one core", {name: each | {"in imports of torch": each["now"] / found[TORCH]["now"]} for name, each in found.items()})
+    return {
+        "seconds": found,
+        "goals": [Goal(f"s of {name}", found[name]["now"], LIMITS_S.get(name, LIMIT_S)) for name in list(found)[2:]],
+    }
 
 
 if __name__ == "__main__":
-    main()
+    rounds = {"type": int, "default": 5, "help": "rounds to take the median of (5)"}
+    run(measure, __doc__, threads=(), rounds=rounds, before={"type": Path, "metavar": "FOLDER", "help": "another checkout, in turn"})

@@ -6,13 +6,14 @@ each scenario in a process of its own. The time of the processor for the loop's 
 lengthen. Then bytes and time of a message, and the time from the command to the first picture.
 """
 
-import argparse
 import asyncio
 import json
+import multiprocessing
 import subprocess
 import sys
 import threading
 import time
+from argparse import Namespace
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,10 +21,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from bench import machine, on_one_thread
-from rich.table import Table
+from bench import BLAS, OMP, run, show
 
-from luxloop.loop.report import terminal as tables
 from luxloop.loop.studio.feed import Feed
 from luxloop.loop.studio.messages import VIEWS, Button, Request
 from luxloop.loop.studio.server import Studio, Tokens
@@ -32,7 +31,8 @@ from luxloop.loop.studio.sources import Source
 from luxloop.world.messages import LENGTH
 
 SMALL = ("camera.width_px=640", "camera.height_px=360", "judge_every=0")
-STEPS = {"snowflake": 240, "gfhb": 60, "driving": 80}  # some four to eight seconds each
+STEPS, ROUNDS = {"snowflake": 240, "gfhb": 60, "driving": 80}, 5  # some four to eight seconds each
+QUICK_STEPS, QUICK_ROUNDS = {"snowflake": 4}, 1
 SETTLED_S = 1.0  # in which a client has got the meshes of a run that starts
 WATCHER = """
 import json, struct, sys, time
@@ -76,21 +76,32 @@ def studio(name: str, steps: int) -> Iterator[tuple[Session, int, Tokens]]:
     served.stop()
 
 
-def played_ms(session: Session) -> tuple[float, float]:
+@contextmanager
+def watcher(port: int | str, token: str, sleeps_s: float, views: str) -> Iterator[None]:
+    """A process that has got a step of these views, and sleeps after each."""
+    command = [sys.executable, "-c", WATCHER, str(port), token, str(sleeps_s), views]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        yield
+        process.kill()
+
+
+def play_ms(session: Session) -> tuple[float, float]:
     """Start anew and play to the end; ms of the clock a step, and of the processor for the loop's thread."""
     number = session.published.number
     session.ask(Button(type="reset"), print)
     while session.published.number == number:
         time.sleep(0.01)
     time.sleep(SETTLED_S)
-    (run,) = session.published.runs
+    (run_,) = session.published.runs
     (thread,) = (each for each in threading.enumerate() if each.name == "simulation")
     clocks = time.CLOCK_MONOTONIC, time.pthread_getcpuclockid(thread.ident or 0)
     began_s = [time.clock_gettime(each) for each in clocks]
     session.ask(Button(type="play"), print)
-    while not run.over:
+    while not run_.over:
         time.sleep(0.002)
-    wall, busy = (1e3 * (time.clock_gettime(each) - began) / (len(run.rows) - 1) for each, began in zip(clocks, began_s, strict=True))
+    wall, busy = (1e3 * (time.clock_gettime(each) - began) / (len(run_.rows) - 1) for each, began in zip(clocks, began_s, strict=True))
     return wall, busy
 
 
@@ -106,43 +117,23 @@ def messages_of(session: Session) -> dict[str, dict[str, float]]:
             kind = json.loads(data[LENGTH.size : LENGTH.size + length])["type"]
             found[kind].append((len(data), 1e3 * (time.perf_counter() - began_s)))
             began_s = time.perf_counter()
-    medians = {kind: [median(each) for each in zip(*of_kind[-8:], strict=True)] for kind, of_kind in found.items()}
-    return {kind: {"bytes": size, "ms": ms} for kind, (size, ms) in medians.items()}
+    return {kind: dict(zip(("bytes", "ms"), map(median, zip(*each[-8:], strict=True)), strict=True)) for kind, each in found.items()}
 
 
-def measured(name: str, steps: int, rounds: int) -> dict[str, Any]:
-    """One scenario: ms a step unwatched, watched, and watched by one that reads nothing, run by run in turn, medians; the medians of the
-    ratios of runs that follow each other; and its messages.
-    """
-    taken: dict[str, list[tuple[float, float]]] = {kind: [] for kind in ("unwatched", *WATCHERS)}
+def compare(name: str, steps: int, rounds: int) -> dict[str, Any]:
+    """Median ms a step, clock and processor, unwatched and by watcher; median ratios of runs that follow each other; messages."""
+    ms: dict[str, list[tuple[float, float]]] = {kind: [] for kind in ("unwatched", *WATCHERS)}
     with studio(name, steps) as (session, port, tokens):
         for _ in range(rounds):
-            taken["unwatched"].append(played_ms(session))
+            ms["unwatched"].append(play_ms(session))
             for kind, (sleeps_s, views) in WATCHERS.items():
-                with watched_from_outside(port, tokens.watch, sleeps_s, views):
-                    taken[kind].append(played_ms(session))
-        found: dict[str, Any] = {kind: median(each[0] for each in runs) for kind, runs in taken.items()}
+                with watcher(port, tokens.watch, sleeps_s, views):
+                    ms[kind].append(play_ms(session))
+        found: dict[str, Any] = {kind: median(each[0] for each in runs) for kind, runs in ms.items()}
         for kind in WATCHERS:
-            ratios = zip(
-                *(
-                    [after / before for after, before in zip(*pair, strict=True)]
-                    for pair in zip(taken[kind], taken["unwatched"], strict=True)
-                ),
-                strict=True,
-            )
-            found[f"{kind}_ratio"], found[f"{kind}_busy_ratio"] = map(median, ratios)
+            pairs = list(zip(ms[kind], ms["unwatched"], strict=True))
+            found[f"{kind}, times"] = {of: median(a[k] / b[k] for a, b in pairs) for k, of in enumerate(("clock", "processor"))}
         return {**found, "messages": messages_of(session)}
-
-
-@contextmanager
-def watched_from_outside(port: int | str, token: str, sleeps_s: float, views: str = ALL) -> Iterator[None]:
-    """By a process that has got a step of these views, and sleeps after each."""
-    command = [sys.executable, "-c", WATCHER, str(port), token, str(sleeps_s), views]
-    with subprocess.Popen(command, stdout=subprocess.PIPE) as watcher:
-        assert watcher.stdout is not None
-        watcher.stdout.readline()
-        yield
-        watcher.kill()
 
 
 def first_picture_s(name: str) -> float:
@@ -153,39 +144,23 @@ def first_picture_s(name: str) -> float:
         assert server.stdout is not None
         address = next(line.split()[-1] for line in server.stdout if line.startswith("To watch"))
         port, token = address.rpartition(":")[2].split("/#")
-        with watched_from_outside(port, token, 0.0):
+        with watcher(port, token, 0.0, ALL):
             seconds = time.perf_counter() - began_s
         server.terminate()
     return seconds
 
 
-def main() -> None:
-    on_one_thread("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--scenario", help="measure it alone, and print that as JSON")
-    given = parser.parse_args()
-    names = ["snowflake"] if given.quick else list(STEPS)
-    if given.scenario:
-        print(json.dumps(measured(given.scenario, *((4, 1) if given.quick else (STEPS[given.scenario], 5)))))
-        return
+def measure(given: Namespace) -> dict[str, Any]:
+    steps, rounds = (QUICK_STEPS, QUICK_ROUNDS) if given.quick else (STEPS, ROUNDS)
     found = {}
-    for name in names:  # the context of OpenGL belongs to one thread of a process
-        command = [sys.executable, __file__, "--scenario", name, *(["--quick"] if given.quick else [])]
-        found[name] = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)
-    result = {"machine": machine("websockets", "torch"), "scenarios": found, "first_picture_s": first_picture_s("snowflake")}
-    beside = [column for kind in WATCHERS for column in (kind, "by the processor")]
-    table = Table("scenario", "unwatched, ms", *beside, "bytes of a step", "ms of a step's message")
-    for name, each in found.items():
-        ratios = [f"{each[f'{kind}_{of}']:.2f}" for kind in WATCHERS for of in ("ratio", "busy_ratio")]
-        message = each["messages"]["step"]
-        table.add_row(name, f"{each['unwatched']:.1f}", *ratios, f"{message['bytes']:.0f}", f"{message['ms']:.1f}")
-    tables.show(table)
-    print(f"first picture of snowflake: {result['first_picture_s']:.1f} s")
-    if given.json:
-        given.json.write_text(json.dumps(result, indent=1))
+    for name, count in steps.items():  # the context of OpenGL belongs to one thread of a process
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            found[name] = pool.apply(compare, (name, count, rounds))
+    seconds = first_picture_s("snowflake")
+    show("ms a step of the clock, and times those of an unwatched run", found)
+    print(f"\nfirst picture of snowflake: {seconds:.1f} s")
+    return {"scenarios": found, "first_picture_s": seconds}
 
 
 if __name__ == "__main__":
-    main()
+    run(measure, __doc__, packages=("websockets", "torch"), threads=(OMP, BLAS))

@@ -1,12 +1,18 @@
-"""Intersection over union with and without warp and supervisor, and after a survey, on four roads and behind a box: docs/control.md."""
+"""IoU with and without warp and supervisor, and after a survey, on four roads and behind a box: `python benchmarks/symbol_stages.py`.
+
+Prints the table of docs/control.md.
+"""
 
 import itertools
+from argparse import Namespace
+from typing import Any
 
-from luxloop.loop.report.terminal import markdown
+from bench import run, show
+
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 
-STEPS, MEANT = 30, 10
+STEPS, LAST = 30, 10
 BOX = '[{kind="box", name="box", size_m=[0.4, 0.5, 0.3], albedo=0.2, track=[{position_m=[15.5, 0.2, 0.0]}]}]'
 ROADS = {
     "mixed": ("snowflake", ()),
@@ -16,25 +22,26 @@ ROADS = {
     "box on a flat road": ("snowflake", ("road.kind=flat", f"objects={BOX}")),
 }
 STAGES = {"alone": "", "warp": ", warp={}", "both": ", warp={}, supervisor={}"}
+CONTROLLERS = {"open loop": '{name="open"}', "survey": '{name="feedforward", survey=true}'} | {
+    f"`{name}` {stage}": f'{{name="{name}"{keys}}}'
+    for name, (stage, keys) in itertools.product(("thesis_pid", "gauss_newton"), STAGES.items())
+}
 
 
-def iou(scenario: str, changes: tuple[str, ...], controller: str) -> float:
+def iou(scenario: str, changes: tuple[str, ...], controller: str, steps: int) -> float:
     """Mean of the last steps."""
-    results = prepare(load(scenario, [*changes, f"functions.symbol.controller={controller}", f"steps={STEPS}"]), "cpu").run()
-    return sum(float(result.symbol.verdict.iou) for result in list(results)[-MEANT:]) / MEANT
+    results = list(prepare(load(scenario, [*changes, f"functions.symbol.controller={controller}", f"steps={steps}"]), "cpu").run())
+    last = [float(result.symbol.verdict.iou) for result in results][-LAST:]
+    return sum(last) / len(last)
 
 
-def main() -> None:
-    """Print the table."""
-    names = ["thesis_pid", "gauss_newton"]
-    columns = [f"`{name}` {stage}" for name, stage in itertools.product(names, STAGES)]
-    rows = []
-    for road, (scenario, changes) in ROADS.items():
-        controllers = ['{name="open"}', '{name="feedforward", survey=true}']
-        controllers += (f'{{name="{name}"{keys}}}' for name, keys in itertools.product(names, STAGES.values()))
-        rows.append((road, *(f"{iou(scenario, changes, each):.2f}" for each in controllers)))
-    print(markdown(("road", "open loop", "survey", *columns), rows))
+def measure(given: Namespace) -> dict[str, Any]:
+    roads, steps = ({"mixed": ROADS["mixed"]}, 2) if given.quick else (ROADS, STEPS)
+    controllers = dict(list(CONTROLLERS.items())[:: 4 if given.quick else 1])
+    found = {road: {name: iou(*case, controller, steps) for name, controller in controllers.items()} for road, case in roads.items()}
+    show(f"IoU of the last {LAST} of {steps} steps", found)
+    return {"iou": found}
 
 
 if __name__ == "__main__":
-    main()
+    run(measure, __doc__)

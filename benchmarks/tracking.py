@@ -3,16 +3,17 @@
 Made-up boxes are as noisy and missing as a detector's; `--scenes N` adds as many scenes of random traffic with the network's own.
 """
 
-import argparse
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from argparse import Namespace
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import torch
+from bench import run, show
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from luxloop.loop.report.terminal import markdown
 from luxloop.loop.scenario.model import validate
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import CameraParams, camera_view
@@ -31,45 +32,37 @@ NOISE, MISSES, HIDDEN = 0.04, 0.1, 0.6  # of a box's size, of frames, and the sh
 Road = Callable[[float], tuple[Category, float, float]]  # class, x and y in m at a time
 
 
-@dataclass
-class Kept:
-    """Who was followed how. numbers: of the tracks that showed each object. seen, missed: frames of objects in sight, and of those
-    without a track; false: of tracks that show nobody; switches: frames in which an object's track is another than before.
+class Identities:
+    """Who is followed how, as for CLEAR MOT (Bernardin & Stiefelhagen 2008): an object's track stays its own while it overlaps.
+
+    numbers: of the tracks that showed each object, by name. seen, missed: frames of objects in sight, and of those without a track; false:
+    of tracks that show nobody; switches: frames in which an object's track is another than before.
     """
 
-    numbers: list[set[int]]
-    seen: int = 0
-    missed: int = 0
-    false: int = 0
-    switches: int = 0
+    def __init__(self) -> None:
+        self.numbers, self.owner = defaultdict[Hashable, set[int]](set), dict[Hashable, int]()
+        self.seen = self.missed = self.false = self.switches = 0
 
-    @property
-    def mota(self) -> float:
-        return 1 - (self.missed + self.false + self.switches) / max(self.seen, 1)
-
-
-class Judge:
-    """Holds tracks against the truth, frame by frame: an object's track stays its own while it overlaps, as for MOTA."""
-
-    def __init__(self, objects: int) -> None:
-        self.kept, self.owner = Kept([set() for _ in range(objects)]), dict[int, int]()
-
-    def look(self, true: Tensor, shown: Sequence[bool], boxes: Tensor, numbers: list[int]) -> None:
-        """true: `[n, 4]` px of all objects; shown: which of them are in sight."""
-        shares = overlaps(true, boxes)
-        present = torch.tensor(shown, dtype=torch.bool)
+    def look(self, names: Sequence[Hashable], true: Tensor, visible: Sequence[bool], boxes: Tensor, numbers: Sequence[int]) -> None:
+        """A frame. true: `[n, 4]` px of all objects, in the order of their names; visible: which of them are in sight."""
+        shares, present = overlaps(true, boxes), torch.tensor(visible, dtype=torch.bool)
         usable = torch.where(present[:, None], shares, 0.0)
-        for n, number in self.owner.items():
-            if number in numbers and usable[n, numbers.index(number)] > SAME:
-                usable[n, numbers.index(number)] += 2
-        pairs = [(n, j) for n, j in zip(*linear_sum_assignment(-usable), strict=True) if usable[n, j] > SAME]
-        for n, j in pairs:
-            self.kept.switches += numbers[j] != self.owner.get(n, numbers[j])
-            self.owner[n] = numbers[j]
-            self.kept.numbers[n].add(numbers[j])
-        self.kept.seen += int(present.sum())
-        self.kept.missed += int(present.sum()) - len(pairs)
-        self.kept.false += int((shares.amax(0) <= SAME).sum()) if len(true) else len(numbers)
+        for n, name in enumerate(names):
+            if self.owner.get(name) in numbers and usable[n, numbers.index(self.owner[name])] > SAME:
+                usable[n, numbers.index(self.owner[name])] += 2
+        pairs = [(names[n], numbers[j]) for n, j in zip(*linear_sum_assignment(-usable), strict=True) if usable[n, j] > SAME]
+        for name, number in pairs:
+            self.switches += number != self.owner.get(name, number)
+            self.owner[name] = number
+            self.numbers[name].add(number)
+        self.seen += int(present.sum())
+        self.missed += int(present.sum()) - len(pairs)
+        self.false += int((shares.amax(0) <= SAME).sum()) if len(true) else len(numbers)
+
+    def counts(self) -> dict[str, Any]:
+        several = sum(len(numbers) > 1 for numbers in self.numbers.values())
+        own = {name: getattr(self, name) for name in ("seen", "missed", "false", "switches")}
+        return own | {"several": several, "mota": 1 - (self.missed + self.false + self.switches) / max(self.seen, 1)}
 
 
 def seen(objects: list[tuple[Category, float, float]]) -> tuple[Tensor, list[bool]]:
@@ -87,10 +80,10 @@ def seen(objects: list[tuple[Category, float, float]]) -> tuple[Tensor, list[boo
     return inside, (((covered > HIDDEN) & (away[None] < away[:, None])).any(-1) | outside).tolist()
 
 
-def followed(roads: list[Road], frames: int, seed: int) -> Kept:
+def follow(roads: list[Road], frames: int, seed: int) -> Identities:
     """Made-up traffic, tracked."""
     rng = torch.Generator().manual_seed(seed)
-    tracks, judge = TRACKER.start(), Judge(len(roads))
+    tracks, found = TRACKER.start(), Identities()
     for k in range(frames):
         objects = [road(k / RATE_HZ) for road in roads]
         true, hidden = seen(objects)
@@ -102,8 +95,9 @@ def followed(roads: list[Road], frames: int, seed: int) -> Kept:
         for n, (category, _, _) in enumerate(objects):
             scores[n, CLASSES.index(category)] = 0.6 + 0.4 * float(torch.rand(1, generator=rng))
         tracks = TRACKER.step(tracks, Detections(boxes[shown], scores[shown]), k / RATE_HZ)
-        judge.look(true, [not each for each in hidden], TRACKER.boxes(tracks.present), tracks.present.number.tolist())
-    return judge.kept
+        visible, present = [not each for each in hidden], tracks.present
+        found.look(range(len(roads)), true, visible, TRACKER.boxes(present), present.number.tolist())
+    return found
 
 
 def line(category: Category, x: float, y: float, vx: float = 0.0, vy: float = 0.0) -> Road:
@@ -130,54 +124,52 @@ def crowd(people: int, seed: int) -> list[Road]:
     return [walker() for _ in range(people)]
 
 
-def traffic(seed: int, steps: int) -> Kept:
+def traffic(seed: int, steps: int) -> Identities:
     """Random traffic through the whole chain, in a bright beam, with the network's detections."""
-    scenario = validate(
-        {
-            "name": "traffic",
-            "steps": steps,
-            "seed": seed,
-            "camera": CAMERA,
-            "headlight": {"model": "ssl-hd-lores"},
-            "light": {"ambient_lx": 5.0},
-            "traffic": {"seed": seed, "pedestrians": 4, "cyclists": 2, "cars": 1, "far_m": 40},
-            "detector": {"kind": "network"},
-            "lighting": {"base": {"beam": "low"}},
-        },
-        f"seed {seed}",
-    )
-    simulation, judge = Simulation.prepare(scenario), Judge(len(scenario.all_objects))
+    plain = {
+        "name": "traffic",
+        "steps": steps,
+        "seed": seed,
+        "camera": CAMERA,
+        "headlight": {"model": "ssl-hd-lores"},
+        "light": {"ambient_lx": 5.0},
+        "traffic": {"seed": seed, "pedestrians": 4, "cyclists": 2, "cars": 1, "far_m": 40},
+        "detector": {"kind": "network"},
+        "lighting": {"base": {"beam": "low"}},
+    }
+    simulation, found = Simulation.prepare(validate(plain, f"seed {seed}")), Identities()
     for result in simulation.run():
         assert result.look is not None
-        view = simulation.world.lit(result.time_s)
-        boxes, shown = torch.zeros(len(scenario.all_objects), 4, dtype=torch.float64), [False] * len(scenario.all_objects)
-        for each, box in zip(view.objects, view.boxes, strict=True):
-            boxes[each.object_id - 1] = box
-            shown[each.object_id - 1] = each.visible >= 1 - HIDDEN and float(box[3] - box[1]) >= 24 and each.category in CLASSES
-        judge.look(boxes, shown, result.look.tracks.boxes, result.look.tracks.number.tolist())
-    return judge.kept
+        view, tracks = simulation.world.lit(result.time_s), result.look.tracks
+        visible = [
+            each.visible >= 1 - HIDDEN and float(box[3] - box[1]) >= 24 and each.category in CLASSES
+            for each, box in zip(view.objects, view.boxes, strict=True)
+        ]
+        found.look([each.name for each in view.objects], view.boxes, visible, tracks.boxes, tracks.number.tolist())
+    return found
 
 
-def row(name: str, runs: list[Kept]) -> tuple[str | int, ...]:
-    switches, seconds = sum(each.switches for each in runs), sum(each.seen for each in runs) / RATE_HZ
-    lost = sum(len(numbers) > 1 for each in runs for numbers in each.numbers)
-    return name, len(runs), switches, lost, f"{60 * switches / seconds:.2f}", f"{np.mean([each.mota for each in runs]):.3f}"
+def line(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """A row of the table, of `Identities.counts`."""
+    total = {key: sum(each[key] for each in runs) for key in ("seen", "missed", "switches", "several")}
+    rate, tracked = 60 * RATE_HZ * total["switches"] / total["seen"], 1 - total["missed"] / total["seen"]
+    counts = {"runs": len(runs), "switches": total["switches"], "objects with more than one track": total["several"]}
+    return counts | {"switches a minute": rate, "frames with a track": tracked, "MOTA": float(np.mean([each["mota"] for each in runs]))}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description="Count identity switches of the tracker.")
-    parser.add_argument("--seeds", type=int, default=20, help="runs of each made-up scene")
-    parser.add_argument("--scenes", type=int, default=0, help="scenes of random traffic, with the network")
-    given = parser.parse_args()
-    rows = [row(name, [followed(roads, 110, seed) for seed in range(given.seeds)]) for name, roads in SCENES.items()]
-    crowds = range(-(-given.seeds // 2))
+def measure(given: Namespace) -> dict[str, Any]:
+    seeds, frames = (1, 30) if given.quick else (given.seeds, 150)
+    found = {name: [follow(roads, min(frames, 110), seed) for seed in range(seeds)] for name, roads in SCENES.items()}
     for people in (5, 10, 20):
-        rows.append(row(f"{people} pedestrians to and fro for 5 s", [followed(crowd(people, seed), 150, seed) for seed in crowds]))
+        runs = (follow(crowd(people, seed), frames, seed) for seed in range(-(-seeds // 2)))
+        found[f"{people} pedestrians to and fro for {frames / RATE_HZ:g} s"] = list(runs)
     if given.scenes:
-        rows.append(row("random traffic for 2 s, with the network", [traffic(seed, 60) for seed in range(given.scenes)]))
-    columns = ("scene", "runs", "switches", "objects with more than one track", "switches a minute of an object", "MOTA")
-    print(markdown(columns, rows))
+        found["random traffic for 2 s, with the network"] = [traffic(seed, 60) for seed in range(given.scenes)]
+    rows = {name: line([each.counts() for each in runs]) for name, runs in found.items()}
+    show("Identities", rows)
+    return {"identities": rows}
 
 
 if __name__ == "__main__":
-    main()
+    seeds = {"type": int, "default": 20, "help": "runs of each made-up scene"}
+    run(measure, __doc__, seeds=seeds, scenes={"type": int, "default": 0, "help": "scenes of random traffic, with the network"})

@@ -14,7 +14,6 @@ class Ell(SparseFormat):
 
     def __init__(self, csr: Csr) -> None:
         super().__init__(csr)
-        self.storage = self.count(csr)
         rows = row_of_entries(csr)
         entry = torch.arange(len(rows), device=rows.device) - csr.indptr[rows]
         width = _longest(csr)
@@ -48,10 +47,9 @@ class Sell(SparseFormat):
     name = "sell"
     height = 32  # a warp of a GPU
 
-    def __init__(self, csr: Csr, height: int = height) -> None:
-        self.height = height
+    def __init__(self, csr: Csr) -> None:
         super().__init__(csr)
-        self.storage = self.count(csr, height)
+        height = self.height
         widths = _slice_widths(csr, height)
         self.order = torch.argsort(widths, stable=True)
         place = torch.empty_like(self.order)
@@ -67,9 +65,9 @@ class Sell(SparseFormat):
         self.runs = equal_runs(sorted_widths)
 
     @classmethod
-    def count(cls, csr: Csr, height: int = height) -> Storage:
-        widths = _slice_widths(csr, height)
-        cells = height * int(widths.sum())
+    def count(cls, csr: Csr) -> Storage:
+        widths = _slice_widths(csr, cls.height)
+        cells = cls.height * int(widths.sum())
         return Storage(len(widths) + 1, cells, cells)
 
     def _write(self, x: Tensor, out: Tensor) -> None:

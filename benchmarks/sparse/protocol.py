@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -20,34 +20,25 @@ class Storage:
     column_indices: int
     values: int
 
-    @property
-    def index_count(self) -> int:
-        return self.row_indices + self.column_indices
-
     def bytes(self, dtype: torch.dtype = torch.float32) -> int:
-        return INDEX_BYTES * self.index_count + dtype.itemsize * self.values
+        return INDEX_BYTES * (self.row_indices + self.column_indices) + dtype.itemsize * self.values
 
 
 class SparseFormat(ABC):
-    """A headlight matrix `[n_rows, n_cols]`, stored to be multiplied again and again.
+    """A headlight matrix `[n_rows, n_cols]`, stored on its device to be multiplied again and again.
 
-    A format keeps work buffers between calls: it belongs to one thread. It has no gradient; `sparse.multiply` has.
+    A format keeps work buffers between calls: it belongs to one thread. It has no gradient; `world.spmv.multiply` has.
     """
 
     name: ClassVar[str]
-    storage: Storage
     written_rows: int  # by `refresh`
 
     def __init__(self, csr: Csr) -> None:
         self.n_rows, self.n_cols = csr.n_rows, csr.n_cols
         self.written_rows = csr.n_rows
         self.dtype, self.device = csr.values.dtype, csr.values.device
+        self.storage = self.count(csr)
         self._buffers: dict[str, Tensor] = {}
-
-    @classmethod
-    def from_csr(cls, csr: Csr) -> Self:
-        """Store a matrix this way, on its device."""
-        return cls(csr)
 
     @classmethod
     @abstractmethod
@@ -58,19 +49,12 @@ class SparseFormat(ABC):
     def _write(self, x: Tensor, out: Tensor) -> None:
         """`out = A x` for `[n_cols]` and `[n_rows]`, both contiguous; rows without entries may be left as they are."""
 
-    def _clear(self, out: Tensor) -> None:  # noqa: B027 (most formats write every row)
-        """Zero in `out [..., n_rows]` what `_write` leaves as it is."""
-
     def multiply(self, x: Tensor, out: Tensor | None = None) -> Tensor:
         """`A x` for x `[..., n_cols]` as `[..., n_rows]`, into `out` where given; every row is written.
 
         Raises: ValueError where a shape, dtype or device does not fit, or x wants a gradient.
         """
-        if out is None:
-            return self.refresh(x, zeros((*x.shape[:-1], self.n_rows), x.dtype, x.device))
-        self.check(x, out)
-        self._clear(out)
-        return self.refresh(x, out)
+        return self.refresh(x, zeros((*x.shape[:-1], self.n_rows), x.dtype, x.device) if out is None else out.zero_())
 
     def refresh(self, x: Tensor, out: Tensor) -> Tensor:
         """As `multiply`, for an `out` that came from it: rows that no pixel reaches stay zero and need not be written again."""

@@ -24,7 +24,6 @@ class Tiles(SparseFormat):
     def __init__(self, csr: Csr) -> None:
         super().__init__(csr)
         plan, height = _plan(csr, self.height), self.height
-        self.storage = plan.storage(height)
         self.start, self.stop = plan.window
         self.written_rows = self.stop - self.start
         order = torch.argsort(plan.widths, stable=True)
@@ -46,10 +45,6 @@ class Tiles(SparseFormat):
     @classmethod
     def count(cls, csr: Csr) -> Storage:
         return _plan(csr, cls.height).storage(cls.height)
-
-    def _clear(self, out: Tensor) -> None:
-        out[..., : self.start].zero_()
-        out[..., self.stop :].zero_()
 
     def _write(self, x: Tensor, out: Tensor) -> None:
         gathered = torch.index_select(x, 0, self.columns, out=self._buffer("gathered", len(self.columns)))

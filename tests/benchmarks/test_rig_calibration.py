@@ -7,62 +7,61 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from rig_bench import Rig, model, rig, wall
-from rig_calibration import CASES, figures, lamp, measured
+from rig_calibration import CASES, digitise, figures, lamp
 
+from luxloop.loop.rig.calibration.digitise import Digitised
 from luxloop.world.errors import LuxloopError
+
+STUCK = 433
 
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Rig]:
+    """A lamp of 20 x 40 pixels; every seventh lies at the border, where blur takes light out of the field. One is stuck in "nothing"."""
     light, camera = lamp("small")
     scenario = wall(model(tmp_path_factory.mktemp("lamp") / "small.npz", light), camera.pop("width"), camera.pop("height"), **camera)
-    return {name: replace(rig(scenario, CASES[name], 3), light=light) for name in ("nothing", "all four")}
+    rigs = {name: replace(rig(scenario, CASES[name], 3), light=light) for name in ("nothing", "all four")}
+    bench = rigs["nothing"].bench
+    (seen,) = bench.transports
+    switched = sp.diags_array(np.where(np.arange(seen.shape[1]) == STUCK, 0, 1).astype(np.float32))
+    base = bench.base + seen[:, [STUCK]].toarray().reshape(bench.shape)
+    return rigs | {"nothing": replace(rigs["nothing"], bench=replace(bench, transports=(sp.csr_array(seen @ switched),), base=base))}
 
 
-@pytest.mark.parametrize("case", ["nothing", "all four"])
-def test_small_lamp(small: dict[str, Rig], case: str) -> None:
-    """Of 20 x 40 pixels, every seventh lies at the border, where blur takes light out of the field."""
-    found = measured(small[case])
-    px, one, _, turned, *_ = figures(small[case], found)
-    assert px < 0.1
-    assert one < 2.0
-    assert turned < 0.05
-    assert np.argwhere(found.dead.ravel()).ravel().tolist() == [266, 405]
-    assert not found.stuck.any()
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("shots")
 
 
-def test_stuck_pixel_is_told_from_a_dead_one(small: dict[str, Rig]) -> None:
-    of = small["nothing"]
-    (seen,) = of.bench.transports
-    lit = seen[:, [433]].toarray().reshape(of.bench.shape)
-    switched = sp.diags_array(np.where(np.arange(seen.shape[1]) == 433, 0, 1).astype(np.float32))
-    stuck = replace(of.bench, transports=(sp.csr_array(seen @ switched),), base=of.bench.base + lit)
-    found = measured(replace(of, bench=stuck))
-    assert np.flatnonzero(found.stuck).tolist() == [433]
-    assert np.flatnonzero(found.dead).tolist() == [266, 405]
+@pytest.fixture(scope="module")
+def found(small: dict[str, Rig], folder: Path) -> dict[str, Digitised]:
+    return {name: digitise(of, folder if name == "nothing" else None) for name, of in small.items()}
 
 
-def test_measurement_goes_on_where_it_stopped(small: dict[str, Rig], tmp_path: Path) -> None:
-    of = small["nothing"]
-    measured(of, tmp_path)
-    kept = sorted(tmp_path.glob("*.png"))
+@pytest.mark.parametrize(("case", "stuck"), [("nothing", [STUCK]), ("all four", [])])
+def test_a_small_lamp_with_dead_and_stuck_pixels(small: dict[str, Rig], found: dict[str, Digitised], case: str, stuck: list[int]) -> None:
+    px, one, _, turned, *_ = figures(small[case], found[case]).values()
+    assert px < 0.1 and one < 2.0 and turned < 0.05
+    assert np.flatnonzero(found[case].dead).tolist() == [266, 405] and np.flatnonzero(found[case].stuck).tolist() == stuck
+
+
+def test_measurement_goes_on_where_it_stopped(small: dict[str, Rig], found: dict[str, Digitised], folder: Path) -> None:
+    of, kept = small["nothing"], sorted(folder.glob("*.png"))
+    dark = replace(of.bench, transports=tuple(0 * each for each in of.bench.transports))
+    from_folder = digitise(replace(of, bench=dark), folder)  # this lamp gives no light: every frame is from the folder
     for each in kept[::7]:
         each.unlink()
-    dark = replace(of.bench, transports=tuple(0 * each for each in of.bench.transports))
-    again = measured(of, tmp_path)
-    assert sorted(tmp_path.glob("*.png")) == kept
-    all_kept = measured(replace(of, bench=dark), tmp_path)  # this lamp gives no light: every frame is from the folder
-    np.testing.assert_array_equal(all_kept.measured.intensity, again.measured.intensity)
+    again = digitise(of, folder)
+    assert sorted(folder.glob("*.png")) == kept
+    for each in (from_folder, again):
+        np.testing.assert_array_equal(each.measured.intensity, found["nothing"].measured.intensity)
 
 
-def test_a_dark_lamp_and_a_saturated_camera_are_told(small: dict[str, Rig]) -> None:
-    of = small["nothing"]
-    dark = replace(of.bench, transports=tuple(0 * each for each in of.bench.transports))
-    with pytest.raises(LuxloopError, match="sees none of its pixels"):
-        measured(replace(of, bench=dark))
-    bright = replace(of.bench, transports=tuple(100 * each for each in of.bench.transports))
-    with pytest.raises(LuxloopError, match="saturated at its shortest exposure"):
-        measured(replace(of, bench=bright))
+@pytest.mark.parametrize(("gain", "message"), [(0, "sees none of its pixels"), (100, "saturated at its shortest exposure")])
+def test_a_dark_lamp_and_a_saturated_camera_are_told(small: dict[str, Rig], gain: float, message: str) -> None:
+    of = small["all four"]
+    with pytest.raises(LuxloopError, match=message):
+        digitise(replace(of, bench=replace(of.bench, transports=tuple(gain * each for each in of.bench.transports))))
 
 
 @pytest.mark.slow
@@ -71,6 +70,5 @@ def test_hd_lamp(tmp_path: Path) -> None:
     light, camera = lamp("hd")
     scenario = wall(model(tmp_path / "hd.npz", light), camera.pop("width"), camera.pop("height"), **camera)
     of = replace(rig(scenario, CASES["nothing"], 2), light=light)
-    px, one, *_ = figures(of, measured(of))
-    assert px < 0.1
-    assert one < 2.0
+    px, one, *_ = figures(of, digitise(of)).values()
+    assert px < 0.1 and one < 2.0

@@ -148,9 +148,3 @@ def test_command_says_how_it_went(tmp_path: Path, capsys: pytest.CaptureFixture[
 def test_wrong_options_are_refused(lamp: str, processes: int, message: str, tmp_path: Path) -> None:
     with pytest.raises(LuxloopError, match=message):
         report.run_evaluation(tmp_path, lamp, True, processes)
-
-
-def test_the_page_has_the_words_of_its_template() -> None:
-    root = Path(__file__).parents[4]
-    words = (root / "benchmarks" / "evaluation_page.md").read_text("utf-8")
-    assert (root / "docs" / "results" / "evaluation.md").read_text("utf-8").startswith(words)

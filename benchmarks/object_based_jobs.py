@@ -1,0 +1,299 @@
+"""The jobs of benchmarks/object_based.py: all variants of lighting in one scene, zones, the tracker in good light."""
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from tracking import Identities
+
+from luxloop.controllers.functions.object_based import ObjectBasedState
+from luxloop.loop.scenario.model import Scenario, load, validate
+from luxloop.loop.scenario.overrides import Override
+from luxloop.loop.simulation.detection import pairs
+from luxloop.loop.simulation.lamps import flux_by_side
+from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.simulation.world import LitScene
+from luxloop.perception.camera import expose
+from luxloop.perception.ground_truth import GroundTruth
+from luxloop.perception.noise import FrameNoise
+from luxloop.world.traffic.generator import random_tables
+
+CAMERA = {"width_px": 640, "height_px": 360, "pitch_deg": 1.5, "oversampling": 1, "saturation_e": 2000.0}
+RATE_HZ = 30.0
+WORLD: dict[str, Any] = {
+    **{"camera": CAMERA, "headlight": {"model": "ssl-hd-lores"}, "ssc": {"a_d": 1.0}},
+    **{"detector": {"kind": "network"}, "rate_hz": RATE_HZ},
+}
+FIRST = 2_000_000  # seed of the first scene: the network was trained on scenes from 10,000 on, and judged on those from 1,000,000 on
+OURS = "luxloop"
+SHARE = 0.08  # of the high beam, which is a fifth of the low one's flux
+VARIANTS: dict[str, tuple[Override, ...]] = {  # what each changes in the lighting of the scenario `obl`
+    OURS: (),
+    "over the low beam": ("lighting.base.beam='low'", "functions.object_light.ambient={first=1.0, least=0.05}"),
+    "raising": ("functions.object_light.loop.search={kind='raise'}",),
+    "by class": ("functions.object_light.method='class'", f"functions.object_light.share={SHARE}"),
+    "10 lx for all": ("functions.object_light.method='constant'", f"functions.object_light.share={SHARE}"),
+    "stripes": ("functions.object_light.light.pattern='stripes'",),
+}
+LOW, FULL = "low beam", "full light"  # the latter with all pixels on
+BEAMS = {LOW: "low", "high beam": "high", FULL: None}
+HIGH_BEAM = {"lighting": {"base": {"beam": "high"}}}
+
+END = range(60, 75)  # steps of which means are what object-based lighting has come to
+COMES = 75  # step at which a newcomer is there
+STEPS = 105
+LATE = range(STEPS - 10, STEPS)  # the same of the newcomer
+NEWCOMER = "newcomer"
+LEAST_HEIGHT_PX, LEAST_VISIBLE = 24, 0.5  # of objects that count; as much of them lies in the image
+DAZZLING_LX = 1.0  # on heads and windscreens
+FREE_M = 1.5  # from a newcomer to everybody else
+
+REFLECTANCES = (0.05, 0.1, 0.2, 0.4, 0.8)
+WALLS_M = ((17.0, 3.0), (25.0, 0.0), (17.0, -3.0))  # x and y
+FULL_WELLS = (8000.0, 2000.0)  # electrons, of cameras that measure up to 10.7 and 2.7 cd/m^2
+LUMINANCE, ZONE_STEPS = 0.9, 20  # wanted in zones, cd/m^2
+Jobs = dict[str, dict[str, Any]]  # parameters by key
+
+
+def lit(plain: Mapping[str, Any], tables: Mapping[str, Any] = HIGH_BEAM, seed: int = 0) -> Scenario:
+    """A scenario with its tables of lighting, and a seed of noise."""
+    return validate({**plain, "seed": seed, **tables}, str(plain["name"]))
+
+
+def scene(seed: int, moving: bool) -> dict[str, Any]:
+    """A scene at random, and a newcomer in a free place."""
+    tables = random_tables(seed)
+    traffic = tables["traffic"] | {"moving": moving}
+    for key in ("pedestrians", "cyclists"):  # as in training: nights are emptier than what is worth looking at
+        traffic[key] += 1
+    plain = {"name": f"scene {seed}", "steps": STEPS, **WORLD, **tables, "traffic": traffic}
+    comes_s = COMES / RATE_HZ
+    others = torch.stack([each.pose_track().pose_at(comes_s)[:2, 3] for each in lit(plain).all_objects]).numpy()
+    rng = np.random.default_rng([seed, 3])
+    while True:
+        x = math.exp(rng.uniform(math.log(10), math.log(30)))
+        y = float(rng.uniform(-0.2, 0.2)) * x
+        if np.hypot(*(others - (x, y)).T).min() > FREE_M:
+            break
+    newcomer = {"kind": ("pedestrian", "cyclist")[int(rng.integers(2))], "seed": int(rng.integers(2**31)), "name": NEWCOMER}
+    at = {"position_m": [round(x, 2), round(y, 2), 0.0], "yaw_deg": round(float(rng.uniform(-180, 180)), 1)}
+    return plain | {"objects": [newcomer | {"track": [at], "appears_s": comes_s}]}
+
+
+def scene_jobs(scenes: int, seeds: int) -> Jobs:
+    """Every other scene moves."""
+    variants = {name: load("obl", each).model_dump(mode="json", include={"lighting", "functions"}) for name, each in VARIANTS.items()}
+    counts = {name: seeds if name == OURS else 1 for name in VARIANTS}
+    return {
+        f"scene {k}, {'moving' if k % 2 else 'static'}": {"scenario": scene(FIRST + k, k % 2 == 1), "variants": variants, "seeds": counts}
+        for k in range(scenes)
+    }
+
+
+def illuminate(scenario: Mapping[str, Any], variants: Mapping[str, Mapping[str, Any]], seeds: Mapping[str, int]) -> dict[str, Any]:
+    """A job: every variant with so many seeds, step by step side by side, so that each view is rendered once; frames have the same noise.
+
+    Variants beside the default end where the newcomer comes.
+    The result: `objects` that count; `flux_lm` of BEAMS; `scores` by beam, of each seed, what the detector says of objects in their light;
+    `runs`, by variant, of each seed.
+    """
+    torch.set_num_threads(1)  # wherever the job runs
+    own = {(name, seed): lit(scenario, tables, seed) for name, tables in variants.items() for seed in range(seeds[name])}
+    shared = Simulation.prepare(next(iter(own.values())))
+    simulations = {key: Simulation.prepare(each, before=shared) for key, each in own.items()}  # in its world, which is rendered once
+    states, runs = {key: each.start() for key, each in simulations.items()}, {key: Run() for key in own}
+    beams, counts, luminance = beam_lights(shared), Counter[str](), dict[str, Tensor]()
+    scores = {beam: [defaultdict[str, list[float]](list) for _ in range(max(seeds.values()))] for beam in beams}
+    before, pipeline = None, shared.pipeline
+    assert pipeline is not None and pipeline.detector is not None
+    for step in range(STEPS):
+        for key in (key for key in own if step < COMES or key[0] == OURS):
+            states[key], result = simulations[key].step(states[key])
+            runs[key].add(result, shared)
+        if step not in END and step not in LATE:
+            continue
+        view = shared.world.lit(step / RATE_HZ)
+        if view is not before:
+            before, luminance = view, {beam: view.light(lights)[1] + view.base for beam, lights in beams.items()}
+        due = {each.name for each in view.objects if (step in LATE) == (each.name == NEWCOMER)}
+        counts.update(due & {each.name for each in view.objects if is_clear(each) and each.category in pipeline.detector.classes})
+        for beam, of_seeds in scores.items():
+            for seed, by_name in enumerate(of_seeds):
+                frame = expose(luminance[beam], shared.scenario.camera, FrameNoise.of(seed, step, 0))
+                found = pipeline.find(frame / (2**shared.scenario.camera.bits - 1), view)
+                boxes = dict(pairs(view.boxes, found.boxes.double().cpu()))
+                for k, each in enumerate(view.objects):
+                    if each.name in due:
+                        by_name[each.name].append(float(found.scores[boxes[k]].max()) if k in boxes else 0.0)
+    names = [name for name, steps in counts.items() if steps == len(LATE if name == NEWCOMER else END)]
+    return {
+        "objects": names,
+        "flux_lm": {beam: sum(flux_by_side(shared.modules, lights).values()) for beam, lights in beams.items()},
+        "scores": {beam: [means(each, names) for each in of_seeds] for beam, of_seeds in scores.items()},
+        "runs": {name: [runs[name, seed].result(names) for seed in range(seeds[name])] for name in variants},
+    }
+
+
+def beam_lights(simulation: Simulation) -> dict[str, tuple[Tensor, ...]]:
+    """Utilisations `[n_p]`, one a module, of BEAMS."""
+    return {
+        name: tuple(
+            torch.ones_like(module.flux) if beam is None else module.lamp.beam(beam)[module.number].to(module.flux)
+            for module in simulation.modules
+        )
+        for name, beam in BEAMS.items()
+    }
+
+
+def is_clear(each: GroundTruth) -> bool:
+    """Whether an object is large enough, and visible enough, to be asked for."""
+    return bool(each.whole[3] - each.whole[1] >= LEAST_HEIGHT_PX and min(each.visible, each.inside) >= LEAST_VISIBLE)
+
+
+def means(scores: Mapping[str, Sequence[float]], names: Sequence[str]) -> dict[str, float]:
+    return {name: round(float(np.mean(scores[name])), 4) for name in names if name in scores}
+
+
+class Run:
+    """What a run gives, step by step. tracked: steps in which a track shows an object. dazzled: step, whether a track shows who is
+    dazzled. searches: first step of a track's loop, and the first in which it had settled."""
+
+    def __init__(self) -> None:
+        self.series: dict[str, list[Any]] = {name: [] for name in ("flux_lm", "watts", "eyes_lx", "newcomer_lx", "dazzled")}
+        self.scores: dict[str, list[float]] = defaultdict(list)
+        self.tracked: dict[str, list[int]] = defaultdict(list)
+        self.searches: dict[str, list[int | None]] = {}
+
+    def add(self, result: StepResult, shared: Simulation) -> None:
+        assert result.look is not None
+        own, eyes_lx = self.series, result.look.eyes_lx_max
+        own["flux_lm"].append(round(sum(power.flux_lm for power in result.powers.values()), 2))
+        own["watts"].append(round(sum(power.watts for power in result.powers.values()), 3))
+        own["eyes_lx"].append(finite(eyes_lx))
+        for name, each in result.look.recognised.items():
+            if each.track is not None:
+                self.tracked[name].append(result.step)
+            if result.step in (LATE if name == NEWCOMER else END):
+                self.scores[name].append(each.score)
+        for state in (each for each in result.functions.values() if isinstance(each, ObjectBasedState)):
+            for track, loop in state.loops.items():
+                search = self.searches.setdefault(track, [result.step, None])
+                if loop.settled and search[1] is None:
+                    search[1] = result.step
+        if (eyes_lx or 0.0) > DAZZLING_LX:
+            own["dazzled"] += dazzled(result, shared.world.lit(result.time_s))
+        if result.step >= COMES:
+            own["newcomer_lx"].append(finite(result.objects[NEWCOMER].lx_mean))
+
+    def result(self, names: Sequence[str]) -> dict[str, Any]:
+        """Plain values. scores, tracked: by name, mean, and share of the steps that are judged. found: first step with a track, if any."""
+        judged = {name: LATE if name == NEWCOMER else END for name in names}
+        return self.series | {
+            "scores": means(self.scores, names),
+            "tracked": {name: len(set(steps) & set(self.tracked[name])) / len(steps) for name, steps in judged.items()},
+            "found": {name: next(iter(self.tracked[name]), None) for name in names},
+            "searches": list(self.searches.values()),
+        }
+
+
+def dazzled(result: StepResult, view: LitScene) -> Iterator[tuple[int, bool]]:
+    """Of each whose head or windscreen gets more than DAZZLING_LX the step, and whether a track shows it."""
+    assert result.look is not None
+    for each in view.objects:
+        lx = result.illuminance[view.eyes & (view.surfaces.object_id == each.object_id)]
+        if len(lx) and float(lx.max()) > DAZZLING_LX:
+            yield result.step, result.look.recognised[each.name].track is not None
+
+
+def finite(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else round(value, 3)
+
+
+def zone_jobs(seeds: int) -> Jobs:
+    """Each reflectance once in each place, with each camera."""
+    rows = [[REFLECTANCES[(first + k) % len(REFLECTANCES)] for k in range(len(WALLS_M))] for first in range(len(REFLECTANCES))]
+    return {
+        f"zones, {' '.join(map(str, each))}, {well:g} e, seed {seed}": {"reflectances": each, "saturation_e": well, "seed": seed}
+        for seed in range(seeds)
+        for well in FULL_WELLS
+        for each in rows
+    }
+
+
+def zones(reflectances: Sequence[float], saturation_e: float, seed: int) -> dict[str, Any]:
+    """A job: how bright three walls are, each with a zone, in cd/m^2, `luminance [walls, steps]`."""
+    torch.set_num_threads(1)
+    walls, functions = [], {}
+    for k, ((x, y), albedo) in enumerate(zip(WALLS_M, reflectances, strict=True)):
+        at = [{"position_m": (x + 0.1, y, 0.0)}]
+        walls.append({"kind": "box", "name": f"wall_{k}", "size_m": (0.2, 2.0, 2.0), "albedo": albedo, "track": at})
+        functions[f"zone_{k}"] = {"kind": "zone", "centre_m": (x, y, 1.0), "size_m": (0.0, 1.6, 1.6), "luminance_cd_m2": LUMINANCE}
+    world = {key: value for key, value in WORLD.items() if key != "detector"} | {"camera": CAMERA | {"saturation_e": saturation_e}}
+    plain = {"name": "zones", "steps": ZONE_STEPS, **world, "light": {"ambient_lx": 0.1}, "objects": walls}
+    results = list(Simulation.prepare(lit(plain, {"lighting": {"base": {"beam": "low"}}, "functions": functions}, seed)).run())
+    return {"saturation_e": saturation_e, "luminance": [[each.zones[name].luminance for each in results] for name in functions]}
+
+
+def _walker(name: str, seed: int, kind: str, way: Sequence[tuple[float, float]], speed_m_s: float) -> dict[str, Any]:
+    path = {"points_m": [(x, y, 0.0) for x, y in way], "speed_m_s": speed_m_s}
+    return {"kind": kind, "name": name, "seed": seed, "path": path}
+
+
+def situations(k: int) -> dict[str, list[dict[str, Any]]]:
+    """Objects of the k-th place by situation."""
+    seed, crossing_m, walk_m = FIRST + 10 * k, 13.0 + 3 * k, 14.0 + 2 * k
+    pillar = {
+        "kind": "box",
+        "name": "pillar",
+        "size_m": (0.3, 0.85, 2.4),
+        "albedo": 0.2,
+        "track": [{"position_m": (walk_m - 1.5, 0.0, 0.0)}],
+    }
+    return {
+        "two pedestrians cross": [
+            _walker("from_the_left", seed, "pedestrian", [(crossing_m, 2.0), (crossing_m, -6.0)], 1.4),
+            _walker("from_the_right", seed + 1, "pedestrian", [(crossing_m + 1.5, -2.0), (crossing_m + 1.5, 6.0)], 1.4),
+        ],
+        "a cyclist overtakes": [
+            _walker("slow", seed + 2, "cyclist", [(16.0 + 2 * k, -1.2), (60.0, -1.2)], 2.0),
+            _walker("fast", seed + 3, "cyclist", [(11.0 + 2 * k, 0.2), (60.0, 0.2)], 6.0),
+        ],
+        "10 frames behind a pillar": [_walker("walker", seed + 4, "pedestrian", [(walk_m, -1.6), (walk_m, 6.0)], 1.3), pillar],
+    }
+
+
+DENSE = "dense traffic"
+
+
+def track_jobs(seeds: int, times: int, steps: int) -> Jobs:
+    """Each situation so often, each time in another place with others."""
+    found: Jobs = {}
+    for k in range(times):
+        plain = {name: {"name": name, "steps": steps, **WORLD, "objects": objects} for name, objects in situations(k).items()}
+        traffic = {"seed": k, "pedestrians": 8, "cyclists": 3, "cars": 2, "parked": 2, "moving": True}
+        plain[DENSE] = {**scene(FIRST + 900_000 + k, moving=True), "objects": [], "steps": steps, "traffic": traffic}
+        found |= {f"{name} {k}": {"situation": name, "scenario": each, "seeds": seeds} for name, each in plain.items()}
+    return found
+
+
+def track(situation: str, scenario: Mapping[str, Any], seeds: int) -> dict[str, Any]:
+    """A job: identities in the light of the high beam, with each seed's noise: `tracking.Identities` of each."""
+    torch.set_num_threads(1)
+    own = [lit(scenario, seed=seed) for seed in range(seeds)]
+    shared = Simulation.prepare(own[0])
+    simulations = [Simulation.prepare(each, before=shared) for each in own]
+    states, found = [each.start() for each in simulations], [Identities() for _ in own]
+    for step in range(shared.scenario.steps):
+        view = shared.world.lit(step / RATE_HZ)
+        visible = [each.visible * each.inside >= LEAST_VISIBLE for each in view.objects]
+        for k, each in enumerate(simulations):
+            states[k], result = each.step(states[k])
+            assert result.look is not None
+            tracks = result.look.tracks
+            found[k].look([each.name for each in view.objects], view.boxes, visible, tracks.boxes, tracks.number.tolist())
+    return {"situation": situation, "runs": [each.counts() for each in found]}

@@ -1,0 +1,158 @@
+"""All controllers of a symbol in one world: the job of benchmarks/symbol_control.py and places.py, and what lamp and camera allow there."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import grid_sample, max_pool1d
+
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.controllers.symbol import build_controller
+from luxloop.controllers.symbol.sensing.projector import DrawingModule
+from luxloop.loop.recording.files import table_of
+from luxloop.loop.recording.record import row, schema
+from luxloop.loop.recording.summary import AXES, column, overshoot_percent, settle_step
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario import data
+from luxloop.loop.scenario.model import Scenario, validate
+from luxloop.loop.simulation.columns import of_one
+from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.studies.batch.copies import Lights
+from luxloop.perception.birdseye import rectify
+from luxloop.perception.metrics import THRESHOLD
+from luxloop.world.rendering.raycast import depths, first_hits
+from luxloop.world.scene.triangles import Triangles
+
+DARK = 100.0  # %: the centroid's error where nothing is lit
+COARSE = 4  # along and across, one of so many texels tells where the symbol's light goes
+OUTSIDE = 9.0  # a place that is not on the symbol, which lies from -1 to 1
+
+
+def job(scenario: Scenario, controllers: Mapping[str, Mapping[str, Any]], bounded: bool = False) -> dict[str, Any]:
+    """Parameters of `compare`."""
+    plain = scenario.model_dump(mode="json", exclude={"functions": {"symbol": {"controller"}}})
+    return {"scenario": plain, "controllers": controllers, **({"bounded": True} if bounded else {})}
+
+
+def road_of(scenario: Scenario) -> dict[str, Any]:
+    """The road's table for a controller that knows it."""
+    road: dict[str, Any] = scenario.road.model_dump(mode="json")
+    return road | {"file": str(data.locate(road["file"]))} if "file" in road else road
+
+
+def compare(scenario: Mapping[str, Any], controllers: Mapping[str, Mapping[str, Any]], bounded: bool = False) -> dict[str, Any]:
+    """A job: what the judge says of each controller at each step, when it settled and was lost; the bound."""
+    torch.set_num_threads(1)  # wherever the job runs
+    own = {name: controlled(scenario, table) for name, table in controllers.items()}
+    simulation = prepare(next(iter(own.values())), "cpu")
+    found: dict[str, Any] = {}
+    if bounded:
+        limit = bound(simulation)
+        found = {"iou_bound": limit.iou, "visible": limit.visible}
+    found["judged"] = {}
+    for name, table in side_by_side(simulation, own).items():
+        judged = {axis: [finite(value) for value in column(table, axis)] for axis in (*AXES, "iou")}
+        lost = [loss != "" for loss in table["loss"].to_pylist()]
+        found["judged"][name] = {"settle_step": settle_step(table), "overshoot_percent": overshoot_percent(table), "lost": lost, **judged}
+    return found
+
+
+def controlled(scenario: Mapping[str, Any], controller: Mapping[str, Any]) -> Scenario:
+    """The scenario of plain data whose symbol lacks its controller, with a controller."""
+    symbol = {**scenario["functions"]["symbol"], "controller": controller}
+    return validate({**scenario, "functions": {"symbol": symbol}}, str(scenario["name"]))
+
+
+def side_by_side(simulation: Simulation, own: Mapping[str, Scenario]) -> dict[str, pa.Table]:
+    """What recordings have of the symbol in the steps of each controller.
+
+    All go through the same world step by step, so each view of it is rendered once, and their frames have the same noise.
+    """
+    controllers = (build_controller(each.symbol.controller, simulation.symbol.sensor) for each in own.values())
+    runs = [replace(simulation.with_controller(each), scenario=own[name]).run() for name, each in zip(own, controllers, strict=True)]
+    rows: dict[str, list[dict[str, Any]]] = {name: [] for name in own}
+    for results in zip(*runs, strict=True):
+        for name, result in zip(own, results, strict=True):
+            rows[name].append(row(result))
+    columns = schema(simulation)
+    return {name: of_one(table_of(each, columns), "symbol") for name, each in rows.items()}
+
+
+def finite(value: float) -> float | None:
+    """To four digits, as JSON can hold it."""
+    return round(float(value), 4) if math.isfinite(value) else None
+
+
+def series(judged: Mapping[str, Any], name: str, missing: float) -> NDArray[np.float64]:
+    """Values of all steps, `[steps]`."""
+    return np.array([missing if value is None else value for value in judged[name]])
+
+
+@dataclass(frozen=True)
+class Bound:
+    """lights: utilisations, one a module that draws the symbol. iou: of the judge. visible: share of the target's cells in the judge's
+    plane that they light."""
+
+    lights: Lights
+    iou: float
+    visible: float
+
+
+def bound(simulation: Simulation) -> Bound:
+    """The symbol as an appearance that this lamp and camera can have on the true road of a standing world; its value is a share, u_abs.
+
+    A texel takes what of the symbol lies where the camera sees its light on the plane z = 0, a pixel the mean of its texels weighted by
+    its light: `u = A^T s / A^T 1`.
+    """
+    world = simulation.world
+    triangles = world.scene.at(0.0, world.motion.at(0.0).T_world_ground)
+    lights = tuple(_draw(simulation, triangles, module) for module in simulation.symbol.projector.modules)
+    judge, all_lights = simulation.symbol.judge, simulation.of_all(simulation.symbol, lights)
+    lit = rectify(judge.plane, world.lit(0.0).luminance(all_lights)) > THRESHOLD * judge.goal.median
+    visible = (lit & judge.goal.mask).sum() / judge.goal.mask.sum()
+    return Bound(lights, judge.verdict(all_lights, 0.0).iou.item(), visible.item())
+
+
+def _draw(simulation: Simulation, triangles: Triangles, module: DrawingModule) -> Utilisation:
+    headlight = module.pixel_controller.headlight
+    rows, cols = headlight.rows, headlight.cols
+    coarse, fine = (headlight.view(module.T_world_headlight, cols // n, rows // n) for n in (COARSE, 1))
+    inside = (_on_symbol(simulation, triangles, coarse.origin, coarse.rays().flatten(1)).abs() <= 1).all(-1)
+    near_row, near_col = (_spread(inside.view(coarse.height, coarse.width).any(axis), n) for axis, n in ((1, rows), (0, cols)))
+    near = near_row[:, None] & near_col
+    where = _on_symbol(simulation, triangles, fine.origin, fine.rays()[:, near])
+    symbol = torch.zeros(rows, cols, dtype=torch.float64)
+    symbol[near] = grid_sample(simulation.symbol.projector.symbol.double()[None, None], where[None, None], align_corners=False)[0, 0, 0]
+    matrix = headlight.matrix.to_scipy()
+    share = (matrix.T @ symbol.flatten().numpy()) / (matrix.T @ np.ones(rows * cols)).clip(1e-12)
+    value = simulation.scenario.symbol.value / len(simulation.symbol.projector.modules)
+    return Utilisation(torch.from_numpy(value * share).float())  # without a band, outside of which light would be hidden
+
+
+def _spread(coarse: Tensor, n: int) -> Tensor:
+    """Which of n texels `[n]` lie in or beside the marked ones of fewer and larger `[m]`."""
+    beside = max_pool1d(coarse[None].float(), 3, 1, 1)[0] > 0
+    return beside[torch.arange(n) * len(coarse) // n]
+
+
+def _on_symbol(simulation: Simulation, triangles: Triangles, origin: Tensor, rays: Tensor) -> Tensor:
+    """Where on the symbol `[N, 2]` (right and down, -1 to 1 over it) the camera sees light of rays `[3, N]` from a place `[3]` m.
+
+    Light on the true road is seen on the plane z = 0 behind it; far off the symbol where a ray or the line of sight meets nothing.
+    """
+    params, eye = simulation.scenario.symbol, simulation.world.view.origin[:, None]
+    face = first_hits(triangles, origin, rays)
+    met = face >= 0
+    road = origin[:, None] + rays[:, met] * depths(triangles, face[met], origin, rays[:, met])
+    down = eye[2] - road[2]
+    x, y = (road if params.target == "place" else eye + (road - eye) * eye[2] / down)[:2]
+    on_symbol = torch.stack([2 * (params.y_m - y) / params.width_m, 2 * (params.x_m - x) / params.length_m], -1)
+    where = torch.full((rays.shape[1], 2), OUTSIDE, dtype=torch.float64)
+    where[met] = torch.where((down > 0)[:, None], on_symbol, OUTSIDE)
+    return where

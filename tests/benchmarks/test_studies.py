@@ -1,0 +1,259 @@
+"""Studies that resume: worlds that controllers share, a bound that is right where that is known, measures that follow from runs."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import bench
+import numpy as np
+import object_based
+import object_based_jobs as jobs
+import places
+import pytest
+import side_by_side
+import symbol_control
+import torch
+from symbol_control import Case, Target
+from tracking import Identities
+
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import load
+from luxloop.loop.studies.training import scenes
+
+TINY = ("camera={width_px=320, height_px=240}",)
+
+
+def judged(iou: list[float | None], settle_step: int | None = 3, centroid: float | None = 1.0, lost: int = 0) -> dict[str, Any]:
+    offsets = {"centroid_error_x_percent": [-2.0, *[centroid] * (len(iou) - 1)], "centroid_error_y_percent": [0.0] * len(iou)}
+    flags = [True] * lost + [False] * (len(iou) - lost)
+    return {"settle_step": settle_step, "overshoot_percent": None, "iou": iou, "lost": flags, **offsets}
+
+
+def of_symbol(part: str, own: dict[str, Any], undisturbed: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Luxloop's row beside an open loop of 0.5."""
+    open_loop = judged([0.5] * len(own["iou"]))
+    reference = None if undisturbed is None else {"open": open_loop, "luxloop": undisturbed}
+    case = Case(part, "mixed", 0, 0, load("snowflake"))
+    return symbol_control.measures(case, {"open": open_loop, "luxloop": own}, reference)[1]
+
+
+STEPS_OF = [0.1] * 11 + [0.4] * 5 + [0.8] * 5
+
+
+@pytest.mark.parametrize(
+    ("part", "own", "expected"),
+    [
+        ("standing", judged([0.0] * 11 + [0.9] * 8 + [0.3, 0.9]), {"gap": 0.2, "iou_least": 0.3}),
+        ("standing", judged(STEPS_OF), {"iou": 0.8}),
+        ("driving", judged(STEPS_OF), {"iou": 0.6}),
+        ("standing", judged([0.0] * 20, None, None), {"settle": 20, "centroid": 100.0, "iou": 0.0}),
+    ],
+)
+def test_measures_of_symbols_are_of_the_end(part: str, own: dict[str, Any], expected: dict[str, float]) -> None:
+    found = of_symbol(part, own)
+    assert {name: found[name] for name in expected} == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("worse", "steps"), [([], 0), ([31], 2), ([25, 33], 4), ([49], 20)])
+def test_recovered_is_when_the_undisturbed_run_is_reached_for_good(worse: list[int], steps: int) -> None:
+    own = [0.7 if step in worse else 0.9 for step in range(50)]
+    assert of_symbol("disturbed", judged(own), judged([0.9] * 50))["recovery"] == steps
+
+
+def test_goals_take_the_worst_mean_over_seeds_and_of_luxloop_alone() -> None:
+    keys = ("scene", "seed", "iou", "controller")
+    runs = (("flat", 0, 1.0), ("flat", 1, 0.8), ("curb", 0, 0.95), ("curb", 1, 0.95))
+    rows = [dict(zip(keys, (*run, "luxloop"), strict=True)) | {"latency": 2} for run in runs]
+    rows.append(rows[0] | {"iou": 0.0, "controller": "open"})
+    by_scene, by_run = (Target("IoU", "iou", 0.85, ("flat", "curb"), True, each) for each in ("scene", "case"))
+    assert by_scene.goal(rows)[1:] == (pytest.approx(0.9), 0.85, True, "flat, 2 late")
+    assert by_run.goal(rows)[1:] == (0.8, 0.85, True, "flat, 2 late, seed 1")
+    assert by_scene.goal([]).value is None
+
+
+def place(road: str = "flat", *changes: str, steps: int = 40) -> places.Place:
+    return places.Place("grade", "here", load("flat", (*TINY, f"road={{kind='{road}'}}", *changes), steps=steps))
+
+
+def test_worlds_are_drawn_once_and_for_all() -> None:
+    worlds, few = (list(places.places(quick)) for quick in (False, True))
+    assert len(worlds) >= 200 - places.PLACES * len(places.SCANS) and {each.kind for each in worlds} >= set(places.KINDS) - {"scan"}
+    assert len({each.key for each in worlds}) == len(worlds), "results are found by key"
+    own = {each.key: each.parameters for each in worlds}
+    assert len(few) < len(worlds) / 5 and all(own[each.key] == each.parameters for each in few)
+
+
+@pytest.mark.parametrize(
+    ("percent", "iou"), [(-2, 0.72), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((2, 0.90), (4, 0.85)))]
+)
+def test_the_bound_is_that_of_a_prototype_by_other_means(percent: float, iou: float) -> None:
+    road = f"road={{kind='grade', grade_percent={percent}, crossfall_percent=0, start_x_m=3}}"
+    found = side_by_side.bound(prepare(load("snowflake", (places.SMALL, road)), "cpu"))
+    assert found.iou == pytest.approx(iou, abs=0.006)  # printed to two digits
+    assert found.visible == pytest.approx(iou if percent < 0 else 1.0, abs=0.006)
+
+
+def test_the_bound_of_a_flat_road_is_the_open_loop() -> None:
+    simulation = prepare(place().scenario, "cpu")
+    found = side_by_side.bound(simulation)
+    open_loop = simulation.symbol.projector.light(simulation.symbol.projector.target)
+    # SuperSampling Control takes the symbol at some rays a pixel and its overlap otherwise: a few of a hundred pixels at edges differ.
+    assert (found.lights[0].u - open_loop[0].u).abs().mean() < 1e-4
+    assert found.iou > 0.97 and found.visible > 0.98
+
+
+def test_measures_of_places_compare_with_the_same_world() -> None:
+    open_loop, own = judged([0.5] * 20), judged([None] * 15 + [0.8] * 5, centroid=None, lost=7)
+    found = {"open": open_loop, "thesis_pid": judged([0.9] * 20), places.FEEDFORWARD: open_loop, "luxloop": own}
+    *_, last = places.measures(place(), {"judged": found, "iou_bound": 0.95, "visible": 0.9})
+    expected = {"iou": 0.8, "below_open": -0.3, "below_thesis": 0.1, "found": 7, "lost": 7, "lost_later": 4, "centroid": 100.0}
+    assert {name: last[name] for name in expected} == pytest.approx(expected)
+
+
+GOOD = {"kind": "scan", "latency": 2, "visible": 1.0, "found": 5, "lost_later": 0, "controller": "luxloop", "iou": 0.9}
+GOOD |= {"iou_open": 0.3, "iou_feedforward": 0.9, "iou_bound": 0.9, "below_open": -0.6, "below_thesis": -0.2}
+FROM_3_M, ON_ROAD = {"kind": places.FROM_3_M, "visible": 0.3}, {"kind": places.ROAD_FROM_3_M}
+
+
+@pytest.mark.parametrize(
+    ("goal", "kept", "missed"),
+    [
+        (0, {}, {"iou": 0.85}),
+        (1, {}, {"iou": 0.76}),
+        (2, {"controller": places.FEEDFORWARD}, {"iou": 0.87}),
+        (3, {}, {"below_open": 0.03}),
+        (4, {}, {"below_thesis": 0.03}),
+        (5, {}, {"found": 6}),
+        (5, {}, {"found": None}),
+        (6, {}, {"lost_later": 1}),
+        (7, FROM_3_M, {"iou": 0.85}),
+        (10, ON_ROAD | {"iou": 0.86, "iou_bound": 0.99}, {"iou": 0.84}),
+        (10, ON_ROAD | {"iou": 0.4, "iou_bound": 0.42}, {"iou": 0.39}),
+    ],
+)
+def test_goals_of_places_hold_where_enough_can_be_seen(goal: int, kept: dict[str, Any], missed: dict[str, Any]) -> None:
+    rows = [GOOD | kept, GOOD | kept | missed]
+    assert places.TARGETS[goal].of(rows) == (1, 2)
+    if goal < 7:
+        assert places.TARGETS[goal].of([row | {"visible": 0.7} for row in rows]) == (0, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("study", [symbol_control, places])
+def test_a_second_run_does_nothing_again(study: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    case = Case("standing", "curb", 0, 0, load("curb", TINY, steps=13))
+    monkeypatch.setattr(symbol_control, "cases", lambda seeds, quick: iter([case]))
+    monkeypatch.setattr(places, "places", lambda quick: iter([place("step", "functions.symbol.x_m=13", steps=7)]))
+    arguments = ["--quick", "--jobs", "1", "--out", str(tmp_path), "--json", str(tmp_path / "rows.json")]
+    monkeypatch.setattr(sys, "argv", ["study.py", *arguments])
+    program = {"packages": (), "threads": (), **bench.study_options("study"), "seeds": {"type": int}, "only": {"nargs": "+"}}
+    bench.run(study.measure, "", **program)
+    kept, rows = (tmp_path / "jobs.jsonl").read_bytes(), json.loads((tmp_path / "rows.json").read_text())["rows"]
+    assert [each["controller"] for each in rows] == list(study.CONTROLLERS) and rows[0].get("gap", rows[0].get("below_open")) == 0
+    monkeypatch.setattr(side_by_side, "prepare", None)  # a job done again would fail
+    bench.run(study.measure, "", **program)
+    assert (tmp_path / "jobs.jsonl").read_bytes() == kept
+    monkeypatch.setattr(study, "digests", lambda scenario: {"road.file": "of another scan"})
+    with pytest.raises(SystemExit, match="failed: "):
+        bench.run(study.measure, "", **program)
+
+
+@pytest.mark.slow
+def test_controllers_side_by_side_run_as_each_does_alone() -> None:
+    """Rendered views are shared, noise and states are not."""
+    tables = {name: {"name": name} for name in ("thesis_pid", "luxloop")}
+    parameters = side_by_side.job(load("snowflake", (*TINY, "camera.latency_steps=1"), steps=5), tables)
+    together = side_by_side.compare(**parameters)["judged"]
+    for name, table in tables.items():
+        alone = prepare(side_by_side.controlled(parameters["scenario"], table), "cpu").run()
+        assert together[name]["iou"] == [round(float(result.symbol.verdict.iou), 4) for result in alone]
+
+
+def of_light(own: dict[str, Any], full: dict[str, float]) -> dict[str, Any]:
+    """The row of a run with these values, whose objects have such confidences in full light."""
+    names = {"tracked": dict.fromkeys(full, 1.0), "found": dict.fromkeys(full, 2), "scores": full}
+    base = {"flux_lm": [40.0] * 105, "watts": [10.0] * 105, "eyes_lx": [5.0] * 30 + [0.4] * 75}
+    run = {**names, **base, "newcomer_lx": [], "dazzled": [], "searches": [], **own}
+    result = {"flux_lm": {jobs.LOW: 400.0, jobs.FULL: 6000.0}, "scores": {jobs.LOW: [{}], jobs.FULL: [full]}, "runs": {jobs.OURS: [run]}}
+    result["scores"] = {jobs.LOW: [dict.fromkeys(full, 0.0)], jobs.FULL: [full]}
+    return next(object_based.measures("scene 0, static", result))
+
+
+LATE_DAZZLE = [(5, True), (40, True), (40, False), (41, False)]
+
+
+@pytest.mark.parametrize(
+    ("own", "full", "expected"),
+    [
+        ({"flux_lm": [400.0] * 60 + [40.0] * 45}, {"a": 0.6}, {"saved": 0.9, "eyes_lx": 0.4}),  # the first second does not count
+        ({"scores": {"a": 0.56, "b": 0.25}}, {"a": 0.6, "b": 0.55}, {"objects": 2, "kept": False, "gap": 0.3}),
+        ({"scores": {"a": 0.56, "b": 0.25}}, {"a": 0.6, "b": 0.27}, {"objects": 1, "kept": True}),
+        ({"scores": {"a": 0.56}}, {"a": 0.2}, {"objects": 0, "kept": None}),
+        ({"dazzled": LATE_DAZZLE}, {"a": 0.6}, {"dazzled": 2 / 75, "dazzled_tracked": 1 / 75}),
+        ({"tracked": {"a": 0.4, "b": 0.0}, "found": {"a": 5, "b": None}}, {"a": 0.6, "b": 0.55}, {"lost": 1}),  # what had been found
+    ],
+)
+def test_measures_of_light(own: dict[str, Any], full: dict[str, float], expected: dict[str, Any]) -> None:
+    found = of_light(own, full)
+    assert {name: found[name] for name in expected} == pytest.approx(expected)
+
+
+def test_flux_has_settled_when_it_stays_near_its_end() -> None:
+    flux = np.array([100.0] * 20 + [1.0] * 10 + [30.0] + [2.0] * 44)
+    assert [object_based.settle_step(flux, within) for within in (5.0, 50.0)] == [31, 20]
+
+
+LX = [0.1] * 3 + [4.0] + [9.0] * 26  # half of the light at the end is 4.5 lx
+NEVER = float("inf")
+
+
+@pytest.mark.parametrize(("found", "lx", "expected"), [(2, LX, 4 / 30), (6, LX, 7 / 30), (None, LX, NEVER), (2, [0.0] * 30, NEVER)])
+def test_a_newcomer_is_lit_once_it_is_known_and_gets_half_of_its_light(found: int | None, lx: list[float], expected: float) -> None:
+    """Light that is there by chance is none, nor is half of none."""
+    run = {"found": {"newcomer": found and object_based.COMES + found}, "newcomer_lx": lx}
+    assert object_based.newcomer_s(run) == pytest.approx(expected)
+
+
+def test_searches_and_zones_count_until_they_stay() -> None:
+    assert object_based.searches_s({"searches": [[2, 32], [3, None], [40, 50]]}) == [1.0, float("inf")]
+    (row,) = object_based.zone_rows([{"saturation_e": 8000.0, "luminance": [[0.1, 0.9, 0.5, 0.87, 0.9, 0.91]]}])
+    assert row["steps"] == 3 and row["error"] == pytest.approx(0.01 / 0.9)
+
+
+def test_switches_misses_and_ghosts_are_counted_and_a_track_stays_while_it_overlaps() -> None:
+    one, other = torch.tensor([[0.0, 0, 10, 20]]), torch.tensor([[50.0, 0, 60, 20]])
+    found = Identities()
+    for boxes, numbers in ((one, [1]), (other, [1]), (one, [2]), (torch.cat([one, other]), [2, 3])):
+        found.look("a", one, [True], boxes, numbers)
+    assert found.counts() == {"seen": 4, "missed": 1, "false": 2, "switches": 1, "several": 1, "mota": pytest.approx(0.0)}
+    both = torch.cat([one, one + torch.tensor([4.0, 0, 4, 0])])
+    found = Identities()
+    found.look("ab", both, [True, True], both, [7, 9])
+    found.look("ab", both, [True, True], both.flip(0) + torch.tensor([1.0, 0, 1, 0]), [7, 9])  # each overlaps the other's more
+    assert found.switches == 0
+
+
+def test_scenes_are_others_than_those_of_training_and_newcomers_have_room() -> None:
+    assert jobs.FIRST > scenes.HELD_OUT + 100_000 > scenes.TRAINING
+    given = jobs.lit(jobs.scene(jobs.FIRST + 1, True))
+    newcomer, *others = (each.pose_track().pose_at(2.5)[:2, 3] for each in given.all_objects)
+    assert len(others) > 2 and all(float((newcomer - other).norm()) > jobs.FREE_M for other in others)
+
+
+@pytest.mark.slow
+def test_the_jobs_run_through_the_whole_chain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a few steps each, which judge nothing, over both base beams."""
+    for name, value in {"STEPS": 4, "COMES": 2, "END": range(1, 2), "LATE": range(3, 4)}.items():
+        monkeypatch.setattr(jobs, name, value)
+    ((_, given),) = jobs.scene_jobs(1, 1).items()
+    variants = {name: given["variants"][name] for name in (jobs.OURS, "over the low beam")}
+    found = jobs.illuminate(given["scenario"], variants, dict.fromkeys(variants, 1))
+    ((own,), (low,)) = (found["runs"][name] for name in variants)
+    assert low["flux_lm"][0] > 2 * own["flux_lm"][0] and len(low["flux_lm"]) == 2, "an undimmed low beam, up to the newcomer"
+    assert len(own["flux_lm"]) == 4 and len(own["newcomer_lx"]) == 2
+    assert 0 < own["flux_lm"][-1] < found["flux_lm"]["high beam"] < found["flux_lm"][jobs.FULL]
+    tracks = jobs.track_jobs(seeds=1, times=1, steps=2)
+    assert len(tracks) == 4 and all(jobs.lit(each["scenario"]) for each in tracks.values())
+    (run,) = jobs.track(**tracks["two pedestrians cross 0"])["runs"]
+    assert run["seen"] == 4
