@@ -19,15 +19,23 @@ ROUNDING_S = 1e-6  # of sums of periods and of clocks that count from 1970
 TIME = "give the plant's time in s, as a number"
 
 
-def pair(gave: Any) -> tuple[Any, Arrivals]:
-    """State and arrivals. Raises LuxloopError where it is something else."""
+def check_arrivals(gave: Any, exposure: Exposure | None, like: Tensor) -> tuple[Any, Arrivals]:
+    """State and arrivals that a plant gives for an exposure, None at its start. like: a tensor of the dtype and on the device of samples.
+
+    Raises LuxloopError where they are something else, but for frames' times and images, see `check_frame`.
+    """
     if not isinstance(gave, tuple) or len(gave) != 2 or not isinstance(gave[1], Arrivals):
         what = f"({', '.join(type(each).__name__ for each in gave)})" if isinstance(gave, tuple) else type(gave).__name__
         raise LuxloopError(f"gives {what}; return the state and luxloop.Arrivals, as (state, arrivals)")
+    arrivals = gave[1]
+    _check_time(arrivals, exposure)
+    _check_frames(arrivals)
+    _check_samples(arrivals, like)
+    _check_objects(arrivals)
     return gave
 
 
-def check_time(arrivals: Arrivals, exposure: Exposure | None) -> None:
+def _check_time(arrivals: Arrivals, exposure: Exposure | None) -> None:
     """Raises LuxloopError where the plant's time is none, or has not gone on since an exposure began."""
     if not _is_time(arrivals.time_s) or not math.isfinite(arrivals.time_s):
         raise LuxloopError(f"gives the time_s {arrivals.time_s!r}; {TIME}")
@@ -38,7 +46,7 @@ def check_time(arrivals: Arrivals, exposure: Exposure | None) -> None:
         )
 
 
-def check_frames(arrivals: Arrivals) -> None:
+def _check_frames(arrivals: Arrivals) -> None:
     """Raises LuxloopError where its frames are none."""
     if not isinstance(arrivals.frames, tuple) or not all(isinstance(frame, Frame) for frame in arrivals.frames):
         raise LuxloopError("gives frames that are no tuple of luxloop.Frame; give frames=(luxloop.Frame(...),), or () where none has come")
@@ -52,7 +60,7 @@ def check_frames(arrivals: Arrivals) -> None:
                 raise LuxloopError(f"has shown = {type(frame.shown).__name__}; give a luxloop.Exposure, or leave it out")
 
 
-def check_samples(arrivals: Arrivals, like: Tensor) -> None:
+def _check_samples(arrivals: Arrivals, like: Tensor) -> None:
     """Raises LuxloopError where its samples are none, or are not what their sensors tell, as tensors like another one."""
     if not isinstance(arrivals.samples, tuple) or not all(isinstance(sample, Sample) for sample in arrivals.samples):
         raise LuxloopError("gives samples that are no tuple of luxloop.Sample; give samples=(luxloop.Sample(...),), or leave them out")
@@ -76,7 +84,7 @@ def check_samples(arrivals: Arrivals, like: Tensor) -> None:
                 raise LuxloopError(f"has the values {sample.values.tolist()}, which are not finite; give none where it tells nothing")
 
 
-def check_objects(arrivals: Arrivals) -> None:
+def _check_objects(arrivals: Arrivals) -> None:
     """Raises LuxloopError where its objects are none, have no pose or size, or two have one name."""
     if arrivals.objects is None:
         return
@@ -91,20 +99,23 @@ def check_objects(arrivals: Arrivals) -> None:
             raise LuxloopError(f"object {each.name}: {in_a_line(error)}") from error
 
 
-def check_frame(frame: Frame, start_s: float, now_s: float, camera: CameraParams, like: Tensor) -> None:
-    """Raises LuxloopError for a frame that cannot be of an exposure from the plant's start to now, or of the camera."""
+def check_frame(frame: Frame, span_s: tuple[float, float], now_s: float, camera: CameraParams, like: Tensor) -> None:
+    """Raises LuxloopError for a frame that was not taken within a span of time, has not arrived by now, or is not of the camera."""
     if frame.image is None:
         return
     with locate(f"frame {frame.number}"):
-        if not start_s - ROUNDING_S <= frame.taken_s <= frame.arrived_s + ROUNDING_S <= now_s + 2 * ROUNDING_S:
+        (start_s, end_s), taken_s, arrived_s = span_s, frame.taken_s, frame.arrived_s
+        if not start_s - ROUNDING_S <= taken_s <= end_s + ROUNDING_S:
+            raise LuxloopError(f"was taken at {taken_s:.10g} s, not from {start_s:.10g} to {end_s:.10g} s; give the plant's time in s")
+        if not taken_s - ROUNDING_S <= arrived_s <= now_s + ROUNDING_S:
             raise LuxloopError(
-                f"was taken at {frame.taken_s:.10g} s and arrived at {frame.arrived_s:.10g} s, but the plant's time is {start_s:.10g} "
-                f"to {now_s:.10g} s; give the plant's time in s, and a frame when it has come"
+                f"was taken at {taken_s:.10g} s and arrived at {arrived_s:.10g} s, by time_s = {now_s:.10g}; "
+                "give the plant's time in s, and a frame when it has come"
             )
-        check_image(frame.image, camera, like)
+        _check_image(frame.image, camera, like)
 
 
-def check_image(image: Any, camera: CameraParams, like: Tensor) -> None:
+def _check_image(image: Any, camera: CameraParams, like: Tensor) -> None:
     """Raises LuxloopError where it holds no digital numbers of the camera, or is no tensor like another one."""
     size, most = (camera.height_px, camera.width_px), 2**camera.bits - 1
     if not _is_like(image, like) or image.shape != size:

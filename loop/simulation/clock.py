@@ -6,7 +6,7 @@ from typing import Any
 from torch import Tensor
 
 from luxloop.controllers.situation import TrackedObject
-from luxloop.loop.simulation.checked import check_frame, check_frames, check_objects, check_samples, check_time, pair
+from luxloop.loop.simulation.checked import check_arrivals, check_frame
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame, Plant
 from luxloop.loop.simulation.world import World
 from luxloop.perception.camera import CameraParams
@@ -34,10 +34,7 @@ class FromZero:
     def start(self) -> tuple[Any, Arrivals]:
         """State and arrivals before the first exposure, at 0 s. Raises LuxloopError where the plant gives no such thing."""
         with locate(f"{self.name}: start"):
-            state, arrivals = pair(self.plant.start())
-            check_time(arrivals, None)
-            check_samples(arrivals, self.like)
-            check_objects(arrivals)
+            state, arrivals = check_arrivals(self.plant.start(), None, self.like)
         return (arrivals.time_s, state), _since(arrivals.time_s, arrivals)
 
     def show(self, state: Any, exposure: Exposure) -> tuple[Any, Arrivals]:
@@ -45,13 +42,9 @@ class FromZero:
         start_s, own = state
         exposure = replace(exposure, start_s=start_s + exposure.start_s)
         with locate(f"{self.name}: show"):
-            own, arrivals = pair(self.plant.show(own, exposure))
-            check_time(arrivals, exposure)
-            check_frames(arrivals)
-            check_samples(arrivals, self.like)
-            check_objects(arrivals)
+            own, arrivals = check_arrivals(self.plant.show(own, exposure), exposure, self.like)
             for frame in arrivals.frames:
-                check_frame(frame, start_s, arrivals.time_s, self.camera, self.like)
+                check_frame(frame, (start_s, arrivals.time_s), arrivals.time_s, self.camera, self.like)
         return (start_s, own), _since(start_s, arrivals)
 
     def close(self) -> None:

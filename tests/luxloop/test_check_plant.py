@@ -196,13 +196,14 @@ BROKEN: dict[type, list[str]] = {
     ],
     with_frames("CountsFromOne", lambda frame, _: replace(frame, number=frame.number + 1)): ["a frame of exposure 1, which was not shown"],
     with_frames("SinceMidnight", lambda frame, _: replace(frame, taken_s=80_000 + frame.taken_s)): [
-        "frame 0: was taken at 80000 s, but its exposure lasted from 0 to 0.0166667 s"
+        "frame 0: was taken at 80000 s, not from 0 to 0.01666666667 s"
     ],
     with_frames("Backwards", lambda frame, exposure: replace(frame, arrived_s=exposure.start_s - 0.01)): [
-        "frame 0: arrived at -0.01 s, before it was taken at 0 s"
+        "frame 0: was taken at 0 s and arrived at -0.01 s"
     ],
     with_frames("FromTheFuture", lambda frame, _: replace(frame, arrived_s=frame.arrived_s + 0.1)): [
-        "frame 0: arrived at 0.116667 s, after time_s = 0.0166667"
+        "and arrived at 0.1166666667 s, by time_s = 0.01666666667",
+        "a frame when it has come",
     ],
     with_images("Unseeded", lambda image: (image + torch.rand_like(image).round()).clamp(max=4095)): [
         "another (state, arrivals)[1].frames[0].image",

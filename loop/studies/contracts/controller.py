@@ -10,16 +10,16 @@ from torch import Tensor
 
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from luxloop.controllers.symbol.sensing.protocol import Observation
-from luxloop.controllers.symbol.stages import KEY, METHODS
+from luxloop.controllers.symbol.stages import KEY
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import validate
 from luxloop.loop.simulation.controlled import ControlledSymbol, Frames
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.loop.studies.contracts.values import check_calls, check_state, check_tensor, name_of, pure
+from luxloop.loop.studies.contracts.values import build_part, check_tensor, pure, pure_state
 from luxloop.perception.egomotion import Ego, Sample, Samples, Sensor, ego_of
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError, locate
-from luxloop.world.plugin import Guard, check_methods, construct
+from luxloop.world.plugin import Guard, construct
 
 CALLS = {"start": ("pose",), "projection": ("state", "ego"), "step": ("state", "observation")}
 SCENARIO: dict[str, Any] = {
@@ -71,18 +71,15 @@ def check_controller(controller: type, options: Mapping[str, Any] | None = None,
 
 def check_in(simulation: Simulation, controller: type, options: Mapping[str, Any]) -> None:
     """Raises LuxloopError as `check_controller`, of a controller in a world that others can share."""
-    name = name_of(controller)
-    check_methods(controller, f"{KEY}: {name}", METHODS)
-    own = construct(controller, name, KEY, {"sensor": simulation.symbol.sensor}, options)
-    check_calls(own, CALLS)
     symbol = simulation.symbol
-    watched = replace(simulation, controlled={"symbol": replace(symbol, controller=Watched(own, symbol))})
-    seen = [result.symbol.measurement for result in watched.run()]
+    own = build_part(controller, KEY, CALLS, lambda name: construct(controller, name, KEY, {"sensor": symbol.sensor}, options))
+    checked = replace(simulation, controlled={"symbol": replace(symbol, controller=CheckController(own, symbol))})
+    seen = [result.symbol.measurement for result in checked.run()]
     first, last = (math.hypot(*each.pose_error[:2].tolist()) for each in (seen[0], seen[-1]))
     if seen[-1].code != ExtractionStatus.SEEN or last > AWAY * first:
         end = f"it is {last:.2g} m away" if seen[-1].code == ExtractionStatus.SEEN else "it is not seen any more"
         raise LuxloopError(
-            f"{KEY}: {name}: step moves the symbol away from its target: at first it was {first:.2g} m away, after {len(seen)} steps "
+            f"{KEY}: {own.name}: step moves the symbol away from its target: at first it was {first:.2g} m away, after {len(seen)} steps "
             f"{end}; {REMEDY}"
         )
 
@@ -92,7 +89,7 @@ def world(device: str) -> Simulation:
 
 
 @dataclass(frozen=True)
-class WatchedState:
+class CheckState:
     """inner: the controller's state. steps: how many there were."""
 
     inner: Any
@@ -100,40 +97,38 @@ class WatchedState:
 
 
 @dataclass(frozen=True)
-class Watched:
+class CheckController:
     """The controller in the simulation, of which each call is checked."""
 
     own: Guard
     symbol: ControlledSymbol
 
-    def start(self, pose: Tensor) -> WatchedState:
+    def start(self, pose: Tensor) -> CheckState:
         """The controller's state, which is data."""
-        state = pure(self.own, "start", {"pose": pose}, "state")
-        check_state(self.own, "start", state)
-        return WatchedState(state)
+        return CheckState(pure_state(self.own, "start", {"pose": pose}))
 
-    def projection(self, state: WatchedState, ego: Ego | None) -> ProjectionCommand:
+    def projection(self, state: CheckState, ego: Ego | None) -> ProjectionCommand:
         """The controller's projection command, with a pose in reach."""
         projection = pure(self.own, "projection", {"state": state.inner, "ego": ego}, "projection")
         with locate(f"{self.own.key}: {self.own.name}: projection"):
             self._check(projection)
         return projection
 
-    def step(self, state: WatchedState, observation: Observation) -> WatchedState:
+    def step(self, state: CheckState, observation: Observation) -> CheckState:
         """The controller's state after an observation. In some steps it is also shown nothing, and goes on from there."""
-        after = self._stepped(state, observation)
+        after = self._step(state, observation)
         if state.steps in LOST_AFTER and observation.frames is not None:
             for situation, lost in self._lost(observation, observation.frames).items():
                 with locate(f"in {situation}"):
-                    blind = self._stepped(state, lost)
+                    blind = self._step(state, lost)
                     self.projection(blind, observation.ego)
                 with locate(f"after {situation}"):
-                    self.projection(self._stepped(blind, observation), observation.ego)
+                    self.projection(self._step(blind, observation), observation.ego)
         if state.steps == DRIVES_AFTER:
             for situation, ego in self._driving().items():
                 moving = replace(observation, ego=ego, shown=replace(observation.shown, ego=ego))
                 with locate(f"on a car {situation}"):
-                    self.projection(self._stepped(state, moving), ego)
+                    self.projection(self._step(state, moving), ego)
         return after
 
     def _driving(self) -> dict[str, Ego | None]:
@@ -144,10 +139,8 @@ class Watched:
             "of which nothing measures attitude and rates, which are NaN in ego": ego_of({"wheels": samples["wheels"]}, None, 0.1, 1 / 60),
         }
 
-    def _stepped(self, state: WatchedState, observation: Observation) -> WatchedState:
-        after = pure(self.own, "step", {"state": state.inner, "observation": observation}, "state")
-        check_state(self.own, "step", after)
-        return WatchedState(after, state.steps + 1)
+    def _step(self, state: CheckState, observation: Observation) -> CheckState:
+        return CheckState(pure_state(self.own, "step", {"state": state.inner, "observation": observation}), state.steps + 1)
 
     def _lost(self, observation: Observation, frames: Frames) -> dict[str, Observation]:
         """Observations of the same light where the camera lost the frames, and where these do not show it."""

@@ -10,11 +10,10 @@ from torch import Tensor
 
 from luxloop.loop.run import prepare, torch_device
 from luxloop.loop.scenario.model import validate
-from luxloop.loop.studies.contracts.values import check_calls, name_of, pure
-from luxloop.perception.detection.build import KEY, METHODS, CheckedDetector, own_detector
+from luxloop.loop.studies.contracts.values import build_part, pure
+from luxloop.perception.detection.build import KEY, CheckedDetector, own_detector
 from luxloop.perception.detection.detector import Detections, OwnDetector
 from luxloop.world.errors import LuxloopError
-from luxloop.world.plugin import check_methods
 
 SIZE_PX = (640, 360)
 SCENARIO: dict[str, Any] = {
@@ -45,22 +44,24 @@ def check_detector(detector: type, options: Mapping[str, Any] | None = None, dev
     finite boxes `[n, 4]` (left, top, right, bottom, in px, their middle in the frame) and scores `[n, classes]` of 0..1. Warns where a
     detector of pedestrians or cars finds nothing.
     """
-    name = name_of(detector)
-    check_methods(detector, f"{KEY}: {name}", METHODS)
-    found_by = own_detector(detector, OwnDetector(kind=name, options=dict(options or {})), torch_device(device))
-    check_calls(found_by.own, {"detect": ("frames",)})
+    found_by = build_part(
+        detector,
+        KEY,
+        {"detect": ("frames",)},
+        lambda name: own_detector(detector, OwnDetector(kind=name, options=dict(options or {})), torch_device(device)),
+    )
     frames = _frames(device)
-    alone = [_looked(found_by, frame[None])[0] for frame in frames]
+    alone = [_detect(found_by, frame[None])[0] for frame in frames]
+    where = f"{KEY}: {found_by.own.name}"
     for order in ([0, 1, 2], [2, 1, 0]):
-        for k, each in zip(order, _looked(found_by, frames[order]), strict=True):
+        for k, each in zip(order, _detect(found_by, frames[order]), strict=True):
             if not _alike(alone[k], each):
                 raise LuxloopError(
-                    f"{KEY}: {name}: detect finds something else in a frame where others are beside it; look at each frame of a batch by "
-                    "itself"
+                    f"{where}: detect finds something else in a frame where others are beside it; look at each frame of a batch by itself"
                 )
     if not any(map(len, alone)) and {"pedestrian", "car"} & {*found_by.classes}:
         warnings.warn(
-            f"{KEY}: {name}: nothing found in {len(frames)} frames, of which one shows a pedestrian and a car; frames are shares 0..1 of "
+            f"{where}: nothing found in {len(frames)} frames, of which one shows a pedestrian and a car; frames are shares 0..1 of "
             "the largest number",
             stacklevel=2,
         )
@@ -76,7 +77,7 @@ def _frames(device: str) -> Tensor:
     return torch.stack(found) / (2**simulation.scenario.camera.bits - 1)
 
 
-def _looked(detector: CheckedDetector, frames: Tensor) -> Sequence[Detections]:
+def _detect(detector: CheckedDetector, frames: Tensor) -> Sequence[Detections]:
     """What a detector finds. Raises LuxloopError where that is none, or not the same again."""
     return detector.checked(pure(detector.own, "detect", {"frames": frames}, "detections"), frames)
 

@@ -11,7 +11,7 @@ from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import validate
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.loop.studies.contracts.values import check_calls, check_state, name_of, pure
+from luxloop.loop.studies.contracts.values import check_calls, name_of, pure, pure_state
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.plugin import Guard
 
@@ -114,15 +114,11 @@ class WatchedAdaptive:
 
     def start(self) -> Any:
         """The function's state, which is data."""
-        state = pure(self.own, "start", {}, "state")
-        check_state(self.own, "start", state)
-        return state
+        return pure_state(self.own, "start", {})
 
     def step(self, state: Any, now: Situation) -> Any:
         """The function's state after a frame, which is data."""
-        after = _twice(lambda now: pure(self.own, "step", {"state": state, "now": now}, "state"), now)
-        check_state(self.own, "step", after)
-        return after
+        return _twice(lambda now: pure_state(self.own, "step", {"state": state, "now": now}), now)
 
     def adapted(self, state: Any, now: Situation) -> tuple[Primitives, ...]:
         """The function's primitives."""

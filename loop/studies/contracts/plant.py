@@ -1,6 +1,5 @@
 """The contract of a plant of the user's own."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,15 +8,15 @@ from torch import Tensor
 
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import validate
-from luxloop.loop.simulation.build_plant import KEY, METHODS
-from luxloop.loop.simulation.checked import ROUNDING_S, check_frames, check_image, check_objects, check_samples, check_time, pair
+from luxloop.loop.simulation.build_plant import KEY
+from luxloop.loop.simulation.checked import check_arrivals, check_frame
 from luxloop.loop.simulation.lamps import lamp_modules
-from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame
+from luxloop.loop.simulation.protocol import Arrivals, Exposure
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.simulation.world import World
-from luxloop.loop.studies.contracts.values import Parts, check_calls, check_state, copied, difference, name_of, pure
+from luxloop.loop.studies.contracts.values import Parts, build_part, check_state, copy_parts, difference, pure
 from luxloop.world.errors import LuxloopError, locate
-from luxloop.world.plugin import Guard, Name, check_methods, construct
+from luxloop.world.plugin import Guard, construct
 
 CALLS = {"start": (), "show": ("state", "exposure")}
 GIVES = "(state, arrivals)"
@@ -26,7 +25,7 @@ UNDER_WAY = 4  # more than those of a step by which they are late, so that some 
 SCENARIO: dict[str, Any] = {
     "name": "check_plant",
     "camera": {"width_px": 320, "height_px": 180, "oversampling": 1},
-    "headlight": {"model": "idealised-332x1024", "lamps": ["left"]},
+    "headlight": {"model": "ssl-hd-lores", "lamps": ["left"]},
     "renderer": "raycast",
     "functions": {"symbol": {"kind": "symbol", "image": "snowflake", "controller": "open"}},
 }
@@ -51,37 +50,34 @@ def check_plant(plant: type, options: Mapping[str, Any] | None = None, device: s
 
 def check_in(worlds: tuple[Simulation, Simulation], plant: type, options: Mapping[str, Any]) -> None:
     """Raises LuxloopError as `check_plant`, of a plant in worlds that others can share."""
-    name = name_of(plant)
-    check_methods(plant, f"{KEY}: {name}", METHODS)
     for simulation, exposures in zip(worlds, (EXPOSURES, UNDER_WAY), strict=True):
-        _check_shown(plant, name, options, simulation, exposures)
+        given = {"scenario": simulation.scenario, "modules": lamp_modules(simulation.modules)}
+        own = build_part(plant, KEY, CALLS, lambda name, given=given: construct(plant, name, KEY, given, options))  # type: ignore[misc]
+        if (truth := getattr(own, "truth", None)) is not None and not isinstance(truth, World):
+            raise LuxloopError(
+                f"{KEY}: {own.name}: truth is of the type {type(truth).__name__}; give the truth of a simulated_plant, or leave it out"
+            )
+        _check_shows(own, simulation, exposures)
 
 
-def _check_shown(plant: type, name: Name, options: Mapping[str, Any], simulation: Simulation, exposures: int) -> None:
+def _check_shows(own: Guard, simulation: Simulation, exposures: int) -> None:
     """Raises LuxloopError as `check_plant`, of one in a world and so many exposures."""
-    own = construct(plant, name, KEY, {"scenario": simulation.scenario, "modules": lamp_modules(simulation.modules)}, options)
-    check_calls(own, CALLS)
-    _check_truth(own)
-    shown: list[Shown] = []
-    state, arrivals = _said(own, "start", {}, shown, simulation)
+    shown: list[Show] = []
+    projector, scenario = simulation.symbol.projector, simulation.scenario
+    state, arrivals = _give(own, "start", {}, shown, simulation)
     for number in range(exposures):
-        light = (
-            simulation.symbol.projector.light(simulation.symbol.projector.target)
-            if number % 2 == 0
-            else simulation.symbol.projector.resting
-        )
-        exposure = Exposure(number, arrivals.time_s, simulation.scenario.shares[number % 2] / simulation.scenario.rate_hz, light)
+        light = projector.light(projector.target) if number % 2 == 0 else projector.resting
+        exposure = Exposure(number, arrivals.time_s, scenario.shares[number % 2] / scenario.rate_hz, light)
         before = state
-        state, arrivals = _said(own, "show", {"state": before, "exposure": exposure}, shown, simulation)
-        shown.append(Shown(before, exposure, arrivals, copied((state, arrivals), GIVES)))
+        state, arrivals = _give(own, "show", {"state": before, "exposure": exposure}, shown, simulation)
+        shown.append(Show(before, exposure, arrivals, copy_parts((state, arrivals), GIVES)))
+    where = f"{KEY}: {own.name}:"
     if exposures == EXPOSURES and not any(each.arrivals.frames for each in shown):
-        raise LuxloopError(
-            f"{KEY}: {name}: no frame of {exposures} exposures has arrived or been reported lost; give frames in Arrivals.frames"
-        )
+        raise LuxloopError(f"{where} no frame of {exposures} exposures has arrived or been reported lost; give frames in Arrivals.frames")
     for each in shown:
         if differs := difference(each.gave, own.show(each.state, each.exposure), GIVES):
             raise LuxloopError(
-                f"{KEY}: {name}: show gives another {differs} when an earlier state is shown its exposure again after others; keep what it "
+                f"{where} show gives another {differs} when an earlier state is shown its exposure again after others; keep what it "
                 "remembers in the state and not in self, and make new tensors in place of writing into old ones"
             )
 
@@ -94,7 +90,7 @@ def worlds(device: str) -> tuple[Simulation, Simulation]:
 
 
 @dataclass(frozen=True)
-class Shown:
+class Show:
     """An exposure, the state before it, and what came: arrivals, and the parts of all that the plant gave."""
 
     state: Any
@@ -103,73 +99,39 @@ class Shown:
     gave: Parts
 
 
-def _check_truth(own: Guard) -> None:
-    truth = getattr(own, "truth", None)
-    if truth is not None and not isinstance(truth, World):
-        raise LuxloopError(
-            f"{own.key}: {own.name}: truth is of the type {type(truth).__name__}; give the truth of a simulated_plant, or leave it out"
-        )
-
-
-def _said(own: Guard, method: str, inputs: Mapping[str, Any], shown: Sequence[Shown], simulation: Simulation) -> tuple[Any, Arrivals]:
+def _give(own: Guard, method: str, inputs: Mapping[str, Any], shown: Sequence[Show], simulation: Simulation) -> tuple[Any, Arrivals]:
     """State and arrivals of a call after what was shown. Raises LuxloopError where these cannot be."""
+    camera, like, exposure = simulation.scenario.camera, simulation.symbol.projector.target, inputs.get("exposure")
     gave = pure(own, method, inputs, GIVES)
-    where = f"{own.key}: {own.name}: {method}"
-    with locate(where):
-        state, arrivals = pair(gave)
-    check_state(own, method, state)
-    with locate(where):
-        check_time(arrivals, inputs.get("exposure"))
-        check_frames(arrivals)
-        starts_s = [each.exposure.start_s for each in shown] + [each.start_s for each in inputs.values() if isinstance(each, Exposure)]
-        came = [frame for each in shown for frame in each.arrivals.frames]
+    with locate(f"{own.key}: {own.name}: {method}"):
+        state, arrivals = check_arrivals(gave, exposure, like)
+        starts_s = [each.exposure.start_s for each in shown] + ([] if exposure is None else [exposure.start_s])
+        came = [frame.number for each in shown for frame in each.arrivals.frames]
         for frame in arrivals.frames:
-            _check_number(frame, len(starts_s), came)
-            with locate(f"frame {frame.number}"):
-                start_s, end_s = (*starts_s, arrivals.time_s)[frame.number : frame.number + 2]
-                _check_times(frame, start_s, end_s, arrivals.time_s, came)
-                _check_image(frame.image, simulation)
-            came.append(frame)
-        check_samples(arrivals, simulation.symbol.projector.target)
-        check_objects(arrivals)
+            _check_number(frame.number, len(starts_s), came)
+            start_s, end_s = (*starts_s, arrivals.time_s)[frame.number : frame.number + 2]
+            check_frame(frame, (start_s, end_s), arrivals.time_s, camera, like)
+            _check_numbers(frame.image, 2**camera.bits - 1)
+            came.append(frame.number)
+    check_state(own, method, state)
     return state, arrivals
 
 
-def _check_number(frame: Frame, exposures: int, came: Sequence[Frame]) -> None:
-    """exposures: how many were shown, numbered from 0."""
-    if not 0 <= frame.number < exposures:
-        raise LuxloopError(f"gives a frame of exposure {frame.number!r}, which was not shown; number it as its exposure, exposure.number")
-    if frame.number in [each.number for each in came]:
-        raise LuxloopError(f"gives the frame of exposure {frame.number} twice; give each once, and take it out of the state then")
-    if came and frame.number < came[-1].number:
+def _check_number(number: int, exposures: int, came: Sequence[int]) -> None:
+    """exposures: how many were shown, numbered from 0. came: numbers of the frames before."""
+    if not 0 <= number < exposures:
+        raise LuxloopError(f"gives a frame of exposure {number!r}, which was not shown; number it as its exposure, exposure.number")
+    if number in came:
+        raise LuxloopError(f"gives the frame of exposure {number} twice; give each once, and take it out of the state then")
+    if came and number < came[-1]:
         raise LuxloopError(
-            f"gives the frame of exposure {frame.number} after that of exposure {came[-1].number}; give them in the order of their "
+            f"gives the frame of exposure {number} after that of exposure {came[-1]}; give them in the order of their "
             "exposures, a later one not before all earlier ones have come or are lost"
         )
 
 
-def _check_times(frame: Frame, start_s: float, end_s: float, now_s: float, came: Sequence[Frame]) -> None:
-    """start_s, end_s: of its exposure. now_s: the plant's time."""
-    if frame.image is None and (math.isnan(frame.taken_s) or math.isnan(frame.arrived_s)):
-        return
-    if not start_s - ROUNDING_S <= frame.taken_s <= end_s + ROUNDING_S:
-        raise LuxloopError(
-            f"was taken at {frame.taken_s:g} s, but its exposure lasted from {start_s:g} to {end_s:g} s; give the plant's time in s"
-        )
-    last_s = max((each.arrived_s for each in came if not math.isnan(each.arrived_s)), default=-math.inf)
-    if not max(frame.taken_s, last_s) <= frame.arrived_s + ROUNDING_S:
-        than = f"it was taken at {frame.taken_s:g} s" if frame.taken_s > last_s else f"the frame that came before it at {last_s:g} s"
-        raise LuxloopError(f"arrived at {frame.arrived_s:g} s, before {than}; give the plant's time in s, which never runs backwards")
-    if frame.arrived_s > now_s + ROUNDING_S:
-        raise LuxloopError(f"arrived at {frame.arrived_s:g} s, after time_s = {now_s:g}; give times in s, and a frame when it has come")
-
-
-def _check_image(image: Tensor | None, simulation: Simulation) -> None:
-    if image is None:
-        return
-    camera = simulation.scenario.camera
-    check_image(image, camera, simulation.symbol.projector.target)
-    if not image.equal(image.round()):
-        most, shares = 2**camera.bits - 1, float(image.max()) <= 1
+def _check_numbers(image: Tensor | None, most: int) -> None:
+    if image is not None and not image.equal(image.round()):
+        shares = float(image.max()) <= 1
         what = "it seems to hold shares: multiply it by" if shares else "it may hold a luminance: give digital numbers of 0 to"
         raise LuxloopError(f"has an image whose values are no whole numbers; {what} {most}, and round it")

@@ -11,13 +11,12 @@ from torch import Tensor
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import validate
 from luxloop.loop.simulation.detection import pairs
-from luxloop.loop.studies.contracts.values import check_calls, check_state, name_of, pure
+from luxloop.loop.studies.contracts.values import build_part, pure, pure_state
 from luxloop.perception.detection.detector import Detections
-from luxloop.perception.trackers import KEY, METHODS, CheckedTracker, OwnTracker, own_tracker
+from luxloop.perception.trackers import KEY, CheckedTracker, OwnTracker, own_tracker
 from luxloop.perception.tracking import TrackedBoxes
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.frames import View
-from luxloop.world.plugin import check_methods
 from luxloop.world.traffic.tracked import Category
 
 CALLS = {"start": (), "follow": ("state", "found", "frame", "time_s"), "report": ("state", "time_s")}
@@ -61,39 +60,37 @@ def check_tracker(tracker: type, options: Mapping[str, Any] | None = None, devic
     data; where a report has other shapes or dtypes than `TrackedBoxes`, or values that are not finite; and where an object's number changes
     or becomes another object's. Warns where nothing is reported.
     """
-    name = name_of(tracker)
-    check_methods(tracker, f"{KEY}: {name}", METHODS)
     view, classes, frames = _frames(device)
-    own = own_tracker(tracker, OwnTracker(kind=name, options=dict(options or {})), classes, view)
-    check_calls(own.own, CALLS)
-    state = pure(own.own, "start", {}, "state")
-    check_state(own.own, "start", state)
-    _reported(own, state, 0.0)
+    params = dict(options or {})
+    own = build_part(tracker, KEY, CALLS, lambda name: own_tracker(tracker, OwnTracker(kind=name, options=params), classes, view))
+    state = pure_state(own.own, "start", {})
+    _report(own, state, 0.0)
     numbers: dict[str, int] = {}
     for k, each in enumerate(frames):
-        state = _followed(own, state, each.found, each)
-        for kind, number in _numbers(each.found, _reported(own, state, each.time_s), classes).items():
+        state = _follow(own, state, each.found, each)
+        for kind, number in _numbers(each.found, _report(own, state, each.time_s), classes).items():
             others = {other for other, known in numbers.items() if known == number} - {kind}
             if numbers.setdefault(kind, number) != number or others:
                 was = f"that of the {others.pop()}" if others else f"{numbers[kind]} before"
                 raise LuxloopError(
-                    f"{KEY}: {name}: report gives the {kind} the number {number}, which was {was}; keep an object's number in the state "
+                    f"{KEY}: {own.own.name}: report gives the {kind} the number {number}, which was {was}; keep an object's number in the state "
                     "from frame to frame, whatever the order of detections, and number each new object higher"
                 )
         if k in EMPTY_AFTER:
             empty = Detections(each.found.boxes[:0], each.found.scores[:0])
             with locate("in a frame without detections"):
-                blind = _followed(own, state, empty, frames[k + 1])
+                blind = _follow(own, state, empty, frames[k + 1])
             with locate("after a frame without detections"):
-                _followed(own, blind, frames[k + 2].found, frames[k + 2])
+                _follow(own, blind, frames[k + 2].found, frames[k + 2])
     if not numbers:
         warnings.warn(
-            f"{KEY}: {name}: reported none of 2 objects in {len(frames)} frames with detections of score 1; boxes are px", stacklevel=2
+            f"{KEY}: {own.own.name}: reported none of 2 objects in {len(frames)} frames with detections of score 1; boxes are px",
+            stacklevel=2,
         )
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class DetectionFrame:
     """A frame `[height, width]` as a tracker gets it, when it was taken, and what was found in it."""
 
     image: Tensor
@@ -102,27 +99,26 @@ class Seen:
 
 
 @cache
-def _frames(device: str) -> tuple[View, tuple[Category, ...], Sequence[Seen]]:
+def _frames(device: str) -> tuple[View, tuple[Category, ...], Sequence[DetectionFrame]]:
     simulation = prepare(validate(SCENARIO, SCENARIO["name"]), device)
     assert simulation.pipeline is not None
     most, frames = 2**simulation.scenario.camera.bits - 1, []
     for step in simulation.run():
         assert step.frame is not None and step.look is not None
         image, found = step.frame / most, step.look.found
-        frames.append(Seen(image, step.time_s, Detections(found.boxes.to(image), found.scores.to(image))))
+        frames.append(DetectionFrame(image, step.time_s, Detections(found.boxes.to(image), found.scores.to(image))))
     return simulation.view, simulation.pipeline.classes, frames
 
 
-def _followed(tracker: CheckedTracker, state: Any, found: Detections, seen: Seen) -> Any:
+def _follow(tracker: CheckedTracker, state: Any, found: Detections, seen: DetectionFrame) -> Any:
     """The state after a frame, of which it is reported then and later."""
-    after = pure(tracker.own, "follow", {"state": state, "found": found, "frame": seen.image, "time_s": seen.time_s}, "state")
-    check_state(tracker.own, "follow", after)
+    after = pure_state(tracker.own, "follow", {"state": state, "found": found, "frame": seen.image, "time_s": seen.time_s})
     for time_s in (seen.time_s, seen.time_s + 1 / RATE_HZ):
-        _reported(tracker, after, time_s)
+        _report(tracker, after, time_s)
     return after
 
 
-def _reported(tracker: CheckedTracker, state: Any, time_s: float) -> TrackedBoxes:
+def _report(tracker: CheckedTracker, state: Any, time_s: float) -> TrackedBoxes:
     return tracker.checked(pure(tracker.own, "report", {"state": state, "time_s": time_s}, "report"))
 
 

@@ -1,11 +1,11 @@
 """Pure calls: a state is data, inputs stay as they are, and the same inputs give the same bits."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from inspect import signature
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -14,9 +14,10 @@ from torch import Tensor
 
 from luxloop.world.errors import LuxloopError
 from luxloop.world.partial import PartialImage
-from luxloop.world.plugin import Guard, Name
+from luxloop.world.plugin import Guard, Name, check_methods
 
 DATA = (Tensor, np.ndarray, np.generic, bool, int, float, complex, str, bytes, type(None), Enum, Path, torch.device, torch.dtype)
+Part = TypeVar("Part")
 Parts = dict[str, Any]  # what a value consists of, by its place: "state.gains[0]"
 
 
@@ -25,6 +26,19 @@ def name_of(made_by: type) -> Name:
     if not isinstance(made_by, type):
         raise LuxloopError(f"{made_by!r} is not a class; give the class itself, such as Mine, and its options as a second value")
     return Name(f"{made_by.__module__}:{made_by.__name__}")
+
+
+def build_part(made_by: type, key: str, calls: Mapping[str, tuple[str, ...]], make: Callable[[Name], Part]) -> Part:
+    """What `make` builds of a class, given its name in a scenario: a guarded part, or a wrapper that has one as `own`.
+
+    key: of the scenario, for messages. calls: the values with which each of its methods is called, by their names. Raises LuxloopError
+    where it is no class, lacks a method, cannot be made or takes other values.
+    """
+    name = name_of(made_by)
+    check_methods(made_by, f"{key}: {name}", tuple(calls))
+    part = make(name)
+    check_calls(part if isinstance(part, Guard) else part.own, calls)  # type: ignore[attr-defined]
+    return part
 
 
 def check_calls(own: Guard, calls: Mapping[str, tuple[str, ...]]) -> None:
@@ -38,19 +52,26 @@ def check_calls(own: Guard, calls: Mapping[str, tuple[str, ...]]) -> None:
             raise LuxloopError(f"{own.key}: {own.name}: {method} takes {takes}, but is called as {called}; let it take these") from error
 
 
+def pure_state(own: Guard, method: str, inputs: Mapping[str, Any]) -> Any:
+    """The state that a method gives, as `pure`. Raises LuxloopError where it holds anything but data, too."""
+    state = pure(own, method, inputs, "state")
+    check_state(own, method, state)
+    return state
+
+
 def pure(own: Guard, method: str, inputs: Mapping[str, Any], gives: str) -> Any:
     """What a method gives for inputs; gives: what that is called.
 
     Raises LuxloopError where the method changes an input, or gives something else for the same inputs once more.
     """
     where, call = f"{own.key}: {own.name}: {method}", getattr(own, method)
-    before = copied(inputs)
+    before = copy_parts(inputs)
     result = call(*inputs.values())
     if changed := difference(before, inputs):
         raise LuxloopError(
             f"{where} changes {changed}, which was passed to it; make a new value, with dataclasses.replace and without operations in place"
         )
-    first = copied(result, gives)
+    first = copy_parts(result, gives)
     again = call(*inputs.values())
     if changed := difference(first, result, gives):
         raise LuxloopError(f"{where} changes {changed}, which it returned before, when it is called again; return a copy, with clone()")
@@ -75,26 +96,26 @@ def check_state(own: Guard, method: str, state: Any) -> None:
 
 def check_tensor(value: Any, like: Tensor, shape: tuple[int, ...], what: str) -> None:
     """Raises LuxloopError where a value is no finite tensor of that shape, and of the dtype and on the device of another."""
-    wanted = f"a tensor {_described(like.dtype, shape, like.device)}"
+    wanted = f"a tensor {_description(like.dtype, shape, like.device)}"
     if not isinstance(value, Tensor):
         raise LuxloopError(f"{what} is {_kind(value)}; it must be {wanted}")
     if (value.dtype, tuple(value.shape), value.device) != (like.dtype, shape, like.device):
-        given = _described(value.dtype, tuple(value.shape), value.device)
+        given = _description(value.dtype, tuple(value.shape), value.device)
         remedy = "check its dimensions" if tuple(value.shape) != shape else "make it from a tensor that is given, with new_tensor(...)"
         raise LuxloopError(f"{what} is {given}; it must be {wanted}: {remedy}")
     if not value.isfinite().all():
         raise LuxloopError(
-            f"{what} is not finite, {_shown(value)}; errors are NaN where the symbol is not seen: leave the state as it is where "
+            f"{what} is not finite, {_values(value)}; errors are NaN where the symbol is not seen: leave the state as it is where "
             "observation.measurement.code != ExtractionStatus.SEEN; attitude and rates of an Ego are NaN where they are not measured: "
             "use nan_to_num()"
         )
 
 
-def _shown(value: Tensor) -> str:
+def _values(value: Tensor) -> str:
     return str(value.tolist()) if value.numel() <= 4 else f"in {int((~value.isfinite()).sum())} of {value.numel()} places"
 
 
-def _described(dtype: torch.dtype, shape: tuple[int, ...], device: torch.device) -> str:
+def _description(dtype: torch.dtype, shape: tuple[int, ...], device: torch.device) -> str:
     return f"{str(dtype).removeprefix('torch.')} {list(shape)} on {device}"
 
 
@@ -122,7 +143,7 @@ def _parts(value: Any, place: str) -> Iterator[tuple[str, Any]]:
             yield from _parts(each, f"{place}{name}")
 
 
-def copied(value: Any, place: str = "") -> Parts:
+def copy_parts(value: Any, place: str = "") -> Parts:
     """The parts of a value as they are now; place: what it is called."""
     return {
         name: part.clone() if isinstance(part, Tensor) else part.copy() if isinstance(part, np.ndarray) else part
