@@ -65,7 +65,7 @@ def check_tracker(tracker: type, options: Mapping[str, Any] | None = None, devic
     own = build_part(tracker, KEY, CALLS, lambda name: own_tracker(tracker, OwnTracker(kind=name, options=params), classes, view))
     state = pure_state(own.own, "start", {})
     _report(own, state, 0.0)
-    numbers: dict[str, int] = {}
+    numbers, where = dict[str, int](), f"{KEY}: {own.own.name}"
     for k, each in enumerate(frames):
         state = _follow(own, state, each.found, each)
         for kind, number in _numbers(each.found, _report(own, state, each.time_s), classes).items():
@@ -73,7 +73,7 @@ def check_tracker(tracker: type, options: Mapping[str, Any] | None = None, devic
             if numbers.setdefault(kind, number) != number or others:
                 was = f"that of the {others.pop()}" if others else f"{numbers[kind]} before"
                 raise LuxloopError(
-                    f"{KEY}: {own.own.name}: report gives the {kind} the number {number}, which was {was}; keep an object's number in the state "
+                    f"{where}: report gives the {kind} the number {number}, which was {was}; keep an object's number in the state "
                     "from frame to frame, whatever the order of detections, and number each new object higher"
                 )
         if k in EMPTY_AFTER:
@@ -84,7 +84,7 @@ def check_tracker(tracker: type, options: Mapping[str, Any] | None = None, devic
                 _follow(own, blind, frames[k + 2].found, frames[k + 2])
     if not numbers:
         warnings.warn(
-            f"{KEY}: {own.own.name}: reported none of 2 objects in {len(frames)} frames with detections of score 1; boxes are px",
+            f"{where}: reported none of 2 objects in {len(frames)} frames with detections of score 1; boxes are px",
             stacklevel=2,
         )
 
