@@ -83,11 +83,6 @@ def test_functions_are_given_with_or_without_a_controller(file: Path) -> None:
         _ = both.symbol
 
 
-def test_a_detector_goes_with_a_symbol_that_is_held() -> None:
-    scenario = load("snowflake", ["detector.kind=hog", "detector_frames=both"])
-    assert scenario.symbols and scenario.detector is not None and scenario.detector.kind == "hog"
-
-
 def test_traffic_follows_the_drive() -> None:
     traffic, course = {"seed": 3}, [{"speed_m_s": 14.0}]
     standing = validate({"name": "night", "traffic": traffic}, "standing")
