@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 from luxloop.loop.recording.digest import digest_of_code
-from luxloop.loop.report.terminal import markdown, number
+from luxloop.loop.report.terminal import markdown_table, number
 from luxloop.loop.studies.jobs.executors import local
 from luxloop.loop.studies.jobs.runner import Job, Values, digest_of
 from luxloop.loop.studies.jobs.runner import run as run_jobs
@@ -87,7 +87,7 @@ def show(title: str, rows: Mapping[str, Mapping[str, Any]]) -> None:
     flat = {name: dict(_flat(row)) for name, row in rows.items()}
     columns = list(dict.fromkeys(column for row in flat.values() for column in row))
     cells = ((name, *(_cell(row.get(column)) for column in columns)) for name, row in flat.items())
-    print(f"\n{title}\n\n{markdown(('', *columns), cells)}", flush=True)
+    print(f"\n{title}\n\n{markdown_table(('', *columns), cells)}", flush=True)
 
 
 def _flat(row: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -16,9 +16,8 @@ from bench import BLAS, OMP, run, show
 from websockets.sync.client import connect
 from websockets.sync.server import ServerConnection, serve
 
-from luxloop.loop.studio.client.decoding import unpacked
-from luxloop.loop.studio.client.shared import Mapped
-from luxloop.loop.studio.shared import Blocks
+from luxloop.loop.studio.inbox import unpack
+from luxloop.loop.studio.shared import BlockReader, Blocks
 from luxloop.world.messages import pack, raw
 
 SIZES, ROUNDS, WARM_UPS = ((640, 360), (1920, 1080)), 40, 2
@@ -50,7 +49,7 @@ def compare(width: int, height: int, rounds: int) -> dict[str, Any]:
     here, there = multiprocessing.Pipe()
     sender = multiprocessing.get_context("spawn").Process(target=send, args=(there, width, height))
     sender.start()
-    mapped = Mapped()
+    mapped = BlockReader()
     with connect(f"ws://127.0.0.1:{here.recv()}", max_size=None, compression=None) as connection:
         for number in range(rounds + WARM_UPS):
             for way, taken in found.items():
@@ -58,7 +57,7 @@ def compare(width: int, height: int, rounds: int) -> dict[str, Any]:
                 connection.send(way)
                 data = connection.recv()
                 assert isinstance(data, bytes)
-                head, arrays = unpacked(data)
+                head, arrays = unpack(data)
                 arrays = mapped.arrays(head["shared"], head["id"]) or {} if way == "memory" else arrays
                 if number >= WARM_UPS:
                     taken.append(1e3 * (time.perf_counter() - began_s))

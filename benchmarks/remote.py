@@ -23,7 +23,7 @@ from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.clock import FromZero
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame, Plant
 from luxloop.loop.simulation.remote_plant import RemotePlant
-from luxloop.loop.studio.client.decoding import unpacked
+from luxloop.loop.studio.inbox import unpack
 from luxloop.world.messages import pack, raw
 
 CASES = list(itertools.product(((640, 360), (1280, 720)), ("utilisation", "texture"), ("symbol", "all pixels")))
@@ -58,7 +58,7 @@ def answer(address: str, width: int, height: int) -> None:
         there.send(pack({"type": "hello", "protocol": 1}))
         for data in there:
             assert isinstance(data, bytes)
-            head, _ = unpacked(data)
+            head, _ = unpack(data)
             if head["type"] == "start":
                 there.send(pack(came))
             elif head["type"] == "show":

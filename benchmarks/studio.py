@@ -23,11 +23,11 @@ from typing import Any
 
 from bench import BLAS, OMP, run, show
 
-from luxloop.loop.studio.feed import Feed
 from luxloop.loop.studio.messages import VIEWS, Button, Request
 from luxloop.loop.studio.server import Studio, Tokens
 from luxloop.loop.studio.session import Session
 from luxloop.loop.studio.sources import Source
+from luxloop.loop.studio.stream import Stream
 from luxloop.world.messages import LENGTH
 
 SMALL = ("camera.width_px=640", "camera.height_px=360", "judge_every=0")
@@ -68,10 +68,10 @@ def studio(name: str, steps: int) -> Iterator[tuple[Session, int, Tokens]]:
         return served, server.sockets[0].getsockname()[1]
 
     served, port = asyncio.run_coroutine_threadsafe(begin(), loop).result()
-    while served.session.published.progress is not None:
+    while served.session.state.progress is not None:
         time.sleep(0.05)
-    if served.session.published.failed:
-        sys.exit(served.session.published.failed)
+    if served.session.state.failed:
+        sys.exit(served.session.state.failed)
     yield served.session, port, tokens
     served.stop()
 
@@ -89,12 +89,12 @@ def watcher(port: int | str, token: str, sleeps_s: float, views: str) -> Iterato
 
 def play_ms(session: Session) -> tuple[float, float]:
     """Start anew and play to the end; ms of the clock a step, and of the processor for the loop's thread."""
-    number = session.published.number
+    number = session.state.number
     session.ask(Button(type="reset"), print)
-    while session.published.number == number:
+    while session.state.number == number:
         time.sleep(0.01)
     time.sleep(SETTLED_S)
-    (run_,) = session.published.runs
+    (run_,) = session.state.runs
     (thread,) = (each for each in threading.enumerate() if each.name == "simulation")
     clocks = time.CLOCK_MONOTONIC, time.pthread_getcpuclockid(thread.ident or 0)
     began_s = [time.clock_gettime(each) for each in clocks]
@@ -108,7 +108,7 @@ def play_ms(session: Session) -> tuple[float, float]:
 def messages_of(session: Session) -> dict[str, dict[str, float]]:
     """Median bytes and ms of a message, by type, to a client that gets each step of a run that is over."""
     found = defaultdict(list)
-    feed, published = Feed(), session.published
+    feed, published = Stream(), session.state
     for step in range(len(published.runs[0].snapshots)):
         messages = feed.messages(published, Request(at=(0, step), shown=step))
         began_s = time.perf_counter()

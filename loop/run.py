@@ -92,8 +92,8 @@ def run(  # noqa: PLR0913 (each value stands by itself)
     # What records, for which a preparation alone does not wait.
     from luxloop.loop.recording.recorder import Recorder, refuse_foreign
     from luxloop.loop.recording.video import VideoWriter
+    from luxloop.loop.report.highlights import Highlights
     from luxloop.loop.report.picture import frame_picture, white_of
-    from luxloop.loop.report.watched import Watched
 
     if folder is not None and not isinstance(folder, str | Path):
         raise LuxloopError(f"run: folder is a {type(folder).__name__}, not a path; give other values of keys as overrides=[...]")
@@ -115,13 +115,13 @@ def run(  # noqa: PLR0913 (each value stands by itself)
         simulation, white = prepare(scenario, device), None
         if plant is not None:
             simulation = replace(simulation, plant=plant(simulation))
-        camera, watched = scenario.camera, Watched(simulation)
+        camera, highlights = scenario.camera, Highlights(simulation)
         run_checks = Checks(scenario.checks, (lambda light: map(row, simulation.lit_by(light).run())) if checks else None)
 
         def page(table: pa.Table, summary: dict[str, Any]) -> None:
             from luxloop.loop.report.page import write_report  # Matplotlib, for which the first step does not wait
 
-            write_report(folder / REPORT, simulation, watched, table, summary)
+            write_report(folder / REPORT, simulation, highlights, table, summary)
 
         recorder = stack.enter_context(Recorder(folder, simulation, page if report else None, run_checks.outcomes, frames, wanted))
         film = VideoWriter(folder / VIDEO, VIDEO_FPS, (camera.width_px, camera.height_px)) if video else None
@@ -131,7 +131,7 @@ def run(  # noqa: PLR0913 (each value stands by itself)
         for result in stack.enter_context(closing(simulation.run())):
             recorder.add(result)
             run_checks.step()
-            watched.add(result)
+            highlights.add(result)
             if film is not None:
                 white = white_of(result, simulation) if white is None else white
                 film.add(frame_picture(result, simulation, white))

@@ -38,8 +38,8 @@ from .loop.studies.environment.making import make as make
 from .loop.studies.environment.making import make_vec as make_vec
 from .loop.studies.environment.randomised import Randomised as Randomised
 from .loop.studies.environment.randomised import RandomisedVector as RandomisedVector
-from .loop.studio.client.client import Client as Client
-from .loop.studio.client.client import connect as connect
+from .loop.studio.client import Client as Client
+from .loop.studio.client import connect as connect
 from .perception.detection.detector import Detections as Detections
 from .perception.egomotion import Ego as Ego
 from .perception.egomotion import Sample as Sample

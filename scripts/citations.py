@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-from luxloop.loop.report.terminal import markdown
+from luxloop.loop.report.terminal import markdown_table
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("world", "perception", "controllers", "loop", "benchmarks/sparse")
@@ -93,4 +93,4 @@ def cited_table(which: str) -> str:
     rows = []
     for kind, number, file, name, what in (each for each in citations() if each.kind in kinds):
         rows.append((f"{kinds[kind]}{number}", f"[{file}](../{file})" + (f" `{name}`" if name else ""), what))
-    return markdown(("T", "file and function", "meaning"), rows, "l")
+    return markdown_table(("T", "file and function", "meaning"), rows, "l")

@@ -18,7 +18,7 @@ from pydantic import BaseModel
 
 from luxloop.loop.recording import record
 from luxloop.loop.recording.comparison import TOLERANCES
-from luxloop.loop.report.terminal import markdown
+from luxloop.loop.report.terminal import markdown_table
 from luxloop.loop.rig.params import RigParams
 from luxloop.loop.rig.simulated.faults import FaultParams
 from luxloop.loop.scenario.model import Scenario
@@ -101,7 +101,7 @@ def keys(name: str) -> str:
     for key, field in all_models()[name]["properties"].items():
         meaning = field.get("description", "which of the variants this is" if key in TAGS else "")
         rows.append((f"`{key}`", default(field), allowed(field), meaning))
-    return markdown(("key", "default", "may be", "meaning"), rows, "l")
+    return markdown_table(("key", "default", "may be", "meaning"), rows, "l")
 
 
 def messages(path: str) -> str:
@@ -118,7 +118,7 @@ def messages(path: str) -> str:
             given.append(f"`{key}`: {allowed(field)}{null}" + (f" = `{written(field['default'])}`" if "default" in field else ""))
         meaning = " ".join(inspect.cleandoc(model.__doc__).split())
         rows.append((", ".join(f"`{kind}`" for kind in kinds), "; ".join(given), meaning))
-    return markdown(("type", "fields", "meaning"), rows, "l")
+    return markdown_table(("type", "fields", "meaning"), rows, "l")
 
 
 def named(path: str) -> type:
@@ -153,7 +153,7 @@ def fields(path: str) -> str:
     for each, field in annotated(path).items():
         kind = ast.unparse(field.annotation) + (f" = {ast.unparse(field.value)}" if field.value else "")
         rows.append((f"`{each}`", "`" + kind.replace("|", "\\|") + "`", meanings.get(each, "")))
-    return markdown(("field", "type", "meaning"), rows, "l")
+    return markdown_table(("field", "type", "meaning"), rows, "l")
 
 
 def calls(path: str) -> str:
@@ -164,14 +164,14 @@ def calls(path: str) -> str:
         returned = ast.unparse(method.returns).strip("'").replace("|", "\\|") if method.returns else ""
         meaning = " ".join((ast.get_docstring(method) or "").split())
         rows.append((f"`{method.name}`" if is_value else f"`{method.name}({asked})`", f"`{returned}`", meaning))
-    return markdown(("call", "returns", "meaning"), rows, "l")
+    return markdown_table(("call", "returns", "meaning"), rows, "l")
 
 
 def columns(of: str) -> str:
     """Columns of `runs`, of `symbols` that are held, of their tolerances in `replays`, or of the exposures in `frames`."""
     if of == "replays":
         rows = [(f"`{name}`", f"{tolerance:g}", why) for name, (tolerance, why) in TOLERANCES.items()]
-        return markdown(("column", "largest difference", "why"), rows, "l")
+        return markdown_table(("column", "largest difference", "why"), rows, "l")
     groups: dict[str, dict[str, Any]] = {
         "": record.STEP | record.CONTROL | record.OBSERVED | record.LEARNING | record.LOOKING | record.EYES_PEAK,
         "lamp.SIDE.": record.LAMP | record.LAMP_PEAK,
@@ -184,4 +184,4 @@ def columns(of: str) -> str:
     if of == "frames":
         groups = {"": COLUMNS}
     rows = [(f"`{prefix}{name}`", unit, text) for prefix, group in groups.items() for name, (_, unit, text) in group.items()]
-    return markdown(("column", "unit", "meaning"), rows, "l")
+    return markdown_table(("column", "unit", "meaning"), rows, "l")

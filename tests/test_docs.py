@@ -17,7 +17,7 @@ import pytest
 import reference
 
 from luxloop.loop.commands import cli
-from luxloop.loop.commands.given import scenario_of
+from luxloop.loop.commands.options import scenario_of
 from luxloop.loop.rig.params import RigParams
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import Scenario, load, validate

@@ -89,10 +89,11 @@ def given_arrays(heads: Mapping[str, ArrayHead], body: Any, wanted: Mapping[str,
             raise ValueError(f"array {name} is {head.dtype}; it may be {' or '.join(wanted[name])}")
         if int(head.dtype[1]) * prod(head.shape) > most_bytes:
             raise ValueError(f"array {name} has the shape {list(head.shape)}; arrays have at most {most_bytes} bytes")
-    return {name: _decode(name, head, bytes(body[head.start : head.start + head.bytes])) for name, head in heads.items()}
+    return {name: decode(name, head, bytes(body[head.start : head.start + head.bytes])) for name, head in heads.items()}
 
 
-def _decode(name: str, head: ArrayHead, data: bytes) -> np.ndarray:
+def decode(name: str, head: ArrayHead, data: bytes) -> np.ndarray:
+    """An array of a message, inflated no further than its size. Raises ValueError where it is not as the head says."""
     size = int(head.dtype[1]) * prod(head.shape)
     if head.coding == "png":
         return _picture(name, head, data)

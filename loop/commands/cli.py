@@ -16,10 +16,23 @@ from typing import Any, Literal
 from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensError
 
 from luxloop.loop.commands.exports import export_app
-from luxloop.loop.commands.given import recorded_scenario_of, scenario_of
 from luxloop.loop.commands.headlight import headlight_app
 from luxloop.loop.commands.listing import data_app, doctor, list_, schema
-from luxloop.loop.commands.options import DIFFERS, FAILED, INTERRUPTED, OK, UNREAD, WRONG, AllowCode, Device, Flag, Json, Keys
+from luxloop.loop.commands.options import (
+    DIFFERS,
+    FAILED,
+    INTERRUPTED,
+    OK,
+    UNREAD,
+    WRONG,
+    AllowCode,
+    Device,
+    Flag,
+    Json,
+    Keys,
+    recorded_scenario_of,
+    scenario_of,
+)
 from luxloop.loop.commands.rig import rig_app
 from luxloop.loop.commands.studies import campaign, dataset, evaluate, optimise_beam, train_detector, tune
 from luxloop.loop.commands.studio import studio
@@ -298,7 +311,7 @@ def run(
     kept = {"video": video, "report": report, "frames": frames, "labels": labels, "masks": masks, "depth": depth, "lux": lux}
     folder = out or Path("runs") / Path(os.path.abspath(name)).stem
     if rig is not None and scenario.digitised_module is not None:
-        from luxloop.loop.commands.rig_live import run_live
+        from luxloop.loop.commands.rig_runs import run_live
 
         if twin:
             raise LuxloopError("--twin compares a rig's frames with simulated ones, but here all frames are simulated; leave it out")

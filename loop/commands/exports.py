@@ -5,8 +5,7 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from luxloop.loop.commands.given import scenario_of
-from luxloop.loop.commands.options import AllowCode, Keys
+from luxloop.loop.commands.options import AllowCode, Keys, scenario_of
 from luxloop.loop.report import terminal as tables
 
 At = Annotated[float, Parameter(name="--at")]
@@ -59,4 +58,4 @@ def light(name: str, /, *, out: Path, at_s: At = 0.0, step_deg: float = 0.1, set
     from luxloop.loop.run import prepare
 
     files = write_light(prepare(scenario, "cpu"), at_s, out, step_deg)
-    print(f"{', '.join(map(str, files))} written: {scenario.name} at {at_s:g} s, {tables.counted(len(files), 'file')}")
+    print(f"{', '.join(map(str, files))} written: {scenario.name} at {at_s:g} s, {tables.plural(len(files), 'file')}")

@@ -52,7 +52,7 @@ def info(lamp: str, /) -> None:
     tables.show(headlight_tables.modules(described))
     print()
     tables.show(headlight_tables.beams(described))
-    _tell_what_beams_keep(described)
+    _print_compliance(described)
 
 
 @headlight_app.command
@@ -124,8 +124,7 @@ def show(
         (photometry,) = read_all([Path(lamp)])
         print(f"{show_distribution(photometry, out or Path(f'{stem}.png'))} written")
     else:
-        from luxloop.loop.commands.shown import lights_by_side
-        from luxloop.loop.report.headlight import show_headlight
+        from luxloop.loop.report.headlight import lights_by_side, show_headlight
         from luxloop.loop.scenario.model import load
         from luxloop.world.lamps.description import for_traffic, load_lamp
 
@@ -178,7 +177,7 @@ def build(description: Path, /, *, out: Path | None = None) -> None:
     target = out or description.with_suffix(".npz")
     save(target, lamp)
     tables.show(headlight_tables.built(report))
-    _tell_what_beams_keep(lamp)
+    _print_compliance(lamp)
     print(f"{target} written, {target.stat().st_size / 1e6:.1f} MB; look at it with: luxloop headlight show {quote(str(target))}")
 
 
@@ -210,7 +209,7 @@ def export(
     step_deg
         Step of both angles in deg; in EULUMDAT of gamma, whose planes are 1 deg apart.
     """
-    from luxloop.loop.report.export_photometry import export as export_beam
+    from luxloop.loop.report.export_light import export as export_beam
     from luxloop.world.lamps.description import for_traffic, load_lamp
 
     exported = for_traffic(load_lamp(lamp, side), traffic)
@@ -257,22 +256,20 @@ def check(
         Side of the road that the traffic drives on; for the left, the tables are mirrored and default beams are fitted to it.
     """
     from luxloop.loop.commands import headlight_tables
-    from luxloop.loop.commands.check import judge
     from luxloop.world.lamps.description import for_traffic, load_lamp, measured_lamp
     from luxloop.world.regulation import passes
 
     photometric = Path(lamp).suffix.lower() in PHOTOMETRIC
     judged = for_traffic(measured_lamp(Path(lamp), side) if photometric else load_lamp(lamp, side), traffic)
-    title, results = judge(judged, beam, rule, aim, traffic)
+    title, results = headlight_tables.judge(judged, beam, rule, aim, traffic)
     tables.show(headlight_tables.results(results, title))
     return 0 if passes(results) else DIFFERS
 
 
-def _tell_what_beams_keep(lamp: "Lamp") -> None:
-    from luxloop.loop.commands.check import kept
+def _print_compliance(lamp: "Lamp") -> None:
+    from luxloop.loop.commands.headlight_tables import compliance
 
-    lines = kept(lamp)
-    if lines:
+    if lines := compliance(lamp):
         print("\n".join(["", *lines, "`luxloop headlight check` has the details."]))
 
 

@@ -1,7 +1,8 @@
-"""The tables of the commands `luxloop headlight ...`."""
+"""The tables of the commands `luxloop headlight ...`, and the check of a beam against a regulation's test points."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import torch
 from rich.markup import escape
@@ -9,11 +10,13 @@ from rich.table import Table
 
 from luxloop.loop.report.facts import borders_deg, flux_lm, peak
 from luxloop.loop.report.terminal import facts, number, plain
+from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import Lamp
 from luxloop.world.lamps.modules import ModuleReport
 from luxloop.world.lamps.presets import SUMMARIES
 from luxloop.world.photometry import Photometry
-from luxloop.world.regulation import Result, passes, sets
+from luxloop.world.regulation import Result, aim_beam, check_beam, passes, rule_set, sets
+from luxloop.world.regulation.tables import Traffic
 
 VERDICTS = {"pass": "green", "fail": "red", "not applicable": "dim"}
 KINDS = {
@@ -21,6 +24,10 @@ KINDS = {
     "B": "B (floodlights: v round the transverse axis)",
     "C": "C (luminaires: v from nadir)",
 }
+
+RULE_OF_BEAM: Mapping[str, str] = MappingProxyType(
+    {"low": "r149-passing-c", "adverse": "r149-passing-c", "motorway": "r149-passing-c", "town": "r149-passing-v", "high": "r149-driving-b"}
+)
 
 
 def presets() -> Table:
@@ -67,7 +74,7 @@ def modules(described: Lamp) -> Table:
             f"{light.pixel_rows} x {light.pixel_cols}",
             f"{light.rows} x {light.cols}",
             f"{left:+.3g}, {right:+.3g}; {bottom:+.3g}, {top:+.3g}",
-            f"{x:g}, {y:g}, {z:g} m, {_turned(module.T_lamp_module)}",
+            f"{x:g}, {y:g}, {z:g} m, {_mount(module.T_lamp_module)}",
             "\n".join(turns) or "–",
             f"{len(light.matrix.values) / light.n_texels:.3g}",
             f"{float(full.max()):,.0f} cd",
@@ -144,10 +151,45 @@ def results(found: Sequence[Result], title: str) -> Table:
     return plain(columns, rows, title=escape(title), caption=caption)
 
 
-def _turned(T: torch.Tensor) -> str:
+def _mount(T: torch.Tensor) -> str:
     """Yaw and pitch of a mount in words, such as "3 deg left, 1 deg down"."""
     forward = T[:3, 0]
     yaw, pitch = math.degrees(math.atan2(forward[1], forward[0])), math.degrees(math.asin(-float(forward[2])))
     words = [f"{abs(yaw):.3g} deg {'left' if yaw > 0 else 'right'}"] if abs(yaw) > 1e-6 else []
     words += [f"{abs(pitch):.3g} deg {'down' if pitch > 0 else 'up'}"] if abs(pitch) > 1e-6 else []
     return ", ".join(words) or "straight ahead"
+
+
+def judge(
+    lamp: Lamp, beam: str | None = None, rule: str | None = None, aimed: bool = False, traffic: Traffic = "right"
+) -> tuple[str, tuple[Result, ...]]:
+    """Title and results of a check of a beam against a rule. aimed: first aim the lamp by its cut-off or maximum, as the regulation does.
+
+    beam: by default that which the rule is for, low or high, or full where the lamp has none; without a rule its default beam. Raises
+    LuxloopError for an unknown beam or rule, and where no rule is given for a beam that RULE_OF_BEAM does not list.
+    """
+    rules = None if rule is None else rule_set(rule)
+    if rules is None and (beam or lamp.default_beam) not in RULE_OF_BEAM:
+        why = f"{lamp.name} has no low beam, whose rule would be the default" if beam is None else f"no rule is known for beam {beam!r}"
+        raise LuxloopError(f"{why}; name a rule with --rule, `luxloop headlight rules` lists them")
+    if beam is None:
+        wanted = "low" if rules is None or rules.beam == "low" else "high"
+        beam = wanted if wanted in lamp.beams else "full"
+    intensity = lamp.lit(lamp.beam(beam))
+    rules = rules or rule_set(RULE_OF_BEAM[beam])
+    turn = aim_beam(intensity, rules.id, traffic=traffic) if aimed else (0.0, 0.0)
+    turned = f", aimed by {turn[0]:+.2f} deg to the right and {turn[1]:+.2f} deg up" if aimed else ""
+    only = sum(module.headlight.n_pixels for module in lamp.modules) <= 1
+    what = lamp.name if only else f"{lamp.name}, beam {beam}"
+    return f"{what}: {rules.title}{turned}", check_beam(intensity, rules.id, aim=turn, traffic=traffic)
+
+
+def compliance(lamp: Lamp) -> list[str]:
+    """One line for each of the lamp's beams in RULE_OF_BEAM: how many requirements of its rule the beam meets."""
+    lines = []
+    for beam in lamp.beams:
+        if beam in RULE_OF_BEAM:
+            asked = [each for each in judge(lamp, beam)[1] if each.verdict != "not applicable"]
+            passed = sum(each.verdict == "pass" for each in asked)
+            lines.append(f"{beam}: keeps {'all' if passed == len(asked) else passed} of {len(asked)} of {RULE_OF_BEAM[beam]}")
+    return lines

@@ -1,8 +1,15 @@
-"""What several commands share: exit codes and options."""
+"""What several commands share: exit codes, options, and the scenario that a command line names."""
 
-from typing import Annotated, Literal
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
+
+from luxloop.loop.scenario.shipped import find
+
+if TYPE_CHECKING:
+    from luxloop.loop.scenario.model import Scenario
 
 OK, DIFFERS, FAILED, UNREAD, WRONG, INTERRUPTED = 0, 1, 1, 1, 2, 130
 
@@ -11,3 +18,33 @@ AllowCode = Annotated[bool, Parameter(negative=(), help="Run Python modules that
 Flag = Annotated[bool, Parameter(negative=())]
 Json = Flag
 Device = Literal["auto", "cpu", "cuda"]
+
+
+def scenario_of(name: str, set: Sequence[str] | None, controller: str | None = None, **given: Any) -> "Scenario":
+    """Read a scenario by shipped name or path. set: overrides of its keys. controller: name of another controller, with its defaults.
+    given: as for `load`.
+
+    Raises LuxloopError, for an unknown name at once: the import of the model, which takes seconds, comes after.
+    """
+    find(name)
+    from luxloop.loop.scenario.model import load
+
+    if controller is not None:
+        given["controller"] = {"name": controller}
+    return load(name, set or [], **given)
+
+
+def recorded_scenario_of(
+    folder: str, set: Sequence[str] | None, controller: str | None = None, *, allow_code: bool = False, **given: Any
+) -> "Scenario":
+    """The scenario of a recording, as it was at the beginning of the run. set, controller, given: as of `scenario_of`.
+
+    Raises LuxloopError where it is no recording, and as `load`.
+    """
+    from luxloop.loop.recording.manifest import Manifest
+    from luxloop.loop.scenario.model import load_data
+
+    if controller is not None:
+        given["controller"] = {"name": controller}
+    data = Manifest.read(Path(folder)).scenario
+    return load_data(data, Path(folder), set or [], given, allow_code=allow_code)

@@ -1,25 +1,31 @@
 """The commands `luxloop rig ...`: a real rig, and the rig process, which simulates one."""
 
+import re
 import signal
-from collections.abc import Iterator
+import time
+import tomllib
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import App
+from cyclopts import App, Parameter
 
-from luxloop.loop.commands.given import scenario_of
-from luxloop.loop.commands.options import AllowCode, Keys
+from luxloop.loop.commands.options import AllowCode, Flag, Keys, scenario_of
 from luxloop.loop.commands.rig_calibration import board, calibrate, digitise, fit
-from luxloop.loop.commands.rig_pictures import light, take
-from luxloop.loop.commands.rig_runs import blink, check
-from luxloop.world.errors import LuxloopError
+from luxloop.loop.commands.rig_runs import await_rig, pixel_grids
+from luxloop.loop.report import terminal as tables
+from luxloop.loop.report.progress import progress
+from luxloop.world.errors import LuxloopError, locate
+from luxloop.world.files import whole
 
 if TYPE_CHECKING:
+    from luxloop.loop.rig.blink import Blinked
     from luxloop.loop.rig.simulated.camera import End
 
+Named = Annotated[str, Parameter(name="--scenario")]
 rig_app = App(name="rig", help="A rig: a real lamp and a real camera in the loop, or a process that simulates both.")
-for command in (check, light, take, blink, board, calibrate, digitise, fit):
+for command in (board, calibrate, digitise, fit):
     rig_app.command(command)
 
 
@@ -80,6 +86,245 @@ def simulate(
         with _ending(end):
             rig.run(end, ready)
         print(rig.summary(), flush=True)
+
+
+@rig_app.command
+def check(file: Path, /, *, scenario: Named = "snowflake", set: Keys = None, allow_code: AllowCode = False) -> None:
+    """Check a rig without lighting it: the rig file, the lamp's address, and three seconds of the camera's pictures.
+
+    Parameters
+    ----------
+    file
+        Rig file.
+    scenario
+        Scenario whose lamp and camera the rig must fit.
+    set
+        Keys of the scenario to change, as key=value in TOML syntax.
+    """
+    from luxloop.loop.rig.light import open_light
+    from luxloop.loop.rig.look import look
+    from luxloop.loop.rig.params import load_rig
+    from luxloop.loop.rig.rig import opened
+
+    params = load_rig(file, allow_code=allow_code)
+    given = scenario_of(scenario, set, allow_code=allow_code)
+    with locate(str(file)):
+        grids = pixel_grids(given)
+        light = open_light(params.light, grids)
+        light.close()
+        with opened(params, grids, given.camera, armed=False) as rig:
+            await_rig(rig)
+            found = look(rig)
+    rows = {
+        "light": f"{params.light.kind}, {sum(rows * columns for rows, columns in grids):,} pixels of {scenario}; not lit",
+        "camera": f"{', '.join(f'{w} x {h} px' for w, h in found['sizes'])} at {found['rate_hz']:.1f} Hz, "
+        f"{found['interval_worst_ms']:.0f} ms between two pictures at most, {found['late']:.0%} of them from a queue",
+        "brightest": f"{found['brightest']:.0%} of the largest digital number",
+        "timing": f"frames count from {1e3 * params.timing.clear_s:.0f} ms after the light on; measure it with luxloop rig blink",
+        "limits": f"{params.limits.share:.0%} mean utilisation, {params.limits.change_per_s:g} change a second",
+    }
+    tables.show(tables.facts(rows))
+    if found["refused"]:
+        raise LuxloopError(f"{file}: {found['refused']}")
+
+
+@rig_app.command
+def light(
+    file: Path,
+    /,
+    *,
+    arm: Flag = False,
+    scenario: Named = "snowflake",
+    set: Keys = None,
+    level: float = 1.0,
+    seconds: float = 60.0,
+    allow_code: AllowCode = False,
+) -> None:
+    """Light all pixels for some time, or until Ctrl-C, to aim the lamp, focus the camera or read a luxmeter.
+
+    Parameters
+    ----------
+    file
+        Rig file.
+    arm
+        Light the lamp. Without it, no device is opened.
+    scenario
+        Scenario with the rig's lamp.
+    set
+        Keys of the scenario to change, as key=value in TOML syntax.
+    level
+        Utilisation of all pixels; the command ends if the limits of the rig file dim it.
+    seconds
+        Duration in s.
+    """
+    import numpy as np
+
+    from luxloop.loop.rig.light import Shine
+    from luxloop.loop.rig.params import load_rig
+    from luxloop.loop.rig.rig import opened
+
+    if not 0 < level <= 1 or not 0 < seconds <= 3600:
+        raise LuxloopError("--level is a utilisation above 0, up to 1; --seconds up to 3600")
+    params = load_rig(file, allow_code=allow_code).model_copy(update={"mark": None})
+    grids = pixel_grids(scenario_of(scenario, set, allow_code=allow_code))
+    if not arm:
+        count = sum(rows * columns for rows, columns in grids)
+        print(f"{file}: all {count:,} pixels would be lit for {seconds:g} s; give --arm to light them")
+        return
+    on = tuple(np.full(grid, level, np.float32) for grid in grids)
+    with locate(str(file)), opened(params, grids, None, armed=True) as rig, progress("light", max(round(seconds), 1)) as advance:
+        await_rig(rig)
+        until_s, number = time.monotonic() + seconds, 0
+        while time.monotonic() < until_s:
+            given, _ = rig.expose(Shine(number, on), 1.0)
+            number += 1
+            if given.dimmed < 1:
+                raise LuxloopError(f"limits: let {given.dimmed:.0%} of it through; give a lower --level, or raise power")
+            advance()
+    print("dark again")
+
+
+@rig_app.command
+def take(file: Path, /, *, out: Path = Path("boards"), count: int = 20, every_s: float = 1.0, allow_code: AllowCode = False) -> None:
+    """Take pictures with a rig's camera, such as of a calibration board, and save them unchanged; the lamp is not opened.
+
+    Parameters
+    ----------
+    file
+        Rig file.
+    out
+        Folder for the pictures; a name that ends in .png takes a single picture.
+    count
+        Number of pictures.
+    every_s
+        Time between two pictures in s, to move the board.
+    """
+    import cv2
+
+    from luxloop.loop.rig.params import load_rig
+    from luxloop.loop.rig.rectified import grey
+    from luxloop.loop.rig.rig import CAMERA_S, opened
+
+    single = out.suffix == ".png"
+    if out.exists():
+        raise LuxloopError(f"{out}: is there already; name another, or remove it")
+    if count < 1 or not 0 <= every_s <= 60:
+        raise LuxloopError("--count is at least 1, --every-s from 0 to 60")
+    params = load_rig(file, allow_code=allow_code).model_copy(update={"mark": None})
+    paths = [out] if single else [out / f"{k:03d}.png" for k in range(count)]
+    with locate(str(file)), opened(params, (), None, armed=False) as rig, progress("pictures", len(paths)) as advance:
+        await_rig(rig)
+        for k, path in enumerate(paths):
+            time.sleep(every_s if k else 0.0)
+            rig.camera.forget()
+            if params.triggered:
+                rig.camera.trigger()
+            picture = rig.camera.next(time.monotonic() + CAMERA_S)
+            if picture is None:
+                raise LuxloopError(f"camera: {rig.camera.reason}")
+            codes: Any = grey(picture.data)
+            encoded = cv2.imencode(".png", codes)[1].tobytes()
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise LuxloopError(f"{path.parent}: cannot be made ({error.strerror}); name another folder") from error
+            with whole(path) as part:
+                part.write_bytes(encoded)
+            advance()
+    print(f"{out} written" if single else f"{out} written: {count} pictures")
+
+
+@rig_app.command
+def blink(
+    file: Path,
+    /,
+    *,
+    arm: Flag = False,
+    scenario: Named = "snowflake",
+    set: Keys = None,
+    blinks: int = 100,
+    level: float = 1.0,
+    write: Flag = False,
+    allow_code: AllowCode = False,
+) -> None:
+    """Measure the delay from light to frame: all pixels go on and off at random times, for half a second each.
+
+    Parameters
+    ----------
+    file
+        Rig file.
+    arm
+        Light the lamp. Without it, no device is opened.
+    scenario
+        Scenario with the rig's lamp.
+    set
+        Keys of the scenario to change, as key=value in TOML syntax.
+    blinks
+        Number of changes of the light.
+    level
+        Utilisation of all pixels; the limits of the rig file may dim it.
+    write
+        Write the result as [timing] into the rig file.
+    """
+    from luxloop.loop.rig.blink import blink as measure
+    from luxloop.loop.rig.params import load_rig
+    from luxloop.loop.rig.rig import opened
+
+    params = load_rig(file, allow_code=allow_code)
+    if not 0 < level <= 1:
+        raise LuxloopError(f"--level {level:g}: is no utilisation; give a number above 0, to 1")
+    given = scenario_of(scenario, set, allow_code=allow_code)
+    grids = pixel_grids(given)
+    if not arm:
+        print(f"{file}: all {sum(rows * columns for rows, columns in grids):,} pixels would blink {blinks} times; give --arm to light them")
+        return
+    with locate(str(file)), opened(params, grids, None, armed=True) as rig, progress("blink", blinks + 2) as advance:
+        await_rig(rig)
+        found = measure(rig, grids, blinks, level, advance)
+    tables.show(tables.facts(_delays(found)))
+    if found.warning:
+        tables.console().print(found.warning, markup=False)
+    text = "[timing]\n" + "".join(f"{name} = {value:g}\n" for name, value in found.timing.items())
+    if write:
+        written(file, found.timing)
+        print(f"{file}: [timing] written")
+    else:
+        print(f"\n{text}\nWith --write these go into {file}.")
+
+
+def written(file: Path, timing: Mapping[str, float]) -> None:
+    """Write values of `[timing]` into a rig file and change nothing else in it. Raises LuxloopError if it cannot be written."""
+    text = file.read_text("utf-8")
+    table = re.search(r"^\[timing\][^\n]*\n(?:(?!\[)[^\n]*\n?)*", text, re.M)
+    old = table[0] if table else "\n[timing]\n"
+    new = old if old.endswith("\n") else f"{old}\n"
+    for name, value in reversed(list(timing.items())):
+        line, pattern = f"{name} = {value:g}", rf"^{name}\s*=[^\n]*"
+        if re.search(pattern, new, re.M):
+            new = re.sub(pattern, line, new, flags=re.M)
+        else:
+            new = re.sub(r"(\[timing\][^\n]*\n)", rf"\1{line}\n", new)
+    made = text.replace(old, new) if table else f"{text.rstrip()}\n{new}"
+    try:
+        understood = tomllib.loads(made)["timing"].items() >= {name: float(f"{value:g}") for name, value in timing.items()}.items()
+    except tomllib.TOMLDecodeError:
+        understood = False
+    if not understood:  # [timing] is there in another notation
+        raise LuxloopError(f"{file}: timing: is not written as a table [timing] of its own, with a line for each key; rewrite it so")
+    with whole(file) as part:
+        part.write_text(made, "utf-8")
+
+
+def _delays(found: "Blinked") -> dict[str, str]:
+    (interval, longest), (median, most, worst) = found.interval_s, (1e3 * each for each in found.first_s)
+    return {
+        "light to frame": f"{median:.0f} ms (median), {most:.0f} ms (95 %), {worst:.0f} ms (worst), in {found.blinks} blinks",
+        "latency": f"{1e3 * found.latency_s:.1f} ms to a frame that begins with the light",
+        "jitter": f"{1e3 * found.jitter_s:.1f} ms, the worst that was measured with a quarter and 8 ms on it",
+        "exposure and readout": f"{1e3 * found.rolling_s:.1f} ms",
+        "drift": "{:+.1f} ± {:.1f} ms a minute".format(*(1e3 * each for each in found.drift_s_per_min)),
+        "pictures": f"every {1e3 * interval:.1f} ms (median), {1e3 * longest:.0f} ms (worst), {found.queued:.0%} queued",
+    }
 
 
 @contextmanager

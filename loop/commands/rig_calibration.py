@@ -8,8 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from luxloop.loop.commands.given import scenario_of
-from luxloop.loop.commands.options import AllowCode, Flag, Keys
+from luxloop.loop.commands.options import AllowCode, Flag, Keys, scenario_of
 from luxloop.loop.commands.rig_runs import await_rig
 from luxloop.loop.report import terminal as tables
 from luxloop.world.errors import LuxloopError
@@ -238,7 +237,7 @@ def digitise(
     if readings:
         scaled, scatter = steps.scaled(found, readings)
         found = list(scaled)
-    notes = f"Digitised on a rig with {calibration.name}, {tables.counted(len(readings), 'luxmeter reading')}."
+    notes = f"Digitised on a rig with {calibration.name}, {tables.plural(len(readings), 'luxmeter reading')}."
     archive.save(out, measured_lamp(scenario, [each.light for each in found], out.stem, notes))
     written = report.write(out.with_suffix(""), found)
     for module in found:

@@ -1,23 +1,19 @@
-"""Run on a rig, check it and measure its delay: `luxloop run --rig`, `luxloop rig check` and `luxloop rig blink`."""
+"""`luxloop run --rig`: a real lamp and a real camera as the plant, or a real lamp that lights the simulated world."""
 
-import re
-import tomllib
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from luxloop.loop.commands.given import scenario_of
-from luxloop.loop.commands.options import AllowCode, Flag, Keys
 from luxloop.loop.report import terminal as tables
 from luxloop.loop.report.progress import progress
 from luxloop.world.errors import LuxloopError, locate, redact
-from luxloop.world.files import whole
 
 if TYPE_CHECKING:
-    from luxloop.loop.rig.blink import Blinked
+    from luxloop.loop.rig.live.plant import LivePlant
     from luxloop.loop.rig.params import MarkParams
     from luxloop.loop.rig.rig import Rig
     from luxloop.loop.scenario.model import Scenario
@@ -85,127 +81,69 @@ def run_on_rig(
         compared = _twin(out, simulated, params.mark, scenario.steps * len(scenario.shares))
         write_json(out / RIG, told | {"twin": compared})
         tables.show(tables.facts(_twin_in_words(compared)))
-    refuse_failed(rig, file, out)
+    _require_frames(rig, file, out)
     return passed
 
 
-def check(file: Path, /, *, scenario: Named = "snowflake", set: Keys = None, allow_code: AllowCode = False) -> None:
-    """Check a rig without lighting it: the rig file, the lamp's address, and three seconds of the camera's pictures.
+def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool], device: str, kept: Mapping[str, Any]) -> bool:
+    """Run a scenario in its simulated world with one module digitised from a real lamp; returns whether all evaluated checks passed.
 
-    Parameters
-    ----------
-    file
-        Rig file.
-    scenario
-        Scenario whose lamp and camera the rig must fit.
-    set
-        Keys of the scenario to change, as key=value in TOML syntax.
+    out: folder of the recording. rig_file: its path, whether the lamp is lit, and whether modules that it names may run. device: to compute
+    on. kept: what is recorded, keyword arguments of `luxloop.loop.run.run`. Checks that compare with another light are left out. Raises
+    LuxloopError if the rig cannot be opened or does not fit the scenario, and KeyboardInterrupt that says what was kept; the lamp is dark
+    then. Raises LuxloopError after a run to which too few frames came.
     """
-    from luxloop.loop.rig.light import open_light
-    from luxloop.loop.rig.look import look
+    from luxloop.loop.commands.runs import run_scenario
+    from luxloop.loop.recording.files import BEAM, RIG
+    from luxloop.loop.recording.manifest import write_json
+    from luxloop.loop.rig.calibration.files import load
+    from luxloop.loop.rig.live.picture import draw_beam
+    from luxloop.loop.rig.live.plant import live_plant, refuse_unfit
     from luxloop.loop.rig.params import load_rig
+    from luxloop.loop.rig.plant import grids_of
     from luxloop.loop.rig.rig import opened
+    from luxloop.loop.scenario.plant import SimulatedPlantParams
+    from luxloop.loop.simulation.build_lamps import mount
+    from luxloop.loop.simulation.digitised import digitised_number
 
+    file, armed, allow_code = rig_file
     params = load_rig(file, allow_code=allow_code)
-    given = scenario_of(scenario, set, allow_code=allow_code)
     with locate(str(file)):
-        grids = pixel_grids(given)
-        light = open_light(params.light, grids)
-        light.close()
-        with opened(params, grids, given.camera, armed=False) as rig:
-            await_rig(rig)
-            found = look(rig)
-    rows = {
-        "light": f"{params.light.kind}, {sum(rows * columns for rows, columns in grids):,} pixels of {scenario}; not lit",
-        "camera": f"{', '.join(f'{w} x {h} px' for w, h in found['sizes'])} at {found['rate_hz']:.1f} Hz, "
-        f"{found['interval_worst_ms']:.0f} ms between two pictures at most, {found['late']:.0%} of them from a queue",
-        "brightest": f"{found['brightest']:.0%} of the largest digital number",
-        "timing": f"frames count from {1e3 * params.timing.clear_s:.0f} ms after the light on; measure it with luxloop rig blink",
-        "limits": f"{params.limits.share:.0%} mean utilisation, {params.limits.change_per_s:g} change a second",
-    }
-    tables.show(tables.facts(rows))
-    if found["refused"]:
-        raise LuxloopError(f"{file}: {found['refused']}")
-
-
-def blink(
-    file: Path,
-    /,
-    *,
-    arm: Flag = False,
-    scenario: Named = "snowflake",
-    set: Keys = None,
-    blinks: int = 100,
-    level: float = 1.0,
-    write: Flag = False,
-    allow_code: AllowCode = False,
-) -> None:
-    """Measure the delay from light to frame: all pixels go on and off at random times, for half a second each.
-
-    Parameters
-    ----------
-    file
-        Rig file.
-    arm
-        Light the lamp. Without it, no device is opened.
-    scenario
-        Scenario with the rig's lamp.
-    set
-        Keys of the scenario to change, as key=value in TOML syntax.
-    blinks
-        Number of changes of the light.
-    level
-        Utilisation of all pixels; the limits of the rig file may dim it.
-    write
-        Write the result as [timing] into the rig file.
-    """
-    from luxloop.loop.rig.blink import blink as measure
-    from luxloop.loop.rig.params import load_rig
-    from luxloop.loop.rig.rig import opened
-
-    params = load_rig(file, allow_code=allow_code)
-    if not 0 < level <= 1:
-        raise LuxloopError(f"--level {level:g}: is no utilisation; give a number above 0, to 1")
-    given = scenario_of(scenario, set, allow_code=allow_code)
-    grids = pixel_grids(given)
-    if not arm:
-        print(f"{file}: all {sum(rows * columns for rows, columns in grids):,} pixels would blink {blinks} times; give --arm to light them")
-        return
-    with locate(str(file)), opened(params, grids, None, armed=True) as rig, progress("blink", blinks + 2) as advance:
+        calibration_file = refuse_unfit(params)
+    calibration = load(calibration_file)
+    checks = {name: each for name, each in scenario.checks.items() if each.compare is None}
+    scenario = scenario.model_copy(update={"plant": SimulatedPlantParams(), "checks": checks})
+    with locate(scenario.source):
+        modules = mount(scenario.headlight)
+        number = digitised_number(scenario, [each.name for each in modules])
+    exposures = scenario.steps * len(scenario.shares)
+    with locate(str(file)), opened(params, grids_of([modules[number]]), None, armed=armed) as rig, ExitStack() as stack:
         await_rig(rig)
-        found = measure(rig, grids, blinks, level, advance)
-    tables.show(tables.facts(_blinked(found)))
-    if found.warning:
-        tables.console().print(found.warning, markup=False)
-    text = "[timing]\n" + "".join(f"{name} = {value:g}\n" for name, value in found.timing.items())
-    if write:
-        written(file, found.timing)
-        print(f"{file}: [timing] written")
-    else:
-        print(f"\n{text}\nWith --write these go into {file}.")
+        if not armed:
+            tables.console().print("dry run: the lamp stays dark, and so does its module; give --arm to light it", markup=False)
+        live: LivePlant | None = None
 
+        def plant(simulation: Any) -> Any:
+            nonlocal live
+            with locate(str(calibration_file)):
+                live = stack.enter_context(live_plant(rig, simulation.plant, calibration, scenario.camera, exposures))
+            rig.statistics = type(rig.statistics)()
+            return live
 
-def written(file: Path, timing: Mapping[str, float]) -> None:
-    """Write values of `[timing]` into a rig file and change nothing else in it. Raises LuxloopError if it cannot be written."""
-    text = file.read_text("utf-8")
-    table = re.search(r"^\[timing\][^\n]*\n(?:(?!\[)[^\n]*\n?)*", text, re.M)
-    old = table[0] if table else "\n[timing]\n"
-    new = old if old.endswith("\n") else f"{old}\n"
-    for name, value in reversed(list(timing.items())):
-        line, pattern = f"{name} = {value:g}", rf"^{name}\s*=[^\n]*"
-        if re.search(pattern, new, re.M):
-            new = re.sub(pattern, line, new, flags=re.M)
-        else:
-            new = re.sub(r"(\[timing\][^\n]*\n)", rf"\1{line}\n", new)
-    made = text.replace(old, new) if table else f"{text.rstrip()}\n{new}"
-    try:
-        understood = tomllib.loads(made)["timing"].items() >= {name: float(f"{value:g}") for name, value in timing.items()}.items()
-    except tomllib.TOMLDecodeError:
-        understood = False
-    if not understood:  # [timing] is there in another notation
-        raise LuxloopError(f"{file}: timing: is not written as a table [timing] of its own, with a line for each key; rewrite it so")
-    with whole(file) as part:
-        part.write_text(made, "utf-8")
+        try:
+            passed = run_scenario(scenario, out, device, False, {**kept, "plant": plant})
+        finally:
+            rig.dark("the run has ended")
+            if live is not None and rig.statistics.exposures and out.is_dir():
+                found = of_run(rig, len(scenario.shares)) | {"judged": {}}
+                beam = live.beam.summary() | {"module": modules[number].name, "seen": live.digitiser.seen}
+                write_json(out / RIG, {"rig": redact(params.model_dump(mode="json")), "armed": armed, **found, "live": beam})
+                if live.beam.newest is not None:
+                    texture, u = live.beam.newest
+                    draw_beam(out / BEAM, texture, live.truth.modules[number].headlight, u)
+                tables.show(tables.facts(in_words(found) | _beam_in_words(beam)))
+    _require_frames(rig, file, out)
+    return passed
 
 
 def pixel_grids(scenario: "Scenario") -> tuple[tuple[int, int], ...]:
@@ -258,7 +196,7 @@ def _twin_in_words(found: Mapping[str, Any]) -> dict[str, str]:
     } or {"twin": "no frame came"}
 
 
-def refuse_failed(rig: "Rig", file: Path, out: Path) -> None:
+def _require_frames(rig: "Rig", file: Path, out: Path) -> None:
     """Raises LuxloopError after a run on a rig that sent too few frames. file: of the rig. out: folder of the recording."""
     if failure := rig.statistics.failure:
         raise LuxloopError(f"{file}: {failure}; the recording is kept in {out}")
@@ -297,13 +235,15 @@ def in_words(found: Mapping[str, Any]) -> dict[str, str]:
     return rows
 
 
-def _blinked(found: "Blinked") -> dict[str, str]:
-    (interval, longest), (median, most, worst) = found.interval_s, (1e3 * each for each in found.first_s)
-    return {
-        "light to frame": f"{median:.0f} ms (median), {most:.0f} ms (95 %), {worst:.0f} ms (worst), in {found.blinks} blinks",
-        "latency": f"{1e3 * found.latency_s:.1f} ms to a frame that begins with the light",
-        "jitter": f"{1e3 * found.jitter_s:.1f} ms, the worst that was measured with a quarter and 8 ms on it",
-        "exposure and readout": f"{1e3 * found.rolling_s:.1f} ms",
-        "drift": "{:+.1f} ± {:.1f} ms a minute".format(*(1e3 * each for each in found.drift_s_per_min)),
-        "pictures": f"every {1e3 * interval:.1f} ms (median), {1e3 * longest:.0f} ms (worst), {found.queued:.0%} queued",
+def _beam_in_words(beam: Mapping[str, Any]) -> dict[str, str]:
+    whole, part = beam["light_to_texture_ms"], beam["frame_to_texture_ms"]
+    if whole["median"] is None:
+        return {f"{beam['module']}, digitised": "no frame was taken"}
+    times = f"{whole['median']:.0f} ms (median), {whole['p95']:.0f} ms (95 %), {whole['worst']:.0f} ms (worst)"
+    rows = {
+        "light to texture": f"{times}; {part['median']:.0f} ms of it to digitise",
+        f"{beam['module']}, digitised": f"the camera sees {beam['seen']:.1%} of its texels",
     }
+    if beam["saturated"]:
+        rows["saturated"] = f"{beam['saturated']:.2%} of the camera's pixels in the worst frame: its light is too low there; expose shorter"
+    return rows

@@ -15,7 +15,7 @@ from luxloop.loop.recording.manifest import Manifest
 from luxloop.loop.recording.replay import replay
 from luxloop.loop.report import terminal as tables
 from luxloop.loop.report.progress import progress
-from luxloop.loop.report.run_table import shown
+from luxloop.loop.report.run_table import summary_table
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.result import StepResult
@@ -50,11 +50,11 @@ def run_scenario(scenario: Scenario, out: Path, device: str, checks: bool, kept:
             result = run(scenario, out, device=device, checks=checks, on_step=on_step, on_end=on_end, **kept)
         except KeyboardInterrupt as error:
             raise KeyboardInterrupt(f"{done} of {scenario.steps} steps are kept in {out}" if done else "nothing was recorded") from error
-    tables.show(shown(result.summary, str(out)))
+    tables.show(summary_table(result.summary, str(out)))
     left_out = sum(check.compare is not None for check in scenario.checks.values())
     if left_out and not checks:
         word = "compares" if left_out == 1 else "compare"
-        tables.console().print(f"{tables.counted(left_out, 'more check')} {word} with another light: --checks", markup=False)
+        tables.console().print(f"{tables.plural(left_out, 'more check')} {word} with another light: --checks", markup=False)
     if checks and not scenario.checks:
         tables.console().print(f"{scenario.name} has no [checks.NAME]", markup=False)
     return passed(result.summary)

@@ -4,8 +4,10 @@ import shlex
 from pathlib import Path
 from typing import Literal
 
-from luxloop.loop.commands.given import scenario_of
-from luxloop.loop.commands.options import DIFFERS, OK, AllowCode, Device, Keys
+from luxloop.loop.commands.options import DIFFERS, OK, AllowCode, Device, Keys, scenario_of
+from luxloop.loop.report import terminal as tables
+
+CLASSES = 6  # named in the closing line of a data set
 
 
 def evaluate(
@@ -86,9 +88,16 @@ def dataset(
     jobs
         Processes, each with one thread; by default one per core.
     """
-    from luxloop.loop.commands.datasets import do_dataset
+    from luxloop.loop.studies.dataset.drawn import read
+    from luxloop.loop.studies.dataset.make import make_dataset
 
-    return OK if do_dataset(file, scenes, out, jobs, allow_code) else DIFFERS
+    counts, failures = make_dataset(read(file, scenes, allow_code=allow_code), out or Path("runs") / file.stem, jobs)
+    for key, reason in failures.items():
+        tables.console(stderr=True).print(f"failed: scene {key}: {reason}", markup=False)
+    objects = ", ".join(f"{number:,} {name}" for name, number in counts.objects.most_common(CLASSES))
+    found = f"{tables.plural(counts.scenes, 'scene')}, {tables.plural(counts.frames, 'frame')}, objects: {objects or 'none'}"
+    print(f"{counts.file} written: {found}")
+    return DIFFERS if failures else OK
 
 
 def tune(

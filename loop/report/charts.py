@@ -5,15 +5,13 @@ import math
 import numpy as np
 import torch
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.patches import Polygon, Rectangle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, MultipleLocator, NullLocator
 
-from luxloop.loop.report.style import SHARES
-from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, Image, Seen, grey
+from luxloop.loop.report.style import SHARES, scale
+from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, Image, RoadView, grey
 
 FALSE_COLOURS = "turbo"
 MOST_LINES, DECADES = 8, 3
@@ -63,12 +61,7 @@ def false_colours(axes: Axes, values: Image, extent: tuple[float, float, float, 
     bar.ax.yaxis.set_minor_locator(NullLocator())
 
 
-def scale(axes: Axes, shown: ScalarMappable, label: str) -> Colorbar:
-    """A colour bar beside axes."""
-    return axes.figure.colorbar(shown, ax=axes, label=label, pad=0.015, fraction=0.05, aspect=24)
-
-
-def as_seen(axes: Axes, luminance: Image, extent: tuple[float, float, float, float], dimmed: bool = False) -> None:
+def luminance_image(axes: Axes, luminance: Image, extent: tuple[float, float, float, float], dimmed: bool = False) -> None:
     """A luminance `[H, W]` in cd/m^2, or linear sRGB `[H, W, 3]`, with a bright part of it white and a display's gamma."""
     light = grey(luminance)
     white = max(float(np.quantile(light, 0.99)), float(light.max()) / 20, 1e-9)
@@ -108,7 +101,7 @@ def map_frame(axes: Axes, ink: str, lane_width_m: float) -> None:
     axes.add_patch(Rectangle((rear, -half), front - rear, 2 * half, fill=False, ec=ink, lw=1))
 
 
-def object_outlines(axes: Axes, seen: Seen, extent: tuple[float, float, float, float], ink: str) -> None:
+def object_outlines(axes: Axes, seen: RoadView, extent: tuple[float, float, float, float], ink: str) -> None:
     """The outlines of all objects in a picture of this extent, row 0 at its upper end."""
     ids = seen.surfaces.object_id.cpu().numpy()
     rows, cols = ids.shape
@@ -119,7 +112,7 @@ def object_outlines(axes: Axes, seen: Seen, extent: tuple[float, float, float, f
         axes.contour(x, y, (ids == number).astype(float), levels=[0.5], colors=[ink], linewidths=1)
 
 
-def distance_marks(axes: Axes, seen: Seen, lane_width_m: float) -> None:
+def distance_marks(axes: Axes, seen: RoadView, lane_width_m: float) -> None:
     """Distances beside the right edge of the lane in a view ahead, where the road is visible and labels do not overlap."""
     lowest = 0.97 * seen.view.height
     for metres in MARKS_M:
@@ -133,7 +126,7 @@ def distance_marks(axes: Axes, seen: Seen, lane_width_m: float) -> None:
             lowest = v - 0.028 * seen.view.height
 
 
-def car_outline(axes: Axes, seen: Seen) -> None:
+def car_outline(axes: Axes, seen: RoadView) -> None:
     """The edges of a car: tail, roof's end and nose, joined."""
     rear, front, half, height = CAR_M
     ribs = [
@@ -144,11 +137,3 @@ def car_outline(axes: Axes, seen: Seen) -> None:
     for rib in outline:
         axes.add_patch(Polygon(rib, fill=False, ec="0.45", lw=0.8))
     axes.plot(outline[..., 0], outline[..., 1], color="0.45", lw=0.8)
-
-
-def no_frame(axes: Axes) -> None:
-    """A picture: no ticks, no grid, no box."""
-    axes.set(xticks=[], yticks=[])
-    axes.grid(False)
-    for spine in axes.spines.values():
-        spine.set_visible(False)

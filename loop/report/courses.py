@@ -14,8 +14,8 @@ from luxloop.controllers.functions.commands import MOVEMENTS
 from luxloop.loop.recording.compared import compared
 from luxloop.loop.recording.functions_summary import START_UP_S, UNITS, materials_of, named, spoken, zones_of
 from luxloop.loop.recording.summary import column
-from luxloop.loop.report.style import FOUR, headed
-from luxloop.loop.report.terminal import counted
+from luxloop.loop.report.style import FOUR, heading
+from luxloop.loop.report.terminal import plural
 from luxloop.loop.simulation.columns import held_in
 from luxloop.loop.simulation.simulation import Simulation
 
@@ -32,11 +32,11 @@ def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table, su
         charts[lambda axes: _power(axes, simulation, table)] = 1.1
     commanded = [name for name in table.column_names if name.startswith("modules.")]
     if turned := [name for name in commanded if name.endswith("_deg")]:
-        charts[lambda axes: _commanded(axes, table, turned, summary, "deg", "Modules, swivelled to the left and levelled down")] = 1.2
+        charts[lambda axes: _modules(axes, table, turned, summary, "deg", "Modules, swivelled to the left and levelled down")] = 1.2
     if dimmed := [name for name in commanded if name.endswith(".intensity")]:
-        charts[lambda axes: _commanded(axes, table, dimmed, summary, "share", "Maximum intensity of modules, of their own")] = 1.0
+        charts[lambda axes: _modules(axes, table, dimmed, summary, "share", "Maximum intensity of modules, of their own")] = 1.0
     if held := held_in(table):
-        charts[lambda axes: _held(axes, table, held)] = 1.4
+        charts[lambda axes: _symbols(axes, table, held)] = 1.4
     if zones := zones_of(table):
         charts[lambda axes: _zones(axes, table, zones)] = 2.0
     if any(materials_of(table, quantity) for quantity in UNITS):
@@ -52,6 +52,12 @@ def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table, su
     panels[-1].set_xlabel("s")
 
 
+def _curve(axes: Axes, table: pa.Table, values: str | np.ndarray, *line: str, **style: Any) -> None:
+    """Values over time, or those of a column."""
+    values = column(table, values) if isinstance(values, str) else values
+    axes.plot(column(table, "time_s"), values, *line, marker=_mark(table), **style)
+
+
 def _mark(table: pa.Table) -> str:
     return "." if table.num_rows < FEW_STEPS else ""
 
@@ -60,21 +66,21 @@ def _flux(axes: Axes, simulation: Simulation, table: pa.Table) -> None:
     for side, colour in zip(dict.fromkeys(module.side for module in simulation.modules), FOUR, strict=False):
         factor = column(table, f"lamp.{side}.power_factor").min()
         label = f"{side}, dimmed to {100 * factor:.0f} % in the worst step" if factor < 1 else side
-        axes.plot(column(table, "time_s"), column(table, f"lamp.{side}.flux_lm"), marker=_mark(table), color=colour, label=label)
+        _curve(axes, table, f"lamp.{side}.flux_lm", color=colour, label=label)
     axes.set(ylabel="lm", ylim=(0, 1.08 * axes.dataLim.ymax or 1))
-    headed(axes, "Luminous flux of the lamps")
+    heading(axes, "Luminous flux of the lamps")
 
 
 def _power(axes: Axes, simulation: Simulation, table: pa.Table) -> None:
     time_s = column(table, "time_s")
-    axes.plot(time_s, column(table, "power_w"), marker=_mark(table), color="black", label="this run")
+    _curve(axes, table, "power_w", color="black", label="this run")
     for (name, watts), line in zip(compared(simulation, table).items(), GREYS, strict=False):
         axes.plot(time_s, watts, color="0.5", linestyle=line, label=name)
     axes.set(ylabel="W", ylim=(0, 1.08 * axes.dataLim.ymax or 1))
-    headed(axes, "Electrical power, beside that of undimmed beams")
+    heading(axes, "Electrical power, beside that of undimmed beams")
 
 
-def _commanded(axes: Axes, table: pa.Table, names: Sequence[str], summary: dict[str, Any], unit: str, title: str) -> None:
+def _modules(axes: Axes, table: pa.Table, names: Sequence[str], summary: dict[str, Any], unit: str, title: str) -> None:
     """One curve for all modules that move alike."""
     alike: dict[tuple[float, ...], list[list[str]]] = {}
     for name in names:
@@ -86,14 +92,14 @@ def _commanded(axes: Axes, table: pa.Table, names: Sequence[str], summary: dict[
         whose = "all" if len(who) == len(summary["modules"]) else ", ".join(who)
         how = " and ".join(MOVEMENTS[movement] for movement in MOVEMENTS if any(movement == each for _, each in moved))
         ends = f", at a limit in {at_end} of {table.num_rows} steps" if at_end else ""
-        axes.plot(column(table, "time_s"), values, marker=_mark(table), color=colour, label=f"{whose} {how}{ends}")
+        _curve(axes, table, np.array(values), color=colour, label=f"{whose} {how}{ends}")
     axes.set(ylabel=unit)
     if unit == "share":
         axes.set_ylim(-0.02, 1.05)
-    headed(axes, title)
+    heading(axes, title)
 
 
-def _held(axes: Axes, table: pa.Table, held: Sequence[str]) -> None:
+def _symbols(axes: Axes, table: pa.Table, held: Sequence[str]) -> None:
     time_s = column(table, "time_s")
     for name, colour in zip(held, cycle(COLOURS), strict=False):
         iou, lost = column(table, f"functions.{name}.iou"), [reason or "" for reason in table[f"functions.{name}.loss"].to_pylist()]
@@ -102,16 +108,16 @@ def _held(axes: Axes, table: pa.Table, held: Sequence[str]) -> None:
         gone = np.array([reason not in ("", "no_frame") for reason in lost])
         axes.plot(time_s[gone], np.zeros(gone.sum()), "x", color=colour, markersize=4)
     axes.set(ylabel="IoU", ylim=(-0.02, 1.02))
-    headed(axes, "Symbols that are held: overlap with the target (x: lost)")
+    heading(axes, "Symbols that are held: overlap with the target (x: lost)")
 
 
 def _zones(axes: Axes, table: pa.Table, zones: Sequence[str]) -> None:
     time_s = column(table, "time_s")
     for name, colour in zip(zones, cycle(COLOURS), strict=False):
-        axes.plot(time_s, column(table, f"functions.{name}.luminance"), marker=_mark(table), color=colour, label=spoken(name))
+        _curve(axes, table, f"functions.{name}.luminance", color=colour, label=spoken(name))
         axes.plot(time_s, column(table, f"functions.{name}.target"), color=colour, linestyle="--", linewidth=0.9)
     axes.set(ylabel="cd/m²", ylim=(0, 1.08 * axes.dataLim.ymax))
-    headed(axes, "Luminance of zones, and what is wanted (dashed)")
+    heading(axes, "Luminance of zones, and what is wanted (dashed)")
 
 
 def _materials(axes: Axes, table: pa.Table) -> None:
@@ -121,10 +127,10 @@ def _materials(axes: Axes, table: pa.Table) -> None:
         if not wanted[-1]:
             continue  # dark has no share
         label = f"{spoken(name)}: {wanted[-1]:g} {UNITS[quantity]}".replace("^2", "²")
-        axes.plot(column(table, "time_s"), values / wanted, line, marker=_mark(table), color=colour, label=label)
+        _curve(axes, table, values / wanted, line, color=colour, label=label)
     axes.axhline(1.0, color="0.5", linewidth=0.9)
     axes.set(ylabel="of what is wanted", ylim=(0, None))
-    headed(axes, "Light of materials, median, as a share of what is wanted")
+    heading(axes, "Light of materials, median, as a share of what is wanted")
 
 
 def _confidences(axes: Axes, table: pa.Table, names: Sequence[str], summary: dict[str, Any]) -> None:
@@ -135,7 +141,7 @@ def _confidences(axes: Axes, table: pa.Table, names: Sequence[str], summary: dic
     axes.set(ylim=(0, 1.02))
     if nothing := summary["tracks_of_nothing"]:
         axes.plot([], [], " ", label=f"a track without an object in {nothing} steps")
-    headed(axes, "Confidence of objects, filtered over frames")
+    heading(axes, "Confidence of objects, filtered over frames")
 
 
 def _on_objects(axes: Axes, table: pa.Table, names: Sequence[str], summary: Mapping[str, Any], with_names: bool) -> None:
@@ -145,12 +151,12 @@ def _on_objects(axes: Axes, table: pa.Table, names: Sequence[str], summary: Mapp
     for name, colour in zip(names, COLOURS, strict=False):
         dark = not most_lx[name]
         label = f"{spoken(name)}: 0 lx throughout" if dark else spoken(name) if with_names else None
-        axes.plot(time_s, column(table, f"objects.{name}.lx_mean"), marker=_mark(table), color=colour, label=label)
+        _curve(axes, table, f"objects.{name}.lx_mean", color=colour, label=label)
         axes.plot(time_s, column(table, f"objects.{name}.lx_max"), color=colour, linestyle=":", linewidth=0.9)
     if others:
         most = np.fmax.reduce([column(table, f"objects.{name}.lx_max") for name in others])
         lit = "" if np.nanmax(most) else ": 0 lx throughout"
-        axes.plot(time_s, most, color="0.5", linewidth=0.9, label=f"most on {counted(len(others), 'other' if names else 'object')}{lit}")
+        axes.plot(time_s, most, color="0.5", linewidth=0.9, label=f"most on {plural(len(others), 'other' if names else 'object')}{lit}")
     if names:
         axes.plot([], [], color="0.5", linestyle=":", linewidth=0.9, label="most on each")
     if summary.get("eyes_lx_max") is not None:
@@ -165,4 +171,4 @@ def _on_objects(axes: Axes, table: pa.Table, names: Sequence[str], summary: Mapp
         axes.set_yscale("log")
         axes.yaxis.set_minor_formatter(LogFormatter())
     axes.yaxis.set_major_formatter(lambda lx, _: f"{lx:g}")
-    headed(axes, "The lamps' light on objects, mean and most (dotted)")
+    heading(axes, "The lamps' light on objects, mean and most (dotted)")

@@ -2,28 +2,38 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import torch
 from matplotlib import rc_context
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
 from luxloop.loop.report import charts
-from luxloop.loop.report.overview import draw_overview
+from luxloop.loop.report.facts import borders_deg, flux_lm, peak
 from luxloop.loop.report.panels import WALL_M, draw_birdseye, draw_eye, draw_pixels, draw_texture, draw_wall
-from luxloop.loop.report.style import STYLE
+from luxloop.loop.report.style import STYLE, no_frame, page_title, write
 from luxloop.loop.report.styles import check_out, style_of
-from luxloop.loop.report.views import SIDES, LitCar, Road, beside, birdseye, driver
+from luxloop.loop.report.terminal import plural
+from luxloop.loop.report.views import SIDES, LitCar, Road, beside, birdseye, driver, grey, picture
 from luxloop.loop.scenario.model import HeadlightParams, Scenario
 from luxloop.loop.simulation.build_lamps import turn
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import whole
-from luxloop.world.headlight.lamp import Commands, Lamp
+from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import REST, Commands, Lamp, ModuleCommand
+from luxloop.world.light.emitters import surface_light
 from luxloop.world.light.volumetric import Medium
+from luxloop.world.rendering.gbuffer import flat_road
 
 DPI = 110
 VISIBILITY_M = 100.0
+REACHES_LX = (1.0, 3.0, 10.0)
+NAME = 15  # characters that fit before a value; longer names have a line of their own
+CELL_M, ROAD_M = 0.5, (0.0, 300.0)
 
 WALL = {
     "isolux": f"illuminance of a wall at {WALL_M:g} m in lx",
@@ -74,11 +84,27 @@ def show_headlight(  # noqa: PLR0913 (each value stands by itself)
     return out
 
 
-def write(figure: Figure, out: Path) -> None:
-    """Save a figure, whole or not at all. Raises LuxloopError where the file cannot be written."""
-    FigureCanvasAgg(figure)
-    with whole(out) as part:
-        figure.savefig(part, format=out.suffix[1:].lower())
+def lights_by_side(scenario: Scenario, lamp: str, time_s: float) -> tuple[Mapping[str, Sequence[Tensor]], Mapping[str, Commands]]:
+    """Utilisations `[n_p]` and commands of a lamp's modules in a scenario at a time, by side; zero for modules that are off.
+
+    lamp: preset or lamp file that replaces the scenario's. Raises LuxloopError where the scenario cannot use it.
+    """
+    headlight = scenario.headlight.model_copy(update={"model": lamp, "intensity_cd": None})
+    try:
+        simulation = Simulation.prepare(scenario.model_copy(update={"headlight": headlight}))
+    except LuxloopError as error:
+        first, *others = error.args
+        raise LuxloopError(
+            f"{lamp} cannot show what {scenario.name} draws; give --beam for a beam of {lamp} there, or correct this: {first}", *others
+        ) from error
+    lights, commands = simulation.lights_at(time_s)
+    found: dict[str, list[Tensor]] = {}
+    turned: dict[str, list[ModuleCommand]] = {}
+    for module, u, command in zip(simulation.modules, lights, commands or (REST,) * len(lights), strict=True):
+        mine = found.setdefault(module.side, [torch.zeros(each.headlight.n_pixels) for each in module.lamp.modules])
+        mine[module.number] = u
+        turned.setdefault(module.side, [REST] * len(mine))[module.number] = command
+    return found, {side: tuple(each) for side, each in turned.items()}
 
 
 def _patterns(
@@ -113,7 +139,7 @@ def _draw(car: LitCar, beam: str, view: str, style: str, road: Road, visibility_
     match view:
         case "overview":
             figure = _page(car, beam, "", (14.0, 8.1))
-            draw_overview(figure, car, beam, road)
+            _draw_overview(figure, car, beam, road)
         case "wall":
             figure = _page(car, beam, WALL[style], (11.5, 5.0))
             draw_wall(figure.subplots(), car, style)
@@ -174,5 +200,84 @@ def _page(car: LitCar, beam: str, what: str, inches: tuple[float, float]) -> Fig
     figure = Figure(inches, DPI, layout="constrained")
     names = " and ".join(dict.fromkeys(lamp.name for lamp in car.lamps.values()))
     which = "both lamps" if len(car.lamps) > 1 else f"{next(iter(car.lamps))} lamp"
-    figure.suptitle("  ·  ".join(filter(None, (names, beam, which, what))), x=0.012, ha="left", fontsize=11.5, weight="bold")
+    page_title(figure, names, beam, which, what)
     return figure
+
+
+def _draw_overview(figure: Figure, car: LitCar, beam: str, road: Road) -> None:
+    """Fill a page."""
+    top, bottom = figure.subfigures(2, 1, squeeze=False, height_ratios=(3.9, 3.7))[:, 0]
+    left, right = top.subfigures(1, 2, squeeze=False, width_ratios=(9.2, 4.4))[0]
+    wall = left.subplots()
+    wall.set_title(f"Illuminance of a wall at {WALL_M:g} m in lx")
+    draw_wall(wall, car, "isolux")
+    above, eye = bottom.subplots(1, 2, width_ratios=(8.0, 5.9))
+    above.set_title("Illuminance of the road in lx")
+    draw_birdseye(above, road.look(car, birdseye()), "isolux", road.lane_width_m)
+    eye.set_title("The driver's view")
+    ahead = road.look(car, driver(960))
+    draw_eye(eye, ahead, "luminance")
+    charts.distance_marks(eye, ahead, road.lane_width_m)
+    text = right.subplots()
+    no_frame(text)
+    _write_facts(text, facts(car, beam))
+
+
+def facts(car: LitCar, beam: str) -> list[tuple[str, str]]:
+    """Facts of a beam as pairs of name and value: of the first lamp, and the reach of all lamps."""
+    side, lamp = next(iter(car.lamps.items()))
+    pattern = car.patterns[side]
+    fluxes = [flux_lm(module.headlight, module.headlight.light_texture(u)) for module, u in zip(lamp.modules, pattern, strict=True)]
+    brightest = peak(lamp, pattern)
+    return [
+        ("beam", beam),
+        (f"{side} lamp", f"{plural(sum(module.headlight.n_pixels for module in lamp.modules), 'pixel')}, {sum(fluxes):,.0f} lm"),
+        *((f"   {module.name}", _module_facts(module.headlight, flux)) for module, flux in zip(lamp.modules, fluxes, strict=True)),
+        ("peak", f"{brightest.candela / 1e3:.3g} kcd, {brightest.candela / WALL_M**2:.3g} lx at {WALL_M:g} m"),
+        ("", "even" if brightest.even else f"{_angle(brightest.h_deg, 'right', 'left')}, {_angle(brightest.v_deg, 'up', 'down')}"),
+        ("reach", "facing the car, at the road, both lamps" if len(car.lamps) > 1 else "facing the car, at the road"),
+        *((f"   {lux:g} lx", _reach(car, lux)) for lux in REACHES_LX),
+    ]
+
+
+def reach_m(car: LitCar, lux: float) -> float:
+    """Reach in m: the greatest distance ahead on a flat road with this illuminance at the road, on a surface facing the car; 0 if
+    nowhere.
+    """
+    upright = flat_road(birdseye(CELL_M, ROAD_M), 1.0)
+    normal = torch.zeros_like(upright.normal)
+    normal[0] = -1
+    light = grey(picture(surface_light(replace(upright, normal=normal), car.sources)[0]))
+    columns = np.flatnonzero((light >= lux).any(0))
+    return ROAD_M[0] + (int(columns[-1]) + 0.5) * CELL_M if len(columns) else 0.0
+
+
+def _reach(car: LitCar, lux: float) -> str:
+    metres = reach_m(car, lux)
+    if metres > ROAD_M[1] - CELL_M:
+        return f"beyond {ROAD_M[1]:g} m"
+    return f"{metres:.0f} m" if metres else "nowhere on the road"
+
+
+def _module_facts(light: Headlight, flux: float) -> str:
+    left, right, bottom, top = borders_deg(light)
+    return f"{light.pixel_rows} x {light.pixel_cols}, {_range(-left, -right)} x {_range(bottom, top)}, {flux:,.0f} lm"
+
+
+def _range(low: float, high: float) -> str:
+    if abs(low + high) < 0.05:
+        return f"±{high:.3g}°"
+    return f"{low:+.3g} to {high:+.3g}°".replace("-", "−")
+
+
+def _angle(angle: float, positive: str, negative: str) -> str:
+    size = f"{abs(angle):.1f}°"
+    return size if size == "0.0°" else f"{size} {positive if angle > 0 else negative}"
+
+
+def _write_facts(axes: Axes, facts: Sequence[tuple[str, str]]) -> None:
+    rows = [row for name, value in facts for row in ([(name, value)] if len(name) <= NAME else [(name, ""), ("", value)])]
+    for i, (name, value) in enumerate(rows):
+        y = 0.97 - i / max(len(rows), 12)
+        axes.text(0.0, y, name, transform=axes.transAxes, va="top", fontsize=9.5, color="0.4")
+        axes.text(0.24, y, value, transform=axes.transAxes, va="top", fontsize=9.5)

@@ -48,7 +48,7 @@ def marks(result: StepResult, simulation: Simulation) -> tuple[Mark, ...]:
         there = (each for each in result.now.objects if each.since_s <= result.time_s < each.until_s)
         return (*zones, *(Mark(_around(each, view), _kind(each.name, result.masked)) for each in there))
     assert simulation.pipeline is not None
-    return (*zones, *_found(result.look), *_tracked(result.look, simulation.pipeline.classes, result.masked))
+    return (*zones, *_found(result.look), *_tracks(result.look, simulation.pipeline.classes, result.masked))
 
 
 def readable(marked: Iterable[Mark], character_px: float, width_px: int) -> tuple[Mark, ...]:
@@ -89,7 +89,7 @@ def _found(look: FrameDetections) -> tuple[Mark, ...]:
     return tuple(Mark(_outline(box), "found") for box in look.found.boxes.tolist())
 
 
-def _tracked(look: FrameDetections, classes: tuple[Category, ...], masked: frozenset[str]) -> tuple[Mark, ...]:
+def _tracks(look: FrameDetections, classes: tuple[Category, ...], masked: frozenset[str]) -> tuple[Mark, ...]:
     drawn, tracks = [], look.tracks
     for number, box, category, sure in zip(
         tracks.number.tolist(), tracks.boxes.tolist(), tracks.category.tolist(), tracks.confidence.tolist(), strict=True

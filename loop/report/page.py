@@ -12,7 +12,6 @@ import pyarrow as pa
 import torch
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Polygon
@@ -20,20 +19,19 @@ from numpy.typing import NDArray
 
 from luxloop.loop.recording.remedies import SHADOW
 from luxloop.loop.report.courses import write_courses
+from luxloop.loop.report.highlights import Highlights
 from luxloop.loop.report.marks import marks, readable
-from luxloop.loop.report.picture import WALL_DEG, measured, wall_light, white_of
+from luxloop.loop.report.picture import WALL_DEG, camera_luminance, wall_light, white_of
 from luxloop.loop.report.run_table import processing
-from luxloop.loop.report.style import SHARES, STYLE
+from luxloop.loop.report.style import SHARES, STYLE, field, page_title, write
 from luxloop.loop.report.symbol import HIGH_IN, draw_symbol
 from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
-from luxloop.loop.report.watched import Watched
 from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation.columns import of_one
 from luxloop.loop.simulation.lamps import under
 from luxloop.loop.simulation.observed import ObservedSymbol
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.world.files import whole
 from luxloop.world.frames import View, transform
 
 WIDE_IN, DPI = 13.0, 130
@@ -50,27 +48,27 @@ AROUND_M = 2.0  # that it shows around the light
 RAYS_ABOVE = 1e6  # of that picture, four for each pixel of the page
 
 
-def write_report(file: Path, simulation: Simulation, watched: Watched, table: pa.Table, summary: dict[str, Any]) -> None:
+def write_report(file: Path, simulation: Simulation, highlights: Highlights, table: pa.Table, summary: dict[str, Any]) -> None:
     """Draw a run of at least one step on one page: all light, unless symbols are all there is, and each symbol that is held.
 
     table and summary are the recording's, simulation the one that its last step is of. Raises LuxloopError if the file cannot be written.
     """
-    shown = [each for each in watched.gathered if each.last is not None and each.name in simulation.controlled]
+    shown = [each for each in highlights.symbols if each.last is not None and each.name in simulation.controlled]
     parts: list[tuple[float, Callable[[SubFigure], None]]] = []
     if not shown or not symbols_alone(simulation):
-        high = LIGHT_IN + (simulation.pipeline is not None or bool(watched.moments[-1].materials)) * TALLER_IN
-        parts.append((high, partial(_draw_light, simulation=simulation, moments=watched.moments, table=table, summary=summary, high=high)))
+        high = LIGHT_IN + (simulation.pipeline is not None or bool(highlights.moments[-1].materials)) * TALLER_IN
+        parts.append(
+            (high, partial(_draw_light, simulation=simulation, moments=highlights.moments, table=table, summary=summary, high=high))
+        )
     for each in shown:
         draw = partial(draw_symbol, simulation=simulation, gathered=each, table=of_one(table, each.name))
         parts.append((HIGH_IN, partial(draw, summary=summary["functions"][each.name])))
     with rc_context(STYLE):
         figure = Figure((WIDE_IN, sum(high for high, _ in parts)), DPI, layout="constrained")
-        FigureCanvasAgg(figure)
         ratios = [high for high, _ in parts]
         for place, (_, draw_part) in zip(figure.subfigures(len(parts), 1, squeeze=False, height_ratios=ratios)[:, 0], parts, strict=True):
             draw_part(place)
-        with whole(file) as part:
-            figure.savefig(part, format="png")
+        write(figure, file)
 
 
 def symbols_alone(simulation: Simulation) -> bool:
@@ -86,7 +84,7 @@ def _draw_light(
 ) -> None:
     """Draw the part of a page about all light; high: its height in inches."""
     last, upper = moments[-1], high - ABOVE_IN
-    figure.suptitle(_title(simulation, last, summary), x=0.012, ha="left", fontsize=12, weight="bold")
+    page_title(figure, *_title(simulation, last, summary), size=12)
     left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(7.6, 5.4))[0]
     observed = [(result, symbol) for result in moments for symbol in result.symbols][-OBSERVED:]
     heights = (upper, ABOVE_IN, 1.6) if observed else (upper, ABOVE_IN)
@@ -94,20 +92,23 @@ def _draw_light(
     _cameras(top, simulation, moments)
     _from_above(bottom.subplots(), simulation, last)
     for figure_below in below:
-        _observed(figure_below, observed)
+        _observers(figure_below, observed)
     courses, walls = right.subfigures(2, 1, squeeze=False, height_ratios=(upper, ABOVE_IN))[:, 0]
     write_courses(courses, simulation, table, summary)
     _walls(walls, simulation, last)
 
 
-def _title(simulation: Simulation, last: StepResult, summary: Mapping[str, Any]) -> str:
-    dark_lx, scenario = summary["dark_lx_max"], simulation.scenario
-    masked = "" if dark_lx is None else f"  ·  {dark_lx:.3g} lx at most on masked objects"
-    flicker = f"  ·  symbols on for {1 - scenario.off_share:.0%} at {scenario.rate_hz:g} Hz" if scenario.symbols else ""
-    if (folder := shadow_of(scenario.plant)) is not None:
-        flicker += f"  ·  {SHADOW} {Path(folder).name}"
-    steps = f"{summary['steps']} steps to {last.time_s:.2f} s"
-    return f"{scenario.name}  ·  {simulation.modules[0].lamp.name}  ·  {steps}{masked}{flicker}  ·  {processing(summary, 'a step')}"
+def _title(simulation: Simulation, last: StepResult, summary: Mapping[str, Any]) -> tuple[str, ...]:
+    dark_lx, scenario, folder = summary["dark_lx_max"], simulation.scenario, shadow_of(simulation.scenario.plant)
+    return (
+        scenario.name,
+        simulation.modules[0].lamp.name,
+        f"{summary['steps']} steps to {last.time_s:.2f} s",
+        "" if dark_lx is None else f"{dark_lx:.3g} lx at most on masked objects",
+        f"symbols on for {1 - scenario.off_share:.0%} at {scenario.rate_hz:g} Hz" if scenario.symbols else "",
+        "" if folder is None else f"{SHADOW} {Path(folder).name}",
+        processing(summary, "a step"),
+    )
 
 
 def _cameras(figure: SubFigure, simulation: Simulation, moments: Sequence[StepResult]) -> None:
@@ -139,7 +140,7 @@ def _told_of_boxes(simulation: Simulation) -> str:
 
 
 def _camera(axes: Axes, simulation: Simulation, result: StepResult, white: float) -> None:
-    image = (measured(result, simulation).cpu().numpy() / white).clip(0, 1) ** 0.5
+    image = (camera_luminance(result, simulation).cpu().numpy() / white).clip(0, 1) ** 0.5
     axes.imshow(image, **SHARES)
     for mark in readable(marks(result, simulation), image.shape[1] / CHARACTERS, image.shape[1]):
         colour = MARKS[mark.kind]
@@ -155,7 +156,7 @@ def _camera(axes: Axes, simulation: Simulation, result: StepResult, white: float
     axes.grid(False)
 
 
-def _observed(figure: SubFigure, observed: Sequence[tuple[StepResult, ObservedSymbol]]) -> None:
+def _observers(figure: SubFigure, observed: Sequence[tuple[StepResult, ObservedSymbol]]) -> None:
     figure.suptitle("Symbols as seen by their observers: luminance relative to that of a white picture", x=0.02, ha="left", fontsize=9)
     for axes, (result, symbol) in zip(figure.subplots(1, len(observed), squeeze=False)[0], observed, strict=True):
         axes.imshow(symbol.share.nan_to_num().cpu().numpy(), **SHARES)
@@ -173,7 +174,7 @@ def _from_above(axes: Axes, simulation: Simulation, last: StepResult) -> None:
     light, extent = _from_near(lambda view: truth.through(view, last.time_s).light(last.lights, last.now.commands)[0])
     most = float(light.max().clip(1, BRIGHTEST_ROAD_LX))
     scale = LogNorm(FAINTEST_ROAD_LX, most)
-    shown = axes.imshow(light.clip(FAINTEST_ROAD_LX), cmap="inferno", norm=scale, extent=extent, aspect="auto", interpolation="antialiased")
+    shown = field(axes, light.clip(FAINTEST_ROAD_LX), extent, norm=scale)
     levels = [level for level in ROAD_LEVELS_LX if light.min() < level < light.max()]
     if levels:
         lines = axes.contour(light, levels=levels, colors="white", linewidths=0.6, extent=extent, origin="upper")
@@ -181,7 +182,6 @@ def _from_above(axes: Axes, simulation: Simulation, last: StepResult) -> None:
     _outlines(axes, last)
     axes.set(xlabel="ahead in m", ylabel="to the left in m", title="Illuminance from above, at the end")
     axes.set(xlim=extent[:2], ylim=extent[2:])
-    axes.grid(False)
     ticks = [tick for tick in (0.1, 0.3, 1, 3, 10, 30) if tick <= most]
     bar = axes.figure.colorbar(shown, ax=axes, pad=0.01, ticks=ticks, extend="max" if light.max() > most else "neither")
     bar.ax.set_yticklabels([f"{tick:g} lx" for tick in ticks])
@@ -228,8 +228,6 @@ def _walls(figure: SubFigure, simulation: Simulation, last: StepResult) -> None:
         wall = wall_light([modules[n] for n in mine], [last.lights[n] for n in mine], WALL_COLUMNS)
         extent = (-side_deg, side_deg, -down_deg, up_deg)
         most = float(wall.max())
-        shown = axes.imshow(wall.cpu().numpy(), extent=extent, aspect="auto", **(SHARES | {"cmap": "inferno", "vmax": most or 1}))
+        field(axes, wall.cpu().numpy(), extent, "lx", vmin=0, vmax=most or 1)
         axes.set(title=f"The {side} lamp on a wall at 25 m, at the end: {most:.3g} lx at most", ylabel="up in deg")
-        axes.grid(False)
-        axes.figure.colorbar(shown, ax=axes, label="lx", pad=0.01)
     axes.set_xlabel("to the right in deg")

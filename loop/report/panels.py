@@ -10,7 +10,8 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from torch import Tensor
 
 from luxloop.loop.report import charts
-from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, Image, LitCar, Seen, grey, picture
+from luxloop.loop.report.style import field, no_frame, scale
+from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, Image, LitCar, RoadView, grey, picture
 from luxloop.world.headlight import Headlight
 from luxloop.world.light.emitters import wall_illuminance
 
@@ -47,11 +48,11 @@ def draw_wall(axes: Axes, car: LitCar, style: str) -> None:
         elif style == "falsecolour":
             charts.false_colours(axes, grey(picture(light))[::-1], extent, "lx")
         else:
-            charts.as_seen(axes, (picture(light) * WHITE_WALL / math.pi)[::-1], extent)
+            charts.luminance_image(axes, (picture(light) * WHITE_WALL / math.pi)[::-1], extent)
     charts.degree_grid(axes)
 
 
-def draw_birdseye(axes: Axes, seen: Seen, style: str, lane_width_m: float) -> None:
+def draw_birdseye(axes: Axes, seen: RoadView, style: str, lane_width_m: float) -> None:
     """The road from above, the way ahead to the right."""
     (x0, x1), (y0, y1) = BIRDSEYE_X_M, BIRDSEYE_Y_M
     if style == "isolux":
@@ -61,52 +62,48 @@ def draw_birdseye(axes: Axes, seen: Seen, style: str, lane_width_m: float) -> No
     elif style == "falsecolour":
         charts.false_colours(axes, seen.illuminance, (x0, x1, y0, y1), "lx")
     else:
-        charts.as_seen(axes, seen.luminance, (x0, x1, y0, y1))
+        charts.luminance_image(axes, seen.luminance, (x0, x1, y0, y1))
     ink = "0.2" if style == "isolux" else "white"
     charts.map_frame(axes, ink, lane_width_m)
     charts.object_outlines(axes, seen, (x0, x1, y0, y1), ink)
 
 
-def draw_eye(axes: Axes, seen: Seen, style: str) -> None:
+def draw_eye(axes: Axes, seen: RoadView, style: str) -> None:
     """A picture as an eye sees it."""
     rows, cols = seen.illuminance.shape
     extent = (0, cols, rows, 0)
     if style == "falsecolour":
         charts.false_colours(axes, grey(seen.luminance), extent, "cd/m²")
     else:
-        charts.as_seen(axes, seen.luminance, extent, dimmed=style == "isolux")
+        charts.luminance_image(axes, seen.luminance, extent, dimmed=style == "isolux")
         if style == "isolux":
             charts.isolines(axes, np.arange(cols) + 0.5, np.arange(rows) + 0.5, seen.illuminance, most=5, on_black=True)
     axes.set_aspect("equal")
     axes.set(xlim=(0, cols), ylim=(rows, 0))
-    charts.no_frame(axes)
+    no_frame(axes)
 
 
 def draw_pixels(axes: Axes, light: Headlight, utilisation: Tensor) -> None:
     """Utilisation of a module's pixels in %, with the dark half of the scale stretched."""
     image = 100 * utilisation.view(light.pixel_rows, light.pixel_cols).cpu().numpy()
     extent = (-0.5, light.pixel_cols - 0.5, light.pixel_rows - 0.5, -0.5)  # a pixel's number at its middle
-    shown = axes.imshow(image, cmap="magma", norm=PowerNorm(0.5, 0, 100), extent=extent, aspect="auto", interpolation="nearest")
+    shown = field(axes, image, extent, cmap="magma", norm=PowerNorm(0.5, 0, 100), interpolation="nearest")
     axes.set(xlabel="column", ylabel="row")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(8, integer=True))
-    axes.grid(False)
-    charts.scale(axes, shown, "%").set_ticks([0, 5, 20, 50, 100])
+    scale(axes, shown, "%").set_ticks([0, 5, 20, 50, 100])
 
 
 def draw_texture(axes: Axes, light: Headlight, texture: Tensor, peak_cd: float) -> None:
     """A module's light texture `[rows, cols]` in cd, up to a peak, on the plane of tangents with a scale in degrees."""
     image = texture.cpu().numpy() / 1e3
     extent = (-light.left, -light.right, light.bottom, light.top)
-    shown = axes.imshow(
-        image, cmap="inferno", vmin=0, vmax=(peak_cd or 1e3) / 1e3, extent=extent, aspect="auto", interpolation="antialiased"
-    )
+    shown = field(axes, image, extent, vmin=0, vmax=(peak_cd or 1e3) / 1e3)
     for axis, ends in ((axes.xaxis, extent[:2]), (axes.yaxis, extent[2:])):
         axis.set_major_locator(FixedLocator(_round_tangents(*ends)))
         axis.set_major_formatter(FuncFormatter(lambda tangent, _: charts.degrees(math.degrees(math.atan(tangent)))))
     axes.set(xlabel="to the right", ylabel="up")
-    axes.grid(False)
-    charts.scale(axes, shown, "kcd")
+    scale(axes, shown, "kcd")
 
 
 def _round_tangents(start: float, end: float) -> list[float]:

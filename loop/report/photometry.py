@@ -10,8 +10,7 @@ from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from luxloop.loop.report import charts
-from luxloop.loop.report.headlight import DPI, write
-from luxloop.loop.report.style import FOUR, STYLE
+from luxloop.loop.report.style import FOUR, STYLE, page_title, write
 from luxloop.loop.report.styles import check_out
 from luxloop.loop.report.views import Image
 from luxloop.world.photometry import Distribution, Photometry
@@ -26,8 +25,10 @@ def show_distribution(photometry: Photometry, out: Path) -> Path:
     check_out(out)
     distribution = photometry.distribution
     with rc_context(STYLE):
-        figure = Figure((12.0, 5.3), DPI, layout="constrained")
-        figure.suptitle("  ·  ".join(_title(photometry)), x=0.012, ha="left", fontsize=11.5, weight="bold")
+        figure = Figure((12.0, 5.3), 110, layout="constrained")
+        peak, flux = _number(distribution.candela.max()), _number(distribution.luminous_flux)
+        kind = f"{photometry.format}, type {distribution.type}"
+        page_title(figure, photometry.path.name, kind, f"peak {peak} cd", f"{flux} lm")
         left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(7.2, 4.8))[0]
         _map(left.subplots(), distribution)
         _curves(right, distribution)
@@ -53,16 +54,6 @@ def cuts(distribution: Distribution) -> tuple[Image, dict[str, Image]]:
         f"across, {charts.degrees(v[j])} up": distribution.at(v[j], angles),
         f"upright, {charts.degrees(h[i])} right": distribution.at(angles, h[i]),
     }
-
-
-def _title(photometry: Photometry) -> list[str]:
-    distribution = photometry.distribution
-    return [
-        photometry.path.name,
-        f"{photometry.format}, type {distribution.type}",
-        f"peak {_number(distribution.candela.max())} cd",
-        f"{_number(distribution.luminous_flux)} lm",
-    ]
 
 
 def _map(axes: Axes, distribution: Distribution) -> None:

@@ -47,7 +47,7 @@ def white_of(result: StepResult, simulation: Simulation) -> Tensor:
     return bright.clamp(min=max(symbols, default=0.0)).clamp(max=most)
 
 
-def measured(result: StepResult, simulation: Simulation) -> Tensor:
+def camera_luminance(result: StepResult, simulation: Simulation) -> Tensor:
     """Luminance `[height, width]` in cd/m^2 that the camera measures, with the noise of its frame; dark where no frame came."""
     camera = simulation.scenario.camera
     return torch.zeros(camera.height_px, camera.width_px) if result.frame is None else luminance_of(result.frame, camera)
@@ -57,7 +57,7 @@ def frame_picture(result: StepResult, simulation: Simulation, white: Tensor) -> 
     """A step as a picture `[H, W, 3]` in the camera's size: boxes in green, orange where a mask keeps them dark, grey of detections; of
     symbols that are held what was extracted in orange, and in blue where they shall lie. The first of them lies on the upper left, as from
     above and without noise; the beam is on the upper right."""
-    picture = tone_map(measured(result, simulation), white)
+    picture = tone_map(camera_luminance(result, simulation), white)
     height, width = picture.shape[:2]
     line, margin = max(height / 28, 9.0), max(height // 60, 1)
     for mark in readable(marks(result, simulation), CHARACTER * line, width):

@@ -9,7 +9,7 @@ from luxloop.controllers.functions.commands import MOVEMENTS
 from luxloop.loop.recording.checks import lines
 from luxloop.loop.recording.functions_summary import NAMED, START_UP_S, UNITS, named, spoken
 from luxloop.loop.recording.remedies import of_frames, remedies, unjudged
-from luxloop.loop.report.terminal import counted, facts, number
+from luxloop.loop.report.terminal import facts, number, plural
 from luxloop.loop.simulation.detection import LEAST_PX
 
 WELL_LIT_LX = 5.0  # from which on detectors are trained to find objects
@@ -22,7 +22,7 @@ def _in_shadow(told: dict[str, Any]) -> str:
     return f"other than in the recording in {told['differ']} of {told['exposures']} exposures with a frame, by {share} % of both (mean)"
 
 
-def shown(values: dict[str, Any], files: str) -> Table:  # noqa: C901 (a row a quantity)
+def summary_table(values: dict[str, Any], files: str) -> Table:  # noqa: C901 (a row a quantity)
     """The closing table of a run."""
     rows = {"steps": str(values["steps"])}
     if values["shadow_of"] is not None:
@@ -83,7 +83,7 @@ def shown(values: dict[str, Any], files: str) -> Table:  # noqa: C901 (a row a q
     if least := {name: each["confidence_min"] for name, each in values["objects"].items() if each.get("confidence_min") is not None}:
         lowest = sorted(least, key=least.__getitem__)
         told = ", ".join(f"{name} {least[name]:.2f}" for name in lowest[:NAMED])
-        more = f", {counted(len(lowest) - NAMED, 'other')} {least[lowest[NAMED]]:.2f} or more" if len(lowest) > NAMED else ""
+        more = f", {plural(len(lowest) - NAMED, 'other')} {least[lowest[NAMED]]:.2f} or more" if len(lowest) > NAMED else ""
         rows["minimum confidence"] = f"{told}{more}, each from its first track on"
     if values.get("tracks_of_nothing"):
         rows["tracks without object"] = (
@@ -124,7 +124,7 @@ def _of_light(objects: Mapping[str, Mapping[str, Any]], steps: int) -> dict[str,
         rows[f"light on {name}"] = f"{each['lx_mean']:.3g} lx (mean), {each['lx_max']:.3g} lx at most{masked}"
     others = [each["lx_max"] for name, each in objects.items() if name not in one_by_one and each["lx_max"] is not None]
     if others:
-        rows[f"light on {counted(len(others), 'other' if one_by_one else 'object')}"] = f"{max(others):.3g} lx at most"
+        rows[f"light on {plural(len(others), 'other' if one_by_one else 'object')}"] = f"{max(others):.3g} lx at most"
     if unseen := [name for name, each in objects.items() if each["lx_max"] is None]:
         rows["never in sight"] = ", ".join(unseen) if len(unseen) <= NAMED else f"{len(unseen)} objects"
     return rows

@@ -1,10 +1,18 @@
-"""How charts and pictures of light look: type, colours, and legends that hide nothing."""
+"""How charts and pictures of light look: type, colours, legends that hide nothing, and what all figures draw alike."""
 
+from pathlib import Path
 from typing import Any
 
 from matplotlib import rcParamsDefault
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+
+from luxloop.world.files import whole
 
 # Of matplotlib, whatever a matplotlibrc in the working folder says, which could start LaTeX
 DEFAULTS: Any = {key: value for key, value in rcParamsDefault.items() if key != "backend"}
@@ -28,7 +36,7 @@ SHARES: Any = {"cmap": NIGHT, "vmin": 0, "vmax": 1, "interpolation": "antialiase
 CHARACTER_IN, LINE_IN, AROUND_IN = 0.055, 0.4, 0.7  # of a legend's text, its line with what is around it, and around a chart
 
 
-def headed(axes: Axes, title: str, *more: Axes) -> None:
+def heading(axes: Axes, title: str, *more: Axes) -> None:
     """A title, and below it the legend, outside of the chart, where it hides nothing. more: axes in the same place with own labels."""
     found = [each for one in (axes, *more) for each in one.get_legend_handles_labels()[0]]
     if not found:
@@ -49,3 +57,37 @@ def headed(axes: Axes, title: str, *more: Axes) -> None:
         handlelength=1.6,
         columnspacing=1.2,
     )
+
+
+def field(axes: Axes, values: ArrayLike, extent: tuple[float, ...], label: str = "", **style: Any) -> ScalarMappable:
+    """Values `[H, W]` in colours that fill the axes, without a grid. label: of a colour bar beside them, if there is to be one."""
+    drawn = axes.imshow(values, extent=extent, **{"cmap": "inferno", "aspect": "auto", "interpolation": "antialiased"} | style)
+    axes.grid(False)
+    if label:
+        axes.figure.colorbar(drawn, ax=axes, label=label, pad=0.01)
+    return drawn
+
+
+def scale(axes: Axes, drawn: ScalarMappable, label: str) -> Colorbar:
+    """A slim colour bar beside axes."""
+    return axes.figure.colorbar(drawn, ax=axes, label=label, pad=0.015, fraction=0.05, aspect=24)
+
+
+def no_frame(axes: Axes) -> None:
+    """A picture: no ticks, no grid, no box."""
+    axes.set(xticks=[], yticks=[])
+    axes.grid(False)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def page_title(figure: Figure, *parts: str, size: float = 11.5) -> None:
+    """What a page shows, on its upper left."""
+    figure.suptitle("  ·  ".join(filter(None, parts)), x=0.012, ha="left", fontsize=size, weight="bold")
+
+
+def write(figure: Figure, out: Path) -> None:
+    """Save a figure in the format of its suffix, whole or not at all. Raises LuxloopError where the file cannot be written."""
+    FigureCanvasAgg(figure)
+    with whole(out) as part:
+        figure.savefig(part, format=out.suffix[1:].lower())

@@ -1,6 +1,5 @@
 """What happened with a symbol that is held, as the thesis' figures 9.12 to 9.17 show it."""
 
-import math
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -18,9 +17,10 @@ from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
 from luxloop.loop.recording.remedies import SHADOW, remedies, unjudged
 from luxloop.loop.recording.summary import column
-from luxloop.loop.report.style import FOUR, SHARES, STYLE, headed
+from luxloop.loop.report.facts import borders_deg
+from luxloop.loop.report.highlights import SymbolHistory
+from luxloop.loop.report.style import FOUR, SHARES, STYLE, field, heading, no_frame
 from luxloop.loop.report.terminal import number
-from luxloop.loop.report.watched import Gathered
 from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation.columns import ERRORS
 from luxloop.loop.simulation.controlled import ControlledSymbol
@@ -45,7 +45,7 @@ FEW_STEPS = 60  # which are marked one by one
 LEAST_M, LEAST_DEG = 0.01, 0.1  # that the axes of poses show to both sides: less is nothing that anybody sees
 
 
-def draw_symbol(figure: SubFigure, simulation: Simulation, gathered: Gathered, table: pa.Table, summary: dict[str, Any]) -> None:
+def draw_symbol(figure: SubFigure, simulation: Simulation, gathered: SymbolHistory, table: pa.Table, summary: dict[str, Any]) -> None:
     """A symbol's part of a page. table: its columns (`luxloop.loop.simulation.columns.of_one`), of one step at least. summary: its own."""
     assert gathered.last is not None, "a page needs a step"
     symbol, last = simulation.controlled[gathered.name], gathered.last
@@ -85,7 +85,7 @@ def _title(simulation: Simulation, name: str, summary: dict[str, Any], shadow: s
     return f"{who}  ·  {settled}  ·  IoU {iou}, without control {without}, both at the last step  ·  centroid error {x} %, {y} %{lost}"
 
 
-def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: Gathered, table: pa.Table, summary: dict[str, Any]) -> None:
+def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: SymbolHistory, table: pa.Table, summary: dict[str, Any]) -> None:
     errors, pose, judged = figure.subplots(3, 1, sharex=True)
     steps = column(table, "step")
     lost = np.array([loss != "" for loss in table["loss"].to_pylist()])
@@ -106,7 +106,7 @@ def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: Gathered
         errors.plot(steps, values / (peak or 1), color=colour, marker=marker, ms=2.2, label=label)
     errors.set_ylim(-1.1, 1.1)
     errors.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-    headed(errors, "Control errors, 100 % is the largest of each")
+    heading(errors, "Control errors, 100 % is the largest of each")
 
     turned = _right_axis(pose)
     pose.plot(steps, column(table, "x_m") - target.x_m, color=FOUR[0], label=f"x − {target.x_m:g} m")
@@ -125,30 +125,30 @@ def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: Gathered
         axes.set_ylim(min(low, -least), max(high, least))
     pose.set_ylabel("m")
     turned.set_ylabel("deg (dashed)")
-    headed(pose, "Pose of the primitive", turned)
+    heading(pose, "Pose of the primitive", turned)
 
     judged.axhspan(-2, 2, color="0.5", alpha=0.15, lw=0)
     for name, colour, label in (("x", FOUR[0], "centroid along"), ("y", FOUR[1], "centroid across")):
-        _joined(judged, steps, column(table, f"centroid_error_{name}_percent"), color=colour, label=label)
+        _line(judged, steps, column(table, f"centroid_error_{name}_percent"), color=colour, label=label)
     judged.set_yscale("symlog", linthresh=5, linscale=1.2)
     judged.yaxis.set_major_formatter(PercentFormatter(decimals=0))
     judged.set_yticks([-100, -20, -5, -2, 0, 2, 5, 20, 100])
     judged.set_ylabel("error in % of the symbol's size")
     overlap = _right_axis(judged)
-    _joined(overlap, steps, column(table, "iou"), color="black", label="IoU")
+    _line(overlap, steps, column(table, "iou"), color="black", label="IoU")
     if why := unjudged(summary):
         judged.text(0.5, 0.5, fill(why, WHY), transform=judged.transAxes, ha="center", va="center", color="0.4")
     if summary["iou_open"] is not None:
         overlap.axhline(summary["iou_open"], color="black", ls="--", lw=1, label="IoU without control, at the last step")
     overlap.set_ylim(0, 1)
     overlap.set_ylabel("IoU with the target")
-    headed(judged, "How the symbol lies, without noise", overlap)
+    heading(judged, "How the symbol lies, without noise", overlap)
     judged.set_xlabel("control step")
     judged.set_xlim(steps[0], max(steps[-1], steps[0] + 1))
     judged.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
-def _joined(axes: Axes, steps: Image, values: Image, **style: Any) -> None:
+def _line(axes: Axes, steps: Image, values: Image, **style: Any) -> None:
     """A line over the steps in which there are values, each of them marked where they are few: not all steps are judged."""
     there = np.isfinite(values)
     axes.plot(steps[there], values[there], marker="o" if there.sum() <= FEW_STEPS else "", ms=2.2, **style)
@@ -166,7 +166,7 @@ def _error_units(what: FeatureParams) -> tuple[str, ...]:
     return (unit, unit, "" if what.shape == "moments" else unit, unit)
 
 
-def _camera_images(simulation: Simulation, lights: Pairs, gathered: Gathered, last: StepResult) -> dict[str, Image]:
+def _camera_images(simulation: Simulation, lights: Pairs, gathered: SymbolHistory, last: StepResult) -> dict[str, Image]:
     """Luminances `[height, width]` in cd/m^2 that the camera measures: at the last step's time where the plant can expose it once more."""
     camera, plant, time_s = simulation.scenario.camera, simulation.plant, last.time_s
     if isinstance(plant, SimulatedPlant):
@@ -198,10 +198,7 @@ def _night(image: Image, white: float) -> Image:
 def _show(axes: Axes, image: Image, white: float) -> None:
     height, width = image.shape
     axes.imshow(_night(image, white), extent=(0, width, height, 0), **SHARES)
-    axes.set(xticks=[], yticks=[])
-    axes.grid(False)
-    for spine in axes.spines.values():
-        spine.set_visible(False)
+    no_frame(axes)
 
 
 def _white(symbol: ControlledSymbol, *images: Image) -> float:
@@ -211,7 +208,7 @@ def _white(symbol: ControlledSymbol, *images: Image) -> float:
     return max(float(bright.quantile(0.9)) if len(bright) else 0.0, *(float(np.quantile(image, 0.98)) for image in images))
 
 
-def _progression(figure: SubFigure, symbol: ControlledSymbol, gathered: Gathered, after: Image) -> None:
+def _progression(figure: SubFigure, symbol: ControlledSymbol, gathered: SymbolHistory, after: Image) -> None:
     axes = figure.subplots()
     axes.set_title("Symbol progression in the camera's image  (red: past symbols and path, cyan: target)")
     _show(axes, after, _white(symbol, after))
@@ -281,8 +278,8 @@ def _beam_patterns(figure: SubFigure, symbol: ControlledSymbol, on: Lights, when
     for axes, module, light in zip(panels, modules, lights, strict=True):
         headlight = module.pixel_controller.headlight
         texture = headlight.light_texture(light.u).cpu().numpy() / 1e3
-        left, right, bottom, top = (math.degrees(math.atan(t)) for t in (headlight.left, headlight.right, headlight.bottom, headlight.top))
-        drawn = axes.imshow(texture, cmap="inferno", extent=(left, right, bottom, top), aspect="auto", interpolation="antialiased")
+        left, right, bottom, top = borders_deg(headlight)
+        drawn = field(axes, texture, (left, right, bottom, top))
         rows, cols = np.nonzero(texture > 0)
         if len(rows):
             v = top + (np.array([rows.max() + 1, rows.min()]) / headlight.rows) * (bottom - top)
@@ -290,7 +287,6 @@ def _beam_patterns(figure: SubFigure, symbol: ControlledSymbol, on: Lights, when
             axes.set_xlim(min(h[0] + 1.5, left), max(h[1] - 1.5, right))
             axes.set_ylim(max(v[0] - 0.5, bottom), min(v[1] + 0.5, top))
         axes.set_title(f"Beam pattern of {module.name} {when}")
-        axes.grid(False)
         axes.set_ylabel("up in deg")
         figure.colorbar(drawn, ax=axes, label="kcd", pad=0.02)
     panels[-1].set_xlabel("to the left in deg")

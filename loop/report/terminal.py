@@ -54,14 +54,14 @@ def facts(rows: Mapping[str, str]) -> Table:
     return table
 
 
-def markdown(columns: Iterable[str], rows: Rows, align: str = "lr") -> str:
+def markdown_table(columns: Iterable[str], rows: Rows, align: str = "lr") -> str:
     """A table as Markdown; align as of `plain`."""
     names = list(columns)
     rules = (RULES[side] for side in align.ljust(len(names), align[-1]))
     return "\n".join(f"| {' | '.join(map(str, row))} |" for row in (names, rules, *rows))
 
 
-def counted(count: int, noun: str) -> str:
+def plural(count: int, noun: str) -> str:
     """A number of things, such as "1 object" and "2 objects"."""
     return f"{count:,} {noun}{'' if count == 1 else 's'}"
 

@@ -78,7 +78,7 @@ class LitCar:
 
 
 @dataclass(frozen=True)
-class Seen:
+class RoadView:
     """What a view shows: illuminance `[H, W]` in lx, NaN where nothing is; luminance `[H, W]` in cd/m^2, or `[H, W, 3]` in colour."""
 
     view: View
@@ -121,7 +121,7 @@ class Road:
     def _face_source(self) -> FaceSource:
         return face_source(self.scenario.renderer)
 
-    def look(self, car: LitCar, view: View, air: Medium | None = None) -> Seen:
+    def look(self, car: LitCar, view: View, air: Medium | None = None) -> RoadView:
         """The road in the light of the car, attenuated and veiled by the air unless it is clear.
 
         Raises LuxloopError if the scenario names data that does not exist.
@@ -135,7 +135,7 @@ class Road:
             shadows = None if self._shades is None else [self._shadow(source) for source in car.sources]
             luminance = _through_air(luminance, surfaces, view, car.sources, air, shadows, self._scene.ambient_lx)
         total = np.where(surfaces.object_id.numpy() < 0, np.nan, grey(picture(illuminance)))
-        return Seen(view, surfaces, total, picture(luminance))
+        return RoadView(view, surfaces, total, picture(luminance))
 
     @property
     def _shades(self) -> Triangles | None:

@@ -65,7 +65,7 @@ def overview(campaign: Campaign) -> Table:
 
 def page(campaign: Campaign) -> str:
     """The campaign as Markdown."""
-    table = tables.markdown(*_figures(campaign), "lllr")
+    table = tables.markdown_table(*_figures(campaign), "lllr")
     failed = "".join(f"- {key}: {reason}\n" for key, reason in campaign.failures.items())
     runs = f"{len(campaign.rows)} runs, {len(campaign.failures)} failed."
     note = f"{runs} Means over seeds, the worst in brackets; `{TABLE}` has all figures."

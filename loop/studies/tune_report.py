@@ -92,7 +92,7 @@ def page(tuned: Tuned) -> str:
     terms = "".join(f"- `{name}`: {objective.TERMS[name][2]}\n" for name in task.objective.weights)
     names = ", ".join(each.name for each in task.scenarios)
     what = f"{len(finished)} trials ({pruned} pruned halfway) of {names} with {task.seeds} seeds each.{_notes(tuned)}"
-    table = tables.markdown(("key", "range", "given", "best", "importance"), rows, "llr")
+    table = tables.markdown_table(("key", "range", "given", "best", "importance"), rows, "llr")
     return f"# Tuning\n\n{what} The cost is `{task.objective}`:\n\n{terms}\n{table}\n\n![History, and cost over each key]({PICTURE})\n"
 
 

@@ -1,4 +1,4 @@
-"""Messages of the studio's socket (docs/programs.md)."""
+"""Messages of the studio's socket (docs/programs.md). The page's types are made from them by scripts/protocol.py."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -22,13 +22,13 @@ Overrides = Annotated[tuple[Override, ...], Field(max_length=100)]
 Number = Annotated[int, Field(ge=0, lt=2**31)]
 
 
-class Told(Params):
+class FromClient(Params):
     """What a client says. ask: where it is given, `done` with the same number comes once this is done, or `error` with it."""
 
     ask: Number | None = None
 
 
-class Hello(Told):
+class Hello(FromClient):
     """The first message."""
 
     type: Literal["hello"]
@@ -36,7 +36,7 @@ class Hello(Told):
     name: Text = ""
 
 
-class Want(Told):
+class Want(FromClient):
     """What the client shows; nothing else is computed for it. Before the first one: scene, light, camera, matrix, marks.
 
     shared: arrays of steps come in memory of the same machine.
@@ -47,7 +47,7 @@ class Want(Told):
     views: tuple[View, ...] = Field(max_length=20)
 
 
-class Scrub(Told):
+class Scrub(FromClient):
     """A step to see again, answered by `step` with `scrub`; no newer one is sent until step is null, which also goes after `scenario`."""
 
     type: Literal["scrub"]
@@ -55,14 +55,14 @@ class Scrub(Told):
     step: Number | None
 
 
-class AskSummary(Told):
+class AskSummary(FromClient):
     """Ask for the summary of a run so far."""
 
     type: Literal["summary"]
     run: Number = 0
 
 
-class AskBeam(Told):
+class AskBeam(FromClient):
     """Ask for a regulation's verdict on a lamp's light in a step, null for the newest."""
 
     type: Literal["beam"]
@@ -72,33 +72,33 @@ class AskBeam(Told):
     step: Number | None = None
 
 
-class AskSchema(Told):
+class AskSchema(FromClient):
     """Ask for the schema of the scenario model."""
 
     type: Literal["schema"]
 
 
-class Shown(Told):
+class Acknowledge(FromClient):
     """A step is shown. id: that of its message. While two steps of a run are not shown, no other is sent."""
 
     type: Literal["shown"]
     id: Number
 
 
-class Button(Told):
+class Button(FromClient):
     """Take the pen, run, pause, one step, start anew from step 0, undo or redo edits, ask for the scenario as it is now."""
 
     type: Literal["pen", "play", "pause", "step", "reset", "undo", "redo", "save"]
 
 
-class Speed(Told):
+class Speed(FromClient):
     """Times real time at most, null without limit."""
 
     type: Literal["speed"]
     factor: float | None = Field(ge=0.001, le=1000)
 
 
-class Open(Told):
+class Open(FromClient):
     """Another scenario, with values as of `--set`, or the recording in a folder."""
 
     type: Literal["open"]
@@ -107,21 +107,21 @@ class Open(Told):
     recording: Text | None = None
 
 
-class Set(Told):
+class Set(FromClient):
     """Other values of keys, `KEY=VALUE` each. Answered by `edit` if the runs can go on, else by `scenario`."""
 
     type: Literal["set"]
     overrides: Overrides
 
 
-class Record(Told):
+class Record(FromClient):
     """Record all steps of the first run into a folder of this name below `runs`, until null or the last step."""
 
     type: Literal["record"]
     folder: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_. -]{0,79}$")] | None
 
 
-class Drive(Told):
+class Drive(FromClient):
     """Drive the vehicles of all runs until another message comes; both null: nobody any more. 1: full throttle, left; -1: brake, right."""
 
     type: Literal["drive"]
@@ -129,7 +129,7 @@ class Drive(Told):
     steering: float | None = Field(ge=-1, le=1)
 
 
-class Compare(Told):
+class Compare(FromClient):
     """A second run beside the first, with other values or of a recording, which starts both anew; both null for none."""
 
     type: Literal["compare"]
@@ -137,7 +137,7 @@ class Compare(Told):
     recording: Text | None = None
 
 
-class Paint(Told):
+class Paint(FromClient):
     """Pixels of a module of the first run are painted.
 
     box: first row, end row, first column, end column. Its arrays `[rows, columns]` take the place of what was painted there: value, 255 for
@@ -152,7 +152,7 @@ class Paint(Told):
     over: bool = True
 
 
-class Place(Told):
+class Place(FromClient):
     """The pixels that light a point of the world as the newest step shows it.
 
     value: what they are painted with, 255 for full utilisation; null: nothing. stroke: as of `paint`.
@@ -165,7 +165,7 @@ class Place(Told):
     over: bool = True
 
 
-class Wish(Told):
+class Wish(FromClient):
     """Illuminances of the road before the car, or of a wall 25 m before it, for which the pixels of all modules are painted.
 
     box_m: least and largest x, least and largest y on the road; on the wall heights, and y. Its arrays `[rows, columns]`, along these, of
@@ -180,7 +180,7 @@ class Wish(Told):
 
 Message = (
     Hello
-    | (Want | Scrub | AskSummary | AskBeam | AskSchema | Shown)
+    | (Want | Scrub | AskSummary | AskBeam | AskSchema | Acknowledge)
     | (Button | Speed | Open | Set | Record | Compare | Drive | Paint | Place | Wish)
 )
 ARRAYS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {  # dtypes of messages with a body, by type and name
@@ -213,5 +213,5 @@ def read(data: bytes | str) -> tuple[Message, Arrays]:
 def ask_of(data: bytes | str) -> int | None:
     """The number `ask` of a message that is refused, None where it has none."""
     with suppress(LuxloopError), understood():
-        return Told(ask=unpack(data)[0].get("ask")).ask
+        return FromClient(ask=unpack(data)[0].get("ask")).ask
     return None

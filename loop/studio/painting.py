@@ -1,56 +1,130 @@
-"""What is painted on pixels, as another value of `lighting.painted`."""
+"""Light that clients paint on pixels, or want in the world (T 4.2.2), as another value of `lighting.painted`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from typing import Any, Final
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from luxloop.controllers.functions.base_beams import PaintedParams, Picture
+from luxloop.controllers.pixels.jpo_plane import Raster, fit_plane, lighting
+from luxloop.loop.report.picture import WALL_M
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.loop.studio.messages import Paint
+from luxloop.loop.studio.messages import Paint, Place, Wish
+from luxloop.loop.studio.runs import Run, matrix
 from luxloop.world.errors import LuxloopError
+from luxloop.world.frames import inverse
 from luxloop.world.messages import Arrays
 from luxloop.world.validation import toml
 
+MOST_CELLS: Final = 20_000
+MOST_LX: Final = 100_000.0
+# A wall before the middle of the lamps: x up, y to the left, z towards the car.
+T_BODY_WALL: Final = torch.tensor([[0.0, 0, -1, WALL_M], [0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1]], dtype=torch.float64)
 
-def painted(simulation: Simulation, paint: Paint, arrays: Arrays) -> str:
+Layer = tuple[Picture, Picture]  # value and cover `[rows, columns]` of a module's pixels
+Answer = tuple[dict[str, Any], str | None]  # head of the message, and the override that paints
+
+
+def paint(simulation: Simulation, message: Paint, arrays: Arrays) -> str:
     """The override of a message to paint. Raises LuxloopError where there is no such module, or no such pixels."""
     modules = simulation.modules
-    if paint.module >= len(modules):
-        raise LuxloopError(f"paint: there is no module {paint.module}; there are {len(modules)}, numbered from 0")
-    light = modules[paint.module].headlight
-    first_row, end_row, first_col, end_col = paint.box
+    if message.module >= len(modules):
+        raise LuxloopError(f"paint: there is no module {message.module}; there are {len(modules)}, numbered from 0")
+    light = modules[message.module].headlight
+    first_row, end_row, first_col, end_col = message.box
     if not (first_row < end_row <= light.pixel_rows and first_col < end_col <= light.pixel_cols):
         size = f"{light.pixel_rows} x {light.pixel_cols}"
-        raise LuxloopError(f"paint: the box {list(paint.box)} is not within the {size} pixels of the module")
+        raise LuxloopError(f"paint: the box {list(message.box)} is not within the {size} pixels of the module")
     shape = end_row - first_row, end_col - first_col
     if wrong := [name for name, array in arrays.items() if array.shape != shape]:
         raise LuxloopError(f"paint: {wrong[0]} is no array of {shape[0]} x {shape[1]} pixels, as the box has")
-    value, cover = (each.copy() for each in layer(simulation, paint.module))
+    value, cover = layer(simulation, message.module)
     box = slice(first_row, end_row), slice(first_col, end_col)
     value[box], cover[box] = np.where(arrays["painted"] > 0, arrays["value"], 0), arrays["painted"]
-    return override(simulation, {paint.module: (value, cover)}, paint.over)
+    return override(simulation, {message.module: (value, cover)}, message.over)
 
 
-def layer(simulation: Simulation, module: int) -> tuple[Picture, Picture]:
-    """Value and cover `[rows, columns]` of what is painted on a module."""
+def place(run: Run, message: Place) -> Answer:
+    """The pixels that light a point of the world in the step that was shown last."""
+    point, modules, layers = torch.tensor(message.point_m, dtype=torch.float64), list[dict[str, Any]](), dict[int, Layer]()
+    for k, (module, pose) in enumerate(zip(run.simulation.modules, _poses(run), strict=True)):
+        pixels, cd = lighting(module.headlight, pose, point)
+        if len(pixels):
+            modules.append({"module": k, "pixels": pixels.tolist(), "cd": float(cd.sum())})
+            if message.value is not None:
+                layers[k] = _cover(layer(run.simulation, k), pixels, message.value)
+    head = {"type": "place", "point_m": message.point_m, "modules": modules}
+    return head, override(run.simulation, layers, message.over) if layers else None
+
+
+def wish(run: Run, message: Wish, arrays: Arrays) -> Answer:
+    """What comes closest to the light wanted. Raises LuxloopError where the raster is none, or no pixel lights it."""
+    lx, where = arrays["lx"], arrays["painted"] > 0
+    x_min, x_max, y_min, y_max = message.box_m
+    if lx.ndim != 2 or lx.shape != where.shape or not 0 < lx.size <= MOST_CELLS:
+        shapes = f"{list(lx.shape)} and {list(where.shape)}"
+        raise LuxloopError(f"wish: lx and painted have the shapes {shapes}; give both as one raster of at most {MOST_CELLS} cells")
+    if not (x_min < x_max and y_min < y_max):
+        raise LuxloopError(f"wish: the box {list(message.box_m)} is empty; give least x, largest x, least y, largest y")
+    if not where.any():
+        raise LuxloopError("wish: nothing is painted; paint where light is wanted")
+    if not ((lx[where] >= 0) & (lx[where] <= MOST_LX)).all():
+        raise LuxloopError(f"wish: light wanted lies between 0 and {MOST_LX:g} lx")
+    raster = Raster(x_min, x_max, y_min, y_max, *lx.shape)
+    head, lights, poses = run.snapshots[-1].head, run.snapshots[-1].lights, _poses(run)
+    T_plane_world = inverse(matrix(head["T_world_ground"]) if message.on == "road" else matrix(head["T_world_body"]) @ T_BODY_WALL)
+    lamps = [(each.headlight, T_plane_world @ poses[k], lights[k]) for k, each in enumerate(run.simulation.modules)]
+    there = torch.from_numpy(where).flatten()
+    goal = torch.from_numpy(np.where(where, lx, 0).astype(np.float32)).flatten()
+    found = fit_plane(lamps, raster, goal, there)
+    off = (found.lx - goal)[there]
+    answer = {
+        "type": "wish",
+        "on": message.on,
+        "wanted_lx": float(goal[there].mean()),
+        "rmse_lx": float(off.square().mean().sqrt()),
+        "worst_lx": float(off.abs().max()),
+        "pixels": int(sum(each.sum() for each in found.chosen)),
+    }
+    layers = {
+        k: _cover(layer(run.simulation, k), chosen.nonzero()[:, 0], (255 * u[chosen]).round().byte().numpy())
+        for k, (u, chosen) in enumerate(zip(found.u, found.chosen, strict=True))
+        if chosen.any()
+    }
+    return answer, override(run.simulation, layers, message.over)
+
+
+def layer(simulation: Simulation, module: int) -> Layer:
+    """A copy of what is painted on a module."""
     name, light = simulation.modules[module].name, simulation.modules[module].headlight
-    nothing = np.zeros((light.pixel_rows, light.pixel_cols), np.uint8)
-    return next((each.pictures for each in simulation.scenario.lighting.painted if each.module == name), (nothing, nothing))
+    nothing = (np.zeros((light.pixel_rows, light.pixel_cols), np.uint8),) * 2
+    value, cover = next((each.pictures for each in simulation.scenario.lighting.painted if each.module == name), nothing)
+    return value.copy(), cover.copy()
 
 
-def override(simulation: Simulation, layers: Mapping[int, tuple[Picture, Picture]], over: bool) -> str:
+def override(simulation: Simulation, layers: Mapping[int, Layer], over: bool) -> str:
     """What sets these layers, by module, beside all others. Layers over the functions that paint nothing are left out."""
-    changed = {simulation.modules[k].name: each for k, each in layers.items()}
-    kept = [each for each in simulation.scenario.lighting.painted if each.module not in changed]
-    made = [PaintedParams.of(name, *each, over) for name, each in changed.items() if each[1].any() or not over]
-    return f"lighting.painted=[{', '.join(map(_table, _ordered(simulation, [*kept, *made])))}]"
-
-
-def _ordered(simulation: Simulation, params: Sequence[PaintedParams]) -> list[PaintedParams]:
     names = [each.name for each in simulation.modules]
-    return sorted(params, key=lambda each: names.index(each.module))
+    params = {each.module: each for each in simulation.scenario.lighting.painted}
+    for k, (value, cover) in layers.items():
+        params.pop(names[k], None)
+        if cover.any() or not over:
+            params[names[k]] = PaintedParams.of(names[k], value, cover, over)
+    # the picture is a literal string, which is read fast
+    tables = (
+        f"{{module = {toml(each.module)}, png = '{each.png}', over = {toml(each.over)}}}"
+        for each in sorted(params.values(), key=lambda each: names.index(each.module))
+    )
+    return f"lighting.painted=[{', '.join(tables)}]"
 
 
-def _table(params: PaintedParams) -> str:
-    """The picture is a literal string, which is read fast."""
-    return f"{{module = {toml(params.module)}, png = '{params.png}', over = {toml(params.over)}}}"
+def _cover(old: Layer, pixels: Tensor, values: np.ndarray | int) -> Layer:
+    value, cover = old
+    value.ravel()[pixels.numpy()], cover.ravel()[pixels.numpy()] = values, 255
+    return value, cover
+
+
+def _poses(run: Run) -> list[Tensor]:
+    return [matrix(each["T_world_module"]) for each in run.snapshots[-1].head["modules"]]

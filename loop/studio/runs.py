@@ -1,9 +1,9 @@
-"""A run that is watched: its simulation, its steps so far, and their values."""
+"""A run in the studio: its simulation, its steps so far, and their values."""
 
 import gc
 import time
 from collections.abc import Callable, Collection, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -18,20 +18,20 @@ from luxloop.loop.recording.edited import edited
 from luxloop.loop.recording.files import REPORT
 from luxloop.loop.recording.record import schema
 from luxloop.loop.recording.recorder import Recorder, Tally
+from luxloop.loop.report.highlights import Highlights
 from luxloop.loop.report.picture import white_of
-from luxloop.loop.report.watched import Watched
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.driving import repeat
-from luxloop.loop.scenario.edits import ACTS, Edit, replaces
+from luxloop.loop.scenario.edits import ACTS, Edit, differences, replaces
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.redrawn import unpainted
 from luxloop.loop.simulation.result import SimulationState, StepResult
 from luxloop.loop.simulation.simulation import Simulation
+from luxloop.loop.studio.meshes import Meshes
 from luxloop.loop.studio.messages import VIEWS, View
-from luxloop.loop.studio.recorded import Recorded
-from luxloop.loop.studio.shapes import Shapes
+from luxloop.loop.studio.playback import Playback
 from luxloop.loop.studio.snapshot import Snapshot, bodies_at, snapshot
-from luxloop.loop.studio.sources import Source, loaded
+from luxloop.loop.studio.sources import Source
 from luxloop.perception.camera import camera_view, saturation_luminance
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import output_folder
@@ -43,13 +43,14 @@ from luxloop.world.scene.triangles import NOTHING
 KEPT_BYTES: Final = 2**30  # of light and pictures of steps that are over; the oldest are forgotten beyond
 UNITS: Final = {"flux": "lm", "sharpness": "decades in 0.1 deg", "straightness": "deg"}  # of requirements by kind, else cd
 REST: Final = 20  # times what a picture takes pass between two, so that looking costs a twentieth at most
+MOST_EDITS: Final = 100  # of one step, while a run rests, that are kept one by one
 LONGEST_REST_S: Final = 1.0  # however long that took: who drives looks at the camera, too
 
 
 class Run:
     """Steps of one simulation, with what clients show of them.
 
-    The thread that steps it adds to `snapshots`, `rows`, `edits`, `told` and `shapes`, which others read; what was added stays, except the
+    The thread that steps it adds to `snapshots`, `rows`, `edits`, `told` and `meshes`, which others read; what was added stays, except the
     light and pictures of old snapshots. rows: of a recording that is repeated those of all its steps; another list where an edit has ended
     that. told: the edits that clients are sent: all but those of driving. columns: of the rows, the later ones of which may
     have more. recorder: None while nothing is recorded. label: for the page.
@@ -61,18 +62,18 @@ class Run:
         label: str,
         overrides: Collection[str],
         wanted: Collection[View] = VIEWS,
-        recorded: Recorded | None = None,
+        playback: Playback | None = None,
     ) -> None:
-        """Does the first step, so that there is something to see. wanted: what somebody looks at. recorded: what is repeated."""
+        """Does the first step, so that there is something to see. wanted: what somebody looks at. playback: of a recording to repeat."""
         self.simulation, self.label, self.overrides = simulation, label, list(overrides)
-        self.tally, self.watched = Tally(simulation), Watched(simulation)
+        self.tally, self.highlights = Tally(simulation), Highlights(simulation)
         self.recorder: Recorder | None = None
         self._recording = ExitStack()
-        self.recorded = recorded
-        self.columns = _numbers(simulation) if recorded is None else recorded.columns(_numbers(simulation))
-        self.shapes, self.snapshots = Shapes(), list[Snapshot]()
+        self.playback = playback
+        self.columns = _numbers(simulation) if playback is None else playback.columns(_numbers(simulation))
+        self.meshes, self.snapshots = Meshes(), list[Snapshot]()
         self.told = list[Edit]()
-        self.rows = list[np.ndarray]() if recorded is None else recorded.rows(self.columns)
+        self.rows = list[np.ndarray]() if playback is None else playback.rows(self.columns)
         self.step_ms = float("nan")
         self._state = simulation.start()
         self._reached = self._state, simulation.scenario  # by the last step, before edits
@@ -95,8 +96,8 @@ class Run:
         """Do a step. wanted: what somebody looks at. still: nothing follows at once, so that there is time for pictures."""
         if self._below is not None or self._next is not None:
             self.snapshots[-1] = self._taken(*self._made, self.snapshots[-1], wanted)
-        while self.recorded is not None and (due := self.recorded.due(len(self.snapshots))) is not None:
-            self._go_on(self.edited(repeat(self.simulation.scenario, due)), due.overrides, due.driven)
+        while self.playback is not None and (due := self.playback.due(len(self.snapshots))) is not None:
+            self._go_on(self.prepare_edit(repeat(self.simulation.scenario, due)), due.overrides, due.driven)
         began_s = time.perf_counter()
         with locate(self.simulation.scenario.source):
             state, result = self.simulation.step(self._state)
@@ -109,7 +110,7 @@ class Run:
         if "camera" in looks:
             self._look_s = time.perf_counter() + min(REST * (time.perf_counter() - began_s), LONGEST_REST_S)
         values = (self.recorder or self.tally).add(result)
-        self.watched.add(result)
+        self.highlights.add(result)
         self._state, self._made = state, (self.simulation, result)
         self._reached = state, self.simulation.scenario
         self._below, self._next, self._ahead = None, None, False
@@ -125,16 +126,16 @@ class Run:
 
     def at(self, step: int) -> Snapshot:
         """A step that is done, the last one for one beyond; or what a recording has of one that is not run again yet."""
-        snapshots, recorded = self.snapshots, self.recorded
-        if recorded is None or step < len(snapshots):
+        snapshots, playback = self.snapshots, self.playback
+        if playback is None or step < len(snapshots):
             return snapshots[min(step, len(snapshots) - 1)]
-        return recorded.snapshot(min(step, len(self.rows) - 1), snapshots[-1])
+        return playback.snapshot(min(step, len(self.rows) - 1), snapshots[-1])
 
-    def pictured(self, seen: Snapshot) -> Snapshot:
+    def with_pictures(self, seen: Snapshot) -> Snapshot:
         """A step with its pictures, or with frames of it that a recording kept; else the last one before that has any, or itself."""
         if seen.pictures:
             return seen
-        if self.recorded is not None and (kept := self.recorded.pictures(seen.step)):
+        if self.playback is not None and (kept := self.playback.pictures(seen.step)):
             return replace(seen, pictures=kept)
         before = (self.snapshots[k] for k in range(min(seen.step, len(self.snapshots) - 1), -1, -1))
         return next((each for each in before if each.pictures), seen)
@@ -148,12 +149,12 @@ class Run:
         def report(table: pa.Table, summary: dict[str, Any]) -> None:
             from luxloop.loop.report.page import write_report  # Matplotlib, for which a start does not wait
 
-            write_report(directory / REPORT, self.simulation, self.watched, table, summary)
+            write_report(directory / REPORT, self.simulation, self.highlights, table, summary)
             gc.collect()  # see `luxloop.loop.run`
 
         with ExitStack() as stack:
             stack.enter_context(output_folder(directory))
-            recorder = stack.enter_context(Recorder(directory, self.tally, report, self._checked))
+            recorder = stack.enter_context(Recorder(directory, self.tally, report, self._outcomes))
             recorder.begin()
             self.recorder, self._recording = recorder, stack.pop_all()
 
@@ -168,10 +169,10 @@ class Run:
             with locate(self.simulation.scenario.source):
                 _, following = self.simulation.step(self._state)
             self._next = self.simulation, replace(following, step=self._made[1].step)
-        seen = self._next or (self._made[0], self._repainted())
+        seen = self._next or (self._made[0], self._repaint())
         self.snapshots[-1] = self._taken(*seen, self.snapshots[-1], wanted)
 
-    def _repainted(self) -> StepResult:
+    def _repaint(self) -> StepResult:
         """The last result, with what is painted since; the next step shows it if that stays."""
         (simulation, result), lighting = self._made, self.simulation.scenario.lighting
         if lighting.painted == simulation.scenario.lighting.painted:
@@ -182,19 +183,19 @@ class Run:
 
     def _taken(self, simulation: Simulation, result: StepResult, before: Snapshot | None, wanted: Collection[View]) -> Snapshot:
         self._bodies = bodies_at(simulation, result.time_s, self._bodies)
-        return snapshot(simulation, result, self.shapes.numbered(self._bodies.placed), before, wanted)
+        return snapshot(simulation, result, self.meshes.assign(self._bodies.placed), before, wanted)
 
-    def edited(self, scenario: Scenario) -> tuple[Simulation, SimulationState]:
+    def prepare_edit(self, scenario: Scenario) -> tuple[Simulation, SimulationState]:
         """What it would go on with under another scenario. Raises LuxloopError."""
         state, by = self._reached
         return edited(self.simulation, state, scenario, by)
 
     def edit(self, after: tuple[Simulation, SimulationState], overrides: tuple[str, ...], driven: bool = False) -> None:
-        """Go on with what `edited` gave, from the next step on; a recording is repeated no longer. overrides: that make its scenario.
+        """Go on with what `prepare_edit` gave, from the next step on; a recording is repeated no longer. overrides: that make its scenario.
         driven: by somebody who drives.
         """
-        if self.recorded is not None:
-            self.recorded, self.rows = None, self.rows[: len(self.snapshots)]
+        if self.playback is not None:
+            self.playback, self.rows = None, self.rows[: len(self.snapshots)]
         self._go_on(after, overrides, driven)
 
     def _go_on(self, after: tuple[Simulation, SimulationState], overrides: tuple[str, ...], driven: bool) -> None:
@@ -205,13 +206,19 @@ class Run:
         self.simulation, self._state = after
         edit = Edit(step=len(self.snapshots), overrides=overrides, driven=driven)
         if not driven:
-            self.watched.edit(self.simulation)
+            self.highlights.edit(self.simulation)
             known = {each.name for each in self.columns}
             self.columns = [*self.columns, *(each for each in _numbers(self.simulation) if each.name not in known)]
             if self.told and replaces(edit, self.told[-1]):  # so that strokes of a picture are kept once
                 self.told[-1] = edit.model_copy(update={"overrides": ()})
             self.told.append(edit)
         (self.recorder or self.tally).edit(self.simulation, edit)
+        edits = self.tally.edits
+        first = next((k for k, each in enumerate(edits) if each.step == edit.step), len(edits))
+        if len(edits) - first > MOST_EDITS:
+            with suppress(LuxloopError):  # values of keys do not say what has changed
+                edits[first:] = [Edit(step=edit.step, overrides=differences(self._reached[1], scenario))]
+                self.told[:-1] = [each.model_copy(update={"overrides": ()}) for each in self.told[:-1]]
 
     def _forget(self, number: int) -> None:
         old, after = self.snapshots[number : number + 2]
@@ -221,9 +228,9 @@ class Run:
 
     def summary(self) -> dict[str, Any]:
         """Results of all steps so far. It renders, and so runs where the steps do."""
-        return self.tally.summary(self._checked)
+        return self.tally.summary(self._outcomes)
 
-    def _checked(self, table: pa.Table) -> dict[str, Any]:
+    def _outcomes(self, table: pa.Table) -> dict[str, Any]:
         """What has come of the checks that compare with no other light, by name."""
         return Checks(self.simulation.scenario.checks, None).outcomes(table)
 
@@ -236,10 +243,10 @@ class Run:
         if not shown.lights:
             raise LuxloopError(f"step {step}: its light is no longer kept; start anew to see it")
         head = shown.head
-        T_body_world, modules, lights = inverse(_pose(head["T_world_body"])), [], []
+        T_body_world, modules, lights = inverse(matrix(head["T_world_body"])), [], []
         for module, u, posed in zip(self.simulation.modules, shown.lights, head["modules"], strict=True):
             if module.side == side:
-                modules.append(Module(module.name, module.headlight, T_body_world @ _pose(posed["T_world_module"])))
+                modules.append(Module(module.name, module.headlight, T_body_world @ matrix(posed["T_world_module"])))
                 lights.append(u.to(module.flux))
         verdicts = {"pass": True, "fail": False, "not applicable": None}
         return [
@@ -283,7 +290,7 @@ class Run:
         return {"name": module.name, "side": module.side, **grid, "peak_cd": self.peaks_cd[number], "flux_lm": module.flux_lm, **turns}
 
 
-class Starting:
+class Starter:
     """Starts runs on a device. told: gets what is being done, or None."""
 
     def __init__(self, device: str, allow_code: bool, told: Callable[[str | None], None]) -> None:
@@ -298,9 +305,7 @@ class Starting:
         LuxloopError.
         """
         before = None if anew or not old else old[0].simulation
-        given = [
-            loaded(source, self._allow_code) if each is None else (each, None) for source, each in zip(sources, scenarios, strict=True)
-        ]
+        given = [source.load(self._allow_code) if each is None else (each, None) for source, each in zip(sources, scenarios, strict=True)]
         runs = list[Run]()
         for source, (scenario, recording) in zip(sources, given, strict=True):
             self._told(f"preparing {scenario.name}")
@@ -308,8 +313,8 @@ class Starting:
             for run in old:
                 getattr(run.simulation.plant, "close", lambda: None)()  # its address or devices are those of the new one
             self._told(f"first step of {scenario.name}")
-            recorded = Recorded(source.recording, recording) if source.recording and recording else None
-            runs.append(Run(before, source.label, source.all, wanted, recorded))
+            playback = Playback(source.recording, recording) if source.recording and recording else None
+            runs.append(Run(before, source.label, source.all, wanted, playback))
         return runs
 
 
@@ -331,7 +336,8 @@ def _numbers(simulation: Simulation) -> list[pa.Field]:
     return [each for each in schema(simulation) if not pa.types.is_string(each.type)]
 
 
-def _pose(numbers: list[float]) -> torch.Tensor:
+def matrix(numbers: Sequence[float]) -> torch.Tensor:
+    """A pose `[4, 4]` of the 16 numbers that messages have."""
     return torch.tensor(numbers, dtype=torch.float64).view(4, 4)
 
 

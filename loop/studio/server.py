@@ -26,6 +26,7 @@ from websockets.http11 import Response
 from luxloop.loop.studio.messages import (
     LARGEST,
     PROTOCOL,
+    Acknowledge,
     AskBeam,
     AskSchema,
     AskSummary,
@@ -35,7 +36,6 @@ from luxloop.loop.studio.messages import (
     Message,
     Request,
     Scrub,
-    Shown,
     Want,
     ask_of,
     read,
@@ -46,7 +46,7 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.messages import pack
 
 if TYPE_CHECKING:
-    from luxloop.loop.studio.feed import Feed
+    from luxloop.loop.studio.stream import Stream
 
 HELLO_S: Final = 10.0  # in which a client must say its token
 UNKNOWN: Final = 4401  # code by which a connection with another token is closed
@@ -75,7 +75,7 @@ class Client:
 
     def __init__(self, connection: ServerConnection, number: int, role: str) -> None:
         self.connection, self.number, self.role = connection, number, role
-        self.feed: Feed | None = None  # made where PyTorch is imported
+        self.stream: Stream | None = None  # made where PyTorch is imported
         self.request = Request()
         self.is_here = ip_address(connection.remote_address[0]).is_loopback
         self.changed, self.answers, self.asks = asyncio.Event(), list[dict[str, Any]](), set[tuple[str, int]]()
@@ -96,7 +96,7 @@ class Studio:
         self._clients, self._number = list[Client](), 0
         self._pen: int | None = None
         self._threads = ThreadPoolExecutor(2, "messages")
-        self.session = Session(sources, self._changed, allow_code=allow_code, device=device)
+        self.session = Session(sources, self._notify, allow_code=allow_code, device=device)
         self._names = frozenset({"localhost", socket.gethostname().lower()})
 
     async def serve(self, host: str, port: int) -> Server:
@@ -174,8 +174,8 @@ class Studio:
             pass
         finally:
             sender.cancel()
-            if client.feed is not None:
-                client.feed.close()
+            if client.stream is not None:
+                client.stream.close()
             self._clients.remove(client)
             if self._pen == client.number:
                 self._let_go()
@@ -203,7 +203,7 @@ class Studio:
                     self._inquire(client, message)
             case Scrub(step=step):
                 client.request = replace(client.request, at=None if step is None else (message.run, step))
-            case Shown(id=id_):
+            case Acknowledge(id=id_):
                 client.request = replace(client.request, shown=max(client.request.shown, id_))
             case AskSummary() | AskBeam() | AskSchema():
                 self._inquire(client, message)
@@ -241,13 +241,13 @@ class Studio:
             reply({"type": "error", "text": text, "about": message.type, "ask": message.ask})
         else:
             client.asks.add(ask)
-            self.session.ask(message, partial(self._later, partial(self._answered, client, ask)))
+            self.session.ask(message, partial(self._later, partial(self._finish, client, ask)))
 
-    def _answered(self, client: Client, ask: tuple[str, int], head: dict[str, Any]) -> None:
+    def _finish(self, client: Client, ask: tuple[str, int], head: dict[str, Any]) -> None:
         client.asks.discard(ask)
         self._reply_to(client)(head)
 
-    def _changed(self) -> None:
+    def _notify(self) -> None:
         """Tell clients, from another thread."""
         with suppress(RuntimeError):  # the loop is closed, and nobody listens
             self._loop.call_soon_threadsafe(self._tell)
@@ -285,32 +285,32 @@ class Studio:
         while True:
             await client.changed.wait()
             client.changed.clear()
-            published = self.session.published
+            state = self.session.state
             answers, client.answers = client.answers, []
             for head in answers:
                 await client.send(pack(head))
-            if published.progress != preparing:
-                preparing = published.progress
+            if state.progress != preparing:
+                preparing = state.progress
                 await client.send(pack({"type": "progress", "text": preparing}))
-            if published.choices is not chosen:
-                chosen = published.choices
+            if state.choices is not chosen:
+                chosen = state.choices
                 await client.send(pack({"type": "choices", **(chosen or {})}))
             keys = ("playing", "speed", "step_ms", "real_time", "failed", "recording", "steps")
-            status = {"type": "status", **{key: getattr(published, key) for key in keys}, "pen": self._pen, "clients": len(self._clients)}
+            status = {"type": "status", **{key: getattr(state, key) for key in keys}, "pen": self._pen, "clients": len(self._clients)}
             text, waits_s = json.dumps(status), said_s + STATUS_S - time.monotonic()
             if text == last:
                 soon = False
-            elif waits_s <= 0 or not published.playing:
+            elif waits_s <= 0 or not state.playing:
                 last, said_s, soon = text, time.monotonic(), False
                 await client.send(pack(status))
             elif not soon:
                 soon = True
                 self._loop.call_later(waits_s, client.changed.set)
-            if published.runs:
-                from luxloop.loop.studio.feed import Feed  # which imports PyTorch, as the session has done by now
+            if state.runs:
+                from luxloop.loop.studio.stream import Stream  # which imports PyTorch, as the session has done by now
 
-                client.feed = client.feed or Feed()
-                messages = client.feed.messages(published, client.request)
+                client.stream = client.stream or Stream()
+                messages = client.stream.messages(state, client.request)
                 while (data := await self._loop.run_in_executor(self._threads, next, messages, None)) is not None:
                     await client.send(data)
 

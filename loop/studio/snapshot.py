@@ -15,7 +15,6 @@ from luxloop.loop.report.picture import captions
 from luxloop.loop.simulation.columns import loss_name
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.loop.studio.exact import exact
 from luxloop.loop.studio.messages import View
 from luxloop.world.frames import transform
 from luxloop.world.headlight.lamp import REST
@@ -74,7 +73,7 @@ def snapshot(
     resting = [each.T_world_headlight for each in world.modules] if world else [each.T_world_module for each in simulation.modules]
     commands = result.now.commands or (REST,) * len(resting)
     lights = tuple(
-        _kept(command.intensity * u if command.intensity != 1 else u, None if before is None else before.lights[k])
+        _reuse(command.intensity * u if command.intensity != 1 else u, None if before is None else before.lights[k])
         for k, (u, command) in enumerate(zip(result.lights, commands, strict=True))
     )
     head = {
@@ -102,8 +101,8 @@ def snapshot(
         "notes": [text for text, _ in captions(result, simulation)[2:]],  # without the name and the step, which stand elsewhere
     }
     pictures = _pictures(simulation, result) if "camera" in wanted else {}
-    told, arrays = exact(simulation, result, wanted)
-    return Snapshot(result.step, plain({**head, **told, "views": sorted(wanted)}), lights, pictures, arrays)
+    more, arrays = _exact(simulation, result, wanted)
+    return Snapshot(result.step, plain({**head, **more, "views": sorted(wanted)}), lights, pictures, arrays)
 
 
 def plain(head: Mapping[str, Any]) -> bytes:
@@ -111,7 +110,7 @@ def plain(head: Mapping[str, Any]) -> bytes:
     return zlib.compress(json.dumps(head).encode(), 1)
 
 
-def _kept(u: Tensor, before: Tensor | None) -> Tensor:
+def _reuse(u: Tensor, before: Tensor | None) -> Tensor:
     u = u.detach().cpu()
     return before if before is not None and before.equal(u) else u
 
@@ -134,12 +133,9 @@ def _marks(simulation: Simulation, result: StepResult) -> list[dict[str, Any]]:
 
 
 def _pictures(simulation: Simulation, result: StepResult) -> Pictures:
-    camera, pictures = simulation.scenario.camera, Pictures()
+    camera = simulation.scenario.camera
     most = 2**camera.bits - 1
-    if result.frames is not None:
-        pictures = {name: coded_frame(frame, most) for name, frame in zip(("camera.on", "camera.off"), result.frames, strict=True)}
-    elif result.frame is not None:
-        pictures = {"camera.on": coded_frame(result.frame, most)}
+    pictures = {name: coded_frame(frame, most) for name, frame in zip(("camera.on", "camera.off"), _frames(result), strict=False)}
     symbol = np.zeros((camera.height_px, camera.width_px), np.uint8)
     for held in result.held.values():
         seen = held.measurement
@@ -153,3 +149,47 @@ def coded_frame(frame: Tensor, most: int) -> np.ndarray:
     share = frame.float().cpu().numpy() / most
     coded: np.ndarray = (255 * np.sqrt(np.clip(share, 0, 1))).round().astype(np.uint8)
     return coded
+
+
+def _exact(simulation: Simulation, result: StepResult, wanted: Collection[View]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """What programs ask for: digital numbers, and where the plant knows the truth depth, instances, materials and objects; as the
+    protocol's head has them, and arrays.
+    """
+    head, arrays = dict[str, Any](), dict[str, np.ndarray]()
+    if "frames" in wanted:
+        dtype = np.uint8 if simulation.scenario.camera.bits <= 8 else np.uint16
+        arrays |= {name: _array(frame, dtype) for name, frame in zip(("frames.on", "frames.off"), _frames(result), strict=False)}
+    if (world := simulation.truth) is None or not {"depth", "instances", "materials", "truth"} & set(wanted):
+        return head, arrays
+    lit = world.lit(result.time_s)
+    if "depth" in wanted:
+        arrays["depth"] = _array(lit.depth, np.float32)
+    if "instances" in wanted:
+        arrays["instances"], head["instances"] = _array(lit.surfaces.object_id + 1, np.uint16), [*world.instances]
+    if "materials" in wanted:
+        index, materials = lit.materials
+        arrays["materials"], head["materials"] = _array(index + 1, np.uint8), ["", *materials]
+    if "truth" in wanted:
+        head["truth"] = [
+            {
+                "name": each.name,
+                "instance": each.instance,
+                "category": each.category,
+                "T_world_object": each.boxed.T_world_object.flatten().tolist(),
+                "size_m": each.boxed.size_m,
+                "box": None if each.seen is None else each.seen.box,
+                "visible": 0.0 if each.seen is None else each.seen.visible,
+            }
+            for each in world.objects_at(result.time_s)
+        ]
+    return head, arrays
+
+
+def _array(values: Tensor, dtype: Any) -> np.ndarray:
+    array: np.ndarray = np.ascontiguousarray(values.cpu().numpy(), dtype)
+    return array
+
+
+def _frames(result: StepResult) -> tuple[Tensor, ...]:
+    """With all light, and, where controllers hold symbols, without."""
+    return result.frames or (() if result.frame is None else (result.frame,))

@@ -1,9 +1,12 @@
-"""What runs are made from, and which of it a client may open."""
+"""What runs are made from, and what a client may open and change: values, not code and not files, unless `--allow-code` was given."""
 
-from collections.abc import Collection, Sequence
+import re
+import time
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from luxloop.loop.studio.messages import Compare, Open
 from luxloop.world.errors import LuxloopError
@@ -12,8 +15,9 @@ if TYPE_CHECKING:
     from luxloop.loop.recording.replay import Recording
     from luxloop.loop.scenario.model import Scenario
 
-
 RUNS: Final = Path("runs")  # the folder in which recordings are made and found
+MOST: Final = 200  # recordings to choose from, the newest
+FILES: Final = ("file", "folder", "image", "model", "weights")  # keys that may name one
 
 
 @dataclass(frozen=True)
@@ -35,44 +39,134 @@ class Source:
         """For the page."""
         return " ".join(self.apart) or self.name or str(self.recording)
 
+    @property
+    def file(self) -> Path | None:
+        """The file of a scenario of somebody's own."""
+        from luxloop.loop.scenario.shipped import find, scenario_files
 
-def named(asked: Open | Compare, given: Sequence[Source], recordings: Collection[str], allow_code: bool) -> Source:
+        return None if self.recording or self.name in scenario_files() else find(self.name)
+
+    def load(self, allow_code: bool) -> tuple["Scenario", "Recording | None"]:
+        """The scenario, and the recording that it comes from. Raises LuxloopError."""
+        from luxloop.loop.recording import replay
+        from luxloop.loop.scenario.model import load, validate
+        from luxloop.loop.scenario.overrides import overridden
+
+        if self.recording is None:
+            return load(self.name, self.all, allow_code=allow_code), None
+        recording = replay.load(self.recording)
+        steps = {"steps": max(recording.table.num_rows, 1)}
+        scenario = validate(overridden(recording.scenario.model_dump(mode="json"), [steps, *self.all]), str(self.recording))
+        if not allow_code:
+            replay.refuse_foreign(self.recording, scenario, recording.edits)
+        return scenario, recording
+
+
+@dataclass
+class ScenarioFile:
+    """The file of a scenario that somebody may edit while it runs; path: None of what comes from no file. scenario: read from it last."""
+
+    path: Path | None = None
+    scenario: "Scenario | None" = None
+
+    def __post_init__(self) -> None:
+        self._stamp = self._now()
+
+    def poll(self) -> bool:
+        """Whether it is another file than at the last poll."""
+        before, self._stamp = self._stamp, self._now()
+        return self._stamp is not None and self._stamp != before
+
+    def _now(self) -> tuple[int, int] | None:
+        try:
+            stat = None if self.path is None else self.path.stat()
+        except OSError:  # while an editor replaces it
+            return None
+        return stat and (stat.st_mtime_ns, stat.st_size)
+
+
+def open_source(message: Open | Compare, given: Sequence[Source], recordings: Collection[str], allow_code: bool) -> Source:
     """What a client names: a shipped scenario, a recording in the list that clients get, or what the server was started with.
 
     Raises LuxloopError for all else.
     """
     from luxloop.loop.scenario.shipped import scenario_files
 
-    name = asked.name if isinstance(asked, Open) else ""
-    recording = None if asked.recording is None else Path(asked.recording)
+    name = message.name if isinstance(message, Open) else ""
+    recording = None if message.recording is None else Path(message.recording)
     known = any((each.name, each.recording) == (name, recording) for each in given)
-    if not (allow_code or known or (asked.recording in recordings if recording else name in scenario_files())):
+    if not (allow_code or known or (message.recording in recordings if recording else name in scenario_files())):
         raise LuxloopError(
             f"{recording or name!r}: is neither a shipped scenario, nor a recording in runs, nor what luxloop studio was started with; "
             "start it with that or with --allow-code"
         )
-    return Source(name, tuple(asked.overrides or ()), recording)
+    return Source(name, tuple(message.overrides or ()), recording)
 
 
-def file_of(source: Source) -> Path | None:
-    """The file of a scenario of somebody's own."""
-    from luxloop.loop.scenario.shipped import find, scenario_files
+def refuse_foreign(overrides: Sequence[str]) -> None:
+    """Raises LuxloopError where an override names a file that is not shipped, a module of Python or a plant: the server would open it."""
+    from luxloop.loop.scenario import data
+    from luxloop.loop.scenario.overrides import is_file, tables
+    from luxloop.loop.scenario.shipped import shipped_files
+    from luxloop.world.lamps.presets import SUMMARIES
+    from luxloop.world.plugin import PATTERN
 
-    return None if source.recording or source.name in scenario_files() else find(source.name)
+    ours = {*shipped_files("symbols"), *shipped_files("utilisations"), *data.registry(), *SUMMARIES}
+    for override in overrides:
+        if is_file(override):
+            raise LuxloopError(f"{override}: the page cannot name a file; give its keys, or start luxloop studio with --allow-code")
+        for key, text in _texts(tables(override)):
+            if key.startswith("plant"):
+                raise LuxloopError(f"{override}: a plant cannot be chosen from the page; start luxloop studio with --allow-code")
+            if re.fullmatch(PATTERN, text):
+                raise LuxloopError(f"{override}: names a module of Python; start luxloop studio with --allow-code for that")
+            if key.rpartition(".")[2] in FILES and text not in ours:
+                raise LuxloopError(f"{override}: names a file that is not shipped; start luxloop studio with --allow-code for that")
 
 
-def loaded(source: Source, allow_code: bool) -> tuple["Scenario", "Recording | None"]:
-    """The scenario of a source, and the recording that it comes from. Raises LuxloopError."""
-    from luxloop.loop.recording import replay
-    from luxloop.loop.scenario.model import load, validate
-    from luxloop.loop.scenario.overrides import overridden
+def _texts(values: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    """All texts in plain data, with the keys that they stand at."""
+    if isinstance(values, str):
+        yield key, values
+    elif isinstance(values, Mapping):
+        for name, each in values.items():
+            yield from _texts(each, f"{key}.{name}".lstrip("."))
+    elif isinstance(values, list | tuple):
+        for each in values:
+            yield from _texts(each, key)
 
-    if source.recording is None:
-        return load(source.name, source.all, allow_code=allow_code), None
-    recording = replay.load(source.recording)
-    as_far = {"steps": max(recording.table.num_rows, 1)}
-    data = overridden(recording.scenario.model_dump(mode="json"), [as_far, *source.all])
-    scenario = validate(data, str(source.recording))
-    if not allow_code:
-        replay.refuse_foreign(source.recording, scenario, recording.edits)
-    return scenario, recording
+
+def choices() -> dict[str, Any]:
+    """What a client can choose from, as the protocol has it."""
+    from luxloop.loop.scenario.listing import listing
+    from luxloop.loop.scenario.shipped import shipped_files
+    from luxloop.world.lamps.presets import SUMMARIES
+    from luxloop.world.regulation.tables import sets
+
+    of = {kind: [{key: each[key] for key in ("name", "description")} for each in listing(kind)] for kind in ("scenarios", "controllers")}
+    names = {"rules": list(sets()), "symbols": list(shipped_files("symbols")), "lamps": list(SUMMARIES)}
+    return {**of, **names, "recordings": recordings()}
+
+
+def recordings() -> list[dict[str, str]]:
+    """Folders of recordings in `runs`, the newest first, and what is in them. Those that cannot be read are left out."""
+    from luxloop.loop.recording.files import TRAJECTORY
+    from luxloop.loop.recording.manifest import FILE
+
+    written_s = {each.parent: each.stat().st_mtime for each in RUNS.glob(f"*/{FILE}") if (each.parent / TRAJECTORY).is_file()}
+    newest = sorted(written_s, key=lambda folder: -written_s[folder])[:MOST]
+    found = ((folder, _description(folder / TRAJECTORY, written_s[folder])) for folder in newest)
+    return [{"name": folder.as_posix(), "description": text} for folder, text in found if text]
+
+
+@cache
+def _description(trajectory: Path, written_s: float) -> str:
+    import pyarrow.parquet as pq
+
+    from luxloop.loop.recording.manifest import Manifest
+
+    try:
+        name, steps = Manifest.read(trajectory.parent).scenario["name"], pq.read_metadata(trajectory).num_rows
+    except (LuxloopError, OSError, KeyError, ValueError):
+        return ""
+    return f"{name}, {steps} steps, {time.strftime('%Y-%m-%d %H:%M', time.localtime(written_s))}"

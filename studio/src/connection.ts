@@ -1,7 +1,8 @@
 // The WebSocket: greets, decodes, keeps messages in their order, and connects again when it is cut.
 
+import type { Arrays } from "./arrays.ts";
 import { decode, encode } from "./framing.ts";
-import type { Arrays, ClientMessage, ServerMessage } from "./protocol.ts";
+import type { ClientMessage, ServerMessage } from "./protocol.ts";
 
 export type Link = "connecting" | "open" | "waiting" | "refused";
 

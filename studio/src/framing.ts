@@ -1,6 +1,7 @@
 // Frames of the socket: four bytes with the length of a JSON head, the head, and arrays (docs/programs.md).
 
-import type { Arrays, ClientMessage, Picture, ServerMessage, Values } from "./protocol.ts";
+import type { Arrays, Picture, Values } from "./arrays.ts";
+import type { ClientMessage, ServerMessage } from "./protocol.ts";
 
 interface ArrayHead {
   dtype: "u1" | "u2" | "u4" | "f2" | "f4";

@@ -1,21 +1,11 @@
-// Messages of the studio's WebSocket, as docs/programs.md describes them.
+// Made from the messages in Python by scripts/protocol.py.
 
-import type { Schema } from "./model/schema.ts";
+export type View = "scene" | "light" | "camera" | "matrix" | "marks" | "frames" | "depth" | "instances" | "materials" | "truth";
 
-/** 16 numbers of a 4 x 4 matrix, row by row; `T_a_b` takes points of frame b to frame a. Frames are x forward, y left, z up. */
-export type Matrix4x4 = number[];
-export type Vector = [number, number, number];
-
-/** An array of a message's body. rows x columns and so on are in `shape`. */
-export type Values = Uint8Array | Uint16Array | Uint32Array | Float32Array;
-export interface Picture {
-  readonly shape: number[];
-  /** Of a `png`. */
-  readonly bitmap?: ImageBitmap;
-  /** Of all others; half floats (`f2`) come as their 16 bits, in a Uint16Array. */
-  readonly values?: Values;
+export interface Named {
+  name: string;
+  description: string;
 }
-export type Arrays = ReadonlyMap<string, Picture>;
 
 export interface Module {
   name: string;
@@ -30,7 +20,6 @@ export interface Module {
   pixel_cols: number;
   peak_cd: number;
   flux_lm: number;
-  /** Least and greatest turn from rest. */
   swivel_deg: [number, number];
   level_deg: [number, number];
 }
@@ -52,6 +41,11 @@ export interface Column {
   description: string;
 }
 
+export interface StreetLamp {
+  position_m: [number, number, number];
+  intensity_cd: number;
+}
+
 export interface Run {
   label: string;
   overrides: string[];
@@ -62,40 +56,13 @@ export interface Run {
   ambient_lx: number;
   white_cd_m2: number;
   road: string;
-  street_lamps: { position_m: Vector; intensity_cd: number }[];
+  street_lamps: StreetLamp[];
 }
 
-/** The scenario as it is now, with all defaults. */
-export type Model = { steps: number; seed: number } & Record<string, unknown>;
-export type Acts = "step" | "prepared" | "restart";
-
-export interface Named {
-  name: string;
-  description: string;
-}
-
-export interface ScenarioMessage {
-  type: "scenario";
-  name: string;
-  source: string;
+export interface Model {
   steps: number;
-  rate_hz: number;
   seed: number;
-  runs: Run[];
-  model: Model;
-  /** When keys act, by the beginning of a key; the longest counts. */
-  acts: Record<string, Acts>;
-}
-
-export interface ChoicesMessage {
-  type: "choices";
-  scenarios: Named[];
-  controllers: Named[];
-  rules: string[];
-  symbols: string[];
-  lamps: string[];
-  /** Names are folders. */
-  recordings: Named[];
+  [key: string]: unknown;
 }
 
 export interface MeshHead {
@@ -103,14 +70,7 @@ export interface MeshHead {
   object: string;
   kind: "road" | "object";
   two_sided: boolean;
-  /** Of a texture: [x_min, y_min, x_max, y_max] in m of the body's frame. */
   box?: [number, number, number, number];
-}
-
-export interface MeshesMessage {
-  type: "meshes";
-  run: number;
-  meshes: MeshHead[];
 }
 
 export interface Mark {
@@ -120,6 +80,73 @@ export interface Mark {
   at: [number, number];
 }
 
+export interface ModulePose {
+  T_world_module: number[];
+  scale_cd: number;
+}
+
+export interface BodyPose {
+  mesh: number;
+  T_world_body: number[];
+}
+
+export interface Spotlight {
+  position_m: [number, number, number];
+  axis: [number, number, number];
+  intensity_cd: number;
+  width_deg: [number, number];
+}
+
+export interface Symbol {
+  pose: [number, number, number, number];
+  loss: string;
+  target: [number, number, number][];
+}
+
+export interface BeamPoint {
+  id: string;
+  where: [number, number] | null;
+  value: number;
+  unit: string;
+  limit: string;
+  passed: boolean | null;
+}
+
+export interface ModulePixels {
+  module: number;
+  pixels: number[];
+  cd: number;
+}
+
+export interface ScenarioMessage {
+  type: "scenario";
+  number: number;
+  name: string;
+  source: string;
+  steps: number;
+  rate_hz: number;
+  seed: number;
+  runs: Run[];
+  model: Model;
+  acts: Record<string, "step" | "prepared" | "restart">;
+}
+
+export interface ChoicesMessage {
+  type: "choices";
+  scenarios: Named[];
+  controllers: Named[];
+  rules: string[];
+  symbols: string[];
+  lamps: string[];
+  recordings: Named[];
+}
+
+export interface MeshesMessage {
+  type: "meshes";
+  run: number;
+  meshes: MeshHead[];
+}
+
 export interface StepMessage {
   type: "step";
   id: number;
@@ -127,15 +154,14 @@ export interface StepMessage {
   step: number;
   time_s: number;
   scrub: boolean;
-  T_world_ground: Matrix4x4;
-  T_world_body: Matrix4x4;
-  T_world_camera: Matrix4x4;
-  modules: { T_world_module: Matrix4x4; scale_cd: number }[];
-  /** First row, last + 1, first column, last + 1 of the texels in `light.K`. */
+  T_world_ground: number[];
+  T_world_body: number[];
+  T_world_camera: number[];
+  modules: ModulePose[];
   light_windows: Record<string, [number, number, number, number]>;
-  bodies: { mesh: number; T_world_body: Matrix4x4 }[];
-  spotlights: { position_m: Vector; axis: Vector; intensity_cd: number; width_deg: [number, number] }[];
-  symbols: Record<string, { pose: [number, number, number, number]; loss: string; target: Vector[] }>;
+  bodies: BodyPose[];
+  spotlights: Spotlight[];
+  symbols: Record<string, Symbol>;
   marks: Mark[];
   notes: string[];
 }
@@ -155,50 +181,15 @@ export interface StatusMessage {
   step_ms: number | null;
   real_time: number | null;
   failed: string | null;
-  /** Folder below runs that the first run is recorded into. */
   recording: string | null;
 }
 
-export interface BeamPoint {
-  id: string;
-  where: [number, number] | null;
-  value: number;
-  unit: string;
-  limit: string;
-  passed: boolean | null;
-}
-
-export type ServerMessage =
-  | { type: "welcome"; protocol: number; version: string; role: "edit" | "watch"; id: number }
-  | ErrorMessage
-  | { type: "progress"; text: string | null }
-  | StatusMessage
-  | ChoicesMessage
-  | ScenarioMessage
-  | MeshesMessage
-  | StepMessage
-  | RowsMessage
-  | { type: "edit"; run: number; step: number; overrides: string[]; model: Model | null; facts: Run | null }
-  | { type: "saved"; name: string; text: string }
-  | { type: "schema"; schema: Schema }
-  | PlaceAnswer
-  | WishAnswer
-  | { type: "summary"; run: number; summary: unknown }
-  | { type: "beam"; run: number; rule: string; side: string; points: BeamPoint[] };
-
-export interface PlaceAnswer {
-  type: "place";
-  point_m: Vector;
-  modules: { module: number; pixels: number[]; cd: number }[];
-}
-
-export interface WishAnswer {
-  type: "wish";
-  on: "road" | "wall";
-  wanted_lx: number;
-  rmse_lx: number;
-  worst_lx: number;
-  pixels: number;
+export interface WelcomeMessage {
+  type: "welcome";
+  protocol: number;
+  version: string;
+  role: "edit" | "watch";
+  id: number;
 }
 
 export interface ErrorMessage {
@@ -207,35 +198,178 @@ export interface ErrorMessage {
   about: string | null;
 }
 
-/** To `place` and `wish`. */
-export type LightAnswer = PlaceAnswer | WishAnswer | ErrorMessage;
-
-/** With arrays `value` and `painted`, u1. box: first row, end row, first column, end column. */
-export interface PaintMessage {
-  type: "paint";
-  stroke: number;
-  module: number;
-  box: [number, number, number, number];
-  over: boolean;
+export interface ProgressMessage {
+  type: "progress";
+  text: string | null;
 }
 
-export type View = "scene" | "light" | "camera" | "matrix" | "marks";
+export interface EditMessage {
+  type: "edit";
+  run: number;
+  step: number;
+  overrides: string[];
+  model: Model | null;
+  facts: Run | null;
+}
 
-export type ClientMessage =
-  | { type: "hello"; token: string; name: string }
-  | { type: "want"; views: View[] }
-  | { type: "scrub"; run: number; step: number | null }
-  | { type: "summary"; run: number }
-  | { type: "beam"; run: number; rule: string; side: "left" | "right"; step: number | null }
-  | { type: "schema" }
-  | { type: "shown"; id: number }
-  | { type: "pen" | "play" | "pause" | "step" | "reset" | "undo" | "redo" | "save" }
-  | { type: "record"; folder: string | null }
-  | { type: "speed"; factor: number | null }
-  | { type: "drive"; throttle: number | null; steering: number | null }
-  | { type: "open"; name: string; overrides: string[]; recording: string | null }
-  | { type: "set"; overrides: string[] }
-  | { type: "compare"; overrides: string[] | null; recording?: string | null }
-  | PaintMessage
-  | { type: "place"; stroke: number; point_m: Vector; value: number | null; over: boolean }
-  | { type: "wish"; on: "road" | "wall"; box_m: [number, number, number, number]; over: boolean };
+export interface SavedMessage {
+  type: "saved";
+  name: string;
+  text: string;
+}
+
+export interface SchemaMessage {
+  type: "schema";
+  schema: Record<string, unknown>;
+}
+
+export interface SummaryMessage {
+  type: "summary";
+  run: number;
+  summary: Record<string, unknown>;
+}
+
+export interface BeamMessage {
+  type: "beam";
+  run: number;
+  rule: string;
+  side: string;
+  points: BeamPoint[];
+}
+
+export interface PlaceMessage {
+  type: "place";
+  point_m: [number, number, number];
+  modules: ModulePixels[];
+}
+
+export interface WishMessage {
+  type: "wish";
+  on: "road" | "wall";
+  wanted_lx: number;
+  rmse_lx: number;
+  worst_lx: number;
+  pixels: number;
+}
+
+export interface HelloRequest {
+  ask?: number | null;
+  type: "hello";
+  token: string;
+  name?: string;
+}
+
+export interface WantRequest {
+  ask?: number | null;
+  type: "want";
+  shared?: boolean;
+  views: ("scene" | "light" | "camera" | "matrix" | "marks" | "frames" | "depth" | "instances" | "materials" | "truth")[];
+}
+
+export interface ScrubRequest {
+  ask?: number | null;
+  type: "scrub";
+  run?: number;
+  step: number | null;
+}
+
+export interface SummaryRequest {
+  ask?: number | null;
+  type: "summary";
+  run?: number;
+}
+
+export interface BeamRequest {
+  ask?: number | null;
+  type: "beam";
+  run?: number;
+  rule: string;
+  side?: "left" | "right";
+  step?: number | null;
+}
+
+export interface SchemaRequest {
+  ask?: number | null;
+  type: "schema";
+}
+
+export interface AcknowledgeRequest {
+  ask?: number | null;
+  type: "shown";
+  id: number;
+}
+
+export interface ButtonRequest {
+  ask?: number | null;
+  type: "pen" | "play" | "pause" | "step" | "reset" | "undo" | "redo" | "save";
+}
+
+export interface SpeedRequest {
+  ask?: number | null;
+  type: "speed";
+  factor: number | null;
+}
+
+export interface OpenRequest {
+  ask?: number | null;
+  type: "open";
+  name?: string;
+  overrides?: string[];
+  recording?: string | null;
+}
+
+export interface SetRequest {
+  ask?: number | null;
+  type: "set";
+  overrides: string[];
+}
+
+export interface RecordRequest {
+  ask?: number | null;
+  type: "record";
+  folder: string | null;
+}
+
+export interface CompareRequest {
+  ask?: number | null;
+  type: "compare";
+  overrides?: string[] | null;
+  recording?: string | null;
+}
+
+export interface DriveRequest {
+  ask?: number | null;
+  type: "drive";
+  throttle: number | null;
+  steering: number | null;
+}
+
+export interface PaintRequest {
+  ask?: number | null;
+  type: "paint";
+  stroke?: number;
+  module: number;
+  box: [number, number, number, number];
+  over?: boolean;
+}
+
+export interface PlaceRequest {
+  ask?: number | null;
+  type: "place";
+  stroke?: number;
+  point_m: [number, number, number];
+  value?: number | null;
+  over?: boolean;
+}
+
+export interface WishRequest {
+  ask?: number | null;
+  type: "wish";
+  on?: "road" | "wall";
+  box_m: [number, number, number, number];
+  over?: boolean;
+}
+
+export type ServerMessage = ScenarioMessage | ChoicesMessage | MeshesMessage | StepMessage | RowsMessage | StatusMessage | WelcomeMessage | ErrorMessage | ProgressMessage | EditMessage | SavedMessage | SchemaMessage | SummaryMessage | BeamMessage | PlaceMessage | WishMessage;
+
+export type ClientMessage = HelloRequest | WantRequest | ScrubRequest | SummaryRequest | BeamRequest | SchemaRequest | AcknowledgeRequest | ButtonRequest | SpeedRequest | OpenRequest | SetRequest | RecordRequest | CompareRequest | DriveRequest | PaintRequest | PlaceRequest | WishRequest;

@@ -1,9 +1,10 @@
 // What the page does with the server's messages, and what it asks of the server.
 
+import type { Arrays } from "./arrays.ts";
 import { Connection } from "./connection.ts";
 import { download } from "./dom.ts";
 import { Edits, inShort } from "./edits.ts";
-import type { Arrays, ClientMessage, MeshesMessage, ScenarioMessage, ServerMessage, StatusMessage, StepMessage, View } from "./protocol.ts";
+import type { ClientMessage, MeshesMessage, ScenarioMessage, ServerMessage, StatusMessage, StepMessage, View } from "./protocol.ts";
 import { hasPen, type PanelName, RunData, type Studio } from "./state.ts";
 
 /** What the scenes are given, in the order in which it came. */

@@ -1,19 +1,20 @@
 // What the page knows, and how it is shown.
 
+import type { Arrays, Picture } from "./arrays.ts";
 import type { Link } from "./connection.ts";
-import type { Off } from "./model/entries.ts";
+import type { Off } from "./model/overrides.ts";
 import type { Schema } from "./model/schema.ts";
 import type {
-  Arrays,
   BeamPoint,
   ChoicesMessage,
-  LightAnswer,
+  ErrorMessage,
   Mark,
   Model,
-  Picture,
+  PlaceMessage,
   ScenarioMessage,
   StatusMessage,
   StepMessage,
+  WishMessage,
 } from "./protocol.ts";
 import { Rows } from "./rows.ts";
 import type { SceneOptions, Viewpoint } from "./scene/index.ts";
@@ -84,7 +85,7 @@ export interface State extends SceneOptions {
   /** How many edits the server has answered. */
   answered: number;
   /** The last answer on light in the world. */
-  light: LightAnswer | null;
+  light: PlaceMessage | WishMessage | ErrorMessage | null;
   /** The last edit by `Session.edit` that the server refused, and why. */
   refused: { overrides: string[]; text: string } | null;
   /** Whether edits of this page are not answered yet. */

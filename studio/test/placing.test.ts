@@ -4,7 +4,8 @@ import { Matrix4, Vector3 } from "three";
 import { patched, unused } from "../src/model/overrides.ts";
 import { matrixOf, poseOf } from "../src/place/poses.ts";
 import { lying } from "../src/place/spot.ts";
-import { type Thing, thingsOf } from "../src/place/things.ts";
+import type { Thing } from "../src/place/thing.ts";
+import { thingsOf } from "../src/place/things.ts";
 import type { Model } from "../src/protocol.ts";
 
 const MODEL = {

@@ -18,11 +18,9 @@ from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.remote_link import Link
 from luxloop.loop.simulation.remote_plant import RemotePlant
 from luxloop.loop.studio.messages import Paint, Place, Set, Wish, read
-from luxloop.loop.studio.painting import painted
-from luxloop.loop.studio.runs import Run, Starting
-from luxloop.loop.studio.sources import Source
-from luxloop.loop.studio.trust import refuse_foreign
-from luxloop.loop.studio.wishes import placed, wished
+from luxloop.loop.studio.painting import paint, place, wish
+from luxloop.loop.studio.runs import Run, Starter
+from luxloop.loop.studio.sources import Source, refuse_foreign
 from luxloop.perception.camera import CameraParams
 from luxloop.world.messages import Arrays
 from tests.fuzz import mutations
@@ -86,7 +84,7 @@ def damaged(data: bytes, rng: random.Random) -> bytes:
 
 @functools.cache
 def _run() -> Run:
-    return Starting("cpu", False, lambda text: None).runs((Source("snowflake", SMALL),), (None,), (), frozenset(), True)[0]
+    return Starter("cpu", False, lambda text: None).runs((Source("snowflake", SMALL),), (None,), (), frozenset(), True)[0]
 
 
 def read_studio(path: Path) -> None:
@@ -97,11 +95,11 @@ def read_studio(path: Path) -> None:
             refuse_foreign(overrides)
             with_overrides(_run().simulation.scenario, overrides)
         case Paint():
-            with_overrides(_run().simulation.scenario, [painted(_run().simulation, asks, arrays)])
+            with_overrides(_run().simulation.scenario, [paint(_run().simulation, asks, arrays)])
         case Place():
-            placed(_run(), asks)
+            place(_run(), asks)
         case Wish():
-            wished(_run(), asks, arrays)
+            wish(_run(), asks, arrays)
 
 
 class Told(Link):

@@ -105,7 +105,7 @@ def _lamp(one: Evaluation, name: str, images: str) -> list[str]:
         (text, _pair((values[f"{key}_mean"], values[f"{key}_median"])), _pair(THESIS[name].get(key))) for key, text in MEASURES.items()
     ]
     count = f"{values['setpoints']:g} rectangles of 10,000 cd; the joint optima are proved within {100 * values['gap']:.2g} %."
-    parts = [f"## {name}", count, tables.markdown(["mean (median)", "luxloop", "thesis"], measured)]
+    parts = [f"## {name}", count, tables.markdown_table(["mean (median)", "luxloop", "thesis"], measured)]
     kinds = list(CAPTIONS) if one.sensitivity else [kind for kind in CAPTIONS if kind != "sensitivity"]
     for kind in kinds:
         if kind == "sensitivity":
@@ -133,4 +133,4 @@ def _changes(one: Evaluation, name: str) -> list[str]:
         "A rectangle of 8.9° x 7.7° (T tables 8.2, 8.3): change in % (the thesis' in brackets) relative to bounding rectangles at half "
         f"of the pixels' peak, without mapping, whose MAE is {reference['mae']:.3f}."
     )
-    return [text, tables.markdown(["tuned", "a_m", "a_x", "a_r", "MAE", "RMSE", "DSSIM", "MARE"], body)]
+    return [text, tables.markdown_table(["tuned", "a_m", "a_x", "a_r", "MAE", "RMSE", "DSSIM", "MARE"], body)]

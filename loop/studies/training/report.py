@@ -67,7 +67,7 @@ def page(report: Report) -> str:
 ({training["examples"]} examples), seed {training["seed"]}{f" ({minutes})" if minutes else ""}; calibrated on {asked}; \
 judged on {report["scenes"]} other scenes with {found["objects"]} objects, none of which occurs in the training scenes.
 
-{tables.markdown(("", "goal", "measured", "reached"), rows, "llrl")}
+{tables.markdown_table(("", "goal", "measured", "reached"), rows, "llrl")}
 
 Objects count if they are at least {HEIGHT_PX} px tall and {VISIBLE:.0%} visible. An object is found by a box with a score of at least \
 {report["sure"]:g} and an IoU of {FOUND_IOU:g} or more. A box on a smaller or more occluded object counts neither way. \
@@ -88,7 +88,7 @@ Of {alone["objects"]} objects that are found in {ALONE_LX:g} lx everywhere, \
 {number(alone["kept"], ".0%")} lose no more than {AGREE:g} of confidence ({kept}); \
 the median change is {number(alone["median_change"], "+g")}.
 
-{tables.markdown(("median confidence at lx", *(f"{each:g}" for each in lx)), medians)}
+{tables.markdown_table(("median confidence at lx", *(f"{each:g}" for each in lx)), medians)}
 """
 
 

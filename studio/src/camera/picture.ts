@@ -1,6 +1,6 @@
 // Grey pictures of the camera, whose codes are 255 times the root of the share of the most.
 
-import type { Picture } from "../protocol.ts";
+import type { Picture } from "../arrays.ts";
 
 export interface Grey {
   width: number;

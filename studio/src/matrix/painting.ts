@@ -1,6 +1,7 @@
 // Painting: the layers of all modules, what the tools do to them, and what of it is on its way to the server.
 
-import type { Arrays, Module, PaintMessage } from "../protocol.ts";
+import type { Arrays } from "../arrays.ts";
+import type { Module, PaintRequest } from "../protocol.ts";
 import type { Studio } from "../state.ts";
 import { Turns } from "../turns.ts";
 import { type Pixels, readPng } from "./files.ts";
@@ -45,7 +46,7 @@ export class Painting {
   /** changed: a module's layer has changed within a box, the choice of tools alone, or all where it is null. */
   constructor(
     store: Studio,
-    private readonly send: (message: PaintMessage, arrays: Arrays) => void,
+    private readonly send: (message: PaintRequest, arrays: Arrays) => void,
     private readonly changed: (what: number | "tools" | null, box?: Box) => void,
   ) {
     store.on(["scenario"], ({ scenario }) => {

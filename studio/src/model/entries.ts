@@ -2,18 +2,7 @@
 
 import type { Model } from "../protocol.ts";
 import type { State, Studio } from "../state.ts";
-import { override, part, type Table, unused, valueAt } from "./overrides.ts";
-
-export const LISTS = ["functions", "objects", "light.street_lamps", "spots"] as const;
-export type List = (typeof LISTS)[number];
-
-export interface Off {
-  list: List;
-  name: string;
-  table: Table;
-  /** Checks on it, which would have nothing to look at. */
-  checks: Table;
-}
+import { LISTS, type Off, override, part, type Table, unused, valueAt } from "./overrides.ts";
 
 type Edit = (overrides: string[]) => void;
 

@@ -3,8 +3,9 @@
 import { h } from "../dom.ts";
 import type { Studio } from "../state.ts";
 import { type Content, node, onceOpen, tableOf } from "./branch.ts";
-import { type Off, switchOff, switchOn } from "./entries.ts";
+import { switchOff, switchOn } from "./entries.ts";
 import { addByName } from "./items.ts";
+import type { Off } from "./overrides.ts";
 import { part, type Table } from "./overrides.ts";
 import type { Editor, Node } from "./row.ts";
 import type { Schema } from "./schema.ts";

@@ -2,6 +2,19 @@
 
 export type Table = Record<string, unknown>;
 
+/** Lists of what is put in and taken out as a whole. */
+export const LISTS = ["functions", "objects", "light.street_lamps", "spots"] as const;
+export type List = (typeof LISTS)[number];
+
+/** What is switched off: taken out, and kept to be put in again. */
+export interface Off {
+  list: List;
+  name: string;
+  table: Table;
+  /** Checks on it, which would have nothing to look at. */
+  checks: Table;
+}
+
 /** Plain data as a TOML value. Keys without a value, null, are left out, as TOML has none. */
 export function toml(value: unknown): string {
   if (Array.isArray(value)) return `[${value.map(toml).join(", ")}]`;

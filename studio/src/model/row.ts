@@ -1,10 +1,12 @@
 // What the controls of all keys have in common: how they edit, when a key acts, and the way back to its default; and a key with one control.
 
 import { h, signButton } from "../dom.ts";
-import type { Acts } from "../protocol.ts";
+import type { ScenarioMessage } from "../protocol.ts";
 import { control } from "./control.ts";
 import { override } from "./overrides.ts";
 import { type Field, type Schemas, same } from "./schema.ts";
+
+type Acts = ScenarioMessage["acts"][string];
 
 export interface Editor {
   readonly schemas: Schemas;

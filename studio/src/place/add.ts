@@ -1,8 +1,8 @@
 // The menu "Add": choose what, then click where.
 
 import { h } from "../dom.ts";
-import { type List, putIn } from "../model/entries.ts";
-import type { Table } from "../model/overrides.ts";
+import { putIn } from "../model/entries.ts";
+import type { List, Table } from "../model/overrides.ts";
 import { type Addable, addables } from "./new.ts";
 import type { Placing } from "./placing.ts";
 import { spotAt } from "./spot.ts";

@@ -4,7 +4,7 @@ import { Vector3 } from "three";
 import { override, type Table, valueAt } from "../model/overrides.ts";
 import type { Placing } from "./placing.ts";
 import { poseOf, rounded } from "./poses.ts";
-import type { Thing } from "./things.ts";
+import type { Thing } from "./thing.ts";
 import { clickWay } from "./way.ts";
 
 const SPEEDS_M_S: Record<string, number> = { car: 10, cyclist: 5, pedestrian: 1.4, animal: 3 };

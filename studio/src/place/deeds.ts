@@ -2,12 +2,12 @@
 
 import { Matrix4, Vector3 } from "three";
 import { h } from "../dom.ts";
-import { LISTS, type List, type Off, switchOff, switchOn, takeOut } from "../model/entries.ts";
-import { patched, type Table, valueAt } from "../model/overrides.ts";
+import { switchOff, switchOn, takeOut } from "../model/entries.ts";
+import { LISTS, type List, type Off, patched, type Table, valueAt } from "../model/overrides.ts";
 import { add } from "./add.ts";
 import { giveCourse, halt } from "./course.ts";
 import type { Placing } from "./placing.ts";
-import type { Thing } from "./things.ts";
+import type { Thing } from "./thing.ts";
 
 export interface Deeds {
   element: HTMLElement;

@@ -4,7 +4,7 @@ import { Box3, Matrix4 } from "three";
 import type { Table } from "../model/overrides.ts";
 import type { Model } from "../protocol.ts";
 import { figure, flat as flatPoint, type Keys, keyed, listed, type Said } from "./keyed.ts";
-import type { Thing } from "./things.ts";
+import type { Thing } from "./thing.ts";
 import { shifted } from "./whole.ts";
 
 const SHARED = ["value", "weight", "priority"];

@@ -4,7 +4,7 @@ import { Box3, type Matrix4, Vector3 } from "three";
 import { unitOf } from "../model/numbers.ts";
 import { valueAt } from "../model/overrides.ts";
 import { type Component, matrixOf, type Pose, poseOf, rounded } from "./poses.ts";
-import type { Change, Figure, Thing } from "./things.ts";
+import type { Change, Figure, Thing } from "./thing.ts";
 
 export type Size = "length" | "width" | "height";
 /** Keys below the thing's own. */

@@ -1,7 +1,6 @@
 // What can be added, and the tables that it begins with.
 
-import type { List } from "../model/entries.ts";
-import type { Table } from "../model/overrides.ts";
+import type { List, Table } from "../model/overrides.ts";
 import type { Spot } from "./spot.ts";
 
 export interface Addable {

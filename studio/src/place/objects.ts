@@ -4,7 +4,7 @@ import { Matrix4, Vector3 } from "three";
 import type { Table } from "../model/overrides.ts";
 import type { Model } from "../protocol.ts";
 import { type Keys, keyed, listed } from "./keyed.ts";
-import type { Standing, Thing } from "./things.ts";
+import type { Standing, Thing } from "./thing.ts";
 import { pointAt, shifted } from "./whole.ts";
 
 const ANGLES: Keys = { roll: "track[0].roll_deg", pitch: "track[0].pitch_deg", yaw: "track[0].yaw_deg" };

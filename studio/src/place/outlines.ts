@@ -17,7 +17,7 @@ import {
   type Raycaster,
   Vector3,
 } from "three";
-import type { Sort, Thing } from "./things.ts";
+import type { Sort, Thing } from "./thing.ts";
 
 export const COLOURS: Record<Sort, number> = { function: 0xffb454, object: 0x7fd8b4, light: 0xfff1a8, road: 0xc9a27a, car: 0x8fb8ff };
 const CHOSEN = 0xffffff;

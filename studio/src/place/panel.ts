@@ -5,7 +5,7 @@ import type { Tool } from "../state.ts";
 import type { Adding } from "./add.ts";
 import type { Deeds } from "./deeds.ts";
 import type { Placing } from "./placing.ts";
-import type { Figure, Sort, Thing } from "./things.ts";
+import type { Figure, Sort, Thing } from "./thing.ts";
 
 const SORTS: readonly (readonly [Sort, string])[] = [
   ["function", "Light"],

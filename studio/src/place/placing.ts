@@ -9,7 +9,8 @@ import type { Session } from "../session.ts";
 import { hasPen, type Studio, type Tool } from "../state.ts";
 import { Gizmo } from "./gizmo.ts";
 import { COLOURS, type Met, Outlines } from "./outlines.ts";
-import { FRAMES, type Frame, type Thing, thingsOf } from "./things.ts";
+import { FRAMES, type Frame, type Thing } from "./thing.ts";
+import { thingsOf } from "./things.ts";
 
 /** Something that the next clicks in the scene do instead of choosing. */
 export interface Clicking {

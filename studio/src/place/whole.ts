@@ -4,7 +4,7 @@ import { Box3, Matrix4, Vector3 } from "three";
 import { valueAt } from "../model/overrides.ts";
 import { figure, type Said } from "./keyed.ts";
 import { rounded } from "./poses.ts";
-import type { Change, Thing } from "./things.ts";
+import type { Change, Thing } from "./thing.ts";
 
 export interface Shifted extends Said {
   /** Keys of its points, each a list of two or three numbers. */

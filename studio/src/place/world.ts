@@ -5,7 +5,7 @@ import { type Table, valueAt } from "../model/overrides.ts";
 import type { Model } from "../protocol.ts";
 import { figure, type Keys, keyed, listed } from "./keyed.ts";
 import { rounded } from "./poses.ts";
-import type { Thing } from "./things.ts";
+import type { Thing } from "./thing.ts";
 
 const WIDE_M = 8; // outline of what lies across the whole road
 const FLAT: Keys = { x: "x_m", y: "y_m", yaw: "yaw_deg", length: "length_m", width: "width_m" };

@@ -14,7 +14,8 @@ import {
   RedFormat,
   Texture,
 } from "three";
-import type { Arrays, MeshesMessage, MeshHead, Picture, StepMessage } from "../protocol.ts";
+import type { Arrays, Picture } from "../arrays.ts";
+import type { MeshesMessage, MeshHead, StepMessage } from "../protocol.ts";
 import type { LocalFrame } from "./frames.ts";
 import type { SurfaceMaterials } from "./uniforms.ts";
 

@@ -1,7 +1,7 @@
 // World coordinates near the car: single precision holds a drive of kilometres only if the car stays close to the origin.
 
 import { Matrix4, Vector3 } from "three";
-import type { Matrix4x4, Vector } from "../protocol.ts";
+import type { Matrix4x4, Vector } from "../arrays.ts";
 
 /** From x forward, y left, z up to the axes of an OpenGL camera: x right, y up, z backward. */
 export const OPENGL_FROM_ISO = new Matrix4().set(0, -1, 0, 0, 0, 0, 1, 0, -1, 0, 0, 0, 0, 0, 0, 1);

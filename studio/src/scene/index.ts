@@ -1,7 +1,8 @@
 // The scene in three dimensions: what stands there, lit by the lamps as the loop lights it.
 
 import { type Box3, type Camera, Group, Matrix4, type Mesh, Raycaster, Scene, Vector2, Vector3, WebGLRenderer } from "three";
-import type { Arrays, BeamPoint, Matrix4x4, MeshesMessage, Run, StepMessage, Vector } from "../protocol.ts";
+import type { Arrays, Matrix4x4, Vector } from "../arrays.ts";
+import type { BeamPoint, MeshesMessage, Run, StepMessage } from "../protocol.ts";
 import { Bodies } from "./bodies.ts";
 import { Fog } from "./fog.ts";
 import { LocalFrame } from "./frames.ts";

@@ -1,7 +1,8 @@
 // The light textures of all modules in one texture, of which a step replaces only the window that changed.
 
 import { ClampToEdgeWrapping, DataTexture, HalfFloatType, LinearFilter, RedFormat, Vector2, Vector4, type WebGLRenderer } from "three";
-import type { Arrays, Module, StepMessage } from "../protocol.ts";
+import type { Arrays } from "../arrays.ts";
+import type { Module, StepMessage } from "../protocol.ts";
 
 const WIDTH = 2048;
 const SIGN = 0x8000;

@@ -1,9 +1,10 @@
 // The scene of each run, all seen from the same place in the same light, and the controls of that.
 
+import type { Arrays } from "../arrays.ts";
 import { h, select, toggle } from "../dom.ts";
 import { EXPOSURE_EV, VIEWPOINTS } from "../keys.ts";
 import { panel } from "../panels.ts";
-import type { Arrays, MeshesMessage, ScenarioMessage, StepMessage } from "../protocol.ts";
+import type { MeshesMessage, ScenarioMessage, StepMessage } from "../protocol.ts";
 import { type Orbit, type SceneOptions, SceneView } from "../scene/index.ts";
 import type { SceneSink } from "../session.ts";
 import type { Studio, Viewpoint } from "../state.ts";

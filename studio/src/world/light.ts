@@ -1,10 +1,11 @@
 // Painting light in the world: a click on a place lights it by the pixels that reach it, a brush says how bright road or wall shall be.
 
 import { Matrix4, Vector3 } from "three";
+import type { Vector } from "../arrays.ts";
 import { brief } from "../brief.ts";
 import { h, numberField, numberOf, toggle } from "../dom.ts";
 import type { Painting } from "../matrix/painting.ts";
-import type { PlaceAnswer, StepMessage, Vector } from "../protocol.ts";
+import type { PlaceMessage, StepMessage } from "../protocol.ts";
 import type { SceneView } from "../scene/index.ts";
 import { WALL_M } from "../scene/viewpoints.ts";
 import type { ScenesPanel } from "../scenes/panel.ts";
@@ -137,7 +138,7 @@ export function worldLight(
     waiting = null;
     return true;
   }, ANSWER_MS);
-  const found = ({ modules }: PlaceAnswer) => {
+  const found = ({ modules }: PlaceMessage) => {
     painting.mark(new Map(modules.map(({ module, pixels }) => [module, new Set(pixels)])));
     const names = modules.map(({ module, pixels }) => `${store.state.scenario?.runs[0].modules[module].name} ${pixels.length}`);
     told.textContent = names.length > 0 ? `pixels: ${names.join(", ")}` : "no module lights this place";

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from luxloop.loop.commands import cli
-from luxloop.loop.commands.shown import lights_by_side
+from luxloop.loop.report.headlight import lights_by_side
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.headlight.lamp import Lamp, Module

@@ -153,12 +153,12 @@ def test_a_run_goes_on_without_one_of_its_symbols_and_with_it_again() -> None:
     assert "flake" in both.functions and "flake" not in one.functions and acts(both, one) == "step"
     run = Run(Simulation.prepare(both), "two_symbols", ())
     run.step(VIEWS)
-    run.edit(run.edited(one), ("functions.flake={}",))
+    run.edit(run.prepare_edit(one), ("functions.flake={}",))
     run.look_again(VIEWS)  # at rest, as the next step is seen
     assert set(run.snapshots[-1].head["symbols"]) == set(one.controlled)
     run.step(VIEWS)
     assert set(run.snapshots[-1].head["symbols"]) == set(one.controlled) == set(run.summary()["functions"])
-    run.edit(run.edited(both), ())
+    run.edit(run.prepare_edit(both), ())
     run.step(VIEWS)
     assert set(run.snapshots[-1].head["symbols"]) == set(both.controlled) == set(run.summary()["functions"])
 

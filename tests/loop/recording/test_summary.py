@@ -100,7 +100,7 @@ def test_what_is_not_lit_is_not_settled() -> None:
 def closing(symbols: dict[str, dict[str, Any]]) -> dict[str, str]:
     """Rows of the closing table of a run of these symbols."""
     run = of_run.summarise(pa.table({"time_s": [0.0], "processing_ms": [1.0], "dark_lx_max": [math.nan]}), "name", {}, symbols)
-    shown = run_table.shown(run | {"shadow_of": None, "idle_functions": [], "checks": {}}, "runs/name")
+    shown = run_table.summary_table(run | {"shadow_of": None, "idle_functions": [], "checks": {}}, "runs/name")
     names, cells = ([str(cell) for cell in column.cells] for column in shown.columns)
     return {name.removeprefix("[bold]").removesuffix("[/]"): cell for name, cell in zip(names, cells, strict=True)}
 

@@ -18,7 +18,7 @@ from luxloop.loop.recording.compared import compared
 from luxloop.loop.recording.functions_summary import NAMED, eyes_lx, lost_steps, named, steps_of_nothing
 from luxloop.loop.report.courses import COLOURS, _materials, _on_objects, write_courses
 from luxloop.loop.report.marks import Mark, readable
-from luxloop.loop.report.run_table import _of_light, _of_lost, shown
+from luxloop.loop.report.run_table import _of_light, _of_lost, summary_table
 from luxloop.loop.report.style import STYLE
 from luxloop.loop.run import check, in_words, run
 from luxloop.loop.scenario.model import Scenario, validate
@@ -140,7 +140,7 @@ def test_energy_stands_beside_that_of_standby_and_of_undimmed_beams(tmp_path: Pa
     # What is left above standby goes with the share of the base beam
     assert dimmed["energy_j"] - others["standby"] == pytest.approx(0.5 * (full["energy_j"] - others["standby"]), rel=1e-5)
     console = Console(record=True, width=160)
-    console.print(shown(dimmed, "here"))
+    console.print(summary_table(dimmed, "here"))
     told = console.export_text()
     assert f"standby; undimmed low beam {others['low beam']:.3g} J, high beam" in told
     flux, low = sum(lamp["flux_lm_mean"] for lamp in dimmed["lamps"].values()), dimmed["low_beam_lm"]
@@ -221,7 +221,7 @@ def test_whom_the_tracker_loses_is_told(tmp_path: Path) -> None:
     assert walker["steps_in_sight"] == 12 and 2 <= walker["steps_lost"] <= 9
     assert walker["confidence_min"] == 0.0  # in the steps in which it is lost, though not in those before it was found
     console = Console(record=True, width=160)
-    console.print(shown(summary, "here"))
+    console.print(summary_table(summary, "here"))
     told = console.export_text()
     assert f"no track shows it in {walker['steps_lost']} of the 12 steps in which it is in sight" in told
     assert "lx at most, all within the first 1 s" in told
@@ -256,7 +256,7 @@ def test_a_run_that_finds_nobody_says_how_small_they_were(tmp_path: Path) -> Non
             scenario({"object_light": function}, steps=2, objects=objects, detector=detector), tmp_path / case, video=False, report=False
         ).summary
         console = Console(record=True, width=160)
-        console.print(shown(summary, "here"))
+        console.print(summary_table(summary, "here"))
         told[case] = console.export_text()
         if objects:
             pixels = summary["objects"]["walker"]["pixels_max"]

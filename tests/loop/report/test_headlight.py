@@ -11,11 +11,10 @@ import torch
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 
-from luxloop.loop.report import headlight, overview, views
+from luxloop.loop.report import headlight, views
 from luxloop.loop.report.charts import distance_marks, isolines, map_frame, object_outlines, steps
 from luxloop.loop.report.facts import borders_deg, flux_lm, peak
-from luxloop.loop.report.headlight import show_headlight
-from luxloop.loop.report.overview import facts, reach_m
+from luxloop.loop.report.headlight import facts, reach_m, show_headlight
 from luxloop.loop.report.panels import wall_angles
 from luxloop.loop.report.styles import VIEWS
 from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, LitCar, Road, beside, birdseye, driver, grey, picture
@@ -254,9 +253,8 @@ def quick(monkeypatch: pytest.MonkeyPatch, road: Road) -> None:
     monkeypatch.setattr(headlight, "DPI", 50)
     monkeypatch.setattr(headlight, "Road", lambda scenario, time_s: road)
     monkeypatch.setattr(headlight, "beside", lambda: beside(160))
-    for module in (headlight, overview):
-        monkeypatch.setattr(module, "driver", lambda width_px=320: driver(320))
-        monkeypatch.setattr(module, "birdseye", lambda cell_m=0.5, x_m=BIRDSEYE_X_M: birdseye(0.5, x_m))
+    monkeypatch.setattr(headlight, "driver", lambda width_px=320: driver(320))
+    monkeypatch.setattr(headlight, "birdseye", lambda cell_m=0.5, x_m=BIRDSEYE_X_M: birdseye(0.5, x_m))
 
 
 @pytest.mark.parametrize("view", VIEWS)
@@ -276,7 +274,7 @@ def test_a_scenario_is_shown_at_full_size(lamps: dict[str, Lamp], tmp_path: Path
 
 def test_a_long_name_leaves_room_for_its_value() -> None:
     axes = Figure().subplots()
-    overview._write_facts(axes, [("beam", "low"), ("   a module of a long name", "1 x 1")])
+    headlight._write_facts(axes, [("beam", "low"), ("   a module of a long name", "1 x 1")])
     at = {text.get_text(): text.get_position()[1] for text in axes.texts}
     assert at["beam"] == at["low"] > at["   a module of a long name"] > at["1 x 1"]
 

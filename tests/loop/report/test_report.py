@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 from luxloop.loop.recording.files import REPORT, table_of
 from luxloop.loop.recording.record import row, schema, summary_of
+from luxloop.loop.report.highlights import PAST_SYMBOLS, Highlights, SymbolHistory
 from luxloop.loop.report.page import DPI, LIGHT_IN, WIDE_IN, _from_near, write_report
 from luxloop.loop.report.symbol import HIGH_IN, _courses, _title
-from luxloop.loop.report.watched import PAST_SYMBOLS, Gathered, Watched
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.columns import of_one
@@ -30,13 +30,13 @@ SYMBOL = SMALL["functions"]["symbol"]
 
 
 def drawn(file: Path, simulation: Simulation, results: list[StepResult]) -> np.ndarray:
-    watched, rows = Watched(simulation), []
+    highlights, rows = Highlights(simulation), []
     for result in results:
-        watched.add(result)
+        highlights.add(result)
         rows.append(row(result))
     table = table_of(rows, schema(simulation))
     last = {name: result for result in results for name in result.held}
-    write_report(file, simulation, watched, table, summary_of(simulation, table, last))
+    write_report(file, simulation, highlights, table, summary_of(simulation, table, last))
     page = cv2.imread(str(file))
     assert page is not None
     return page
@@ -106,7 +106,7 @@ def test_the_pose_shows_height_on_an_axis_of_a_centimetre_at_least(
         table = table.set_column(table.column_names.index(name), name, pa.array([value] * table.num_rows))
     figure = Figure()
     summary = {"settle_step": None, "iou_open": None, "unsettled": "too_short"}
-    _courses(figure.add_subfigure(figure.add_gridspec()[0]), function, Gathered("symbol", 12), table, summary)
+    _courses(figure.add_subfigure(figure.add_gridspec()[0]), function, SymbolHistory("symbol", 12), table, summary)
     pose = figure.axes[1]
     lines = {str(line.get_label()): line for line in pose.get_lines()}
     assert ("z" in lines) == bool(z_m) and (not z_m or np.asarray(lines["z"].get_ydata()).tolist() == [z_m] * 12)
@@ -125,7 +125,7 @@ def test_judgements_far_apart_are_joined_and_where_there_are_none_the_chart_says
         _courses(
             figure.add_subfigure(figure.add_gridspec()[0]),
             small_simulation.symbol.function,
-            Gathered("symbol", 12),
+            SymbolHistory("symbol", 12),
             table.set_column(at, "iou", values),
             summary,
         )
@@ -158,7 +158,7 @@ def test_light_from_above_is_looked_at_closely_where_it_is() -> None:
 
 @pytest.mark.slow
 def test_long_run_keeps_few_images(small_results: list[StepResult]) -> None:
-    gathered = Gathered("symbol", 10_000)
+    gathered = SymbolHistory("symbol", 10_000)
     for step in range(10_000):
         gathered.add(small_results[step] if step < 3 else replace(small_results[3], step=step))
     assert len(gathered.symbols) <= PAST_SYMBOLS
@@ -167,7 +167,7 @@ def test_long_run_keeps_few_images(small_results: list[StepResult]) -> None:
 
 
 def test_path_is_the_centroid_in_the_image(small_results: list[StepResult]) -> None:
-    gathered = Gathered("symbol", 2)
+    gathered = SymbolHistory("symbol", 2)
     gathered.add(small_results[0])
     gathered.add(lost(small_results[1]))
     centre = small_results[0].symbol.measurement.appearance.centroids[0].tolist()

@@ -5,20 +5,20 @@ import math
 import pytest
 from rich.console import Console
 
-from luxloop.loop.report.terminal import markdown, number, plain
+from luxloop.loop.report.terminal import markdown_table, number, plain
 
 COLUMNS = ("road", "step", "IoU", "")
 ROWS = [("flat", 3, "0.98", "reached"), ("curb", 12, number(None), "")]
 
 
 def test_markdown_aligns_columns_that_have_no_letter_as_the_last() -> None:
-    assert markdown(COLUMNS, ROWS, "lrrl").splitlines() == [
+    assert markdown_table(COLUMNS, ROWS, "lrrl").splitlines() == [
         "| road | step | IoU |  |",
         "| --- | ---: | ---: | --- |",
         "| flat | 3 | 0.98 | reached |",
         "| curb | 12 | – |  |",
     ]
-    assert markdown(COLUMNS, []).splitlines()[1] == "| --- | ---: | ---: | ---: |"
+    assert markdown_table(COLUMNS, []).splitlines()[1] == "| --- | ---: | ---: | ---: |"
 
 
 def test_the_terminal_aligns_alike() -> None:

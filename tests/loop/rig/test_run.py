@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import torch
 
-from luxloop.loop.commands.rig_runs import written
+from luxloop.loop.commands.rig import written
 from luxloop.loop.rig.params import load_rig
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.build_lamps import mount

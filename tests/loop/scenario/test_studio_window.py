@@ -12,7 +12,7 @@ from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.loop.scenario.studio_window import show
 from luxloop.loop.studio import page
-from luxloop.loop.studio.client.client import connect
+from luxloop.loop.studio.client import connect
 from luxloop.world.errors import LuxloopError
 from tests.loop.studio.conftest import SMALL
 

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from luxloop.loop.recording.record import row, schema
-from luxloop.loop.report.courses import _commanded
-from luxloop.loop.report.run_table import shown
+from luxloop.loop.report.courses import _modules
+from luxloop.loop.report.run_table import summary_table
 from luxloop.loop.run import check, run
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.result import StepResult
@@ -195,7 +195,7 @@ def test_what_was_commanded_is_recorded_and_played_again(lamp: str, tmp_path: Pa
     assert [frame.shown.commands for frame in frames if frame.shown] == [each.now.commands for each in shown]
 
 
-def test_summary_and_closing_table_say_how_far_modules_were_commanded(lamp: str, tmp_path: Path) -> None:
+def test_summary_and_closing_table_say_how_far_modules_were_modules(lamp: str, tmp_path: Path) -> None:
     level = {"kind": "levelling", "dynamic": False, "rate_deg_s": 1000.0}
     functions = {
         "level": level | {"entries": [{"level_deg": 0.0}, {"time_s": 0.1, "level_deg": 4.0}, {"time_s": 0.2, "level_deg": 1.0}]},
@@ -206,7 +206,7 @@ def test_summary_and_closing_table_say_how_far_modules_were_commanded(lamp: str,
     dimmed = {"least": 0.25, "most": 1.0}
     assert summary["modules"] == {"left fine": {"level_deg": level_deg}, "right fine": {"level_deg": level_deg, "intensity": dimmed}}
     console = Console(record=True, width=200)
-    console.print(shown(summary, "here"))
+    console.print(summary_table(summary, "here"))
     ends = "all levelled 0.0° to 2.5°, at the end of the range in 1 of 3 steps"
     assert re.search(rf"modules +{ends}; right fine dimmed 25% to 100% of their maximum", console.export_text())
     assert (tmp_path / "report.png").exists()
@@ -217,7 +217,7 @@ def test_modules_that_move_alike_share_a_curve_which_says_how_often_they_are_at_
     axes = Figure().subplots()
     table = pa.table({"time_s": [0.0, 0.1], **{f"modules.{name}": values for name, values in turned.items()}})
     moved = {"level_deg": {"steps_at_end": 1}, "intensity": {}}
-    _commanded(axes, table, table.column_names[1:], {"modules": {"left fine": moved, "right fine": moved}}, "deg", "")
+    _modules(axes, table, table.column_names[1:], {"modules": {"left fine": moved, "right fine": moved}}, "deg", "")
     told = {str(line.get_label()): np.asarray(line.get_ydata()).tolist() for line in axes.get_lines()}
     assert told == {"all levelled, at a limit in 1 of 2 steps": [0.0, 1.0], "right fine dimmed": [1.0, 0.5]}
 

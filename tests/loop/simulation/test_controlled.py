@@ -13,7 +13,7 @@ from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
 from luxloop.loop.commands import cli
 from luxloop.loop.recording.record import row, schema
-from luxloop.loop.report.run_table import shown
+from luxloop.loop.report.run_table import summary_table
 from luxloop.loop.run import run as luxloop_run
 from luxloop.loop.scenario.model import load, validate
 from luxloop.loop.simulation.protocol import Arrivals, Exposure
@@ -73,7 +73,7 @@ def test_a_symbol_under_other_functions_is_lost_as_covered_and_they_are_named(tm
     told = done.summary["functions"]["flake"]
     assert (told["unsettled"], told["lost_steps"], told["covered_steps"], told["covered_by"]) == ("covered", 11, 11, ["guard"])
     console = Console(record=True, width=200)
-    console.print(shown(done.summary, "covered"))
+    console.print(summary_table(done.summary, "covered"))
     text = " ".join(console.export_text().split())
     assert "11, of which guard covered it in 11" in text and "functions.guard took too much light from the symbol to measure it" in text
 

@@ -14,7 +14,7 @@ import torch
 from luxloop.loop.commands import cli
 from luxloop.loop.recording.record import schema
 from luxloop.loop.report.page import lit_part
-from luxloop.loop.report.picture import measured, white_of
+from luxloop.loop.report.picture import camera_luminance, white_of
 from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario, validate
@@ -82,14 +82,14 @@ def test_pictures_have_the_cameras_noise_and_measured_light_has_none() -> None:
     noisy, other, still = (Simulation.prepare(scenario(**each)) for each in ({}, {"seed": 1}, {"camera": {**CAMERA, "noise": False}}))
     result, camera = noisy.at(1), noisy.scenario.camera
     assert torch.equal(result.luminance, other.at(1).luminance) and torch.equal(result.illuminance, other.at(1).illuminance)
-    image, exact = measured(result, noisy), result.luminance
-    assert torch.equal(image, measured(result, noisy)) and not torch.equal(image, measured(other.at(1), other))
+    image, exact = camera_luminance(result, noisy), result.luminance
+    assert torch.equal(image, camera_luminance(result, noisy)) and not torch.equal(image, camera_luminance(other.at(1), other))
     lit = (exact > 0.03) & (exact < 0.8)  # ten standard deviations of the read noise from black, and as far from saturation
     z = ((image - exact) / noise_std(exact, camera))[lit]
     assert len(z) > 1000 and float(z.mean()) == pytest.approx(0, abs=5 / len(z) ** 0.5)  # five standard errors, as the next
     assert float(z.std()) == pytest.approx(1, abs=5 / (2 * len(z)) ** 0.5)
     level = 1.34 / (2**camera.bits - 1)  # cd/m^2
-    torch.testing.assert_close(measured(still.at(1), still)[lit], exact[lit], rtol=0, atol=0.51 * level)
+    torch.testing.assert_close(camera_luminance(still.at(1), still)[lit], exact[lit], rtol=0, atol=0.51 * level)
 
 
 def test_the_road_from_above_is_cut_to_its_light() -> None:

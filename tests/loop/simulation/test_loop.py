@@ -16,7 +16,7 @@ from luxloop.loop.commands import cli
 from luxloop.loop.recording.files import table_of
 from luxloop.loop.recording.manifest import input_files
 from luxloop.loop.recording.record import LOOKED_AT, row, schema
-from luxloop.loop.report.run_table import shown
+from luxloop.loop.report.run_table import summary_table
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.simulation import Simulation
@@ -228,7 +228,7 @@ def test_scenes_without_objects_and_out_of_sight_are_recorded(tmp_path: Path) ->
         **{"tracks": 0, "pixels_max": 0.0, "steps_in_sight": 0, "steps_lost": 0, "findable": False},
     }
     console = Console(record=True, width=160)
-    console.print(shown(summary, "here"))
+    console.print(summary_table(summary, "here"))
     assert re.search("never in sight +walker", console.export_text())
 
 

@@ -11,7 +11,7 @@ from rich.console import Console
 from torch import Tensor
 
 from luxloop.loop.recording.record import row
-from luxloop.loop.report.run_table import shown
+from luxloop.loop.report.run_table import summary_table
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import validate
 from luxloop.loop.simulation.result import StepResult
@@ -122,7 +122,7 @@ def test_a_symbol_is_held_on_a_plant_without_truth() -> None:
 def test_a_run_without_truth_is_recorded_reported_and_repeated(lux: Lux, tmp_path: Path) -> None:
     summary = run(validate(WORLD | SEES | {"plant": BLIND}, "lit"), tmp_path / "blind", device="cpu").summary
     console = Console(record=True, width=160)
-    console.print(shown(summary, "blind"))
+    console.print(summary_table(summary, "blind"))
     assert "boxes a step" in (told := console.export_text()) and "nothing" not in told
     assert summary["dark_lx_max"] is None and summary["objects"] == {} and summary["shadow_of"] is None
     assert {each.name for each in (tmp_path / "blind").iterdir()} >= {"report.png", "video.mp4", "summary.json"}

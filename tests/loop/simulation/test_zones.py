@@ -9,7 +9,7 @@ from rich.console import Console
 
 from luxloop.controllers.functions.zone import ZoneParams, region_of
 from luxloop.loop.report.marks import marks
-from luxloop.loop.report.run_table import shown
+from luxloop.loop.report.run_table import summary_table
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.simulation import Simulation
@@ -122,7 +122,9 @@ def test_materials_are_told_beside_what_was_wanted(tmp_path: Path) -> None:
     )  # nothing is drawn before anything is seen
     assert materials["albedo 0 to 0.3"]["median"] == pytest.approx(1.0, rel=0.3)  # asphalt, with the seams of what stands
     console = Console(record=True, width=160)
-    console.print(shown(summary | {"materials": summary["materials"] | {"by_material.matt": materials["matt"] | {"median": 0.1}}}, "here"))
+    console.print(
+        summary_table(summary | {"materials": summary["materials"] | {"by_material.matt": materials["matt"] | {"median": 0.1}}}, "here")
+    )
     assert "0.2 cd/m^2 wanted: 0.1 cd/m^2 (50% of it), median" in console.export_text(clear=False)
     assert "material by material: skin             0.2 cd/m^2 wanted: out of sight" in console.export_text()
 

@@ -5,12 +5,16 @@ import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from websockets.asyncio.server import Server
 
 from luxloop.loop.studio.server import Studio, Tokens
 from luxloop.loop.studio.sources import Source
+
+if TYPE_CHECKING:
+    from selenium.webdriver import Chrome
 
 # a process has one OpenGL context, in one thread, which other tests of the process use
 SMALL = (
@@ -32,12 +36,26 @@ class Served:
     server: Server
 
 
-@pytest.fixture(scope="module")
-def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+@pytest.fixture(scope="session")
+def page_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """In place of the page."""
     page = tmp_path_factory.mktemp("page")
     (page / "index.html").write_text("<!doctype html><title>studio</title>")
     (page / "secret.key").write_text("not of the page")
-    yield from serving(Source("snowflake", SMALL), page)
+    return page
+
+
+@pytest.fixture(scope="module")
+def served(page_folder: Path) -> Iterator[Served]:
+    yield from serving(Source("snowflake", SMALL), page_folder)
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator["Chrome"]:
+    from tests.loop.studio.pages import chromium  # Selenium, for which other tests do not wait
+
+    with chromium(tmp_path_factory.mktemp("profile")) as driver:
+        yield driver
 
 
 def serving(source: Source, page: Path) -> Iterator[Served]:

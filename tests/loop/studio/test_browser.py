@@ -1,7 +1,6 @@
 """The page in a real browser: what it computes is what `world` computes, and what one does arrives."""
 
 import os
-import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -23,39 +22,10 @@ from luxloop.loop.studio.runs import Run
 from luxloop.loop.studio.sources import Source
 from luxloop.world.light.illumination import DirectTransport, illuminance
 from tests.loop.studio.conftest import SMALL, Served, serving
+from tests.loop.studio.pages import IN_BROWSER, WAIT_S, until, visit
 from tests.loop.studio.proxy import network
 
-CHROMIUM, DRIVER = (shutil.which(name) for name in ("chromium", "chromedriver"))
-FLAGS = (
-    "--headless",
-    "--no-sandbox",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--no-first-run",
-    "--window-size=1280,800",
-)
-WAIT_S = 180  # for a scenario to be prepared on a busy machine with software WebGL
-
-pytestmark = [
-    pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="no browser: apt-get install chromium chromium-driver"),
-    pytest.mark.skipif(not (PAGE / "index.html").is_file(), reason="the page is not built: make studio"),
-]
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[webdriver.Chrome]:
-    options = webdriver.ChromeOptions()
-    options.binary_location = str(CHROMIUM)
-    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    driver = webdriver.Chrome(options, webdriver.ChromeService(str(DRIVER)))
-    driver.set_script_timeout(WAIT_S)
-    yield driver
-    driver.quit()
+pytestmark = IN_BROWSER
 
 
 @pytest.fixture(scope="module")
@@ -64,25 +34,9 @@ def objects() -> Iterator[Served]:
     yield from serving(Source("gfhb", (*SMALL, "camera.width_px=640", "camera.height_px=360")), PAGE)
 
 
-def opened(browser: webdriver.Chrome, served: Served, token: str | None = None) -> None:
-    """Open the page, and wait for the first step in all views."""
-    browser.get("about:blank")
-    browser.get(f"http://127.0.0.1:{served.port}/#{token or served.tokens.edit}")
-    until(browser, "return (window.luxloop?.scenes ?? []).length > 0 && document.body.innerText.includes('step 0')")
-
-
-def opened_anew(browser: webdriver.Chrome, served: Served) -> None:
-    """The same of a run that other tests may have stepped."""
-    session = served.studio.session
-    number = session.published.number
-    session.ask(Button(type="reset"), print)
-    WebDriverWait(browser, WAIT_S).until(lambda _: session.published.number > number)
-    opened(browser, served)
-
-
-def until(browser: webdriver.Chrome, script: str) -> Any:
-    """Wait for a script to return something true."""
-    return WebDriverWait(browser, WAIT_S, 0.1).until(lambda driver: driver.execute_script(script))
+@pytest.fixture(scope="module")
+def page(browser: webdriver.Chrome, objects: Served) -> webdriver.Chrome:
+    return visit(browser, objects)
 
 
 def compared(browser: webdriver.Chrome, run: Run) -> np.ndarray:
@@ -117,39 +71,41 @@ def compared(browser: webdriver.Chrome, run: Run) -> np.ndarray:
 
 @pytest.mark.slow
 def test_light_in_the_shader_is_that_of_the_library(browser: webdriver.Chrome, objects: Served) -> None:
-    opened(browser, objects)
-    shader, lx, _ = compared(browser, objects.studio.session.published.runs[0])
+    visit(browser, objects)
+    shader, lx, _ = compared(browser, objects.studio.session.state.runs[0])
     lit = lx >= 0.5
     assert lit.sum() > 500 and np.abs(shader[lit] / lx[lit] - 1).max() < 0.02
 
 
-def test_keys_and_buttons_steer_the_loop(browser: webdriver.Chrome, objects: Served) -> None:
-    opened(browser, objects)
-    body = browser.find_element(By.TAG_NAME, "body")
+def test_keys_steer_the_loop_on_a_page_that_asks_nobody_else_and_complains_of_nothing(page: webdriver.Chrome, objects: Served) -> None:
+    body = page.find_element(By.TAG_NAME, "body")
     body.send_keys(".")
-    until(browser, "return document.body.innerText.includes('step 1')")
-    assert len(objects.studio.session.published.runs[0].rows) == 2
+    until(page, "return document.body.innerText.includes('step 1')")
+    assert len(objects.studio.session.state.runs[0].rows) == 2
     body.send_keys("r")
-    until(browser, "return document.body.innerText.includes('step 0')")
-    body.send_keys("?")
-    assert until(browser, "return document.querySelector('dialog[open]') !== null")
-    browser.find_element(By.CSS_SELECTOR, "dialog[open]").send_keys(Keys.ESCAPE)
+    until(page, "return document.body.innerText.includes('step 0')")
+    names = page.execute_script("return performance.getEntriesByType('resource').map((each) => each.name)")
+    assert names and all(name.startswith(f"http://127.0.0.1:{objects.port}/") for name in names)
+    assert not [each["message"] for each in page.get_log("browser") if each["level"] == "SEVERE"]
+
+
+def test_texts_are_legible_and_controls_have_names(page: webdriver.Chrome) -> None:
+    script, body = (Path(__file__).parent / "legible.js").read_text("utf-8"), page.find_element(By.TAG_NAME, "body")
+    assert page.execute_script(script) == [[], []]
+    for key, there in (("k", ".function"), ("e", ".things"), ("5", ".beam-controls"), ("?", "dialog[open]")):
+        body.send_keys(key)
+        until(page, f"return document.querySelector('{there}')?.checkVisibility()")
+        assert page.execute_script(script) == [[], []], key
+    page.find_element(By.CSS_SELECTOR, "dialog[open]").send_keys(Keys.ESCAPE)
 
 
 def test_a_watcher_sees_and_cannot_steer(browser: webdriver.Chrome, objects: Served) -> None:
-    opened(browser, objects, objects.tokens.watch)
-    (run,) = objects.studio.session.published.runs
+    visit(browser, objects, objects.tokens.watch)
+    (run,) = objects.studio.session.state.runs
     before = len(run.rows)
     browser.find_element(By.TAG_NAME, "body").send_keys(".r")
     browser.execute_async_script("const done = arguments[0]; setTimeout(done, 1000)")  # in which an editor's step is done
-    assert objects.studio.session.published.runs == (run,) and len(run.rows) == before
-
-
-def test_the_page_asks_nobody_else_and_complains_of_nothing(browser: webdriver.Chrome, objects: Served) -> None:
-    opened(browser, objects)
-    names = browser.execute_script("return performance.getEntriesByType('resource').map((each) => each.name)")
-    assert names and all(name.startswith(f"http://127.0.0.1:{objects.port}/") for name in names)
-    assert not [each["message"] for each in browser.get_log("browser") if each["level"] == "SEVERE"]
+    assert objects.studio.session.state.runs == (run,) and len(run.rows) == before
 
 
 def test_a_page_without_a_scenario_offers_those_there_are(browser: webdriver.Chrome) -> None:
@@ -163,8 +119,8 @@ def test_a_page_without_a_scenario_offers_those_there_are(browser: webdriver.Chr
 
 def test_a_page_whose_network_is_cut_goes_on_with_the_same_run(browser: webdriver.Chrome, objects: Served) -> None:
     with network(objects.port) as between:
-        opened(browser, replace(objects, port=between.port))
-        (run,) = objects.studio.session.published.runs
+        visit(browser, replace(objects, port=between.port))
+        (run,) = objects.studio.session.state.runs
         done = len(run.snapshots)
         between.cut()
         until(browser, "return document.querySelector('.notice').textContent.includes('is cut')")
@@ -173,24 +129,13 @@ def test_a_page_whose_network_is_cut_goes_on_with_the_same_run(browser: webdrive
         until(browser, f"return window.luxloop.store.state.runs[0]?.shown?.step === {done - 1}")
         browser.find_element(By.TAG_NAME, "body").send_keys(".")
         until(browser, f"return window.luxloop.store.state.runs[0].shown?.step === {done}")
-        assert objects.studio.session.published.runs == (run,) and len(run.snapshots) == done + 1
-
-
-def test_texts_are_legible_and_controls_have_names(browser: webdriver.Chrome, objects: Served) -> None:
-    opened_anew(browser, objects)
-    script, body = (Path(__file__).parent / "legible.js").read_text("utf-8"), browser.find_element(By.TAG_NAME, "body")
-    assert browser.execute_script(script) == [[], []]
-    for key, there in (("k", ".function"), ("e", ".things"), ("5", ".beam-controls"), ("?", "dialog[open]")):
-        body.send_keys(key)
-        until(browser, f"return document.querySelector('{there}')?.checkVisibility()")
-        assert browser.execute_script(script) == [[], []], key
-    browser.find_element(By.CSS_SELECTOR, "dialog[open]").send_keys(Keys.ESCAPE)
+        assert objects.studio.session.state.runs == (run,) and len(run.snapshots) == done + 1
 
 
 @pytest.mark.slow
 def test_a_run_is_steered_scrubbed_and_compared(browser: webdriver.Chrome) -> None:
     for served in serving(Source("snowflake", SMALL), PAGE):
-        opened(browser, served)
+        visit(browser, served)
         shown = "window.luxloop.store.state.runs[0].shown?"
         for step in (1, 2, 3):
             browser.find_element(By.CSS_SELECTOR, "[aria-label='One step (.)']").click()
@@ -210,14 +155,14 @@ def test_a_run_is_steered_scrubbed_and_compared(browser: webdriver.Chrome) -> No
         keys.clear()
         keys.send_keys("functions.symbol.controller.position.kp=0.9", Keys.SHIFT, Keys.ENTER)
         until(browser, "return window.luxloop.store.state.runs.length === 2 && window.luxloop.scenes.length === 2")
-        one, two = served.studio.session.published.runs
+        one, two = served.studio.session.state.runs
         gains = [run.simulation.scenario.symbol.controller.position.kp for run in (one, two)]
         assert gains[0] != gains[1] == 0.9
 
 
 @pytest.mark.slow
 def test_every_view_is_drawn(browser: webdriver.Chrome, objects: Served, tmp_path: Path) -> None:
-    opened(browser, objects)
+    visit(browser, objects)
     pictures = []
     for key in "12345":
         browser.find_element(By.TAG_NAME, "body").send_keys(key)
@@ -228,14 +173,17 @@ def test_every_view_is_drawn(browser: webdriver.Chrome, objects: Served, tmp_pat
 
 
 def test_shadows_in_the_shader_are_those_of_the_library(browser: webdriver.Chrome, objects: Served) -> None:
-    opened_anew(browser, objects)
-    (run,) = objects.studio.session.published.runs
+    session = objects.studio.session
+    number = session.state.number
+    session.ask(Button(type="reset"), print)  # what other tests may have stepped
+    WebDriverWait(browser, WAIT_S).until(lambda _: session.state.number > number)
+    (run,) = session.state.runs
     before = run.snapshots[0]
     # lower than the lamps, so that the camera sees its shadow beyond
     box = 'objects=[{name="box", kind="box", category="other", size_m=[0.5, 1.5, 0.4], track=[{position_m=[9.0, 0.0, 0.0]}]}]'
-    objects.studio.session.ask(Set(type="set", overrides=("functions={}", "checks={}", "lighting.base.beam=full", box)), print)
+    session.ask(Set(type="set", overrides=("functions={}", "checks={}", "lighting.base.beam=full", box)), print)
     WebDriverWait(browser, WAIT_S).until(lambda _: run.snapshots[0] is not before)  # in the other world
-    opened(browser, objects)
+    visit(browser, objects)
     shader, lx, open_ = compared(browser, run)
     assert (lx < 0.9 * open_).sum() > 20  # in the shadow of one lamp or of both
     assert (np.abs(shader - lx) < 0.02 * open_).all()

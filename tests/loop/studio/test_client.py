@@ -11,9 +11,8 @@ import pytest
 from luxloop.loop.recording.record import row
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
-from luxloop.loop.studio.client.client import Client, connect
-from luxloop.loop.studio.client.shared import Mapped
-from luxloop.loop.studio.shared import Blocks
+from luxloop.loop.studio.client import Client, connect
+from luxloop.loop.studio.shared import BlockReader, Blocks
 from luxloop.world.errors import LuxloopError
 from tests.loop.studio.conftest import SMALL, Served
 
@@ -80,7 +79,7 @@ def test_objects_are_told_with_their_boxes(client: Client) -> None:
 def test_light_and_utilisations_are_those_that_are_shown(client: Client, served: Served) -> None:
     client.want("light", "matrix")
     state = client.step()
-    (run,) = served.studio.session.published.runs
+    (run,) = served.studio.session.state.runs
     for module, u in zip(run.simulation.modules, run.snapshots[-1].lights, strict=True):
         expected = module.headlight.light_texture(u).numpy()
         assert np.abs(state.light[module.name] - expected).max() <= expected.max() * 2**-10  # a half float has 11 bits
@@ -94,7 +93,7 @@ def test_raw_utilisations_are_shown_in_the_next_step_and_recorded_as_an_edit(cli
         client.show(module["name"], np.full(size, share))
         state = client.step()
         assert (state.utilisations[module["name"]] == round(255 * share)).all()
-    (run,) = served.studio.session.published.runs
+    (run,) = served.studio.session.state.runs
     assert [each.step for each in run.tally.edits] == [1, 2]
     client.show(module["name"], None)
     assert client.step().utilisations[module["name"]].min() == 0
@@ -165,7 +164,7 @@ def test_values_of_numpy_and_whole_tables_are_set(client: Client) -> None:
 def test_nothing_is_made_that_nobody_wants(client: Client, served: Served) -> None:
     client.want("truth")
     client.step()
-    (run,) = served.studio.session.published.runs
+    (run,) = served.studio.session.state.runs
     assert not run.snapshots[-1].exact and not run.snapshots[-1].pictures
     client.want("depth")
     client.step()
@@ -203,7 +202,7 @@ def test_memory_has_what_the_socket_brings_and_goes_with_the_client(client: Clie
 
 
 def test_who_reads_too_late_is_told_so() -> None:
-    written, mapped = Blocks(), Mapped()
+    written, mapped = Blocks(), BlockReader()
     try:
         first = written.put(0, 1, {"a": np.arange(6, dtype=np.float32)})
         second = written.put(0, 2, {"a": np.arange(6, dtype=np.float32) + 1})

@@ -29,10 +29,8 @@ PERIOD_S = 1 / 30
 
 
 @pytest.fixture(scope="module")
-def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    page = tmp_path_factory.mktemp("page")
-    (page / "index.html").write_text("<!doctype html><title>studio</title>")
-    yield from serving(Source("gfhb", (*PLAIN, "vehicle.course=[{speed_m_s=10.0}]", "steps=5")), page)
+def served(page_folder: Path) -> Iterator[Served]:
+    yield from serving(Source("gfhb", (*PLAIN, "vehicle.course=[{speed_m_s=10.0}]", "steps=5")), page_folder)
 
 
 @pytest.fixture
@@ -46,7 +44,7 @@ def driver(served: Served) -> Iterator[Watcher]:
 
 
 def scenario_of(served: Served):
-    return served.studio.session.published.runs[0].simulation.scenario
+    return served.studio.session.state.runs[0].simulation.scenario
 
 
 def steps(watcher: Watcher, first: int, count: int) -> None:
@@ -66,7 +64,7 @@ def test_a_drive_goes_on_beyond_the_steps_is_recorded_and_repeated_bit_for_bit(
     steps(driver, 1, 12)
     driver.say(type="drive", throttle=-1.0, steering=-1.0)
     steps(driver, 13, 8)
-    (run,) = served.studio.session.published.runs
+    (run,) = served.studio.session.state.runs
     assert run.simulation.world.motion.at(13 * PERIOD_S).speed_m_s == pytest.approx(11.2, abs=1e-2)
     assert run.simulation.world.motion.at(21 * PERIOD_S).speed_m_s == pytest.approx(
         11.2 - 8 * 8 * PERIOD_S, abs=1e-2
@@ -91,7 +89,7 @@ def test_a_drive_is_the_same_as_its_scenario_run_anew(served: Served, driver: Wa
     steps(driver, 1, 3)
     driver.say(type="drive", throttle=None, steering=None)
     driver.of("edit", step=4)
-    driven = served.studio.session.published.runs[0].simulation
+    driven = served.studio.session.state.runs[0].simulation
     (tmp_path / "driven.toml").write_text(scenario_text(driven.scenario))
     assert load(str(tmp_path / "driven.toml")) == driven.scenario
     assert load(str(tmp_path / "driven.toml")).vehicle.course == driven.scenario.vehicle.course
@@ -118,7 +116,7 @@ def test_who_goes_away_lets_go(served: Served, driver: Watcher) -> None:
         steps(other, 1, 3)
     driver.of("edit", step=4)
     assert scenario_of(served).vehicle.course[-1].curvature_1_m == 0
-    assert served.studio.session._driven is None
+    assert served.studio.session._steering is None
 
 
 def test_traffic_stays_as_it_was_made(served: Served, driver: Watcher) -> None:

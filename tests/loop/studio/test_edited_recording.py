@@ -24,10 +24,8 @@ EDITS = (
 
 
 @pytest.fixture(scope="module")
-def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    page = tmp_path_factory.mktemp("page")
-    (page / "index.html").write_text("<!doctype html><title>studio</title>")
-    yield from serving(Source("gfhb", SMALL), page)
+def served(page_folder: Path) -> Iterator[Served]:
+    yield from serving(Source("gfhb", SMALL), page_folder)
 
 
 @pytest.fixture
@@ -58,7 +56,7 @@ def test_functions_come_and_go_in_a_recording(editor: Watcher, tmp_path: Path, m
 
 
 def test_a_check_of_what_is_not_recorded_is_refused(editor: Watcher, served: Served) -> None:
-    before = served.studio.session.published.runs[0].simulation.scenario
+    before = served.studio.session.state.runs[0].simulation.scenario
     editor.say(type="set", overrides=["checks.mine={metric='flux_lmm',at_least=0.5}"])
     assert "flux_lmm" in editor.of("error")[0]["text"]
-    assert served.studio.session.published.runs[0].simulation.scenario == before
+    assert served.studio.session.state.runs[0].simulation.scenario == before

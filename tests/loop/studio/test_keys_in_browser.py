@@ -10,13 +10,13 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.ui import Select, WebDriverWait
 
-from luxloop.loop.scenario.model import Scenario, load
+from luxloop.loop.scenario.model import load
 from luxloop.loop.studio.page import PAGE
 from luxloop.loop.studio.session import Source
 from tests.loop.studio.conftest import SMALL, Served, serving
-from tests.loop.studio.test_browser import WAIT_S, browser, opened, pytestmark, until
+from tests.loop.studio.pages import IN_BROWSER, WAIT_S, scenario, until, visit
 
-__all__ = ["browser", "pytestmark"]  # of all tests in a browser
+pytestmark = IN_BROWSER
 
 
 @pytest.fixture(scope="module")
@@ -25,16 +25,16 @@ def symbol() -> Iterator[Served]:
     yield from serving(Source("snowflake", (*SMALL, "steps=60", "checks={}")), PAGE)
 
 
-def scenario(served: Served) -> Scenario:
-    """As the simulation has it now."""
-    return served.studio.session.published.runs[0].simulation.scenario
-
-
-def keys_of(browser: webdriver.Chrome, served: Served, token: str | None = None) -> None:
+def keys_of(browser: webdriver.Chrome, served: Served, token: str | None = None) -> webdriver.Chrome:
     """Open the page with the drawer of keys."""
-    opened(browser, served, token)
-    browser.find_element(By.TAG_NAME, "body").send_keys("k")
+    visit(browser, served, token).find_element(By.TAG_NAME, "body").send_keys("k")
     until(browser, "return document.querySelector('.function') !== null")
+    return browser
+
+
+@pytest.fixture(scope="module")
+def page(browser: webdriver.Chrome, symbol: Served) -> webdriver.Chrome:
+    return keys_of(browser, symbol)
 
 
 def labelled(browser: webdriver.Chrome, label: str) -> WebElement:
@@ -49,36 +49,33 @@ def searched(browser: webdriver.Chrome, words: str, key: str) -> WebElement:
     return browser.find_element(By.CSS_SELECTOR, f".keys-found [data-key='{key}']")
 
 
-def test_a_slider_s_gain_reaches_the_controller_at_the_next_step(browser: webdriver.Chrome, symbol: Served) -> None:
-    keys_of(browser, symbol)
-    (run,) = symbol.studio.session.published.runs
+def test_a_slider_s_gain_reaches_the_controller_at_the_next_step(page: webdriver.Chrome, symbol: Served) -> None:
+    (run,) = symbol.studio.session.state.runs
     before = run.simulation.symbol.params.position.kp
-    slider = labelled(browser, "functions.symbol.controller.position.kp, slider")
+    slider = labelled(page, "functions.symbol.controller.position.kp, slider")
     slider.send_keys(Keys.ARROW_RIGHT * 5)
     asked = float(slider.get_attribute("value") or "nan")
     assert asked > before
-    WebDriverWait(browser, WAIT_S).until(lambda _: run.simulation.symbol.params.position.kp == asked)
-    assert symbol.studio.session.published.runs == (run,) and {each.step for each in run.tally.edits} == {len(run.rows)}
-    back = browser.find_element(By.CSS_SELECTOR, "[data-key='functions.symbol.controller.position.kp'] button")
-    WebDriverWait(browser, WAIT_S).until(lambda _: back.is_displayed())
+    WebDriverWait(page, WAIT_S).until(lambda _: run.simulation.symbol.params.position.kp == asked)
+    assert symbol.studio.session.state.runs == (run,) and {each.step for each in run.tally.edits} == {len(run.rows)}
+    back = page.find_element(By.CSS_SELECTOR, "[data-key='functions.symbol.controller.position.kp'] button")
+    WebDriverWait(page, WAIT_S).until(lambda _: back.is_displayed())
     back.click()
-    WebDriverWait(browser, WAIT_S).until(lambda _: run.simulation.symbol.params.position.kp == before)
+    WebDriverWait(page, WAIT_S).until(lambda _: run.simulation.symbol.params.position.kp == before)
 
 
-def test_what_is_refused_is_told_beside_its_control_and_changes_nothing(browser: webdriver.Chrome, symbol: Served) -> None:
-    keys_of(browser, symbol)
+def test_what_is_refused_is_told_beside_its_control_and_changes_nothing(page: webdriver.Chrome, symbol: Served) -> None:
     before = scenario(symbol)
-    row = searched(browser, "pixel_controller", "pixel_controller")
+    row = searched(page, "pixel_controller", "pixel_controller")
     field = row.find_element(By.TAG_NAME, "input")
     field.clear()
-    until(browser, "return document.querySelector('.keys-found .key-error') !== null")
+    until(page, "return document.querySelector('.keys-found .key-error') !== null")
     field.send_keys(Keys.CONTROL, "a", Keys.NULL, "jpoo", Keys.ENTER)
-    until(browser, "return document.querySelector('.keys-found .key-error')?.textContent.includes(\"did you mean 'jpo'?\")")
+    until(page, "return document.querySelector('.keys-found .key-error')?.textContent.includes(\"did you mean 'jpo'?\")")
     assert field.get_attribute("value") == "ssc" and scenario(symbol) == before
 
 
-def test_a_text_proposes_what_there_is(browser: webdriver.Chrome, symbol: Served) -> None:
-    keys_of(browser, symbol)
+def test_a_text_proposes_what_there_is(page: webdriver.Chrome, symbol: Served) -> None:
     for key, name in (
         ("headlight.model", "hd84"),
         ("functions.symbol.image", "chevrons"),
@@ -86,51 +83,48 @@ def test_a_text_proposes_what_there_is(browser: webdriver.Chrome, symbol: Served
         proposed = (
             "return [...document.querySelector(`.keys-found [data-key='${arguments[0]}'] input`).list.options].map(({ value }) => value)"
         )
-        searched(browser, key, key)
-        assert name in browser.execute_script(proposed, key)
+        searched(page, key, key)
+        assert name in page.execute_script(proposed, key)
 
 
-def test_a_function_is_switched_off_and_on_and_its_controller_is_another(browser: webdriver.Chrome, symbol: Served) -> None:
-    keys_of(browser, symbol)
+def test_a_function_is_switched_off_and_on_and_its_controller_is_another(page: webdriver.Chrome, symbol: Served) -> None:
     before = scenario(symbol).functions
-    labelled(browser, "functions.symbol: on or off").click()
-    WebDriverWait(browser, WAIT_S).until(lambda _: not scenario(symbol).functions)
-    browser.execute_script("luxloop.store.set({ things: true })")
-    until(browser, "return document.querySelector('.thing.off .name')?.textContent === 'symbol'")
-    browser.execute_script("luxloop.store.set({ things: false })")
-    labelled(browser, "functions.symbol: on or off").click()
-    WebDriverWait(browser, WAIT_S).until(lambda _: scenario(symbol).functions == before)
-    Select(labelled(browser, "functions.symbol.controller: name")).select_by_value("open")
-    WebDriverWait(browser, WAIT_S).until(lambda _: scenario(symbol).symbol.controller.name == "open")
-    browser.find_element(By.TAG_NAME, "body").send_keys(Keys.CONTROL, "z")
-    WebDriverWait(browser, WAIT_S).until(lambda _: scenario(symbol).functions == before)
+    labelled(page, "functions.symbol: on or off").click()
+    WebDriverWait(page, WAIT_S).until(lambda _: not scenario(symbol).functions)
+    page.execute_script("luxloop.store.set({ things: true })")
+    until(page, "return document.querySelector('.thing.off .name')?.textContent === 'symbol'")
+    page.execute_script("luxloop.store.set({ things: false })")
+    labelled(page, "functions.symbol: on or off").click()
+    WebDriverWait(page, WAIT_S).until(lambda _: scenario(symbol).functions == before)
+    Select(labelled(page, "functions.symbol.controller: name")).select_by_value("open")
+    WebDriverWait(page, WAIT_S).until(lambda _: scenario(symbol).symbol.controller.name == "open")
+    page.find_element(By.TAG_NAME, "body").send_keys(Keys.CONTROL, "z")
+    WebDriverWait(page, WAIT_S).until(lambda _: scenario(symbol).functions == before)
 
 
-def test_a_disturbance_holds_from_the_next_step_for_a_second(browser: webdriver.Chrome, symbol: Served) -> None:
-    keys_of(browser, symbol)
-    (run,) = symbol.studio.session.published.runs
-    browser.find_element(By.XPATH, "//*[@aria-label='Disturb']/button[text()='lost frames']").click()
-    WebDriverWait(browser, WAIT_S).until(lambda _: scenario(symbol).disturbances.drops)
+def test_a_disturbance_holds_from_the_next_step_for_a_second(page: webdriver.Chrome, symbol: Served) -> None:
+    (run,) = symbol.studio.session.state.runs
+    page.find_element(By.XPATH, "//*[@aria-label='Disturb']/button[text()='lost frames']").click()
+    WebDriverWait(page, WAIT_S).until(lambda _: scenario(symbol).disturbances.drops)
     (spell,) = scenario(symbol).disturbances.drops
     assert (spell.from_step, spell.until_step) == (len(run.rows), len(run.rows) + 30)  # at 30 steps a second
-    until(browser, "return document.querySelector('.disturb [aria-pressed=true]')?.textContent === 'lost frames'")
+    until(page, "return document.querySelector('.disturb [aria-pressed=true]')?.textContent === 'lost frames'")
 
 
 def test_the_scenario_is_saved_and_the_run_recorded(
-    browser: webdriver.Chrome, symbol: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page: webdriver.Chrome, symbol: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)  # where the server makes its folder of recordings
-    opened(browser, symbol)
-    browser.execute_script("URL.createObjectURL = (blob) => { blob.text().then((text) => { window.saved = text; }); return '#'; }")
-    browser.find_element(By.TAG_NAME, "body").send_keys(Keys.CONTROL, "s")
-    until(browser, "return window.saved")
-    (tmp_path / "saved.toml").write_text(browser.execute_script("return window.saved"))
+    page.execute_script("URL.createObjectURL = (blob) => { blob.text().then((text) => { window.saved = text; }); return '#'; }")
+    page.find_element(By.TAG_NAME, "body").send_keys(Keys.CONTROL, "s")
+    until(page, "return window.saved")
+    (tmp_path / "saved.toml").write_text(page.execute_script("return window.saved"))
     assert load(str(tmp_path / "saved.toml")) == scenario(symbol)
     for on in ("true", "false"):
-        browser.find_element(By.CSS_SELECTOR, ".record").click()
-        until(browser, f"return document.querySelector('.record').ariaPressed === '{on}'")
+        page.find_element(By.CSS_SELECTOR, ".record").click()
+        until(page, f"return document.querySelector('.record').ariaPressed === '{on}'")
     (folder,) = (tmp_path / "runs").iterdir()
-    assert browser.find_element(By.CSS_SELECTOR, ".toast").text == f"Recorded in runs/{folder.name}"
+    assert page.find_element(By.CSS_SELECTOR, ".toast").text == f"Recorded in runs/{folder.name}"
     assert folder.name.startswith("snowflake_") and (folder / "manifest.json").is_file()
 
 

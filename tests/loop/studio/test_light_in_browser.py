@@ -13,9 +13,9 @@ from luxloop.controllers.pixels.jpo_plane import lighting
 from luxloop.loop.studio.page import PAGE
 from luxloop.loop.studio.sources import Source
 from tests.loop.studio.conftest import SMALL, Served, serving
-from tests.loop.studio.test_browser import browser, opened, pytestmark, until
+from tests.loop.studio.pages import IN_BROWSER, until, visit
 
-__all__ = ["browser", "pytestmark"]  # of all tests in a browser
+pytestmark = IN_BROWSER
 DARK = (*SMALL, "headlight.model=idealised-332x1024", "lighting.base.beam=off", "functions={}", "checks={}", "objects=[]")
 PROBE = """const points = arguments[0], normals = points.map((_, k) => Number(k % 3 === 2));
     return Array.from(luxloop.scenes[0].probe(new Float32Array(points), new Float32Array(normals)))"""
@@ -27,9 +27,9 @@ def dark() -> Iterator[Served]:
     yield from serving(Source("gfhb", DARK), PAGE)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def page(browser: webdriver.Chrome, dark: Served) -> webdriver.Chrome:
-    opened(browser, dark)
+    visit(browser, dark)
     browser.execute_script("luxloop.store.set({ viewpoint: 'above' })")
     return browser
 
@@ -51,7 +51,7 @@ def test_a_click_lights_the_place_by_the_pixels_that_the_library_names(page: web
     until(page, "return luxloop.store.state.light?.type === 'place'")
     point = np.array(page.execute_script("return luxloop.store.state.light.point_m"))
     assert 15 < point[0] < 60
-    run = dark.studio.session.published.runs[0]
+    run = dark.studio.session.state.runs[0]
     params = run.simulation.scenario.lighting.painted
     assert [each.module for each in params] == ["left matrix", "right matrix"]
     for module, each in zip(run.simulation.modules, params, strict=True):
@@ -92,7 +92,7 @@ def test_the_wall_becomes_as_bright_as_is_wanted(page: webdriver.Chrome, dark: S
     page.execute_script("luxloop.wanted.wall.paint(0, 2, 0.6, 20)")
     pressed(page, "paint it")
     until(page, "return luxloop.store.state.light?.type === 'wish' && luxloop.store.state.light.on === 'wall'")
-    (run,) = dark.studio.session.published.runs
+    (run,) = dark.studio.session.state.runs
     assert len(run.simulation.scenario.lighting.painted) == 2
     granted = page.execute_script("return luxloop.store.state.light")
     assert granted["wanted_lx"] == pytest.approx(20) and granted["rmse_lx"] < 1  # a step of 1 in 255 is 0.6 lx there, of each lamp

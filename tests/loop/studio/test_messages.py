@@ -1,7 +1,9 @@
 """The studio's messages: their bytes, and what is refused."""
 
+import importlib.util
 import json
 import zlib
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -33,6 +35,14 @@ def test_pictures_come_back_bit_for_bit() -> None:
 def test_numbers_that_are_not_finite_are_null() -> None:
     text = pack({"values": [float("nan"), {"deep": float("inf")}, 1.5]})[LENGTH.size :]
     assert json.loads(text) == {"values": [None, {"deep": None}, 1.5]}
+
+
+def test_types_of_the_page_are_those_of_the_messages() -> None:
+    spec = importlib.util.spec_from_file_location("protocol", Path(__file__).parents[3] / "scripts/protocol.py")
+    assert spec is not None and spec.loader is not None
+    protocol = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(protocol)
+    assert protocol.FILE.read_text("utf-8") == protocol.typescript(), "run scripts/protocol.py"
 
 
 def test_messages_are_read() -> None:

@@ -22,10 +22,8 @@ Painted = tuple[Served, str]
 
 
 @pytest.fixture(scope="module", params=LAMPS)
-def lamp(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Painted]:
-    page = tmp_path_factory.mktemp("page")
-    (page / "index.html").write_text("<!doctype html><title>studio</title>")
-    for served in serving(Source("gfhb", (*BARE, f"headlight.model={request.param}")), page):
+def lamp(request: pytest.FixtureRequest, page_folder: Path) -> Iterator[Painted]:
+    for served in serving(Source("gfhb", (*BARE, f"headlight.model={request.param}")), page_folder):
         yield served, request.param
 
 
@@ -50,12 +48,12 @@ def test_the_place_that_lights_up_is_that_of_the_pixels(lamp: Painted) -> None:
     with watching(served.port, served.tokens.edit) as watcher:
         watcher.of("scenario")
         first, before = watcher.of("step")
-        published = served.studio.session.published
+        published = served.studio.session.state
         light = published.runs[0].simulation.modules[0].headlight
         texture = np.zeros((light.rows, light.cols), np.float32)
         watcher.say(spot(box[1] - box[0], box[3] - box[2]), type="paint", module=0, box=box, over=False)
         head, arrays = watcher.until(lambda head: head["type"] == "step" and "0" in head["light_windows"])
-        assert served.studio.session.published.number == published.number  # nothing starts anew
+        assert served.studio.session.state.number == published.number  # nothing starts anew
         u = np.zeros((rows, cols), np.uint8)
         u[box[0] : box[1], box[2] : box[3]] = 255
         assert np.array_equal(arrays["u.0"], u)
@@ -101,7 +99,7 @@ def test_boxes_add_up_and_what_is_rubbed_out_is_as_before(lamp: Painted) -> None
         paint(watcher, [0, 2, 0, cols], True, nothing)
         expected[:2] = before[:2]
         until_lit(watcher, expected)
-        published = served.studio.session.published
+        published = served.studio.session.state
         params = published.runs[0].simulation.scenario.lighting.painted[0]
         assert params.module == "left matrix" and np.array_equal(params.pictures[1][2], np.where(np.arange(cols) // 2 == 1, 255, 0))
         (override,) = published.runs[0].tally.edits[-1].overrides
@@ -112,7 +110,7 @@ def test_boxes_add_up_and_what_is_rubbed_out_is_as_before(lamp: Painted) -> None
 
 
 def test_strokes_are_taken_back_and_saved(lamp: Painted, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("luxloop.loop.studio.history.TOGETHER_S", 0.0)  # a stroke may rest while it is drawn
+    monkeypatch.setattr("luxloop.loop.studio.session.TOGETHER_S", 0.0)  # a stroke may rest while it is drawn
     served, model = lamp
     expected = np.zeros(LAMPS[model], np.uint8)
     expected[2, 0:4] = 255
@@ -125,7 +123,7 @@ def test_strokes_are_taken_back_and_saved(lamp: Painted, tmp_path: Path, monkeyp
         for stroke, box in ((1, [2, 3, 0, 4]), (2, [0, 1, 3, 6]), (2, [0, 2, 3, 6])):
             watcher.say(spot(box[1] - box[0], box[3] - box[2]), type="paint", stroke=stroke, module=0, box=box, over=False)
         until_lit(watcher, expected)
-        run = served.studio.session.published.runs[0]
+        run = served.studio.session.state.runs[0]
         watcher.say(type="save")
         (tmp_path / "mine.toml").write_text(watcher.of("saved")[0]["text"])
         saved = load(str(tmp_path / "mine.toml"))
@@ -149,10 +147,10 @@ def test_what_does_not_fit_changes_nothing(lamp: Painted, changes: dict, told: s
     served, _ = lamp
     with watching(served.port, served.tokens.edit) as watcher:
         watcher.of("scenario")
-        before = served.studio.session.published.runs[0].simulation.scenario
+        before = served.studio.session.state.runs[0].simulation.scenario
         watcher.say(spot(1, 5), **{"type": "paint", "module": 0, "box": [0, 1, 0, 5], "over": True} | changes)
         assert told in watcher.of("error", about="paint")[0]["text"]
-        assert served.studio.session.published.runs[0].simulation.scenario == before
+        assert served.studio.session.state.runs[0].simulation.scenario == before
 
 
 def test_a_watcher_cannot_paint(lamp: Painted) -> None:
@@ -165,7 +163,7 @@ def test_a_watcher_cannot_paint(lamp: Painted) -> None:
 
 def lit(served: Served, point: list[float], module: int = 0) -> float:
     """Illuminance in lx, of what faces the lamp, at a point of the world by the light that a module shows last."""
-    run = served.studio.session.published.runs[0]
+    run = served.studio.session.state.runs[0]
     shown, light = run.snapshots[-1], run.simulation.modules[module].headlight
     T = torch.tensor(shown.head["modules"][module]["T_world_module"], dtype=torch.float64).view(4, 4)
     there = torch.tensor(point, dtype=torch.float64)[:, None]
@@ -183,7 +181,7 @@ def test_a_place_of_the_world_is_lit_by_the_pixels_that_are_named(lamp: Painted)
         watcher.say(type="place", point_m=point)
         head, _ = watcher.of("place")
         assert [each["module"] for each in head["modules"]] == [0, 1] and head["point_m"] == point
-        assert not served.studio.session.published.runs[0].simulation.scenario.lighting.painted
+        assert not served.studio.session.state.runs[0].simulation.scenario.lighting.painted
         for value, share in ((0, 0.5), (255, 1.0)):  # the pixels that are not named give less than half of the light
             watcher.say(type="place", point_m=point, value=value)
             head, _ = watcher.of("place")
@@ -227,7 +225,7 @@ def test_light_wanted_on_the_road_is_painted_on_all_modules_together(lamp: Paint
         assert head["wanted_lx"] == 1 and 0 <= head["rmse_lx"] <= head["worst_lx"]
         if model != "hd84":  # whose pixels are wider than what is wanted
             assert head["worst_lx"] < 0.2
-        painted = served.studio.session.published.runs[0].simulation.scenario.lighting.painted
+        painted = served.studio.session.state.runs[0].simulation.scenario.lighting.painted
         assert [each.module for each in painted] == ["left matrix", "right matrix"]
         assert sum(int((each.pictures[1] > 0).sum()) for each in painted) == head["pixels"]
         for arrays, box, told in (

@@ -16,10 +16,11 @@ from selenium.webdriver.support.ui import WebDriverWait
 from luxloop.loop.studio.page import PAGE
 from luxloop.loop.studio.session import Source
 from luxloop.world.lamps.utilisations import read_utilisation
+from tests.loop.studio.clients import watching
 from tests.loop.studio.conftest import SMALL, Served, serving
-from tests.loop.studio.test_browser import browser, opened, pytestmark, until
+from tests.loop.studio.pages import IN_BROWSER, until, visit
 
-__all__ = ["browser", "pytestmark"]  # of all tests in a browser
+pytestmark = IN_BROWSER
 ROWS, COLUMNS = 3, 28
 MARKED = "return [luxloop.painting.layers[0].painted, luxloop.painting.layers[0].value].map((each) => [...each])"
 SHOWN = "return [...(luxloop.store.state.runs[0].utilisations.get(0) ?? [])]"
@@ -31,21 +32,28 @@ def plain() -> Iterator[Served]:
     yield from serving(Source("gfhb", (*SMALL, "headlight.model=hd84", "functions={}", "checks={}", "objects=[]")), PAGE)
 
 
-@pytest.fixture
-def page(browser: webdriver.Chrome, plain: Served) -> webdriver.Chrome:
-    opened(browser, plain)
-    until(browser, "return luxloop.store.state.runs[0].utilisations.size === 2")
+@pytest.fixture(scope="module")
+def tools(browser: webdriver.Chrome, plain: Served) -> webdriver.Chrome:
+    """The page with the tools to paint."""
+    until(visit(browser, plain), "return luxloop.store.state.runs[0].utilisations.size === 2")
     browser.execute_script("document.querySelector('.matrix [title=\"Paint pixels\"]').click()")
-    clicked(browser, "clear")
-    until(browser, "return luxloop.store.state.model.lighting.painted.length === 0")
-    (run,) = plain.studio.session.published.runs
+    return browser
+
+
+@pytest.fixture
+def page(tools: webdriver.Chrome, plain: Served) -> webdriver.Chrome:
+    """With nothing painted."""
+    clicked(tools, "clear")
+    clicked(tools, "brush")
+    until(tools, "return luxloop.store.state.model.lighting.painted.length === 0")
+    (run,) = plain.studio.session.state.runs
 
     def shows_it(page: webdriver.Chrome) -> bool:
         """The last snapshot is replaced after the edit was answered, so it is read at each try."""
         return np.array_equal(utilisations(page), (255 * run.snapshots[-1].lights[0]).round().view(ROWS, COLUMNS).numpy())
 
-    WebDriverWait(browser, 20, 0.1).until(shows_it)
-    return browser
+    WebDriverWait(tools, 20, 0.1).until(shows_it)
+    return tools
 
 
 def clicked(page: webdriver.Chrome, text: str) -> None:
@@ -75,7 +83,7 @@ def is_lit(page: webdriver.Chrome, served: Served, expected: np.ndarray) -> None
     """The left module comes to these utilisations, and what is painted in the page is what the scenario has."""
     WebDriverWait(page, 20, 0.1).until(lambda page: np.array_equal(utilisations(page), expected), str(expected))
     painted, value = (np.array(each, np.uint8).reshape(ROWS, COLUMNS) for each in page.execute_script(MARKED))
-    params = served.studio.session.published.runs[0].simulation.scenario.lighting.painted
+    params = served.studio.session.state.runs[0].simulation.scenario.lighting.painted
     (left,) = (each for each in params if each.module == "left matrix")
     assert np.array_equal(left.pictures[1], painted) and np.array_equal(left.pictures[0] * (painted > 0), value)
 
@@ -156,8 +164,6 @@ def test_files_are_taken_where_they_fit_and_saved_as_shown(page: webdriver.Chrom
 
 @pytest.mark.slow
 def test_what_another_client_paints_is_shown(page: webdriver.Chrome, plain: Served) -> None:
-    from tests.loop.studio.clients import watching
-
     before = utilisations(page)
     drawn(page, (1, 1))
     before[1, 1] = 255

@@ -15,9 +15,9 @@ from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.studio.page import PAGE
 from luxloop.loop.studio.session import Source
 from tests.loop.studio.conftest import SMALL, Served, serving
-from tests.loop.studio.test_browser import WAIT_S, browser, opened, pytestmark, until
+from tests.loop.studio.pages import IN_BROWSER, WAIT_S, scenario, until, visit
 
-__all__ = ["browser", "pytestmark"]  # of all tests in a browser
+pytestmark = IN_BROWSER
 CARPET = 'functions.carpet={kind = "primitive", x_m = 12.0, width_m = 4.0, length_m = 8.0}'
 WALL = '{name = "wall", kind = "box", size_m = [0.5, 2.0, 1.5], category = "other", track = [{position_m = [14.0, 3.0, 0.0]}]}'
 CORNER = (-3.0, -1.5, 0.0)  # m from the carpet's middle: there are no handles
@@ -51,18 +51,14 @@ def plain() -> Iterator[Served]:
     yield from serving(Source("gfhb", (*SMALL, *given)), PAGE)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def page(browser: webdriver.Chrome, plain: Served) -> webdriver.Chrome:
-    opened(browser, plain)
+    visit(browser, plain)
     body = browser.find_element(By.TAG_NAME, "body")
     body.send_keys("e")
     until(browser, "return luxloop.scenes[0].pick(150, 200) !== null && luxloop.placing.things.length > 2")
     until(browser, "return !document.querySelector('aside.things').hidden")
     return browser
-
-
-def scenario(served: Served) -> Scenario:
-    return served.studio.session.published.runs[0].simulation.scenario
 
 
 def chosen(page: webdriver.Chrome, key: str) -> None:
@@ -160,7 +156,7 @@ def test_what_is_chosen_together_moves_together(page: webdriver.Chrome, plain: S
 
 
 def test_an_object_is_dragged_and_prepared_anew_where_it_was_let_go(page: webdriver.Chrome, plain: Served) -> None:
-    number = plain.studio.session.published.number
+    number = plain.studio.session.state.number
     chosen(page, "objects[0]")
     x, y = page.execute_script(PLACE, "objects[0]", 0, 0.8, 1.2)
     pixels = dragged(page, (x, y), (-25, 8))
@@ -171,7 +167,7 @@ def test_an_object_is_dragged_and_prepared_anew_where_it_was_let_go(page: webdri
     assert np.abs(pixels[1] - pixels[0]).max() == 25
     there = np.array(page.execute_script(PLACE, "objects[0]", 0, 0.8, 1.2))
     assert there - [x, y] == pytest.approx([-25, 8], abs=2)  # pixels are whole
-    assert plain.studio.session.published.number == number  # the run goes on
+    assert plain.studio.session.state.number == number  # the run goes on
 
 
 def test_a_click_on_the_road_places_a_primitive_and_delete_removes_it(page: webdriver.Chrome, plain: Served) -> None:
@@ -224,7 +220,7 @@ def test_an_object_goes_a_course_of_clicked_points_and_halts(page: webdriver.Chr
 
 
 def test_a_watcher_can_choose_and_not_drag(browser: webdriver.Chrome, plain: Served) -> None:
-    opened(browser, plain, plain.tokens.watch)
+    visit(browser, plain, plain.tokens.watch)
     browser.find_element(By.TAG_NAME, "body").send_keys("e")
     before = scenario(plain)
     chosen(browser, "functions.carpet")

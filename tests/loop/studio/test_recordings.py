@@ -53,10 +53,10 @@ def test_rows_and_frames_of_a_recording_are_there_before_it_is_run_again(studio:
         names = [each["name"] for each in scenario["runs"][0]["columns"]]
         iou = read_parquet(recorded.folder / TRAJECTORY)["functions.symbol.iou"].to_numpy()
         assert np.array_equal(arrays["rows"][:, names.index("functions.symbol.iou")], iou.astype(np.float32), equal_nan=True)
-        (run,) = served.studio.session.published.runs
-        assert run.recorded is not None
+        (run,) = served.studio.session.state.runs
+        assert run.playback is not None
         for step in (5, 2):
-            known, done = run.recorded.snapshot(step, run.snapshots[-1]), len(run.snapshots)
+            known, done = run.playback.snapshot(step, run.snapshots[-1]), len(run.snapshots)
             assert done > step or known.pictures["camera.on"].shape == (180, 320)
         watcher.say(type="scrub", run=0, step=5)
         seen, arrays = watcher.of("step", scrub=True, step=5)
@@ -64,7 +64,7 @@ def test_rows_and_frames_of_a_recording_are_there_before_it_is_run_again(studio:
         watcher.say(type="play")
         watcher.of("status", playing=False)
         assert all(
-            np.array_equal(run.recorded.snapshot(k, run.snapshots[0]).pictures["camera.on"], each.pictures["camera.on"])
+            np.array_equal(run.playback.snapshot(k, run.snapshots[0]).pictures["camera.on"], each.pictures["camera.on"])
             for k, each in enumerate(run.snapshots)
             if "camera.on" in each.pictures
         )
@@ -81,15 +81,15 @@ def test_an_edit_ends_the_repetition(studio: tuple[Served, luxloop.RunResult]) -
         watcher.of("status", playing=False)
         watcher.say(type="record", folder="one")
         assert "is what is shown" in watcher.of("error", about="record")[0]["text"]
-        done = len(served.studio.session.published.runs[0].snapshots)
+        done = len(served.studio.session.state.runs[0].snapshots)
         watcher.say(type="set", overrides=[KP])
         watcher.of("edit", step=done)
         _, arrays = watcher.of("rows", first=0)
         assert len(arrays["rows"]) == done
         watcher.say(type="reset")  # the edited run, not the recording
         watcher.of("scenario")
-        (run,) = served.studio.session.published.runs
-        assert run.recorded is None and run.simulation.symbol.params.position.kp == float(KP.partition("=")[2])  # type: ignore[union-attr]
+        (run,) = served.studio.session.state.runs
+        assert run.playback is None and run.simulation.symbol.params.position.kp == float(KP.partition("=")[2])  # type: ignore[union-attr]
 
 
 def test_edits_of_a_recording_are_repeated(studio: tuple[Served, luxloop.RunResult]) -> None:
@@ -105,7 +105,7 @@ def test_edits_of_a_recording_are_repeated(studio: tuple[Served, luxloop.RunResu
         watcher.say(type="open", recording="runs/edited")
         edit, _ = watcher.of("edit")
         assert edit["step"] == 3 and edit["overrides"] == [KP]
-        assert served.studio.session.published.runs[0].simulation.symbol.params.position.kp == 0.31
+        assert served.studio.session.state.runs[0].simulation.symbol.params.position.kp == 0.31
 
 
 @pytest.mark.parametrize("folder", ["elsewhere", "runs/none", "runs/../elsewhere", "/tmp", ""])
@@ -114,7 +114,7 @@ def test_other_folders_are_not_opened(studio: tuple[Served, luxloop.RunResult], 
     with watching(served.port, served.tokens.edit) as watcher:
         watcher.of("choices")
         watcher.say(type="pen")  # which the client of the test before may still hold
-        number = served.studio.session.published.number
+        number = served.studio.session.state.number
         watcher.say(type="open", recording=folder)
         watcher.of("error", about="open")
-        assert served.studio.session.published.number == number
+        assert served.studio.session.state.number == number

@@ -17,11 +17,12 @@ from websockets.uri import parse_uri
 
 import luxloop
 from luxloop.loop.recording.record import row
-from luxloop.loop.studio.feed import Feed
+from luxloop.loop.studio.answers import ANSWERS, PARTS
 from luxloop.loop.studio.messages import Button, Request
 from luxloop.loop.studio.server import MOST_ASKED
-from luxloop.loop.studio.session import Published
-from luxloop.loop.studio.trust import refuse_foreign
+from luxloop.loop.studio.session import SessionState
+from luxloop.loop.studio.sources import refuse_foreign
+from luxloop.loop.studio.stream import Stream
 from tests.loop.studio.clients import Watcher, message, unpacked, watching
 from tests.loop.studio.conftest import SMALL, Served
 
@@ -79,6 +80,8 @@ def test_a_client_gets_the_run_and_the_values_of_the_command_line(served: Served
         watcher.until(lambda head: head["type"] == "step" and head["step"] == 5)
         rows = np.concatenate([arrays["rows"] for head, arrays in watcher.got if head["type"] == "rows"])
         names = [each["name"] for each in head["runs"][0]["columns"]]
+        assert all(ANSWERS[each["type"]].keys() <= each.keys() for each, _ in watcher.got)
+        assert PARTS["Run"].keys() == head["runs"][0].keys() and PARTS["Module"].keys() == head["runs"][0]["modules"][0].keys()
     simulation = luxloop.prepare(luxloop.load("snowflake", SMALL), "cpu")
     expected = [row(result) for result in simulation.run()]
     assert len(rows) == len(expected)
@@ -91,7 +94,7 @@ def test_light_arrives_window_by_window_as_the_library_has_it(served: Served) ->
         watcher.of("scenario")
         watcher.say(type="reset")
         watcher.of("scenario")
-        run = served.studio.session.published.runs[0]
+        run = served.studio.session.state.runs[0]
         module = run.simulation.modules[0]
         texture = np.zeros((module.headlight.rows, module.headlight.cols), np.float32)
         for step in range(3):
@@ -110,7 +113,7 @@ def test_light_that_is_the_same_is_not_sent_again(served: Served) -> None:
     with watching(served.port, served.tokens.edit) as watcher:
         watcher.say(type="pause", ask=1)
         watcher.of("done", ask=1)  # and so is all that was asked before
-    published, feed = served.studio.session.published, Feed()
+    published, feed = served.studio.session.state, Stream()
     sent = [unpacked(each)[0] for each in feed.messages(published, Request(at=(0, 0)))]
     assert "0" in sent[-1]["light_windows"]
     run, first = published.runs[0], published.runs[0].snapshots[0]
@@ -124,12 +127,12 @@ def test_messages_rest_while_the_session_plays_and_come_at_once_when_it_stops(se
         watcher.of("scenario")
         watcher.say(type="reset")
         watcher.of("scenario")
-    monkeypatch.setattr("luxloop.loop.studio.feed.REST", 1e9)
-    rested, playing = Feed(), replace(served.studio.session.published, playing=True)
+    monkeypatch.setattr("luxloop.loop.studio.stream.REST", 1e9)
+    rested, playing = Stream(), replace(served.studio.session.state, playing=True)
     assert "step" in kinds(rested, playing, Request())
     began_s = time.monotonic()
-    monkeypatch.setattr("luxloop.loop.studio.feed.LONGEST_REST_S", 3600.0)
-    feed = Feed()
+    monkeypatch.setattr("luxloop.loop.studio.stream.LONGEST_REST_S", 3600.0)
+    feed = Stream()
     assert "step" in kinds(feed, playing, Request())
     served.studio.session.ask(Button(type="step"), print)
     while len(playing.runs[0].snapshots) < 2:
@@ -141,7 +144,7 @@ def test_messages_rest_while_the_session_plays_and_come_at_once_when_it_stops(se
     assert "step" in kinds(rested, playing, Request(shown=9)), "however long the messages took that came last"
 
 
-def kinds(feed: Feed, published: Published, request: Request) -> list[str]:
+def kinds(feed: Stream, published: SessionState, request: Request) -> list[str]:
     return [unpacked(each)[0]["type"] for each in feed.messages(published, request)]
 
 
@@ -213,7 +216,7 @@ def test_watchers_cannot_write_and_one_holds_the_pen(served: Served) -> None:
     with watching(served.port, served.tokens.edit) as editor, watching(served.port, served.tokens.watch) as watcher:
         assert editor.of("welcome")[0]["role"] == "edit" and watcher.of("welcome")[0]["role"] == "watch"
         ready(watcher)
-        before = served.studio.session.published
+        before = served.studio.session.state
         for head in (
             *({"type": kind} for kind in ("pen", "play", "pause", "step", "reset", "undo", "redo", "save")),
             {"type": "record", "folder": "mine"},
@@ -224,7 +227,7 @@ def test_watchers_cannot_write_and_one_holds_the_pen(served: Served) -> None:
         ):
             watcher.say(**head)
             assert "watch" in watcher.of("error")[0]["text"]
-        assert served.studio.session.published is before
+        assert served.studio.session.state is before
         with watching(served.port, served.tokens.edit) as second:
             second.say(type="pause")
             assert "pen" in second.of("error")[0]["text"]
@@ -248,7 +251,7 @@ def test_watchers_cannot_write_and_one_holds_the_pen(served: Served) -> None:
 def test_the_page_cannot_name_files_and_code(served: Served, override: str, told: str) -> None:
     with watching(served.port, served.tokens.edit) as watcher:
         watcher.of("scenario")
-        before = served.studio.session.published.number
+        before = served.studio.session.state.number
         for head in ({"type": "set", "overrides": [override]}, {"type": "compare", "overrides": [override]}):
             watcher.say(**head)
             assert told in watcher.of("error", about=head["type"])[0]["text"]
@@ -256,30 +259,30 @@ def test_the_page_cannot_name_files_and_code(served: Served, override: str, told
         watcher.of("error", about="open")
         watcher.say(type="open", recording="/tmp")
         watcher.of("error", about="open")
-        assert served.studio.session.published.number == before
+        assert served.studio.session.state.number == before
 
 
 def test_a_wrong_value_is_answered_as_on_the_command_line_and_changes_nothing(served: Served) -> None:
     with watching(served.port, served.tokens.edit) as watcher:
         watcher.of("scenario")
-        before = served.studio.session.published.runs
+        before = served.studio.session.state.runs
         watcher.say(type="set", overrides=["camera.bitz=8"])
         assert "camera.bitz: unknown key; did you mean 'bits'?" in watcher.of("error", about="set")[0]["text"]
         watcher.say(type="beam", rule="r1", side="left")
         assert "r1" in watcher.of("error", about="beam")[0]["text"]
-        assert served.studio.session.published.runs == before
+        assert served.studio.session.state.runs == before
 
 
 def test_a_gain_holds_at_the_next_step_and_nothing_starts_anew(served: Served) -> None:
     with watching(served.port, served.tokens.edit) as watcher:
-        number = served.studio.session.published.number
+        number = served.studio.session.state.number
         watcher.of("scenario")
         watcher.say(type="step")
-        (run,) = served.studio.session.published.runs
+        (run,) = served.studio.session.state.runs
         watcher.say(type="set", overrides=["functions.symbol.controller.position.kp=0.31"])
         told, _ = watcher.of("edit")
         assert (told["step"], told["overrides"]) == (len(run.rows), ["functions.symbol.controller.position.kp=0.31"])
-        assert served.studio.session.published.number == number
+        assert served.studio.session.state.number == number
         assert run.simulation.symbol.params.position.kp == 0.31
         watcher.say(type="set", overrides=["functions.symbol.x_m=400.0"])
         assert "functions.symbol" in watcher.of("error", about="set")[0]["text"]
@@ -294,7 +297,7 @@ def test_a_second_run_steps_beside_the_first(served: Served) -> None:
         assert [each["label"] for each in head["runs"]] == ["snowflake", "functions.symbol.controller.position.kp=0.9"]
         watcher.say(type="step")
         watcher.of("step", step=1, run=1)
-        one, two = served.studio.session.published.runs
+        one, two = served.studio.session.state.runs
         assert len(one.rows) == len(two.rows) == 2
         watcher.say(type="compare")
         watcher.until(lambda head: head["type"] == "scenario" and len(head["runs"]) == 1)
@@ -327,7 +330,7 @@ def test_damaged_messages_change_nothing_and_end_nothing(served: Served, count: 
     good += [message(picture, coding, type="paint", module=0, box=[0, 20, 0, 30]) for coding in ("raw", "deflate", "png")]
     with watching(served.port, served.tokens.watch) as watcher:
         watcher.of("scenario")
-        before = served.studio.session.published
+        before = served.studio.session.state
         for number in range(count):
             data = bytearray(rng.choice(good))
             for _ in range(rng.randint(1, 8)):
@@ -336,7 +339,7 @@ def test_damaged_messages_change_nothing_and_end_nothing(served: Served, count: 
             if number % 50 == 49:  # who does not read answers is not read
                 watcher.say(type="play")
                 watcher.until(lambda head: head["type"] == "error" and head["text"].startswith("play"))
-        assert served.studio.session.published is before
+        assert served.studio.session.state is before
 
 
 def test_a_client_that_does_not_read_does_not_slow_the_loop(served: Served) -> None:
@@ -350,7 +353,7 @@ def test_a_client_that_does_not_read_does_not_slow_the_loop(served: Served) -> N
                 watcher.say(type="play")
                 began_s = time.monotonic()
                 watcher.of("status", playing=False)
-                assert len(served.studio.session.published.runs[0].rows) == 6
+                assert len(served.studio.session.state.runs[0].rows) == 6
                 assert time.monotonic() - began_s < 60  # six steps take seconds; a loop that waits for who is deaf takes for ever
 
 

@@ -13,8 +13,8 @@ from luxloop.loop.recording.replay import load as recording
 from luxloop.loop.recording.replay import replay
 from luxloop.loop.scenario.model import load
 from luxloop.loop.scenario.text import scenario_text
-from luxloop.loop.studio.history import TOGETHER_S
-from luxloop.loop.studio.runs import Starting
+from luxloop.loop.studio.runs import Starter
+from luxloop.loop.studio.session import TOGETHER_S
 from luxloop.loop.studio.sources import Source
 from tests.loop.studio.clients import Watcher, watching
 from tests.loop.studio.conftest import SMALL, Served, serving
@@ -31,10 +31,8 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def own(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    page = tmp_path_factory.mktemp("page")
-    (page / "index.html").write_text("<!doctype html><title>studio</title>")
-    yield from serving(Source(str(file)), page)
+def own(file: Path, page_folder: Path) -> Iterator[Served]:
+    yield from serving(Source(str(file)), page_folder)
 
 
 @pytest.fixture
@@ -48,7 +46,7 @@ def editor(own: Served) -> Iterator[Watcher]:
 
 
 def kp(served: Served) -> float:
-    return float(served.studio.session.published.runs[0].simulation.symbol.params.position.kp)  # type: ignore[union-attr]
+    return float(served.studio.session.state.runs[0].simulation.symbol.params.position.kp)  # type: ignore[union-attr]
 
 
 def test_an_edit_tells_the_model_and_what_the_page_must_know(own: Served, editor: Watcher) -> None:
@@ -58,12 +56,12 @@ def test_an_edit_tells_the_model_and_what_the_page_must_know(own: Served, editor
     assert edit["step"] == 1 and kp(own) == 0.4
     editor.say(type="step")
     editor.of("step", step=1)  # the run goes on in the brighter world
-    (run,) = own.studio.session.published.runs
+    (run,) = own.studio.session.state.runs
     assert run.simulation.world.scene.ambient_lx == 2.5 and len(run.rows) == 2
 
 
 def test_a_run_at_rest_shows_what_edits_make_of_the_next_step(own: Served, editor: Watcher) -> None:
-    (run,) = own.studio.session.published.runs
+    (run,) = own.studio.session.state.runs
     before, made = run.snapshots[0], len(run.rows)
     wall = 'objects=[{kind = "box", name = "wall", size_m = [0.5, 2, 1], track = [{position_m = [14, 3, 0]}]}]'
     editor.say(type="set", overrides=[wall, 'functions.wide={kind = "primitive", x_m = 15, width_m = 6}'])
@@ -82,7 +80,7 @@ def test_a_run_at_rest_shows_what_edits_make_of_the_next_step(own: Served, edito
 
 
 def test_edits_are_taken_back_and_made_again(own: Served, editor: Watcher, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("luxloop.loop.studio.history.TOGETHER_S", 0.0)
+    monkeypatch.setattr("luxloop.loop.studio.session.TOGETHER_S", 0.0)
     first = kp(own)
     for value in (0.5, 0.6):
         editor.say(type="set", overrides=[f"{KP}={value}"])
@@ -101,15 +99,15 @@ def test_edits_are_taken_back_and_made_again(own: Served, editor: Watcher, monke
 
 
 def test_edits_of_a_drag_are_one(own: Served, editor: Watcher, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("luxloop.loop.studio.history.TOGETHER_S", 60.0)  # a busy machine takes longer than TOGETHER_S for some edits
+    monkeypatch.setattr("luxloop.loop.studio.session.TOGETHER_S", 60.0)  # a busy machine takes longer than TOGETHER_S for some edits
     assert TOGETHER_S < 60
-    before = own.studio.session.published.runs[0].simulation.scenario
+    before = own.studio.session.state.runs[0].simulation.scenario
     for x_m in (17.1, 17.2, 17.3):
         editor.say(type="set", overrides=[f"functions.symbol.x_m={x_m}"])
         editor.of("edit", overrides=[f"functions.symbol.x_m={x_m}"])
     editor.say(type="undo")
     editor.until(lambda head: head["type"] == "edit" and head["model"]["functions"]["symbol"]["x_m"] == 17.0)
-    assert own.studio.session.published.runs[0].simulation.scenario == before
+    assert own.studio.session.state.runs[0].simulation.scenario == before
 
 
 def test_what_starts_anew_is_taken_back_as_well(own: Served, editor: Watcher) -> None:
@@ -126,7 +124,7 @@ def test_what_is_saved_is_the_scenario_as_it_is_now(own: Served, editor: Watcher
     saved, _ = editor.of("saved")
     (tmp_path / saved["name"]).write_text(saved["text"])
     assert saved["name"] == "snowflake.toml"
-    assert load(str(tmp_path / saved["name"])) == own.studio.session.published.runs[0].simulation.scenario
+    assert load(str(tmp_path / saved["name"])) == own.studio.session.state.runs[0].simulation.scenario
 
 
 def test_a_recording_has_all_steps_and_edits_and_is_repeated(
@@ -180,16 +178,16 @@ def test_the_file_is_an_editor_as_well(own: Served, editor: Watcher, file: Path)
     file.write_text(text + "\n[light]\nstreet_lamps = [{position_m = [20.0, 5.0, 6.0], intensity_cd = 900.0}]\n")
     told, _ = editor.of("edit")
     assert "street_lamps" in told["overrides"][0]
-    light = own.studio.session.published.runs[0].simulation.scenario.light
+    light = own.studio.session.state.runs[0].simulation.scenario.light
     assert light.ambient_lx == 0.7 and light.street_lamps[0].intensity_cd == 900
     file.write_text(text)
     editor.of("edit")
-    assert not own.studio.session.published.runs[0].simulation.scenario.light.street_lamps
+    assert not own.studio.session.state.runs[0].simulation.scenario.light.street_lamps
 
 
 def test_a_step_that_is_over_takes_little_memory_beside_its_light(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("luxloop.loop.recording.recorder.FOLDED", 5)
-    (run,) = Starting("cpu", False, print).runs((Source(str(file)),), (None,), (), frozenset(), True)
+    (run,) = Starter("cpu", False, print).runs((Source(str(file)),), (None,), (), frozenset(), True)
     while not run.over:
         if len(run.snapshots) == 11:
             tracemalloc.start()
@@ -206,25 +204,25 @@ def test_a_comparison_begins_with_all_edits(own: Served, editor: Watcher) -> Non
     editor.of("edit")
     editor.say(type="compare", overrides=[f"{KP}=0.8"])
     assert len(editor.of("scenario")[0]["runs"]) == 2
-    one, two = (run.simulation.scenario for run in own.studio.session.published.runs)
+    one, two = (run.simulation.scenario for run in own.studio.session.state.runs)
     assert one.light.ambient_lx == two.light.ambient_lx == 0.9 and kp(own) != 0.8
     assert two.symbol.controller.position.kp == 0.8  # type: ignore[union-attr]
     editor.say(type="set", overrides=["light.ambient_lx=0.8", f"{KP}=0.7"])
     assert editor.of("edit", run=1)[0]["overrides"] == ["light.ambient_lx=0.8", f"{KP}=0.7", f"{KP}=0.8"]  # what makes its scenario
-    one, two = (run.simulation.scenario for run in own.studio.session.published.runs)
+    one, two = (run.simulation.scenario for run in own.studio.session.state.runs)
     assert one.light.ambient_lx == two.light.ambient_lx == 0.8 and kp(own) == 0.7
     assert two.symbol.controller.position.kp == 0.8  # type: ignore[union-attr]
     editor.say(type="undo")
     editor.of("edit", run=1)
     editor.say(type="compare")
     assert len(editor.of("scenario")[0]["runs"]) == 1
-    assert own.studio.session.published.runs[0].simulation.scenario.light.ambient_lx == 0.9
+    assert own.studio.session.state.runs[0].simulation.scenario.light.ambient_lx == 0.9
 
 
 def test_the_camera_shows_the_last_step_of_a_run(own: Served, editor: Watcher) -> None:
     editor.say(type="play")
     editor.of("status", playing=False)
-    (run,) = own.studio.session.published.runs
+    (run,) = own.studio.session.state.runs
     assert run.over and run.snapshots[-1].pictures  # those of steps before may be left out for speed
     editor.say(type="scrub", run=0, step=3)
     editor.of("step", step=3, scrub=True)
@@ -237,5 +235,5 @@ def test_edits_that_set_the_same_values_anew_before_a_step_are_kept_once(own: Se
     for overrides in ([f"{KP}=0.3"], [f"{KP}=0.35"], ["light.ambient_lx=0.6"], [f"{KP}=0.4"]):
         editor.say(type="set", overrides=overrides)
         editor.of("edit", overrides=overrides)
-    (run,) = own.studio.session.published.runs
+    (run,) = own.studio.session.state.runs
     assert [each.overrides for each in run.tally.edits] == [(f"{KP}=0.35",), ("light.ambient_lx=0.6",), (f"{KP}=0.4",)]

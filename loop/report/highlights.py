@@ -16,12 +16,12 @@ MOMENTS = 4  # that the page shows
 PAST_SYMBOLS = 12
 
 
-class Watched:
-    """What a page needs of a run beside its table: a few moments, and of each symbol that is held what `Gathered` keeps."""
+class Highlights:
+    """What a page needs of a run beside its table: a few moments, and of each symbol that is held what `SymbolHistory` keeps."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._moments: dict[int, StepResult] = {}  # first, between, and the last so far
-        self.gathered = list[Gathered]()
+        self.symbols = list[SymbolHistory]()
         self.edit(simulation)
 
     def edit(self, simulation: Simulation) -> None:
@@ -32,8 +32,8 @@ class Watched:
         frames = scenario.camera.latency_steps + tracker.confirm_frames if scenario.detector and isinstance(tracker, TrackerParams) else 1
         first = min(frames, steps) - 1
         self._kept = {first + k * (steps - 1 - first) // (MOMENTS - 1) for k in range(MOMENTS)}
-        known = {each.name for each in self.gathered}
-        self.gathered += [Gathered(name, simulation.scenario.steps) for name in simulation.controlled if name not in known]
+        known = {each.name for each in self.symbols}
+        self.symbols += [SymbolHistory(name, simulation.scenario.steps) for name in simulation.controlled if name not in known]
 
     @property
     def moments(self) -> list[StepResult]:
@@ -43,11 +43,11 @@ class Watched:
     def add(self, result: StepResult) -> None:
         """Take what is needed of a step."""
         self._moments = {step: each for step, each in self._moments.items() if step in self._kept} | {result.step: result}
-        for each in self.gathered:
+        for each in self.symbols:
             each.add(result)
 
 
-class Gathered:
+class SymbolHistory:
     """What a page needs of a symbol beside the table: the path of the centroid, a few past symbols, the last light, and what was shown in
     place of what was asked for."""
 

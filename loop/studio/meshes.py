@@ -1,6 +1,6 @@
 """Bodies of a scene as numbered meshes, each sent once."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import count
 from typing import Any, Final
 from weakref import WeakKeyDictionary
@@ -15,14 +15,14 @@ KEPT_BYTES: Final = 2**28  # of meshes: those of some 1.5 km of road
 Mesh = tuple[dict[str, Any], dict[str, np.ndarray]]  # head and arrays of it
 
 
-class Shapes:
+class Meshes:
     """Numbers bodies, and makes a mesh of each when it is first seen.
 
-    meshes: by number, up to KEPT_BYTES; of a longer drive those that were not seen for longest are forgotten. Other threads may read it.
+    of: meshes by number, up to KEPT_BYTES; of a longer drive those that were not seen for longest are forgotten. Other threads may read it.
     """
 
     def __init__(self) -> None:
-        self.meshes: dict[int, Mesh] = {}
+        self.of: dict[int, Mesh] = {}
         self._known: WeakKeyDictionary[Body, int] = WeakKeyDictionary()
         self._seen: dict[int, int] = {}  # bytes of the meshes, that which was seen last at the end
         self._numbers = count()
@@ -32,23 +32,22 @@ class Shapes:
         number = self._known.get(placed.body)
         if number is None:
             number = self._known[placed.body] = next(self._numbers)
-        if number not in self.meshes:
-            self.meshes[number] = mesh = _mesh(number, placed.body, "road" if placed.object_id == 0 else "object")
+        if number not in self.of:
+            self.of[number] = mesh = _mesh(number, placed.body, "road" if placed.object_id == 0 else "object")
             self._seen[number] = sum(each.nbytes for each in mesh[1].values())
         self._seen[number] = self._seen.pop(number)
         return number
 
-    def numbered(self, placed: Sequence[Instance]) -> list[tuple[int, Instance]]:
+    def assign(self, placed: Sequence[Instance]) -> list[tuple[int, Instance]]:
         """All bodies of a step with their numbers; meshes of earlier steps beyond KEPT_BYTES are forgotten."""
         found = [(self.number(each), each) for each in placed]
         while sum(self._seen.values()) > KEPT_BYTES and len(self._seen) > len(found):
             oldest = next(iter(self._seen))
-            del self._seen[oldest], self.meshes[oldest]
+            del self._seen[oldest], self.of[oldest]
         return found
 
 
 def _mesh(number: int, body: Body, kind: str) -> Mesh:
-    arrays: dict[str, np.ndarray]
     if body.smooth and body.part_of_face is None:
         vertices, normals, faces = np.asarray(body.mesh.vertices), np.asarray(body.mesh.vertex_normals), np.asarray(body.mesh.faces)
     else:  # faces that differ share no corners
@@ -72,8 +71,3 @@ def _mesh(number: int, body: Body, kind: str) -> Mesh:
 def _byte(share: np.ndarray) -> np.ndarray:
     coded: np.ndarray = (255 * np.clip(share, 0, 1)).round().astype(np.uint8)
     return coded
-
-
-def merged(meshes: list[Mesh]) -> tuple[list[dict[str, Any]], Mapping[str, np.ndarray]]:
-    """Heads and arrays of several meshes."""
-    return [head for head, _ in meshes], {name: array for _, arrays in meshes for name, array in arrays.items()}

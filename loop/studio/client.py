@@ -12,11 +12,9 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake
 from websockets.sync.client import ClientConnection
 from websockets.sync.client import connect as open_socket
 
-from luxloop.loop.studio.client.decoding import unpacked
-from luxloop.loop.studio.client.received import Received
-from luxloop.loop.studio.client.shared import Mapped
-from luxloop.loop.studio.client.state import State
+from luxloop.loop.studio.inbox import Inbox, State, unpack
 from luxloop.loop.studio.messages import View
+from luxloop.loop.studio.shared import BlockReader
 from luxloop.world.errors import LuxloopError
 from luxloop.world.messages import encode, pack
 from luxloop.world.validation import toml
@@ -37,12 +35,12 @@ def connect(url: str, *, views: Collection[View] = VIEWS, shared: bool = False, 
     parts = urlsplit(url)
     if parts.scheme != "http" or not parts.hostname or not parts.fragment:
         raise LuxloopError(f"connect: {url!r} is no address of a studio; give the one that luxloop studio prints, with what follows the #")
-    opened = ExitStack()
+    stack = ExitStack()
     try:
-        socket = opened.enter_context(open_socket(f"ws://{parts.netloc}/socket", max_size=None, compression=None, proxy=None))
+        socket = stack.enter_context(open_socket(f"ws://{parts.netloc}/socket", max_size=None, compression=None, proxy=None))
     except (OSError, InvalidHandshake, TimeoutError) as error:
         raise LuxloopError(f"connect: no studio answers at {parts.netloc} ({error}); start luxloop studio first") from error
-    client = Client(socket, opened, shared, run)
+    client = Client(socket, stack, shared, run)
     try:
         client.begin(parts.fragment, views)
     except BaseException:
@@ -57,12 +55,12 @@ class Client:
     Every method raises LuxloopError with what the server says where it refuses, and where the connection is lost.
     """
 
-    def __init__(self, socket: ClientConnection, opened: ExitStack, shared: bool, run: int) -> None:
-        """opened: closes the socket."""
-        self._socket, self._opened, self._shared, self._run = socket, opened, shared, run
-        self._mapped = Mapped()
+    def __init__(self, socket: ClientConnection, stack: ExitStack, shared: bool, run: int) -> None:
+        """stack: closes the socket."""
+        self._socket, self._stack, self._shared, self._run = socket, stack, shared, run
+        self._blocks = BlockReader()
         self._news = threading.Condition()
-        self._got = Received(run)
+        self._got = Inbox(run)
         self._number, self._lost = 0, ""
         self._given: State | None = None  # the last state that the program has got
         self._thread = threading.Thread(target=self._listen, name="studio", daemon=True)
@@ -84,10 +82,10 @@ class Client:
 
     def close(self) -> None:
         """End the connection; the loop goes on."""
-        self._opened.close()
+        self._stack.close()
         if self._thread.is_alive():
             self._thread.join()
-        self._mapped.close()
+        self._blocks.close()
 
     @property
     def scenario(self) -> Mapping[str, Any]:
@@ -218,10 +216,10 @@ class Client:
         """Have something done, and wait until it is; the answer `done`."""
         self._check()
         ask = self._number = self._number + 1
-        self._got.asked.clear()
+        self._got.replies.clear()
         self._send({"type": kind, "ask": ask, **values}, arrays)
-        self._wait(lambda: bool(self._got.asked.keys() & {ask, None}))
-        done = self._got.asked.get(ask) or self._got.asked[None]
+        self._wait(lambda: bool(self._got.replies.keys() & {ask, None}))
+        done = self._got.replies.get(ask) or self._got.replies[None]
         if done["type"] == "error":
             raise LuxloopError(done["text"])
         self._wait(lambda: self._got.knows(done))
@@ -231,7 +229,7 @@ class Client:
         try:
             self._socket.send(pack(head, {name: encode(each) for name, each in (arrays or {}).items()}))
         except ConnectionClosed as error:
-            raise LuxloopError(self._told(error)) from error
+            raise LuxloopError(self._reason(error)) from error
 
     def _wait(self, until: Callable[[], bool]) -> None:
         with self._news:
@@ -249,8 +247,8 @@ class Client:
         try:
             for data in self._socket:
                 assert isinstance(data, bytes)
-                head, arrays = unpacked(data)
-                there = self._mapped.arrays(head["shared"], head["id"]) if "shared" in head else {}
+                head, arrays = unpack(data)
+                there = self._blocks.arrays(head["shared"], head["id"]) if "shared" in head else {}
                 with self._news:
                     if there is not None:
                         self._got.take(head, arrays | there)
@@ -259,7 +257,7 @@ class Client:
                     self._socket.send(pack({"type": "shown", "id": head["id"]}))
             lost = "the studio has ended"
         except ConnectionClosed as error:
-            lost = self._told(error)
+            lost = self._reason(error)
         except LuxloopError as error:
             lost = str(error)
         except Exception as error:
@@ -269,7 +267,7 @@ class Client:
             self._news.notify_all()
 
     @staticmethod
-    def _told(error: ConnectionClosed) -> str:
+    def _reason(error: ConnectionClosed) -> str:
         reason = error.rcvd.reason if error.rcvd is not None else ""
         return reason or "the connection to the studio is lost; connect again"
 

@@ -1,15 +1,98 @@
-"""What has come of one run of a studio."""
+"""What a program gets of a studio: messages decoded and put together, and a step as `State`."""
 
+import json
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+from math import prod
+from typing import Any, Final
 
 import numpy as np
 
-from luxloop.loop.studio.client.state import State
+from luxloop.world.messages import LENGTH, ArrayHead, decode
+
+MOST_BYTES: Final = 2**28  # of an array, decoded
+Arrays = Mapping[str, np.ndarray]
 
 
-class Received:
-    """The newest of each kind of message, put together. asked: answers `done` and `error` by their `ask`, None where the studio
+def unpack(data: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Head and arrays of a message of the server. Raises ValueError where an array is not as the head says, or larger than MOST_BYTES."""
+    (length,) = LENGTH.unpack_from(data)
+    body = memoryview(data)[LENGTH.size + length :]
+    head, arrays = json.loads(data[LENGTH.size : LENGTH.size + length]), {}
+    for name, each in head.pop("arrays", {}).items():
+        told = ArrayHead.model_validate(each)
+        if int(told.dtype[1]) * prod(told.shape) > MOST_BYTES:
+            raise ValueError(f"array {name} has the shape {list(told.shape)}; arrays have at most {MOST_BYTES} bytes")
+        arrays[name] = decode(name, told, bytes(body[told.start : told.start + told.bytes]))
+    return head, arrays
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A step of a run; what is not replies for, or not there in this step, is empty or None.
+
+    head: what is plain, as docs/programs.md has it. metrics: the values of the recording, by column, NaN where there is none.
+    light: `[rows, columns]` float32 cd, the texture of each module by its name. utilisations: `[rows, columns]` uint8 of its pixels, 255
+    for full utilisation. arrays: all others, by name.
+    """
+
+    head: Mapping[str, Any]
+    metrics: Mapping[str, float]
+    light: Arrays
+    utilisations: Arrays
+    arrays: Arrays
+
+    @property
+    def step(self) -> int:
+        """Its number, from 0."""
+        return int(self.head["step"])
+
+    @property
+    def time_s(self) -> float:
+        """When it begins."""
+        return float(self.head["time_s"])
+
+    @property
+    def frames(self) -> tuple[np.ndarray, ...]:
+        """Digital numbers `[height, width]` of the frames that came in it: with all light, and, where controllers hold symbols, without."""
+        return tuple(self.arrays[name] for name in ("frames.on", "frames.off") if name in self.arrays)
+
+    @property
+    def depth(self) -> np.ndarray | None:
+        """`[height, width]` float32 m along the camera's axis, 0 where there is nothing."""
+        return self.arrays.get("depth")
+
+    @property
+    def instances(self) -> np.ndarray | None:
+        """What each pixel sees, `[height, width]` uint16: an index in `instance_names`."""
+        return self.arrays.get("instances")
+
+    @property
+    def instance_names(self) -> list[str]:
+        """Names of what there is; the first, "", is nothing, the second the road."""
+        return list(self.head.get("instances", ()))
+
+    @property
+    def materials(self) -> np.ndarray | None:
+        """The material that each pixel sees, `[height, width]` uint8: an index in `material_names`."""
+        return self.arrays.get("materials")
+
+    @property
+    def material_names(self) -> list[str]:
+        """Names of materials; the first, "", is nothing."""
+        return list(self.head.get("materials", ()))
+
+    @property
+    def objects(self) -> list[Mapping[str, Any]]:
+        """The truth of all objects that are there: `name`, `category`, `instance` (its index in `instance_names`), `T_world_object`
+        (16 numbers, row by row), `size_m`, `box` (left, top, right, bottom in px of its visible part, None where it is not seen) and
+        `visible` (share that is not hidden).
+        """
+        return list(self.head.get("truth", ()))
+
+
+class Inbox:
+    """The newest of each kind of message, put together. replies: answers `done` and `error` by their `ask`, None where the studio
     could not read it. answers: others by type.
     """
 
@@ -18,7 +101,7 @@ class Received:
         self.welcome: Mapping[str, Any] = {}
         self.scenario: dict[str, Any] = {}
         self.state: State | None = None
-        self.asked, self.answers = dict[int | None, Mapping[str, Any]](), dict[str, Mapping[str, Any]]()
+        self.replies, self.answers = dict[int | None, Mapping[str, Any]](), dict[str, Mapping[str, Any]]()
         self.playing, self.steps, self.failed = False, list[int](), ""
         self._rows, self.edits = list[np.ndarray](), 0
         self._light, self._utilisations = dict[str, np.ndarray](), dict[str, np.ndarray]()
@@ -62,7 +145,7 @@ class Received:
         elif head.get("run", self._run) != self._run:
             return
         elif kind == "edit":
-            self._edited(head)
+            self._edit(head)
         elif kind == "rows":
             self._rows[head["first"] :] = list(arrays["rows"])
         elif kind == "step":
@@ -73,9 +156,9 @@ class Received:
         elif kind != "error":
             self.answers[kind] = head
         if kind in ("done", "error"):
-            self.asked[head["ask"]] = head
+            self.replies[head["ask"]] = head
 
-    def _edited(self, head: Mapping[str, Any]) -> None:
+    def _edit(self, head: Mapping[str, Any]) -> None:
         self.edits += 1
         if head["facts"] is not None:
             runs = list(self.scenario["runs"])

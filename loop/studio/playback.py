@@ -19,7 +19,7 @@ KEPT: Final = 16  # steps whose frames were read last
 AHEAD: Final = "recorded: the curves and, where they were kept, the frames; light and poses follow when this step has been run again"
 
 
-class Recorded:
+class Playback:
     """What a recording knows of steps that are not yet run again. edits: those to come."""
 
     def __init__(self, folder: Path, recording: Recording) -> None:

@@ -9,14 +9,13 @@ import torch
 
 from luxloop.loop.studio.messages import Request, View
 from luxloop.loop.studio.runs import Run
-from luxloop.loop.studio.session import Published
-from luxloop.loop.studio.shapes import merged
+from luxloop.loop.studio.session import SessionState
 from luxloop.loop.studio.shared import Blocks
 from luxloop.loop.studio.snapshot import Snapshot
 from luxloop.world.headlight import Headlight
 from luxloop.world.messages import ArrayBytes, encode, grey, pack, raw
 
-MOST_UNSHOWN: Final = 2  # steps of a run that a client may not have shown yet: one on its way, and one that it is at
+MOST_BACKLOG: Final = 2  # steps of a run that a client may not have shown yet: one on its way, and one that it is at
 PERIOD_S: Final = 0.05  # between two steps of a run that plays, at least
 REST: Final = 20  # times what making messages takes pass until the next ones
 LONGEST_REST_S: Final = 0.3  # however long that took: who drives must see where
@@ -26,7 +25,7 @@ PASSED: Final = "roads and objects of this step that were left long ago are no l
 HALF_PEAK: Final = 1024.0  # of a module in units of its half floats, far from where these overflow
 
 
-class Feed:
+class Stream:
     """What a client has got of a session. It is used by one thread at a time, which may be another one each time."""
 
     def __init__(self) -> None:
@@ -37,12 +36,12 @@ class Feed:
         """The client is gone."""
         self._blocks.close()
 
-    def messages(self, published: Published, request: Request) -> Iterator[bytes]:
+    def messages(self, state: SessionState, request: Request) -> Iterator[bytes]:
         """Those that bring the client up to date. While the session plays, rows and steps come at intervals, so that making them takes a
         small share of the time.
         """
-        resting = published.playing and request.at is None and time.perf_counter() < self._rests_s
-        made, spent_s, last = self._made(published, request, resting), 0.0, self._id
+        resting = state.playing and request.at is None and time.perf_counter() < self._rests_s
+        made, spent_s, last = self._newer(state, request, resting), 0.0, self._id
         while True:
             began_s = time.thread_time()  # which does not grow while another thread computes
             data = next(made, None)
@@ -53,11 +52,11 @@ class Feed:
         if self._id != last:
             self._rests_s = time.perf_counter() + min(max(REST * spent_s, PERIOD_S), LONGEST_REST_S)
 
-    def _made(self, published: Published, request: Request, resting: bool) -> Iterator[bytes]:
-        if published.number != self._number and published.scenario is not None:
-            self._number = published.number
-            self._sent = [SentRun(number, run, self._blocks) for number, run in enumerate(published.runs)]
-            yield pack(published.scenario)
+    def _newer(self, state: SessionState, request: Request, resting: bool) -> Iterator[bytes]:
+        if state.number != self._number and state.scenario is not None:
+            self._number = state.number
+            self._sent = [SentRun(number, run, self._blocks) for number, run in enumerate(state.runs)]
+            yield pack(state.scenario)
         for sent in self._sent:
             rows, done = sent.run.rows, len(sent.run.rows)
             yield from sent.edits()  # which bring all columns that these rows have
@@ -65,7 +64,7 @@ class Feed:
                 continue
             yield from sent.rows(rows, done)
             run, step = request.at or (sent.number, len(sent.run.snapshots) - 1)
-            if run == sent.number and sent.unshown(request.shown) < MOST_UNSHOWN:
+            if run == sent.number and sent.backlog(request.shown) < MOST_BACKLOG:
                 for data in sent.step(step, request, self._id + 1):
                     self._id = sent.ids[-1]
                     yield data
@@ -84,7 +83,7 @@ class SentRun:
         self._lights: list[tuple[Headlight, torch.Tensor] | None] = [None] * modules  # as last shown
         self._utilisations: list[torch.Tensor | None] = [None] * modules
 
-    def unshown(self, shown: int) -> int:
+    def backlog(self, shown: int) -> int:
         """How many steps are on their way, where the last one with the `id` shown has arrived."""
         self.ids = [each for each in self.ids if each > shown]
         return len(self.ids)
@@ -119,17 +118,17 @@ class SentRun:
         self.ids.append(id_)
         self._step = snapshot, scrubbed, wanted
         head = snapshot.head
-        there, meshes = {each["mesh"] for each in head["bodies"]}, self.run.shapes.meshes
+        there, meshes = {each["mesh"] for each in head["bodies"]}, self.run.meshes.of
         if made := {number: mesh for number in sorted(there - self._meshes) if (mesh := meshes.get(number)) is not None}:
             self._meshes.update(made)
-            heads, arrays = merged(list(made.values()))
-            yield pack({"type": "meshes", "run": self.number, "meshes": heads}, {name: encode(each) for name, each in arrays.items()})
+            arrays = {name: encode(each) for _, of_mesh in made.values() for name, each in of_mesh.items()}
+            yield pack({"type": "meshes", "run": self.number, "meshes": [head for head, _ in made.values()]}, arrays)
         notes = head["notes"] + ([PASSED] if there - self._meshes else [])
         bodies = [each for each in head["bodies"] if each["mesh"] in self._meshes]
-        seen = self.run.pictured(snapshot) if scrubbed or was_scrubbed or before is None else snapshot
-        yield self._packed({"id": id_, "scrub": scrubbed, **head, "bodies": bodies, "notes": notes}, snapshot, seen, request)
+        seen = self.run.with_pictures(snapshot) if scrubbed or was_scrubbed or before is None else snapshot
+        yield self._pack({"id": id_, "scrub": scrubbed, **head, "bodies": bodies, "notes": notes}, snapshot, seen, request)
 
-    def _packed(self, head: dict[str, Any], snapshot: Snapshot, seen: Snapshot, request: Request) -> bytes:
+    def _pack(self, head: dict[str, Any], snapshot: Snapshot, seen: Snapshot, request: Request) -> bytes:
         """The message of a step, whose arrays nobody holds while it waits for the client. seen: the step whose pictures are shown."""
         wanted, notes = request.wanted, head["notes"]
         pictures, plain, windows, scales = dict[str, ArrayBytes](), dict[str, np.ndarray](), dict[str, Any](), []

@@ -1,1 +1,0 @@
-"""Programs that watch and steer a loop that `luxloop studio` runs."""

@@ -1,0 +1,64 @@
+"""The page in a real browser: opened once for the tests of a file, which read and steer it."""
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from selenium import webdriver
+from selenium.webdriver.support.ui import WebDriverWait
+
+from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.studio.page import PAGE
+from tests.loop.studio.conftest import Served
+
+CHROMIUM, DRIVER = (shutil.which(name) for name in ("chromium", "chromedriver"))
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+    "--window-size=1280,800",
+)
+WAIT_S = 180  # for a scenario to be prepared on a busy machine with software WebGL
+IN_BROWSER = [
+    pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="no browser: apt-get install chromium chromium-driver"),
+    pytest.mark.skipif(not (PAGE / "index.html").is_file(), reason="the page is not built: make studio"),
+]
+
+
+@contextmanager
+def chromium(profile: Path) -> Iterator[webdriver.Chrome]:
+    options = webdriver.ChromeOptions()
+    options.binary_location = str(CHROMIUM)
+    for flag in (*FLAGS, f"--user-data-dir={profile}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options, webdriver.ChromeService(str(DRIVER)))
+    driver.set_script_timeout(WAIT_S)
+    yield driver
+    driver.quit()
+
+
+def visit(browser: webdriver.Chrome, served: Served, token: str | None = None) -> webdriver.Chrome:
+    """Open the page, and wait for the first step in all views."""
+    browser.get("about:blank")
+    browser.get(f"http://127.0.0.1:{served.port}/#{token or served.tokens.edit}")
+    until(browser, "return (window.luxloop?.scenes ?? []).length > 0 && document.body.innerText.includes('step 0')")
+    return browser
+
+
+def until(browser: webdriver.Chrome, script: str) -> Any:
+    """Wait for a script to return something true."""
+    return WebDriverWait(browser, WAIT_S, 0.1).until(lambda driver: driver.execute_script(script))
+
+
+def scenario(served: Served) -> Scenario:
+    """As the simulation has it now."""
+    return served.studio.session.state.runs[0].simulation.scenario
