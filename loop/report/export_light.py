@@ -86,10 +86,11 @@ def write_light(simulation: "Simulation", time_s: float, file: Path, step_deg: f
         with whole(file) as part:
             write_npz(part, [(f"{each.name}.{key}", array) for each in lights for key, array in _arrays(each)])
         return [file]
-    files = []
-    for each in lights:
+    files = list[Path]()
+    for number, each in enumerate(lights):
         part_name = re.sub(r"[^\w.+-]", "-", each.name)  # a lamp file may call a module a/b
         own = file if len(lights) == 1 else file.with_name(f"{file.stem}-{part_name}{file.suffix}")
+        own = own.with_stem(f"{own.stem}-{number}") if own in files else own  # and another one a-b
         x, y, z = each.T_body_module[:3, 3].tolist()
         yaw, pitch, roll = Rotation.from_matrix(each.T_body_module[:3, :3].double().cpu().numpy()).as_euler("ZYX", degrees=True)
         keywords = {"_POSITION_M": f"{x:.4f} {y:.4f} {z:.4f}", "_ROLL_PITCH_YAW_DEG": f"{roll:.4f} {pitch:.4f} {yaw:.4f}"}

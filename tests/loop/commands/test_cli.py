@@ -13,7 +13,6 @@ import pytest
 import torch
 
 from luxloop.loop.commands import cli
-from luxloop.loop.commands.doctor import Check
 from luxloop.loop.run import run
 from luxloop.loop.scenario import data, listing
 from luxloop.loop.scenario.model import load
@@ -51,11 +50,6 @@ def test_each_kind_is_listed_for_people_and_for_programs(lux: Lux, kind: str, so
     assert code == 0 and set(some) <= set(listed) and "package.module:Name" not in listed
     keys = {"name", "description", "uses", "lacks"} if kind == "scenarios" else {"name", "description"}
     assert all(set(each) == keys and each["description"] for each in listed.values())
-
-
-def test_keys_of_functions_are_on_the_page_that_their_list_names(lux: Lux) -> None:
-    page = re.search(r"keys in (docs/\w+\.md)", lux("list", "functions")[1])
-    assert page and "<!-- keys of BendingParams -->" in (ROOT / page[1]).read_text("utf-8")
 
 
 def test_scenarios_are_listed_with_their_controllers_and_other_functions(lux: Lux) -> None:
@@ -114,12 +108,6 @@ def test_doctor_for_programs(lux: Lux) -> None:
     assert all(set(check) == {"name", "status", "found", "remedy"} for check in found["checks"]) and len(found["checks"]) > 10
 
 
-def test_lists_that_need_no_model_import_no_torch() -> None:
-    listing = "for kind in ('scenarios', 'symbols', 'examples'): cli.main(['list', kind])"
-    program = f"import sys\nfrom luxloop.loop.commands import cli\n{listing}\nassert 'torch' not in sys.modules"
-    subprocess.run([sys.executable, "-c", program], check=True, stdout=subprocess.DEVNULL)
-
-
 @pytest.mark.parametrize(
     ("command", "heavy"),
     [
@@ -136,19 +124,6 @@ def test_command_imports_nothing_heavy_that_it_does_not_use(command: list[str], 
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "[]"
-
-
-def test_help_and_version(lux: Lux) -> None:
-    for arguments in ([], ["--help"]):
-        code, out, _ = lux(*arguments)
-        assert code == 0
-        for command in ("list", "new", "check", "schema", "doctor", "data", "run", "replay"):
-            assert re.search(rf"│ {command}\b", out)
-    code, out, _ = lux("run", "--help")
-    assert code == 0
-    for option in ("--out", "--set", "--seed", "--steps", "--controller", "--device", "--video", "--no-video", "--report", "--no-report"):
-        assert option in out
-    assert lux("--version")[0] == 0
 
 
 @pytest.mark.parametrize(
@@ -303,16 +278,6 @@ def test_data_commands(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert fetched == [("Barber", Path("here"))]
     assert lux("data", "get", "all")[0] == 0
     assert len(fetched) == 1 + len(data.registry())
-
-
-def test_doctor(lux: Lux, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = [Check("Python", "ok", "3.11"), Check("OpenGL", "fail", "[none]", "sudo apt-get install mesa")]
-    monkeypatch.setattr("luxloop.loop.commands.doctor.checks", lambda: found)
-    code, out, _ = lux("doctor")
-    assert code == 1
-    assert "sudo apt-get install mesa" in out and "[none]" in out
-    found.pop()
-    assert lux("doctor")[0] == 0
 
 
 def test_the_working_folder_runs_no_code(tmp_path: Path) -> None:

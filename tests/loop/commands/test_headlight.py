@@ -15,7 +15,6 @@ from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.headlight.lamp import Lamp, Module
 from luxloop.world.lamps.archive import save
-from luxloop.world.lamps.description import load_lamp
 from luxloop.world.lamps.presets import idealised
 from luxloop.world.photometry import Distribution, read_photometry, write
 
@@ -36,12 +35,6 @@ def lux(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.
     return run
 
 
-def test_presets_are_listed_with_what_is_known_of_them(lux: Lux) -> None:
-    code, out, _ = lux("list")
-    assert code == 0
-    assert all(name in out for name in ("idealised-332x1024", "hd84", "ssl-hd", "dmd-1m3")) and "micromirrors" in out
-
-
 def test_facts_of_a_preset(lux: Lux) -> None:
     code, out, _ = lux("info hd84")
     assert code == 0
@@ -60,18 +53,6 @@ def test_a_beam_goes_out_as_a_photometric_file_and_comes_back(lux: Lux) -> None:
     assert checked.startswith("high: ")  # one pixel has no beams to tell apart
     _, original, _ = lux("check hd84 --beam high --rule r112-driving-b")
     assert code == 0 and checked.count("pass") == original.count("pass")
-
-
-def test_the_suffix_of_an_exported_beam_is_its_format(lux: Lux) -> None:
-    for name, form in (("a.IES", "LM-63-2019"), ("a.ldt", "EULUMDAT")):
-        assert lux(f"export hd84 --beam high --out {name}")[0] == 0
-        file = read_photometry(Path(name))
-        assert file.format == form
-        at = np.array([[1.0, 1, 1], [0, 0.1, -0.1], [0, 0.02, 0]])
-        lamp = load_lamp("hd84")
-        # nodes 0.1 deg apart, and as far between planes of EULUMDAT here, on flanks of 15 % a tenth of a degree
-        want = lamp.intensity(lamp.beam("high"), torch.from_numpy(at))
-        np.testing.assert_allclose(file.distribution.intensity(at), want, rtol=0.04)
 
 
 def test_a_photometric_file_is_judged_by_its_own_table(lux: Lux) -> None:
@@ -98,11 +79,6 @@ def test_a_rule_without_a_beam_judges_the_beam_that_it_is_for(lux: Lux) -> None:
     assert lux("check high.ies --rule r149-driving-b")[1] == lux("check high.ies --beam full --rule r149-driving-b")[1] != ""
     code, _, err = lux("check high.ies")
     assert code == 2 and "has no low beam" in err and "--rule" in err and "headlight rules" in err
-
-
-def test_rules_say_how_sure_they_are(lux: Lux) -> None:
-    code, out, _ = lux("rules")
-    assert code == 0 and "fmvss108-lb2v" in out and "transcription" in out and "not for approval" in out
 
 
 def test_a_description_is_built_into_a_file_that_every_command_takes(lux: Lux) -> None:
@@ -199,11 +175,6 @@ def test_modules_that_a_scenario_leaves_out_are_dark_and_so_is_its_other_lamp(tm
     assert list(shown) == ["right"] and [u.tolist() for u in shown["right"]] == [[0.0] * 32, [1.0] * 8]
 
 
-def test_darkness_is_judged_too(lux: Lux) -> None:
-    code, out, _ = lux("check hd84 --beam off --rule r149-passing-c --aim")
-    assert code == 1 and "fail" in out
-
-
 def test_options_that_a_photometric_file_has_no_use_for_are_refused(lux: Lux) -> None:
     lux("export hd84 --out full.ies --step-deg 1")
     code, _, err = lux("show full.ies --beam low")
@@ -214,13 +185,6 @@ def test_options_that_a_photometric_file_has_no_use_for_are_refused(lux: Lux) ->
 def test_a_name_too_long_for_a_file_is_no_lamp(lux: Lux) -> None:
     code, _, err = lux(f"info {'a' * 300}.npz")
     assert code == 2 and "does not exist" in err
-
-
-def test_every_command_takes_the_low_beam_and_says_so(lux: Lux) -> None:
-    assert "hd84, beam low" in lux("export hd84 --out low.ies --step-deg 2")[1]
-    assert "hd84, beam low" in lux("show hd84 --view pixels")[1]
-    assert "hd84, beam low" in lux("check hd84")[1]
-    assert "low.npz, beam" not in lux("show low.ies")[1]
 
 
 def test_facts_say_what_default_beams_keep(lux: Lux) -> None:

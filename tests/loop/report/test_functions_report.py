@@ -16,7 +16,7 @@ from rich.console import Console
 
 from luxloop.loop.recording.compared import compared
 from luxloop.loop.recording.functions_summary import NAMED, eyes_lx, lost_steps, named, steps_of_nothing
-from luxloop.loop.report.courses import COLOURS, _materials, _on_objects, write_courses
+from luxloop.loop.report.courses import write_courses
 from luxloop.loop.report.marks import Mark, readable
 from luxloop.loop.report.run_table import _of_light, _of_lost, summary_table
 from luxloop.loop.report.style import STYLE
@@ -68,15 +68,6 @@ def test_every_chart_is_there_and_no_legend_lies_over_one(tmp_path: Path) -> Non
         assert around.y0 >= chart.y1 and around.x1 <= figure.bbox.x1 and around.y1 <= figure.bbox.y1
 
 
-def test_every_material_has_a_line_that_no_other_has() -> None:
-    names = [f"light.material {number}" for number in range(20)]  # more than there are colours and full and dashed lines
-    columns = {f"functions.{name}.{key}": [0.5, 1.0] for name in names for key in ("lx", "wanted")}
-    axes = Figure().subplots()
-    _materials(axes, pa.table({"time_s": [0.0, 0.1], **columns}))
-    styles = {(line.get_color(), line.get_linestyle()) for line in axes.get_lines()[:-1]}  # the last is the one at 1
-    assert len(styles) == 20
-
-
 def in_sight(lx_max: float | None, **more: Any) -> dict[str, Any]:
     return {"lx_mean": lx_max, "lx_max": lx_max, "masked_steps": 0} | more
 
@@ -93,12 +84,6 @@ def test_of_many_objects_the_brightest_are_named_and_the_rest_counted() -> None:
     assert [*_of_light(few, 9)] == [f"light on car_{k}" for k in range(NAMED)] and named(few) == [*few]
 
 
-def test_of_an_object_that_was_masked_at_times_it_is_said_how_often() -> None:
-    assert _of_light({"car": in_sight(0.25, masked_steps=7)}, 9) == {
-        "light on car": "0.25 lx (mean), 0.25 lx at most, masked in 7 of 9 steps"
-    }
-
-
 def test_of_many_objects_the_largest_that_are_lost_are_named() -> None:
     lost = {"steps_lost": 2, "tracks": 1, "steps_in_sight": 9}
     missed = {"steps_lost": 0, "tracks": 0, "steps_in_sight": 9}
@@ -109,18 +94,6 @@ def test_of_many_objects_the_largest_that_are_lost_are_named() -> None:
     assert _of_lost({"deer": in_sight(1.0, pixels_max=99.0, **missed, findable=False)}) == {
         "not to be found": "deer: of no class that the detector has, or never 24 px tall"
     }
-
-
-def test_light_on_many_objects_is_drawn_of_the_brightest_and_of_the_others_together() -> None:
-    lit = {f"car_{k}": [0.5 * k, float(k)] for k in range(35)}
-    table = {f"objects.{name}.{key}": lx for name, lx in lit.items() for key in ("lx_mean", "lx_max")}
-    objects = {name: in_sight(max(lx)) for name, lx in lit.items()}
-    axes = Figure().subplots()
-    _on_objects(axes, pa.table({"time_s": [0.0, 0.1], **table}), named(objects), {"objects": objects}, with_names=True)
-    told = {str(line.get_label()): line for line in axes.get_lines() if not str(line.get_label()).startswith("_")}
-    assert [*told] == [*(f"car {k}" for k in range(34, 26, -1)), "most on 27 others", "most on each"]
-    assert np.asarray(told["most on 27 others"].get_ydata()).tolist() == [13.0, 26.0]
-    assert len({told[f"car {k}"].get_color() for k in range(27, 35)}) == NAMED == len(COLOURS)
 
 
 def _title(axes: Axes) -> str:
@@ -198,11 +171,6 @@ def test_texts_do_not_cover_each_other() -> None:
     assert [(mark.text, mark.at[1]) for mark in crowd[:3]] == [("a", 50), ("b", 40), ("c", 30)] and crowd[3].text == ""
 
 
-def test_texts_stay_within_the_image() -> None:
-    beyond, above, left = readable([Mark((), text="car 1: 0.90", at=at) for at in ((630, 50), (100, -4), (-20, 100))], 5.0, 640)
-    assert beyond.at == (585, 50) and above.at == (100, 10) and left.at == (0, 100)  # 11 characters of 5 px, 10 px high
-
-
 def test_light_on_eyes_is_told_without_the_start_up() -> None:
     table = pa.table({"time_s": [0.0, 0.5, 1.0, 1.5], "eyes_lx_max": pa.array([8.0, 2.0, 0.4, None], pa.float64())})
     assert eyes_lx(table) == 8.0 and eyes_lx(table, 1.0) == 0.4 and eyes_lx(table, 1.2) is None
@@ -245,23 +213,3 @@ def test_check_says_how_much_is_found_in_the_first_frame() -> None:
     assert f"truth (1 boxes in the first frame, where objects in sight have up to {some['lx_max']:.3g} lx)" in in_words(some)
     assert none["boxes"] == 0 and none["lx_max"] == some["lx_max"]
     assert "where no object is in sight" in in_words(check(scenario({}, objects=[])))
-
-
-def test_a_run_that_finds_nobody_says_how_small_they_were(tmp_path: Path) -> None:
-    falls = {"kind": "object_based", "ambient": {"fall_frames": 1}}
-    told = {}
-    for case, function, objects in (("falls", falls, [WALKER]), ("constant", HALF, [WALKER]), ("nobody", falls, [])):
-        detector = {"kind": "truth", "least_height_px": 1000}
-        summary = run(
-            scenario({"object_light": function}, steps=2, objects=objects, detector=detector), tmp_path / case, video=False, report=False
-        ).summary
-        console = Console(record=True, width=160)
-        console.print(summary_table(summary, "here"))
-        told[case] = console.export_text()
-        if objects:
-            pixels = summary["objects"]["walker"]["pixels_max"]
-            assert summary["objects"]["walker"]["findable"]
-            assert pixels > 100 and f"in 2 of the 2 steps in which it is in sight, of {pixels:.0f} px at most" in told[case]
-    assert "no box in any step, though objects in sight had up to" in " ".join(told["falls"].split()) and "no box" not in told["nobody"]
-    assert "50.0% of its flux left at the end; no object was tracked, so none asked for more" in told["falls"]
-    assert all("50.0% of its flux left at the end" in told[case] and "none asked" not in told[case] for case in ("constant", "nobody"))

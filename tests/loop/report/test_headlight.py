@@ -11,13 +11,13 @@ import torch
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 
-from luxloop.loop.report import headlight, views
-from luxloop.loop.report.charts import distance_marks, isolines, map_frame, object_outlines, steps
+from luxloop.loop.report import headlight
+from luxloop.loop.report.charts import distance_marks, isolines, steps
 from luxloop.loop.report.facts import borders_deg, flux_lm, peak
 from luxloop.loop.report.headlight import facts, reach_m, show_headlight
 from luxloop.loop.report.panels import wall_angles
 from luxloop.loop.report.styles import VIEWS
-from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, LitCar, Road, beside, birdseye, driver, grey, picture
+from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, LitCar, Road, beside, birdseye, driver, grey
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import View, pose_from_degrees
@@ -152,16 +152,6 @@ def test_fog_scatters_the_light_of_the_sky_too(lamps: dict[str, Lamp]) -> None:
     assert near == pytest.approx(clear * through + 1000 / (2 * math.pi) * (1 - through), rel=1e-4)
 
 
-def test_shadow_maps_of_the_air_are_rendered_once_for_all_views(car: LitCar, monkeypatch: pytest.MonkeyPatch) -> None:
-    rendered = []
-    whole = views.shadow_map
-    monkeypatch.setattr(views, "shadow_map", lambda *given: rendered.append(given) or whole(*given))
-    bumpy = Road(scenario(road={"kind": "speed_bump"}))
-    for view in (driver(32), driver(64)):
-        bumpy.look(car, view, Medium.fog(100.0))
-    assert len(rendered) == 2, "one a lamp"
-
-
 @pytest.mark.parametrize("kind", ["flat", "grade", "bumps"])
 def test_distances_stand_where_the_road_is(kind: str, car: LitCar) -> None:
     steep = {"kind": kind, **({"grade_percent": 3.0} if kind == "grade" else {})}
@@ -183,12 +173,6 @@ def test_distances_that_something_hides_are_left_out(car: LitCar) -> None:
     axes = Figure().subplots()
     distance_marks(axes, Road(scenario(objects=[box])).look(car, driver(960)), 3.5)
     assert {text.get_text() for text in axes.texts} == {"– 10 m", "– 20 m"}
-
-
-def test_the_map_has_the_lane_of_the_scenario() -> None:
-    axes = Figure().subplots()
-    map_frame(axes, "white", 2.8)
-    assert sorted(line.get_ydata()[0] for line in axes.lines) == [-1.4, 1.4]
 
 
 def test_flux_of_a_uniform_texture_is_its_solid_angle(light: Headlight) -> None:
@@ -243,10 +227,6 @@ def test_lines_run_along_borders_where_light_ends_at_once() -> None:
         assert 7 < x.min() < 8 and 19 < x.max() < 20 and 4 < y.min() < 5 and 14 < y.max() < 15
 
 
-def test_coloured_light_counts_as_the_eye_weighs_it() -> None:
-    assert grey(picture(torch.ones(3, 1, 1))) == pytest.approx(1.0)
-
-
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch, road: Road) -> None:
     """Small views of a road that is there already."""
@@ -267,30 +247,11 @@ def test_each_view_in_each_style_is_a_readable_picture(view: str, lamps: dict[st
     assert {path.suffix for path in tmp_path.iterdir()} == {".png"}, "nothing half-written is left"
 
 
-def test_a_scenario_is_shown_at_full_size(lamps: dict[str, Lamp], tmp_path: Path) -> None:
-    bumpy = scenario(road={"kind": "speed_bump"}, headlight={"height_m": 0.9})
-    assert cv2.imread(str(show_headlight(lamps, tmp_path / "driver.png", view="driver", scenario=bumpy))).shape[1] == 1210
-
-
-def test_a_long_name_leaves_room_for_its_value() -> None:
-    axes = Figure().subplots()
-    headlight._write_facts(axes, [("beam", "low"), ("   a module of a long name", "1 x 1")])
-    at = {text.get_text(): text.get_position()[1] for text in axes.texts}
-    assert at["beam"] == at["low"] > at["   a module of a long name"] > at["1 x 1"]
-
-
 @pytest.mark.parametrize("view", ["wall", "pixels", "overview"])
 @pytest.mark.usefixtures("quick")
 def test_a_dark_lamp_can_be_shown(view: str, lamps: dict[str, Lamp], tmp_path: Path) -> None:
     file = show_headlight({"right": lamps["right"]}, tmp_path / "dark.jpg", beam="off", view=view)
     assert cv2.imread(str(file)) is not None
-
-
-def test_own_utilisations_are_shown(lamps: dict[str, Lamp], tmp_path: Path) -> None:
-    pattern = {"left": (torch.rand(800, generator=torch.Generator().manual_seed(0)),)}
-    assert show_headlight({"left": lamps["left"]}, tmp_path / "own.png", beam=pattern, view="wall", style="isocandela").is_file()
-    double = {"left": (pattern["left"][0].double(),)}
-    assert show_headlight({"left": lamps["left"]}, tmp_path / "double.png", beam=double, view="wall").is_file()
 
 
 @pytest.mark.parametrize("sides", [(), ("middle",), ("left", "rigth")])
@@ -352,23 +313,3 @@ def test_left_and_right_textures_are_to_one_scale_and_to_the_right(lamps: dict[s
     shown = [axes.images[0] for axes in figure.axes if axes.images]
     assert [image.get_clim() for image in shown] == [(0, pytest.approx(50.0))] * 2
     assert shown[0].get_extent()[:2] == pytest.approx((-math.tan(math.radians(12)), math.tan(math.radians(12))))
-
-
-def test_pixels_are_numbered_at_their_middle(lamps: dict[str, Lamp]) -> None:
-    car = LitCar({"left": lamps["left"]}, {"left": lamps["left"].beam("full")})
-    (shown,) = headlight._modules(car, "full", "pixels").axes[0].images
-    assert shown.get_extent() == [-0.5, 39.5, 19.5, -0.5]
-
-
-def test_the_map_shows_the_outlines_of_objects(car: LitCar) -> None:
-    box = {"kind": "box", "name": "box", "size_m": [4.0, 2.0, 1.5], "track": [{"position_m": [20.0, 3.0, 0.0]}]}
-    axes = Figure().subplots()
-    object_outlines(axes, Road(scenario(objects=[box])).look(car, birdseye(0.5)), (*BIRDSEYE_X_M, *BIRDSEYE_Y_M), "white")
-    (outline,) = axes.collections
-    x, y = np.concatenate([path.vertices for path in outline.get_paths()]).T
-    assert (x.min(), x.max(), y.min(), y.max()) == pytest.approx((18, 22, 2, 4), abs=0.3)  # cells of half a metre
-
-
-def test_an_even_peak_has_no_place(light: Headlight) -> None:
-    lamp = Lamp("even", (Module("main", light),))
-    assert peak(lamp, lamp.beam("full")).even and not peak(lamp, [torch.eye(800)[410]]).even

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 from luxloop.loop.recording.files import REPORT, table_of
 from luxloop.loop.recording.record import row, schema, summary_of
-from luxloop.loop.report.highlights import PAST_SYMBOLS, Highlights, SymbolHistory
+from luxloop.loop.report.highlights import Highlights, SymbolHistory
 from luxloop.loop.report.page import DPI, LIGHT_IN, WIDE_IN, _from_near, write_report
-from luxloop.loop.report.symbol import HIGH_IN, _courses, _title
+from luxloop.loop.report.symbol import HIGH_IN, _courses
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.columns import of_one
@@ -134,11 +134,6 @@ def test_judgements_far_apart_are_joined_and_where_there_are_none_the_chart_says
         assert [text.get_text()[:13] for text in figure.axes[2].texts if text.get_text()] == ([told] if told else [])
 
 
-def test_the_page_says_why_nobody_judged(small_simulation: Simulation) -> None:
-    summary = {"controller": "open", "unsettled": "not_judged", "judge_every": 0, "lost_steps": 0}
-    assert _title(small_simulation, "symbol", summary, None).endswith("  ·  not judged, because judge_every = 0")
-
-
 def test_light_from_above_is_looked_at_closely_where_it_is() -> None:
     def look(view: View) -> torch.Tensor:
         """1 lx on 3 m by 0.5 m, about a place 22 m ahead and 1 m to the left."""
@@ -154,16 +149,6 @@ def test_light_from_above_is_looked_at_closely_where_it_is() -> None:
     assert (light @ x).sum() / light.sum() == pytest.approx(22, abs=0.03)  # the view begins at whole cells
     assert (y @ light).sum() / light.sum() == pytest.approx(1, abs=0.03)
     assert left < 20 and right > 24 and low < 0 and high > 2
-
-
-@pytest.mark.slow
-def test_long_run_keeps_few_images(small_results: list[StepResult]) -> None:
-    gathered = SymbolHistory("symbol", 10_000)
-    for step in range(10_000):
-        gathered.add(small_results[step] if step < 3 else replace(small_results[3], step=step))
-    assert len(gathered.symbols) <= PAST_SYMBOLS
-    assert len(gathered.path) == 10_000
-    assert gathered.last is not None and gathered.last.step == 9_999
 
 
 def test_path_is_the_centroid_in_the_image(small_results: list[StepResult]) -> None:

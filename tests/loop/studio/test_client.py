@@ -153,14 +153,6 @@ def test_errors_are_raised_and_watchers_change_nothing(client: Client, served: S
         connect("http://127.0.0.1:1/#token")
 
 
-def test_values_of_numpy_and_whole_tables_are_set(client: Client) -> None:
-    client.set({"functions.symbol.x_m": np.float64(18.0), "functions.bar": {"kind": "primitive", "x_m": 20.0, "value": np.float32(0.5)}})
-    model = client.scenario["model"]
-    assert model["functions"]["symbol"]["x_m"] == 18.0 and model["functions"]["bar"]["x_m"] == 20.0
-    client.set({"functions.bar": None})
-    assert "bar" not in client.scenario["model"]["functions"]
-
-
 def test_nothing_is_made_that_nobody_wants(client: Client, served: Served) -> None:
     client.want("truth")
     client.step()

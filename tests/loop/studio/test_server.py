@@ -89,26 +89,6 @@ def test_a_client_gets_the_run_and_the_values_of_the_command_line(served: Served
         assert np.array_equal(rows[:, names.index(name)], np.array([each[name] for each in expected], np.float32))
 
 
-def test_light_arrives_window_by_window_as_the_library_has_it(served: Served) -> None:
-    with watching(served.port, served.tokens.edit) as watcher:
-        watcher.of("scenario")
-        watcher.say(type="reset")
-        watcher.of("scenario")
-        run = served.studio.session.state.runs[0]
-        module = run.simulation.modules[0]
-        texture = np.zeros((module.headlight.rows, module.headlight.cols), np.float32)
-        for step in range(3):
-            head, arrays = watcher.until(lambda head, step=step: head["type"] == "step" and head["step"] == step)
-            if "0" in head["light_windows"]:
-                top, bottom, left, right = head["light_windows"]["0"]
-                texture[top:bottom, left:right] = arrays["light.0"] * np.float32(head["modules"][0]["scale_cd"])
-            u = run.snapshots[step].lights[0]
-            expected = module.headlight.light_texture(u).numpy()
-            assert np.abs(texture - expected).max() <= expected.max() * 2**-10  # a half float has 11 bits
-            assert np.array_equal(arrays["u.0"], (255 * u).round().byte().view(arrays["u.0"].shape).numpy())
-            watcher.say(type="step")
-
-
 def test_light_that_is_the_same_is_not_sent_again(served: Served) -> None:
     with watching(served.port, served.tokens.edit) as watcher:
         watcher.say(type="pause", ask=1)
@@ -273,36 +253,6 @@ def test_a_wrong_value_is_answered_as_on_the_command_line_and_changes_nothing(se
         assert served.studio.session.state.runs == before
 
 
-def test_a_gain_holds_at_the_next_step_and_nothing_starts_anew(served: Served) -> None:
-    with watching(served.port, served.tokens.edit) as watcher:
-        number = served.studio.session.state.number
-        watcher.of("scenario")
-        watcher.say(type="step")
-        (run,) = served.studio.session.state.runs
-        watcher.say(type="set", overrides=["functions.symbol.controller.position.kp=0.31"])
-        told, _ = watcher.of("edit")
-        assert (told["step"], told["overrides"]) == (len(run.rows), ["functions.symbol.controller.position.kp=0.31"])
-        assert served.studio.session.state.number == number
-        assert run.simulation.symbol.params.position.kp == 0.31
-        watcher.say(type="set", overrides=["functions.symbol.x_m=400.0"])
-        assert "functions.symbol" in watcher.of("error", about="set")[0]["text"]
-        assert run.simulation.symbol.params.position.kp == 0.31
-
-
-def test_a_second_run_steps_beside_the_first(served: Served) -> None:
-    with watching(served.port, served.tokens.edit) as watcher:
-        watcher.of("scenario")
-        watcher.say(type="compare", overrides=["functions.symbol.controller.position.kp=0.9"])
-        head, _ = watcher.until(lambda head: head["type"] == "scenario" and len(head["runs"]) == 2)
-        assert [each["label"] for each in head["runs"]] == ["snowflake", "functions.symbol.controller.position.kp=0.9"]
-        watcher.say(type="step")
-        watcher.of("step", step=1, run=1)
-        one, two = served.studio.session.state.runs
-        assert len(one.rows) == len(two.rows) == 2
-        watcher.say(type="compare")
-        watcher.until(lambda head: head["type"] == "scenario" and len(head["runs"]) == 1)
-
-
 def test_a_regulation_judges_the_light_that_is_shown(served: Served) -> None:
     with watching(served.port, served.tokens.edit) as watcher:
         watcher.of("scenario")
@@ -371,20 +321,3 @@ def test_what_a_client_asks_waits_on_its_side_while_the_session_is_busy(served: 
         assert session.waiting == MOST_ASKED + 1
         goes_on.set()
         assert [watcher.of("done")[0]["ask"] for _ in range(300)] == list(range(300))
-
-
-def test_two_watchers_see_what_the_pen_does(served: Served) -> None:
-    tokens, port = served.tokens, served.port
-    with watching(port, tokens.edit) as editor, watching(port, tokens.watch) as one, watching(port, tokens.watch) as two:
-        for each in (editor, one, two):
-            each.of("scenario")
-        editor.say(type="pen")
-        editor.say(type="reset")
-        editor.say(type="play")
-        seen = []
-        for each in (editor, one, two):
-            assert each.of("scenario")[0]["steps"] == 6
-            each.until(lambda head: head["type"] == "rows" and head["first"] + head["arrays"]["rows"]["shape"][0] == 6)
-            last = max(k for k, (head, _) in enumerate(each.got) if head["type"] == "scenario")
-            seen.append(np.concatenate([arrays["rows"] for head, arrays in each.got[last:] if head["type"] == "rows"]))
-        assert len(seen[0]) == 6 and all(np.array_equal(seen[0], each, equal_nan=True) for each in seen)

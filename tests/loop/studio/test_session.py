@@ -110,13 +110,6 @@ def test_edits_of_a_drag_are_one(own: Served, editor: Watcher, monkeypatch: pyte
     assert own.studio.session.state.runs[0].simulation.scenario == before
 
 
-def test_what_starts_anew_is_taken_back_as_well(own: Served, editor: Watcher) -> None:
-    editor.say(type="set", overrides=["seed=5"])
-    assert editor.of("scenario")[0]["seed"] == 5
-    editor.say(type="undo")
-    assert editor.of("scenario")[0]["seed"] == 0
-
-
 def test_what_is_saved_is_the_scenario_as_it_is_now(own: Served, editor: Watcher, tmp_path: Path) -> None:
     editor.say(type="set", overrides=[f"{KP}=0.45", "light.ambient_lx=0.4"])
     editor.of("edit")
@@ -217,18 +210,6 @@ def test_a_comparison_begins_with_all_edits(own: Served, editor: Watcher) -> Non
     editor.say(type="compare")
     assert len(editor.of("scenario")[0]["runs"]) == 1
     assert own.studio.session.state.runs[0].simulation.scenario.light.ambient_lx == 0.9
-
-
-def test_the_camera_shows_the_last_step_of_a_run(own: Served, editor: Watcher) -> None:
-    editor.say(type="play")
-    editor.of("status", playing=False)
-    (run,) = own.studio.session.state.runs
-    assert run.over and run.snapshots[-1].pictures  # those of steps before may be left out for speed
-    editor.say(type="scrub", run=0, step=3)
-    editor.of("step", step=3, scrub=True)
-    editor.say(type="scrub", step=None)
-    last, arrays = editor.of("step", scrub=False, step=len(run.snapshots) - 1)
-    assert "camera.on" in arrays and not any("picture is that of" in note for note in last["notes"])
 
 
 def test_edits_that_set_the_same_values_anew_before_a_step_are_kept_once(own: Served, editor: Watcher) -> None:
