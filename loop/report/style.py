@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LinearSegmentedColormap
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from numpy.typing import ArrayLike
 
 from luxloop.world.files import whole
@@ -59,7 +59,7 @@ def heading(axes: Axes, title: str, *more: Axes) -> None:
     )
 
 
-def field(axes: Axes, values: ArrayLike, extent: tuple[float, ...], label: str = "", **style: Any) -> ScalarMappable:
+def field(axes: Axes, values: ArrayLike, extent: tuple[float, float, float, float], label: str = "", **style: Any) -> ScalarMappable:
     """Values `[H, W]` in colours that fill the axes, without a grid. label: of a colour bar beside them, if there is to be one."""
     drawn = axes.imshow(values, extent=extent, **{"cmap": "inferno", "aspect": "auto", "interpolation": "antialiased"} | style)
     axes.grid(False)
@@ -81,7 +81,7 @@ def no_frame(axes: Axes) -> None:
         spine.set_visible(False)
 
 
-def page_title(figure: Figure, *parts: str, size: float = 11.5) -> None:
+def page_title(figure: Figure | SubFigure, *parts: str, size: float = 11.5) -> None:
     """What a page shows, on its upper left."""
     figure.suptitle("  ·  ".join(filter(None, parts)), x=0.012, ha="left", fontsize=size, weight="bold")
 
