@@ -115,7 +115,7 @@ def calibrate(
 
     files.refuse_name(out)
     readings = [_reading(each) for each in lux or ()]
-    _refuse_unarmed(rig, arm)
+    _require_arm(rig, arm)
     if screen_m is not None and not 0 < screen_m < math.inf:
         raise LuxloopError(f"--screen-m {screen_m:g}: is no distance; give metres above 0")
     printed = _board(columns, rows, square_mm)
@@ -212,7 +212,7 @@ def digitise(
         raise LuxloopError("--reflectance is above 0, up to 1; --comb-frames at least 1; --texels from 1 to 8")
     readings = [_reading(each) for each in lux or ()]
     files.refuse_name(out)
-    _refuse_unarmed(rig, arm)
+    _require_arm(rig, arm)
     scenario = scenario_of(name, set, allow_code=allow_code)
     digitised_side(scenario)
     known = files.load(calibration)
@@ -333,7 +333,7 @@ def _bench(scenario: "Scenario", rig: Path | None, allow_code: bool) -> Iterator
         yield bench, modules
 
 
-def _refuse_unarmed(rig: Path | None, arm: bool) -> None:
+def _require_arm(rig: Path | None, arm: bool) -> None:
     if rig is not None and not arm:
         raise LuxloopError(f"--rig {rig}: its lamp would be lit, with all pixels at times; give --arm as well")
     if arm and rig is None:

@@ -4,9 +4,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any
 
 from luxloop.loop.report import terminal as tables
 from luxloop.loop.report.progress import progress
@@ -19,7 +17,6 @@ if TYPE_CHECKING:
     from luxloop.loop.scenario.model import Scenario
     from luxloop.loop.simulation.simulated import SimulatedPlant
 
-Named = Annotated[str, Parameter(name="--scenario")]
 JUDGED = "the rig's own camera, by its view of the plane that it is calibrated to; the truth is not known, and its columns are empty"
 
 
