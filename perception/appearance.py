@@ -1,7 +1,10 @@
 """The symbol's appearance: raw moments, five centroids and the four errors (T 9.4.2)."""
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -91,20 +94,92 @@ def appearance(image: Tensor, axes: Axes) -> Appearance:
     return Appearance(size, torch.cat([centre, quadrants], -2), mu11 / mu20, length)
 
 
+def _quadrants(seen: Appearance, *signs: int) -> Tensor:
+    """Sum of the quadrants' centroids `[..., 2]` with these signs, over 2 (T eq. 9.4.3, 9.4.4 of one symbol)."""
+    tl, tr, bl, br = seen.centroids[..., 1:, :].unbind(-2)
+    a, b, c, d = signs
+    return ((tr * a + tl * b) + (br * c + bl * d)) / 2
+
+
+@dataclass(frozen=True)
+class DegreeOfFreedom:
+    """One degree of freedom of the symbol's primitive, and the error of the same name.
+
+    name, unit: "x" in "m" or "roll" in "rad", say. probe: half the step about the target by which its plant gain is measured, in its unit:
+    wide enough to drown pixel edges. moves: the error that it moves most. feature: `[...]`, of which the error is a difference; its second
+    argument is the key `features.shape`. of_pose: its value in poses `[..., 4, 4]`.
+    """
+
+    name: str
+    unit: Literal["m", "rad"]
+    probe: float
+    moves: str
+    feature: Callable[[Appearance, str], Tensor]
+    of_pose: Callable[[Tensor], Tensor]
+
+    @property
+    def suffix(self) -> str:
+        """Its unit in files, "m" or "deg"."""
+        return "m" if self.unit == "m" else "deg"
+
+    @property
+    def key(self) -> str:
+        """Its name in scenarios and the columns of recordings, such as "roll_deg"."""
+        return f"{self.name}_{self.suffix}"
+
+    def of_file(self, value: float) -> float:
+        """A value of scenarios in its unit."""
+        return value if self.unit == "m" else math.radians(value)
+
+    def limits(self, params: object, name: str | None = None) -> tuple[float, float]:
+        """The limits that params give as `<name>_range_<suffix>`, in its unit; infinite where they give none."""
+        low, high = getattr(params, f"{name or self.name}_range_{self.suffix}", (-math.inf, math.inf))
+        return self.of_file(low), self.of_file(high)
+
+
+# All degrees of freedom, positions first and then angles as `luxloop.world.frames.rotation` takes them. Whoever adds one here adds its keys
+# to the controllers that limit it and to `start`; poses, features, gains, errors and columns follow.
+DEGREES: tuple[DegreeOfFreedom, ...] = (
+    DegreeOfFreedom("x", "m", 0.3, "y", lambda seen, _: seen.centroids[..., 0, 0], lambda T: T[..., 0, 3]),
+    DegreeOfFreedom("y", "m", 0.1, "x", lambda seen, _: seen.centroids[..., 0, 1], lambda T: T[..., 1, 3]),
+    DegreeOfFreedom(
+        "roll",
+        "rad",
+        math.radians(1.0),
+        "roll",
+        lambda seen, shape: _quadrants(seen, 1, -1, 1, -1)[..., 1] if shape == "quadrants" else seen.shear,
+        lambda T: torch.atan2(T[..., 2, 1], T[..., 2, 2]),
+    ),
+    DegreeOfFreedom(
+        "pitch",
+        "rad",
+        math.radians(0.5),
+        "pitch",
+        lambda seen, shape: _quadrants(seen, 1, 1, -1, -1)[..., 1] if shape == "quadrants" else seen.length,
+        lambda T: torch.asin(-T[..., 2, 0]),
+    ),
+)
+
+
+def probes(like: Tensor) -> Tensor:
+    """Steps of a pose by the probe of each degree of freedom, `[n, n]`."""
+    return torch.diag(like.new_tensor([degree.probe for degree in DEGREES]))
+
+
+def paired() -> list[int]:
+    """For each degree of freedom the index of the error that it moves: x acts on the image's v, y on its u."""
+    names = [degree.name for degree in DEGREES]
+    return [names.index(degree.moves) for degree in DEGREES]
+
+
 def features(seen: Appearance, shape: str) -> Tensor:
-    """The four features whose differences are the errors: `[..., 4]` = centre u, centre v, roll, pitch.
+    """The features `[..., n]` of all degrees of freedom, whose differences are the errors: centre u, centre v, roll, pitch.
 
     shape "quadrants": T eq. 9.4.3 and 9.4.4 of one symbol, in units of the axes; "moments": shear and length.
     """
-    centre, tl, tr, bl, br = seen.centroids.unbind(-2)
-    if shape == "quadrants":
-        roll = ((tr - tl) + (br - bl))[..., 1] / 2
-        pitch = ((tr + tl) - (br + bl))[..., 1] / 2
-    else:
-        roll, pitch = seen.shear, seen.length
-    return torch.stack([centre[..., 0], centre[..., 1], roll, pitch], -1)
+    return torch.stack([degree.feature(seen, shape) for degree in DEGREES], -1)
 
 
 def errors(current: Tensor, target: Tensor) -> Tensor:
-    """e_x, e_y, e_roll, e_pitch `[..., 4]`: features of the current symbol minus those of the target (T eq. 9.4.3, 9.4.4)."""
+    """e_x, e_y, e_roll, e_pitch `[..., n]`: features of the current symbol minus those of the target (T eq. 9.4.3, 9.4.4)."""
     return current - target

@@ -233,7 +233,7 @@ def road_symbol(pose: Tensor, z_m: float, width_m: float, length_m: float, symbo
     `[h, w]` in 0..1. value, quantity: as for `rectangle`. Returns Primitives with P = 1; raises LuxloopError as `rectangle` does.
     """
     pose = pose[..., None, :]
-    R = rotation(pose[..., 2], pose[..., 3])
+    R = rotation(*pose[..., 2:].unbind(-1))
     centre = torch.cat([pose[..., :2], torch.full_like(pose[..., :1], z_m)], -1)
     forward, left, up = R.unbind(-1)
     d1, d2 = -width_m * left, -length_m * forward

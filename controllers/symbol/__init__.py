@@ -69,8 +69,7 @@ def refuse_place(params: AnyParams, target: str) -> None:
 def refuse_start(params: AnyParams, start: StartParams) -> None:
     """Raises ValueError where a controller's limits, `x_range_m` of `x_m` and so on, do not hold its start."""
     for key, value in start:
-        axis, _, unit = key.rpartition("_")
-        limits = f"{axis}_range_{unit}"
+        limits = "_range_".join(key.rsplit("_", 1))
         low, high = getattr(params, limits, (-float("inf"), float("inf")))
         if low >= high:
             raise ValueError(f"controller.{limits}: {low:g} must be less than {high:g}; give the smaller limit first")

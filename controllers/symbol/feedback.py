@@ -6,7 +6,6 @@ and subtracts it. Since it compares with the light that was seen, be it as old a
 off.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
@@ -17,11 +16,12 @@ from torch import Tensor
 
 from luxloop.controllers.pid import PidGains, PidParams, PidState, pid_gains, pid_reset, pid_step
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.controllers.symbol.sensing.flat_model import PROBE, FlatModel
+from luxloop.controllers.symbol.sensing.flat_model import FlatModel
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import Observation
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from luxloop.controllers.symbol.stages import StagedParams
+from luxloop.perception import appearance
 from luxloop.perception.egomotion import Ego
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.params import Degrees, Metres, Params
@@ -100,17 +100,12 @@ class Feedback:
         target = sensor.projector.target
         height = torch.stack([module.T_world_headlight[2, 3] for module in sensor.projector.modules]).mean()
         m_per_z = float(target[0] / height) if params.dof == "z" else 1.0
-        lows, highs = zip(
-            params.shift_range_m,
-            params.y_range_m,
-            *(tuple(map(math.radians, ends)) for ends in (params.roll_range_deg, params.pitch_range_deg)),
-            strict=True,
-        )
-        low, high = (target.new_tensor(ends) for ends in (lows, highs))
+        limits = [degree.limits(params, "shift" if degree.name == "x" else None) for degree in appearance.DEGREES]
+        low, high = target.new_tensor(limits).unbind(-1)
         if params.dof == "z":  # heights that cast the same light as those places
             places = [max(float(target[0]) + end, 1.0) for end in params.shift_range_m]
             low[0], high[0] = (float(height * (1 - target[0] / place)) for place in places)
-        probe = torch.diag(target.new_tensor(PROBE))
+        probe = appearance.probes(target)
         probe[0, 0] /= m_per_z
 
         def expected(correction: Tensor) -> Tensor:
@@ -211,31 +206,15 @@ class ThesisPid:
     @classmethod
     def prepare(cls, params: ThesisPidParams, target: Tensor) -> "ThesisPid":
         """target: as above."""
-        radians = math.radians
-        loops = [
-            (params.position, params.x_range_m, params.x_rate_m),
-            (params.position, params.y_range_m, params.y_rate_m),
-            (params.rotation, tuple(map(radians, params.roll_range_deg)), radians(params.roll_rate_deg)),
-            (params.rotation, tuple(map(radians, params.pitch_range_deg)), radians(params.pitch_rate_deg)),
-        ]
-        gains = pid_gains(
-            [
-                PidParams(
-                    kp=tuning.kp,
-                    ki=tuning.ki,
-                    kd=tuning.kd,
-                    tracking_time=tuning.tracking_steps,
-                    lower=low,
-                    upper=high,
-                    rate_limit=rate,
-                    form="incremental",
-                )
-                for tuning, (low, high), rate in loops
-            ],
-            target.dtype,
-            target.device,
-        )
-        return cls(gains, target, params.losses_to_reset)
+        loops = []
+        for degree in appearance.DEGREES:
+            tuning, (low, high) = params.position if degree.unit == "m" else params.rotation, degree.limits(params)
+            rate = degree.of_file(getattr(params, f"{degree.name}_rate_{degree.suffix}"))
+            gains = tuning.model_dump(exclude={"tracking_steps"})
+            loops.append(
+                PidParams(**gains, tracking_time=tuning.tracking_steps, lower=low, upper=high, rate_limit=rate, form="incremental")
+            )
+        return cls(pid_gains(loops, target.dtype, target.device), target, params.losses_to_reset)
 
     def start(self, pose: Tensor) -> ThesisPidState:
         """State that shows the pose `[..., 4]` first."""

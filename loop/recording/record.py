@@ -202,7 +202,6 @@ def row(result: StepResult) -> dict[str, Any]:
 def of_symbol(held: Held) -> dict[str, Any]:
     """What is recorded of one symbol in a step, by the names of SYMBOL."""
     verdict, seen = held.verdict or NOT_JUDGED, held.measurement
-    degrees = torch.tensor([1.0, 1.0, 180 / torch.pi, 180 / torch.pi], dtype=torch.float64)
     tensors = {
         POSE: held.pose,
         ("z_m",): held.z,
@@ -216,10 +215,9 @@ def of_symbol(held: Held) -> dict[str, Any]:
         AIM: held.aim,
         ("code",): seen.code,
     }
-    host = torch.cat([tensor.flatten().double() for tensor in tensors.values()]).cpu()
-    host[:4] *= degrees
-    host[9:13] *= degrees
-    values = dict(zip([name for names in tensors for name in names], host.tolist(), strict=True))
+    host = torch.cat([tensor.flatten().double() for tensor in tensors.values()]).tolist()
+    names = [name for names in tensors for name in names]
+    values = {name: value * (180 / math.pi) if name.endswith("_deg") else value for name, value in zip(names, host, strict=True)}
     return values | {"loss": loss_name(int(values.pop("code")))}
 
 

@@ -3,12 +3,13 @@
 import pyarrow as pa
 
 from luxloop.controllers.symbol.sensing.field import SIDES
+from luxloop.perception.appearance import DEGREES
 from luxloop.perception.extraction import ExtractionStatus
 
 CUT = tuple(f"cut_{side}" for side in SIDES)
 AIM = ("aim_x_m", "aim_y_m")
-POSE = ("x_m", "y_m", "roll_deg", "pitch_deg")
-ERRORS = ("e_x", "e_y", "e_roll", "e_pitch")
+POSE = tuple(degree.key for degree in DEGREES)
+ERRORS = tuple(f"e_{degree.name}" for degree in DEGREES)
 CENTROIDS = tuple(f"{point}_{axis}" for point in ("c", "tl", "tr", "bl", "br") for axis in "uv")
 
 # of each symbol that a controller holds, name: (unit, description); the shown light is seen camera.latency_steps later
@@ -28,10 +29,7 @@ SYMBOL: dict[str, tuple[str, str]] = {
     "e_y": ("axes", "error of the centre along v"),
     "e_roll": ("feature", "error of the roll feature"),
     "e_pitch": ("feature", "error of the pitch feature"),
-    "pose_error_x_m": ("m", "e_y divided by its plant gain"),
-    "pose_error_y_m": ("m", "e_x divided by its plant gain"),
-    "pose_error_roll_deg": ("deg", "e_roll divided by its plant gain"),
-    "pose_error_pitch_deg": ("deg", "e_pitch divided by its plant gain"),
+    **{f"pose_error_{each.key}": (each.suffix, f"e_{each.moves} divided by its plant gain") for each in DEGREES},
     "c_u": ("axes", "centroid of the extracted symbol, u to the right"),
     "c_v": ("axes", "centroid of the extracted symbol, v down or towards the car"),
     **{

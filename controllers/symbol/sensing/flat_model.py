@@ -1,6 +1,5 @@
 """The controller's internal model (T 9.4.1): what the camera would see of the projected symbol on a flat, empty road, without noise."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,7 +12,7 @@ from torch import Tensor
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import Projector
-from luxloop.perception.appearance import Appearance, Axes, appearance, area, features, image_axes
+from luxloop.perception.appearance import Appearance, Axes, appearance, area, features, image_axes, paired, probes
 from luxloop.perception.birdseye import BirdsEye, birds_eye, rectify, region_around
 from luxloop.perception.camera import CameraParams, average_rows, camera_view
 from luxloop.perception.extraction import Crop, Extraction, noise_limit, symbol_image
@@ -23,11 +22,6 @@ from luxloop.world.light.illumination import Transport, added_light, reach, tran
 from luxloop.world.materials.library import RoadSurfaceParams
 from luxloop.world.params import Params
 from luxloop.world.rendering.gbuffer import flat_road
-
-# Steps of the symbol's x, y (m), roll, pitch (rad) about the target that measure the plant's gains: wide enough to drown pixel edges.
-PROBE = (0.3, 0.1, math.radians(1.0), math.radians(0.5))
-# Degrees of freedom and errors are paired crosswise: x acts on the image's v, y on its u.
-PAIRED = (1, 0, 2, 3)
 
 
 class FeatureParams(Params):
@@ -71,8 +65,8 @@ class FlatModel:
     """What the camera would see of the symbol on a flat road.
 
     transports: of light to the camera's pixels, one a module. beams: `[height, width]` cd/m^2, of the base beams. limit: `[height, width]`
-    cd/m^2, threshold of extraction. params: those of extraction. eye: turns symbol images into features. target: `[4]` features at the
-    target. gains: `[4]`, change of the paired feature per m or rad of x, y, roll, pitch there. albedo: of the road.
+    cd/m^2, threshold of extraction. params: those of extraction. eye: turns symbol images into features. target: `[n]` features at the
+    target. gains: `[n]`, change of the paired feature per m or rad of x, y, roll, pitch there. albedo: of the road.
     """
 
     transports: tuple[Transport, ...]
@@ -124,13 +118,13 @@ def flat_model(
     region = region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m)
     plane = birds_eye(region, view).to(limit.device) if what.view == "birdseye" else None
     model = FlatModel(
-        tuple(transports), beams, limit, params, Eye(view, plane, what.shape), torch.zeros(4), torch.ones(4), surface.seen_albedo
+        tuple(transports), beams, limit, params, Eye(view, plane, what.shape), torch.zeros(()), torch.ones(()), surface.seen_albedo
     )
 
     def seen(pose: Tensor) -> Tensor:
         crop = projector.footprint(ProjectionCommand(pose), view, params.footprint_margin_m)
         return model.eye.features(model.eye.look(model.symbol(projector.light(pose), crop), crop))
 
-    target, probe = projector.target, torch.diag(projector.symbol.new_tensor(PROBE))
-    gains = [(seen(target + h) - seen(target - h))[k] / (2 * h.sum()) for h, k in zip(probe, PAIRED, strict=True)]
+    target = projector.target
+    gains = [(seen(target + h) - seen(target - h))[k] / (2 * h.sum()) for h, k in zip(probes(target), paired(), strict=True)]
     return replace(model, target=seen(target), gains=torch.stack(gains))

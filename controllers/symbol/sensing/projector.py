@@ -17,6 +17,7 @@ from luxloop.controllers.pixels.primitives import Primitives, Quantity, road_sym
 from luxloop.controllers.pixels.ssc import PixelController, Utilisation
 from luxloop.controllers.symbol.sensing.projection import CELLS, ProjectionCommand, Warp
 from luxloop.controllers.symbol.sensing.road_shape import below_lamps, holding, placed, reached
+from luxloop.perception import appearance
 from luxloop.perception.extraction import Crop
 from luxloop.world.frames import View, inverse, pose, rotation, transform
 from luxloop.world.kept import keeping
@@ -57,9 +58,9 @@ def lifted(
 
 def _rectangle(projection: ProjectionCommand) -> Tensor:
     """Pose `[4, 4]` of a projection's rectangle."""
-    x, y, roll, pitch = projection.pose
+    x, y, *angles = projection.pose
     z = torch.zeros_like(x) if projection.z is None else projection.z
-    return pose(torch.stack([x, y, z]), rotation(roll, pitch))
+    return pose(torch.stack([x, y, z]), rotation(*angles))
 
 
 def _crossed(origin: Tensor, points: Tensor) -> Tensor:
@@ -133,8 +134,9 @@ class StartParams(Params):
 
     @property
     def pose(self) -> Tensor:
-        """`[4]` = x, y in m, roll, pitch in rad."""
-        return torch.cat([torch.tensor([self.x_m, self.y_m]), torch.deg2rad(torch.tensor([self.roll_deg, self.pitch_deg]))])
+        """`[n]` = x, y in m, roll, pitch in rad."""
+        values = torch.tensor([getattr(self, degree.key) for degree in appearance.DEGREES])
+        return torch.cat([values[:2], torch.deg2rad(values[2:])])
 
 
 @dataclass(frozen=True)
@@ -169,8 +171,8 @@ class Projector:
 
     @property
     def target(self) -> Tensor:
-        """The pose on the assumed flat road, `[4]` = x, y in m, roll, pitch in rad."""
-        return self.symbol.new_tensor([self.params.x_m, self.params.y_m, 0.0, 0.0])
+        """The pose on the assumed flat road, `[n]` = x, y in m, roll, pitch in rad."""
+        return self.symbol.new_tensor([self.params.x_m, self.params.y_m, *[0.0] * (len(appearance.DEGREES) - 2)])
 
     @cached_property
     def resting(self) -> tuple[Utilisation, ...]:

@@ -8,6 +8,7 @@ from typing import Final
 import torch
 from torch import Tensor
 
+from luxloop.perception import appearance
 from luxloop.world.frames import pose, rotation, transform
 
 
@@ -66,8 +67,8 @@ def holding(T: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, tuple[float, 
 
 
 def placed(T: Tensor) -> tuple[Tensor, Tensor]:
-    """Pose `[4]` (x, y in m, roll, pitch in rad) and height `[]` in m of a rectangle at `[4, 4]`; its yaw is left out.
+    """Pose `[n]` (x, y in m, roll, pitch in rad) and height `[]` in m of a rectangle at `[4, 4]`; its yaw is left out.
 
     A body that moves adds a yaw of some 1e-4 rad.
     """
-    return torch.stack([T[0, 3], T[1, 3], torch.atan2(T[2, 1], T[2, 2]), torch.asin(-T[2, 0])]), T[2, 3]
+    return torch.stack([degree.of_pose(T) for degree in appearance.DEGREES]), T[2, 3]

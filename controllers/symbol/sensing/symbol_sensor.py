@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.controllers.symbol.sensing.flat_model import PAIRED, FlatModel
+from luxloop.controllers.symbol.sensing.flat_model import FlatModel
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import Projector
 from luxloop.controllers.symbol.sensing.relocalisation import Relocalisation, Relocaliser
-from luxloop.perception.appearance import Appearance, errors
+from luxloop.perception.appearance import Appearance, errors, paired
 from luxloop.perception.camera import CameraParams
 from luxloop.perception.extraction import Crop, Extraction, ExtractionStatus, difference, gate, symbol_image, symbol_images, threshold
 
@@ -130,7 +130,7 @@ class SymbolSensor:
 
     def pose_error(self, error: Tensor) -> Tensor:
         """Errors of features `[..., 4]` in m and rad of x, y, roll, pitch."""
-        return error[..., PAIRED] / self.model.gains
+        return error[..., paired()] / self.model.gains
 
     def rendered(self, projection: ProjectionCommand, lights: Sequence[Utilisation]) -> Tensor:
         """Features `[..., 4]` that a flat road would show of the light of a projection, without noise."""

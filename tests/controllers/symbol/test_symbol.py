@@ -21,6 +21,7 @@ from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, War
 from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
 from luxloop.controllers.symbol.sensing.protocol import Observation, Projection, SymbolController
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement, SymbolSensor
+from luxloop.perception import appearance
 from luxloop.perception.appearance import Appearance
 from luxloop.perception.camera import CameraParams, average_rows, camera_view, expose
 from luxloop.perception.extraction import Crop, ExtractionParams, ExtractionStatus
@@ -398,6 +399,31 @@ def test_the_loop_closes_on_a_flat_road(symbol: str, what: FeatureParams) -> Non
 def test_the_loop_closes_from_every_corner(side: float, away_m: float) -> None:
     start = torch.tensor([17.0 + away_m, side, side * math.radians(5), math.radians(-2)])
     assert ((run(sensor("chevrons", PLANE), start)[-5:].mean(0) - TARGET).abs() < CLOSE).all()
+
+
+def test_a_fifth_degree_of_freedom_is_one_entry_and_its_keys(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With an entry for yaw, poses, features, gains and errors have five numbers, and the PIDs turn the symbol back."""
+
+    class YawParams(ThesisPidParams):
+        yaw_range_deg: tuple[float, float] = (-7.0, 7.0)
+        yaw_rate_deg: float = 2.4
+
+    def lean(seen: Appearance, shape: str) -> Tensor:
+        top_left, top_right, bottom_left, bottom_right = seen.centroids[..., 1:, 0].unbind(-1)
+        return (top_left + top_right - bottom_left - bottom_right) / 2
+
+    yaw = appearance.DegreeOfFreedom("yaw", "rad", math.radians(2.0), "yaw", lean, lambda T: torch.atan2(T[..., 1, 0], T[..., 0, 0]))
+    monkeypatch.setattr(appearance, "DEGREES", (*appearance.DEGREES, yaw))
+    watcher = sensor.__wrapped__("chevrons")
+    target = watcher.projector.target
+    shown = target + torch.tensor([0.0, 0.0, 0.0, 0.0, math.radians(3.0)])
+    seen = measure(watcher, shown)
+    assert seen.errors.shape == (5,) and watcher.model.gains.shape == (5,)
+    assert float(seen.pose_error[4]) == pytest.approx(math.radians(3.0), rel=0.1)  # the feature is not quite linear in the angle
+    law = ThesisPid.prepare(YawParams(), target)
+    after = law.step(law.start(shown), report(seen.pose_error))
+    assert 0 < float(after.pid.output[4]) < float(shown[4])
+    assert yaw.of_pose(pose_from_degrees((0.0, 0.0, 0.0), yaw_deg=3.0)) == pytest.approx(math.radians(3.0))
 
 
 def test_the_loop_survives_dropped_frames() -> None:
