@@ -13,7 +13,7 @@ from scipy.ndimage import map_coordinates, maximum_filter, uniform_filter
 
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.perception.appearance import paired
+from luxloop.perception.appearance import error_indices
 from luxloop.perception.camera import camera_view
 from luxloop.perception.extraction import NEIGHBOURHOOD, WHOLLY_LIT
 from luxloop.world.rendering.gbuffer import GBuffer, flat_road, gbuffer
@@ -108,7 +108,7 @@ class Baseline:
         errors, ratio = self._perceive(on, off, pose, texture)
         lap("perceive")
         if self.params.area_low <= ratio <= self.params.area_high:
-            asked = -errors[paired()] / self.gains
+            asked = -errors[error_indices()] / self.gains
             pids = [pid.step(float(error)) for pid, error in zip(pids, asked, strict=True)]
         lap("control")
         return pids, errors

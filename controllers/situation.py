@@ -104,7 +104,7 @@ class Situation:
     commands: Commands = ()
     indicator: Indicator = "off"
 
-    def commanded(self, commands: Commands) -> "Situation":
+    def under(self, commands: Commands) -> "Situation":
         """The same situation with the modules turned and dimmed as commanded."""
         lights = ((name, light.under(command)) for (name, light), command in zip(self.lights, commands, strict=True))
         return replace(self, commands=commands, lights=tuple(lights))
@@ -151,7 +151,7 @@ class SelectionParams(Params):
             )
         return self
 
-    def selected(self, now: Situation) -> tuple[TrackedObject, ...]:
+    def select(self, now: Situation) -> tuple[TrackedObject, ...]:
         """The selected objects that lie ahead, including those that the tracker has lost."""
         return tuple(
             each

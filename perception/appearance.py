@@ -166,7 +166,7 @@ def probes(like: Tensor) -> Tensor:
     return torch.diag(like.new_tensor([degree.probe for degree in DEGREES]))
 
 
-def paired() -> list[int]:
+def error_indices() -> list[int]:
     """For each degree of freedom the index of the error that it moves: x acts on the image's v, y on its u."""
     names = [degree.name for degree in DEGREES]
     return [names.index(degree.moves) for degree in DEGREES]

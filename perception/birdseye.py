@@ -52,7 +52,7 @@ class BirdsEye:
         """A part of the view."""
         return BirdsEye(self.map_u[rows, cols], self.map_v[rows, cols], self.columns, Axes(self.axes.u[cols], self.axes.v[rows]))
 
-    def reached(self, v: slice, u: slice) -> tuple[slice, slice]:
+    def cells_of(self, v: slice, u: slice) -> tuple[slice, slice]:
         """Rows and columns of the view that hold all cells that `rectify` samples from a part of the image in px."""
         low, high = self._v_of_rows
         rows = span((high > v.start - 0.5) & (low < v.stop + 0.5))  # a pixel is interpolated to half a pixel beyond its border

@@ -111,7 +111,7 @@ class Crop:
         rows = self.v_start <= other.v_start and other.v_stop <= self.v_stop
         return rows and self.u_start <= other.u_start and other.u_stop <= self.u_stop
 
-    def widened(self, px: int, height: int, width: int) -> "Crop":
+    def widen(self, px: int, height: int, width: int) -> "Crop":
         """The crop with a margin in px on all sides, clipped to an image of height x width."""
         rows = max(self.v_start - px, 0), min(self.v_stop + px, height)
         return Crop(*rows, max(self.u_start - px, 0), min(self.u_stop + px, width))

@@ -54,13 +54,13 @@ def ground_truth(surfaces: GBuffer, triangles: Triangles, view: View, categories
         whole = _whole(placed, view)
         alone = _pixels_alone(placed, view, whole)
         width, height = whole[2] - whole[0], whole[3] - whole[1]
-        shown = _clipped(whole, view)
+        shown = _clip(whole, view)
         inside = (shown[2] - shown[0]) * (shown[3] - shown[1]) / (width * height)
         # a rasteriser and a ray may take an outline's pixel differently
         visible = min(pixels / max(alone, 1), 1.0)
         materials = _materials(surfaces, seen, placed)
         found.append(
-            GroundTruth(placed.body.name, object_id, categories[object_id - 1], _seen(seen), whole, pixels, visible, inside, materials)
+            GroundTruth(placed.body.name, object_id, categories[object_id - 1], _box(seen), whole, pixels, visible, inside, materials)
         )
     return tuple(found)
 
@@ -83,7 +83,7 @@ def part_mask(surfaces: GBuffer, triangles: Triangles, names: Collection[str]) -
     return part_picture(surfaces, triangles, tuple(names)) >= 0
 
 
-def _seen(pixels: Tensor) -> Box:
+def _box(pixels: Tensor) -> Box:
     """Around rows and columns `[m, 2]`."""
     (top, left), (bottom, right) = pixels.amin(0).tolist(), pixels.amax(0).tolist()
     return float(left), float(top), float(right + 1), float(bottom + 1)
@@ -96,7 +96,7 @@ def _whole(placed: Instance, view: View) -> Box:
     return float(u.min()), float(v.min()), float(u.max()), float(v.max())
 
 
-def _clipped(box: Box, view: View) -> Box:
+def _clip(box: Box, view: View) -> Box:
     (u0, u1), (v0, v1) = (
         (min(max(a, 0.0), n), min(max(b, 0.0), n)) for a, b, n in ((box[0], box[2], view.width), (box[1], box[3], view.height))
     )
@@ -105,7 +105,7 @@ def _clipped(box: Box, view: View) -> Box:
 
 def _pixels_alone(placed: Instance, view: View, whole: Box) -> int:
     """Number of the image's pixels that would see the object if it were alone."""
-    u0, v0, u1, v1 = _clipped(whole, view)
+    u0, v0, u1, v1 = _clip(whole, view)
     columns, rows = slice(int(u0), min(int(u1) + 1, view.width)), slice(int(v0), min(int(v1) + 1, view.height))
     return int((first_hits(Triangles((placed,)), view.origin, view.within(rows, columns).rays().flatten(1)) >= 0).sum())
 

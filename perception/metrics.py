@@ -169,7 +169,7 @@ def target(luminance: Tensor, view: BirdsEye, length_m: float, width_m: float) -
     plane = rectify(view, luminance)
     median = plane[plane > THRESHOLD * plane.max()].median()
     mask = plane > THRESHOLD * median
-    rows, cols = view.reached(*_lit_part(luminance))
+    rows, cols = view.cells_of(*_lit_part(luminance))
     part = around(rows, cols, mask.shape)
     return Target(plane, median, mask, appearance(mask[part].to(plane), view.within(*part).axes), rows, cols, length_m, width_m)
 
@@ -183,7 +183,7 @@ def evaluate(luminance: Tensor, view: BirdsEye, goal: Target, u_start: int = 0, 
     v, u = _lit_part(luminance)
     luminance, u_start, v_start = luminance[..., v, u], u_start + u.start, v_start + v.start
     height, width = luminance.shape[-2:]
-    found = view.reached(slice(v_start, v_start + height), slice(u_start, u_start + width))
+    found = view.cells_of(slice(v_start, v_start + height), slice(u_start, u_start + width))
     part = around(hull(found[0], goal.rows), hull(found[1], goal.cols), goal.mask.shape)
     seen, wanted = view.within(*part), goal.mask[part]
     plane = rectify(seen, luminance, u_start, v_start) if luminance.numel() else luminance.new_zeros(*luminance.shape[:-2], *wanted.shape)

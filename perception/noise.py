@@ -39,7 +39,7 @@ class FrameNoise:
         """32 random bits of each pixel of a part, `[height, width]` int32; two neighbours have the low and the high half of 64."""
         rows, columns = part
         pairs = columns.start // 2, (columns.stop + 1) // 2
-        mixed = _counted(rows.start, rows.stop, *pairs, torch.device(device)) + (self.key - (self.key >> 63 << 64))
+        mixed = _counters(rows.start, rows.stop, *pairs, torch.device(device)) + (self.key - (self.key >> 63 << 64))
         mixed.bitwise_xor_(mixed >> 30 & 2**34 - 1).mul_(FIRST)
         mixed.bitwise_xor_(mixed >> 27 & 2**37 - 1).mul_(SECOND)
         mixed.bitwise_xor_(mixed >> 31 & 2**33 - 1)
@@ -60,7 +60,7 @@ class FrameNoise:
         """The same in NumPy, which takes half the time: shifts without signs, and tails only where there are some."""
         rows, columns = part
         height, width, odd = rows.stop - rows.start, columns.stop - columns.start, columns.start % 2
-        mixed = _counted_on_host(rows.start, rows.stop, columns.start // 2, (columns.stop + 1) // 2) + np.uint64(self.key)
+        mixed = _counters_on_host(rows.start, rows.stop, columns.start // 2, (columns.stop + 1) // 2) + np.uint64(self.key)
         mixed ^= mixed >> _30
         mixed *= _FIRST
         mixed ^= mixed >> _27
@@ -76,14 +76,14 @@ class FrameNoise:
 
 
 @lru_cache(2)  # both frames of a step are read in the same part
-def _counted(top: int, bottom: int, left: int, right: int, device: torch.device) -> Tensor:
+def _counters(top: int, bottom: int, left: int, right: int, device: torch.device) -> Tensor:
     """The counter of each pair of pixels, multiplied as SplitMix64 does, `[rows, pairs]` int64."""
     v, u = torch.arange(top, bottom, device=device), torch.arange(left, right, device=device)
     return ((v[:, None] << 32) + u + 1).mul_(GOLDEN)
 
 
 @lru_cache(2)
-def _counted_on_host(top: int, bottom: int, left: int, right: int) -> np.ndarray:
+def _counters_on_host(top: int, bottom: int, left: int, right: int) -> np.ndarray:
     """`_counted` in numbers without signs."""
     v, u = np.arange(top, bottom, dtype=np.uint64), np.arange(left, right, dtype=np.uint64)
     return ((v[:, None] << np.uint64(32)) + u + np.uint64(1)) * np.uint64(GOLDEN % 2**64)

@@ -34,7 +34,7 @@ class SamplingParams(Params):
     delay_s: float = Field(0.0, ge=0, le=1, description="delay from measurement to arrival")
 
     @abstractmethod
-    def measured(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
+    def values(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
         """A sample without noise in the units of `Sample`, and its standard deviations. before: state at the previous sample, period_s
         ago.
         """
@@ -46,7 +46,7 @@ class WheelsParams(SamplingParams):
     scale: float = Field(1.0, gt=0, le=2, description="measured over true speed; worn tyres measure too much")
     noise_m_s: float = Field(0.0, ge=0, le=10, description="standard deviation of the measured speed")
 
-    def measured(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
+    def values(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
         """Speed of the rear axle."""
         return [0.5 * (now.speed_m_s + before.speed_m_s) * self.scale], [self.noise_m_s]
 
@@ -58,7 +58,7 @@ class GyroParams(SamplingParams):
     yaw_noise_deg_s: float = Field(0.0, ge=0, le=10, description="standard deviation of the measured yaw rate")
     noise_deg_s: float = Field(0.0, ge=0, le=10, description="standard deviation of measured roll and pitch rates")
 
-    def measured(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
+    def values(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
         """Rates of roll, pitch and yaw."""
         yaw_rate = 0.5 * (now.yaw_rate_rad_s + before.yaw_rate_rad_s) + math.radians(self.yaw_bias_deg_s)
         tilting, turning = math.radians(self.noise_deg_s), math.radians(self.yaw_noise_deg_s)
@@ -73,7 +73,7 @@ class AttitudeParams(SamplingParams):
     pitch_bias_deg: float = Field(0.0, ge=-5, le=5, description="bias of the measured pitch")
     noise_deg: float = Field(0.0, ge=0, le=5, description="standard deviation of measured roll and pitch")
 
-    def measured(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
+    def values(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
         """Heave, roll, pitch, rise; height and slope of the ground, and their rates."""
         roll, pitch = now.roll_rad + math.radians(self.roll_bias_deg), now.pitch_rad + math.radians(self.pitch_bias_deg)
         angle = math.radians(self.noise_deg)
@@ -86,7 +86,7 @@ class AccelerometerParams(SamplingParams):
 
     noise_m_s2: float = Field(0.0, ge=0, le=10, description="standard deviation of each measured acceleration")
 
-    def measured(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
+    def values(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
         """Accelerations forward, left, up."""
         upwards = (now.rise_m_s - before.rise_m_s) / period_s
         return [now.acceleration_m_s2, now.lateral_m_s2, upwards], [self.noise_m_s2] * 3
@@ -97,7 +97,7 @@ class TravelParams(SamplingParams):
 
     noise_m: float = Field(0.0, ge=0, le=0.1, description="standard deviation of each measured suspension travel")
 
-    def measured(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
+    def values(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
         """Travel front left, front right, rear left, rear right."""
         return [now.travel_fl_m, now.travel_fr_m, now.travel_rl_m, now.travel_rr_m], [self.noise_m] * 4
 
@@ -149,7 +149,7 @@ class Sensors:
     def _sample(self, sensor: Sensor, number: int, like: Tensor) -> Sample:
         params, period_s = self._of(sensor)
         at_s, before_s = number * period_s, (number - 1) * period_s
-        values, spread = params.measured(self.motion.at(at_s), self.motion.at(before_s), period_s)
+        values, spread = params.values(self.motion.at(at_s), self.motion.at(before_s), period_s)
         generator = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number, NOISE_KEY)))
         noise = generator.standard_normal(1 + max(DRAWN[sensor]))[DRAWN[sensor]]
         return Sample(sensor, at_s, at_s + params.delay_s if number else 0.0, like.new_tensor(np.array(values) + np.array(spread) * noise))

@@ -67,9 +67,9 @@ class CheckedTracker:
 
     def report(self, state: Any, time_s: float) -> TrackedBoxes:
         """The report on the CPU in double precision. Raises LuxloopError if it is invalid."""
-        return self.checked(self.own.report(state, time_s))
+        return self.check(self.own.report(state, time_s))
 
-    def checked(self, told: Any) -> TrackedBoxes:
+    def check(self, told: Any) -> TrackedBoxes:
         """A report on the CPU in double precision. Raises LuxloopError if it is invalid."""
         where, all_classes = f"{KEY}: {self.own.name}: report", len(self.classes)
         if not isinstance(told, TrackedBoxes):

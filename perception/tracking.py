@@ -118,7 +118,7 @@ class Tracks:
         return replace(self, **{name: getattr(self, name)[which] for name in EACH})
 
     @property
-    def known(self) -> "Tracks":
+    def confirmed_tracks(self) -> "Tracks":
         """The confirmed tracks, lost ones included."""
         return self.take(self.since_s.isfinite())
 
@@ -174,7 +174,7 @@ class Tracker:
 
     def start(self) -> Tracks:
         """The state before the first frame."""
-        return self._started(1, Detections(torch.zeros(0, 4).double(), torch.zeros(0, len(self.classes)).double()), 0.0)
+        return self._start(1, Detections(torch.zeros(0, 4).double(), torch.zeros(0, len(self.classes)).double()), 0.0)
 
     def follow(self, tracks: Tracks, found: Detections, frame: Tensor, time_s: float) -> Tracks:
         """The tracks after a frame `[height, width]`, shares of the largest digital number. Vehicles without a detection are continued with
@@ -194,7 +194,7 @@ class Tracker:
 
     def report(self, tracks: Tracks, time_s: float) -> TrackedBoxes:
         """The confirmed tracks, lost ones included, predicted to a time."""
-        ahead = self.at(tracks.known, time_s)
+        ahead = self.at(tracks.confirmed_tracks, time_s)
         return TrackedBoxes(ahead.number, self.whole(ahead), ahead.category, ahead.confidence, ahead.score, ahead.since_s, ahead.until_s)
 
     def boxes(self, tracks: Tracks) -> Tensor:
@@ -222,15 +222,15 @@ class Tracker:
         found = self._standing(found)
         alive = self.at(tracks, time_s).take(tracks.until_s.isinf())
         lost = tracks.take(tracks.until_s.isfinite() & (time_s - tracks.until_s < LINGER_S))
-        mine, its = self.assigned(alive, found)
+        mine, its = self.assign(alive, found)
         shown = torch.zeros(len(alive), dtype=torch.bool).index_fill(0, mine, True)
         expected = self.whole(alive)
         boxes = uncut(found.boxes[its], expected[mine], self.view.width)
         complete = shown.index_copy(0, mine, ~are_parts(boxes, expected[mine]).any(-1))
         own = ~(overlaps(expected[~shown & alive.since_s.isfinite()], found.boxes[its]) >= BOTH).any(0)
-        alive = self._corrected(alive, mine[own], boxes[own], time_s - tracks.time_s)
+        alive = self._correct(alive, mine[own], boxes[own], time_s - tracks.time_s)
         score = torch.full_like(alive.score, math.nan).index_copy(0, mine, found.scores[its])
-        alive = self._told(alive, shown, score, time_s, time_s - tracks.time_s)
+        alive = self._update_scores(alive, shown, score, time_s, time_s - tracks.time_s)
         left = torch.ones(len(found), dtype=torch.bool).index_fill(0, its, False) & (found.scores.amax(-1) >= self.params.start_score)
         known = alive.since_s.isfinite()[:, None] & alike(self.classes)[alive.category][:, found.scores.argmax(-1)]
         solid = torch.tensor([each in SOLID for each in self.classes])[found.scores.argmax(-1)]
@@ -238,12 +238,12 @@ class Tracker:
         no_more = belonging(found.boxes, there, complete) | solid & hiding(found.boxes, there, complete)
         left &= ~(known & no_more).any(0)
         alive = alive.take(shown | alive.since_s.isfinite())
-        started = self._started(tracks.following, Detections(found.boxes[left], found.scores[left]), time_s)
+        started = self._start(tracks.following, Detections(found.boxes[left], found.scores[left]), time_s)
         lost = replace(lost, score=torch.full_like(lost.score, math.nan))
         values: dict[str, Any] = {name: torch.cat([getattr(each, name) for each in (lost, alive, started)]) for name in EACH}
         return replace(started, **values)
 
-    def assigned(self, tracks: Tracks, found: Detections) -> tuple[Tensor, Tensor]:
+    def assign(self, tracks: Tracks, found: Detections) -> tuple[Tensor, Tensor]:
         """Indices `[k]` of tracks and `[k]` of the detections assigned to them."""
         if not len(tracks) or not len(found):
             return torch.zeros(0, dtype=torch.int64), torch.zeros(0, dtype=torch.int64)
@@ -270,7 +270,7 @@ class Tracker:
         names = tuple(self.classes[number] for number in scores[sure].argmax(-1).tolist())
         return Detections(standing(boxes[sure], names, self.view), scores[sure])
 
-    def _corrected(self, tracks: Tracks, which: Tensor, boxes: Tensor, dt: float) -> Tracks:
+    def _correct(self, tracks: Tracks, which: Tensor, boxes: Tensor, dt: float) -> Tracks:
         """The Kalman update of some tracks, and their sizes."""
         some = tracks.take(which)
         expected = self.whole(some)
@@ -291,7 +291,7 @@ class Tracker:
             size_m=tracks.size_m.index_copy(0, which, torch.minimum(torch.maximum(size, least), most)),
         )
 
-    def _told(self, tracks: Tracks, shown: Tensor, score: Tensor, time_s: float, dt: float) -> Tracks:
+    def _update_scores(self, tracks: Tracks, shown: Tensor, score: Tensor, time_s: float, dt: float) -> Tracks:
         """The tracks with confirmation, loss and class updated from their scores."""
         confidence = tracks.confidence + _share(dt, self.params.confidence_s) * (score.nan_to_num() - tracks.confidence)
         own, frames = confidence.gather(1, tracks.category[:, None])[:, 0], tracks.frames + shown
@@ -314,7 +314,7 @@ class Tracker:
             until_s=torch.where(gone, time_s, tracks.until_s),
         )
 
-    def _started(self, following: int, found: Detections, time_s: float) -> Tracks:
+    def _start(self, following: int, found: Detections, time_s: float) -> Tracks:
         n, at = len(found), _foot(found.boxes)
         px = (found.boxes[:, 2:] - found.boxes[:, :2]).clamp(min=1).prod(-1).sqrt()
         deviations = torch.tensor([MEASURED, STARTS], dtype=torch.float64).T

@@ -67,7 +67,7 @@ AnimationParams = Annotated[BlinkingParams | RunningLightParams | WipeParams, Fi
 
 
 @dataclass(frozen=True, eq=False)
-class Animated:
+class Animation:
     """A symbol whose brightness changes over time and position."""
 
     source: SymbolSource

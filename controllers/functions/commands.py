@@ -45,7 +45,7 @@ class FunctionCommands:
 class CommandingFunction(Protocol):
     """A function that commands modules."""
 
-    def commanded(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
+    def command(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
         """The commands now for the car's modules. before: its previous commands, None at the start."""
         ...
 
@@ -57,16 +57,16 @@ class CommandParams(ScheduleParams):
     modules: tuple[str, ...] = Field((), description="lamps or modules that it commands; left out: all that support the command")
 
     @abstractmethod
-    def wanted(self, now: Situation) -> float:
+    def target(self, now: Situation) -> float:
         """The wanted value of its movement: an angle in deg or a share of the maximum intensity."""
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """No primitives: the function draws nothing."""
         return ()
 
-    def commanded(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
+    def command(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
         """The wanted command for each module; at rest while the function is not active."""
-        wanted = self.wanted(now) if self.active(now) else getattr(REST, self.movement)
+        wanted = self.target(now) if self.active(now) else getattr(REST, self.movement)
         command = ModuleCommand(**{self.movement: wanted})
         return FunctionCommands(now.time_s, tuple((module.name, command) for module in modules if self.moves(module)))
 
@@ -80,13 +80,13 @@ class TurningParams(CommandParams):
 
     rate_deg_s: float
 
-    def commanded(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
+    def command(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
         """The wanted angle within each module's range, limited by the motors' rate from the previous one on."""
         ranges = {module.name: getattr(module, self.movement) for module in modules}
         was = {} if before is None else dict(before.commands)
         far = 0.0 if before is None else self.rate_deg_s * max(now.time_s - before.time_s, 0.0)
         given = []
-        for name, command in super().commanded(before, now, modules).commands:
+        for name, command in super().command(before, now, modules).commands:
             low, high = ranges[name]
             wanted = min(max(getattr(command, self.movement), low), high)  # before the rate, or a motor at its end would wind up
             begins = getattr(was[name], self.movement) if name in was else wanted
@@ -103,7 +103,7 @@ class BendingParams(TurningParams):
     largest_deg: float = Field(15.0, gt=0, le=30, description="limit of the swivel; each module's own range limits it as well")
     rate_deg_s: float = Field(25.0, gt=0, le=1000, description="rate of the swivel motors")
 
-    def wanted(self, now: Situation) -> float:
+    def target(self, now: Situation) -> float:
         bend = math.degrees(bend_of_course(now.curvature_1_m, self.look_ahead_s * now.speed_m_s))
         return min(max(bend, -self.largest_deg), self.largest_deg)
 
@@ -130,7 +130,7 @@ class LevellingParams(TurningParams):
             raise ValueError("entries: with dynamic = false and no entries nothing is levelled; give entries, or leave dynamic out")
         return _ascending(self)
 
-    def wanted(self, now: Situation) -> float:
+    def target(self, now: Situation) -> float:
         fixed = over_time(self.entries, now.time_s, "level_deg") if self.entries else 0.0
         return fixed - (math.degrees(now.pitch_rad) if self.dynamic else 0.0)
 
@@ -155,7 +155,7 @@ class DimmingParams(CommandParams):
     def _in_order(self) -> Self:
         return _ascending(self)
 
-    def wanted(self, now: Situation) -> float:
+    def target(self, now: Situation) -> float:
         return over_time(self.entries, now.time_s, "share")
 
 
@@ -172,13 +172,13 @@ class DirectParams(ScheduleParams):
         """No primitives: the function draws nothing."""
         return ()
 
-    def commanded(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
+    def command(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
         """The command for each module; at rest while the function is not active."""
-        command = self.command if self.active(now) else REST
+        command = self.module_command if self.active(now) else REST
         return FunctionCommands(now.time_s, tuple((module.name, command) for module in modules if self.moves(module)))
 
     @property
-    def command(self) -> ModuleCommand:
+    def module_command(self) -> ModuleCommand:
         """While it is active."""
         return ModuleCommand(self.swivel_deg, self.level_deg, self.intensity)
 

@@ -53,7 +53,7 @@ class MaterialLightParams(Params):
         assert value is not None
         return value
 
-    def wanted(self, albedo: Tensor) -> Tensor:
+    def illuminance(self, albedo: Tensor) -> Tensor:
         """Wanted illuminance in lx, in the shape of the albedo."""
         if self.quantity == "lx":
             return torch.full_like(albedo, self.value)
@@ -111,7 +111,7 @@ class MaterialParams(SelectionParams):
             meant = (albedo >= low) & (albedo <= high) & (seen.material >= 0)
             if light.materials:
                 meant &= torch.isin(seen.material, _numbers(seen.materials, light.materials).to(seen.material))
-            lx, which = torch.where(meant, light.wanted(albedo), lx), which.masked_fill(meant, number)
+            lx, which = torch.where(meant, light.illuminance(albedo), lx), which.masked_fill(meant, number)
         return MaterialState(seen.view, lx, which, torch.isin(seen.material, _numbers(seen.materials, GROUND).to(seen.material)))
 
     def adapted(self, state: MaterialState | None, now: Situation) -> tuple[Primitives, ...]:
@@ -119,7 +119,7 @@ class MaterialParams(SelectionParams):
         if state is None:
             return ()
         standing = [
-            self._at(each.T_world_object, each.size_m, now) for each in self.selected(now) if each.since_s <= now.time_s < each.until_s
+            self._at(each.T_world_object, each.size_m, now) for each in self.select(now) if each.since_s <= now.time_s < each.until_s
         ]
         lying = [] if self.road_m is None else [self._road(now, *self.road_m)]
         drawn = ((standing, state.lx.masked_fill(state.ground, torch.nan)), (lying, state.lx.masked_fill(~state.ground, torch.nan)))

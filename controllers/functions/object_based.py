@@ -207,7 +207,7 @@ class ObjectBasedParams(SelectionParams):
         """
         if self.method != "confidence":
             return state
-        objects = self.selected(now)
+        objects = self.select(now)
         seen = {each.name: Apparent.of(each, now.lamps) for each in objects}
         missed = [each.name for each in objects if each.name in state.loops and math.isnan(each.score)]
         loops: dict[str, ObjectLoop] = {}
@@ -226,13 +226,13 @@ class ObjectBasedParams(SelectionParams):
             for each in now.objects
             if (loop := loops.get(each.name)) and each.until_s > now.time_s and self.ambient.sure(loop.peak) and _in_sight(each, now)
         ]
-        doubtful = [loop.recent for loop in known if self.loop.exhausted(loop)]
+        doubtful = [loop.recent for loop in known if self.loop.at_limit(loop)]
         return ObjectBasedState(self.ambient.step(state.ambient, [loop.recent for loop in known], doubtful), loops)
 
     def adapted(self, state: ObjectBasedState, now: Situation) -> tuple[Primitives, ...]:
         """The primitives of each object: its light and its dark part."""
         parts: list[Primitives] = []
-        for nearer, each in enumerate(sorted(self.selected(now), key=now.distance_m)):
+        for nearer, each in enumerate(sorted(self.select(now), key=now.distance_m)):
             share = fade(now.time_s, each.since_s, each.until_s, 0.0, self.fade_out_s)
             if share:
                 parts += self.light.on(each, now.lamps, share * self.lx(state, each), self.priority, nearer, self.modules)

@@ -170,7 +170,7 @@ class ObjectLoopParams(Params):
         """The loop of a new object."""
         return ObjectLoop(self.first_lx, self.search.bounds_lx, each.category, height_rad, recent=_found(each))
 
-    def exhausted(self, loop: ObjectLoop) -> bool:
+    def at_limit(self, loop: ObjectLoop) -> bool:
         """Whether only the base beam can help: settled at the brightest light, or after a search up to it that did not raise the
         confidence.
         """

@@ -8,7 +8,7 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from luxloop.controllers.functions.animations import Animated, AnimationParams
+from luxloop.controllers.functions.animations import Animation, AnimationParams
 from luxloop.controllers.geometry import Place, cuboid, facing, strip
 from luxloop.controllers.pixels.primitives import Primitives, rectangle
 from luxloop.controllers.situation import (
@@ -60,7 +60,7 @@ class GlareFreeParams(SelectionParams):
 
         A fading mask lets light through again and must yield to full masks, so its weight is finite and its priority lower.
         """
-        return tuple(part for each in self.selected(now) for part in self._around(each, now))
+        return tuple(part for each in self.select(now) for part in self._around(each, now))
 
     def _around(self, each: TrackedObject, now: Situation) -> tuple[Primitives, ...]:
         share = fade(now.time_s, each.since_s, each.until_s, self.fade_in_s, self.fade_out_s)
@@ -69,18 +69,18 @@ class GlareFreeParams(SelectionParams):
         T, lamps = each.T_world_object, now.lamps
         distance = float((T[:3, 3] - lamps.to(T)).norm(dim=-1).amin())
         margin = self.margin_m + distance * math.tan(math.radians(self.margin_deg))
-        mask = cuboid(T, *enlarged(each, margin, lamps))
+        mask = cuboid(T, *extend_box(each, margin, lamps))
         dark = share == 1
         quantity: Literal["u_abs", "u_rel"] = "u_abs" if dark else "u_rel"
         weight, priority = math.inf if dark else FADING, (MASK + dark) * LAYERS + LAYERS - 1
         parts = [rectangle(*mask, 1 - share, quantity, weight=weight, forced=True, priority=priority)]
         for layer, zone in enumerate(self.soft_zones, 1):
-            box = cuboid(T, *enlarged(each, margin + zone.margin_m, lamps))
+            box = cuboid(T, *extend_box(each, margin + zone.margin_m, lamps))
             parts.append(rectangle(*box, 1 - share * (1 - zone.u_rel), "u_rel", forced=True, priority=MASK * LAYERS + LAYERS - 1 - layer))
         return tuple(parts)
 
 
-def enlarged(each: TrackedObject, margin_m: float, lamps: Tensor) -> tuple[Tensor, Tensor]:
+def extend_box(each: TrackedObject, margin_m: float, lamps: Tensor) -> tuple[Tensor, Tensor]:
     """Two opposite corners `[3]` m, in the object's frame, of its box with a margin on all sides but the foot: the road below stays lit.
 
     lamps: positions `[L, 3]` m. A box around a lamp would show it only back faces, which mask nothing, so the margin ends before the lamp,
@@ -118,7 +118,7 @@ class SignParams(SelectionParams):
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """One forced primitive in the face of each sign, facing the car."""
-        present = (each for each in self.selected(now) if each.since_s <= now.time_s < each.until_s)
+        present = (each for each in self.select(now) if each.since_s <= now.time_s < each.until_s)
         return tuple(self._face(each, now) for each in present)
 
     def _face(self, each: TrackedObject, now: Situation) -> Primitives:
@@ -153,9 +153,9 @@ class MarkerParams(DrawingParams, SelectionParams):
     animation: AnimationParams | None = Field(None, description="animation; left out: none")
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
-        if not self.active(now) or (self.animation and not Animated(WHITE, self.animation).shows(now.time_s)):
+        if not self.active(now) or (self.animation and not Animation(WHITE, self.animation).shows(now.time_s)):
             return ()
-        present = (each for each in self.selected(now) if each.since_s <= now.time_s < each.until_s)
+        present = (each for each in self.select(now) if each.since_s <= now.time_s < each.until_s)
         return tuple(part for each in present for part in (self._line(each, now) if self.target == "road" else self._body(each, now)))
 
     def _line(self, each: TrackedObject, now: Situation) -> tuple[Primitives, ...]:
@@ -177,4 +177,4 @@ class MarkerParams(DrawingParams, SelectionParams):
         return (self._draw(facing(each.T_world_object, low, high, now.lamps.mean(0)), now),)
 
     def _draw(self, place: Place, now: Situation) -> Primitives:
-        return self.draw(place, (Animated(WHITE, self.animation) if self.animation else WHITE).at(now.time_s), layer=1)
+        return self.draw(place, (Animation(WHITE, self.animation) if self.animation else WHITE).at(now.time_s), layer=1)

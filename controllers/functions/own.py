@@ -94,7 +94,7 @@ class OwnCommands:
 
     own: plugin.Guard
 
-    def commanded(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
+    def command(self, before: FunctionCommands | None, now: Situation, modules: Sequence[Movable]) -> FunctionCommands:
         """Raises LuxloopError where it fails, gives something else, or commands what is not there."""
         given = self.own.commands(now)
         if not isinstance(given, Mapping) or not all(isinstance(name, str) and _possible(each) for name, each in given.items()):

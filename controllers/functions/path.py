@@ -60,7 +60,7 @@ def closest(control: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
     curves = [control]
     for _ in range(3):
         curves.append(derivative(curves[-1]))
-    best, nearest = t, _squared(control, t, points)
+    best, nearest = t, _distance2(control, t, points)
     for _ in range(HALLEY_STEPS):
         b, b1, b2, b3 = (point(curve, t) for curve in curves)
         away = b - points
@@ -69,13 +69,13 @@ def closest(control: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
         f3 = (3 * b1 * b2 + away * b3).sum(-1)
         slope = 2 * f2 * f2 - f1 * f3  # T eq. B.2.4; f1, f2, f3 are half the derivatives of T eq. B.2.3, [..., N]
         t = (t - torch.where(slope == 0, 0.0, 2 * f1 * f2 / torch.where(slope == 0, 1.0, slope))).clamp(low, high)
-        squared = _squared(control, t, points)
+        squared = _distance2(control, t, points)
         closer = squared < nearest
         best, nearest = torch.where(closer, t, best), torch.where(closer, squared, nearest)
     return best, nearest.sqrt()
 
 
-def _squared(control: Tensor, t: Tensor, points: Tensor) -> Tensor:
+def _distance2(control: Tensor, t: Tensor, points: Tensor) -> Tensor:
     return (point(control, t) - points).square().sum(-1)
 
 
@@ -122,7 +122,7 @@ class PathParams(DrawingParams):
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         if not self.active(now):
             return ()
-        drawing = drawn(self.control_m, self.width_m / 2, self.texel_m)
+        drawing = cached_drawing(self.control_m, self.width_m / 2, self.texel_m)
         place = drawing.place(now.T_world_vehicle)
         if self.image is None:
             return (self.draw(place, opacity=drawing.band(self.width_m / 2)),)
@@ -132,7 +132,7 @@ class PathParams(DrawingParams):
 
 
 @lru_cache(maxsize=16)
-def drawn(control_m: tuple[Point, ...], reach_m: float, texel_m: float) -> "Drawing":
+def cached_drawing(control_m: tuple[Point, ...], reach_m: float, texel_m: float) -> "Drawing":
     """Cached, since every step asks for the same curve."""
     return Drawing(torch.tensor(control_m, dtype=torch.float64), reach_m, texel_m)
 

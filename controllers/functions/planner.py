@@ -184,17 +184,15 @@ class Planner:
                 stepped[name] = self.adaptive[name].step(states[name], now) if name in self.adaptive else None
         return stepped
 
-    def commanded(
-        self, given: Mapping[str, FunctionCommands], now: Situation, modules: Sequence[Movable]
-    ) -> Mapping[str, FunctionCommands]:
+    def command(self, given: Mapping[str, FunctionCommands], now: Situation, modules: Sequence[Movable]) -> Mapping[str, FunctionCommands]:
         """The commands of all functions now for the car's modules, by name. given: their previous commands."""
         found = {}
         for name, each in self.commanding.items():
             with locate(f"functions.{name}"):
-                found[name] = each.commanded(given.get(name), now, modules)
+                found[name] = each.command(given.get(name), now, modules)
         return found
 
-    def drawn(self, now: Situation, states: States) -> dict[str, tuple[Primitives, ...]]:
+    def draw(self, now: Situation, states: States) -> dict[str, tuple[Primitives, ...]]:
         """The primitives of each function."""
         now = replace(now, symbols=dict(self.symbols))
         found = {}
@@ -207,9 +205,9 @@ class Planner:
     def plan(self, now: Situation, states: States | None = None) -> Plan:
         """Compose what all functions draw into a plan. states: of the adaptive functions, by default those of `start`."""
         states = self.start() if states is None else states
-        return self.composed(now, states, self.drawn(now, states))
+        return self.compose(now, states, self.draw(now, states))
 
-    def composed(self, now: Situation, states: States, drawn: Mapping[str, Sequence[Primitives]]) -> Plan:
+    def compose(self, now: Situation, states: States, drawn: Mapping[str, Sequence[Primitives]]) -> Plan:
         """Compose the functions' primitives, given by name. Masks of road users override all else. Otherwise the higher priority wins where
         two overlap, and at equal priority the one that `in_order` puts on top.
         """

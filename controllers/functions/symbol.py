@@ -7,7 +7,7 @@ import torch
 from pydantic import Field, ValidationError, model_validator
 from torch import Tensor
 
-from luxloop.controllers.functions.animations import Animated, AnimationParams
+from luxloop.controllers.functions.animations import Animation, AnimationParams
 from luxloop.controllers.geometry import Place, on_road
 from luxloop.controllers.pixels.homographies import drawing_rectangle
 from luxloop.controllers.pixels.primitives import Observer, Primitives
@@ -37,7 +37,7 @@ class ConditionParams(SelectionParams):
     )
 
     def holds(self, now: Situation) -> bool:
-        return any(each.since_s <= now.time_s < each.until_s for each in self.selected(now))
+        return any(each.since_s <= now.time_s < each.until_s for each in self.select(now))
 
 
 class ObserverParams(Params):
@@ -145,7 +145,7 @@ class SymbolFunctionParams(DrawingParams):
         source = now.symbols[self.image]
         time_s = now.time_s - (self.start_s or 0.0)
         if self.animation:
-            source = Animated(source, self.animation)
+            source = Animation(source, self.animation)
             if not source.shows(time_s):
                 return ()
         image = source.at(time_s)
@@ -206,7 +206,7 @@ class PrimitiveParams(DrawingParams):
         source = WHITE if self.image is None else now.symbols[self.image]
         time_s = now.time_s - (self.start_s or 0.0)
         if self.animation:
-            source = Animated(source, self.animation)
+            source = Animation(source, self.animation)
             if not source.shows(time_s):
                 return ()
         return (self.draw(self._place(now), source.at(time_s)),)

@@ -81,7 +81,7 @@ class Jpo:
         grid, of_default = self.headlight, torch.zeros_like(self.full)
         if not self.ssc.dark:
             of_default = grid.light_texture(self.default)
-        setpoints = self.ssc.casting(primitives, T_world_headlight, secondary).setpoints()
+        setpoints = self.ssc.ray_batch(primitives, T_world_headlight, secondary).setpoints()
         cut = (..., *setpoints.window.slices)
         hit, in_cd, relative = setpoints.hit, _share(setpoints, setpoints.in_cd, I_V, E_V), _share(setpoints, setpoints.relative, U_REL)
         unit = (
@@ -97,7 +97,7 @@ class Jpo:
         weights[cut] = torch.where(hit, weight, 1.0)
         counts[cut] = hit & (weight > 0)
         touched = reaching(grid.matrix.transpose, counts.flatten(-2))
-        start = torch.where(touched, self.ssc.reduced(setpoints)[0], self.default)
+        start = torch.where(touched, self.ssc.reduce(setpoints)[0], self.default)
         return pixel_goal(grid, texture, weights, start, touched)
 
 

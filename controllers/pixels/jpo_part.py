@@ -108,7 +108,7 @@ def _entries(matrix: Csr, rows: Tensor) -> tuple[Tensor, Tensor]:
     return row, torch.arange(len(row), device=rows.device) + (start - before)[row]
 
 
-def without_fixed(matrix: Csr, goal: PixelGoal) -> Tensor:
+def residual_target(matrix: Csr, goal: PixelGoal) -> Tensor:
     """Setpoints of the free pixels `[..., n_t]` in cd: the target less the light of all other pixels."""
     fixed = torch.where(goal.free, 0.0, goal.start)
     return goal.target - multiply(matrix, fixed) if bool(fixed.any()) else goal.target

@@ -11,7 +11,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
-from luxloop.controllers.pixels.jpo_part import PixelGoal, anywhere, every_nth_column, reached_rows, submatrix, without_fixed
+from luxloop.controllers.pixels.jpo_part import PixelGoal, anywhere, every_nth_column, reached_rows, residual_target, submatrix
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
 from luxloop.world.spmv import Csr, multiply, solve
@@ -41,7 +41,7 @@ def least_error(matrix: Csr, goal: PixelGoal, iterations: int = 20_000, gap: flo
     matrix: `[n_t, n_p]` cd, not negative. iterations: most iterations. gap: stop when the error is proven to be within this share of the
     least one; None makes all iterations and checks only at the end.
     """
-    left = _undecided(matrix, goal)
+    left = _reduce_problem(matrix, goal)
     u = goal.start[..., left.cols] * left.upper
     best, light = u, multiply(left.A, u)
     least, bound = left.error(light, u), left.constant
@@ -71,7 +71,7 @@ def least_error(matrix: Csr, goal: PixelGoal, iterations: int = 20_000, gap: flo
 
 
 @dataclass(frozen=True)
-class _Undecided:
+class _Problem:
     """`min c'u + sum_i w_i |(A u)_i - s_i| + constant, 0 <= u <= upper`, on some rows, and the columns `cols`, of a headlight matrix.
 
     rows: A in subsets of `sizes` rows, each spread over the whole texture. columns: their transposes. s, w: `[..., m]`. c, gain, upper:
@@ -123,14 +123,14 @@ class _Undecided:
         return pace * width, torch.where(self.w > 0, self.w / (pace * reach), 0.0)
 
 
-def _undecided(matrix: Csr, goal: PixelGoal) -> _Undecided:
+def _reduce_problem(matrix: Csr, goal: PixelGoal) -> _Problem:
     """Reduce the problem to the pixels and texels that are not decided beforehand.
 
     The error of a texel without a positive setpoint is linear in u. A pixel whose light costs more there than it can ever gain at the other
     texels is off in every optimum. Rows that only such pixels light are not needed.
     """
     transposed = matrix.transpose
-    target = without_fixed(matrix, goal)
+    target = residual_target(matrix, goal)
     short = (target > 0) & (goal.weight > 0)
     gain, cost = (multiply(transposed, torch.where(mask, goal.weight, 0.0)) for mask in (short, ~short))
     useful = goal.free & (gain > cost)
@@ -141,7 +141,7 @@ def _undecided(matrix: Csr, goal: PixelGoal) -> _Undecided:
     rows = torch.cat([rows[k::SUBSETS] for k in range(SUBSETS)])
     A, stops = submatrix(matrix, rows, cols), [sum(sizes[:k]) for k in range(len(sizes) + 1)]
     s, w = target[..., rows], torch.where(short, goal.weight, 0.0)[..., rows]
-    return _Undecided(
+    return _Problem(
         cols,
         A,
         sizes,
@@ -167,7 +167,7 @@ def least_squares(matrix: Csr, goal: PixelGoal, iterations: int = 300, tolerance
     the tolerance.
     """
     transposed = matrix.transpose
-    target = without_fixed(matrix, goal)
+    target = residual_target(matrix, goal)
     short = torch.where((target > 0) & (goal.weight > 0), 1.0, 0.0).to(target)
     useful = goal.free & (multiply(transposed, short) > 0)
     cols = anywhere(useful).nonzero()[:, 0]

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from luxloop.controllers.pixels.pixel_major import MrpcParams, PixelMajor
 from luxloop.controllers.pixels.primitives import E_V, HEAVIEST, I_V, U_ABS, U_REL
-from luxloop.controllers.pixels.rthc import RayBatch, Setpoints, Stroke, expanded
+from luxloop.controllers.pixels.rthc import RayBatch, Setpoints, Stroke, expand
 from luxloop.controllers.pixels.windows import Window
 from luxloop.world.spmv import Csr, multiply, row_of_entries, span_of
 from luxloop.world.texels import TexelGrid
@@ -40,7 +40,7 @@ class Band:
     rows: slice
 
     @classmethod
-    def touched(cls, pixels: PixelMajor, w: Window) -> "Band":
+    def of_window(cls, pixels: PixelMajor, w: Window) -> "Band":
         """The band of the pixels that reach the rows of a window."""
         grid = pixels.grid
         if w.empty:
@@ -115,7 +115,7 @@ def _kinds(stroke: Stroke) -> tuple[float, float]:
     return float(stroke.quantity < U_ABS), float(stroke.quantity == U_REL)
 
 
-def light_of(stroke: Stroke, pixels: PixelMajor) -> Image:
+def stroke_light(stroke: Stroke, pixels: PixelMajor) -> Image:
     """Mapped utilisation `[..., rows, cols]` of a stroke of finite weight over dark pixels, broadcastable (T eq. 7.4.1, 7.4.2)."""
     in_cd, relative = _kinds(stroke)
     return _utilisation(_Piece(stroke.window, stroke.hit, stroke.value, 1.0, 0.0, 0.0, in_cd, relative), pixels) * (1 - relative)
@@ -150,18 +150,18 @@ def by_products(
     painted: dict[str, list[Window]] = {name: [] for name in images}
     for piece in _pieces(asked):
         cut = (..., *piece.window.slices)
-        for name, image in _mapped(piece, pixels, ruling, images).items():
+        for name, image in _contributions(piece, pixels, ruling, images).items():
             if isinstance(image, float) and image == beside[name] and not any(map(piece.window.meets, painted[name])):
                 continue  # already filled so
             painted[name].append(piece.window)
             if piece.hit is None:
                 images[name][cut] = image
             else:
-                images[name][cut].lerp_(expanded(image, piece.hit), piece.hit)
-    return _summed(images, ruling, pixels, default, place)
+                images[name][cut].lerp_(expand(image, piece.hit), piece.hit)
+    return _sums(images, ruling, pixels, default, place)
 
 
-def _mapped(piece: _Piece, pixels: PixelMajor, ruling: bool, wanted: Collection[str]) -> dict[str, Image]:
+def _contributions(piece: _Piece, pixels: PixelMajor, ruling: bool, wanted: Collection[str]) -> dict[str, Image]:
     """The piece's contribution to each of the wanted images."""
     absolute = utilisation = _utilisation(piece, pixels)
     of_default: Image = 0.0
@@ -212,7 +212,7 @@ def _positive(a: Image) -> Image:
     return (a > 0).to(a) if isinstance(a, Tensor) else float(a > 0)
 
 
-def _summed(images: dict[str, Tensor], ruling: bool, pixels: PixelMajor, default: Tensor, place: Band) -> Sums:
+def _sums(images: dict[str, Tensor], ruling: bool, pixels: PixelMajor, default: Tensor, place: Band) -> Sums:
     band = place.pixels
     default = default[band]
 
@@ -262,7 +262,7 @@ def by_entries(setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, def
     forced = None if setpoints.forced is None else of_entries(setpoints.forced)
     shared = value * pixels.share[texel]  # utilisations [..., nnz] of T eq. 7.4.1
     shared = shared if pixels.potential is None else shared * pixels.potential[own]
-    mapped = _blended(_blended(value, value * default[band][pixel], relative), shared, in_cd)  # u_abs, u_rel or cd (T 7.2.1), [..., nnz]
+    mapped = _blend(_blend(value, value * default[band][pixel], relative), shared, in_cd)  # u_abs, u_rel or cd (T 7.2.1), [..., nnz]
     if pixels.darkening is not None:
         mapped = mapped * pixels.darkening[texel]  # T eq. 7.4.2
     if params.lower_cd:
@@ -288,7 +288,7 @@ def by_entries(setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, def
     return Sums(summed(finite * mapped), summed(finite), forced_light, forced_weight, lit)
 
 
-def _blended(a: Tensor, b: Tensor, portion: Tensor | float) -> Tensor:
+def _blend(a: Tensor, b: Tensor, portion: Tensor | float) -> Tensor:
     """a where portion is 0, b where it is 1."""
     if isinstance(portion, float):
         return b if portion else a

@@ -21,7 +21,7 @@ from luxloop.world.spmv import multiply, row_of_entries
 FAINT = 1e-6  # share of a wanted setpoint that a correction leaves at least, so that a lit setpoint stays lit
 
 
-def corrected(asked: Setpoints, wanted: Setpoints, u: Tensor, pixels: PixelMajor, default: Tensor) -> Setpoints:
+def correct(asked: Setpoints, wanted: Setpoints, u: Tensor, pixels: PixelMajor, default: Tensor) -> Setpoints:
     """The setpoints that led to u `[..., n_p]`, plus the error of its light against the wanted ones; not from the thesis.
 
     Van Cittert's deconvolution with MRPC in place of the blur's inverse: the error is of all pixels together, and MRPC again decides pixel
@@ -43,7 +43,7 @@ def corrected(asked: Setpoints, wanted: Setpoints, u: Tensor, pixels: PixelMajor
     return replace(asked, value=(asked.value + wanted.value - given).maximum(FAINT * wanted.value))  # s + w - A u / unit, [..., rows, cols]
 
 
-def sharpened(setpoints: Setpoints, pixels: PixelMajor, strength: float, dark: bool) -> Setpoints:
+def sharpen(setpoints: Setpoints, pixels: PixelMajor, strength: float, dark: bool) -> Setpoints:
     """Setpoints raised by the darkness around them, blurred like a pixel's light (T 7.5.2). dark: whether the base pattern is zero.
 
     Darkness is the relative difference of a setpoint in cd to the greatest one in the window. Rays without a hit are dark if the base
@@ -80,23 +80,23 @@ def reduce_setpoints(
     with `I_m,ij u_def,j` and weight 1. dark: whether the default is zero.
     """
     batch = tuple(asked.value.shape[:-2] if isinstance(asked, Setpoints) else asked.primitives.value.shape[:-1])
-    place = Band.touched(pixels, asked.window)
+    place = Band.of_window(pixels, asked.window)
     band = place.pixels
     if band.stop == band.start:
         return default.expand(*batch, -1).clone(), band
     if not (params.sharpening or params.corrections):
-        return _mapped_and_reduced(asked, pixels, params, default, dark, place, batch), band
+        return _map_and_reduce(asked, pixels, params, default, dark, place, batch), band
     wanted = asked = asked if isinstance(asked, Setpoints) else asked.setpoints()
     if params.sharpening:
-        asked = sharpened(wanted, pixels, params.sharpening, dark)
-    u = _mapped_and_reduced(asked, pixels, params, default, dark, place, batch)
+        asked = sharpen(wanted, pixels, params.sharpening, dark)
+    u = _map_and_reduce(asked, pixels, params, default, dark, place, batch)
     for _ in range(params.corrections):
-        asked = corrected(asked, wanted, u, pixels, default)
-        u = _mapped_and_reduced(asked, pixels, params, default, dark, place, batch)
+        asked = correct(asked, wanted, u, pixels, default)
+        u = _map_and_reduce(asked, pixels, params, default, dark, place, batch)
     return u, band
 
 
-def _mapped_and_reduced(
+def _map_and_reduce(
     asked: Setpoints | RayBatch, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool, place: Band, batch: tuple[int, ...]
 ) -> Tensor:
     """Utilisation `[..., n_p]` of one mapping and reduction."""
@@ -107,7 +107,7 @@ def _mapped_and_reduced(
         sums = by_entries(asked, pixels, params, default, place)
     else:
         sums = by_products(asked, pixels, params, default, dark, place, batch)
-    changed = _reduced(sums, pixels, params, default[band], dark, band)
+    changed = _reduce(sums, pixels, params, default[band], dark, band)
     if changed.shape[-1] == len(default):
         return changed
     u = default.expand(*batch, -1).clone()
@@ -126,7 +126,7 @@ def same_for_all_pixels(asked: Setpoints | RayBatch, pixels: PixelMajor, params:
     return pixels.potential is None or not {I_V, E_V} & set(asked.quantities)
 
 
-def _reduced(sums: Sums, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool, band: slice) -> Tensor:
+def _reduce(sums: Sums, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool, band: slice) -> Tensor:
     """Utilisation `[..., band]` of sums (T eq. 7.4.5). Infinite weights override; without any weight the default stays; then a_ac
     applies.
     """

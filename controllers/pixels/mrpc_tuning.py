@@ -128,7 +128,7 @@ class TextureControl:
 
     def utilisation(self, trial: Trial) -> Tensor:
         """Utilisation `[n]` of the part's pixels, float32."""
-        counts = np.exp(np.float32(trial.a_r) * self._log) * self._counted(trial)  # w_ij I_m,ij^a_r, [nnz] (T eq. 7.4.3, 7.4.5)
+        counts = np.exp(np.float32(trial.a_r) * self._log) * self._mask(trial)  # w_ij I_m,ij^a_r, [nnz] (T eq. 7.4.3, 7.4.5)
         counts /= np.repeat(np.add.reduceat(counts, self._first), self._each)  # denominator of T eq. 7.4.5
         lit, off = self._lit, self._share_lit < trial.a_ac
         share = 1 / self._I[lit]
@@ -149,7 +149,7 @@ class TextureControl:
             u = reduced(setpoints)
         return torch.from_numpy(u)
 
-    def _counted(self, trial: Trial) -> NDArray[np.bool_]:
+    def _mask(self, trial: Trial) -> NDArray[np.bool_]:
         kept = self._relative >= np.float32(trial.a_x)
         if trial.shape == "arbitrary":
             return kept

@@ -73,7 +73,7 @@ class Primitives:
         """The image of the p-th primitive, `[h, w]` or `[2, h, w]`."""
         return self.symbols[int(self.symbol_of[p])]
 
-    def observed(self, p: int) -> bool:
+    def has_observer(self, p: int) -> bool:
         """Whether the p-th primitive has an observer."""
         return self.observer is not None and bool(self.observer.active[p])
 
@@ -103,7 +103,7 @@ class Primitives:
         may = [meant(names, name) for names in self.modules]
         return self if all(may) else self.select(torch.tensor(may))
 
-    def moved(self, T: Tensor) -> "Primitives":
+    def transform(self, T: Tensor) -> "Primitives":
         """The primitives transformed by T `[4, 4]`, which takes points of their frame to the new one; they must have no observers."""
         R, origin = T[:3, :3].to(self.origin), T[:3, 3].to(self.origin)
         turned = {name: getattr(self, name) @ R.T for name in _VECTORS}

@@ -17,7 +17,7 @@ from torch.nn.functional import grid_sample
 from luxloop.controllers.pixels.homographies import Homographies, homographies
 from luxloop.controllers.pixels.primitives import E_V, HEAVIEST, U_ABS, U_REL, Primitives
 from luxloop.controllers.pixels.secondary import SecondaryRays
-from luxloop.controllers.pixels.windows import NOWHERE, SLACK, Window, banded, union, whole
+from luxloop.controllers.pixels.windows import NOWHERE, SLACK, Window, row_bands, union, whole
 from luxloop.world.errors import LuxloopError
 from luxloop.world.kept import keeping
 from luxloop.world.texels import TexelGrid
@@ -196,7 +196,7 @@ class RayBatch:
             return [window]
         only = slice(p, p + 1)
         one = replace(self.primitives, origin=self.primitives.origin[only], d1=self.primitives.d1[only], d2=self.primitives.d2[only])
-        (parts,) = banded(one, self.grid, self.T_world_headlight, [window])
+        (parts,) = row_bands(one, self.grid, self.T_world_headlight, [window])
         return parts if sum(part.texels for part in parts) < WORTH * window.texels else [window]
 
     def strokes(self, in_parts: bool = False) -> Iterator[Stroke]:
@@ -229,7 +229,7 @@ class RayBatch:
                     value = _setpoint(p, hit, read[0], rays, self.primitives, window)
                     if self.secondary is not None and not self.is_mask[p] and self.secondary.ask(self.primitives, p):
                         points = _points(rays, self.seen, p, window, self.T_world_headlight)
-                        value = self.secondary.adjusted(expanded(value, hit), points, hit > 0, self.primitives, p)
+                        value = self.secondary.adjust(expand(value, hit), points, hit > 0, self.primitives, p)
                     yield Stroke(window, hit, value, finite[..., p, :, :], forced[..., p, :, :], int(self.primitives.quantity[p]), p)
 
     def setpoints(self) -> Setpoints:
@@ -253,11 +253,11 @@ class RayBatch:
                 (relative, float(stroke.quantity == U_REL)),
             ):
                 if canvas is not None:
-                    canvas[cut].lerp_(expanded(new, stroke.hit), stroke.hit)  # the new value where the stroke wins, [..., rows, cols]
+                    canvas[cut].lerp_(expand(new, stroke.hit), stroke.hit)  # the new value where the stroke wins, [..., rows, cols]
         return Setpoints(value, cover, self.window, codes, finite, forced, self.masking, in_cd, relative)
 
 
-def expanded(new: Tensor | float, hit: Tensor) -> Tensor:
+def expand(new: Tensor | float, hit: Tensor) -> Tensor:
     """An image or a number, expanded to the shape of a hit."""
     return (new if isinstance(new, Tensor) else hit.new_full((), new)).expand_as(hit)
 
@@ -405,7 +405,7 @@ def _setpoint(p: int, hit: Tensor, read: Tensor, rays: _Rays, primitives: Primit
     ahead, at the distance x |ray|.
     """
     value, illuminance = primitives.value[..., p, None, None], int(primitives.quantity[p]) == E_V
-    if primitives.observed(p) and rays.sight is not None:
+    if primitives.has_observer(p) and rays.sight is not None:
         value = value * _inside(*(product.on(p, window) for product in rays.sight))
     value = value * read
     if not illuminance:
@@ -422,15 +422,15 @@ def _read(p: int, rays: _Rays, primitives: Primitives, window: Window) -> tuple[
 
     Those of a homogeneous symbol that has no opacity are its one pixel `[1, 1]`.
     """
-    image, watching = primitives.image_of(p), rays.sight if primitives.observed(p) else None
-    if image.numel() == 1 and not primitives.observed(p):
+    image, watching = primitives.image_of(p), rays.sight if primitives.has_observer(p) else None
+    if image.numel() == 1 and not primitives.has_observer(p):
         return (image,)
     n, uv = rays.at(p, window) if watching is None else (product.on(p, window) for product in watching)
     at = uv / n.clamp(min=GRAZING).unsqueeze(-3)  # 2 u, 2 v of T eq. 7.3.3, [..., 2, rows, cols]
-    return _sampled(image.reshape(-1, *image.shape[-2:]), at, bool(primitives.nearest[p])).unbind(-3)
+    return _sample(image.reshape(-1, *image.shape[-2:]), at, bool(primitives.nearest[p])).unbind(-3)
 
 
-def _sampled(images: Tensor, uv: Tensor, nearest: bool) -> Tensor:
+def _sample(images: Tensor, uv: Tensor, nearest: bool) -> Tensor:
     """Images `[c, h, w]` at coordinates -1..1 `[..., 2, rows, cols]`, bilinear or nearest, texel centres at (2 k + 1) / n - 1:
     `[..., c, rows, cols]`.
     """

@@ -10,7 +10,7 @@ from typing import Protocol, Self
 import torch
 from torch import Tensor
 
-from luxloop.controllers.pixels.mapping import Band, light_of
+from luxloop.controllers.pixels.mapping import Band, stroke_light
 from luxloop.controllers.pixels.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints, same_for_all_pixels
 from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.pixels.rthc import RayBatch, Setpoints, masks
@@ -78,10 +78,10 @@ class Ssc:
 
         Raises LuxloopError for values on the host that are not finite.
         """
-        u, band = self.reduced(self.casting(primitives, T_world_headlight, secondary))
+        u, band = self.reduce(self.ray_batch(primitives, T_world_headlight, secondary))
         return Utilisation(u, band if _on_host(primitives) and self.dark else None)
 
-    def casting(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> RayBatch:
+    def ray_batch(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> RayBatch:
         """Rays to cast at primitives, which are converted to the dtype of the headlight."""
         if primitives.origin.dtype != self.default.dtype:
             primitives = primitives.to(self.default.dtype)
@@ -90,7 +90,7 @@ class Ssc:
             windows = projected_windows(primitives, self.headlight, T_world_headlight, masks(primitives))
         return RayBatch.prepare(primitives, self.headlight, T_world_headlight, windows, secondary)
 
-    def reduced(self, asked: Setpoints | RayBatch) -> tuple[Tensor, slice]:
+    def reduce(self, asked: Setpoints | RayBatch) -> tuple[Tensor, slice]:
         """Utilisation `[..., n_p]` and the band of pixels that may differ from the default, see `reduce_setpoints`."""
         return reduce_setpoints(asked, self.pixels, self.params, self.default, self.dark)
 
@@ -120,7 +120,7 @@ class WindowedSsc:
     @classmethod
     def of(cls, ssc: Ssc, window: Window) -> "WindowedSsc":
         """Cut the window's part out of the tables."""
-        band = Band.touched(ssc.pixels, window).pixels
+        band = Band.of_window(ssc.pixels, window).pixels
         matrix, grid = ssc.pixels.full.band(band.start, band.stop), ssc.pixels.grid
         texel = torch.arange(grid.rows * grid.cols, device=matrix.indices.device).view(grid.rows, grid.cols)[window.slices].flatten()
         number = numbers(texel, grid.rows * grid.cols)
@@ -133,7 +133,7 @@ class WindowedSsc:
         height, width = (each.stop - each.start for each in self.window.slices)
         image = self.ssc.default.new_zeros(height, width)
         for stroke in casting.strokes():
-            image[stroke.window.within(self.window)] = light_of(stroke, self.ssc.pixels) * stroke.hit
+            image[stroke.window.within(self.window)] = stroke_light(stroke, self.ssc.pixels) * stroke.hit
         return multiply(self.weight, image.flatten()).clamp(0, 1)
 
 
@@ -143,6 +143,6 @@ def serves(controller: PixelController, primitives: Primitives, T_world_headligh
     """
     if not isinstance(controller, Ssc) or not controller.dark or len(primitives) != 1:
         return False
-    casting, params = controller.casting(primitives, T_world_headlight), controller.params
+    casting, params = controller.ray_batch(primitives, T_world_headlight), controller.params
     alone = casting.unit and casting.finite and not (params.sharpening or params.corrections or params.a_ac)
     return alone and same_for_all_pixels(casting, controller.pixels, params, dark=True)

@@ -53,7 +53,7 @@ class Window:
         rows = self.row_start <= other.row_start and other.row_stop <= self.row_stop
         return rows and self.col_start <= other.col_start and other.col_stop <= self.col_stop
 
-    def widened(self, texels: int, grid: TexelGrid) -> "Window":
+    def widen(self, texels: int, grid: TexelGrid) -> "Window":
         """The window with a margin in texels on all sides, clipped to the light texture."""
         rows = max(self.row_start - texels, 0), min(self.row_stop + texels, grid.rows)
         return Window(*rows, max(self.col_start - texels, 0), min(self.col_stop + texels, grid.cols))
@@ -128,7 +128,7 @@ def _before_the_lamp(outline: list[Point]) -> list[Point]:
     return kept
 
 
-def banded(primitives: Primitives, grid: TexelGrid, T_world_headlight: Tensor, windows: Sequence[Window]) -> list[list[Window]]:
+def row_bands(primitives: Primitives, grid: TexelGrid, T_world_headlight: Tensor, windows: Sequence[Window]) -> list[list[Window]]:
     """The window of each primitive of a single scene in a few bands of rows, each as wide as its outline there."""
     corners = primitives.corners().detach() - T_world_headlight[:3, 3].to(primitives.origin)
     corners = corners @ T_world_headlight[:3, :3].to(primitives.origin)

@@ -10,7 +10,7 @@ from luxloop.controllers.symbol.heights.height_controller import HeightControlle
 from luxloop.controllers.symbol.sensing.projector import StartParams
 from luxloop.controllers.symbol.sensing.protocol import SymbolController
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
-from luxloop.controllers.symbol.stages import OwnParams, StagedParams, own_controller, staged
+from luxloop.controllers.symbol.stages import OwnParams, StagedParams, own_controller, with_stages
 from luxloop.world.plugin import OWN, known_or_own
 
 NamedParams = HeightControllerParams | OpenLoopParams | FeedforwardParams | ThesisPidParams | GaussNewtonParams | ModelReferenceParams
@@ -47,13 +47,13 @@ def build_controller(params: AnyParams, sensor: SymbolSensor) -> SymbolControlle
         case FeedforwardParams():
             return Surveyed(params, sensor) if params.survey else Feedforward(params, sensor)
         case ThesisPidParams():
-            return staged(params, ThesisPid.prepare(params, sensor.projector.target), sensor)
+            return with_stages(params, ThesisPid.prepare(params, sensor.projector.target), sensor)
         case HeightControllerParams():
             return HeightController(params, sensor)
         case OwnParams():
-            return staged(params, own_controller(params, sensor), sensor)
+            return with_stages(params, own_controller(params, sensor), sensor)
         case GaussNewtonParams() | ModelReferenceParams():
-            return staged(params, Feedback.prepare(params, sensor), sensor)
+            return with_stages(params, Feedback.prepare(params, sensor), sensor)
 
 
 def refuse_place(params: AnyParams, target: str) -> None:

@@ -97,7 +97,7 @@ class Alignment:
 
     def undone(self, image: Tensor, placement: Placement) -> Tensor:
         """The image `[rows, cols]` with every point of the symbol back in its place."""
-        return self._sampled(image, placement.of(self.points))
+        return self._sample(image, placement.of(self.points))
 
     def register(self, image: Tensor, kind: Kind) -> Placement:
         """The placement that leaves the least residual: nothing moved, the homography, or a mesh on either."""
@@ -122,7 +122,7 @@ class Alignment:
         u, v = self.points[0, 0].cpu().double(), self.points[1, :, 0].cpu().double()
         T = torch.diag(torch.stack([(u[-1] - u[0]) / (cols - 1), (v[-1] - v[0]) / (rows - 1), u.new_tensor(1.0)]))
         T[0, 2], T[1, 2] = u[0], v[0]
-        return self._placed(T @ torch.from_numpy(H).double() @ T.inverse(), self.still.heights)
+        return self._place(T @ torch.from_numpy(H).double() @ T.inverse(), self.still.heights)
 
     def _mesh(self, image: Tensor, start: Placement) -> Placement:
         """Gauss-Newton on heights, which are smooth."""
@@ -139,19 +139,19 @@ class Alignment:
             seen, target = (gaussian_blur2d(each[None, None], (blur, blur), (sigma, sigma)) for each in (image, self.target))
             slopes = spatial_gradient(seen)[0, 0] / (self.points[:, 1, 1] - self.points[:, 0, 0])[:, None, None]
             for _ in range(ITERATIONS):
-                where = self._placed(start.homography, heights.view(NODES)).of(self.points)
-                slope = sum(self._sampled(each, where) * per_m for each, per_m in zip(slopes, self.still.per_m, strict=True))
-                lack = (target[0, 0] - self._sampled(seen[0, 0], where)).flatten()
+                where = self._place(start.homography, heights.view(NODES)).of(self.points)
+                slope = sum(self._sample(each, where) * per_m for each, per_m in zip(slopes, self.still.per_m, strict=True))
+                lack = (target[0, 0] - self._sample(seen[0, 0], where)).flatten()
                 J = self.basis * slope.flatten()
                 weight = 1 / (SIGMA * blur) ** 2
                 force = J @ lack * weight - smooth @ heights
                 matrix = J @ J.T * weight + smooth + torch.eye(n).to(image)
                 heights = heights + torch.linalg.solve(matrix, force)
-        return self._placed(start.homography, heights.view(NODES))
+        return self._place(start.homography, heights.view(NODES))
 
-    def _placed(self, homography: Tensor, heights: Tensor) -> Placement:
+    def _place(self, homography: Tensor, heights: Tensor) -> Placement:
         return Placement(homography.to(self.target), heights, self.still.per_m, self.still.extent)
 
-    def _sampled(self, image: Tensor, where: Tensor) -> Tensor:
+    def _sample(self, image: Tensor, where: Tensor) -> Tensor:
         u, v = (axis[None] / end for axis, end in zip(where, self.still.extent, strict=True))
         return resample(image[None, None], u, v, corners=True)[0, 0]

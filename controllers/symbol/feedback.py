@@ -73,7 +73,7 @@ class Rendering(Protocol):
     @property
     def model(self) -> FlatModel: ...
 
-    def rendered(self, projection: ProjectionCommand, lights: Sequence[Utilisation]) -> Tensor: ...
+    def render(self, projection: ProjectionCommand, lights: Sequence[Utilisation]) -> Tensor: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,8 +109,8 @@ class Feedback:
         probe[0, 0] /= m_per_z
 
         def expected(correction: Tensor) -> Tensor:
-            projection = _drawn(params, target, correction)
-            return sensor.rendered(projection, sensor.projector.draw(projection))
+            projection = _command(params, target, correction)
+            return sensor.render(projection, sensor.projector.draw(projection))
 
         columns = [(expected(h) - expected(-h)) / (2 * h.sum()) for h in probe]
         inverse = torch.linalg.pinv(torch.stack(columns, -1).double()).to(target)
@@ -128,7 +128,7 @@ class Feedback:
 
     def projection(self, state: FeedbackState, ego: Ego | None) -> ProjectionCommand:
         """The symbol as it is at the corrected target."""
-        return _drawn(self.params, self.target, state.correction) if state.pose is None else ProjectionCommand(state.pose)
+        return _command(self.params, self.target, state.correction) if state.pose is None else ProjectionCommand(state.pose)
 
     def step(self, state: FeedbackState, observation: Observation) -> FeedbackState:
         """Correct by what was seen; hold while the symbol is lost, show the flat-road primitive after repeated loss."""
@@ -137,7 +137,7 @@ class Feedback:
         losses = torch.where(usable, 0, state.losses + lost)
         offset = torch.where(usable[..., None], observation.measurement.errors, 0.0)
         if isinstance(self.params, ModelReferenceParams):
-            rendered = self.sensor.rendered(observation.shown.projection, observation.shown.lights)
+            rendered = self.sensor.render(observation.shown.projection, observation.shown.lights)
             offset = torch.where(usable[..., None], offset + self.sensor.model.target - rendered, 0.0)
             wanted = -offset @ self.inverse.T
         else:
@@ -148,7 +148,7 @@ class Feedback:
         return FeedbackState(torch.where(reset[..., None], 0.0, correction), torch.where(reset, 0, losses))
 
 
-def _drawn(params: FeedbackParams, target: Tensor, correction: Tensor) -> ProjectionCommand:
+def _command(params: FeedbackParams, target: Tensor, correction: Tensor) -> ProjectionCommand:
     if params.dof == "x":
         return ProjectionCommand(target + correction)
     shift = torch.cat([torch.zeros_like(correction[..., :1]), correction[..., 1:]], -1)

@@ -65,7 +65,7 @@ class Warping:
         """Keep a warp whose symbol lies better than any before, else go half as far; give a lost symbol back to the controller."""
         lost = observation.measurement.code != ExtractionStatus.SEEN
         if state.projection is None or (lost and observation.measurement.code != ExtractionStatus.NO_FRAME):
-            return self._led(state, observation, bool(lost))
+            return self._follow(state, observation, bool(lost))
         if lost or not observation.shown.projection.shows(state.projection):
             return state
         image = self.alignment.image(observation.measurement)
@@ -76,9 +76,9 @@ class Warping:
         if state.share < LEAST_SHARE and not changed:
             return state
         seen = replace(state, residual=residual, best=state.projection, share=1.0 if changed else state.share)
-        return self._tried(seen, self.alignment.register(image, self.params.kind), image)
+        return self._try(seen, self.alignment.register(image, self.params.kind), image)
 
-    def _led(self, state: WarpingState, observation: Observation, lost: bool) -> WarpingState:
+    def _follow(self, state: WarpingState, observation: Observation, lost: bool) -> WarpingState:
         following = WarpingState(self.inner.step(state.inner, observation))
         if lost:
             return following
@@ -90,9 +90,9 @@ class Warping:
         placement = self.alignment.register(image, self.params.kind)
         if float(self.alignment.residual(self.alignment.undone(image, placement))) > self.params.takes_over:
             return following
-        return self._tried(replace(following, best=observation.shown.projection), placement, image)
+        return self._try(replace(following, best=observation.shown.projection), placement, image)
 
-    def _tried(self, state: WarpingState, placement: Placement, image: Tensor) -> WarpingState:
+    def _try(self, state: WarpingState, placement: Placement, image: Tensor) -> WarpingState:
         assert state.best is not None
         drop = state.residual - float(self.alignment.residual(self.alignment.undone(image, placement)))
         if drop < self.params.least_drop:
@@ -164,14 +164,14 @@ class Supervising:
         residual = float(self.alignment.residual(image))
         opened = observation.shown.projection.shows(self.flat)
         if state.inner is None:
-            return self._tried(residual, image, state, observation) if opened else state
+            return self._try(residual, image, state, observation) if opened else state
         if opened:
             return replace(state, opened=residual, inner=self.inner.step(state.inner, observation))
         if state.observations >= self.params.grace_steps and residual >= state.opened:
             return SupervisingState(failed=state.opened)
         return replace(state, observations=state.observations + 1, inner=self.inner.step(state.inner, observation))
 
-    def _tried(self, residual: float, image: Tensor, state: SupervisingState, observation: Observation) -> SupervisingState:
+    def _try(self, residual: float, image: Tensor, state: SupervisingState, observation: Observation) -> SupervisingState:
         """The controller, unless it has failed here before or a registration explains too little, as where something hides the road."""
         if observation.measurement.code != ExtractionStatus.SEEN or (
             state.failed is not None and abs(residual - state.failed) < self.params.changed
@@ -216,7 +216,7 @@ class Lifting:
         """Step the controller by what was drawn for the road as it is known; the errors of earlier light are those of another plant."""
         if not _same(observation.shown.projection.shape, state.shape):
             return state
-        shape, losses = self._known(state, observation)
+        shape, losses = self._road(state, observation)
         if not _same(shape, state.shape):
             return LiftingState(self.inner.start(self.projector.target), shape)
         if shape is not None:
@@ -226,7 +226,7 @@ class Lifting:
             )
         return LiftingState(self.inner.step(state.inner, observation), shape, losses)
 
-    def _known(self, state: LiftingState, observation: Observation) -> tuple[Tensor | None, int]:
+    def _road(self, state: LiftingState, observation: Observation) -> tuple[Tensor | None, int]:
         """The road's shape after an observation, None on the move, which shapes do not follow, and how often in a row the symbol was lost
         on it.
         """
@@ -242,7 +242,7 @@ class Lifting:
         """The known shape, or that of a road farther off where the symbol reaches the footprint's ends."""
         if observation.frames is None or not self.sensor.at_ends(observation.measurement):
             return known
-        found = self.sensor.acquire(observation.frames, observation.shown.lights)
+        found = self.sensor.relocalise(observation.frames, observation.shown.lights)
         risen = found.shape[0] - (0.0 if known is None else known[0])
         return found.shape if found.match > SURE and found.found and risen.abs() > self.sensor.params.footprint_margin_m else known
 
@@ -258,7 +258,7 @@ class StagedParams(Params):
     supervisor: SupervisorParams | None = Field(None, description="shows the open loop where control does not better it; left out: none")
 
 
-def staged(params: StagedParams, controller: SymbolController, sensor: SymbolSensor) -> SymbolController:
+def with_stages(params: StagedParams, controller: SymbolController, sensor: SymbolSensor) -> SymbolController:
     """The controller with the stages that its keys ask for, lifted onto the road."""
     if params.warp is not None:
         controller = Warping(params.warp, controller, sensor)

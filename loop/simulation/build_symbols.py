@@ -40,7 +40,7 @@ def build_symbols(
     Raises LuxloopError where a file is missing or broken, lamps cannot draw a symbol, the camera cannot see it, or a controller of the
     user's own cannot be made.
     """
-    base = planner.composed(Situation(0.0, torch.eye(4), torch.zeros(0, 3)), planner.start(), {}).base
+    base = planner.compose(Situation(0.0, torch.eye(4), torch.zeros(0, 3)), planner.start(), {}).base
     names = [name for name in planner.functions if name in scenario.symbols]
     symbols = {}
     for name in names:

@@ -119,7 +119,7 @@ def _movements(scenario: Scenario, modules: Modules) -> Sentences:
             how = MOVEMENTS[function.movement]
             if not any(map(function.moves, modules)):
                 yield f"functions.{name}.modules: none of these modules can be {how}; name others, or take another lamp as headlight.model"
-        elif isinstance(function, DirectParams) and function.command != REST:
+        elif isinstance(function, DirectParams) and function.module_command != REST:
             how = "turned or dimmed"
         else:
             continue

@@ -34,7 +34,7 @@ def commanded(
 
     Raises LuxloopError where a function of the user's own commands a module that a controller needs at rest.
     """
-    given = planner.commanded(given, now, modules)
+    given = planner.command(given, now, modules)
     if not given:
         return now, given
     commands = compose(given.values(), modules)
@@ -42,7 +42,7 @@ def commanded(
         for k in held.drawn_by:
             if commands[k] != REST:
                 raise LuxloopError(at_rest(symbol, modules[k].name, "turned or dimmed"))
-    return now.commanded(commands), given
+    return now.under(commands), given
 
 
 def unmoved(scenario: Scenario) -> list[str]:

@@ -150,7 +150,7 @@ class ControlledSymbol:
                 modules=((module.name,),),
                 shared=torch.zeros_like(primitive.shared),
             )
-            parts.append(drawn if T_ground_body is None else drawn.moved(T_ground_body))
+            parts.append(drawn if T_ground_body is None else drawn.transform(T_ground_body))
         return (concatenate(*parts),)
 
     def light(self, on: Sequence[Utilisation], off: Sequence[Utilisation]) -> tuple[Utilisation, ...]:
@@ -182,7 +182,7 @@ class ControlledSymbol:
         alone = self.projector.draw(shown.projection)
         if all(torch.allclose(a.u, b.u, rtol=0, atol=SAME) for a, b in zip(shown.lights, alone, strict=True)):
             return None
-        left, whole = (self.sensor.rendered(shown.projection, lights) for lights in (shown.lights, alone))
+        left, whole = (self.sensor.render(shown.projection, lights) for lights in (shown.lights, alone))
         return left - whole if bool(whole.isfinite().all()) else None
 
     def held(self, projection: ProjectionCommand, seen: Measurement | None, verdict: Metrics | None) -> Held:

@@ -148,7 +148,7 @@ class Evaluator:
         for name in plan.measured:
             if len(plan.measured) > 1:
                 others: Parts = without(plan.drawn, [name])
-                off, _ = self.lamps.drive(self.planner.composed(plan.now, state.functions, others), plan.now)
+                off, _ = self.lamps.drive(self.planner.compose(plan.now, state.functions, others), plan.now)
             judge = self.controlled[name].judge
             assert judge is not None and self.world is not None
             verdicts[name] = judge.judged(self.world.added(plan.now.time_s, on, off, plan.now.commands), plan.now.time_s)

@@ -34,7 +34,7 @@ class ObservedSymbol:
 
 def pictures(primitives: Primitives) -> list[int]:
     """Which primitives are pictures for an observer's eye; images with an opacity are a camera's, of where light shall be."""
-    return [p for p in range(len(primitives)) if primitives.observed(p) and primitives.image_of(p).ndim == 2]
+    return [p for p in range(len(primitives)) if primitives.has_observer(p) and primitives.image_of(p).ndim == 2]
 
 
 def in_white(plan: Plan) -> Plan | None:

@@ -97,7 +97,7 @@ def _named(light: MaterialLightParams) -> Iterator[tuple[str, str]]:
 def _asked(function: MaterialParams, state: MaterialState, now: Situation, told: Mapping[str, int], view: LitScene) -> Tensor:
     """Where a function asks for light, `[height, width]` bool."""
     surfaces = view.surfaces
-    ids = torch.tensor([told[each.name] for each in function.selected(now) if each.name in told])
+    ids = torch.tensor([told[each.name] for each in function.select(now) if each.name in told])
     standing = torch.isin(surfaces.object_id, ids.to(surfaces.object_id)) & ~state.ground
     if function.road_m is None:
         return standing

@@ -46,7 +46,7 @@ def _drawn(simulation: Simulation, result: StepResult, others: dict[str, Project
     T_ground_body = result.view.T_world_view @ inverse(simulation.view.T_world_view)
     projections = {name: each.projection for name, each in result.held.items()} | others
     commands = {name: simulation.controlled[name].command(each, T_ground_body) for name, each in projections.items()}
-    return {**simulation.planner.drawn(result.now, result.functions), **commands}
+    return {**simulation.planner.draw(result.now, result.functions), **commands}
 
 
 def _pair(simulation: Simulation, result: StepResult, name: str, drawn: Mapping[str, Sequence[Primitives]]) -> Pair:

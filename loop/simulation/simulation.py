@@ -109,7 +109,7 @@ class Simulation:
 
     def lights_of(self, result: StepResult, drawn: Parts) -> Lights:
         """Those of a step in which the functions draw these primitives, by name."""
-        return self.lamps.drive(self.planner.composed(result.now, result.functions, drawn), result.now)[0]
+        return self.lamps.drive(self.planner.compose(result.now, result.functions, drawn), result.now)[0]
 
     def of_all(self, symbol: ControlledSymbol, light: Sequence[Utilisation]) -> Lights:
         """What a light of a symbol's modules adds to their base beams, as utilisations of all modules."""
@@ -261,9 +261,9 @@ class Simulation:
         """Primitives of functions and controllers: all of them, and without the symbols that are measured in this step."""
         projections, drawn = self._drawn(state, now, ego)
         measured = turn(self.controlled, state.held, projections)
-        plans = [self.planner.composed(now, state.functions, drawn)]
+        plans = [self.planner.compose(now, state.functions, drawn)]
         if measured:
-            plans.append(self.planner.composed(now, state.functions, without(drawn, measured)))
+            plans.append(self.planner.compose(now, state.functions, without(drawn, measured)))
         return StepPlan(ego, now, projections, drawn, measured, tuple(plans))
 
     def _drive(self, plan: StepPlan) -> StepDrive:
@@ -351,7 +351,7 @@ class Simulation:
         for name, projection in projections.items():
             with locate(f"functions.{name}"):
                 commands[name] = shown[name].command(projection, None if ego is None else attitude(ego))
-        return projections, self.planner.drawn(now, state.functions) | commands
+        return projections, self.planner.draw(now, state.functions) | commands
 
     def at(self, step: int) -> StepResult:
         """One step alone, before which nothing was seen; that of the run where nothing depends on what was seen."""
@@ -364,7 +364,7 @@ class Simulation:
             state, _ = self.step(state)
         ego = self.ego(newest({}, self.sensed(time_s).samples), time_s)
         now, _ = self._commanded(time_s, state, ego)
-        lights, _ = self.lamps.drive(self.planner.composed(now, state.functions, self._drawn(state, now, ego)[1]), now)
+        lights, _ = self.lamps.drive(self.planner.compose(now, state.functions, self._drawn(state, now, ego)[1]), now)
         return tuple(light.u for light in lights), now.commands
 
     @property
@@ -393,9 +393,9 @@ class Simulation:
 
     def idle(self, result: StepResult) -> set[str]:
         """Names of the functions that move no module at that moment, and of which no ray of any lamp that draws them hits anything."""
-        drawn = self.planner.drawn(result.now, result.functions)
+        drawn = self.planner.draw(result.now, result.functions)
         reach = {name for name, parts in drawn.items() if any(in_reach(self.modules, part, result.now) for part in parts)}
-        given = self.planner.commanded({}, result.now, self.modules)
+        given = self.planner.command({}, result.now, self.modules)
         moving = {name for name, each in given.items() if any(command != REST for _, command in each.commands)}
         return drawn.keys() - reach - result.held.keys() - moving
 

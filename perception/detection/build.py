@@ -82,9 +82,9 @@ class CheckedDetector:
 
     def detect(self, frames: Tensor) -> Sequence[Detections]:
         """Raises LuxloopError if it fails or does not return valid detections."""
-        return self.checked(self.own.detect(frames), frames)
+        return self.check(self.own.detect(frames), frames)
 
-    def checked(self, found: Any, frames: Tensor) -> Sequence[Detections]:
+    def check(self, found: Any, frames: Tensor) -> Sequence[Detections]:
         """The detections in frames `[B, height, width]`. Raises LuxloopError where they are invalid."""
         where, classes = f"{KEY}: {self.kind}: detect", len(self.classes)
         if not isinstance(found, list | tuple):

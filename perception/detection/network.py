@@ -122,7 +122,7 @@ def load(file: Path, device: torch.device) -> tuple[Network, tuple[Category, ...
         with zipfile.ZipFile(file) as archive:
             afford(f"{file}: its weights", 2 * sum(entry.file_size for entry in archive.infolist()), "train them anew")
             for entry in archive.namelist():
-                if entry.endswith(".pkl") and (foreign := _named(archive.read(entry)) - NAMES):
+                if entry.endswith(".pkl") and (foreign := _names(archive.read(entry)) - NAMES):
                     raise ValueError(f"it names {foreign.pop()}")
         stored = torch.load(file, map_location=device, weights_only=True)
         if not isinstance(stored, dict):
@@ -137,7 +137,7 @@ def load(file: Path, device: torch.device) -> tuple[Network, tuple[Category, ...
     return network.to(device).eval(), classes
 
 
-def _named(pickled: bytes) -> set[str]:
+def _names(pickled: bytes) -> set[str]:
     """What a pickle imports: texts that name it, or the opcode where the name is computed."""
     found = ((opcode.name, text) for opcode, text, _ in pickletools.genops(pickled))
     return {str(text or name) for name, text in found if "GLOBAL" in name or name in ("INST", "EXT1", "EXT2", "EXT4")}

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn.functional import one_hot
 
 from luxloop.perception.detection.detector import COCO, COCO_CLASSES, Detections, Layout, OnnxParams, encode, suppress
-from luxloop.perception.detection.onnx_file import by, opened, said
+from luxloop.perception.detection.onnx_file import by, open_network, said
 from luxloop.world.errors import LuxloopError
 from luxloop.world.traffic.tracked import Category
 
@@ -101,7 +101,7 @@ class OnnxDetector:
         self.params = params
         self.meaning = params.classes or COCO
         self.classes: tuple[Category, ...] = tuple(dict.fromkeys(self.meaning.values()))
-        self._net = opened(params)
+        self._net = open_network(params)
         columns, rows = params.input_px
         out = self._run(encode(torch.linspace(0, 1, columns).expand(rows, columns), params.gamma))
         self._check_classes(out, self._read(out)[1].shape[1])

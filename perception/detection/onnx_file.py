@@ -27,7 +27,7 @@ BYTES_A_BYTE = 4  # of a file while it is read: as it is, as onnx has it, and tw
 FLOATS = ("float32", "float16")  # OpenCV converts to the second itself
 
 
-def opened(params: OnnxParams) -> cv2.dnn.Net:
+def open_network(params: OnnxParams) -> cv2.dnn.Net:
     """The network of a file.
 
     Raises LuxloopError where the file is missing, damaged, or none that OpenCV can read; where it has not one input and one output; and
@@ -98,11 +98,11 @@ def _nodes(graph: "onnx.GraphProto") -> Iterator["onnx.NodeProto"]:
 def _check(model: "onnx.ModelProto", params: OnnxParams) -> None:
     where, weights = f"detector.file: {params.file}", {tensor.name for tensor in model.graph.initializer}
     inputs = [each for each in model.graph.input if each.name not in weights]
-    found = ", ".join(map(_described, inputs))
+    found = ", ".join(map(_describe, inputs))
     if len(inputs) != 1:
         raise LuxloopError(f"{where}: has {len(inputs)} inputs: {found}; export it with one, the picture")
     if len(model.graph.output) != 1:
-        outputs = ", ".join(map(_described, model.graph.output))
+        outputs = ", ".join(map(_describe, model.graph.output))
         raise LuxloopError(f"{where}: has {len(model.graph.output)} outputs: {outputs}; export it with one that holds boxes and scores")
     shape = inputs[0].type.tensor_type.shape
     sizes = _sizes(inputs[0])
@@ -141,7 +141,7 @@ def _most_numbers(model: "onnx.ModelProto", where: str) -> int:
     return max((math.prod(size.dim_value for size in shape) for shape in shapes), default=0)
 
 
-def _described(value: "onnx.ValueInfoProto") -> str:
+def _describe(value: "onnx.ValueInfoProto") -> str:
     return f"{value.name} ({_number_type(value)} {by(_sizes(value))})"
 
 

@@ -22,7 +22,7 @@ OTHER_HZ: Final = 1.3  # of what else shakes the body, undamped
 
 
 @lru_cache(maxsize=64)
-def followed(rate_hz: float, damping: float, duration_s: float) -> Tensor:
+def mode_response(rate_hz: float, damping: float, duration_s: float) -> Tensor:
     """Value and rate `[2, 2 + PARTS + 1]` of a mode on its spring and damper after some time, exactly.
 
     Columns: value and rate before, and what the mode follows at even times, from beginning to end, linear in between.
@@ -123,7 +123,7 @@ class BodyFilter:
         body = cls(params, ego.told_s[0], 0.0, float(ego.speed_m_s), start, start, slope, (front, rear), mean, covariance, distance_m)
         rest = torch.eye(len(mean), dtype=torch.float64)
         rest[:3, BODY:] = body._bases(torch.zeros(1, dtype=torch.float64))[0]  # the body rests on the road: P = R P R'
-        return replace(body, covariance=rest @ covariance @ rest.T)._measured(ego).updated(ego)
+        return replace(body, covariance=rest @ covariance @ rest.T)._measure(ego).update(ego)
 
     @property
     def pivot_x_m(self) -> float:
@@ -140,18 +140,18 @@ class BodyFilter:
         """The same at the last observation that is taken in, as it is known now."""
         return float(self.mean[LEVEL])
 
-    def updated(self, ego: Ego) -> "BodyFilter":
+    def update(self, ego: Ego) -> "BodyFilter":
         """After other measurements; one that is older than what is known changes nothing."""
         body = self
         for time_s in ego.told_s:
             if time_s > body.time_s:
                 past = tuple(observation for observation in body.observations if observation[0] <= time_s)
                 told = replace(body, speed_m_s=float(ego.speed_m_s), slope_rad=float(ego.ground[1]), observations=past)
-                known = told.caught_up().at(time_s)._measured(ego)
+                known = told.caught_up().at(time_s)._measure(ego)
                 body = replace(known, observations=body.observations[len(past) :])
         return body
 
-    def looked(self, time_s: float, pitched_rad: float | None) -> "BodyFilter":
+    def with_observation(self, time_s: float, pitched_rad: float | None) -> "BodyFilter":
         """With another observation, after which the body had pitched by so much since the one before."""
         return replace(self, observations=(*self.observations, (time_s, pitched_rad)))
 
@@ -171,12 +171,12 @@ class BodyFilter:
             body = replace(body, mean=mean, covariance=covariance)
         return replace(body, observations=())
 
-    def unseen(self) -> Tensor:
+    def unknown_m(self) -> Tensor:
         """How far along the way the strip's cells are that were not seen yet: `[k]` m."""
         cells = self._cells()
         return cells[cells > self.known_m + CELL_M / 2]
 
-    def seen(self, way_m: Tensor, heights: Tensor, variance: Tensor) -> "BodyFilter":
+    def with_road(self, way_m: Tensor, heights: Tensor, variance: Tensor) -> "BodyFilter":
         """After the road was seen so far `[k]` m along the way: heights `[2, k]` m of left and right track, of variance `[2, k]` m^2."""
         if not len(way_m):
             return self
@@ -190,7 +190,7 @@ class BodyFilter:
         body = self._transition(time_s - self.time_s) @ self.mean  # [BODY]
         return body_pose(_shaken(0, BODY) @ body, self.pivot_x_m)
 
-    def _measured(self, ego: Ego) -> "BodyFilter":
+    def _measure(self, ego: Ego) -> "BodyFilter":
         """After what was measured at its time."""
         rows = torch.cat([_shaken(0, len(self.mean)), _shaken(1, len(self.mean))])
         values = torch.cat([exact(ego.level_attitude), exact(ego.rates)])
@@ -234,7 +234,7 @@ class BodyFilter:
         bases = self._bases(self.way_m + self.speed_m_s * duration_s * share)  # [PARTS + 1, 3, 2 * cells]
         found = bases.new_zeros(BODY, len(self.mean))
         for mode, rate_hz in enumerate((self.params.heave_hz, self.params.roll_hz, self.params.pitch_hz)):
-            answer, at = followed(rate_hz, self.params.damping, duration_s), [mode, 3 + mode]  # [2, 2 + PARTS + 1], value and rate
+            answer, at = mode_response(rate_hz, self.params.damping, duration_s), [mode, 3 + mode]  # [2, 2 + PARTS + 1], value and rate
             found[at, mode], found[at, 3 + mode] = answer[:, 0], answer[:, 1]
             found[at, BODY:] = answer[:, 2:] @ bases[:, mode]
         found[OTHER, OTHER] = torch.kron(other(duration_s), torch.eye(3, dtype=torch.float64))  # [9, 9]

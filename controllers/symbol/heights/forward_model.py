@@ -139,7 +139,7 @@ class ForwardModel:
 
     def observe(self, frames: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
         """Contrast and threshold `[h, w]` in cd/m^2 of on and off frame `[height, width]` (digital numbers)."""
-        contrast, limit, _ = self._looked(frames)
+        contrast, limit, _ = self._contrast(frames)
         return contrast, limit
 
     def observe_symbol(self, frames: tuple[Tensor, Tensor], textures: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
@@ -148,7 +148,7 @@ class ForwardModel:
         What other light has changed by between the frames is taken off. Noisier frames than the camera's raise the threshold. Where
         nothing is left dark, neither is known.
         """
-        contrast, limit, without = self._looked(frames)
+        contrast, limit, without = self._contrast(frames)
         # Pixels that the symbol leaves dark on the plane, [h, w] bool.
         dark = (self.inside > 0) & (self.luminance(textures, torch.zeros_like(limit)[None])[0] < limit)
         rise = (contrast / without)[dark].median()  # change of the other light as a share of it, []
@@ -158,14 +158,14 @@ class ForwardModel:
         noise = (contrast / limit)[dark].abs().median() * (SIGMAS * self.params.threshold_sigma)
         return contrast, limit * noise.nan_to_num(1.0).clamp(min=1)
 
-    def _looked(self, frames: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+    def _contrast(self, frames: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
         """Contrast, threshold, and luminance without the lamps' light."""
-        on, off = frames[0][self.crop.slices], self._compensated(frames[1])
+        on, off = frames[0][self.crop.slices], self._compensate(frames[1])
         images = torch.stack([difference(on, off, self.camera), threshold(off, self.camera, self.params), luminance_of(off, self.camera)])
         contrast, limit, without = avg_pool2d(images[:, None], (1, self.step))[:, 0]  # means of step columns, [h, w] each
         return contrast, limit, without
 
-    def _compensated(self, off: Tensor) -> Tensor:
+    def _compensate(self, off: Tensor) -> Tensor:
         """The off frame `[height, width]` as the camera would see the plane where the on frame was exposed, cut at the crop."""
         if self.off_place is None:
             return off[self.crop.slices]

@@ -14,11 +14,11 @@ from luxloop.controllers.symbol.heights.forward_model import ForwardModel
 from luxloop.controllers.symbol.heights.height_map import drawn_on
 from luxloop.controllers.symbol.heights.registration import HEIGHT_M, ITERATIONS, Heights, Registration, plane_sweep
 from luxloop.controllers.symbol.heights.road_map import RoadMap
-from luxloop.controllers.symbol.sensing.field import aimed, elsewhere
+from luxloop.controllers.symbol.sensing.field import aim, elsewhere
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
 from luxloop.controllers.symbol.sensing.protocol import Observation
-from luxloop.controllers.symbol.sensing.road_shape import HERE, placed, reached
+from luxloop.controllers.symbol.sensing.road_shape import HERE, pose_of_rectangle, ray_lengths
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from luxloop.perception.birdseye import Region
 from luxloop.perception.camera import camera_view
@@ -95,7 +95,7 @@ class HeightController:
         self.region = region_of(self.projector.params, *params.beyond_m)
         self.reach_m = self.projector.params.x_m - self.projector.params.length_m / 4
         self.standing = keeping(2, self._standing)
-        self.drawn = keeping(1, self._drawn)
+        self.cached_draw = keeping(1, self._draw)
         self.registration = self.over(HERE)[1]
         self.nothing = self._nothing(self.registration)  # known of the road before anything was seen by a vehicle that stands
         lamps = torch.stack([module.T_world_headlight[:3, 3].cpu().double() for module in self.projector.modules])
@@ -109,19 +109,19 @@ class HeightController:
         if self.params.start_height_m == 0:
             return HeightControllerState(road_map, 0.0, ProjectionCommand(pose))
         mean = road_map.heights.mean + self.params.start_height_m
-        believed = _believed(road_map, mean)
-        return HeightControllerState(believed, 0.0, self._drawn(believed))
+        believed = _assume_heights(road_map, mean)
+        return HeightControllerState(believed, 0.0, self._draw(believed))
 
     def projection(self, state: HeightControllerState, ego: Ego | None) -> ProjectionCommand:
         """The symbol for the road as it is known, from where the body will be by what is measured now."""
         if state.projection is not None:
             return state.projection
-        body = self._filtered(state.body, ego)
+        body = self._filter(state.body, ego)
         assert ego is not None and body is not None  # or it would stand
         now = body.caught_up()
-        road_map = state.road_map.levelled(now.level_rad - state.level_rad, body.pivot_x_m)
+        road_map = state.road_map.tilt(now.level_rad - state.level_rad, body.pivot_x_m)
         ground = ground_at(ego, state.time_s) if state.ground is None else state.ground
-        return self._drawn(road_map, Following.of(ego, now, state.time_s, ground))
+        return self._draw(road_map, Following.of(ego, now, state.time_s, ground))
 
     def step(self, state: HeightControllerState, observation: Observation) -> HeightControllerState:
         """Register the observation; the open loop's drawing, unless heights explain it better than a flat road does.
@@ -131,7 +131,7 @@ class HeightController:
         body, then = state.body, observation.shown.ego
         for ego in (then, observation.ego):  # a measurement that is newer than the observation tells more once the observation is taken in
             if ego is not None and then is not None and ego.told_s[-1] < then.time_s + ROUNDING_S:
-                body = self._filtered(body, ego)
+                body = self._filter(body, ego)
         now = None if body is None else body.caught_up()
         body_poses = BodyPoses.of(observation, now, state.time_s, state.ground)
         road_map, first, sought = state.road_map, state.first, state.sought or bool(observation.measurement.code == ExtractionStatus.SEEN)
@@ -142,38 +142,38 @@ class HeightController:
         else:
             road_map = road_map if road_map.T_ground_plane.equal(HERE) else self.nothing
             registration = self._fine(body_poses)
-        road_map = road_map.moved(body_poses.since, registration.forward_model.eye)
+        road_map = road_map.move(body_poses.since, registration.forward_model.eye)
         if not body_poses.still and then is not None and body is not None and not then.stands:
             road_map = road_map.over(self._heights(self._bent(then, body), road_map))
         if body is None or now is None or body_poses.still:
-            road_map = self._looked(registration, road_map, observation, body_poses, anew)
-            if body_poses.still and not road_map.heights.informed and (guess := self._guessed(state, observation)) is not None:
+            road_map = self._observe(registration, road_map, observation, body_poses, anew)
+            if body_poses.still and not road_map.heights.any_information and (guess := self._guess(state, observation)) is not None:
                 road_map, sought = guess, True
         else:
-            road_map = road_map.levelled(now.level_rad - state.level_rad, body.pivot_x_m)
+            road_map = road_map.tilt(now.level_rad - state.level_rad, body.pivot_x_m)
             if observation.frames is not None:
                 known, predicted = road_map, now.at(body_poses.time_s).pitch_rad
-                road_map = self._looked(registration, known.loosened(PITCH_RAD, body.pivot_x_m), observation, body_poses)
-                pitched = road_map.pitched(known, body.pivot_x_m)
-                body = body.looked(body_poses.time_s, None if pitched is None else predicted + pitched - now.level_rad)
+                road_map = self._observe(registration, known.loosen(PITCH_RAD, body.pivot_x_m), observation, body_poses)
+                pitched = road_map.pitch_between(known, body.pivot_x_m)
+                body = body.with_observation(body_poses.time_s, None if pitched is None else predicted + pitched - now.level_rad)
                 now = body.caught_up()
-                road_map = road_map.levelled(now.level_rad - predicted, body.pivot_x_m)
+                road_map = road_map.tilt(now.level_rad - predicted, body.pivot_x_m)
         if body is not None and observation.ego is not None and road_map.T_ground_plane.equal(HERE):
-            body = _previewed(body, road_map, body_poses, observation.ego)
-        projection, level_rad = self.drawn(road_map.bare()) if body_poses.still else None, 0.0 if now is None else now.level_rad
+            body = _preview(body, road_map, body_poses, observation.ego)
+        projection, level_rad = self.cached_draw(road_map.bare()) if body_poses.still else None, 0.0 if now is None else now.level_rad
         if projection is not None and projection.warp is not None:
             road_map = road_map.showing(projection, self.in_flight)
         if road_map.shape is not state.road_map.shape:
             first = None if road_map.shape is None else projection
         return HeightControllerState(road_map, body_poses.time_s, projection, body, level_rad, first, sought, body_poses.ground)
 
-    def _filtered(self, before: BodyFilter | None, ego: Ego | None) -> BodyFilter | None:
+    def _filter(self, before: BodyFilter | None, ego: Ego | None) -> BodyFilter | None:
         """What is known of the body after a measurement, if there is one; one without axles has no filter."""
         if ego is None or ego.pivot_x_m == ego.rear_x_m:
             return before
-        return BodyFilter.first(self.params.body, ego, self.reach_m, self.projector.params.x_m) if before is None else before.updated(ego)
+        return BodyFilter.first(self.params.body, ego, self.reach_m, self.projector.params.x_m) if before is None else before.update(ego)
 
-    def _looked(
+    def _observe(
         self, registration: Registration, road_map: RoadMap, observation: Observation, body_poses: BodyPoses, anew: bool = False
     ) -> RoadMap:
         """What is known after an observation: nothing, where heights do not explain it. anew: it is the first at light for an acquired
@@ -184,12 +184,12 @@ class HeightController:
         frames, textures, searched = observation.frames, self.projector.textures(observation.shown.lights), road_map.searched
         nothing = self.nothing if body_poses.still else self._nothing(registration).over(road_map.heights.base)
         fine, known = registration.forward_model, road_map.heights
-        informed = known.informed
+        informed = known.any_information
         contrast, limit = fine.observe_symbol(frames, textures)
         seen, least_seen = fine.symbol(contrast, limit), limit
         lit = float(seen.sum()) * fine.step >= LEAST_LIT_PX
         limit = limit / fine.on_pixels(road_map.brightness)  # of the light that the assumed road would show
-        drawn = road_map.shown(observation.shown.projection)
+        drawn = road_map.candidate_of(observation.shown.projection)
         late = [] if drawn is None or drawn.heights is known else [drawn.heights.mean]
         roads = torch.stack([nothing.heights.mean, *[known.mean] * informed, *late])
         leaves = registration.residual(roads, seen, textures, limit).tolist()
@@ -197,25 +197,25 @@ class HeightController:
         if lit and not informed and flat_leaves <= self.params.evidence:
             return nothing  # for no heights can explain so much more
         unsure = not informed or (anew and not road_map.settled and searched < SEARCHES)
-        if body_poses.still and unsure and (acquired := self._acquired(road_map, observation)) is not None:
-            return self._looked(self.over(acquired.T_ground_plane)[1], acquired, observation, body_poses)
+        if body_poses.still and unsure and (acquired := self._relocalise(road_map, observation)) is not None:
+            return self._observe(self.over(acquired.T_ground_plane)[1], acquired, observation, body_poses)
         if not lit:
             there = fine.symbol(fine.luminance(textures, fine.on_pixels(known.mean)[None])[0], limit) * fine.inside
             return road_map if float(there.sum()) * fine.step < LEAST_LIT_PX else nothing
         if drawn is not None:
             residual = leaves[-1] if late else before
-            road_map = road_map.judged(drawn, residual if residual < flat_leaves else math.inf)
+            road_map = road_map.rate(drawn, residual if residual < flat_leaves else math.inf)
             if road_map.kept is not None and road_map.kept.done:
                 return replace(road_map, heights=road_map.kept.best.heights, brightness=road_map.kept.best.brightness)
         iterations = 1 if informed else ITERATIONS  # the next observation corrects what one leaves, before it fits noise
-        least, best = self._refined(registration, known, known.mean, seen, textures, limit, iterations)
+        least, best = self._refine(registration, known, known.mean, seen, textures, limit, iterations)
         if least > self.params.sweep_above:
-            swept = self._swept(road_map, frames, textures, body_poses)
-            again = self._refined(registration, known, swept, seen, textures, limit)
+            swept = self._sweep(road_map, frames, textures, body_poses)
+            again = self._refine(registration, known, swept, seen, textures, limit)
             least, best = min((least, best), again, key=lambda each: each[0])
         road_map = replace(road_map, settled=road_map.settled or before > UNEVEN)
         if least > POOR and body_poses.still and road_map.searched == searched < SEARCHES:
-            if (acquired := self._acquired(road_map, observation)) is not None:
+            if (acquired := self._relocalise(road_map, observation)) is not None:
                 return acquired
             road_map = replace(road_map, searched=searched + 1)
         if least > flat_leaves - (0.0 if informed else self.params.evidence):
@@ -228,7 +228,7 @@ class HeightController:
             road_map, heights=replace(best, information=information.mul_(share)), brightness=road_map.brightness.lerp(brightness, gain)
         )
 
-    def _refined(
+    def _refine(
         self,
         registration: Registration,
         known: Heights,
@@ -242,18 +242,18 @@ class HeightController:
         found = registration.refine(nodes, known, seen, textures, limit, iterations)
         return float(registration.residual(found.mean[None], seen, textures, limit)[0]), found
 
-    def _acquired(self, road_map: RoadMap, observation: Observation) -> RoadMap | None:
+    def _relocalise(self, road_map: RoadMap, observation: Observation) -> RoadMap | None:
         """The road that explains where in the whole image the symbol is; None where a road near the plane may, which observations find
         without.
         """
         assert observation.frames is not None
         symbol = self.projector.params
-        found = observation.measurement.acquired or self.sensor.acquire(observation.frames, observation.shown.lights)
+        found = observation.measurement.acquired or self.sensor.relocalise(observation.frames, observation.shown.lights)
         if not found.found or float(self._heights(found.shape, self.nothing).abs().max()) < LOW_M[symbol.target]:
             return None
-        return self._shaped(road_map, found.shape)
+        return self._road_of_shape(road_map, found.shape)
 
-    def _guessed(self, state: HeightControllerState, observation: Observation) -> RoadMap | None:
+    def _guess(self, state: HeightControllerState, observation: Observation) -> RoadMap | None:
         """A road to look for the symbol on that is not in the image, though it is shown for the road that was believed.
 
         Half as high or low as that; after a flat road one that falls, unless the symbol has been seen before, so that something hides it.
@@ -262,16 +262,16 @@ class HeightController:
         if lost is None or lost.found or state.projection is None or not observation.shown.projection.shows(state.projection):
             return None
         if before is not None:
-            return self._shaped(state.road_map, before / 2) if state.road_map.searched < SEARCHES else None
-        return None if state.sought or lost.match else self._shaped(state.road_map, self.projector.target.new_tensor(FALLEN))
+            return self._road_of_shape(state.road_map, before / 2) if state.road_map.searched < SEARCHES else None
+        return None if state.sought or lost.match else self._road_of_shape(state.road_map, self.projector.target.new_tensor(FALLEN))
 
-    def _shaped(self, before: RoadMap, shape: Tensor) -> RoadMap:
+    def _road_of_shape(self, before: RoadMap, shape: Tensor) -> RoadMap:
         """A road of shape `[4]`, over the plane on which the symbol is aimed there."""
         symbol = self.projector.params
         rise = float((shape - (0 if before.shape is None else before.shape)) @ shape.new_tensor([1.0, 0.0, symbol.y_m, 0.0]))
-        plane = aimed(shape, symbol, self.projector.modules, self.ends[:, 0])
+        plane = aim(shape, symbol, self.projector.modules, self.ends[:, 0])
         nothing = replace(self._nothing(self.over(plane)[1]), T_ground_plane=plane)
-        believed = _believed(nothing, self._heights(shape, nothing))
+        believed = _assume_heights(nothing, self._heights(shape, nothing))
         return replace(believed, shape=shape, searched=before.searched + 1, settled=abs(rise) < SAME_M)
 
     def _bent(self, ego: Ego, body: BodyFilter) -> Tensor:
@@ -287,21 +287,21 @@ class HeightController:
         """Heights `[n]` of a road of shape `[4]` at the nodes of a road map."""
         T, eye = road_map.T_ground_plane.to(shape), road_map.eye
         origin, ways = transform(T, eye[:, None])[:, 0], T[:3, :3] @ (road_map.nodes() - eye[:, None])
-        share = reached(shape[None], self.projector.params.x_m, origin, ways)[0].clamp(max=FARTHEST)
+        share = ray_lengths(shape[None], self.projector.params.x_m, origin, ways)[0].clamp(max=FARTHEST)
         return eye[2] * (1 - share)
 
-    def _swept(self, road_map: RoadMap, frames: tuple[Tensor, Tensor], textures: tuple[Tensor, ...], body_poses: BodyPoses) -> Tensor:
+    def _sweep(self, road_map: RoadMap, frames: tuple[Tensor, Tensor], textures: tuple[Tensor, ...], body_poses: BodyPoses) -> Tensor:
         coarse = self.over(road_map.T_ground_plane)[0] if body_poses.still else self._coarse(body_poses)
         contrast, limit = coarse.observe_symbol(frames, textures)
         seen, limit = coarse.symbol(contrast, limit), limit / coarse.on_pixels(road_map.brightness)
         return plane_sweep(coarse, seen, textures, limit, self.tried, road_map.heights.base)
 
-    def _drawn(self, road_map: RoadMap, following: Following = AT_REST) -> ProjectionCommand:
+    def _draw(self, road_map: RoadMap, following: Following = AT_REST) -> ProjectionCommand:
         """The symbol for the road as it is known, from where the body will be then."""
         symbol, plane = self.projector.params, road_map.T_ground_plane
         T_plane_body = following.body if plane.equal(HERE) else inverse(plane) @ following.body
         T_body_plane = inverse(T_plane_body)
-        if not (road_map.heights.informed or road_map.heights.base.any()):
+        if not (road_map.heights.any_information or road_map.heights.base.any()):
             return laid(self.projector.target, T_body_plane)
         ends = transform(T_plane_body, self.ends).T.to(road_map.eye)
         relief = road_map.relief_from(following.until, ends[0])
@@ -332,18 +332,18 @@ class HeightController:
         return ForwardModel.prepare(self.sensor, self.region, self.params.cell_m, step, samples, body_poses.on, body_poses.off)
 
 
-def _previewed(body: BodyFilter, road_map: RoadMap, body_poses: BodyPoses, ego: Ego) -> BodyFilter:
+def _preview(body: BodyFilter, road_map: RoadMap, body_poses: BodyPoses, ego: Ego) -> BodyFilter:
     """With the road that the wheels will come to, as it is known after an observation when it has left the light."""
-    way_m, driven_m = body.unseen(), body.way_m + body.speed_m_s * (body_poses.time_s - body.time_s)
+    way_m, driven_m = body.unknown_m(), body.way_m + body.speed_m_s * (body_poses.time_s - body.time_s)
     x = (way_m - driven_m).to(road_map.eye)
     aside = ego.yaw_rate_rad_s / ego.speed_m_s.clamp(min=1.0) * (x - ego.rear_x_m) ** 2 / 2
     half_m = body.params.track_m / 2
     heights, information = road_map.tracks(x.expand(2, -1), torch.stack([aside + half_m, aside - half_m]))
     level_m = transform(body_poses.ground.to(x), torch.stack([x, 0 * x, 0 * x]))[2]  # of the ground
-    return body.seen(way_m, level_m + heights, ROAD_M**2 + 1 / information.clamp(min=1e-3))
+    return body.with_road(way_m, level_m + heights, ROAD_M**2 + 1 / information.clamp(min=1e-3))
 
 
-def _believed(road_map: RoadMap, heights: Tensor) -> RoadMap:
+def _assume_heights(road_map: RoadMap, heights: Tensor) -> RoadMap:
     """A road whose heights `[n]` are taken for granted until something is seen of it."""
     return replace(road_map, heights=Heights(heights, torch.eye(len(heights)).to(heights) / HEIGHT_M**2, heights))
 
@@ -353,7 +353,7 @@ def laid(target: Tensor, T_body_ground: Tensor) -> ProjectionCommand:
     if T_body_ground.equal(HERE):
         return ProjectionCommand(target)
     centre = T_body_ground.new_tensor([float(target[0]), float(target[1]), 0.0])
-    pose, z = placed(T_body_ground @ pose_of(centre, torch.eye(3).to(centre)))
+    pose, z = pose_of_rectangle(T_body_ground @ pose_of(centre, torch.eye(3).to(centre)))
     return ProjectionCommand(pose.to(target), z.to(target))
 
 

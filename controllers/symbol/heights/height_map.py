@@ -9,7 +9,7 @@ from torch.nn.functional import grid_sample, interpolate
 
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
-from luxloop.controllers.symbol.sensing.road_shape import LEAST_HEIGHT_M, below_lamps, holding, placed
+from luxloop.controllers.symbol.sensing.road_shape import LEAST_HEIGHT_M, below_lamps, holding, pose_of_rectangle
 from luxloop.perception.birdseye import Region
 from luxloop.world.frames import inverse, pose, transform
 
@@ -63,7 +63,7 @@ class HeightMap:
         """
         lamp, eye = lamp.to(points), self.eye.to(points)
         over_patch = ((lamp[:, None, None] - points) * normal[:, None, None]).sum(0)  # [h, w] m, the same everywhere
-        h = self._reached(torch.linspace(deepest_m, -deepest_m, LAYERS, dtype=points.dtype, device=points.device), lamp, over_patch, points)
+        h = self._layers(torch.linspace(deepest_m, -deepest_m, LAYERS, dtype=points.dtype, device=points.device), lamp, over_patch, points)
         x, y, z = (point + (lamp[axis] - point) * (h / over_patch) for axis, point in enumerate(points))  # [layers, h, w]
         rise = z / (eye[2] - z).clamp(min=LEAST_DROP_M)  # the eye sees p at p + (p - e) z / (e_z - z) on the plane
         ways = [x + (x - eye[0]) * rise, y + (y - eye[1]) * rise]
@@ -77,7 +77,7 @@ class HeightMap:
         x_seen, y_seen = (torch.lerp(way.gather(0, under), way.gather(0, over), share)[0] for way in ways)
         return x_seen, y_seen
 
-    def _reached(self, h: Tensor, lamp: Tensor, over_patch: Tensor, points: Tensor) -> Tensor:
+    def _layers(self, h: Tensor, lamp: Tensor, over_patch: Tensor, points: Tensor) -> Tensor:
         """Of layers `[layers]` those `[n, 1, 1]` that the road may cross, with the next one above and below it."""
         ends = torch.stack(points[2].aminmax())  # lowest and highest point of the patch, [2] m
         z = ends + (lamp[2] - ends) * (h[:, None] / over_patch[0, 0])  # of each layer, [layers, 2] m
@@ -117,7 +117,7 @@ def drawn_on(relief: HeightMap, lamps: Tensor, symbol: SymbolParams, T_body_grou
     coarse = torch.stack([*source, 1 / brightness.clamp(min=1)], 1)  # [m, 3, rows, cols]
     down, right = (_finer(n, coarse.dtype, coarse.device) for n in (rows, cols))
     fine = down @ coarse @ right.T  # [m, 3, *CELLS]
-    return ProjectionCommand(*placed(T_body_ground.to(T) @ T), Warp(fine[:, :2], fine[:, 2], size_m))
+    return ProjectionCommand(*pose_of_rectangle(T_body_ground.to(T) @ T), Warp(fine[:, :2], fine[:, 2], size_m))
 
 
 def _patch(relief: HeightMap, lamps: Tensor, symbol: SymbolParams, in_place: bool) -> tuple[Tensor, tuple[float, float], float]:
@@ -135,7 +135,7 @@ def _patch(relief: HeightMap, lamps: Tensor, symbol: SymbolParams, in_place: boo
     low, high, depth = _crossings(level, road, lamps)
     if depth < HIGHEST_M and bool((low > -reach).all() & (high < reach).all()):
         return *holding(level, low, high), HIGHEST_M
-    T = _fitted(road, lamps)
+    T = _fit(road, lamps)
     low, high, depth = _crossings(T, road, lamps)
     return *holding(T, low, high), depth + LEAST_DEPTH_M
 
@@ -151,7 +151,7 @@ def _crossings(T: Tensor, road: Tensor, lamps: Tensor) -> tuple[Tensor, Tensor, 
     return ways.amin(1), ways.amax(1), float(local[2].abs().max())
 
 
-def _fitted(road: Tensor, lamps: Tensor) -> Tensor:
+def _fit(road: Tensor, lamps: Tensor) -> Tensor:
     """Pose `[4, 4]` on the plane that fits points `[3, k]` best, no steeper than lamps can light it."""
     centre = road.mean(1, keepdim=True)
     x, y, z = road - centre

@@ -72,7 +72,7 @@ class Heights:
     spread: bool = False
 
     @property
-    def informed(self) -> bool:
+    def any_information(self) -> bool:
         """Whether anything was seen so far."""
         return bool(self.information.diagonal().any())
 
@@ -110,9 +110,9 @@ class Registration:
 
     def residual(self, nodes: Tensor, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor) -> Tensor:
         """What heights `[k, n]` leave unexplained of a symbol image `[h, w]`, as a share of what they predict to be lit: `[k]`."""
-        predicted = self._predicted(self.forward_model.on_pixels(nodes), textures, limit, BLURS[-1])  # [k, h, w]
+        predicted = self._predict(self.forward_model.on_pixels(nodes), textures, limit, BLURS[-1])  # [k, h, w]
         # min(e^2, 0.3^2), [k, h, w].
-        error = (self._blurred(seen[None], BLURS[-1]) - predicted).square().clamp(max=0.09) * self.forward_model.inside
+        error = (self._blur(seen[None], BLURS[-1]) - predicted).square().clamp(max=0.09) * self.forward_model.inside
         return error.sum((-2, -1)) / (predicted * self.forward_model.inside).sum((-2, -1)).clamp(min=1.0)
 
     def refine(
@@ -129,10 +129,10 @@ class Registration:
         forward_model, (i, j) = self.forward_model, self.edges
         lit, dark = (each & (forward_model.inside > 0) for each in (seen > 0.5, seen < 0.2))
         for blur in BLURS:
-            smooth = self._blurred(seen, blur)
+            smooth = self._blur(seen, blur)
             for _ in range(iterations):
                 heights, beside = forward_model.on_pixels(nodes), nodes - known.base
-                higher, lower = self._predicted(torch.stack([heights + PROBE_M, heights - PROBE_M]), textures, limit, blur)
+                higher, lower = self._predict(torch.stack([heights + PROBE_M, heights - PROBE_M]), textures, limit, blur)
                 slope, error = (higher - lower) / (2 * PROBE_M), smooth - (higher + lower) / 2  # J = dp/dz and e, both [h, w]
                 scale = 2 * blur[2] * torch.where(error < 0, HIDDEN, 1.0)  # of Tukey's biweight w = (1 - (e / scale)^2)^2
                 weight = (  # W = w / sigma^2 times independent pixels, step / (rows * columns of the blur), [h, w]
@@ -149,7 +149,7 @@ class Registration:
                     + known.information @ (known.mean - nodes)
                     - beside / HEIGHT_M**2
                 ).index_add_(0, self.edges.flatten(), torch.cat([-stiffness * step, stiffness * step]))
-                matrix = self._squared(weighted * slope + above)  # J' W J + A + D' diag(stiffness) D + 1 / h^2, a band matrix
+                matrix = self._normal_matrix(weighted * slope + above)  # J' W J + A + D' diag(stiffness) D + 1 / h^2, a band matrix
                 matrix.view(-1).index_add_(0, self.tied, torch.cat([stiffness, stiffness, -stiffness]))
                 matrix[0].add_(1 / HEIGHT_M**2)
                 # The step of Gauss-Newton, (matrix + L)^-1 force [n].
@@ -158,18 +158,18 @@ class Registration:
                 else:
                     moved = solve(matrix + band_of(known.information, len(matrix)), force)
                 nodes = nodes + moved.clamp(-LARGEST_STEP_M, LARGEST_STEP_M)
-        return Heights(nodes, whole(self._squared(weighted * slope)), known.base, known.spread)
+        return Heights(nodes, whole(self._normal_matrix(weighted * slope)), known.base, known.spread)
 
-    def _predicted(self, heights: Tensor, textures: tuple[Tensor, ...], limit: Tensor, blur: tuple[float, float, float]) -> Tensor:
+    def _predict(self, heights: Tensor, textures: tuple[Tensor, ...], limit: Tensor, blur: tuple[float, float, float]) -> Tensor:
         """Blurred symbol images `[k, h, w]` of heights `[k, h, w]` m at the pixels."""
-        return self._blurred(self.forward_model.symbol(self.forward_model.luminance(textures, heights), limit), blur)
+        return self._blur(self.forward_model.symbol(self.forward_model.luminance(textures, heights), limit), blur)
 
-    def _blurred(self, image: Tensor, blur: tuple[float, float, float]) -> Tensor:
+    def _blur(self, image: Tensor, blur: tuple[float, float, float]) -> Tensor:
         height, width = self.forward_model.shape
         down, across = _gaussian(blur[0], height, image.device), _gaussian(blur[1] / self.forward_model.step, width, image.device)
         return down @ image @ across
 
-    def _squared(self, weight: Tensor) -> Tensor:
+    def _normal_matrix(self, weight: Tensor) -> Tensor:
         """`J^T W J` of a weight `[h, w]` for each pixel, as a band matrix `[cols + 2, n]` (`banded`)."""
         n, width = self.forward_model.rows * self.forward_model.cols, self.forward_model.cols + 2
         return weight.new_zeros(width * n).index_add_(0, self.pairs, (self.products * weight.flatten()).flatten()).view(width, n)

@@ -18,7 +18,7 @@ CHANGED = 4.0  # ratio of an observation's residual to that of the kept heights,
 
 
 @dataclass(frozen=True)
-class Drawn:
+class Candidate:
     """Heights and brightness `[n]`, and the symbol that was drawn for them: only an observation of that says how good they are."""
 
     projection: ProjectionCommand
@@ -27,10 +27,10 @@ class Drawn:
 
 
 @dataclass(frozen=True)
-class Kept:
+class BestCandidate:
     """The heights that left the lowest residual in an observation of their own projection, and the number of such observations since."""
 
-    best: Drawn
+    best: Candidate
     residual: float
     observations: int = 0
 
@@ -59,8 +59,8 @@ class RoadMap:
     shape: Tensor | None = None
     searched: int = 0
     settled: bool = False
-    drawn: tuple[Drawn, ...] = ()
-    kept: Kept | None = None
+    drawn: tuple[Candidate, ...] = ()
+    kept: BestCandidate | None = None
 
     def relief(self) -> HeightMap:
         """The road as the eye sees it."""
@@ -74,13 +74,13 @@ class RoadMap:
         """With a projection of the symbol for these heights. most: projections of which observations may still come."""
         if self.drawn and self.drawn[-1].projection.shows(projection):
             return self
-        return replace(self, drawn=(*self.drawn, Drawn(projection, self.heights, self.brightness))[-most:])
+        return replace(self, drawn=(*self.drawn, Candidate(projection, self.heights, self.brightness))[-most:])
 
-    def shown(self, projection: ProjectionCommand) -> Drawn | None:
+    def candidate_of(self, projection: ProjectionCommand) -> Candidate | None:
         """What a projection was made for, if that is known."""
         return next((each for each in reversed(self.drawn) if each.projection.shows(projection)), None)
 
-    def judged(self, drawn: Drawn, residual: float) -> "RoadMap":
+    def rate(self, drawn: Candidate, residual: float) -> "RoadMap":
         """After an observation of a projection; the best heights are kept until the road changes.
 
         residual: of its heights, infinite where they explain less than a flat road does, which only an observation of the kept ones counts.
@@ -94,9 +94,11 @@ class RoadMap:
             return self
         else:
             anew = kept is None or residual < kept.residual
-        return replace(self, kept=Kept(drawn, residual) if anew or kept is None else replace(kept, observations=kept.observations + 1))
+        return replace(
+            self, kept=BestCandidate(drawn, residual) if anew or kept is None else replace(kept, observations=kept.observations + 1)
+        )
 
-    def moved(self, T_before_now: Tensor, eye: Tensor) -> "RoadMap":
+    def move(self, T_before_now: Tensor, eye: Tensor) -> "RoadMap":
         """The same road in the ground frame that has the pose `[4, 4]` in this one, as an eye at `[3]` m sees it there.
 
         What comes into the region is as high as what was at its border, as bright as the assumed road, and nothing is known of it. The
@@ -106,14 +108,14 @@ class RoadMap:
         if self._is_seen_so(T, eye):
             return self
         mean, brightness = self._seen_by(T, eye)
-        information = self._carried(self._seen_anew(self.nodes(), self.heights.mean, self.eye, inverse(T), eye))
+        information = self._carry(self._seen_anew(self.nodes(), self.heights.mean, self.eye, inverse(T), eye))
         return replace(
             self, heights=Heights(mean, information, self.heights.base, spread=True), brightness=brightness, eye=eye, drawn=(), kept=None
         )
 
     def over(self, base: Tensor) -> "RoadMap":
         """With another road `[n]` m as the base of its heights, which they are where nothing is known."""
-        mean = self.heights.mean if self.heights.informed else base
+        mean = self.heights.mean if self.heights.any_information else base
         return replace(self, heights=replace(self.heights, mean=mean, base=base))
 
     def relief_from(self, T_before_now: Tensor, eye: Tensor) -> HeightMap:
@@ -132,19 +134,19 @@ class RoadMap:
         inside = (places[0] > r.x_near_m) & (places[0] < r.x_far_m) & (places[1] < r.y_left_m) & (places[1] > r.y_right_m)
         return heights, relief.at(self.heights.information.diagonal().view(self.grid), *places) * inside
 
-    def levelled(self, pitch_rad: float, pivot_x_m: float) -> "RoadMap":
+    def tilt(self, pitch_rad: float, pivot_x_m: float) -> "RoadMap":
         """As it would be, had the body that saw it pitched by so many rad more."""
         heights = self.heights.mean - pitch_rad * (self.nodes()[0] - pivot_x_m)  # [n]
         return replace(self, heights=replace(self.heights, mean=heights))
 
-    def loosened(self, pitch_rad: float, pivot_x_m: float) -> "RoadMap":
+    def loosen(self, pitch_rad: float, pivot_x_m: float) -> "RoadMap":
         """With a body whose pitch is uncertain by so many rad: heights may all be higher by as much times their distance (Woodbury)."""
         L, arm = self.heights.information, self.nodes()[0] - pivot_x_m  # [n, n], a [n] m
         pull = L @ arm
         information = L - pull[:, None] * pull / (1 / pitch_rad**2 + arm @ pull)  # L - L a a' L / (1 / sigma^2 + a' L a)
         return replace(self, heights=replace(self.heights, information=information, spread=True))
 
-    def pitched(self, before: "RoadMap", pivot_x_m: float) -> float | None:
+    def pitch_between(self, before: "RoadMap", pivot_x_m: float) -> float | None:
         """By how many rad the body has pitched more than it was taken to, if the road is still as it was known before; None: unknown."""
         known, seen = (each.heights.information.diagonal() for each in (before, self))
         arm = self.nodes()[0] - pivot_x_m
@@ -182,7 +184,7 @@ class RoadMap:
         x, y, _ = other[:, None] + (road - other[:, None]) * (other[2] / (other[2] - road[2]))  # where lines of sight meet z = 0, [n] each
         return torch.stack([x, y, road[2]])[:, None]
 
-    def _carried(self, places: Tensor) -> Tensor:
+    def _carry(self, places: Tensor) -> Tensor:
         """Information `[n, n]` of the heights at the nodes, from that of heights that have come to lie at places between them.
 
         With `old = V new` the old `old^T L old` is `new^T V^T L V new`. What has left the region is forgotten.

@@ -8,7 +8,7 @@ from torch.nn.functional import adaptive_avg_pool2d, interpolate
 
 from luxloop.controllers.symbol.sensing.projection import CELLS, ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
-from luxloop.controllers.symbol.sensing.road_shape import HERE, LEAST_HEIGHT_M, height, reached, touching
+from luxloop.controllers.symbol.sensing.road_shape import HERE, LEAST_HEIGHT_M, height, ray_lengths, touching
 from luxloop.world.frames import inverse, transform
 from luxloop.world.texels import resample
 
@@ -67,7 +67,7 @@ PLACES_M, STEP_M = (5.0, 60.0), 0.25  # ahead, where the symbol may go in place 
 SAME_M = 1e-3  # between places
 
 
-def aimed(shape: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule], eye: Tensor) -> Tensor:
+def aim(shape: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule], eye: Tensor) -> Tensor:
     """The plane `[4, 4]` of the ground on which the symbol shall lie at its x and y; HERE where it shall look as on z = 0.
 
     shape: `[4]` of the road. eye: `[3]` m. The plane touches the road at the target's place if lamps light its middle, or else at the
@@ -95,7 +95,7 @@ def elsewhere(T_ground_plane: Tensor, symbol: SymbolParams) -> Tensor | None:
 def _appears(shape: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule], eye: Tensor) -> bool:
     """Whether what looks like the middle of the target is on the road, not far behind it, and in the field of a lamp."""
     way = torch.tensor([symbol.x_m, symbol.y_m, 0.0], dtype=torch.float64) - eye
-    share = reached(shape[None], symbol.x_m, eye, way)[0]
+    share = ray_lengths(shape[None], symbol.x_m, eye, way)[0]
     return bool(share < FARTHEST) and bool(_in_field((eye + share * way)[None, :, None], modules))
 
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import Projector
-from luxloop.perception.appearance import Appearance, Axes, appearance, area, features, image_axes, paired, probes
+from luxloop.perception.appearance import Appearance, Axes, appearance, area, error_indices, features, image_axes, probes
 from luxloop.perception.birdseye import BirdsEye, birds_eye, rectify, region_around
 from luxloop.perception.camera import CameraParams, average_rows, camera_view
 from luxloop.perception.extraction import Crop, Extraction, noise_limit, symbol_image
@@ -41,14 +41,14 @@ class Eye:
 
     def look(self, symbol: Tensor, crop: Crop) -> Appearance:
         """Appearance of a symbol image `[..., h, w]` that was cut from the camera's image at crop."""
-        return appearance(self._seen(symbol, crop), self._axes(symbol, crop))
+        return appearance(self._image(symbol, crop), self._axes(symbol, crop))
 
     def look_beside(self, symbol: Tensor, expected: Tensor, crop: Crop) -> tuple[Appearance, Tensor]:
         """The same, and the area `[...]` of another symbol image `[..., h, w]` that is expected there."""
         axes = self._axes(symbol, crop)
-        return appearance(self._seen(symbol, crop), axes), area(self._seen(expected, crop), axes)
+        return appearance(self._image(symbol, crop), axes), area(self._image(expected, crop), axes)
 
-    def _seen(self, symbol: Tensor, crop: Crop) -> Tensor:
+    def _image(self, symbol: Tensor, crop: Crop) -> Tensor:
         return symbol if self.plane is None else rectify(self.plane, symbol, crop.u_start, crop.v_start)
 
     def _axes(self, symbol: Tensor, crop: Crop) -> Axes:
@@ -126,5 +126,5 @@ def flat_model(
         return model.eye.features(model.eye.look(model.symbol(projector.light(pose), crop), crop))
 
     target = projector.target
-    gains = [(seen(target + h) - seen(target - h))[k] / (2 * h.sum()) for h, k in zip(probes(target), paired(), strict=True)]
+    gains = [(seen(target + h) - seen(target - h))[k] / (2 * h.sum()) for h, k in zip(probes(target), error_indices(), strict=True)]
     return replace(model, target=seen(target), gains=torch.stack(gains))

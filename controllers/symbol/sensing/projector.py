@@ -16,7 +16,7 @@ from torch.nn.functional import interpolate
 from luxloop.controllers.pixels.primitives import Primitives, Quantity, road_symbol
 from luxloop.controllers.pixels.ssc import PixelController, Utilisation
 from luxloop.controllers.symbol.sensing.projection import CELLS, ProjectionCommand, Warp
-from luxloop.controllers.symbol.sensing.road_shape import below_lamps, holding, placed, reached
+from luxloop.controllers.symbol.sensing.road_shape import below_lamps, holding, pose_of_rectangle, ray_lengths
 from luxloop.perception import appearance
 from luxloop.perception.extraction import Crop
 from luxloop.world.frames import View, inverse, pose, rotation, transform
@@ -29,7 +29,7 @@ FARTHEST, NO_ROAD = 3.0, 1e3  # of the way to the plane z = 0 and to the patch: 
 LEAST_FALL_M = 1e-3  # of lines over what they cross
 
 
-def lifted(
+def lift(
     projection: ProjectionCommand, size_m: tuple[float, float], shape: Tensor, x0_m: float, eye: Tensor, lamps: Tensor
 ) -> ProjectionCommand:
     """A drawing of a symbol of `size_m` (length, width) on the plane, as one on a rectangle tangent to a road of a shape `[4]` about x0.
@@ -40,7 +40,7 @@ def lifted(
     T = _rectangle(projection)
     corners = lamps.new_tensor([[length, length, -length, -length], [width, -width, width, -width], [0.0] * 4]) / 2
     ways = torch.stack([_crossed(lamp, transform(T, corners)) for lamp in lamps], 1) - eye[:, None, None]  # [3, m, 4]
-    road = eye[:, None, None] + ways * reached(shape[None], x0_m, eye, ways)[0].clamp(max=FARTHEST)
+    road = eye[:, None, None] + ways * ray_lengths(shape[None], x0_m, eye, ways)[0].clamp(max=FARTHEST)
     patch, size = _patch(road, shape, x0_m, lamps)
     rows, cols = (n // FOLLOWED for n in CELLS)
     x, y = (extent * (0.5 - (torch.arange(n).to(lamps) + 0.5) / n) for extent, n in zip(size, (rows, cols), strict=True))
@@ -48,12 +48,12 @@ def lifted(
     places = []
     for lamp in lamps:
         ways = transform(patch, cells) - lamp[:, None]
-        road = lamp[:, None] + ways * reached(shape[None], x0_m, lamp, ways)[0].clamp(max=NO_ROAD)
+        road = lamp[:, None] + ways * ray_lengths(shape[None], x0_m, lamp, ways)[0].clamp(max=NO_ROAD)
         lamp_there, seen = (transform(inverse(T), points) for points in (lamp[:, None], _crossed(eye, road)))
         x_there, y_there, _ = _crossed(lamp_there[:, 0], seen)
         places.append(torch.stack([-2 * y_there / width, -2 * x_there / length]).view(2, rows, cols))
     source = interpolate(torch.stack(places), scale_factor=FOLLOWED, mode="bilinear")
-    return ProjectionCommand(*placed(patch), _warped(projection.warp, source, size))
+    return ProjectionCommand(*pose_of_rectangle(patch), _compose_warps(projection.warp, source, size))
 
 
 def _rectangle(projection: ProjectionCommand) -> Tensor:
@@ -83,7 +83,7 @@ def _patch(road: Tensor, shape: Tensor, x0_m: float, lamps: Tensor) -> tuple[Ten
     return holding(T, low, high)
 
 
-def _warped(warp: Warp | None, source: Tensor, size_m: tuple[float, float]) -> Warp:
+def _compose_warps(warp: Warp | None, source: Tensor, size_m: tuple[float, float]) -> Warp:
     """A warp on the rectangle whose cells take the light of places `[m, 2, h, w]` on the rectangle of another, or on the symbol."""
     if warp is None:
         return Warp(source, torch.ones_like(source[:, 0]), size_m)
@@ -189,18 +189,18 @@ class Projector:
         return road_symbol(pose, 0.0, width_m, length_m, image, value, p.quantity)
 
     @cached_property
-    def _kept(self) -> Callable[[ProjectionCommand], Primitives]:
+    def _cached_rectangle(self) -> Callable[[ProjectionCommand], Primitives]:
         return keeping(2, self._rectangle_of)  # of what is drawn now and of what is seen
 
     def rectangle(self, projection: ProjectionCommand) -> Primitives:
         """The primitive that a projection's symbol lies on, not warped; made once for the newest projections, if they have no gradient."""
         learns = projection.pose.requires_grad or (projection.z is not None and projection.z.requires_grad)
-        return (self._rectangle_of if learns else self._kept)(projection)
+        return (self._rectangle_of if learns else self._cached_rectangle)(projection)
 
     def _rectangle_of(self, projection: ProjectionCommand) -> Primitives:
         projection = self.on_road(projection)
         size = (self.params.length_m, self.params.width_m) if projection.warp is None else projection.warp.size_m
-        return _raised(self._rectangle(projection.pose, *size, self.symbol), projection.z)
+        return _raise(self._rectangle(projection.pose, *size, self.symbol), projection.z)
 
     def light(self, pose: Tensor) -> tuple[Utilisation, ...]:
         """Utilisations `[..., n_p]`, one a module, that draw the symbol as it is at a pose `[..., 4]`."""
@@ -234,14 +234,14 @@ class Projector:
         if clear:
             warped = torch.stack([warped, (projection.warp.source.abs().amax(1) <= 1).to(warped)], 1)
         images = warped.expand(len(self.modules), *warped.shape[1:])
-        return [_raised(self._rectangle(projection.pose, *projection.warp.size_m, image), projection.z) for image in images]
+        return [_raise(self._rectangle(projection.pose, *projection.warp.size_m, image), projection.z) for image in images]
 
     def on_road(self, projection: ProjectionCommand) -> ProjectionCommand:
         """The drawing as one on z = 0 or on a rectangle tangent to the road of its shape."""
         if projection.shape is None:
             return projection
         p, lamps = self.params, torch.stack([module.T_world_headlight[:3, 3] for module in self.modules]).to(self.symbol)
-        return lifted(projection, (p.length_m, p.width_m), projection.shape, p.x_m, self.eye.to(self.symbol), lamps)
+        return lift(projection, (p.length_m, p.width_m), projection.shape, p.x_m, self.eye.to(self.symbol), lamps)
 
     def _cast(self, primitives: Iterable[Primitives]) -> tuple[Utilisation, ...]:
         """Of one primitive a module."""
@@ -289,7 +289,7 @@ class Projector:
         else:
             bounds = shape.detach().cpu().double() + torch.nn.functional.pad(torch.from_numpy(heights)[:, None], (0, 3))
             both = zip(torch.from_numpy(origins[..., 0]), torch.from_numpy(rays), strict=True)
-            reach = torch.stack([reached(bounds, self.params.x_m, *each) for each in both], 1).numpy()
+            reach = torch.stack([ray_lengths(bounds, self.params.x_m, *each) for each in both], 1).numpy()
         ends = origins + rays * np.minimum(reach, 200 / np.linalg.norm(rays, axis=1))[:, :, None]  # [2, m, 3, N]
         uv, depth = view.project_few(np.moveaxis(ends, 2, 0).reshape(3, -1))
         return uv.reshape(2, -1, corners.shape[1]), (depth > AHEAD_M).reshape(-1, corners.shape[1])
@@ -303,7 +303,7 @@ def _crop(low: Iterable[float], high: Iterable[float], view: View) -> Crop:
     return Crop(v0, v1, u0, u1)
 
 
-def _raised(primitive: Primitives, z: Tensor | None) -> Primitives:
+def _raise(primitive: Primitives, z: Tensor | None) -> Primitives:
     """A primitive `[..., 1]` at a height z `[...]` m, if there is one."""
     if z is None:
         return primitive

@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, pad
 
 from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector
-from luxloop.controllers.symbol.sensing.road_shape import reached
+from luxloop.controllers.symbol.sensing.road_shape import ray_lengths
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.world.frames import View
 from luxloop.world.texels import TexelGrid, resample
@@ -112,7 +112,7 @@ class Relocaliser:
         from kornia.filters import gaussian_blur2d
 
         image = gaussian_blur2d(symbol[None, None], BLURRED_OVER, BLUR)
-        shapes = self._tried(patterns[0])
+        shapes = self._trial_shapes(patterns[0])
         matches = self._matches(shapes, image, patterns)
         step = symbol.new_tensor(STEPS)
         around = torch.cartesian_prod(*[symbol.new_tensor([-1.0, 0.0, 1.0])] * 4)
@@ -158,11 +158,11 @@ class Relocaliser:
     def _seen_at(self, shapes: Tensor, pattern: Pattern) -> Tensor:
         """Image coordinates `[k, 2, rays]` px of where each ray of a pattern meets roads of shapes `[k, 4]`; far outside for nowhere."""
         rays = pattern.rays.flatten(1)
-        share = reached(shapes, self.x0_m, pattern.origin, rays).clamp(max=FARTHEST_M)
+        share = ray_lengths(shapes, self.x0_m, pattern.origin, rays).clamp(max=FARTHEST_M)
         uv, depth = self.view.project((pattern.origin[:, None, None] + rays[:, None] * share).flatten(1))
         return torch.where(depth > NEAREST_M, uv, NOWHERE_PX).view(2, *share.shape).transpose(0, 1)
 
-    def _tried(self, pattern: Pattern) -> Tensor:
+    def _trial_shapes(self, pattern: Pattern) -> Tensor:
         """Shapes `[k, 4]` that meet the middle ray of a pattern at distances some image rows apart, with all slopes at each."""
         middle = pattern.rays[:, GRID[0] // 2, GRID[1] // 2]
         x = torch.linspace(*DISTANCES_M, 2000).to(middle)

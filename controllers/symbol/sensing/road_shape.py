@@ -12,7 +12,7 @@ from luxloop.perception import appearance
 from luxloop.world.frames import pose, rotation, transform
 
 
-def reached(shape: Tensor, x0_m: float, origin: Tensor, rays: Tensor) -> Tensor:
+def ray_lengths(shape: Tensor, x0_m: float, origin: Tensor, rays: Tensor) -> Tensor:
     """Multiples `[k, ...]` of rays `[3, ...]` from an origin `[3]` m at which these meet roads of shapes `[k, 4]`, infinite for nowhere.
 
     With the ray put into the road's equation that is a quadratic's first positive root, in the form that also holds without curvature.
@@ -39,7 +39,7 @@ LEAST_HEIGHT_M = 0.25  # of a lamp over a plane, which would be edge-on to it ot
 MARGIN = 0.1  # of the length and width of the light, by which a rectangle is larger on every side
 
 
-def inclined(at: Tensor, slope_x: Tensor, slope_y: Tensor) -> Tensor:
+def inclined_plane(at: Tensor, slope_x: Tensor, slope_y: Tensor) -> Tensor:
     """Pose `[..., 4, 4]` of a plane through places `[..., 3]` m that rises by slopes `[...]` along x and y; its x axis points along x."""
     pitch = -slope_x.atan()
     return pose(at, rotation((slope_y * pitch.cos()).atan(), pitch))
@@ -47,7 +47,7 @@ def inclined(at: Tensor, slope_x: Tensor, slope_y: Tensor) -> Tensor:
 
 def touching(at: Tensor, slope_x: Tensor, slope_y: Tensor, x_m: float, y_m: float) -> Tensor:
     """The inclined plane `[..., 4, 4]` at places `[..., 3]` m, in a frame where these have the coordinates x_m, y_m, 0."""
-    T = inclined(at, slope_x, slope_y)
+    T = inclined_plane(at, slope_x, slope_y)
     T[..., :3, 3] -= T[..., :3, :2] @ T.new_tensor([x_m, y_m])
     return T
 
@@ -56,7 +56,7 @@ def below_lamps(at: Tensor, slope_x: Tensor, slope_y: Tensor, lamps: Tensor) -> 
     """The inclined plane `[4, 4]` at a place `[3]` m, less steep where it must be to lie LEAST_HEIGHT_M below lamps `[m, 3]` m."""
     over = lamps - at  # [m, 3]
     steepest = ((LEAST_HEIGHT_M - over[:, 2] + slope_y * over[:, 1]) / -over[:, 0]).max()
-    return inclined(at, torch.maximum(slope_x, steepest), slope_y)
+    return inclined_plane(at, torch.maximum(slope_x, steepest), slope_y)
 
 
 def holding(T: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, tuple[float, float]]:
@@ -66,7 +66,7 @@ def holding(T: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, tuple[float, 
     return pose(centre, T[:3, :3]), (length, width)
 
 
-def placed(T: Tensor) -> tuple[Tensor, Tensor]:
+def pose_of_rectangle(T: Tensor) -> tuple[Tensor, Tensor]:
     """Pose `[n]` (x, y in m, roll, pitch in rad) and height `[]` in m of a rectangle at `[4, 4]`; its yaw is left out.
 
     A body that moves adds a yaw of some 1e-4 rad.

@@ -12,7 +12,7 @@ from luxloop.controllers.symbol.sensing.flat_model import FlatModel
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import Projector
 from luxloop.controllers.symbol.sensing.relocalisation import Relocalisation, Relocaliser
-from luxloop.perception.appearance import Appearance, errors, paired
+from luxloop.perception.appearance import Appearance, error_indices, errors
 from luxloop.perception.camera import CameraParams
 from luxloop.perception.extraction import Crop, Extraction, ExtractionStatus, difference, gate, symbol_image, symbol_images, threshold
 
@@ -59,7 +59,7 @@ class SymbolSensor:
     searches: bool = True
 
     @cached_property
-    def acquisition(self) -> Relocaliser:
+    def relocaliser(self) -> Relocaliser:
         """Searches whole images."""
         return Relocaliser.prepare(self.projector, self.camera)
 
@@ -78,29 +78,29 @@ class SymbolSensor:
         """
         if frames is None:
             return replace(self.lost(projection.pose, ExtractionStatus.NO_FRAME), shape=shape)
-        seen = self._expected(frames, projection, lights, shape if projection.shape is None else projection.shape)
+        seen = self._measure_at(frames, projection, lights, shape if projection.shape is None else projection.shape)
         if seen.code.dim() or not self.searches:
             return seen
         if projection.shape is None and shape is not None and (seen.code != ExtractionStatus.SEEN or self.at_ends(seen)):
-            flat = self._expected(frames, projection, lights, None)
+            flat = self._measure_at(frames, projection, lights, None)
             seen = flat if flat.code == ExtractionStatus.SEEN and not self.at_ends(flat) else seen
         if seen.code == ExtractionStatus.SEEN:
             return seen
-        acquired = self.acquire(frames, lights)
+        acquired = self.relocalise(frames, lights)
         if not acquired.found:
             return replace(seen, acquired=acquired)
-        found = self._expected(frames, projection, lights, acquired.shape)
+        found = self._measure_at(frames, projection, lights, acquired.shape)
         if not found.symbol.numel():
             return replace(seen, acquired=acquired)
         return replace(found, code=torch.zeros_like(found.code), acquired=acquired)
 
-    def acquire(self, frames: tuple[Tensor, Tensor], lights: Sequence[Utilisation]) -> Relocalisation:
+    def relocalise(self, frames: tuple[Tensor, Tensor], lights: Sequence[Utilisation]) -> Relocalisation:
         """Search the whole of on and off frames for lights `[n_p]`, one a module."""
         on, off = frames
         symbol = symbol_image(difference(on, off, self.camera), threshold(off, self.camera, self.params), self.params)
-        return self.acquisition.find(symbol, self.projector.textures(lights))
+        return self.relocaliser.find(symbol, self.projector.textures(lights))
 
-    def _expected(
+    def _measure_at(
         self, frames: tuple[Tensor, Tensor], projection: ProjectionCommand, lights: Sequence[Utilisation], shape: Tensor | None
     ) -> Measurement:
         """Look where a road of this shape shows the light."""
@@ -111,7 +111,7 @@ class SymbolSensor:
         seen = self.compare(on, off, self.model.contrast(lights, crop), crop)
         if shape is None:
             return seen
-        area, expected = seen.symbol.sum((-2, -1)), self.acquisition.area(shape, self.projector.textures(lights))
+        area, expected = seen.symbol.sum((-2, -1)), self.relocaliser.area(shape, self.projector.textures(lights))
         return replace(seen, code=gate(area, expected, self.params), area_ratio=area / expected, shape=shape)
 
     def at_ends(self, seen: Measurement) -> bool:
@@ -130,9 +130,9 @@ class SymbolSensor:
 
     def pose_error(self, error: Tensor) -> Tensor:
         """Errors of features `[..., 4]` in m and rad of x, y, roll, pitch."""
-        return error[..., paired()] / self.model.gains
+        return error[..., error_indices()] / self.model.gains
 
-    def rendered(self, projection: ProjectionCommand, lights: Sequence[Utilisation]) -> Tensor:
+    def render(self, projection: ProjectionCommand, lights: Sequence[Utilisation]) -> Tensor:
         """Features `[..., 4]` that a flat road would show of the light of a projection, without noise."""
         crop = self.projector.footprint(projection, self.model.eye.view, self.params.footprint_margin_m)
         return self.model.eye.features(self.model.eye.look(self.model.symbol(lights, crop), crop))

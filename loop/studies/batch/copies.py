@@ -101,7 +101,7 @@ class Copies:
         self.simulation, self.symbol = simulation, simulation.symbol
         self.projector, self.sensor = self.symbol.projector, self.symbol.sensor
         self.view, planner = simulation.world.lit(0.0), simulation.planner
-        plan = planner.composed(simulation.situation(0.0), planner.start(), {})
+        plan = planner.compose(simulation.situation(0.0), planner.start(), {})
         beams = [module.base(plan) for module in simulation.modules]
         self.resting = tuple(Utilisation(beam, None if bool(beam.any()) else slice(0, 0)) for beam in beams)
         primitive = self.projector.primitive(self.projector.target)
@@ -220,7 +220,7 @@ class _Place:
     def of(cls, copies: Copies, crop: Crop) -> "_Place":
         """With some px around a crop."""
         view = copies.view
-        crop = crop.widened(AROUND_PX, *view.base.shape)
+        crop = crop.widen(AROUND_PX, *view.base.shape)
         resting = _luminance(view.transports, [copies.resting], view.base, crop)[0]
         return cls(crop, resting, view.base[crop.slices], copies.sensor.model.limit[crop.slices])
 

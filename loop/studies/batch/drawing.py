@@ -7,11 +7,11 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from luxloop.controllers.pixels.mapping import light_of
+from luxloop.controllers.pixels.mapping import stroke_light
 from luxloop.controllers.pixels.primitives import U_ABS, Primitives
 from luxloop.controllers.pixels.rthc import GRAZING, RayBatch
 from luxloop.controllers.pixels.ssc import Ssc, WindowedSsc
-from luxloop.controllers.pixels.windows import Window, banded
+from luxloop.controllers.pixels.windows import Window, row_bands
 from luxloop.perception.extraction import Crop
 from luxloop.world.light.illumination import Transport
 from luxloop.world.spmv import Csr, multiply, numbers, row_of_entries
@@ -30,7 +30,7 @@ def casting(controller: Ssc, primitives: Primitives, T_world_headlight: Tensor) 
         priority=torch.arange(count),
         modules=primitives.modules * count,
     )
-    return controller.casting(each, T_world_headlight)
+    return controller.ray_batch(each, T_world_headlight)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class Reached:
     @classmethod
     def of(cls, controller: Ssc, window: Window, transport: Transport, width: int, flux: Tensor) -> "Reached":
         """window: of what is drawn first. flux: `[n_p]` lm."""
-        drawn = WindowedSsc.of(controller, window.widened(AROUND_TEXELS, controller.headlight))
+        drawn = WindowedSsc.of(controller, window.widen(AROUND_TEXELS, controller.headlight))
         matrix = transport.matrix
         lit = torch.unique_consecutive(row_of_entries(matrix)[numbers(drawn.pixels, matrix.n_cols)[matrix.indices] >= 0])
         crop = Crop(0, 0, 0, 0)
@@ -81,7 +81,7 @@ def _painted(drawn: WindowedSsc, rays: RayBatch) -> Iterator[Tensor]:
         image = drawn.ssc.default.new_zeros(height, width)
         if not window.empty:
             stroke = next(strokes)
-            image[window.within(drawn.window)] = light_of(stroke, drawn.ssc.pixels) * stroke.hit
+            image[window.within(drawn.window)] = stroke_light(stroke, drawn.ssc.pixels) * stroke.hit
         yield image
 
 
@@ -102,7 +102,7 @@ def _sampled(drawn: WindowedSsc, rays: RayBatch) -> Iterator[Tensor]:
     rows, cols = products[:, :, 0] + products[:, :, 2] * z, products[:, :, 1] * y  # [B, 3, R], [B, 3, C]
     symbol, value = primitives.image_of(0)[None, None], float(primitives.value[0])  # the same of all
     image = drawn.ssc.default.new_zeros(*(each.stop - each.start for each in window.slices))
-    for k, bands in enumerate(banded(primitives, grid, rays.T_world_headlight, rays.windows)):
+    for k, bands in enumerate(row_bands(primitives, grid, rays.T_world_headlight, rays.windows)):
         for band in bands:
             r, c = band.slices
             rays_ = rows[k, :, r, None] + cols[k, :, None, c]  # [3, rows, cols]

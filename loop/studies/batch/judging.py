@@ -18,7 +18,7 @@ def judged(luminance: Tensor, view: BirdsEye, goal: Target, u_start: int, v_star
     lit = (luminance != 0).any(0)
     v, u = span(lit.any(1)), span(lit.any(0))
     luminance, u_start, v_start = luminance[:, v, u], u_start + u.start, v_start + v.start
-    found = view.reached(slice(v_start, v_start + luminance.shape[1]), slice(u_start, u_start + luminance.shape[2]))
+    found = view.cells_of(slice(v_start, v_start + luminance.shape[1]), slice(u_start, u_start + luminance.shape[2]))
     part = around(hull(found[0], goal.rows), hull(found[1], goal.cols), goal.mask.shape)
     seen, wanted, expected = view.within(*part), goal.mask[part].to(luminance), goal.luminance[part]
     plane = _rectified(seen, luminance, u_start, v_start)  # [B, rows, cols]

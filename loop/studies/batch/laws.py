@@ -28,7 +28,7 @@ class Rendered:
     model: FlatModel
     features: Tensor
 
-    def rendered(self, projection: ProjectionCommand, lights: Sequence[Utilisation]) -> Tensor:
+    def render(self, projection: ProjectionCommand, lights: Sequence[Utilisation]) -> Tensor:
         return self.features
 
 

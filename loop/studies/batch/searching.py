@@ -17,7 +17,7 @@ from luxloop.perception.noise import FrameNoise
 def finds_another_road(copies: Copies, light: Light, k: int, taken: Taken) -> bool:
     """Whether the k-th copy finds another road in its frames, as `Lifting` decides."""
     sensor = copies.sensor
-    found = sensor.acquire(_frames(copies, light, k, taken), _lights(copies, light, k))
+    found = sensor.relocalise(_frames(copies, light, k, taken), _lights(copies, light, k))
     risen = found.shape[0].abs() > sensor.params.footprint_margin_m
     return bool(found.match > SURE) and bool(found.found) and bool(risen)
 

@@ -79,7 +79,7 @@ def _frames(device: str) -> Tensor:
 
 def _detect(detector: CheckedDetector, frames: Tensor) -> Sequence[Detections]:
     """What a detector finds. Raises LuxloopError where that is none, or not the same again."""
-    return detector.checked(pure(detector.own, "detect", {"frames": frames}, "detections"), frames)
+    return detector.check(pure(detector.own, "detect", {"frames": frames}, "detections"), frames)
 
 
 def _alike(one: Detections, other: Detections) -> bool:

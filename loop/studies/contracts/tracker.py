@@ -119,7 +119,7 @@ def _follow(tracker: CheckedTracker, state: Any, found: Detections, seen: Detect
 
 
 def _report(tracker: CheckedTracker, state: Any, time_s: float) -> TrackedBoxes:
-    return tracker.checked(pure(tracker.own, "report", {"state": state, "time_s": time_s}, "report"))
+    return tracker.check(pure(tracker.own, "report", {"state": state, "time_s": time_s}, "report"))
 
 
 def _numbers(found: Detections, told: TrackedBoxes, classes: Sequence[Category]) -> dict[str, int]:

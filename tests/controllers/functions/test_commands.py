@@ -45,10 +45,10 @@ def commands(given: Any, *modules: Part) -> tuple[ModuleCommand, ...]:
 
 def test_bending_swivels_to_where_the_course_is_met_and_leaves_what_cannot() -> None:
     for sign in (1, -1):
-        given = planner(bend={"kind": "bending"}).commanded({}, now(speed_m_s=10.0, curvature_1_m=0.02 * sign), BOTH)
+        given = planner(bend={"kind": "bending"}).command({}, now(speed_m_s=10.0, curvature_1_m=0.02 * sign), BOTH)
         free, fixed = commands(given)
         assert free.swivel_deg == pytest.approx(IN_CURVE_DEG if sign > 0 else -7.0) and fixed == ModuleCommand()
-    (far,) = commands(planner(bend={"kind": "bending", "largest_deg": 5.0}).commanded({}, now(**CURVE), BOTH), FREE)
+    (far,) = commands(planner(bend={"kind": "bending", "largest_deg": 5.0}).command({}, now(**CURVE), BOTH), FREE)
     assert far.swivel_deg == 5.0
 
 
@@ -57,10 +57,10 @@ def test_motors_are_no_faster_than_they_can_by_the_clock_of_the_situation() -> N
     bend = planner(bend={"kind": "bending", "rate_deg_s": 10.0, "stop_s": 3.0})
     turned, given = [], {}
     for time_s in (0.0, 0.1, 0.4, 0.4, 2.0, 3.0, 3.5):
-        given = bend.commanded(given, now(time_s) if time_s == 0 else now(time_s, **CURVE), BOTH)
+        given = bend.command(given, now(time_s) if time_s == 0 else now(time_s, **CURVE), BOTH)
         turned.append(commands(given, FREE)[0].swivel_deg)
     assert turned == pytest.approx([0.0, 1.0, 4.0, 4.0, IN_CURVE_DEG, IN_CURVE_DEG - 10.0, 0.0])
-    assert commands(bend.commanded({}, now(1.0, **CURVE), BOTH), FREE)[0].swivel_deg == pytest.approx(IN_CURVE_DEG)
+    assert commands(bend.command({}, now(1.0, **CURVE), BOTH), FREE)[0].swivel_deg == pytest.approx(IN_CURVE_DEG)
 
 
 def test_a_motor_at_the_end_of_its_range_turns_back_at_once() -> None:
@@ -68,15 +68,15 @@ def test_a_motor_at_the_end_of_its_range_turns_back_at_once() -> None:
     narrow = Part("left free narrow", (-3.0, 3.0))
     bend, given, turned = planner(bend={"kind": "bending", "rate_deg_s": 10.0}), {}, []
     for time_s, sign in ((0.0, -1), (1.0, -1), (1.1, 1), (1.2, 1)):
-        given = bend.commanded(given, now(time_s, speed_m_s=10.0, curvature_1_m=0.02 * sign), (FREE, narrow))
+        given = bend.command(given, now(time_s, speed_m_s=10.0, curvature_1_m=0.02 * sign), (FREE, narrow))
         turned.append([each.swivel_deg for each in commands(given, FREE, narrow)])
     assert turned == [pytest.approx(each) for each in ([-7.0, -3.0], [-7.0, -3.0], [-6.0, -2.0], [-5.0, -1.0])]
 
 
 def test_a_module_that_a_function_moves_from_now_on_is_there_at_once() -> None:
     one, both = (planner(bend={"kind": "bending", "modules": modules}) for modules in (["right"], ["left", "right"]))
-    given = one.commanded({}, now(**CURVE), (FREE, Part("right free", FREE.swivel_deg)))
-    free, _ = commands(both.commanded(given, now(0.1, **CURVE), BOTH))
+    given = one.command({}, now(**CURVE), (FREE, Part("right free", FREE.swivel_deg)))
+    free, _ = commands(both.command(given, now(0.1, **CURVE), BOTH))
     assert free.swivel_deg == pytest.approx(IN_CURVE_DEG)
 
 
@@ -88,14 +88,14 @@ def test_levelling_turns_against_the_pitch_and_by_entries_over_time() -> None:
         (False, 0.4, 2.0, 1.0),
         (True, 2.0, 9.0, -0.5),
     ):
-        given = planner(level=level | {"dynamic": dynamic}).commanded({}, now(time_s, pitch_rad=math.radians(pitch_deg)), BOTH)
+        given = planner(level=level | {"dynamic": dynamic}).command({}, now(time_s, pitch_rad=math.radians(pitch_deg)), BOTH)
         free, fixed = commands(given)
         assert free.level_deg == pytest.approx(expected) and fixed == ModuleCommand()
 
 
 def test_dimming_follows_its_entries_where_it_is_active() -> None:
     dim = planner(dim={"kind": "dimming", "entries": [{"time_s": 1.0, "share": 1.0}, {"time_s": 2.0, "share": 0.5}], "stop_s": 5.0})
-    shares = [commands(dim.commanded({}, now(time_s), BOTH), FIXED)[0].intensity for time_s in (0.0, 1.5, 3.0, 5.0)]
+    shares = [commands(dim.command({}, now(time_s), BOTH), FIXED)[0].intensity for time_s in (0.0, 1.5, 3.0, 5.0)]
     assert shares == pytest.approx([1.0, 0.75, 0.5, 1.0])
 
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from luxloop.controllers.functions.objects import GlareFreeParams, enlarged
+from luxloop.controllers.functions.objects import GlareFreeParams, extend_box
 from luxloop.controllers.geometry import cuboid
 from luxloop.controllers.pixels.primitives import Primitives, concatenate
 from luxloop.controllers.pixels.ssc import Ssc
@@ -90,7 +90,7 @@ def test_the_mask_holds_the_whole_box_seen_from_both_lamps(x: float, y: float, y
 
 
 def test_the_foot_stays_so_that_the_road_before_it_is_lit() -> None:
-    low, high = enlarged(car(40, 0), 0.5, LAMPS)
+    low, high = extend_box(car(40, 0), 0.5, LAMPS)
     assert low.tolist() == [-2.75, -1.4, 0.0] and high.tolist() == [2.75, 1.4, 2.0]
 
 

@@ -27,8 +27,8 @@ def test_utilisations_are_those_of_the_whole_lamp(quantity: Quantity, value: flo
     ssc = Ssc.prepare(LAMP, params)
     primitives = [primitive(*pose, quantity=quantity, value=value) for pose in ((17.0,), (18.0, 0.4, 0.01), (15.5, -0.3, -0.02))]
     assert serves(ssc, primitives[0], T_LEFT)
-    castings = [ssc.casting(each, T_LEFT) for each in primitives]
-    part = WindowedSsc.of(ssc, union([each.window for each in castings]).widened(2, LAMP))
+    castings = [ssc.ray_batch(each, T_LEFT) for each in primitives]
+    part = WindowedSsc.of(ssc, union([each.window for each in castings]).widen(2, LAMP))
     beside = torch.ones(LAMP.n_pixels, dtype=torch.bool)
     beside[part.pixels] = False
     assert beside.any(), "the window is a part of the lamp"

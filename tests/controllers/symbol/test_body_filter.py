@@ -12,7 +12,7 @@ def test_a_measurement_gets_its_share_by_the_covariances() -> None:
     P, x = root @ root.T / n + 0.1 * torch.eye(n).double(), torch.randn(n, generator=drawn, dtype=torch.float64)
     before = BodyFilter(BodyParams(), 0.0, 0.0, 20.0, 1.0, 1.0, 0.0, (2.0, -1.0), x, P, 17.0)
     z, variance = exact(torch.tensor([[0.3, -0.1], [0.2, 0.4]])), exact(torch.tensor([[0.5, 1.0], [2.0, 0.2]]))
-    after = before.seen(1.0 + CELL_M * torch.tensor([1.0, 3.0], dtype=torch.float64), z, variance)
+    after = before.with_road(1.0 + CELL_M * torch.tensor([1.0, 3.0], dtype=torch.float64), z, variance)
     H = torch.zeros(4, n, dtype=torch.float64)
     for row, (side, cell) in enumerate(((1, 1), (1, 3), (-1, 1), (-1, 3))):  # left track: mean + difference / 2, right: mean - that
         H[row, BODY + cell], H[row, BODY + cells + cell] = 1, side / 2

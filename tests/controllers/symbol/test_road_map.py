@@ -36,10 +36,10 @@ def of_heights(before: RoadMap, height_m: float) -> RoadMap:
 
 def looked(road_map: RoadMap, height_m: float, residual: float) -> RoadMap:
     """After a look at what was drawn for a road of this height."""
-    drawn = road_map.shown(projection(17 + height_m))
+    drawn = road_map.candidate_of(projection(17 + height_m))
     assert drawn is not None
     assert drawn.heights.mean[0] == height_m
-    return road_map.judged(drawn, residual)
+    return road_map.rate(drawn, residual)
 
 
 NOTHING = RoadMap(
@@ -49,7 +49,7 @@ NOTHING = RoadMap(
 
 def test_road_that_comes_into_the_region_is_as_bright_as_the_assumed_one() -> None:
     at_border = replace(NOTHING, brightness=torch.tensor([40.0, 1.0, 40.0, 1.0]))  # bright on the left
-    turned = at_border.moved(pose(torch.tensor([0.0, 1.0, 0.0]).double(), torch.eye(3).double()), at_border.eye)
+    turned = at_border.move(pose(torch.tensor([0.0, 1.0, 0.0]).double(), torch.eye(3).double()), at_border.eye)
     torch.testing.assert_close(turned.brightness, torch.tensor([1.0, 40.0, 1.0, 40.0]), rtol=0, atol=1.0)
 
 
@@ -60,7 +60,7 @@ def test_a_late_look_judges_the_heights_that_it_shows() -> None:
     road_map = looked(road_map, 0.75, 0.03)
     assert road_map.kept is not None
     assert road_map.kept.best.heights.mean[0] == 0.5
-    assert road_map.shown(projection(1.0)) is None
+    assert road_map.candidate_of(projection(1.0)) is None
 
 
 def test_after_looks_that_are_no_better_the_best_heights_are_kept_until_their_own_light_says_that_the_road_changed() -> None:
@@ -105,4 +105,4 @@ def test_the_same_drawing_is_remembered_once_and_old_ones_are_forgotten() -> Non
     for k in range(2, 2 * IN_FLIGHT):
         road_map = of_heights(road_map, k / 4)
     assert len(road_map.drawn) == IN_FLIGHT
-    assert road_map.shown(projection(17.25)) is None
+    assert road_map.candidate_of(projection(17.25)) is None

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.relocalisation import Relocalisation
-from luxloop.controllers.symbol.sensing.road_shape import reached
+from luxloop.controllers.symbol.sensing.road_shape import ray_lengths
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
@@ -42,17 +42,17 @@ def shown_at_target(prepared: Simulation) -> tuple[Tensor, Tensor]:
 def acquired(road: str, *more: str) -> Relocalisation:
     prepared = simulation(road, *more)
     projector = prepared.symbol.projector
-    return prepared.symbol.sensor.acquire(shown_at_target(prepared), projector.light(projector.target))
+    return prepared.symbol.sensor.relocalise(shown_at_target(prepared), projector.light(projector.target))
 
 
 def test_a_ray_meets_the_road_where_the_quadratic_is_solved() -> None:
     shapes = torch.tensor([[0.2, 0.01, -0.02, 0.002], [-0.3, -0.03, 0.0, 0.0], [0.0, 0.0, 0.0, -0.004]], dtype=torch.float64)
     origin, rays = torch.tensor([0.0, 0.6, 0.75]).double(), torch.tensor([[1.0, 1.0], [0.01, -0.03], [-0.05, -0.06]]).double()
-    points = origin[:, None, None] + rays[:, None] * reached(shapes, 17.0, origin, rays)
+    points = origin[:, None, None] + rays[:, None] * ray_lengths(shapes, 17.0, origin, rays)
     x, y, z = points
     a, b, c, d = shapes.T[..., None]
     torch.testing.assert_close(z, a + b * (x - 17) + c * y + d * (x - 17) ** 2 / 2, rtol=0, atol=1e-9)  # rounding
-    assert reached(shapes, 17.0, origin, torch.tensor([[1.0], [0.0], [0.05]]).double())[2].isinf().all(), "no way down"
+    assert ray_lengths(shapes, 17.0, origin, torch.tensor([[1.0], [0.0], [0.05]]).double())[2].isinf().all(), "no way down"
 
 
 @pytest.mark.parametrize(("percent", "crossfall"), [(-2.0, 0.0), (-1.0, 2.0), (1.0, -2.0), (3.0, 0.0), (4.0, 2.0)])
@@ -61,7 +61,7 @@ def test_the_shape_of_a_grade_is_found_where_its_light_is(percent: float, crossf
     assert found.found
     lamp = prepared.symbol.projector.modules[0].T_world_headlight[:3, 3]
     way = torch.tensor([[17.0], [0.0], [0.0]]) - lamp[:, None]
-    x, y, z = (lamp[:, None] + way * reached(found.shape[None], 17.0, lamp, way)[0])[:, 0].tolist()
+    x, y, z = (lamp[:, None] + way * ray_lengths(found.shape[None], 17.0, lamp, way)[0])[:, 0].tolist()
     # the height at which the middle ray is met: half a camera row is 1 cm of height there
     assert z == pytest.approx(float(prepared.scenario.road.z(x, y)), abs=0.015)
 
@@ -75,7 +75,7 @@ def test_a_flat_road_is_found_to_be_flat() -> None:
 
 def test_one_bright_place_hides_no_area_of_the_light_around_it() -> None:
     prepared = simulation(FLAT)
-    projector, acquisition = prepared.symbol.projector, prepared.symbol.sensor.acquisition
+    projector, acquisition = prepared.symbol.projector, prepared.symbol.sensor.relocaliser
     (texture,) = projector.textures(projector.light(projector.target))
     spotted, (row, col) = texture.clone(), divmod(int(texture.argmax()), texture.shape[-1])
     spotted[row : row + 4, col : col + 4] *= 5  # as where a patch is dimmed all but at its border
@@ -98,7 +98,7 @@ def test_what_is_no_symbol_is_not_taken_for_it(disturbance: str) -> None:
     dark = tuple(type(light)(torch.zeros_like(light.u)) for light in nothing)
     frames = frames_of(prepared.plant, dark)
     assert frames is not None
-    assert not prepared.symbol.sensor.acquire(frames, nothing).found
+    assert not prepared.symbol.sensor.relocalise(frames, nothing).found
 
 
 def test_a_symbol_that_is_plainly_in_the_image_is_never_lost() -> None:

@@ -5,7 +5,7 @@ from functools import cache
 import pytest
 import torch
 
-from luxloop.controllers.symbol.sensing.field import aimed, elsewhere
+from luxloop.controllers.symbol.sensing.field import aim, elsewhere
 from luxloop.controllers.symbol.sensing.projector import Projector, SymbolParams
 from luxloop.controllers.symbol.sensing.road_shape import HERE, height
 from luxloop.loop.scenario.model import load
@@ -26,7 +26,7 @@ def symbol(target: str) -> SymbolParams:
 
 
 def plane(shape: tuple[float, ...], target: str) -> torch.Tensor:
-    return aimed(torch.tensor(shape), symbol(target), projector().modules, EYE)
+    return aim(torch.tensor(shape), symbol(target), projector().modules, EYE)
 
 
 def grade(percent: float) -> tuple[float, ...]:

@@ -14,12 +14,12 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from luxloop.controllers.symbol.heights.height_map import CELLS, FOLLOWED, HeightMap, _fitted, drawn_on
+from luxloop.controllers.symbol.heights.height_map import CELLS, FOLLOWED, HeightMap, _fit, drawn_on
 from luxloop.controllers.symbol.heights.registration import plane_sweep, semi_global
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
 from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
-from luxloop.controllers.symbol.sensing.road_shape import HERE, reached
+from luxloop.controllers.symbol.sensing.road_shape import HERE, ray_lengths
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import DisturbanceParams, load
 from luxloop.loop.simulation.result import SimulationState
@@ -107,7 +107,7 @@ def test_a_drawing_for_the_plane_is_the_symbol_itself() -> None:
 def test_a_symbol_for_a_slope_is_drawn_on_the_slope(slope: float) -> None:
     shape = torch.tensor([[slope * 14.0, slope, 0.01, 0.0]])
     x, y = torch.meshgrid(torch.linspace(20.95, 13.05, 80), torch.linspace(1.95, -1.95, 40), indexing="ij")
-    heights = EYE[2] * (1 - reached(shape, 17.0, EYE, on_plane(x, y) - EYE[:, None, None])[0])
+    heights = EYE[2] * (1 - ray_lengths(shape, 17.0, EYE, on_plane(x, y) - EYE[:, None, None])[0])
     projection = drawn(HeightMap(REGION, EYE, heights, torch.ones(80, 40)))
     x, y, roll, pitch = projection.pose
     assert projection.z is not None
@@ -127,7 +127,7 @@ def test_a_patch_does_not_depend_on_what_memory_held_before() -> None:
     try:
         for filled in (0x01, 0xFF):  # glibc fills new memory with the complement
             libc.mallopt(M_PERTURB, filled)
-            patches.append(_fitted(road, LAMP[None]))
+            patches.append(_fit(road, LAMP[None]))
     finally:
         libc.mallopt(M_PERTURB, 0)
     assert torch.equal(*patches)

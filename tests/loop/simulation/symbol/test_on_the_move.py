@@ -10,7 +10,7 @@ import torch
 from scipy.signal import lsim
 from torch import Tensor
 
-from luxloop.controllers.symbol.heights.body_filter import CELL_M, PARTS, BodyFilter, BodyParams, followed
+from luxloop.controllers.symbol.heights.body_filter import CELL_M, PARTS, BodyFilter, BodyParams, mode_response
 from luxloop.controllers.symbol.heights.feedforward import height_map_of
 from luxloop.controllers.symbol.heights.forward_model import ForwardModel
 from luxloop.controllers.symbol.heights.height_controller import HeightController, HeightControllerParams, laid
@@ -57,7 +57,7 @@ def way(x: float, y: float, yaw: float, z: float = 0.0, slope: float = 0.0) -> T
 
 @pytest.mark.parametrize("T", [way(0.667, 0.02, 0.003), way(0.667, 0.02, 0.003, 0.002, -0.001)], ids=["level", "tilted"])
 def test_what_is_known_stays_on_the_road(T: Tensor) -> None:
-    moved = remembered(torch.eye(4, dtype=torch.float64), EYE).moved(T, SWUNG).heights.mean.view(GRID)
+    moved = remembered(torch.eye(4, dtype=torch.float64), EYE).move(T, SWUNG).heights.mean.view(GRID)
     expected = remembered(T, SWUNG).heights.mean.view(GRID)
     inside = (slice(12, None), slice(2, -2))  # what was not in the region before is not known
     # linear between lines of sight that meet the far side of a wave 0.24 m apart: curvature 0.02 (2 pi / 3)^2 times 0.24^2 / 8 is 0.6 mm
@@ -72,24 +72,24 @@ def test_information_moves_by_whole_cells_exactly_and_is_kept_in_between() -> No
     known = torch.zeros(n, n)
     known[grid[20, 10], grid[20, 10]], known[grid[20, 10], grid[21, 10]], known[grid[21, 10], grid[20, 10]] = 4.0, 1.0, 1.0
     flat = RoadMap(Heights(torch.zeros(n), known, torch.zeros(n)), torch.ones(n), REGION, GRID, eye)
-    by_cells = flat.moved(way(0.3, 0.0, 0.0), eye).heights.information
+    by_cells = flat.move(way(0.3, 0.0, 0.0), eye).heights.information
     expected = torch.zeros(n, n)
     expected[grid[23, 10], grid[23, 10]], expected[grid[23, 10], grid[24, 10]], expected[grid[24, 10], grid[23, 10]] = 4.0, 1.0, 1.0
     torch.testing.assert_close(by_cells, expected, rtol=0, atol=1e-3)  # float32 places of 20 m
-    between = flat.moved(way(0.25, 0.04, 0.0), eye).heights.information
+    between = flat.move(way(0.25, 0.04, 0.0), eye).heights.information
     assert between.sum().item() == pytest.approx(known.sum().item(), rel=1e-4), "of one height of all the road"
     assert torch.allclose(between, between.T, atol=1e-6)
-    assert flat.moved(way(7.0, 0.0, 0.0), eye).heights.information.abs().sum() == 0, "behind"
+    assert flat.move(way(7.0, 0.0, 0.0), eye).heights.information.abs().sum() == 0, "behind"
 
 
 def test_the_road_tells_a_pitch_and_not_its_own_heights() -> None:
     known = remembered(torch.eye(4, dtype=torch.float64), EYE)
-    tilted = known.levelled(-1e-3, -2.2)  # 19 mm at 17 m
-    assert tilted.pitched(known, -2.2) == pytest.approx(1e-3, rel=1e-3)
-    assert known.pitched(known, -2.2) == 0
+    tilted = known.tilt(-1e-3, -2.2)  # 19 mm at 17 m
+    assert tilted.pitch_between(known, -2.2) == pytest.approx(1e-3, rel=1e-3)
+    assert known.pitch_between(known, -2.2) == 0
     nothing = replace(known, heights=replace(known.heights, information=torch.zeros_like(known.heights.information)))
-    assert tilted.pitched(nothing, -2.2) is None
-    loose, error = known.loosened(1e-3, -2.2).heights.information, tilted.heights.mean - known.heights.mean
+    assert tilted.pitch_between(nothing, -2.2) is None
+    loose, error = known.loosen(1e-3, -2.2).heights.information, tilted.heights.mean - known.heights.mean
     # a pitch of one standard deviation costs at most 1; a shape without a pitch costs what it did
     assert float(error @ loose @ error) <= 1 and float(error @ error) > 0.2
     wave = torch.randn(len(error), generator=torch.Generator().manual_seed(1))
@@ -109,13 +109,13 @@ def test_a_nod_is_predicted_two_periods_ahead() -> None:
     body, worst, linear = BodyFilter.first(BODY, nodding(0), 16.0, 17.0), 0.0, 0.0
     for k in range(60):
         now, then = nodding(k / 30), nodding((k + 2) / 30)
-        body = body.updated(now)
+        body = body.update(now)
         if k > 10:
             worst = max(worst, float((body.T_level_body(then.attitude_s) - then.T_ground_body.double())[2, 0].abs()))
             linear = max(linear, float((now.at(then.attitude_s).T_ground_body - then.T_ground_body)[2, 0].abs()))
     # the oscillator is taken to be 8 % faster: its acceleration is off by 17 %, and known from noisy sensors a period late
     assert worst < 0.2 * linear
-    assert body.updated(now) is body, "the same measurement says nothing new"
+    assert body.update(now) is body, "the same measurement says nothing new"
 
 
 def test_a_mode_follows_what_is_under_it_as_a_linear_system_does() -> None:
@@ -131,9 +131,9 @@ def test_a_mode_follows_what_is_under_it_as_a_linear_system_does() -> None:
     before = np.array([0.3, -0.5])
     _, _, states = lsim(system, base, 0.1 * share, before - [0, 2 * damping * omega * base[0]])
     expected = states[-1] + [0, 2 * damping * omega * base[-1]]
-    found = followed(1.4, damping, 0.1).numpy() @ np.concatenate([before, base])
+    found = mode_response(1.4, damping, 0.1).numpy() @ np.concatenate([before, base])
     np.testing.assert_allclose(found, expected, rtol=1e-9)
-    assert torch.equal(followed(1.4, damping, 0.0), torch.eye(2, 2 + PARTS + 1).double()), "no time, no motion"
+    assert torch.equal(mode_response(1.4, damping, 0.0), torch.eye(2, 2 + PARTS + 1).double()), "no time, no motion"
 
 
 class Long:
@@ -162,7 +162,7 @@ class Linear(BodyFilter):
     def level_rad(self) -> float:
         return 0.0
 
-    def looked(self, time_s: float, pitched_rad: float | None) -> "Linear":
+    def with_observation(self, time_s: float, pitched_rad: float | None) -> "Linear":
         return self
 
     def T_level_body(self, time_s: float) -> Tensor:
@@ -174,7 +174,7 @@ class Unfiltered(HeightController):
     def _filtered(self, before: BodyFilter | None, ego: Ego | None) -> BodyFilter | None:
         assert ego is not None
         first = Linear.first(self.params.body, ego, self.reach_m, self.projector.params.x_m)
-        return replace(cast(Linear, first if before is None else before.updated(ego)), ego=ego)
+        return replace(cast(Linear, first if before is None else before.update(ego)), ego=ego)
 
 
 def driven(
@@ -190,10 +190,10 @@ def driven(
         samples = newest(samples, sensors.arriving((step - 1) / 30, step / 30, like) if step else sensors.newest(0.0, like))
         ego = ego_of(samples, params, step / 30, 1 / 60)
         assert ego is not None
-        body = BodyFilter.first(belief, ego, 16.0, 17.0) if body is None else body.updated(ego)
-        way = body.unseen()
+        body = BodyFilter.first(belief, ego, 16.0, 17.0) if body is None else body.update(ego)
+        way = body.unknown_m()
         heights = torch.from_numpy(np.stack([Long().z(way.numpy(), np.full(len(way), side * BODY.track_m / 2)) for side in (1, -1)]))
-        body = body.seen(way, heights, torch.full_like(heights, 1e-8 if known else 1e4))
+        body = body.with_road(way, heights, torch.full_like(heights, 1e-8 if known else 1e4))
         then = ego.time_s + 0.1
         now = motion.at(then)
         T_level_ground = ground_pose(torch.tensor([now.ground_m, now.slope_rad]).double())
@@ -258,10 +258,10 @@ def test_looks_tell_how_the_body_pitches_between_them_and_not_how_the_road_lies(
                 attitude=ego.attitude + 2e-4 * torch.randn(3, generator=generator),
                 rates=ego.rates + 2e-3 * torch.randn(3, generator=generator),
             )
-            body = BodyFilter.first(BODY, ego, 16.0, 17.0) if body is None else body.updated(ego)
+            body = BodyFilter.first(BODY, ego, 16.0, 17.0) if body is None else body.update(ego)
             before, now = (float(nodding(t / 30).attitude[2]) for t in (k - 1, k))
             if looks:
-                body = body.looked(k / 30, now - before if k else None)
+                body = body.with_observation(k / 30, now - before if k else None)
             found.append(body.caught_up().at(k / 30).pitch_rad - now)
     spread = {looks: float(np.sqrt(np.mean(np.square(found[15:])))) for looks, found in errors.items()}
     assert spread[True] < 0.85 * spread[False]
