@@ -97,20 +97,6 @@ def test_a_class_changes_only_where_the_detector_is_much_surer(other: float, cat
     assert CLASSES[int(tracks.category)] == category
 
 
-def test_boxes_are_smoother_than_detections_and_move_as_they_do() -> None:
-    rng = torch.Generator().manual_seed(1)
-    tracks, errors, raw = TRACKER.start(), 0.0, 0.0
-    for k in range(60):
-        true = torch.tensor([[100.0 + 4 * k, 126, 140 + 4 * k, 226]])
-        noisy = true + 3 * torch.randn(1, 4, generator=rng)
-        if k > 20:  # where it will be, said before it is seen
-            errors += float((TRACKER.boxes(TRACKER.at(tracks, k / RATE_HZ)) - true).abs().mean())
-            raw += float((noisy - true).abs().mean())
-        tracks = TRACKER.step(tracks, Detections(noisy, torch.tensor([[0.8, 0, 0, 0]])), k / RATE_HZ)
-    assert errors < raw  # a prediction by one frame is better than the measurement of that frame
-    assert float(tracks.mean[0, 0, 1]) == pytest.approx(4 * RATE_HZ, rel=0.1)
-
-
 def test_the_filter_is_the_matrix_form_of_kalmans() -> None:
     tracks = shown(2)
     ahead, dt = TRACKER.at(tracks, 0.2), 0.2 - tracks.time_s
@@ -155,14 +141,14 @@ def test_weak_detections_neither_move_nor_take_nor_start_a_track() -> None:
         assert bool(after.score[0].isnan().all()) != matches
     half = detections(BOX, scores=[[0.5 * TRACKER.params.start_score + 0.01, 0.0, 0.0, 0.0]])
     assert len(tracked([half])) == 0
-    kept = tracked([detections(BOX)] * 10 + [half] * 50)  # half the score that starts a track keeps it
-    assert kept.number.tolist() == [1] and float(kept.seen_s) == 59 / RATE_HZ and bool(kept.until_s.isinf().all())
+    kept = tracked([detections(BOX)] * 10 + [half] * 20)  # half the score that starts a track keeps it
+    assert kept.number.tolist() == [1] and float(kept.seen_s) == 29 / RATE_HZ and bool(kept.until_s.isinf().all())
 
 
 def test_a_size_follows_what_is_seen_and_stays_as_its_object_comes_nearer() -> None:
     frames = []
-    for k in range(90):
-        box, _ = seen([("pedestrian", 30 - k / 6, 1.0)])
+    for k in range(45):
+        box, _ = seen([("pedestrian", 30 - k / 3, 1.0)])
         frames.append(Detections(box, torch.tensor([PEDESTRIAN])))
     tracks = tracked(frames)
     assert tracks.number.tolist() == [1]
