@@ -29,9 +29,10 @@ def compare(width: int, height: int, batches: tuple[int, ...], steps: int) -> di
     for step in range(steps):
         laps = Laps()
         state, result = simulation.step(state)
+        (pose,) = (each.pose for each in result.planning.projections.values())
         single.append(laps.lap("step"))
         for batch, taken in many.items():
-            poses = result.symbol.pose + torch.randn(batch, 4, generator=generator) * torch.tensor(SPREAD)
+            poses = pose + torch.randn(batch, 4, generator=generator) * torch.tensor(SPREAD)
             laps = Laps()
             light = copies.show(poses)
             laps.lap("show")

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from luxloop.loop.recording.digest import digest_of_code
+from luxloop.loop.recording.sources import digest_of_code
 from luxloop.loop.report.terminal import markdown_table, number
 from luxloop.loop.studies.jobs.executors import local
 from luxloop.loop.studies.jobs.runner import Job, Values, digest_of

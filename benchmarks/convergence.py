@@ -10,7 +10,7 @@ from typing import Any
 
 from bench import run, show
 
-from luxloop.loop.recording.files import table_of
+from luxloop.loop.recording.manifest import table_of
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.recording.summary import summarise
 from luxloop.loop.report.terminal import number
@@ -57,7 +57,7 @@ def cases(quick: bool) -> Iterator[tuple[str, str, str, Scenario]]:
 def summary(scenario: Scenario) -> dict[str, Any]:
     """The summary of one scenario's trajectory."""
     simulation = prepare(scenario, "cpu")
-    results, symbol = list(simulation.run()), simulation.symbol
+    results, symbol = list(simulation.evaluations()), simulation.symbol
     target = simulation.of_all(symbol, symbol.projector.light(symbol.projector.target))
     open_loop = symbol.judge.verdict(target, results[-1].time_s)
     table = of_one(table_of([row(result) for result in results], schema(simulation)), "symbol")

@@ -48,7 +48,7 @@ def steps_of(name: str, overrides: tuple[str, ...], device: str, steps: int) -> 
     for _ in range(steps + WARM_UPS):
         seconds, (state, result) = clock(lambda state=state: simulation.step(state), device)
         taken.append(1e3 * seconds)
-        poses = {key: held.projection.pose.tolist() for key, held in result.held.items()}
+        poses = {key: each.pose.tolist() for key, each in result.planning.projections.items()}
     return {"ms": median(taken[WARM_UPS:]), "poses": poses}
 
 

@@ -44,7 +44,7 @@ def views(name: str, overrides: tuple[str, ...], steps: int) -> dict[str, Any]:
         state, result = simulation.step(state)
         ms["step"] = ms["quick"] + laps.lap("step")
         for way, world in worlds.items():
-            world.lit(result.time_s).luminance(result.showings[0].exposure.lights)
+            world.lit(result.time_s).luminance(result.exposures[0].lights)
             ms[way] += laps.lap(way)
         taken.append(ms)
     found: dict[str, Any] = {key: median(each[key] for each in taken[1:]) for key in taken[0]}

@@ -114,6 +114,7 @@ def illuminate(scenario: Mapping[str, Any], variants: Mapping[str, Mapping[str, 
     for step in range(STEPS):
         for key in (key for key in own if step < COMES or key[0] == OURS):
             states[key], result = simulations[key].step(states[key])
+            result = simulations[key].evaluate(result)
             runs[key].add(result, shared)
         if step not in END and step not in LATE:
             continue
@@ -180,7 +181,7 @@ class Run:
                 self.tracked[name].append(result.step)
             if result.step in (LATE if name == NEWCOMER else END):
                 self.scores[name].append(each.score)
-        for state in (each for each in result.functions.values() if isinstance(each, ObjectBasedState)):
+        for state in (each for each in result.planning.functions.values() if isinstance(each, ObjectBasedState)):
             for track, loop in state.loops.items():
                 search = self.searches.setdefault(track, [result.step, None])
                 if loop.settled and search[1] is None:
@@ -235,7 +236,7 @@ def zones(reflectances: Sequence[float], saturation_e: float, seed: int) -> dict
         functions[f"zone_{k}"] = {"kind": "zone", "centre_m": (x, y, 1.0), "size_m": (0.0, 1.6, 1.6), "luminance_cd_m2": LUMINANCE}
     world = {key: value for key, value in WORLD.items() if key != "detector"} | {"camera": CAMERA | {"saturation_e": saturation_e}}
     plain = {"name": "zones", "steps": ZONE_STEPS, **world, "light": {"ambient_lx": 0.1}, "objects": walls}
-    results = list(Simulation.prepare(lit(plain, {"lighting": {"base": {"beam": "low"}}, "functions": functions}, seed)).run())
+    results = list(Simulation.prepare(lit(plain, {"lighting": {"base": {"beam": "low"}}, "functions": functions}, seed)).evaluations())
     return {"saturation_e": saturation_e, "luminance": [[each.zones[name].luminance for each in results] for name in functions]}
 
 
@@ -293,7 +294,7 @@ def track(situation: str, scenario: Mapping[str, Any], seeds: int) -> dict[str, 
         visible = [each.visible * each.inside >= LEAST_VISIBLE for each in view.objects]
         for k, each in enumerate(simulations):
             states[k], result = each.step(states[k])
-            assert result.look is not None
-            tracks = result.look.tracks
+            assert each.pipeline is not None
+            tracks = each.pipeline.present(result.perception.tracks, result.perception.taken_s)
             found[k].look([each.name for each in view.objects], view.boxes, visible, tracks.boxes, tracks.number.tolist())
     return {"situation": situation, "runs": [each.counts() for each in found]}

@@ -81,7 +81,7 @@ def iou(changes: tuple[str, ...], column: str, steps: int) -> np.ndarray:
         world, scenario = simulation.world, simulation.scenario
         bound = TruePose(simulation.symbol.sensor, cast(Road, scenario.road), world.motion, 1 / scenario.rate_hz)
         simulation = simulation.with_controller(bound)
-    return np.nan_to_num([float(result.symbol.verdict.iou) for result in simulation.run()])
+    return np.nan_to_num([float(result.symbol.verdict.iou) for result in simulation.evaluations()])
 
 
 def measure(given: Namespace) -> dict[str, Any]:

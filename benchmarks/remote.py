@@ -22,7 +22,7 @@ from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.clock import FromZero
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame, Plant
-from luxloop.loop.simulation.remote_plant import RemotePlant
+from luxloop.loop.simulation.remote import RemotePlant
 from luxloop.loop.studio.inbox import unpack
 from luxloop.world.messages import pack, raw
 

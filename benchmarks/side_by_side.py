@@ -15,7 +15,7 @@ from torch.nn.functional import grid_sample, max_pool1d
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.symbol import build_controller
 from luxloop.controllers.symbol.sensing.projector import DrawingModule
-from luxloop.loop.recording.files import table_of
+from luxloop.loop.recording.manifest import table_of
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.recording.summary import AXES, column, overshoot_percent, settle_step
 from luxloop.loop.run import prepare
@@ -75,7 +75,9 @@ def side_by_side(simulation: Simulation, own: Mapping[str, Scenario]) -> dict[st
     All go through the same world step by step, so each view of it is rendered once, and their frames have the same noise.
     """
     controllers = (build_controller(each.symbol.controller, simulation.symbol.sensor) for each in own.values())
-    runs = [replace(simulation.with_controller(each), scenario=own[name]).run() for name, each in zip(own, controllers, strict=True)]
+    runs = [
+        replace(simulation.with_controller(each), scenario=own[name]).evaluations() for name, each in zip(own, controllers, strict=True)
+    ]
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in own}
     for results in zip(*runs, strict=True):
         for name, result in zip(own, results, strict=True):

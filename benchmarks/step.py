@@ -37,7 +37,7 @@ CHECKED_STEPS, TOLERANCE_PX = 4, 0.01  # sums of float32 in another order turn a
 def parts(simulation: Simulation, state: SimulationState, lap: Lap) -> tuple[SimulationState, torch.Tensor]:
     """The symbol's part of `Simulation.step`, without the judge. Returns the next state and the four errors in px."""
     scenario, symbol = simulation.scenario, simulation.symbol
-    ((name, held),) = state.held.items()
+    ((name, held),) = state.symbols.items()
     view = simulation.world.lit(state.arrivals.time_s)
     lap("render")
     projection = symbol.controller.projection(held.controller, simulation.ego(state.samples, state.arrivals.time_s))
@@ -57,7 +57,7 @@ def parts(simulation: Simulation, state: SimulationState, lap: Lap) -> tuple[Sim
     observation = Observation(seen, tuple(frames), Projection(projection, lights))
     held = replace(held, controller=symbol.controller.step(held.controller, observation))
     lap("control")
-    return replace(state, step=state.step + 1, held={name: held}), seen.errors
+    return replace(state, step=state.step + 1, symbols={name: held}), seen.errors
 
 
 def fastest(step: Callable[[Lap], Any]) -> dict[str, float]:

@@ -30,7 +30,7 @@ CONTROLLERS = {"open loop": '{name="open"}', "survey": '{name="feedforward", sur
 
 def iou(scenario: str, changes: tuple[str, ...], controller: str, steps: int) -> float:
     """Mean of the last steps."""
-    results = list(prepare(load(scenario, [*changes, f"functions.symbol.controller={controller}", f"steps={steps}"]), "cpu").run())
+    results = list(prepare(load(scenario, [*changes, f"functions.symbol.controller={controller}", f"steps={steps}"]), "cpu").evaluations())
     last = [float(result.symbol.verdict.iou) for result in results][-LAST:]
     return sum(last) / len(last)
 

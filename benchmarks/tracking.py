@@ -138,7 +138,7 @@ def traffic(seed: int, steps: int) -> Identities:
         "lighting": {"base": {"beam": "low"}},
     }
     simulation, found = Simulation.prepare(validate(plain, f"seed {seed}")), Identities()
-    for result in simulation.run():
+    for result in simulation.evaluations():
         assert result.look is not None
         view, tracks = simulation.world.lit(result.time_s), result.look.tracks
         visible = [

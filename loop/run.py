@@ -15,8 +15,8 @@ import torch
 from luxloop.controllers.symbol.sensing.field import SIDES, cut
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.loop.recording.checks import Checks
-from luxloop.loop.recording.files import REPORT, TRAJECTORY, VIDEO
-from luxloop.loop.recording.labelled import Labels, Layout
+from luxloop.loop.recording.labels import Labels, Layout
+from luxloop.loop.recording.manifest import REPORT, TRAJECTORY, VIDEO
 from luxloop.loop.recording.record import refuse_unknown_columns, row
 from luxloop.loop.recording.remedies import of_target
 from luxloop.loop.scenario.model import Scenario, load
@@ -24,8 +24,8 @@ from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation.commanded import unmoved
 from luxloop.loop.simulation.controlled import ControlledSymbol
 from luxloop.loop.simulation.digitised import DigitisedPlant, needs_rig
+from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.protocol import Plant
-from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.arrays import read_parquet
 from luxloop.world.errors import LuxloopError, locate
@@ -71,7 +71,7 @@ def run(  # noqa: PLR0913 (each value stands by itself)
     lux: bool = False,
     checks: bool = False,
     plant: Callable[[Simulation], Plant] | None = None,
-    on_step: Callable[[StepResult], None] = lambda result: None,
+    on_step: Callable[[Evaluation], None] = lambda result: None,
     on_end: Callable[[], None] = lambda: None,
     **values: Any,
 ) -> RunResult:
@@ -116,7 +116,7 @@ def run(  # noqa: PLR0913 (each value stands by itself)
         if plant is not None:
             simulation = replace(simulation, plant=plant(simulation))
         camera, highlights = scenario.camera, Highlights(simulation)
-        run_checks = Checks(scenario.checks, (lambda light: map(row, simulation.lit_by(light).run())) if checks else None)
+        run_checks = Checks(scenario.checks, (lambda light: map(row, simulation.lit_by(light).evaluations())) if checks else None)
 
         def page(table: pa.Table, summary: dict[str, Any]) -> None:
             from luxloop.loop.report.page import write_report  # Matplotlib, for which the first step does not wait
@@ -128,7 +128,7 @@ def run(  # noqa: PLR0913 (each value stands by itself)
         if film is not None:
             stack.enter_context(film)
         stack.callback(on_end)
-        for result in stack.enter_context(closing(simulation.run())):
+        for result in stack.enter_context(closing(simulation.evaluations())):
             recorder.add(result)
             run_checks.step()
             highlights.add(result)
@@ -190,7 +190,7 @@ def _first_look(simulation: Simulation) -> dict[str, Any]:
     if simulation.pipeline is None:
         return {}
     with locate(simulation.scenario.source):
-        first = next((each for each in simulation.run() if each.frame is not None), None)
+        first = next((each for each in simulation.evaluations() if each.frame is not None), None)
     if first is None or first.look is None:
         return {"boxes": None, "lx_max": None, "known": simulation.truth is not None}
     lit = [each.lx_max for each in first.objects.values() if each.lx_max is not None]
@@ -202,11 +202,11 @@ def in_words(facts: dict[str, Any]) -> str:
     start = f"{facts['steps']} steps, road {facts['road']}"
     held = {name: f", held by {controller}" for name, controller in facts["controllers"].items()}
     kinds = ", ".join(f"{name} ({kind}{held.get(name, '')})" for name, kind in facts["functions"].items()) or "none"
-    finder = "no detector" if facts["detector"] is None else f"detector {facts['detector']} ({_looked(facts)})"
+    finder = "no detector" if facts["detector"] is None else f"detector {facts['detector']} ({_detector_in_words(facts)})"
     return f"{start}, {facts['base']}, functions {kinds}, {facts['objects']} objects, {finder}"
 
 
-def _looked(facts: dict[str, Any]) -> str:
+def _detector_in_words(facts: dict[str, Any]) -> str:
     if facts["boxes"] is None:
         return f"no frame came in {facts['steps']} steps"
     if not facts["known"]:

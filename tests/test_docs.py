@@ -176,10 +176,10 @@ def test_parts_of_ones_own_run(code: str, module: str, tables: str, tmp_path: Pa
     (keys := tmp_path / "keys.toml").write_text(tables)
     assert f'"{module}:' in tables
     if re.search(r"^\[(detector|functions\.(?!symbol\b))", tables, re.M):
-        assert len(list(prepare(load("gfhb", [str(keys), "steps=2"], allow_code=True), "cpu").run())) == 2
+        assert len(list(prepare(load("gfhb", [str(keys), "steps=2"], allow_code=True), "cpu").evaluations())) == 2
         return
     scenario = load("flat", [str(keys)], steps=16, camera={"width_px": 640, "height_px": 360, "oversampling": 2}, allow_code=True)
-    *_, last = prepare(scenario, "cpu").run()
+    *_, last = prepare(scenario, "cpu").evaluations()
     assert last.symbol.measurement.code == 0, "it is seen, by whatever plant"
     verdict = last.symbol.verdict
     assert verdict is None or verdict.iou > 0.7, "each of them brings the symbol to its place, or leaves it there"

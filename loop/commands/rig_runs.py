@@ -31,8 +31,7 @@ def run_on_rig(
     and KeyboardInterrupt that says what was kept; the lamp is dark then. Raises LuxloopError after a run to which too few frames came.
     """
     from luxloop.loop.commands.runs import run_scenario
-    from luxloop.loop.recording.files import RIG
-    from luxloop.loop.recording.manifest import write_json
+    from luxloop.loop.recording.manifest import RIG, write_json
     from luxloop.loop.rig.judged import Judged
     from luxloop.loop.rig.params import load_rig
     from luxloop.loop.rig.plant import RigPlant
@@ -91,8 +90,7 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
     then. Raises LuxloopError after a run to which too few frames came.
     """
     from luxloop.loop.commands.runs import run_scenario
-    from luxloop.loop.recording.files import BEAM, RIG
-    from luxloop.loop.recording.manifest import write_json
+    from luxloop.loop.recording.manifest import BEAM, RIG, write_json
     from luxloop.loop.rig.calibration.files import load
     from luxloop.loop.rig.live.picture import draw_beam
     from luxloop.loop.rig.live.plant import live_plant, refuse_unfit

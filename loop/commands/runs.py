@@ -9,9 +9,8 @@ from typing import Any
 import torch
 from rich.markup import escape
 
-from luxloop.loop.recording.checks import passed
-from luxloop.loop.recording.files import TRAJECTORY
-from luxloop.loop.recording.manifest import Manifest
+from luxloop.loop.recording.checks import success
+from luxloop.loop.recording.manifest import TRAJECTORY, Manifest
 from luxloop.loop.recording.replay import replay
 from luxloop.loop.report import terminal as tables
 from luxloop.loop.report.progress import progress
@@ -57,7 +56,7 @@ def run_scenario(scenario: Scenario, out: Path, device: str, checks: bool, kept:
         tables.console().print(f"{tables.plural(left_out, 'more check')} {word} with another light: --checks", markup=False)
     if checks and not scenario.checks:
         tables.console().print(f"{scenario.name} has no [checks.NAME]", markup=False)
-    return passed(result.summary)
+    return success(result.summary)
 
 
 def compare_recording(directory: Path, allow_code: bool) -> bool:

@@ -38,14 +38,14 @@ class Checks:
 def outcome(check: CheckParams, table: pa.Table, beside: Mapping[Light, Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
     """What has come of a check. beside: a row a step of the light that it compares with, by that light."""
     times_s, values, other = column(table, "time_s"), column(table, check.metric), None
-    value = held = _taken(check, times_s, values)
+    value = held = _value(check, times_s, values)
     if check.compare is not None:
         others = np.array([row[check.metric] for row in beside[check.compare]], dtype=np.float64)
-        other = _taken(check, times_s, others)
+        other = _value(check, times_s, others)
         if check.by == "ratio":
             held = ratio(value, other)
         else:
-            held = _taken(check, times_s, values - others if check.by == "difference" else np.where(others > 0, values > 0, math.nan))
+            held = _value(check, times_s, values - others if check.by == "difference" else np.where(others > 0, values > 0, math.nan))
     by = dict.fromkeys(get_args(By))
     return {
         **check.model_dump(include={"metric", "from_s", "until_s", "take", "over_s", "compare", "at_least", "at_most"}),
@@ -82,7 +82,7 @@ def refuse_unknown(checks: Mapping[str, CheckParams], schema: pa.Schema, compare
             raise LuxloopError(f'{where} is recorded with a [detector] alone; give one, kind = "truth" say, which knows all objects')
         if check.metric not in known:
             raise LuxloopError(
-                f"{where} is not a numeric column of the recording; {did_you_mean(check.metric, known, _known(check.metric, known))}"
+                f"{where} is not a numeric column of the recording; {did_you_mean(check.metric, known, _alternatives(check.metric, known))}"
             )
         if check.compare is not None and check.metric not in compared:
             raise LuxloopError(
@@ -91,7 +91,7 @@ def refuse_unknown(checks: Mapping[str, CheckParams], schema: pa.Schema, compare
             )
 
 
-def _known(metric: str, known: Sequence[str]) -> str:
+def _alternatives(metric: str, known: Sequence[str]) -> str:
     """Columns of the same table, or of the same key; where there are none, all of them, tables of columns each in a word."""
     table, dot, _ = metric.partition(".")
     alike = [name for name in known if (name.startswith(f"{table}.") if dot else name.endswith(f".{metric}"))]
@@ -99,7 +99,7 @@ def _known(metric: str, known: Sequence[str]) -> str:
     return f"known are {', '.join(alike or tables)}"
 
 
-def passed(summary: Mapping[str, Any]) -> bool:
+def success(summary: Mapping[str, Any]) -> bool:
     """Whether all checks of a run have, by its summary."""
     return all(outcome["passed"] for outcome in summary["checks"].values())
 
@@ -121,7 +121,7 @@ def _line(outcome: Mapping[str, Any]) -> str:
     else:
         parts[0] += f" {outcome['value']:.4g}{unit}"
         if outcome["compare"] is not None:
-            parts.append(_compared(outcome, unit))
+            parts.append(_comparison(outcome, unit))
     of_bound = unit if outcome["compare"] is None or outcome["difference"] is not None else ""
     for bound in (each for each in ("at_least", "at_most") if outcome[each] is not None):
         given = _percent(outcome[bound]) if outcome["recall"] is not None else f"{outcome[bound]:g}{of_bound}"
@@ -129,7 +129,7 @@ def _line(outcome: Mapping[str, Any]) -> str:
     return f"{', '.join(parts)}: {'passed' if outcome['passed'] else 'failed'}"
 
 
-def _compared(outcome: Mapping[str, Any], unit: str) -> str:
+def _comparison(outcome: Mapping[str, Any], unit: str) -> str:
     light, other = outcome["compare"].replace("_", " "), outcome["compared_value"]
     if other is None:
         return f"{NOTHING} with {light}"
@@ -145,7 +145,7 @@ def _percent(share: float) -> str:
     return f"{100 * share:.4g} %"
 
 
-def _taken(check: CheckParams, times_s: np.ndarray, values: np.ndarray) -> float | None:
+def _value(check: CheckParams, times_s: np.ndarray, values: np.ndarray) -> float | None:
     """The value of a column `[steps]` that a check asks for; None where no step in its window has one."""
     until_s = math.inf if check.until_s is None else check.until_s
     inside = np.isfinite(values) & (times_s >= check.from_s - ROUNDING_S) & (times_s <= until_s + ROUNDING_S)

@@ -86,7 +86,7 @@ def compare(recorded: pa.Table, replayed: pa.Table, held: Mapping[str, FeaturePa
     for name in (name for name in replayed.column_names if not name.endswith("_ms")):
         tolerance = 0.0
         if not exact:
-            shared = 0.0 if name.startswith(symbols) else _shared(recorded[name])
+            shared = 0.0 if name.startswith(symbols) else _tolerance(recorded[name])
             tolerance = within.get(name, TOLERANCES["time_s"][0] if name == "time_s" else shared)
         apart = _distance(recorded[name][:steps], replayed[name][:steps])
         outside = np.flatnonzero(apart > tolerance)
@@ -97,7 +97,7 @@ def compare(recorded: pa.Table, replayed: pa.Table, held: Mapping[str, FeaturePa
     return (*found, *(each for name in held for each in _coming_to_rest(name, recorded, replayed, 0 if exact else STEADY_STEPS)))
 
 
-def _shared(column: pa.ChunkedArray) -> float:
+def _tolerance(column: pa.ChunkedArray) -> float:
     """Tolerance of numbers that many things make."""
     if not pa.types.is_floating(column.type):
         return 0.0

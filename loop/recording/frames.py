@@ -1,13 +1,18 @@
 """Frames of a run: what its plant was shown and what that handed over, kept in the recording's folder."""
 
 import math
-from collections.abc import Sequence
+from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+import torch
+from torch import Tensor
 
+from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.frames import (
     FOLDER,
     SCHEMA,
@@ -16,13 +21,18 @@ from luxloop.loop.simulation.frames import (
     image_file,
     light_arrays,
     light_file,
+    read_exposures,
+    read_image,
     sample_values,
     write_image,
     write_light,
 )
-from luxloop.loop.simulation.objects import object_values
-from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame, Showing
+from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame
+from luxloop.loop.simulation.recorded import inside
+from luxloop.loop.simulation.remote_messages import object_values
+from luxloop.loop.simulation.result import Reception
 from luxloop.world.arrays import Arrays
+from luxloop.world.errors import LuxloopError
 from luxloop.world.files import whole
 
 
@@ -40,14 +50,13 @@ class FrameRecorder:
         """Make the folder. Raises OSError where that cannot be."""
         (self._directory / FOLDER).mkdir(exist_ok=True)
 
-    def add(self, showings: Sequence[Showing]) -> None:
+    def add(self, reception: Reception) -> None:
         """Write light and frames. Raises LuxloopError where that cannot be, or a frame is none of digital numbers."""
-        for showing in showings:
-            exposure = showing.exposure
-            self._note(exposure.number, showing.before)
+        for exposure, before, after in zip(reception.exposures, reception.arrivals, reception.arrivals[1:], strict=False):
+            self._note(exposure.number, before)
             self._rows[exposure.number] |= {"time_s": exposure.start_s, "duration_s": exposure.duration_s, "light": self._light(exposure)}
-            self._note(exposure.number + 1, showing.after)
-            for frame in showing.after.frames:
+            self._note(exposure.number + 1, after)
+            for frame in after.frames:
                 if frame.number <= exposure.number and frame.number in self._rows:
                     self._frame(frame, exposure.number)
 
@@ -86,3 +95,62 @@ class FrameRecorder:
 
 def _same(light: Arrays, other: Arrays) -> bool:
     return light.keys() == other.keys() and all(np.array_equal(light[name], other[name]) for name in light)
+
+
+Lights = tuple[Utilisation, ...]
+
+
+class ShadowTally:
+    """Compares the lights of exposures with those that were shown in their place; `add` what was shown in a step."""
+
+    def __init__(self) -> None:
+        self._asked = dict[int, Lights]()
+        self._shares = list[float]()
+
+    def add(self, reception: Reception) -> None:
+        """Take exposures, and the frames that have come."""
+        self._asked |= {each.number: each.lights for each in reception.exposures}
+        for frame in reception.frames:
+            lights = self._asked.pop(frame.number, None)
+            if lights is not None and frame.shown is not None:
+                self._shares.append(elsewhere(lights, frame.shown.lights))
+
+    def summary(self) -> dict[str, Any]:
+        """`exposures`: number compared. `differ`: number of those with other light. `elsewhere`: mean of `elsewhere` over all, None without
+        any.
+        """
+        count = len(self._shares)
+        return {
+            "exposures": count,
+            "differ": sum(share > 0 for share in self._shares),
+            "elsewhere": sum(self._shares) / count if count else None,
+        }
+
+
+def elsewhere(asked: Lights, shown: Lights) -> float:
+    """Sum over all pixels of the difference of utilisations, relative to the sum of both: 0 for the same light, 1 where none overlaps."""
+    pairs = list(zip(asked, shown, strict=True))
+    both = sum(float((a.u + b.u).sum()) for a, b in pairs)
+    return sum(float((a.u - b.u).abs().sum()) for a, b in pairs) / both if both else 0.0
+
+
+class KeptFrames:
+    """Those of a folder, in which there may be none."""
+
+    def __init__(self, folder: Path, scenario: Scenario) -> None:
+        """scenario: that was recorded. Raises LuxloopError where the table of frames is damaged."""
+        self._folder, self._camera, per_step = folder, scenario.camera, len(scenario.shares)
+        self._numbers = defaultdict[int, dict[str, int]](dict)
+        for each in read_exposures(inside(folder / TABLE, folder)) if (folder / TABLE).is_file() else ():
+            if each["came_with"] is not None and not each["lost"]:
+                self._numbers[each["came_with"] // per_step]["off" if each["number"] % per_step else "on"] = each["number"]
+
+    def at(self, step: int) -> dict[str, Tensor]:
+        """Digital numbers `[height, width]` of the newest frames `on` and `off` that came in a step; without those that are damaged."""
+        found = {}
+        for name, number in self._numbers.get(step, {}).items():
+            try:
+                found[name] = read_image(inside(image_file(self._folder, number), self._folder), self._camera, torch.empty(0))
+            except LuxloopError:
+                continue
+        return found

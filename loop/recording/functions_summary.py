@@ -1,15 +1,25 @@
-"""A recording of lighting functions in a few numbers."""
+"""A run of lighting functions in a few numbers, and electrical power to compare its own with."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from luxloop.controllers.functions.commands import MOVEMENTS, Movable
 from luxloop.controllers.functions.material import Quantity
-from luxloop.loop.recording.summary import column
+from luxloop.loop.recording.summary import Circumstances, column
+from luxloop.loop.recording.summary import summarise as summarise_symbol
+from luxloop.loop.scenario.plant import shadow_of
+from luxloop.loop.simulation.columns import of_one
+from luxloop.loop.simulation.evaluator import Evaluation
+from luxloop.loop.simulation.lamps import ShiningModule, flux_by_side
+from luxloop.loop.simulation.redrawn import covering, open_loop_lights
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.headlight.lamp import REST
 
 START_UP_S = 1.0  # in which functions that learn begin with more light than they come to need
@@ -18,6 +28,30 @@ LAST_STEPS = 10  # that a confidence at the end is the mean of
 UNITS: Mapping[Quantity, str] = {"luminance": "cd/m^2", "lx": "lx"}
 LOOKING = ("detections", "false_positives")  # whose means are told
 NAMED = 8  # objects that charts and the closing table tell one by one
+
+
+def summary_of(
+    simulation: Simulation, table: pa.Table, last: Mapping[str, Evaluation], covered: Mapping[str, Evaluation] | None = None
+) -> dict[str, Any]:
+    """The summary of a run's steps. last: of each symbol the last step that shows it, beside which the open loop is judged. covered: of
+    those that were lost as covered the last such step.
+    """
+    scenario, held = simulation.scenario, dict[str, dict[str, Any]]()
+    for name, symbol in simulation.controlled.items():
+        iou = road_m = math.nan
+        mine = of_one(table, name)
+        if symbol.judge is not None and name in last:
+            now, lights = last[name].now, open_loop_lights(simulation, last[name], name)
+            iou = float(symbol.judge.evaluate(simulation.world.added(now.time_s, *lights, now.commands), now.time_s).iou)
+            road_m = symbol.judge.road_m(mine["time_s"].to_pylist())
+        by = covering(simulation, covered[name], name) if covered and name in covered else ()
+        judge_every = None if symbol.judge is None else scenario.judge_every
+        run = Circumstances(judge_every, scenario.vehicle is not None, road_m, getattr(symbol.params, "highest_m", None))
+        held[name] = summarise_symbol(mine, symbol.params.name, iou, by, run)
+    summary = summarise(table, scenario.name, reference_power(simulation, table), held)
+    summary |= {"shadow_of": shadow_of(scenario.plant), "low_beam_lm": low_beam_lm(simulation)}
+    summary |= {"modules": modules} if (modules := of_modules(table, simulation.modules)) else {}
+    return summary | ({"flicker": {"rate_hz": scenario.rate_hz, "on_share": 1 - scenario.off_share}} if held else {})
 
 
 def summarise(
@@ -55,7 +89,7 @@ def summarise(
                 "lx_mean": over(f"objects.{name}.lx_mean", "mean"),
                 "lx_max": over(f"objects.{name}.lx_max", "max"),
                 "masked_steps": table[f"objects.{name}.masked"].to_pylist().count(True),
-                **(_recognised(table, name) if f"objects.{name}.track" in known else {}),
+                **(_recognition(table, name) if f"objects.{name}.track" in known else {}),
             }
             for name in objects
         },
@@ -96,7 +130,7 @@ def of_modules(table: pa.Table, modules: Sequence[Movable]) -> dict[str, dict[st
     return found
 
 
-def named(objects: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def brightest(objects: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Names of the objects of a summary that are told one by one: all in sight, of more than `NAMED` the brightest that were lit."""
     most = {name: each["lx_max"] for name, each in objects.items() if each["lx_max"] is not None}
     if len(most) <= NAMED:
@@ -180,7 +214,7 @@ def _energy(table: pa.Table, power_w: NDArray[np.floating]) -> float | None:
     return float(power_w.sum() * (times[-1] - times[0]) / (len(times) - 1)) if len(times) > 1 else None
 
 
-def _recognised(table: pa.Table, name: str) -> dict[str, Any]:
+def _recognition(table: pa.Table, name: str) -> dict[str, Any]:
     """The confidence at the end, and the least since a track first showed an object, how many showed it one after the other, and for how
     long it was in sight, and lost."""
     confidence = column(table, f"objects.{name}.confidence")
@@ -196,3 +230,52 @@ def _recognised(table: pa.Table, name: str) -> dict[str, Any]:
         "steps_in_sight": int(np.isfinite(confidence).sum()),
         "steps_lost": lost_steps(table, name),
     }
+
+
+LOW, STANDBY = "low", "standby"
+
+
+def reference_power(simulation: Simulation, table: pa.Table) -> Mapping[str, NDArray[np.floating]]:
+    """W of all lamps in each step `[steps]`, by name: "standby", "low beam" if they have one, then the base beam if it is another."""
+    modules, beams = simulation.modules, table["beam"].to_pylist()
+    steps = np.ones(table.num_rows)
+    found = {STANDBY: steps * _watts(simulation, [module.flux * 0 for module in modules])}
+    if low := _low_beam(simulation):
+        found[f"{LOW} beam"] = steps * _watts(simulation, low)
+    own = dict.fromkeys(simulation.base(beam) for beam in beams)
+    if set(own) - {*found, "base beam off"}:
+        watts = [
+            _watts(simulation, [_base(module, beam, time_s) for module in modules])
+            for time_s, beam in zip(column(table, "time_s"), beams, strict=True)
+        ]
+        found[next(iter(own)) if len(own) == 1 else "base beam"] = np.array(watts)
+    return found
+
+
+def _base(module: ShiningModule, beam: str, time_s: float) -> Tensor:
+    """Utilisation `[n_p]` that nothing dims, also of a beam that an edited scenario no longer asks for."""
+    return module.beam(beam) if module.raw is None else module.raw.at(time_s).to(module.flux)
+
+
+def low_beam_lm(simulation: Simulation) -> float | None:
+    """Luminous flux of all lamps in the low beam that nothing dims; None where they have none."""
+    low = _low_beam(simulation)
+    return sum(_flux_lm(simulation, low)) if low else None
+
+
+def _low_beam(simulation: Simulation) -> list[Tensor]:
+    """Utilisations `[n_p]`, one a module; none where a lamp has no low beam."""
+    modules = simulation.modules
+    known = all(LOW in module.lamp.beams for module in modules)
+    return [module.beam(LOW) for module in modules] if known else []
+
+
+def _flux_lm(simulation: Simulation, lights: Sequence[Tensor]) -> list[float]:
+    """Of each lamp, within the power limit."""
+    modules, limit = simulation.modules, simulation.scenario.lighting.power_limit or 1.0
+    given, most = flux_by_side(modules, lights), flux_by_side(modules, [torch.ones_like(module.flux) for module in modules])
+    return [min(lm, limit * most[side]) for side, lm in given.items()]
+
+
+def _watts(simulation: Simulation, lights: Sequence[Tensor]) -> float:
+    return sum(map(simulation.scenario.headlight.power_w, _flux_lm(simulation, lights)))

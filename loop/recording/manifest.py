@@ -10,6 +10,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Final, Literal
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import torch
 from pydantic import Field, ValidationError
 
@@ -29,7 +31,12 @@ from luxloop.world.roads.shapes import OpenCrgRoad
 from luxloop.world.traffic.objects import MeshParams
 from luxloop.world.validation import parsed_json, sentences
 
-FILE = "manifest.json"
+MANIFEST = "manifest.json"
+TRAJECTORY, SUMMARY, REPORT, VIDEO, EDITS = "trajectory.parquet", "summary.json", "report.png", "video.mp4", "edits.json"
+RIG = "rig.json"  # of a run on a rig: its file, and how frames came
+TWIN, TWIN_PICTURE = "twin.parquet", "twin.png"  # of a rig's frames held against the simulated plant's
+BEAM = "beam.png"  # of the last light that was digitised live
+FILES = (TRAJECTORY, SUMMARY, REPORT, VIDEO, EDITS, RIG, TWIN, TWIN_PICTURE, BEAM, MANIFEST)
 FORMAT_VERSION: Final = 1
 PACKAGES = ("luxloop", "torch", "numpy", "scipy", "kornia", "opencv-contrib-python-headless", "pyrender", "trimesh", "embreex", "pyarrow")
 
@@ -84,9 +91,9 @@ class Manifest(Params):
     @classmethod
     def read(cls, directory: Path) -> "Manifest":
         """The manifest of a recording. Raises LuxloopError where there is none that this luxloop understands."""
-        file = directory / FILE
+        file = directory / MANIFEST
         if not os.path.isfile(file):
-            kind = f"holds no recording ({FILE} is missing)" if os.path.isdir(directory) else "is not a directory"
+            kind = f"holds no recording ({MANIFEST} is missing)" if os.path.isdir(directory) else "is not a directory"
             raise LuxloopError(f"{directory}: {kind}; give a directory that `luxloop run` wrote")
         with reading(file, "damaged, not valid JSON", "record the run again"):
             stored = parsed_json(content(file))
@@ -104,9 +111,9 @@ class Manifest(Params):
 
     def write(self, directory: Path) -> None:
         """Write to the recording's directory, whole or not at all."""
-        write_json(directory / FILE, self.model_dump(mode="json"))
+        write_json(directory / MANIFEST, self.model_dump(mode="json"))
 
-    def ended(self, status: str, directory: Path) -> "Manifest":
+    def finish(self, status: str, directory: Path) -> "Manifest":
         """The same with another status, and written so. Raises LuxloopError where that cannot be."""
         manifest = self.model_copy(update={"status": status})
         manifest.write(directory)
@@ -115,7 +122,7 @@ class Manifest(Params):
     def fail(self, directory: Path) -> None:
         """Write into the file of this manifest that the run has failed: in place, for a full disk has no room for another file."""
         here = f'"status": "{self.status}"'.encode()
-        with (directory / FILE).open("r+b") as stream:
+        with (directory / MANIFEST).open("r+b") as stream:
             stream.seek(stream.read().index(here))
             stream.write(b'"status": "failed"'.ljust(len(here)))
 
@@ -190,3 +197,15 @@ def _version(package: str) -> str:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
         return "not installed"
+
+
+def table_of(rows: list[dict[str, Any]], schema: pa.Schema) -> pa.Table:
+    """Rows as a table; NaN becomes null, and so does what a row lacks."""
+    columns = [pa.array([r.get(field.name) for r in rows], field.type, from_pandas=True) for field in schema]
+    return pa.Table.from_arrays(columns, schema=schema)
+
+
+def write_table(file: Path, table: pa.Table) -> None:
+    """Write Parquet, whole or not at all. Raises LuxloopError where it cannot be written."""
+    with whole(file) as part:
+        pq.write_table(table, part, use_dictionary=False)

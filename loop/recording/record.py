@@ -1,24 +1,16 @@
 """Recordings of lighting functions: a row a step with the lamps' power and the light on every tracked object."""
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import pyarrow as pa
 import torch
 
 from luxloop.loop.recording.checks import lights, refuse_unknown
-from luxloop.loop.recording.compared import compared, low_beam_lm
-from luxloop.loop.recording.functions_summary import of_modules, summarise
-from luxloop.loop.recording.summary import Circumstances
-from luxloop.loop.recording.summary import summarise as summarise_symbol
-from luxloop.loop.scenario.plant import shadow_of
-from luxloop.loop.simulation.columns import AIM, CENTROIDS, CUT, ERRORS, LOOKING_OF_TRUTH, POSE, SYMBOL, loss_name, of_one
+from luxloop.loop.simulation.columns import AIM, CENTROIDS, CUT, ERRORS, LOOKING_OF_TRUTH, POSE, SYMBOL, loss_name
 from luxloop.loop.simulation.commanded import moved
-from luxloop.loop.simulation.controlled import Held
-from luxloop.loop.simulation.on_materials import quantities
-from luxloop.loop.simulation.redrawn import covering, opened
-from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.evaluator import Evaluation, SymbolStep
+from luxloop.loop.simulation.light_figures import quantities
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.metrics import Metrics
 from luxloop.world.errors import locate
@@ -123,7 +115,7 @@ def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
     detects: as they were with a detector.
     """
     sides = dict.fromkeys(module.side for module in simulation.modules)
-    tracked, looks = simulation.watched, detects or simulation.pipeline is not None
+    tracked, looks = simulation.recorded_ids, detects or simulation.pipeline is not None
     held = bool(simulation.controlled)  # so that a step has exposures of different light
     observed = any(getattr(function, "observer", None) for function in simulation.scenario.functions.values())
     columns = STEP | (CONTROL if held else {}) | (OBSERVED if observed else {})
@@ -151,12 +143,12 @@ def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
     return pa.schema(pa.field(name, kind, metadata={"unit": unit, "description": text}) for name, (kind, unit, text) in columns.items())
 
 
-def valued(simulation: Simulation) -> set[str]:
+def comparable_columns(simulation: Simulation) -> set[str]:
     """Names of what has values in the run of another light (`Simulation.lit_by`), under which nothing must be dark."""
     return {*schema(simulation).names, *LEARNING} - {"dark_lx_max", "road_lx_ratio_max"}
 
 
-def row(result: StepResult) -> dict[str, Any]:
+def row(result: Evaluation) -> dict[str, Any]:
     """A step as plain values by the names of its schema's columns."""
     base, primitives = result.plan.base, result.plan.primitives
     values: dict[str, Any] = {
@@ -199,7 +191,7 @@ def row(result: StepResult) -> dict[str, Any]:
     return values
 
 
-def of_symbol(held: Held) -> dict[str, Any]:
+def of_symbol(held: SymbolStep) -> dict[str, Any]:
     """What is recorded of one symbol in a step, by the names of SYMBOL."""
     verdict, seen = held.verdict or NOT_JUDGED, held.measurement
     tensors = {
@@ -221,34 +213,10 @@ def of_symbol(held: Held) -> dict[str, Any]:
     return values | {"loss": loss_name(int(values.pop("code")))}
 
 
-def summary_of(
-    simulation: Simulation, table: pa.Table, last: Mapping[str, StepResult], covered: Mapping[str, StepResult] | None = None
-) -> dict[str, Any]:
-    """The summary of a run's steps. last: of each symbol the last step that shows it, beside which the open loop is judged. covered: of
-    those that were lost as covered the last such step.
-    """
-    scenario, held = simulation.scenario, dict[str, dict[str, Any]]()
-    for name, symbol in simulation.controlled.items():
-        iou = road_m = math.nan
-        mine = of_one(table, name)
-        if symbol.judge is not None and name in last:
-            now, lights = last[name].now, opened(simulation, last[name], name)
-            iou = float(symbol.judge.judged(simulation.world.added(now.time_s, *lights, now.commands), now.time_s).iou)
-            road_m = symbol.judge.road_m(mine["time_s"].to_pylist())
-        by = covering(simulation, covered[name], name) if covered and name in covered else ()
-        judge_every = None if symbol.judge is None else scenario.judge_every
-        run = Circumstances(judge_every, scenario.vehicle is not None, road_m, getattr(symbol.params, "highest_m", None))
-        held[name] = summarise_symbol(mine, symbol.params.name, iou, by, run)
-    summary = summarise(table, scenario.name, compared(simulation, table), held)
-    summary |= {"shadow_of": shadow_of(scenario.plant), "low_beam_lm": low_beam_lm(simulation)}
-    summary |= {"modules": modules} if (modules := of_modules(table, simulation.modules)) else {}
-    return summary | ({"flicker": {"rate_hz": scenario.rate_hz, "on_share": 1 - scenario.off_share}} if held else {})
-
-
 def refuse_unknown_columns(simulation: Simulation) -> None:
     """Raises LuxloopError where a check names a column or light that is not there, or that the plant does not know."""
     scenario = simulation.scenario
     with locate(scenario.source):
         others = [simulation.lit_by(light) for light in lights(scenario.checks)]
-        compared = {name for other in others for name in valued(other)}
+        compared = {name for other in others for name in comparable_columns(other)}
         refuse_unknown(scenario.checks, schema(simulation), compared, schema(simulation, detects=True).names)

@@ -11,18 +11,17 @@ from typing import Any, Self
 
 import pyarrow as pa
 
-from luxloop.loop.recording import label_files
-from luxloop.loop.recording.files import EDITS, FILES, SUMMARY, TRAJECTORY, table_of, write_table
-from luxloop.loop.recording.frames import FrameRecorder
+from luxloop.loop.recording.frames import FrameRecorder, ShadowTally
+from luxloop.loop.recording.functions_summary import summary_of
 from luxloop.loop.recording.label_recorder import LabelRecorder
-from luxloop.loop.recording.labelled import Labels
-from luxloop.loop.recording.manifest import Manifest, write_json
-from luxloop.loop.recording.record import row, schema, summary_of
-from luxloop.loop.recording.shadow import ShadowTally
+from luxloop.loop.recording.labels import PATTERNS as LABEL_FILES
+from luxloop.loop.recording.labels import Labels
+from luxloop.loop.recording.manifest import EDITS, FILES, SUMMARY, TRAJECTORY, Manifest, table_of, write_json, write_table
+from luxloop.loop.recording.record import row, schema
 from luxloop.loop.scenario.edits import Edit, add
 from luxloop.loop.scenario.plant import shadow_of
-from luxloop.loop.simulation import frames as frame_files
-from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.evaluator import Evaluation
+from luxloop.loop.simulation.frames import PATTERNS as FRAME_FILES
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError
@@ -38,14 +37,14 @@ class Tally:
         self.first = self.simulation = simulation
         self.edits = list[Edit]()
         self._idle, self._waiting = set(simulation.scenario.functions), set(simulation.scenario.functions)
-        self._last = dict[str, StepResult]()
-        self._covered, self._findable = dict[str, StepResult](), set[str]()
+        self._last = dict[str, Evaluation]()
+        self._covered, self._findable = dict[str, Evaluation](), set[str]()
         self._shadow = None if shadow_of(simulation.scenario.plant) is None else ShadowTally()
         self._asked, self._came = set[int](), list[int]()  # numbers of exposures, and of frames with an image
         self._written = schema(simulation).empty_table()
         self._fresh: list[dict[str, Any]] = []
 
-    def add(self, result: StepResult) -> dict[str, Any]:
+    def add(self, result: Evaluation) -> dict[str, Any]:
         """Take a step. Returns its row."""
         added = row(result)
         if self._idle:
@@ -57,9 +56,9 @@ class Tally:
         if result.look is not None:
             self._findable |= {name for name, each in result.look.recognised.items() if each.findable}
         if self._shadow is not None:
-            self._shadow.add(result.showings)
-        self._asked |= {each.exposure.number for each in result.showings}
-        self._came += [frame.number for each in result.showings for frame in each.after.frames if frame.image is not None]
+            self._shadow.add(result.reception)
+        self._asked |= {each.number for each in result.exposures}
+        self._came += [frame.number for frame in result.reception.frames if frame.image is not None]
         self._fresh.append(added)
         if len(self._fresh) >= FOLDED:
             self._fold()
@@ -151,12 +150,12 @@ class Recorder:
     def __enter__(self) -> Self:
         return self
 
-    def add(self, result: StepResult) -> dict[str, Any]:
+    def add(self, result: Evaluation) -> dict[str, Any]:
         """Record a step. Returns its row. Raises LuxloopError if the directory can no longer be written."""
         added = self.tally.add(result)
         self.begin()
         for each in self._kept:
-            each.add(result.showings)
+            each.add(result.reception)
         if time.perf_counter() >= self._next_write_s:
             self._write_trajectory()
         return added
@@ -179,7 +178,7 @@ class Recorder:
             self._write_trajectory()
             self.summary = self.tally.summary(self._checked)
             write_json(self.directory / SUMMARY, self.summary)
-            self.manifest = self.manifest.ended(ended, self.directory)
+            self.manifest = self.manifest.finish(ended, self.directory)
             if self._report is not None:
                 self._report(self.table(), self.summary)
         except Exception:
@@ -194,10 +193,7 @@ class Recorder:
             return
         with _writing(self.directory):
             self.directory.mkdir(parents=True, exist_ok=True)
-            frame_files.remove(self.directory)
-            label_files.remove(self.directory)
-            for name in FILES:
-                (self.directory / name).unlink(missing_ok=True)
+            _remove(self.directory)
             self.manifest.write(self.directory)
             for each in self._kept:
                 each.begin()
@@ -225,6 +221,21 @@ def _writing(directory: Path) -> Iterator[None]:
     except OSError as error:
         reason = error.strerror or error
         raise LuxloopError(f"{directory}: cannot be written ({reason}); give another directory with --out") from error
+
+
+def _remove(directory: Path) -> None:
+    """Remove the files of a recording, if there are any, and nothing else. Raises OSError where that cannot be."""
+    for name, patterns in (FRAME_FILES | dict(reversed(LABEL_FILES.items()))).items():
+        folder = directory / name
+        if folder.is_symlink():
+            folder.unlink()
+        for pattern in patterns:
+            for file in folder.glob(pattern):
+                file.unlink()
+        if folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
+    for name in FILES:
+        (directory / name).unlink(missing_ok=True)
 
 
 def refuse_foreign(directory: Path) -> None:

@@ -25,7 +25,7 @@ def of_frames(frames: dict[str, int]) -> list[str]:
     return [] if frames["came"] else [f"no frame arrived for any of the {frames['asked']} exposures; {late}"]
 
 
-def unjudged(values: dict[str, Any]) -> str | None:
+def why_no_metrics(values: dict[str, Any]) -> str | None:
     """Why nobody says how a symbol lies, by its summary; None where somebody does."""
     match values["unsettled"]:
         case "not_shown":
@@ -50,7 +50,7 @@ def _remedies(values: dict[str, Any]) -> list[str]:
         place = f"lies {values['aim'][0]:.3g} m ahead, the nearest place that they can light"
         found.append(f"on this road the lamps cannot light the target; the symbol {place}")
     if why is not None and not ((is_cut or values["aim"] is not None) and _astray(values)):
-        found.append(_why_unsettled(values))
+        found.append(_cause(values))
     if why is None and values["controller"] != "open" and (values["iou_final"] or 0.0) < (values["iou_open"] or 0.0):
         found.append(f"the symbol has a lower IoU at the last step than without control; {_of_controller(values['controller'])}")
     return found
@@ -73,7 +73,7 @@ def _astray(values: dict[str, Any]) -> bool:
     return why in ("lost", "off_target") or (why == "moving" and max(map(abs, off)) > OFF_PERCENT)
 
 
-def _why_unsettled(values: dict[str, Any]) -> str:
+def _cause(values: dict[str, Any]) -> str:
     """Why the symbol has not settled on its target, and the key that helps."""
     off = [abs(error) for error in values["centroid_error_percent"] if error is not None]
     road_m, highest_m = values["road_m"] or 0.0, values["highest_m"]
@@ -88,9 +88,9 @@ def _why_unsettled(values: dict[str, Any]) -> str:
         case "not_shown":
             return "the symbol was never shown; see NAME.when, NAME.unless, NAME.start_s, NAME.stop_s and NAME.indicated"
         case "not_judged" if values["judge_every"] is None:
-            return f'{unjudged(values)}; run it with plant.kind = "simulated"'
+            return f'{why_no_metrics(values)}; run it with plant.kind = "simulated"'
         case "not_judged":
-            return f"{unjudged(values)}; set judge_every = 1"
+            return f"{why_no_metrics(values)}; set judge_every = 1"
         case "no_frame":
             keys = "camera.drop_probability or camera.latency_spread_steps"
             return f"most frames of the last {FINAL} steps are missing; lower {keys}, or take disturbances.drops out"

@@ -13,14 +13,13 @@ from pydantic import TypeAdapter
 
 from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
 from luxloop.loop.recording.comparison import Comparison, compare
-from luxloop.loop.recording.edited import edited
-from luxloop.loop.recording.files import EDITS, TRAJECTORY, table_of
-from luxloop.loop.recording.manifest import FILE, Manifest
+from luxloop.loop.recording.editing import apply_edit
+from luxloop.loop.recording.manifest import EDITS, MANIFEST, TRAJECTORY, Manifest, table_of
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.scenario.driving import repeat
 from luxloop.loop.scenario.edits import Edit
 from luxloop.loop.scenario.model import Scenario, validate
-from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.arrays import read_parquet
 from luxloop.world.errors import LuxloopError, locate
@@ -58,32 +57,33 @@ def _edits(file: Path) -> tuple[Edit, ...]:
 
 def refuse_foreign(directory: Path, scenario: Scenario, edits: Iterable[Edit]) -> None:
     """Raises LuxloopError where the scenario of a recording, or an edit of it, names a module of Python."""
-    refuse_code(scenario, str(directory / FILE))
+    refuse_code(scenario, str(directory / MANIFEST))
     for edit in edits:
         scenario = repeat(scenario, edit)
         if not edit.driven:
             refuse_code(scenario, str(directory / EDITS))
 
 
-def rerun(recording: Recording, simulation: Simulation) -> Iterator[tuple[Simulation, StepResult]]:
+def rerun(recording: Recording, simulation: Simulation) -> Iterator[tuple[Simulation, Evaluation]]:
     """The steps of a recording once more, each with the simulation that made it. simulation: of its scenario.
 
     Modules that edits name run. Raises LuxloopError where an edit cannot be repeated.
     """
-    state, edits = simulation.start(), deque(recording.edits)
+    state, edits, before = simulation.start(), deque(recording.edits), None
     for step in range(recording.table.num_rows):
         reached, by = state, simulation.scenario
         while edits and edits[0].step <= step:
-            simulation, state = edited(simulation, reached, repeat(simulation.scenario, edits.popleft()), by)
+            simulation, state = apply_edit(simulation, reached, repeat(simulation.scenario, edits.popleft()), by)
         with locate(simulation.scenario.source):
             state, result = simulation.step(state)
-        yield simulation, result
+            before = simulation.evaluate(result, before)
+        yield simulation, before
 
 
 def replay(
     directory: Path,
     device: torch.device | str | None = None,
-    on_step: Callable[[StepResult], None] = lambda result: None,
+    on_step: Callable[[Evaluation], None] = lambda result: None,
     *,
     allow_code: bool = False,
 ) -> Comparison:

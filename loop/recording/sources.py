@@ -1,11 +1,14 @@
-"""The files that a module of the user's own consists of: itself, and what it imports from the folder that it lies in."""
+"""Code that decides a run: the files of modules of the user's own, and the digest of luxloop's."""
 
 import ast
+import hashlib
 import site
 import sysconfig
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import cache
 from importlib.machinery import PathFinder
+from importlib.resources import files
 from importlib.util import resolve_name
 from pathlib import Path
 
@@ -39,7 +42,7 @@ def sources_of(module: str, folder: Path | None = None) -> dict[str, Path]:
         file = file_of(folder, name)
         if file is not None:
             found[name] = file
-            waiting += _imported(file, name if file.name == PACKAGE else name.rpartition(".")[0])
+            waiting += _imports(file, name if file.name == PACKAGE else name.rpartition(".")[0])
         if "." in name:
             waiting.append(name.rpartition(".")[0])
     return found
@@ -53,7 +56,7 @@ def _folder_of(top: str) -> Path | None:
     return Path(within[0]).parent if within else Path(spec.origin or "").parent
 
 
-def _imported(file: Path, package: str) -> Iterator[str]:
+def _imports(file: Path, package: str) -> Iterator[str]:
     """Names that may be modules."""
     try:
         tree = ast.parse(file.read_bytes())
@@ -67,3 +70,21 @@ def _imported(file: Path, package: str) -> Iterator[str]:
                 base = resolve_name("." * node.level + (node.module or ""), package)
                 yield base
                 yield from (f"{base}.{alias.name}" for alias in node.names)
+
+
+LAYERS = ("world", "perception", "controllers", "loop")
+NO_FIGURE = (*(f"studies/{part}" for part in ("beams", "contracts", "dataset", "evaluation", "jobs", "training")), "commands", "report")
+SHOWING = tuple(f"loop/{folder}/" for folder in NO_FIGURE)  # folders that decide no figure of a run
+
+
+@cache
+def digest_of_code() -> str:
+    """SHA-256, hexadecimal, of all files of world, perception, controllers and loop, but for those in folders that decide no figure."""
+    digest = hashlib.sha256()
+    root = Path(str(files("luxloop")))
+    for package in LAYERS:
+        for path in sorted((root / package).rglob("*")):
+            name = path.relative_to(root).as_posix()
+            if path.is_file() and path.suffix != ".pyc" and not name.startswith(SHOWING):
+                digest.update(name.encode() + path.read_bytes())
+    return digest.hexdigest()

@@ -45,12 +45,12 @@ def summarise(
 
     iou_open: what the judge says of the open loop at the last step, NaN where there is none. centroid_error_percent: [x, y], signed, mean
     of the last five steps.
-    unsettled: why there is no settle_step (`unsettled`). cut: share of the symbol beyond the borders of the lamps' field at the last step,
-    and the side where most of it is. aim: [x, y] in m of where the symbol lies at the last step in place of its target, None for that.
-    iou_mean, iou_min: of the second half of the run. shown_steps: how many show it; in seen_steps frames came that do, in lost_steps
-    frames in which it was not found, of which functions, covered_by, covered it in covered_steps.
+    unsettled: why there is no settle_step (`settling_failure`). cut: share of the symbol beyond the borders of the lamps' field at the
+    last step, and the side where most of it is. aim: [x, y] in m of where the symbol lies at the last step in place of its target, None
+    for that. iou_mean, iou_min: of the second half of the run. shown_steps: how many show it; in seen_steps frames came that do, in
+    lost_steps frames in which it was not found, of which functions, covered_by, covered it in covered_steps.
     """
-    shown, lain, losses = table.num_rows > 0, judged(table), table["loss"].to_pylist()
+    shown, lain, losses = table.num_rows > 0, steps_with_metrics(table), table["loss"].to_pylist()
     late = column(table, "iou")[table.num_rows // 2 :]
     late = late[np.isfinite(late)]
     return {
@@ -61,7 +61,7 @@ def summarise(
         "covered_steps": losses.count("covered"),
         "covered_by": [*covered_by],
         "settle_step": settle_step(table),
-        "unsettled": unsettled(table),
+        "unsettled": settling_failure(table),
         "steady_step": steady_step(table),
         "overshoot_percent": None if run.drives else overshoot_percent(table),  # the road itself moves what a car that drives shows
         "centroid_error_percent": [_number(error) for error in final_error_percent(table)],
@@ -78,28 +78,28 @@ def summarise(
     }
 
 
-def judged(table: pa.Table) -> pa.Table:
+def steps_with_metrics(table: pa.Table) -> pa.Table:
     """The steps of a table that were judged."""
     return table.filter(table["iou"].is_valid())
 
 
 def settle_step(table: pa.Table) -> int | None:
-    """The step from which on the symbol is steady (`steady_step`); None where it has not settled on the target (`unsettled`)."""
-    return steady_step(table) if unsettled(table) is None else None
+    """The step from which on the symbol is steady (`steady_step`); None where it has not settled on the target (`settling_failure`)."""
+    return steady_step(table) if settling_failure(table) is None else None
 
 
-def unsettled(table: pa.Table) -> str | None:
+def settling_failure(table: pa.Table) -> str | None:
     """Why the symbol has not settled on the target; None where it has.
 
     not_shown: in no step. not_judged: nobody said where it lies. too_short: fewer than ten steps. lost: not seen in most of the last ten;
     no_frame: as most of their frames were missing; covered: as other functions took most of it. moving: lit, but not steady. off_target:
     nothing lit at the target, or more than 5 % of the symbol's length or width off (mean of the last five steps).
     """
-    if not judged(table).num_rows:
+    if not steps_with_metrics(table).num_rows:
         return "not_judged" if table.num_rows else "not_shown"
-    if judged(table).num_rows < FINAL:
+    if steps_with_metrics(table).num_rows < FINAL:
         return "too_short"
-    losses = judged(table)["loss"][-FINAL:].to_pylist()
+    losses = steps_with_metrics(table)["loss"][-FINAL:].to_pylist()
     if 2 * losses.count("") < FINAL:
         return next((why for why in ("no_frame", "covered") if 2 * losses.count(why) > FINAL), "lost")
     error = final_error_percent(table)
@@ -110,7 +110,7 @@ def unsettled(table: pa.Table) -> str | None:
 
 def final_error_percent(table: pa.Table) -> np.ndarray:
     """Error of the centroid `[2]` along x and y, signed, in % of the symbol's length and width; NaN where the last steps are not lit."""
-    table = judged(table)
+    table = steps_with_metrics(table)
     return np.array([column(table, axis)[-END:].mean() if table.num_rows else math.nan for axis in AXES])
 
 
@@ -130,7 +130,7 @@ def steady_step(table: pa.Table) -> int | None:
 
     None if there is none. A step at which nothing was lit is not near. Where the symbol lies does not matter.
     """
-    table = judged(table)
+    table = steps_with_metrics(table)
     if table.num_rows < FINAL:
         return None
     near = np.ones(table.num_rows, dtype=bool)

@@ -11,8 +11,7 @@ from matplotlib.figure import SubFigure
 from matplotlib.ticker import LogFormatter
 
 from luxloop.controllers.functions.commands import MOVEMENTS
-from luxloop.loop.recording.compared import compared
-from luxloop.loop.recording.functions_summary import START_UP_S, UNITS, materials_of, named, spoken, zones_of
+from luxloop.loop.recording.functions_summary import START_UP_S, UNITS, brightest, materials_of, reference_power, spoken, zones_of
 from luxloop.loop.recording.summary import column
 from luxloop.loop.report.style import FOUR, heading
 from luxloop.loop.report.terminal import plural
@@ -41,7 +40,7 @@ def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table, su
         charts[lambda axes: _zones(axes, table, zones)] = 2.0
     if any(materials_of(table, quantity) for quantity in UNITS):
         charts[lambda axes: _materials(axes, table)] = 2.0
-    shown, looks = named(summary["objects"]), simulation.pipeline is not None
+    shown, looks = brightest(summary["objects"]), simulation.pipeline is not None
     if shown and looks:
         charts[lambda axes: _confidences(axes, table, shown, summary)] = 1.4
     if any(each["lx_max"] is not None for each in summary["objects"].values()):
@@ -74,7 +73,7 @@ def _flux(axes: Axes, simulation: Simulation, table: pa.Table) -> None:
 def _power(axes: Axes, simulation: Simulation, table: pa.Table) -> None:
     time_s = column(table, "time_s")
     _curve(axes, table, "power_w", color="black", label="this run")
-    for (name, watts), line in zip(compared(simulation, table).items(), GREYS, strict=False):
+    for (name, watts), line in zip(reference_power(simulation, table).items(), GREYS, strict=False):
         axes.plot(time_s, watts, color="0.5", linestyle=line, label=name)
     axes.set(ylabel="W", ylim=(0, 1.08 * axes.dataLim.ymax or 1))
     heading(axes, "Electrical power, beside that of undimmed beams")

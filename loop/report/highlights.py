@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.appearance import appearance, image_axes
 from luxloop.perception.extraction import Crop, ExtractionStatus
@@ -20,7 +20,7 @@ class Highlights:
     """What a page needs of a run beside its table: a few moments, and of each symbol that is held what `SymbolHistory` keeps."""
 
     def __init__(self, simulation: Simulation) -> None:
-        self._moments: dict[int, StepResult] = {}  # first, between, and the last so far
+        self._moments: dict[int, Evaluation] = {}  # first, between, and the last so far
         self.symbols = list[SymbolHistory]()
         self.edit(simulation)
 
@@ -36,11 +36,11 @@ class Highlights:
         self.symbols += [SymbolHistory(name, simulation.scenario.steps) for name in simulation.controlled if name not in known]
 
     @property
-    def moments(self) -> list[StepResult]:
+    def moments(self) -> list[Evaluation]:
         """Those to show, the last one is the end."""
         return list(self._moments.values())[-MOMENTS:]
 
-    def add(self, result: StepResult) -> None:
+    def add(self, result: Evaluation) -> None:
         """Take what is needed of a step."""
         self._moments = {step: each for step, each in self._moments.items() if step in self._kept} | {result.step: result}
         for each in self.symbols:
@@ -58,10 +58,10 @@ class SymbolHistory:
         self.path: list[tuple[float, float]] = []
         self.symbols: list[tuple[Crop, NDArray[np.bool_]]] = []
         self.frame: Tensor | None = None  # the newest on frame
-        self.last: StepResult | None = None  # that shows it
+        self.last: Evaluation | None = None  # that shows it
         self.shown: dict[float, Tensor] = {}  # poses by their times in s
 
-    def add(self, result: StepResult) -> None:
+    def add(self, result: Evaluation) -> None:
         """Take what is needed of a step."""
         if (held := result.held.get(self.name)) is None:
             return
@@ -77,5 +77,5 @@ class SymbolHistory:
         self.path.append(centre)
         self.frame = self.frame if result.frames is None else result.frames[0]
         self.last = result
-        shown = [frame.shown for showing in result.showings for frame in showing.after.frames if frame.shown is not None]
+        shown = [frame.shown for frame in result.reception.frames if frame.shown is not None]
         self.shown |= {each.start_s: each.projections[self.name].pose for each in shown if self.name in each.projections}

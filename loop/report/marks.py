@@ -14,7 +14,7 @@ from luxloop.controllers.situation import TrackedObject
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
 from luxloop.loop.recording.functions_summary import spoken
 from luxloop.loop.simulation.detection import name_of
-from luxloop.loop.simulation.result import FrameDetections, StepResult
+from luxloop.loop.simulation.evaluator import Evaluation, FrameDetections
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.frames import View, transform
 from luxloop.world.traffic.tracked import Category
@@ -37,9 +37,9 @@ class Mark:
     at: Point = (0, 0)
 
 
-def marks(result: StepResult, simulation: Simulation) -> tuple[Mark, ...]:
+def marks(result: Evaluation, simulation: Simulation) -> tuple[Mark, ...]:
     """Zones, targets of symbols that are held, and boxes: on the road of what a perfect tracker tells, or in the image of tracks."""
-    view = result.view
+    view = result.sense.view
     functions = simulation.scenario.functions.items()
     zones = tuple(_zone(name, each, view) for name, each in functions if isinstance(each, ZoneParams))
     held = (simulation.controlled[name].function.held for name in result.held if name in simulation.controlled)

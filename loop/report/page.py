@@ -28,9 +28,9 @@ from luxloop.loop.report.symbol import HIGH_IN, draw_symbol
 from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
 from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation.columns import of_one
+from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.lamps import under
-from luxloop.loop.simulation.observed import ObservedSymbol
-from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.light_figures import ObservedSymbol
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.frames import View, transform
 
@@ -76,11 +76,11 @@ def symbols_alone(simulation: Simulation) -> bool:
     scenario, lighting = simulation.scenario, simulation.scenario.lighting
     others = simulation.planner.functions.keys() - simulation.controlled.keys()
     below = lighting.raw or lighting.painted or lighting.base.beam != "off"
-    return not (others or simulation.watched or scenario.detector or below)
+    return not (others or simulation.recorded_ids or scenario.detector or below)
 
 
 def _draw_light(
-    figure: SubFigure, simulation: Simulation, moments: Sequence[StepResult], table: pa.Table, summary: dict[str, Any], high: float
+    figure: SubFigure, simulation: Simulation, moments: Sequence[Evaluation], table: pa.Table, summary: dict[str, Any], high: float
 ) -> None:
     """Draw the part of a page about all light; high: its height in inches."""
     last, upper = moments[-1], high - ABOVE_IN
@@ -98,7 +98,7 @@ def _draw_light(
     _walls(walls, simulation, last)
 
 
-def _title(simulation: Simulation, last: StepResult, summary: Mapping[str, Any]) -> tuple[str, ...]:
+def _title(simulation: Simulation, last: Evaluation, summary: Mapping[str, Any]) -> tuple[str, ...]:
     dark_lx, scenario, folder = summary["dark_lx_max"], simulation.scenario, shadow_of(simulation.scenario.plant)
     return (
         scenario.name,
@@ -111,7 +111,7 @@ def _title(simulation: Simulation, last: StepResult, summary: Mapping[str, Any])
     )
 
 
-def _cameras(figure: SubFigure, simulation: Simulation, moments: Sequence[StepResult]) -> None:
+def _cameras(figure: SubFigure, simulation: Simulation, moments: Sequence[Evaluation]) -> None:
     """With a detector the first and the last picture, as large as each other; else the last one large."""
     white = float(max(white_of(result, simulation) for result in moments))
     *before, end = moments
@@ -131,7 +131,7 @@ def _told_of_boxes(simulation: Simulation) -> str:
     kinds = {function.kind for function in simulation.scenario.functions.values()}
     zones = "; named: zones" if "zone" in kinds else ""
     zones += "; blue: target of a held symbol" if simulation.controlled else ""
-    if not simulation.watched and simulation.pipeline is None:
+    if not simulation.recorded_ids and simulation.pipeline is None:
         return f"Camera's view{zones}"
     orange = ", orange where a mask keeps it dark" if "glare_free" in kinds else ""
     if simulation.pipeline is None:
@@ -139,7 +139,7 @@ def _told_of_boxes(simulation: Simulation) -> str:
     return f"Camera's view; green: tracked, with confidence{orange}; grey: found in this frame{zones}"
 
 
-def _camera(axes: Axes, simulation: Simulation, result: StepResult, white: float) -> None:
+def _camera(axes: Axes, simulation: Simulation, result: Evaluation, white: float) -> None:
     image = (camera_luminance(result, simulation).cpu().numpy() / white).clip(0, 1) ** 0.5
     axes.imshow(image, **SHARES)
     for mark in readable(marks(result, simulation), image.shape[1] / CHARACTERS, image.shape[1]):
@@ -156,7 +156,7 @@ def _camera(axes: Axes, simulation: Simulation, result: StepResult, white: float
     axes.grid(False)
 
 
-def _observers(figure: SubFigure, observed: Sequence[tuple[StepResult, ObservedSymbol]]) -> None:
+def _observers(figure: SubFigure, observed: Sequence[tuple[Evaluation, ObservedSymbol]]) -> None:
     figure.suptitle("Symbols as seen by their observers: luminance relative to that of a white picture", x=0.02, ha="left", fontsize=9)
     for axes, (result, symbol) in zip(figure.subplots(1, len(observed), squeeze=False)[0], observed, strict=True):
         axes.imshow(symbol.share.nan_to_num().cpu().numpy(), **SHARES)
@@ -165,7 +165,7 @@ def _observers(figure: SubFigure, observed: Sequence[tuple[StepResult, ObservedS
         axes.grid(False)
 
 
-def _from_above(axes: Axes, simulation: Simulation, last: StepResult) -> None:
+def _from_above(axes: Axes, simulation: Simulation, last: Evaluation) -> None:
     if (truth := simulation.truth) is None:
         _outlines(axes, last)
         axes.set(xlabel="ahead in m", ylabel="to the left in m", title="Objects from above, at the end; the light on the road is unknown")
@@ -188,7 +188,7 @@ def _from_above(axes: Axes, simulation: Simulation, last: StepResult) -> None:
     bar.ax.minorticks_off()
 
 
-def _outlines(axes: Axes, last: StepResult) -> None:
+def _outlines(axes: Axes, last: Evaluation) -> None:
     """Of the objects that the car knows."""
     for each in last.now.objects:
         if each.since_s <= last.time_s < each.until_s:
@@ -219,7 +219,7 @@ def lit_part(light: NDArray[np.floating]) -> tuple[tuple[float, float], tuple[fl
     return (x[columns[0]] - AROUND_M, x[columns[-1]] + AROUND_M), (y[rows[-1]] - AROUND_M, y[rows[0]] + AROUND_M)
 
 
-def _walls(figure: SubFigure, simulation: Simulation, last: StepResult) -> None:
+def _walls(figure: SubFigure, simulation: Simulation, last: Evaluation) -> None:
     sides = tuple(dict.fromkeys(module.side for module in simulation.modules))
     side_deg, down_deg, up_deg = WALL_DEG
     for axes, side in zip(figure.subplots(len(sides), 1, squeeze=False, sharex=True)[:, 0], sides, strict=True):

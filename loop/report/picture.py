@@ -13,10 +13,9 @@ from luxloop.loop.recording.video import Picture, tone_map
 from luxloop.loop.report.marks import marks, readable
 from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation.columns import loss_name
-from luxloop.loop.simulation.controlled import Held
+from luxloop.loop.simulation.evaluator import Evaluation, SymbolStep
 from luxloop.loop.simulation.judging import Judge
 from luxloop.loop.simulation.lamps import ShiningModule, under
-from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.birdseye import rectify
 from luxloop.perception.camera import expose, luminance_of
@@ -36,7 +35,7 @@ WALL_M = 25.0
 BRIGHT = 0.995  # quantile of the first picture's luminance that is shown as white
 
 
-def white_of(result: StepResult, simulation: Simulation) -> Tensor:
+def white_of(result: Evaluation, simulation: Simulation) -> Tensor:
     """Luminance in cd/m^2 that a run's pictures show as white, from its first step: no more than the camera can measure."""
     camera = simulation.scenario.camera
     most = luminance_of(expose(torch.tensor(math.inf), camera), camera)
@@ -47,13 +46,13 @@ def white_of(result: StepResult, simulation: Simulation) -> Tensor:
     return bright.clamp(min=max(symbols, default=0.0)).clamp(max=most)
 
 
-def camera_luminance(result: StepResult, simulation: Simulation) -> Tensor:
+def camera_luminance(result: Evaluation, simulation: Simulation) -> Tensor:
     """Luminance `[height, width]` in cd/m^2 that the camera measures, with the noise of its frame; dark where no frame came."""
     camera = simulation.scenario.camera
     return torch.zeros(camera.height_px, camera.width_px) if result.frame is None else luminance_of(result.frame, camera)
 
 
-def frame_picture(result: StepResult, simulation: Simulation, white: Tensor) -> Picture:
+def frame_picture(result: Evaluation, simulation: Simulation, white: Tensor) -> Picture:
     """A step as a picture `[H, W, 3]` in the camera's size: boxes in green, orange where a mask keeps them dark, grey of detections; of
     symbols that are held what was extracted in orange, and in blue where they shall lie. The first of them lies on the upper left, as from
     above and without noise; the beam is on the upper right."""
@@ -90,10 +89,10 @@ def _outline(picture: Picture, seen: Measurement) -> None:
         cv2.drawContours(picture, contours, -1, SEEN_RGB, 1)
 
 
-def _from_above(result: StepResult, simulation: Simulation, judge: Judge, white: Tensor, height: int) -> Picture:
+def _from_above(result: Evaluation, simulation: Simulation, judge: Judge, white: Tensor, height: int) -> Picture:
     """The road about a symbol's target, far end on top, with the target outlined; height: px."""
     symbol, axes = judge.symbol, judge.plane.axes
-    on, off = (showing.exposure.lights for showing in (result.showings[0], result.showings[-1]))
+    on, off = (result.exposures[k].lights for k in (0, -1))
     light = simulation.world.added(result.time_s, on, off, result.now.commands)
     rows = (axes.v + symbol.x_m).abs() <= CLOSE * symbol.length_m
     cols = (axes.u + symbol.y_m).abs() <= CLOSE * symbol.width_m
@@ -117,7 +116,7 @@ def _paste(picture: Picture, inset: Picture, margin: int, left: bool) -> None:
     cv2.rectangle(picture, (u - 1, margin - 1), (u + width, margin + height), TEXT_RGB, 1)
 
 
-def captions(result: StepResult, simulation: Simulation) -> list[tuple[str, tuple[int, int, int]]]:
+def captions(result: Evaluation, simulation: Simulation) -> list[tuple[str, tuple[int, int, int]]]:
     """What to know of a step, line by line, each with its colour."""
     base = result.plan.base
     lamps = ", ".join(f"{side} {power.flux_lm:.0f} lm" for side, power in result.powers.items())
@@ -135,7 +134,7 @@ def captions(result: StepResult, simulation: Simulation) -> list[tuple[str, tupl
     return [(line, TEXT_RGB) for line in lines] + [_of_symbol(name, simulation, held) for name, held in result.held.items()]
 
 
-def _of_symbol(name: str, simulation: Simulation, held: Held) -> tuple[str, tuple[int, int, int]]:
+def _of_symbol(name: str, simulation: Simulation, held: SymbolStep) -> tuple[str, tuple[int, int, int]]:
     loss, lies = loss_name(int(held.measurement.code)), "not judged"
     if held.verdict is not None:
         x, y = held.verdict.centroid_percent.tolist()

@@ -7,8 +7,8 @@ from rich.table import Table
 
 from luxloop.controllers.functions.commands import MOVEMENTS
 from luxloop.loop.recording.checks import lines
-from luxloop.loop.recording.functions_summary import NAMED, START_UP_S, UNITS, named, spoken
-from luxloop.loop.recording.remedies import of_frames, remedies, unjudged
+from luxloop.loop.recording.functions_summary import NAMED, START_UP_S, UNITS, brightest, spoken
+from luxloop.loop.recording.remedies import of_frames, remedies, why_no_metrics
 from luxloop.loop.report.terminal import facts, number, plural
 from luxloop.loop.simulation.detection import LEAST_PX
 
@@ -116,8 +116,8 @@ def _of_modules(modules: Mapping[str, Mapping[str, Mapping[str, Any]]], steps: i
 
 
 def _of_light(objects: Mapping[str, Mapping[str, Any]], steps: int) -> dict[str, str]:
-    """One by one, and in a line each of those that are not named, and of those that were never in sight."""
-    rows, one_by_one = {}, named(objects)
+    """One by one, and in a line each of those that are not brightest, and of those that were never in sight."""
+    rows, one_by_one = {}, brightest(objects)
     for name in one_by_one:
         each = objects[name]
         masked = f", masked in {each['masked_steps']} of {steps} steps" if each["masked_steps"] else ""
@@ -157,7 +157,7 @@ def processing(values: Mapping[str, Any], what: str) -> str:
 
 
 def _of_symbol(values: dict[str, Any]) -> dict[str, str]:
-    if (why := unjudged(values)) is not None:
+    if (why := why_no_metrics(values)) is not None:
         return {"result": why, "lost steps": f"{values['lost_steps']}{_beside(values)}"}
     x, y = values["centroid_error_percent"]
     settled = values["settle_step"]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from luxloop.controllers.functions.symbol import SymbolFunctionParams
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
-from luxloop.loop.recording.remedies import SHADOW, remedies, unjudged
+from luxloop.loop.recording.remedies import SHADOW, remedies, why_no_metrics
 from luxloop.loop.recording.summary import column
 from luxloop.loop.report.facts import borders_deg
 from luxloop.loop.report.highlights import SymbolHistory
@@ -24,9 +24,9 @@ from luxloop.loop.report.terminal import number
 from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation.columns import ERRORS
 from luxloop.loop.simulation.controlled import ControlledSymbol
+from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.judging import Judge
-from luxloop.loop.simulation.redrawn import opened
-from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.redrawn import open_loop_lights
 from luxloop.loop.simulation.simulated import SimulatedPlant
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.birdseye import rectify
@@ -50,8 +50,8 @@ def draw_symbol(figure: SubFigure, simulation: Simulation, gathered: SymbolHisto
     assert gathered.last is not None, "a page needs a step"
     symbol, last = simulation.controlled[gathered.name], gathered.last
     lights = {
-        "without control (open loop)": opened(simulation, last, gathered.name),
-        "at the end": (last.showings[0].exposure.lights, last.showings[-1].exposure.lights),
+        "without control (open loop)": open_loop_lights(simulation, last, gathered.name),
+        "at the end": (last.exposures[0].lights, last.exposures[-1].lights),
     }
     shadow = shadow_of(simulation.scenario.plant)
     figure.suptitle(fill(_title(simulation, gathered.name, summary, shadow), TITLE), x=0.012, ha="left", fontsize=12.5, weight="bold")
@@ -76,7 +76,7 @@ def _title(simulation: Simulation, name: str, summary: dict[str, Any], shadow: s
     if shadow is not None:
         return f"{who}  ·  {SHADOW} {Path(shadow).name}"
     lost = f"  ·  lost in {summary['lost_steps']} of {summary['shown_steps']} steps" if summary["lost_steps"] else ""
-    if (why := unjudged(summary)) is not None:
+    if (why := why_no_metrics(summary)) is not None:
         return f"{who}  ·  {why}{lost}"
     unsettled = summary["unsettled"]
     settled = f"settled at step {summary['settle_step']}" if unsettled is None else f"not settled: {unsettled.replace('_', ' ')}"
@@ -136,7 +136,7 @@ def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: SymbolHi
     judged.set_ylabel("error in % of the symbol's size")
     overlap = _right_axis(judged)
     _line(overlap, steps, column(table, "iou"), color="black", label="IoU")
-    if why := unjudged(summary):
+    if why := why_no_metrics(summary):
         judged.text(0.5, 0.5, fill(why, WHY), transform=judged.transAxes, ha="center", va="center", color="0.4")
     if summary["iou_open"] is not None:
         overlap.axhline(summary["iou_open"], color="black", ls="--", lw=1, label="IoU without control, at the last step")
@@ -166,7 +166,7 @@ def _error_units(what: FeatureParams) -> tuple[str, ...]:
     return (unit, unit, "" if what.shape == "moments" else unit, unit)
 
 
-def _camera_images(simulation: Simulation, lights: Pairs, gathered: SymbolHistory, last: StepResult) -> dict[str, Image]:
+def _camera_images(simulation: Simulation, lights: Pairs, gathered: SymbolHistory, last: Evaluation) -> dict[str, Image]:
     """Luminances `[height, width]` in cd/m^2 that the camera measures: at the last step's time where the plant can expose it once more."""
     camera, plant, time_s = simulation.scenario.camera, simulation.plant, last.time_s
     if isinstance(plant, SimulatedPlant):
@@ -255,7 +255,7 @@ def _camera_views(figure: SubFigure, symbol: ControlledSymbol, views: dict[str, 
         _look_at(axes, symbol, [], image.shape, aspect=16 / 9)
 
 
-def _birds_eye_views(figure: SubFigure, judge: Judge, lights: Pairs, last: StepResult) -> None:
+def _birds_eye_views(figure: SubFigure, judge: Judge, lights: Pairs, last: Evaluation) -> None:
     goal, axes_m, symbol = judge.goal, judge.plane.axes, judge.symbol
     y, x = -axes_m.u.cpu().numpy(), -axes_m.v.cpu().numpy()
     mask = goal.mask.float().cpu().numpy()

@@ -42,7 +42,7 @@ def build_plant(scenario: Scenario, modules: Sequence[LampModule], cache: PartCa
     if isinstance(params, RigPlantParams):
         return Unconnected()
     if isinstance(params, RemotePlantParams):
-        from luxloop.loop.simulation.remote_plant import remote_plant
+        from luxloop.loop.simulation.remote import remote_plant
 
         return from_zero(remote_plant(scenario, params, modules), scenario, modules)
     given = {"scenario": scenario, "modules": modules}

@@ -8,8 +8,8 @@ from pydantic import ValidationError
 from torch import Tensor
 
 from luxloop.controllers.situation import TrackedObject
-from luxloop.loop.simulation.objects import row_of
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame
+from luxloop.loop.simulation.remote_messages import row_of
 from luxloop.perception.camera import CameraParams
 from luxloop.perception.egomotion import VALUES, Sample
 from luxloop.world.errors import LuxloopError, did_you_mean, locate

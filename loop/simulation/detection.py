@@ -22,7 +22,7 @@ LEAST_PX = 24.0  # height from which on a detector ought to find somebody
 
 
 @dataclass(frozen=True)
-class Recognised:
+class Recognition:
     """What is made of an object that is there. track: its number, None for none. confidence and score: of that track, 0 for none;
     of what was found in this frame alone. findable: whether it is of a class that the detector has, and tall enough.
     """
@@ -90,7 +90,7 @@ def name_of(number: int) -> str:
     return f"track_{number}"
 
 
-def recognised(view: LitScene, tracks: TrackedBoxes, found: Detections, classes: Collection[Category]) -> Mapping[str, Recognised]:
+def recognise(view: LitScene, tracks: TrackedBoxes, found: Detections, classes: Collection[Category]) -> Mapping[str, Recognition]:
     """What is made of each object in sight, by its name. classes: those of the detector."""
     boxes, scores = found.boxes.double().cpu(), found.scores.double().cpu()
     its_track = dict(pairs(view.boxes, tracks.boxes))
@@ -98,7 +98,7 @@ def recognised(view: LitScene, tracks: TrackedBoxes, found: Detections, classes:
     whole, sure = {}, tracks.confidence.amax(-1)
     for k, each in enumerate(view.objects):
         row, column = its_track.get(k), its_box.get(k)
-        whole[each.name] = Recognised(
+        whole[each.name] = Recognition(
             None if row is None else int(tracks.number[row]),
             0.0 if row is None else float(sure[row]),
             0.0 if column is None else float(scores[column].max()),

@@ -1,48 +1,102 @@
 """A step seen from outside: the light on objects, materials and the road, symbols from their observers' eyes, and how held symbols lie.
 
-The loop and its controllers never ask it.
+The loop and its controllers never ask for it.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import torch
 from torch import Tensor
 
-from luxloop.controllers.functions.planner import Plan, Planner
-from luxloop.loop.scenario.model import Scenario
-from luxloop.loop.simulation.controlled import ControlledSymbol, Held
-from luxloop.loop.simulation.detection import DetectionPipeline, false_positives, recognised
+from luxloop.controllers.functions.planner import Planner
+from luxloop.controllers.symbol.sensing.field import cut
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
+from luxloop.loop.scenario.model import Scenario, only
+from luxloop.loop.simulation.controlled import ControlledSymbol
+from luxloop.loop.simulation.detection import DetectionPipeline, Recognition, false_positives, recognise
 from luxloop.loop.simulation.judging import over_setpoint
 from luxloop.loop.simulation.lamps import LampDriver
-from luxloop.loop.simulation.observed import ObservedSymbol, in_white, observed_symbols
-from luxloop.loop.simulation.on_materials import InZone, OnMaterial, in_zones, on_materials
-from luxloop.loop.simulation.on_objects import DUE_S, OnObject, light_on_objects, must_be_dark, near_enough, on_eyes, on_objects, told_as
-from luxloop.loop.simulation.result import (
-    Control,
-    FrameDetections,
-    Parts,
-    Perception,
-    Reception,
-    SimulationState,
-    StepDrive,
-    StepPlan,
-    without,
+from luxloop.loop.simulation.light_figures import (
+    DUE_S,
+    InZone,
+    ObservedSymbol,
+    OnMaterial,
+    OnObject,
+    ids_in_situation,
+    in_white,
+    in_zones,
+    light_on_objects,
+    must_be_dark,
+    near_enough,
+    observed_symbols,
+    on_eyes,
+    on_materials,
+    on_objects,
 )
+from luxloop.loop.simulation.result import Clock, StepResult, without
 from luxloop.loop.simulation.world import ObjectLight, World, categories
 from luxloop.perception.detection.detector import Detections
 from luxloop.perception.metrics import Metrics
+from luxloop.perception.tracking import TrackedBoxes
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluation:
-    """masked: names of objects that must be dark. illuminance: `[height, width]` lx from the lamps alone, None where nobody asks for it.
-    luminance: in cd/m^2 with all other light. The camera sees both; they are computed where they are read, None without the truth.
+class SymbolStep:
+    """A held symbol in one step. projection: what was shown. cut: `[4]`, shares beyond the borders of the lamps' field
+    (`luxloop.controllers.symbol.sensing.field`). measurement: from the newest frames. verdict: None where nobody judged.
+    """
 
+    projection: ProjectionCommand
+    cut: Tensor
+    measurement: Measurement
+    verdict: Metrics | None
+
+    @property
+    def pose(self) -> Tensor:
+        """`[4]` = x, y in m, roll, pitch in rad."""
+        return self.projection.pose
+
+    @property
+    def z(self) -> Tensor:
+        """`[]` m, height of its centre above the assumed road."""
+        return torch.zeros_like(self.pose[0]) if self.projection.z is None else self.projection.z
+
+    @property
+    def aim(self) -> Tensor:
+        """`[2]`, x and y in m where it lies in place of its target, NaN for the target."""
+        return torch.full_like(self.pose[:2], torch.nan) if self.projection.aim is None else self.projection.aim.to(self.pose)
+
+
+@dataclass(frozen=True, eq=False)
+class FrameDetections:
+    """Detections in the newest frame, nothing where none came, and the tracks at its time that are not lost.
+
+    recognised: of each object in sight, by its name. false_positives: detections of none that may be new objects, None where
+    nobody knows. eyes_lx_max, eyes_lx_peak: most light of the lamps on heads and windscreens of road users, mean over time and
+    highest, None where none are seen. oncoming_lx_max: mean over time, of those that come towards the car and are near enough.
+    """
+
+    found: Detections
+    tracks: TrackedBoxes
+    recognised: Mapping[str, Recognition] = field(default_factory=dict)
+    false_positives: int | None = None
+    eyes_lx_max: float | None = None
+    eyes_lx_peak: float | None = None
+    oncoming_lx_max: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation(StepResult):
+    """A step with its figures.
+
+    masked: names of objects that must be dark. illuminance: `[height, width]` lx from the lamps alone, None where nobody asks for it.
+    luminance: in cd/m^2 with all other light. The camera sees both; they are computed where they are read, None without the truth.
     objects: by name, those that are there and have a category. look: None without a detector. symbols: those meant for an observer, from
     their eyes. held: those that controllers hold; zones, materials: all by name. road_lx_ratio_max: see `luxloop.loop.simulation.judging`,
-    None where nobody judged.
+    None where nobody judged. oncoming_s: since when those who come towards the car have been near enough.
     """
 
     masked: frozenset[str]
@@ -51,10 +105,27 @@ class Evaluation:
     objects: Mapping[str, OnObject]
     look: FrameDetections | None
     symbols: tuple[ObservedSymbol, ...]
-    held: Mapping[str, Held]
+    held: Mapping[str, SymbolStep]
     zones: Mapping[str, InZone]
     materials: Mapping[str, OnMaterial]
     road_lx_ratio_max: float | None
+    oncoming_s: Mapping[str, float]
+
+    @property
+    def symbol(self) -> SymbolStep:
+        """The only symbol that is shown and held. Raises LuxloopError where there are several or none."""
+        return self.held[only(self.held)]
+
+    @property
+    def dark_lx_max(self) -> float | None:
+        """The most light on any object that must be dark; None where nothing of any is in sight."""
+        found = [each.lx_max for each in self.objects.values() if each.masked and each.pixels]
+        return max(found, default=None)
+
+    @property
+    def symbol_iou_min(self) -> float | None:
+        """The least overlap of a symbol with what its observer shall see; None where there is no such symbol."""
+        return min((each.iou for each in self.symbols), default=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +140,7 @@ class Evaluator:
     world: World | None
 
     @cached_property
-    def watched(self) -> Mapping[str, int]:
+    def recorded_ids(self) -> Mapping[str, int]:
         """Objects that are recorded, by name, and their ids: those that a tracker is told of, with a detector all that it ought to find."""
         if self.world is None:
             return {}
@@ -77,79 +148,92 @@ class Evaluator:
         wanted = enumerate(zip(self.world.scene.objects, told if self.pipeline is None else categories(self.world.given), strict=True), 1)
         return {body.name: number for number, (body, category) in wanted if category is not None}
 
-    def evaluate(
-        self, state: SimulationState, plan: StepPlan, drive: StepDrive, reception: Reception, perception: Perception, control: Control
-    ) -> tuple[Evaluation, Mapping[str, float]]:
-        """A step's evaluation, and since when those who come towards the car have been near enough.
-
-        state: before the step.
-        """
-        now, world, lights, shares = plan.now, self.world, drive.exposures[0], self.scenario.shares
-        metered = [] if world is None else light_on_objects(world, reception.showings)
-        oncoming_s = near_enough(world.lit(now.time_s), state.oncoming_s, now.time_s) if self.pipeline and world and world.metered else {}
-        detections = self._detections(perception, metered, [name for name, s in oncoming_s.items() if now.time_s - s >= DUE_S])
+    def evaluate(self, result: StepResult, before: Evaluation | None = None) -> Evaluation:
+        """The step with its figures. before: the evaluation of the step before, where there is one."""
+        clock, now, world, shares = Clock(), result.now, self.world, self.scenario.shares
+        known_s = {} if before is None else before.oncoming_s
+        metered = [] if world is None else light_on_objects(world, result.exposures)
+        oncoming_s = near_enough(world.lit(now.time_s), known_s, now.time_s) if self.pipeline and world and world.metered else {}
+        look = self._detections(result, metered, [name for name, s in oncoming_s.items() if now.time_s - s >= DUE_S])
         masked = frozenset(each.name for each in now.objects if must_be_dark(self.scenario.functions, each, now))
-        told = told_as(self.watched, None if detections is None else detections.recognised)
-        luminance = None if world is None else world.image(now.time_s, lights, now.commands)
-        illuminance = world.illuminance_image(now.time_s, lights, now.commands) if world is not None and metered else None
-        view = perception.view if world is None else world.view_from_ground(now.time_s)
+        told = ids_in_situation(self.recorded_ids, None if look is None else look.recognised)
+        shown = now.time_s, result.exposures[0].lights, now.commands
+        luminance = None if world is None else world.image(*shown)
+        illuminance = world.illuminance_image(*shown) if world is not None and metered else None
         objects: Mapping[str, OnObject] = {}
         materials: Mapping[str, OnMaterial] = {}
         symbols: tuple[ObservedSymbol, ...] = ()
         if world is not None and illuminance is not None and luminance is not None:
-            objects = on_objects(self.watched, frozenset(told[name] for name in masked & told.keys()), metered, shares)
-            materials = on_materials(self.planner.functions, perception.functions, now, told, world, illuminance, luminance)
-            symbols = self._observed(plan, drive, world)
-        judged = world is not None and bool(every := self.scenario.judge_every) and state.step % every == 0
-        compared = judged and metered and self.pipeline is not None and self.planner.functions
-        verdicts = self._verdicts(state, plan, drive) if judged and plan.measured else {}
-        evaluation = Evaluation(
-            masked,
-            illuminance,
-            luminance,
-            objects,
-            detections,
-            symbols,
-            {
-                name: self.controlled[name].held(each, control.measurements.get(name), verdicts.get(name))
-                for name, each in plan.projections.items()
-            },
-            in_zones(self.planner.functions, state.functions, luminance, view),
-            materials,
-            over_setpoint(self.lamps.aimed(now), plan.plans[0], lights, world.lit(now.time_s)) if compared and world else None,
+            objects = on_objects(self.recorded_ids, frozenset(told[name] for name in masked & told.keys()), metered, shares)
+            materials = on_materials(self.planner.functions, result.perception.functions, now, told, world, illuminance, luminance)
+            symbols = self._observer_symbols(result, world)
+        view = result.sense.view if world is None else world.view_from_ground(now.time_s)
+        held, zones = self._symbol_steps(result), in_zones(self.planner.functions, result.planning.functions, luminance, view)
+        ratio = self._over_setpoint(result) if metered else None
+        clock.lap("look")
+        timings = {part: result.timings.get(part, 0.0) + clock.ms.get(part, 0.0) for part in {**result.timings, **clock.ms}}
+        return Evaluation(
+            **(vars(result) | {"timings": timings}),
+            masked=masked,
+            illuminance=illuminance,
+            luminance=luminance,
+            objects=objects,
+            look=look,
+            symbols=symbols,
+            held=held,
+            zones=zones,
+            materials=materials,
+            road_lx_ratio_max=ratio,
+            oncoming_s=oncoming_s,
         )
-        return evaluation, oncoming_s
 
-    def _detections(self, perception: Perception, metered: list[ObjectLight], due: list[str]) -> FrameDetections | None:
+    def _judges(self, result: StepResult) -> bool:
+        every = self.scenario.judge_every
+        return self.world is not None and bool(every) and result.step % every == 0
+
+    def _over_setpoint(self, result: StepResult) -> float | None:
+        if self.world is None or not (self._judges(result) and self.pipeline is not None and self.planner.functions):
+            return None
+        lit = self.world.lit(result.time_s)
+        return over_setpoint(self.lamps.aim(result.now), result.plan, result.exposures[0].lights, lit)
+
+    def _detections(self, result: StepResult, metered: list[ObjectLight], due: list[str]) -> FrameDetections | None:
         """Of the newest frame, None without a detector. metered: light in each exposure of now. due: who must not be dazzled any more."""
         if self.pipeline is None:
             return None
-        classes = self.pipeline.classes
+        perception, classes = result.perception, self.pipeline.classes
         found = perception.found or Detections(torch.zeros(0, 4), torch.zeros(0, len(classes)))
         present = self.pipeline.present(perception.tracks, perception.taken_s)
         if not metered or self.world is None:
-            return FrameDetections(found, present, {}, None, None, None, None)
+            return FrameDetections(found, present)
         then = self.world.lit(perception.taken_s)
         false = false_positives(then, found, self.scenario.tracker.start_score)
         eyes = on_eyes(self.world.given, due, metered, self.scenario.shares)
-        return FrameDetections(found, present, recognised(then, present, found, classes), false, *eyes)
+        return FrameDetections(found, present, recognise(then, present, found, classes), false, *eyes)
 
-    def _observed(self, plan: StepPlan, drive: StepDrive, world: World) -> tuple[ObservedSymbol, ...]:
+    def _observer_symbols(self, result: StepResult, world: World) -> tuple[ObservedSymbol, ...]:
         """Symbols meant for an observer, compared with an all-white picture."""
-        first: Plan = plan.plans[0]
-        if (white := in_white(first)) is None:
+        if (white := in_white(result.plan)) is None:
             return ()
-        whitened = [light.u for light in self.lamps.drive(white, plan.now)[0]]
-        return observed_symbols(first, [light.u for light in drive.exposures[0]], whitened, world, plan.now)
+        whitened = [light.u for light in self.lamps.drive(white, result.now)[0]]
+        return observed_symbols(result.plan, result.lights, whitened, world, result.now)
 
-    def _verdicts(self, state: SimulationState, plan: StepPlan, drive: StepDrive) -> Mapping[str, Metrics]:
+    def _symbol_steps(self, result: StepResult) -> Mapping[str, SymbolStep]:
+        planning, verdicts = result.planning, self._verdicts(result) if self._judges(result) else {}
+        return {
+            name: SymbolStep(each, cut(self.controlled[name].projector, each), result.control.measurements[name], verdicts.get(name))
+            for name, each in planning.projections.items()
+        }
+
+    def _verdicts(self, result: StepResult) -> Mapping[str, Metrics]:
         """Of each symbol that is measured, from the light with it and without it."""
-        verdicts, (on, off) = {}, drive.exposures
-        for name in plan.measured:
-            if len(plan.measured) > 1:
-                others: Parts = without(plan.drawn, [name])
-                off, _ = self.lamps.drive(self.planner.compose(plan.now, state.functions, others), plan.now)
+        verdicts, now, planning = {}, result.now, result.planning
+        on, off = result.exposures[0].lights, result.exposures[-1].lights
+        for name in planning.measured:
+            if len(planning.measured) > 1:
+                others = without(planning.drawn, [name])
+                off, _ = self.lamps.drive(self.planner.compose(now, planning.functions, others), now)
             judge = self.controlled[name].judge
             assert judge is not None and self.world is not None
-            verdicts[name] = judge.judged(self.world.added(plan.now.time_s, on, off, plan.now.commands), plan.now.time_s)
+            verdicts[name] = judge.evaluate(self.world.added(now.time_s, on, off, now.commands), now.time_s)
         return verdicts

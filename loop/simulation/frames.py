@@ -20,8 +20,8 @@ from torch import Tensor
 
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
-from luxloop.loop.simulation.objects import read_objects
 from luxloop.loop.simulation.protocol import Exposure
+from luxloop.loop.simulation.remote_messages import read_objects
 from luxloop.perception.camera import CameraParams
 from luxloop.perception.egomotion import VALUES, Sample
 from luxloop.world.arrays import Arrays, read_npz, read_parquet, write_npz
@@ -33,6 +33,7 @@ from luxloop.world.params import PLAIN
 
 FOLDER: Final = "frames"
 TABLE: Final = f"{FOLDER}/exposures.parquet"
+PATTERNS: Final = {FOLDER: ("frame_*.png", "twin_*.png", "light_*.npz", Path(TABLE).name)}  # of the files of frames
 AGAIN: Final = "record the run again with --frames"
 QUICK: Final = (cv2.IMWRITE_PNG_COMPRESSION, 1)  # noise shrinks no further, however long it takes
 Row = dict[str, Any]
@@ -70,18 +71,6 @@ def twin_file(directory: Path, number: int) -> Path:
 def light_file(directory: Path, number: int) -> Path:
     """Where a light lies."""
     return directory / FOLDER / f"light_{number:08d}.npz"
-
-
-def remove(directory: Path) -> None:
-    """Remove the frames of a recording, if there are any, and nothing else. Raises OSError where that cannot be."""
-    folder = directory / FOLDER
-    if folder.is_symlink():
-        folder.unlink()
-    for pattern in ("frame_*.png", "twin_*.png", "light_*.npz", Path(TABLE).name):
-        for file in folder.glob(pattern):
-            file.unlink()
-    if folder.is_dir() and not any(folder.iterdir()):
-        folder.rmdir()
 
 
 def write_image(file: Path, image: Tensor, bits: int) -> None:

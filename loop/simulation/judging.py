@@ -49,9 +49,9 @@ class Judge:
 
     def verdict(self, lights: tuple[Utilisation, ...], time_s: float) -> Metrics:
         """lights: utilisations, one a module, of the on exposure."""
-        return self.judged(self.world.lit(time_s).luminance(lights), time_s)
+        return self.evaluate(self.world.lit(time_s).luminance(lights), time_s)
 
-    def judged(self, luminance: Tensor, time_s: float) -> Metrics:
+    def evaluate(self, luminance: Tensor, time_s: float) -> Metrics:
         """luminance: `[height, width]` cd/m^2 that the symbol adds."""
         return evaluate(luminance, self.plane_at(time_s), self.goal)
 

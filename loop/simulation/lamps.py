@@ -1,5 +1,6 @@
 """The car's lamps, ready to be driven: every module that shines, with its pixel controller and its base beams."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -16,9 +17,10 @@ from luxloop.controllers.pixels.ssc import PixelController, Utilisation
 from luxloop.controllers.pixels.windows import projected_windows
 from luxloop.controllers.situation import Situation
 from luxloop.loop.scenario.model import Scenario
-from luxloop.loop.simulation.ground import seen_from
 from luxloop.loop.simulation.truth import LampModule
 from luxloop.loop.simulation.world import World
+from luxloop.perception.egomotion import Ego
+from luxloop.world.frames import inverse, transform
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Commands, Lamp, ModuleCommand, Range
 from luxloop.world.lamps.utilisations import RawUtilisation
@@ -207,7 +209,7 @@ class LampDriver:
     modules: tuple[ShiningModule, ...]
     world: World | None
 
-    def aimed(self, now: Situation) -> list[ShiningModule]:
+    def aim(self, now: Situation) -> list[ShiningModule]:
         """The modules at the poses and intensities of a situation."""
         return [
             replace(module, T_world_module=light.T_world_headlight, intensity=light.intensity)
@@ -218,7 +220,7 @@ class LampDriver:
         self, plan: Plan, now: Situation, more: tuple[Plan, tuple[Utilisation, ...]] | None = None
     ) -> tuple[tuple[Utilisation, ...], Mapping[str, LampPower]]:
         """Utilisations of all modules and powers by lamp. more: a plan that draws all that this one draws and maybe more, and its light."""
-        params, modules = self.scenario.lighting, self.aimed(now)
+        params, modules = self.scenario.lighting, self.aim(now)
         street_lamps: tuple[StreetLamp, ...] = ()
         occluded = None
         if self.world is not None and (params.street_lamps or params.shadow_rays):
@@ -228,3 +230,21 @@ class LampDriver:
         secondary = [SecondaryRays(now.lights, own, street_lamps, occluded) for own in range(len(self.modules))]
         lights = compute_utilisations(modules, plan, secondary, more if params.power_limit is None else None)
         return limit_utilisations(modules, lights, params.power_limit, self.scenario.headlight.power_w)
+
+
+def attitude(ego: Ego | None) -> Tensor:
+    """Pose `[4, 4]` of the body in the ground frame, as measured; level where nothing is."""
+    if ego is None or math.isnan(ego.attitude_s):
+        return torch.eye(4, dtype=torch.float64)
+    return ego.at(ego.time_s).T_ground_body.double().cpu()
+
+
+def module_pose(T_ground_body: Tensor, T_body_module: Tensor) -> Tensor:
+    """Pose `[4, 4]` of a module in the ground frame."""
+    return T_ground_body.to(T_body_module) @ T_body_module
+
+
+def seen_from(T_world_ground: Tensor, lamp: StreetLamp) -> StreetLamp:
+    """A street lamp in the ground frame."""
+    x, y, z = transform(inverse(T_world_ground), torch.tensor(lamp.position_m, dtype=torch.float64)[:, None])[:, 0].tolist()
+    return lamp.model_copy(update={"position_m": (x, y, z)})

@@ -1,8 +1,9 @@
 """What every plant is: it shows light, exposes frames of it and owns time. The loop knows nothing else of the world."""
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 from torch import Tensor
@@ -10,7 +11,7 @@ from torch import Tensor
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.situation import TrackedObject
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.perception.egomotion import Sample
+from luxloop.perception.egomotion import Ego, Sample
 from luxloop.world.headlight.lamp import Commands
 
 Objects = tuple[TrackedObject, ...]
@@ -62,15 +63,6 @@ class Arrivals:
     objects: Objects | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Showing:
-    """An exposure, what had come in before it, and what by its end."""
-
-    before: Arrivals
-    exposure: Exposure
-    after: Arrivals
-
-
 class Plant(Protocol):
     """Its state is a value; a plant of hardware holds the connection and returns what is known of it.
 
@@ -89,9 +81,71 @@ class Plant(Protocol):
 
 
 @contextmanager
-def closed(plant: Plant) -> Iterator[None]:
+def closing_plant(plant: Plant) -> Iterator[None]:
     """Close a plant that can be closed at the end of a block."""
     try:
         yield
     finally:
         getattr(plant, "close", lambda: None)()
+
+
+Images = tuple[Tensor, Tensor]  # of an on and an off frame
+LOST = Frame(-1, math.nan, math.nan, None)
+
+
+@dataclass(frozen=True, eq=False)
+class ExposurePair:
+    """On and off exposure of a step, and their frames, lost until they come.
+
+    ego: the motion with which symbols were drawn. alone: whether nothing else was drawn or masked.
+    """
+
+    on: Exposure
+    off: Exposure
+    ego: Ego | None
+    alone: bool
+    frames: tuple[Frame, Frame] = (LOST, LOST)
+
+    @property
+    def images(self) -> Images | None:
+        """Of on and off frame; None where one is lost."""
+        on, off = (frame.image for frame in self.frames)
+        return None if on is None or off is None else (on, off)
+
+    @property
+    def taken_s(self) -> float:
+        """When the on frame was taken; NaN where one is lost."""
+        return math.nan if self.images is None else self.frames[0].taken_s
+
+    def measures(self, name: str) -> bool:
+        """Whether a symbol is in the on exposure and not in the off exposure."""
+        return name in self.on.projections and name not in self.off.projections
+
+    def seen_in(self, on: Frame, off: Frame) -> "ExposurePair":
+        """The pair with its frames: exposures as commanded, replaced by what the plant reports."""
+        whole = on.shown is not None and off.shown is not None and bool(on.shown.projections)
+
+        def exposure(commanded: Exposure, shown: Exposure | None) -> Exposure:
+            if shown is None:
+                return commanded
+            return shown if whole else replace(commanded, lights=shown.lights)
+
+        alone = self.alone and on.shown is None and off.shown is None
+        return replace(self, on=exposure(self.on, on.shown), off=exposure(self.off, off.shown), alone=alone, frames=(on, off))
+
+
+def pair_frames(
+    awaiting: Sequence[ExposurePair], frames: Sequence[Frame]
+) -> tuple[list[ExposurePair], tuple[ExposurePair, ...], tuple[Frame, ...]]:
+    """Pairs whose frames have come or are lost, at least the oldest; pairs that await frames; frames of those so far.
+
+    Frames come in the order of their exposures: all before the last pair that has come are lost. Where none has come, the oldest pair is
+    returned as lost, and goes on waiting.
+    """
+    came = {frame.number: frame for frame in frames}
+    numbers = [(pair.on.number, pair.on.number + 1) for pair in awaiting]
+    done = max((k + 1 for k, (on, off) in enumerate(numbers) if on in came and off in came), default=0)
+    pairs = [pair.seen_in(came.get(on, LOST), came.get(off, LOST)) for pair, (on, off) in zip(awaiting[:done], numbers, strict=False)]
+    left = tuple(awaiting[done:])
+    awaited = {number for both in numbers[done:] for number in both}
+    return pairs or [left[0]], left, tuple(frame for frame in frames if frame.number in awaited)

@@ -12,8 +12,8 @@ from torch import Tensor
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.plant import RecordedPlantParams
 from luxloop.loop.simulation.frames import TABLE, Row, image_file, light_file, read_exposures, read_image, read_light, read_samples
-from luxloop.loop.simulation.objects import read_objects
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame
+from luxloop.loop.simulation.remote_messages import read_objects
 from luxloop.loop.simulation.truth import LampModule
 from luxloop.perception.camera import CameraParams
 from luxloop.world.errors import LuxloopError, locate

@@ -14,24 +14,24 @@ TAKEN = 0.01  # of a symbol's light; less covers nothing
 Pair = tuple[tuple[Utilisation, ...], tuple[Utilisation, ...]]
 
 
-def opened(simulation: Simulation, result: StepResult, name: str) -> Pair:
+def open_loop_lights(simulation: Simulation, result: StepResult, name: str) -> Pair:
     """Lights of a step with one of its symbols that are held as the open loop draws it, and without that one."""
     target = ProjectionCommand(simulation.controlled[name].projector.target)
-    return _pair(simulation, result, name, _drawn(simulation, result, {name: target}))
+    return _pair(simulation, result, name, _primitives(simulation, result, {name: target}))
 
 
-def unpainted(simulation: Simulation, result: StepResult) -> tuple[Utilisation, ...]:
+def lights_without_paint(simulation: Simulation, result: StepResult) -> tuple[Utilisation, ...]:
     """Lights of a step without what is painted on pixels."""
     if not simulation.planner.painted:
         return tuple(map(Utilisation, result.lights))
     lighting = simulation.planner.lighting.model_copy(update={"painted": ()})
     bare = replace(simulation, planner=replace(simulation.planner, lighting=lighting))
-    return bare.lights_of(result, _drawn(simulation, result, {}))
+    return bare.lights_of(result, _primitives(simulation, result, {}))
 
 
 def covering(simulation: Simulation, result: StepResult, name: str) -> tuple[str, ...]:
     """Names of the functions each of which, alone with it, takes light from a step's symbol that is held."""
-    drawn = _drawn(simulation, result, {})
+    drawn = _primitives(simulation, result, {})
 
     def own(*others: str) -> float:
         on, off = _pair(simulation, result, name, {each: drawn[each] for each in (name, *others)})
@@ -41,12 +41,12 @@ def covering(simulation: Simulation, result: StepResult, name: str) -> tuple[str
     return tuple(other for other in drawn if other != name and own(other) < least)
 
 
-def _drawn(simulation: Simulation, result: StepResult, others: dict[str, ProjectionCommand]) -> dict[str, Sequence[Primitives]]:
+def _primitives(simulation: Simulation, result: StepResult, others: dict[str, ProjectionCommand]) -> dict[str, Sequence[Primitives]]:
     """Primitives of a step's functions, with some symbols as other projections."""
-    T_ground_body = result.view.T_world_view @ inverse(simulation.view.T_world_view)
-    projections = {name: each.projection for name, each in result.held.items()} | others
+    T_ground_body = result.sense.view.T_world_view @ inverse(simulation.view.T_world_view)
+    projections = {**result.planning.projections} | others
     commands = {name: simulation.controlled[name].command(each, T_ground_body) for name, each in projections.items()}
-    return {**simulation.planner.draw(result.now, result.functions), **commands}
+    return {**simulation.planner.draw(result.now, result.planning.functions), **commands}
 
 
 def _pair(simulation: Simulation, result: StepResult, name: str, drawn: Mapping[str, Sequence[Primitives]]) -> Pair:

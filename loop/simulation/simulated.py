@@ -149,7 +149,7 @@ def _world(cache: PartCache, *parts: Any) -> World:
     return cache("world", lambda *key: World(*key).after(cache.before("world", None)), *parts)
 
 
-def as_simulated(plant: Plant, asked: str) -> SimulatedPlant:
+def world_plant(plant: Plant, asked: str) -> SimulatedPlant:
     """A plant that must be the simulated world. Raises LuxloopError, which begins with what asks for that, where it is another."""
     if not isinstance(plant, SimulatedPlant):
         raise LuxloopError(f'{asked}: needs the simulated world; set plant.kind = "simulated", and digitise no module')

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Generator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -10,7 +11,6 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.functions.base_beams import BaseBeamParams, BeamName
-from luxloop.controllers.functions.commands import FunctionCommands
 from luxloop.controllers.functions.planner import Planner
 from luxloop.controllers.pixels.secondary import Light
 from luxloop.controllers.pixels.ssc import Utilisation
@@ -23,31 +23,31 @@ from luxloop.loop.scenario.model import Scenario, only
 from luxloop.loop.scenario.studio_window import StudioWindow
 from luxloop.loop.simulation.build import build
 from luxloop.loop.simulation.commanded import commanded
-from luxloop.loop.simulation.controlled import ControlledSymbol, Moment, turn
+from luxloop.loop.simulation.controlled import ControlledSymbol, turn
 from luxloop.loop.simulation.detection import DetectionPipeline
-from luxloop.loop.simulation.evaluator import Evaluator
-from luxloop.loop.simulation.ground import attitude, moved
-from luxloop.loop.simulation.lamps import LampDriver, ShiningModule, in_reach, mean_powers
-from luxloop.loop.simulation.pairing import paired
+from luxloop.loop.simulation.evaluator import Evaluation, Evaluator
+from luxloop.loop.simulation.lamps import LampDriver, ShiningModule, attitude, in_reach, mean_powers, module_pose
 from luxloop.loop.simulation.part_cache import PartCache
-from luxloop.loop.simulation.protocol import Arrivals, Exposure, Objects, Plant, Showing, closed
+from luxloop.loop.simulation.protocol import Arrivals, Exposure, ExposurePair, Objects, Plant, closing_plant, pair_frames
 from luxloop.loop.simulation.result import (
     Clock,
     Control,
+    Drive,
     Lights,
     Parts,
     Perception,
     Reception,
+    Sense,
     SimulationState,
-    StepDrive,
     StepPlan,
     StepResult,
     without,
 )
-from luxloop.loop.simulation.simulated import as_simulated
+from luxloop.loop.simulation.simulated import world_plant
 from luxloop.loop.simulation.world import LitScene, World
 from luxloop.perception.camera import luminance_of, saturation_luminance
 from luxloop.perception.egomotion import Ego, Samples, ego_of, newest
+from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.frames import View, inverse
 from luxloop.world.headlight.lamp import REST, Commands
@@ -109,7 +109,7 @@ class Simulation:
 
     def lights_of(self, result: StepResult, drawn: Parts) -> Lights:
         """Those of a step in which the functions draw these primitives, by name."""
-        return self.lamps.drive(self.planner.compose(result.now, result.functions, drawn), result.now)[0]
+        return self.lamps.drive(self.planner.compose(result.now, result.planning.functions, drawn), result.now)[0]
 
     def of_all(self, symbol: ControlledSymbol, light: Sequence[Utilisation]) -> Lights:
         """What a light of a symbol's modules adds to their base beams, as utilisations of all modules."""
@@ -131,7 +131,7 @@ class Simulation:
 
         Raises LuxloopError where there is no such beam, and on a plant that is not the simulated world.
         """
-        plant = as_simulated(self.plant, f"checks: compare = {light!r}")
+        plant = world_plant(self.plant, f"checks: compare = {light!r}")
         if light == "open_loop":
             return replace(self, controlled={name: each.in_open_loop() for name, each in self.controlled.items()})
         beam = BEAMS[light]
@@ -148,13 +148,14 @@ class Simulation:
         return LampDriver(self.scenario, self.modules, self.truth)
 
     @cached_property
-    def _evaluator(self) -> Evaluator:
+    def evaluator(self) -> Evaluator:
+        """Gives the figures of steps, for who wants them."""
         return Evaluator(self.scenario, self.planner, self.pipeline, self.controlled, self.lamps, self.truth)
 
     @property
-    def watched(self) -> Mapping[str, int]:
+    def recorded_ids(self) -> Mapping[str, int]:
         """See `luxloop.loop.simulation.evaluator.Evaluator.watched`."""
-        return self._evaluator.watched
+        return self.evaluator.recorded_ids
 
     def situation(self, time_s: float, tracks: Any = None, ego: Ego | None = None, told: Objects | None = None) -> Situation:
         """What the car knows at a time: from tracks, if there is a detector, else as told by the plant, or by a tracker without mistakes.
@@ -162,14 +163,16 @@ class Simulation:
         ego: its motion as measured; left out: it stands on a level body.
         """
         T_ground_body = attitude(ego)
-        lights = tuple((name, replace(each, T_world_headlight=moved(T_ground_body, each.T_world_headlight))) for name, each in self.lights)
+        lights = tuple(
+            (name, replace(each, T_world_headlight=module_pose(T_ground_body, each.T_world_headlight))) for name, each in self.lights
+        )
         speed, yaw_rate = (0.0, 0.0) if ego is None or ego.stands else (float(ego.speed_m_s), float(ego.yaw_rate_rad_s))
         conditions = self.scenario.conditions_at(time_s)
         return Situation(
             time_s,
             torch.eye(4, dtype=torch.float64),
             torch.stack([light.T_world_headlight[:3, 3].double().cpu() for _, light in lights]),
-            self._all_objects(time_s, told) if self.pipeline is None else self._tracked(tracks, time_s, T_ground_body),
+            self._all_objects(time_s, told) if self.pipeline is None else self._objects_of_tracks(tracks, time_s, T_ground_body),
             speed,
             yaw_rate / speed if speed else 0.0,
             conditions.wet,
@@ -179,128 +182,104 @@ class Simulation:
             indicator=self.scenario.lighting.indicator,
         )
 
-    def _commanded(self, time_s: float, state: SimulationState, ego: Ego | None) -> tuple[Situation, Mapping[str, FunctionCommands]]:
-        now = self.situation(time_s, state.tracks, ego, state.arrivals.objects)
-        return commanded(self.planner, self.modules, self.controlled, state.commanded, now)
-
     def start(self, step: int = 0) -> SimulationState:
         """The state before a step, with nothing seen yet."""
         (plant, arrivals), tracks = self.plant.start(), None if self.pipeline is None else self.pipeline.tracker.start()
-        arrivals = self.sensed(step / self.scenario.rate_hz) if step else arrivals
-        held = {name: each.start() for name, each in self.controlled.items()}
-        return SimulationState(step, tracks, self.planner.start(), plant, arrivals, newest({}, arrivals.samples), held)
+        arrivals = self.sensor_arrivals(step / self.scenario.rate_hz) if step else arrivals
+        symbols = {name: each.start() for name, each in self.controlled.items()}
+        return SimulationState(step, tracks, self.planner.start(), plant, arrivals, newest({}, arrivals.samples), symbols)
 
-    def sensed(self, time_s: float) -> Arrivals:
+    def sensor_arrivals(self, time_s: float) -> Arrivals:
         """What the sensors have told by a time. Raises LuxloopError on a plant that is not the simulated world."""
-        return Arrivals(time_s, samples=as_simulated(self.plant, "the light at one time").samples(time_s))
+        return Arrivals(time_s, samples=world_plant(self.plant, "the light at one time").samples(time_s))
 
     def ego(self, samples: Samples, time_s: float) -> Ego | None:
         """What is known of the car's motion at a time, None of one that stands."""
         return ego_of(samples, self.scenario.vehicle, time_s, self.scenario.shares[0] / self.scenario.rate_hz)
 
     def step(self, state: SimulationState) -> tuple[SimulationState, StepResult]:
-        """One step: light is planned with what is known, and what is then seen adds to it.
+        """One step: sense, plan, drive, expose, control.
 
         Where symbols are held all light is shown first, and for the rest of the step all but the symbols whose turn it is.
         """
         check_process()
         clock = Clock()
-        ego, now, commands = self._sense(state)
-        plan = self._plan(state, now, ego)
+        sense = self._sense(state)
+        planning = self._plan(state, sense)
         clock.lap("plan")
-        drive = self._drive(plan)
+        drive = self._drive(planning, sense)
         clock.lap("light")
-        reception = self._expose(state, plan, drive)
+        reception = self._expose(state, drive, sense)
         clock.lap("plant")
-        perception = self._perceive(state, plan, reception)
-        clock.lap("find")
-        control = self._control(state, plan, drive, reception)
-        clock.lap("control")
-        evaluation, oncoming_s = self._evaluator.evaluate(state, plan, drive, reception, perception, control)
-        clock.lap("look")
-        result = StepResult(
-            step=state.step,
-            time_s=now.time_s,
-            now=now,
-            view=perception.view,
-            functions=state.functions,
-            plan=plan.plans[0],
-            lights=tuple(light.u for light in drive.exposures[0]),
-            powers=mean_powers(drive.powers, self.scenario.shares),
-            frame=perception.image,
-            frames=control.frames,
-            taken_s=control.taken_s,
-            showings=reception.showings,
-            timings=clock.taken_ms,
-            processing_ms=clock.processing_ms,
-            **vars(evaluation),
-        )
-        following = SimulationState(
-            state.step + 1,
-            perception.tracks,
-            perception.functions,
-            reception.plant,
-            reception.arrivals,
-            reception.samples,
-            control.held,
-            perception.believed,
-            control.under_way,
-            control.unpaired,
-            commands,
-            oncoming_s,
-        )
-        return following, result
+        perception, control = self._control(state, sense, planning, reception, clock)
+        lights = tuple(light.u for light in drive.exposures[0])
+        timing = clock.ms, clock.processing_ms
+        result = StepResult(state.step, sense, planning, lights, drive.powers, reception, perception, control, *timing)
+        return self._following(result), result
 
-    def _sense(self, state: SimulationState) -> tuple[Ego | None, Situation, Mapping[str, FunctionCommands]]:
+    def _sense(self, state: SimulationState) -> Sense:
         """The car's motion, the situation and what functions command, from all that has arrived."""
         time_s = state.arrivals.time_s
         ego = self.ego(state.samples, time_s)
-        return ego, *self._commanded(time_s, state, ego)
+        now = self.situation(time_s, state.tracks, ego, state.arrivals.objects)
+        now, commands = commanded(self.planner, self.modules, self.controlled, state.commanded, now)
+        return Sense(ego, now, self._from(attitude(ego)), commands)
 
-    def _plan(self, state: SimulationState, now: Situation, ego: Ego | None) -> StepPlan:
+    def _plan(self, state: SimulationState, sense: Sense) -> StepPlan:
         """Primitives of functions and controllers: all of them, and without the symbols that are measured in this step."""
-        projections, drawn = self._drawn(state, now, ego)
-        measured = turn(self.controlled, state.held, projections)
-        plans = [self.planner.compose(now, state.functions, drawn)]
+        projections, drawn = self._primitives(state, sense.now, sense.ego)
+        measured = turn(self.controlled, state.symbols, projections)
+        plans = [self.planner.compose(sense.now, state.functions, drawn)]
         if measured:
-            plans.append(self.planner.compose(now, state.functions, without(drawn, measured)))
-        return StepPlan(ego, now, projections, drawn, measured, tuple(plans))
+            plans.append(self.planner.compose(sense.now, state.functions, without(drawn, measured)))
+        return StepPlan(state.functions, projections, drawn, measured, tuple(plans))
 
-    def _drive(self, plan: StepPlan) -> StepDrive:
-        """Utilisations of each exposure, and what it shows of the symbols."""
-        drives = [self.lamps.drive(plan.plans[0], plan.now)]
-        drives += [self.lamps.drive(each, plan.now, (plan.plans[0], drives[0][0])) for each in plan.plans[1:]]
-        per_step = len(self.scenario.shares)
-        exposures = [lights for lights, _ in drives] * (per_step // len(drives))
-        exposures[0] = self._raw(exposures[0], plan.projections)
-        others = {name: each for name, each in plan.projections.items() if name not in plan.measured}
-        return StepDrive(tuple(exposures), (plan.projections, *[others] * (per_step - 1)), tuple(powers for _, powers in drives))
+    def _drive(self, planning: StepPlan, sense: Sense) -> Drive:
+        """Utilisations of each exposure, and the symbols in it."""
+        first, now, shares = planning.plans[0], sense.now, self.scenario.shares
+        drives = [self.lamps.drive(first, now)]
+        drives += [self.lamps.drive(each, now, (first, drives[0][0])) for each in planning.plans[1:]]
+        exposures = [lights for lights, _ in drives] * (len(shares) // len(drives))
+        exposures[0] = self._raw(exposures[0], planning.projections)
+        others = {name: each for name, each in planning.projections.items() if name not in planning.measured}
+        projections = (planning.projections, *[others] * (len(shares) - 1))
+        return Drive(tuple(exposures), projections, mean_powers([powers for _, powers in drives], shares))
 
-    def _expose(self, state: SimulationState, plan: StepPlan, drive: StepDrive) -> Reception:
+    def _expose(self, state: SimulationState, drive: Drive, sense: Sense) -> Reception:
         """The exposures shown on the plant, and all that arrives meanwhile."""
-        plant, arrivals, samples, frames, showings = state.plant, state.arrivals, state.samples, state.frames, list[Showing]()
+        plant, samples, arrivals, exposures = state.plant, state.samples, [state.arrivals], list[Exposure]()
         shares, rate_hz = self.scenario.shares, self.scenario.rate_hz
         for part, (share, lights, projections) in enumerate(zip(shares, drive.exposures, drive.projections, strict=True)):
             number = len(shares) * state.step + part
-            before, exposure = arrivals, Exposure(number, arrivals.time_s, share / rate_hz, lights, projections, plan.now.commands)
-            plant, arrivals = self.plant.show(plant, exposure)
-            showings.append(Showing(before, exposure, arrivals))
-            frames, samples = frames + arrivals.frames, newest(samples, arrivals.samples)
-        return Reception(plant, arrivals, samples, frames, frames[len(state.frames) :], tuple(showings))
+            exposures.append(Exposure(number, arrivals[-1].time_s, share / rate_hz, lights, projections, sense.now.commands))
+            plant, come = self.plant.show(plant, exposures[-1])
+            arrivals.append(come)
+            samples = newest(samples, come.samples)
+        frames = tuple(frame for each in arrivals[1:] for frame in each.frames)
+        return Reception(plant, samples, tuple(exposures), tuple(arrivals), frames, state.unpaired + frames)
 
-    def _perceive(self, state: SimulationState, plan: StepPlan, reception: Reception) -> Perception:
+    def _control(
+        self, state: SimulationState, sense: Sense, planning: StepPlan, reception: Reception, clock: Clock
+    ) -> tuple[Perception, Control]:
+        """What the frames that came tell detector, tracker and functions, and the controllers of symbols."""
+        perception = self._perceive(state, sense, reception)
+        clock.lap("find")
+        control = self._measure(state, sense, planning, reception)
+        clock.lap("control")
+        return perception, control
+
+    def _perceive(self, state: SimulationState, sense: Sense, reception: Reception) -> Perception:
         """Detector, tracker and learning functions on the frames that came."""
-        view, per_step = self._from(attitude(plan.ego)), len(self.scenario.shares)
+        per_step = len(self.scenario.shares)
         watched = {"on": (0,), "off": (per_step - 1,), "both": range(per_step)}[self.scenario.detector_frames]
-        believed = {**state.believed, **{per_step * state.step + part: view for part in watched}}
-        known = Perception(view, state.tracks, state.functions, None, None, plan.now.time_s, believed)
-        for frame in reception.new:
-            if (then_view := known.believed.get(frame.number)) is not None:
+        views = {**state.views, **{per_step * state.step + part: sense.view for part in watched}}
+        known = Perception(state.tracks, state.functions, None, None, sense.now.time_s, views)
+        for frame in reception.frames:
+            if (view := known.views.get(frame.number)) is not None:
                 # Frames before this one never come.
-                believed = {number: each for number, each in known.believed.items() if number > frame.number}
-                known = replace(known, believed=believed)
+                known = replace(known, views={number: each for number, each in known.views.items() if number > frame.number})
                 if frame.image is not None:
-                    known = self._look(known, frame.image, frame.taken_s, then_view, plan.now)
+                    known = self._look(known, frame.image, frame.taken_s, view, sense.now)
         return known
 
     def _look(self, known: Perception, image: Tensor, taken_s: float, view: View, now: Situation) -> Perception:
@@ -316,21 +295,40 @@ class Simulation:
             functions = self.planner.step(functions, self._learnt(now, then, taken_s, image, view, tracks))
         return replace(known, tracks=tracks, functions=functions, found=found, image=image, taken_s=taken_s)
 
-    def _control(self, state: SimulationState, plan: StepPlan, drive: StepDrive, reception: Reception) -> Control:
+    def _measure(self, state: SimulationState, sense: Sense, planning: StepPlan, reception: Reception) -> Control:
         """Measurements of the pairs of frames that came, and the controllers' next states."""
-        alone = len(plan.projections) == 1 and len(self.planner.functions) == 1 and self.scenario.lighting.power_limit is None
-        moment = Moment(plan.projections, plan.measured, drive.exposures[0], drive.exposures[-1], plan.ego, alone)
-        number = len(self.scenario.shares) * state.step
-        pairs, under_way, unpaired = paired((*state.under_way, (number, moment)), reception.frames) if self.controlled else ([], (), ())
-        newer = self.ego(reception.samples, reception.arrivals.time_s)
-        held = {name: replace(each, turn=state.step) if name in plan.measured else each for name, each in state.held.items()}
-        looked = dict[str, Measurement]()
+        alone = len(planning.projections) == 1 and len(self.planner.functions) == 1 and self.scenario.lighting.power_limit is None
+        shown = ExposurePair(reception.exposures[0], reception.exposures[-1], sense.ego, alone)
+        pairs, awaiting, unpaired = pair_frames((*state.awaiting, shown), reception.unpaired) if self.controlled else ([], (), ())
+        newer = self.ego(reception.samples, reception.arrivals[-1].time_s)
+        symbols = {name: replace(each, turn=state.step) if name in planning.measured else each for name, each in state.symbols.items()}
+        seen = dict[str, Measurement]()
         for pair in pairs:
-            shown = pair.what.as_shown(pair)
-            for name in (name for name in held if name in shown.projections):
-                held[name], looked[name] = self.controlled[name].step(held[name], name, shown, pair.images, newer)
+            for name in (name for name in symbols if name in pair.on.projections):
+                symbols[name], seen[name] = self.controlled[name].step(symbols[name], name, pair, newer)
+        measurements = {
+            name: seen[name] if name in seen else self.controlled[name].sensor.lost(projection.pose, ExtractionStatus.NO_FRAME)
+            for name, projection in planning.projections.items()
+        }
         frames, taken_s = (pairs[-1].images, pairs[-1].taken_s) if pairs else (None, math.nan)
-        return Control(held, looked, under_way, unpaired, frames, taken_s)
+        return Control(symbols, measurements, awaiting, unpaired, frames, taken_s)
+
+    def _following(self, result: StepResult) -> SimulationState:
+        """The state before the next step."""
+        perception, reception, control = result.perception, result.reception, result.control
+        return SimulationState(
+            step=result.step + 1,
+            tracks=perception.tracks,
+            functions=perception.functions,
+            plant=reception.plant,
+            arrivals=reception.arrivals[-1],
+            samples=reception.samples,
+            symbols=control.symbols,
+            views=perception.views,
+            awaiting=control.awaiting,
+            unpaired=control.unpaired,
+            commanded=result.sense.commands,
+        )
 
     def _raw(self, lights: Lights, projections: Mapping[str, ProjectionCommand]) -> Lights:
         """With the utilisations that a controller gives in place of a symbol. Raises LuxloopError beside other functions."""
@@ -343,29 +341,30 @@ class Simulation:
                     shown[k] = self.planner.paint(self.modules[k].name, Utilisation(u))
         return tuple(shown)
 
-    def _drawn(self, state: SimulationState, now: Situation, ego: Ego | None) -> tuple[dict[str, ProjectionCommand], Parts]:
+    def _primitives(self, state: SimulationState, now: Situation, ego: Ego | None) -> tuple[dict[str, ProjectionCommand], Parts]:
         """What controllers want drawn of the symbols that are shown now, and the primitives of all functions."""
         shown = {name: each for name, each in self.controlled.items() if each.function.shows(now)}
-        projections = {name: each.controller.projection(state.held[name].controller, ego) for name, each in shown.items()}
+        projections = {name: each.controller.projection(state.symbols[name].controller, ego) for name, each in shown.items()}
         commands = {}
         for name, projection in projections.items():
             with locate(f"functions.{name}"):
                 commands[name] = shown[name].command(projection, None if ego is None else attitude(ego))
         return projections, self.planner.draw(now, state.functions) | commands
 
-    def at(self, step: int) -> StepResult:
+    def at(self, step: int) -> Evaluation:
         """One step alone, before which nothing was seen; that of the run where nothing depends on what was seen."""
-        return self.step(self.start(step))[1]
+        return self.evaluate(self.step(self.start(step))[1])
 
     def lights_at(self, time_s: float) -> tuple[tuple[Tensor, ...], Commands]:
         """Utilisations `[n_p]`, one a module, and commands at any time; what depends on steps before is run up to it."""
         state = self.start()
         while self.remembers and (state.step + 1) / self.scenario.rate_hz <= time_s:
             state, _ = self.step(state)
-        ego = self.ego(newest({}, self.sensed(time_s).samples), time_s)
-        now, _ = self._commanded(time_s, state, ego)
-        lights, _ = self.lamps.drive(self.planner.compose(now, state.functions, self._drawn(state, now, ego)[1]), now)
-        return tuple(light.u for light in lights), now.commands
+        arrivals = replace(self.sensor_arrivals(time_s), objects=state.arrivals.objects)
+        state = replace(state, arrivals=arrivals, samples=newest({}, arrivals.samples))
+        sense = self._sense(state)
+        lights, _ = self.lamps.drive(self._plan(state, sense).plans[0], sense.now)
+        return tuple(light.u for light in lights), sense.now.commands
 
     @property
     def remembers(self) -> bool:
@@ -384,20 +383,33 @@ class Simulation:
 
     def run(self) -> Generator[StepResult, None, None]:
         """All steps of the scenario, after which the plant is closed."""
-        with closed(self.plant):
+        with closing_plant(self.plant):
             state = self.start()
             for _ in range(self.scenario.steps):
                 with locate(self.scenario.source):
                     state, result = self.step(state)
                 yield result
 
+    def evaluate(self, result: StepResult, before: Evaluation | None = None) -> Evaluation:
+        """A step with its figures. before: the evaluation of the step before, where there is one."""
+        with locate(self.scenario.source):
+            return self.evaluator.evaluate(result, before)
+
+    def evaluations(self) -> Generator[Evaluation, None, None]:
+        """All steps of the scenario with their figures, after which the plant is closed."""
+        before = None
+        with closing(self.run()) as steps:
+            for result in steps:
+                before = self.evaluate(result, before)
+                yield before
+
     def idle(self, result: StepResult) -> set[str]:
         """Names of the functions that move no module at that moment, and of which no ray of any lamp that draws them hits anything."""
-        drawn = self.planner.draw(result.now, result.functions)
+        drawn = self.planner.draw(result.now, result.planning.functions)
         reach = {name for name, parts in drawn.items() if any(in_reach(self.modules, part, result.now) for part in parts)}
         given = self.planner.command({}, result.now, self.modules)
         moving = {name for name, each in given.items() if any(command != REST for _, command in each.commands)}
-        return drawn.keys() - reach - result.held.keys() - moving
+        return drawn.keys() - reach - result.planning.projections.keys() - moving
 
     def waiting(self, result: StepResult) -> set[str]:
         """Names of the functions that wait for the indicator at that moment."""
@@ -411,7 +423,7 @@ class Simulation:
         found = (TrackedObject.of(body, category, time_s) for body, category in told if category is not None)
         return tuple(replace(each, T_world_object=T_ground_world @ each.T_world_object) for each in found)
 
-    def _tracked(self, tracks: Any, time_s: float, T_ground_body: Tensor) -> Objects:
+    def _objects_of_tracks(self, tracks: Any, time_s: float, T_ground_body: Tensor) -> Objects:
         return () if self.pipeline is None or tracks is None else self.pipeline.objects(tracks, time_s, self._from(T_ground_body))
 
     def _from(self, T_ground_body: Tensor) -> View:

@@ -3,9 +3,9 @@
 import math
 from collections import OrderedDict, deque
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, lru_cache
-from typing import Any, Self, TypeVar, cast
+from typing import Any, Self
 
 import torch
 from torch import Tensor
@@ -30,9 +30,9 @@ from luxloop.world.scene.vehicle import STANDING, Motion, VehicleState
 from luxloop.world.traffic.objects import ObjectParams
 from luxloop.world.traffic.tracked import EYES, ROAD_USERS, Category
 
-Made = TypeVar("Made")
+Photometry = tuple[Tensor | None, Tensor]  # illuminance in lx and luminance in cd/m^2
 KEPT_VIEWS = 4  # on and off frame, before and after a change
-KEPT_LIGHTS = 3  # of an on and an off exposure, and the judged one
+KEPT_LIGHTS = 3  # of a scene: on and off exposure, and that with which symbols are compared
 MARGIN_PX = 1  # around objects, whose corners OpenGL rounds
 A_PIXEL: Part = (slice(0, 1), slice(0, 1))
 
@@ -48,6 +48,7 @@ class LitScene:
 
     surfaces: at the centres of the view's pixels. ambient: computes `base`. modules: how many the lamps have. transported: makes a module's
     light transport as it is turned, which is needed only where it shines. given: parameters of the objects 1, 2, ...
+    exposures: lights and commands of the last ones, with illuminance and luminance.
     """
 
     view: View
@@ -58,6 +59,7 @@ class LitScene:
     modules: int
     transported: Callable[[int, ModuleCommand], LightTransport]
     given: tuple[ObjectParams, ...]
+    exposures: deque[tuple[tuple[Utilisation, ...], Commands, Photometry]] = field(default_factory=lambda: deque(maxlen=KEPT_LIGHTS))
 
     @cached_property
     def base(self) -> Tensor:
@@ -78,6 +80,21 @@ class LitScene:
         turned = tuple(self.transported(number, command) for number, command in enumerate(commands))
         dimmed = tuple(Utilisation(command.intensity * each.u, each.band) for each, command in zip(lights, commands, strict=True))
         return added_light(turned, dimmed, self.base, rows)
+
+    def find_exposure(self, lights: tuple[Utilisation, ...], commands: Commands) -> Photometry | None:
+        """Illuminance and luminance of one of the last exposures, None of another one."""
+        return next((found for shown, commanded, found in self.exposures if shown is lights and commanded == commands), None)
+
+    def expose(self, lights: tuple[Utilisation, ...], commands: Commands, metered: bool) -> Photometry:
+        """Illuminance in lx from the lamps alone, None unless metered, and luminance in cd/m^2 of all light, `[height, width]`."""
+        if (found := self.find_exposure(lights, commands)) is None:
+            if metered:
+                arriving, leaving = self.light([light.u for light in lights], commands)
+                found = arriving, leaving + self.base
+            else:
+                found = None, self.shown(lights, commands)
+            self.exposures.append((lights, commands, found))
+        return found
 
     def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
         """Luminance `[..., height, width]` in cd/m^2 of these lights alone, all modules at rest."""
@@ -206,7 +223,6 @@ class World:
         self.view = camera_view(camera)
         self.device = self.modules[0].T_world_headlight.device
         self._lit: OrderedDict[Any, LitScene] = OrderedDict()
-        self._made: deque[tuple[LitScene, tuple[Utilisation, ...], Commands, Any]] = deque(maxlen=KEPT_LIGHTS)
         self._asked: tuple[float, Any] = (math.nan, None)
         self._triangles: tuple[float, Triangles] = (math.nan, NOTHING)  # those looked at last, and when they were there
         self._textures = tuple(each.measured or LastTextures(each.headlight) for each in self.modules)
@@ -240,28 +256,17 @@ class World:
         """
         if part is not None and self._whole(time_s):
             lit = self.lit(time_s)
-            if not (self.metered or self.moving or self._known(lit, lights, commands)):
+            if not (self.metered or self.moving or lit.find_exposure(lights, commands)):
                 return lit.shown(lights, commands, part[0])[..., part[1]], lit.base[part]
             everything, base = self.luminance(time_s, lights, commands)
             return everything[..., *part], base[part]
         lit = self.lit(time_s, part)
-        if self.metered:
-            return self._metered(lit, lights, commands)[1], lit.base
-        return self._once(lit, lights, commands, lambda: lit.shown(lights, commands)), lit.base
+        return lit.expose(lights, commands, self.metered)[1], lit.base
 
     def image(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
         """`luminance` of all light, `[height, width]`, computed where it is read."""
         like = lights[0].u.new_empty(0)
         return PartialImage.of(self.view.height, self.view.width, like, lambda part: self.luminance(time_s, lights, commands, part)[0])
-
-    def _metered(self, lit: LitScene, lights: tuple[Utilisation, ...], commands: Commands) -> tuple[Tensor, Tensor]:
-        """Illuminance from the lamps alone and luminance of all light, `[height, width]` of a scene."""
-
-        def metered() -> tuple[Tensor, Tensor]:
-            arriving, leaving = lit.light([light.u for light in lights], commands)
-            return arriving, leaving + lit.base
-
-        return self._once(lit, lights, commands, metered)
 
     def on_objects(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> ObjectLight:
         """The lamps' light on all objects at a time, from the lamps alone: at the pixels that see them and nowhere else."""
@@ -269,10 +274,10 @@ class World:
         seen = self.lit(time_s, part)
         pixels = torch.nonzero(seen.surfaces.object_id.flatten() > 0)[:, 0]
         surfaces = seen.surfaces.at(pixels)
-        if self.metered and (known := self._known(seen, lights, commands)):
-            lx = known[0][0].flatten()[pixels]
+        if self.metered and (known := seen.find_exposure(lights, commands)) and known[0] is not None:
+            lx = known[0].flatten()[pixels]
         else:
-            transported = self._transported(surfaces, seen.vehicle, seen.triangles, len(pixels), 1, direct=True)
+            transported = self._transport(surfaces, seen.vehicle, seen.triangles, len(pixels), 1, direct=True)
             lx = replace(seen, surfaces=surfaces, transported=transported).light([light.u for light in lights], commands)[0][0]
         return ObjectLight(surfaces.object_id[0], part_mask(surfaces, seen.triangles, EYES)[0], lx)
 
@@ -296,18 +301,6 @@ class World:
         """Whether the whole image is at hand at a time, or serves for others as well."""
         return not self.moving or (self._key(t_s), None, True) in self._lit
 
-    def _once(self, lit: LitScene, lights: tuple[Utilisation, ...], commands: Commands, make: Callable[[], Made]) -> Made:
-        """What a light does to a scene, made anew only where it is none of the last."""
-        if known := self._known(lit, lights, commands):
-            return cast(Made, known[0])
-        made = make()
-        self._made.append((lit, lights, commands, made))
-        return made
-
-    def _known(self, lit: LitScene, lights: tuple[Utilisation, ...], commands: Commands) -> list[Any]:
-        """What was made of a light, as a list that is empty where it is not one of the last two."""
-        return [made for scene, shown, commanded, made in self._made if scene is lit and shown is lights and commanded == commands]
-
     def added(self, time_s: float, lights: tuple[Utilisation, ...], others: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
         """Luminance `[height, width]` in cd/m^2 at a time of what lights have beyond others."""
         return self.luminance(time_s, lights, commands)[0] - self.luminance(time_s, others, commands)[0]
@@ -319,8 +312,8 @@ class World:
 
     def illuminance(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
         """`[height, width]` lx from the lamps alone at a time, at the pixels' centres; also where the world is not metered."""
-        if self.metered:
-            return self._metered(self.lit(time_s), lights, commands)[0]
+        if self.metered and (lx := self.lit(time_s).expose(lights, commands, metered=True)[0]) is not None:
+            return lx
         return self.lit(time_s, direct=True).light([light.u for light in lights], commands)[0]
 
     def lit(self, t_s: float, part: Part | None = None, direct: bool = False) -> LitScene:
@@ -374,7 +367,7 @@ class World:
             lit = ambient_luminance(surfaces, scene.ambient_lx, scene.street_lamps, scene.spotlights_at(t_s))
             return average_rows(lit, samples)
 
-        transported = self._transported(surfaces, vehicle, triangles, view.width, samples, direct)
+        transported = self._transport(surfaces, vehicle, triangles, view.width, samples, direct)
         return LitScene(view, vehicle, triangles, surfaces.one_row_of(samples), ambient, len(self.modules), transported, self.given)
 
     def _triangles_at(self, t_s: float) -> Triangles:
@@ -385,7 +378,7 @@ class World:
             self._triangles = t_s, triangles
         return triangles
 
-    def _transported(
+    def _transport(
         self, surfaces: GBuffer, vehicle: VehicleState, triangles: Triangles, width: int, samples: int, direct: bool
     ) -> Callable[[int, ModuleCommand], LightTransport]:
         """Makes a module's light transport to surfaces as it is turned. width: of their image, which has samples rows a pixel."""

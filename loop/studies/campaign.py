@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
-from luxloop.loop.recording.digest import digest_of_code
 from luxloop.loop.recording.manifest import digests
+from luxloop.loop.recording.sources import digest_of_code
 from luxloop.loop.scenario.model import Scenario, load, only, validate
 from luxloop.loop.scenario.overrides import resolve_paths
 from luxloop.loop.studies.jobs.executors import ALL_CORES, Executor

@@ -10,17 +10,17 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.functions.symbol import SymbolFunctionParams
-from luxloop.loop.recording.files import table_of
-from luxloop.loop.recording.manifest import digests
-from luxloop.loop.recording.record import row, schema, summary_of
-from luxloop.loop.recording.summary import column, judged
+from luxloop.loop.recording.functions_summary import summary_of
+from luxloop.loop.recording.manifest import digests, table_of
+from luxloop.loop.recording.record import row, schema
+from luxloop.loop.recording.summary import column, steps_with_metrics
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import Scenario, only
 from luxloop.loop.scenario.plant import SimulatedPlantParams
 from luxloop.loop.simulation.build_symbols import build_symbol_controller
 from luxloop.loop.simulation.columns import of_one
-from luxloop.loop.simulation.controlled import Held
-from luxloop.loop.simulation.result import Rollout, StepResult
+from luxloop.loop.simulation.evaluator import Evaluation, SymbolStep
+from luxloop.loop.simulation.result import Rollout
 from luxloop.loop.simulation.simulated import SimulatedPlant
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.extraction import ExtractionStatus
@@ -54,13 +54,13 @@ def traced(scenario: Scenario, device: str = "auto") -> tuple[Figures, Rollout |
     Raises as `figures`.
     """
     simulation = ready(scenario, device)
-    return tabulated(simulation, ((result, _utilisation(result)) for result in simulation.run()))
+    return tabulated(simulation, ((result, _utilisation(result)) for result in simulation.evaluations()))
 
 
-def tabulated(simulation: Simulation, steps: Iterable[tuple[StepResult, float]]) -> tuple[Figures, Rollout | None]:
+def tabulated(simulation: Simulation, steps: Iterable[tuple[Evaluation, float]]) -> tuple[Figures, Rollout | None]:
     """The same from the steps of a run, each with the mean utilisation of all pixels."""
     rows, utilisations, trace = [], list[float](), []
-    last = dict[str, StepResult]()
+    last = dict[str, Evaluation]()
     name = only(simulation.controlled) if len(simulation.controlled) == 1 else None
     for result, utilisation in steps:  # which are not kept: a step is megabytes
         rows.append(row(result))
@@ -80,7 +80,7 @@ def tabulated(simulation: Simulation, steps: Iterable[tuple[StepResult, float]])
     for name, symbol in told["functions"].items():
         x, y = symbol["centroid_error_percent"]
         symbol["residual_percent"] = None if x is None or y is None else float(np.hypot(x, y))
-        ious = column(judged(of_one(table, name)), "iou")
+        ious = column(steps_with_metrics(of_one(table, name)), "iou")
         symbol["iou_mean"] = float(ious.mean()) if len(ious) else None
     for figure, worst in WORST.items() if told["functions"] else ():
         of_all = [symbol[figure] for symbol in told["functions"].values()]
@@ -88,11 +88,11 @@ def tabulated(simulation: Simulation, steps: Iterable[tuple[StepResult, float]])
     return _flat(values), Rollout(*(torch.stack(part)[None] for part in zip(*trace, strict=True))) if trace else None
 
 
-def _utilisation(result: StepResult) -> float:
+def _utilisation(result: Evaluation) -> float:
     return sum(float(u.sum()) for u in result.lights) / sum(u.numel() for u in result.lights)
 
 
-def _traced(held: Held | None, target: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _traced(held: SymbolStep | None, target: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Pose, error of the pose, and whether it was seen; the target, unseen, while it is not shown."""
     if held is None:
         return target, torch.zeros_like(target), torch.zeros_like(target[0], dtype=torch.bool)

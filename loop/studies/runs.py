@@ -11,9 +11,9 @@ from torch import Tensor
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.loop.scenario.model import Scenario, only
 from luxloop.loop.simulation.build_symbols import build_symbol_controller
-from luxloop.loop.simulation.controlled import Held
+from luxloop.loop.simulation.evaluator import Evaluation, SymbolStep
 from luxloop.loop.simulation.lamps import LampPower, mean_powers
-from luxloop.loop.simulation.result import Rollout, StepResult
+from luxloop.loop.simulation.result import Rollout
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.batch.copies import Copies, refuse_scenario
 from luxloop.loop.studies.batch.courses import Course, Courses, course_of
@@ -88,21 +88,22 @@ class _Like:
     """What steps of a batch have in common with a single run's. first: its first step."""
 
     copies: Copies
-    first: StepResult
+    first: Evaluation
 
     @classmethod
     def of(cls, copies: Copies) -> "_Like":
         simulation = copies.simulation
-        return cls(copies, simulation.step(simulation.start())[1])
+        return cls(copies, simulation.at(0))
 
-    def steps(self, courses: Courses, k: int) -> Iterator[tuple[StepResult, float]]:
+    def steps(self, courses: Courses, k: int) -> Iterator[tuple[Evaluation, float]]:
         """The steps of the k-th copy as of a single run, each with the mean utilisation of all pixels."""
         (name,) = self.first.held
         for number, each in enumerate(courses.steps):
             time_s = number / self.copies.simulation.scenario.rate_hz
             powers, utilisation = self._powers(each.sums[k])
             now = self.copies.simulation.situation(time_s)
-            yield replace(self.first, step=number, time_s=time_s, now=now, held={name: _held(each, k)}, powers=powers), utilisation
+            sense, held = replace(self.first.sense, now=now), {name: _held(each, k)}
+            yield replace(self.first, step=number, sense=sense, held=held, powers=powers), utilisation
 
     def _powers(self, sums: Tensor) -> tuple[Mapping[str, LampPower], float]:
         """Of the lamps over on and off exposure, and the mean utilisation in the first. sums: `[m, 2]` of the modules that draw."""
@@ -128,7 +129,7 @@ class _Like:
         return found
 
 
-def _held(course: Course, k: int) -> Held:
+def _held(course: Course, k: int) -> SymbolStep:
     """The k-th copy's part of a step."""
     projection, seen = course.projection, course.measurement
     shown = ProjectionCommand(projection.pose[k], None if projection.z is None else projection.z[k])
@@ -137,4 +138,4 @@ def _held(course: Course, k: int) -> Held:
         seen, **values, appearance=replace(seen.appearance, **{name: each[k] for name, each in vars(seen.appearance).items()})
     )
     verdict = course.verdict and Metrics(*(each[k] for each in vars(course.verdict).values()))
-    return Held(shown, course.cut[k], measurement, verdict)
+    return SymbolStep(shown, course.cut[k], measurement, verdict)

@@ -15,8 +15,8 @@ import optuna
 from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
 from optuna.trial import TrialState, create_trial
 
-from luxloop.loop.recording.digest import digest_of_code
 from luxloop.loop.recording.manifest import digests
+from luxloop.loop.recording.sources import digest_of_code
 from luxloop.loop.report.progress import progress
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.studies.campaign import kind_of, runs_of_many

@@ -10,8 +10,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from luxloop.loop.recording.frames import KeptFrames
 from luxloop.loop.recording.replay import Recording
-from luxloop.loop.recording.replayed_frames import KeptFrames
 from luxloop.loop.scenario.edits import Edit
 from luxloop.loop.studio.snapshot import Pictures, Snapshot, coded_frame, plain
 

@@ -14,8 +14,8 @@ import torch
 
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.recording.checks import Checks
-from luxloop.loop.recording.edited import edited
-from luxloop.loop.recording.files import REPORT
+from luxloop.loop.recording.editing import apply_edit
+from luxloop.loop.recording.manifest import REPORT
 from luxloop.loop.recording.record import schema
 from luxloop.loop.recording.recorder import Recorder, Tally
 from luxloop.loop.report.highlights import Highlights
@@ -24,8 +24,9 @@ from luxloop.loop.run import prepare
 from luxloop.loop.scenario.driving import repeat
 from luxloop.loop.scenario.edits import ACTS, Edit, differences, replaces
 from luxloop.loop.scenario.model import Scenario
-from luxloop.loop.simulation.redrawn import unpainted
-from luxloop.loop.simulation.result import SimulationState, StepResult
+from luxloop.loop.simulation.evaluator import Evaluation
+from luxloop.loop.simulation.redrawn import lights_without_paint
+from luxloop.loop.simulation.result import SimulationState
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studio.meshes import Meshes
 from luxloop.loop.studio.messages import VIEWS, View
@@ -81,7 +82,7 @@ class Run:
         self._bodies = NOTHING
         self._below: Sequence[Utilisation] | None = None  # light of the last step below what is painted, where another one is shown
         self._ahead = False  # whether keys were edited since the last step
-        self._next: tuple[Simulation, StepResult] | None = None  # what they make of the next step, once it is looked at
+        self._next: tuple[Simulation, Evaluation] | None = None  # what they make of the next step, once it is looked at
         self._look_s = 0.0  # when a picture may be taken again
         self._made = simulation, self.step(wanted)  # the last result, and the simulation that gave it
         self.white_cd_m2 = float(white_of(self._made[1], simulation))
@@ -92,7 +93,7 @@ class Run:
         """Whether all steps of the scenario are done."""
         return len(self.snapshots) >= self.simulation.scenario.steps
 
-    def step(self, wanted: Collection[View], still: bool = True) -> StepResult:
+    def step(self, wanted: Collection[View], still: bool = True) -> Evaluation:
         """Do a step. wanted: what somebody looks at. still: nothing follows at once, so that there is time for pictures."""
         if self._below is not None or self._next is not None:
             self.snapshots[-1] = self._taken(*self._made, self.snapshots[-1], wanted)
@@ -100,7 +101,8 @@ class Run:
             self._go_on(self.prepare_edit(repeat(self.simulation.scenario, due)), due.overrides, due.driven)
         began_s = time.perf_counter()
         with locate(self.simulation.scenario.source):
-            state, result = self.simulation.step(self._state)
+            state, stepped = self.simulation.step(self._state)
+            result = self.simulation.evaluate(stepped, self._made[1] if self.snapshots else None)
         self.step_ms = 1e3 * (time.perf_counter() - began_s)
         rests = still or len(self.snapshots) + 1 >= self.simulation.scenario.steps
         looks = set(wanted) if rests or time.perf_counter() >= self._look_s else set(wanted) - {"camera"}
@@ -168,27 +170,27 @@ class Run:
         if self._ahead and self._next is None and self.simulation.scenario.plant.kind == "simulated":  # others show what they are asked
             with locate(self.simulation.scenario.source):
                 _, following = self.simulation.step(self._state)
-            self._next = self.simulation, replace(following, step=self._made[1].step)
+            self._next = self.simulation, replace(self.simulation.evaluate(following, self._made[1]), step=self._made[1].step)
         seen = self._next or (self._made[0], self._repaint())
         self.snapshots[-1] = self._taken(*seen, self.snapshots[-1], wanted)
 
-    def _repaint(self) -> StepResult:
+    def _repaint(self) -> Evaluation:
         """The last result, with what is painted since; the next step shows it if that stays."""
         (simulation, result), lighting = self._made, self.simulation.scenario.lighting
         if lighting.painted == simulation.scenario.lighting.painted:
             return result
-        self._below = self._below or unpainted(simulation, result)
+        self._below = self._below or lights_without_paint(simulation, result)
         lights = (self.simulation.planner.paint(each.name, below).u for each, below in zip(simulation.modules, self._below, strict=True))
         return replace(result, lights=tuple(lights))
 
-    def _taken(self, simulation: Simulation, result: StepResult, before: Snapshot | None, wanted: Collection[View]) -> Snapshot:
+    def _taken(self, simulation: Simulation, result: Evaluation, before: Snapshot | None, wanted: Collection[View]) -> Snapshot:
         self._bodies = bodies_at(simulation, result.time_s, self._bodies)
         return snapshot(simulation, result, self.meshes.assign(self._bodies.placed), before, wanted)
 
     def prepare_edit(self, scenario: Scenario) -> tuple[Simulation, SimulationState]:
         """What it would go on with under another scenario. Raises LuxloopError."""
         state, by = self._reached
-        return edited(self.simulation, state, scenario, by)
+        return apply_edit(self.simulation, state, scenario, by)
 
     def edit(self, after: tuple[Simulation, SimulationState], overrides: tuple[str, ...], driven: bool = False) -> None:
         """Go on with what `prepare_edit` gave, from the next step on; a recording is repeated no longer. overrides: that make its scenario.

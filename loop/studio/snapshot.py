@@ -13,7 +13,7 @@ from torch import Tensor
 from luxloop.loop.report.marks import marks
 from luxloop.loop.report.picture import captions
 from luxloop.loop.simulation.columns import loss_name
-from luxloop.loop.simulation.result import StepResult
+from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studio.messages import View
 from luxloop.world.frames import transform
@@ -55,7 +55,7 @@ def bodies_at(simulation: Simulation, time_s: float, before: Triangles) -> Trian
 
 
 def snapshot(
-    simulation: Simulation, result: StepResult, bodies: Sequence[tuple[int, Instance]], before: Snapshot | None, wanted: Collection[View]
+    simulation: Simulation, result: Evaluation, bodies: Sequence[tuple[int, Instance]], before: Snapshot | None, wanted: Collection[View]
 ) -> Snapshot:
     """Of a step that was just done. bodies: what is there, with the numbers of their meshes. before: the snapshot of the step before.
     wanted: what somebody looks at.
@@ -119,7 +119,7 @@ def _numbers(T: Tensor) -> list[float]:
     return [round(each, 6) for each in T.flatten().tolist()]
 
 
-def _symbol(simulation: Simulation, result: StepResult, name: str, T_world_ground: Tensor) -> dict[str, Any]:
+def _symbol(simulation: Simulation, result: Evaluation, name: str, T_world_ground: Tensor) -> dict[str, Any]:
     held, params = result.held[name], simulation.controlled[name].function.held
     x, y = params.length_m / 2, params.width_m / 2
     corners = torch.tensor([[x, x, -x, -x], [y, -y, -y, y], [0.0] * 4], dtype=torch.float64)
@@ -128,11 +128,11 @@ def _symbol(simulation: Simulation, result: StepResult, name: str, T_world_groun
     return {"pose": held.pose.tolist(), "loss": loss_name(int(held.measurement.code)), "target": target}
 
 
-def _marks(simulation: Simulation, result: StepResult) -> list[dict[str, Any]]:
+def _marks(simulation: Simulation, result: Evaluation) -> list[dict[str, Any]]:
     return [{"lines": each.lines, "kind": each.kind, "text": each.text, "at": each.at} for each in marks(result, simulation)]
 
 
-def _pictures(simulation: Simulation, result: StepResult) -> Pictures:
+def _pictures(simulation: Simulation, result: Evaluation) -> Pictures:
     camera = simulation.scenario.camera
     most = 2**camera.bits - 1
     pictures = {name: coded_frame(frame, most) for name, frame in zip(("camera.on", "camera.off"), _frames(result), strict=False)}
@@ -151,7 +151,7 @@ def coded_frame(frame: Tensor, most: int) -> np.ndarray:
     return coded
 
 
-def _exact(simulation: Simulation, result: StepResult, wanted: Collection[View]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def _exact(simulation: Simulation, result: Evaluation, wanted: Collection[View]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """What programs ask for: digital numbers, and where the plant knows the truth depth, instances, materials and objects; as the
     protocol's head has them, and arrays.
     """
@@ -190,6 +190,6 @@ def _array(values: Tensor, dtype: Any) -> np.ndarray:
     return array
 
 
-def _frames(result: StepResult) -> tuple[Tensor, ...]:
+def _frames(result: Evaluation) -> tuple[Tensor, ...]:
     """With all light, and, where controllers hold symbols, without."""
     return result.frames or (() if result.frame is None else (result.frame,))

@@ -150,10 +150,9 @@ def choices() -> dict[str, Any]:
 
 def recordings() -> list[dict[str, str]]:
     """Folders of recordings in `runs`, the newest first, and what is in them. Those that cannot be read are left out."""
-    from luxloop.loop.recording.files import TRAJECTORY
-    from luxloop.loop.recording.manifest import FILE
+    from luxloop.loop.recording.manifest import MANIFEST, TRAJECTORY
 
-    written_s = {each.parent: each.stat().st_mtime for each in RUNS.glob(f"*/{FILE}") if (each.parent / TRAJECTORY).is_file()}
+    written_s = {each.parent: each.stat().st_mtime for each in RUNS.glob(f"*/{MANIFEST}") if (each.parent / TRAJECTORY).is_file()}
     newest = sorted(written_s, key=lambda folder: -written_s[folder])[:MOST]
     found = ((folder, _description(folder / TRAJECTORY, written_s[folder])) for folder in newest)
     return [{"name": folder.as_posix(), "description": text} for folder, text in found if text]

@@ -30,7 +30,7 @@ def pictures(folder: Path) -> None:
         simulation = prepare(load("night_traffic", [f"light.ambient_lx={ambient_lx}"]))
         result = simulation.at(30)
         image = (result.luminance / white_cd_m2).clamp(0, 1).sqrt()
-        image[simulation.camera.at(result.time_s).surfaces.object_id < 0] = sky
+        image[simulation.world.lit(result.time_s).surfaces.object_id < 0] = sky
         cv2.imwrite(str(folder / f"traffic-{name}.jpg"), (255 * image).byte().cpu().numpy(), [cv2.IMWRITE_JPEG_QUALITY, 80])
 
 

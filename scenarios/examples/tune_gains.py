@@ -31,7 +31,7 @@ def varied(params: BaseModel, rng: np.random.Generator) -> BaseModel:
 def cost(simulation: Simulation, params: BaseModel) -> float:
     """Mean of 1 - IoU over a run with this controller."""
     controller = build_controller(params, simulation.symbol.sensor)
-    return float(np.mean([1 - float(result.symbol.verdict.iou) for result in simulation.with_controller(controller).run()]))
+    return float(np.mean([1 - float(result.symbol.verdict.iou) for result in simulation.with_controller(controller).evaluations()]))
 
 
 def as_toml(params: BaseModel) -> str:

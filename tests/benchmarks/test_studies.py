@@ -166,7 +166,7 @@ def test_controllers_side_by_side_run_as_each_does_alone() -> None:
     parameters = side_by_side.job(load("snowflake", (*TINY, "camera.latency_steps=1"), steps=5), tables)
     together = side_by_side.compare(**parameters)["judged"]
     for name, table in tables.items():
-        alone = prepare(side_by_side.controlled(parameters["scenario"], table), "cpu").run()
+        alone = prepare(side_by_side.controlled(parameters["scenario"], table), "cpu").evaluations()
         assert together[name]["iou"] == [round(float(result.symbol.verdict.iou), 4) for result in alone]
 
 

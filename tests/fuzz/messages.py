@@ -12,11 +12,10 @@ import numpy as np
 import torch
 
 from luxloop.loop.scenario.edits import with_overrides
-from luxloop.loop.simulation import remote_answers as answers
+from luxloop.loop.simulation import remote_messages as answers
 from luxloop.loop.simulation.clock import FromZero
 from luxloop.loop.simulation.protocol import Exposure
-from luxloop.loop.simulation.remote_link import Link
-from luxloop.loop.simulation.remote_plant import RemotePlant
+from luxloop.loop.simulation.remote import Link, RemotePlant
 from luxloop.loop.studio.messages import Paint, Place, Set, Wish, read
 from luxloop.loop.studio.painting import paint, place, wish
 from luxloop.loop.studio.runs import Run, Starter

@@ -69,7 +69,7 @@ def small_simulation(small_scenario: Scenario) -> Simulation:
 
 @pytest.fixture(scope="session")
 def small_results(small_simulation: Simulation) -> list[StepResult]:
-    return list(small_simulation.run())
+    return list(small_simulation.evaluations())
 
 
 @pytest.fixture

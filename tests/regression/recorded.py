@@ -5,7 +5,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from luxloop.loop.recording.comparison import Difference
-from luxloop.loop.recording.files import write_table
+from luxloop.loop.recording.manifest import write_table
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "scenarios" / "recordings"

@@ -19,7 +19,7 @@ import torch
 
 from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
 from luxloop.loop.recording.comparison import compare
-from luxloop.loop.recording.files import table_of
+from luxloop.loop.recording.manifest import table_of
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.scenario import data
 from luxloop.loop.scenario.model import Scenario, load
@@ -82,7 +82,7 @@ def trajectory_elsewhere(name: str, whole: bool) -> pa.Table:
 
 def of_each_step(simulation: Simulation, steps: int) -> pa.Table:
     columns = pa.schema([field for field in schema(simulation) if not field.name.endswith("_ms")])
-    return table_of([row(result) for result in islice(simulation.run(), steps)], columns)
+    return table_of([row(result) for result in islice(simulation.evaluations(), steps)], columns)
 
 
 def coarse(name: str, rows: int) -> pa.Table:
@@ -95,7 +95,7 @@ def coarse(name: str, rows: int) -> pa.Table:
     few = camera.model_copy(update={"width_px": WIDTH_PX, "height_px": round(WIDTH_PX * camera.height_px / camera.width_px)})
     simulation = Simulation.prepare(scenario.model_copy(update={"camera": few}))
     steps = [k * (scenario.steps - 1) // (STEPS - 1) for k in range(STEPS)]
-    results = (each for each in simulation.run() if each.step in steps) if simulation.remembers else map(simulation.at, steps)
+    results = (each for each in simulation.evaluations() if each.step in steps) if simulation.remembers else map(simulation.at, steps)
     found = [row(result) | moments(result, simulation) for result in islice(results, rows)]
     columns = [pa.field(field.name, field.type) for field in schema(simulation) if not field.name.endswith("_ms")]
     columns += [pa.field(f"module.{module.name}.{key}", pa.float64()) for module in simulation.modules for key in MOMENTS]

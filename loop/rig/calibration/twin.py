@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 import torch
 
-from luxloop.loop.recording.files import TWIN, TWIN_PICTURE, table_of, write_table
+from luxloop.loop.recording.manifest import TWIN, TWIN_PICTURE, table_of, write_table
 from luxloop.loop.rig.calibration.fit import scores
 from luxloop.loop.rig.calibration.twin_picture import draw_twin
 from luxloop.loop.rig.mark import surroundings

@@ -13,7 +13,8 @@ from luxloop.controllers.symbol.sensing.protocol import Observation
 from luxloop.controllers.symbol.stages import KEY
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import validate
-from luxloop.loop.simulation.controlled import ControlledSymbol, Frames
+from luxloop.loop.simulation.controlled import ControlledSymbol
+from luxloop.loop.simulation.protocol import Images
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.contracts.values import build_part, check_tensor, pure, pure_state
 from luxloop.perception.egomotion import Ego, Sample, Samples, Sensor, ego_of
@@ -74,7 +75,7 @@ def check_in(simulation: Simulation, controller: type, options: Mapping[str, Any
     symbol = simulation.symbol
     own = build_part(controller, KEY, CALLS, lambda name: construct(controller, name, KEY, {"sensor": symbol.sensor}, options))
     checked = replace(simulation, controlled={"symbol": replace(symbol, controller=CheckController(own, symbol))})
-    seen = [result.symbol.measurement for result in checked.run()]
+    seen = [result.measurement for result in checked.run()]
     first, last = (math.hypot(*each.pose_error[:2].tolist()) for each in (seen[0], seen[-1]))
     if seen[-1].code != ExtractionStatus.SEEN or last > AWAY * first:
         end = f"it is {last:.2g} m away" if seen[-1].code == ExtractionStatus.SEEN else "it is not seen any more"
@@ -142,7 +143,7 @@ class CheckController:
     def _step(self, state: CheckState, observation: Observation) -> CheckState:
         return CheckState(pure_state(self.own, "step", {"state": state.inner, "observation": observation}), state.steps + 1)
 
-    def _lost(self, observation: Observation, frames: Frames) -> dict[str, Observation]:
+    def _lost(self, observation: Observation, frames: Images) -> dict[str, Observation]:
         """Observations of the same light where the camera lost the frames, and where these do not show it."""
         sensor, shown, dark = self.symbol.sensor, observation.shown, (frames[1], frames[1])
         no_frame, nothing = (sensor.measure(each, shown.projection, shown.lights) for each in (None, dark))

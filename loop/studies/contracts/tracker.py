@@ -104,8 +104,8 @@ def _frames(device: str) -> tuple[View, tuple[Category, ...], Sequence[Detection
     assert simulation.pipeline is not None
     most, frames = 2**simulation.scenario.camera.bits - 1, []
     for step in simulation.run():
-        assert step.frame is not None and step.look is not None
-        image, found = step.frame / most, step.look.found
+        assert step.frame is not None and step.perception.found is not None
+        image, found = step.frame / most, step.perception.found
         frames.append(DetectionFrame(image, step.time_s, Detections(found.boxes.to(image), found.scores.to(image))))
     return simulation.view, simulation.pipeline.classes, frames
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final
 import numpy as np
 from pydantic import Field
 
-from luxloop.loop.recording.labelled import Labels, Layout
+from luxloop.loop.recording.labels import Labels, Layout
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.scenario.overrides import overridden, resolve_paths
 from luxloop.loop.studies.ranges import Range, changed, parse

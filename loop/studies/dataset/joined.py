@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from luxloop.loop.recording import coco
-from luxloop.loop.recording.label_files import CALIB, COCO, FOLDER, IMAGE_2, IMAGES, LABEL_2
-from luxloop.loop.recording.labelled import Layout
+from luxloop.loop.recording.label_recorder import CATEGORIES, coco_categories, coco_document
+from luxloop.loop.recording.labels import CALIB, COCO, FOLDER, IMAGE_2, IMAGES, LABEL_2, Layout
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import content, link, part_of, reading, whole
 from luxloop.world.validation import parsed_json
@@ -45,14 +44,14 @@ def join(out: Path, layout: Layout, scenes: Mapping[str, Mapping[str, Any]]) -> 
             images += [json.dumps(_image(each, first[each["id"]], number, name)) for each in document["images"]]
             for each in document.get("annotations", ()):
                 annotations.append(json.dumps({**each, "id": len(annotations) + 1, "image_id": first[each["image_id"]]}))
-                objects[coco.CATEGORIES[each["category_id"] - 1]] += 1
+                objects[CATEGORIES[each["category_id"] - 1]] += 1
     if layout == "kitti":
         objects = _kitti(out, scenes)
         file, head, lists = out / ALL_IMAGES, {}, {"images": images}
     else:
-        file, head, lists = out / ALL_COCO, {"categories": coco.categories()}, {"images": images, "annotations": annotations}
+        file, head, lists = out / ALL_COCO, {"categories": coco_categories()}, {"images": images, "annotations": annotations}
     with whole(file) as part:
-        part.write_text(coco.document({**head, "scenes": said}, lists), "utf-8")
+        part.write_text(coco_document({**head, "scenes": said}, lists), "utf-8")
     return Counts(file, len(scenes), len(images), objects)
 
 

@@ -7,9 +7,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
-from luxloop.loop.recording.digest import digest_of_code
-from luxloop.loop.recording.labelled import Labels
+from luxloop.loop.recording.labels import Labels
 from luxloop.loop.recording.manifest import digests
+from luxloop.loop.recording.sources import digest_of_code
 from luxloop.loop.run import run as run_scenario
 from luxloop.loop.studies.campaign import checked
 from luxloop.loop.studies.dataset.drawn import Dataset, DrawnScene, facts

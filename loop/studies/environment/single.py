@@ -16,8 +16,9 @@ from luxloop.loop.report.picture import frame_picture, white_of
 from luxloop.loop.run import torch_device
 from luxloop.loop.scenario.edits import with_overrides
 from luxloop.loop.scenario.model import Scenario, load, only
-from luxloop.loop.simulation.result import SimulationState, StepResult
-from luxloop.loop.simulation.simulated import as_simulated
+from luxloop.loop.simulation.evaluator import Evaluation
+from luxloop.loop.simulation.result import SimulationState
+from luxloop.loop.simulation.simulated import world_plant
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.environment.acting import ACTIONS
 from luxloop.loop.studies.environment.task import Floats, Look, action_of, as_gymnasium, bounds, observation, reward
@@ -84,14 +85,14 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
         self.action_space = spaces.Box(-1.0, 1.0, (self.acting.size,), np.float32)
         self.observation_space = state if image is None else spaces.Dict({"state": state, "image": spaces.Box(0, 255, image, np.uint8)})
         self._state: SimulationState | None = None
-        self._result: StepResult | None = None
+        self._result: Evaluation | None = None
         self._white: torch.Tensor | None = None
 
     def prepare(self, values: dict[str, float | int]) -> None:
         """Change values of the scenario's keys and prepare only what they affect; call `reset` next."""
         scenario = with_overrides(self.scenario, [f"{key}={value!r}" for key, value in values.items()])
         prepared = Simulation.prepare(scenario, self._device, self._simulation)
-        as_simulated(prepared.plant, "an environment")
+        world_plant(prepared.plant, "an environment")
         symbol = prepared.symbol
         sensor = replace(symbol.sensor, searches=False)
         self.acting = ACTIONS[self._action](sensor, symbol.params)
@@ -103,25 +104,25 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
         super().reset(seed=seed)
         drawn = int(self.np_random.integers(SEEDS)) if seed is None else seed
         simulation = self.simulation
-        plant = replace(as_simulated(simulation.plant, "an environment"), seed=drawn)
+        plant = replace(world_plant(simulation.plant, "an environment"), seed=drawn)
         scenario = simulation.scenario.model_copy(update={"seed": drawn})
         self.simulation = replace(simulation, scenario=scenario, plant=plant)
         state, symbol = self.simulation.start(), self.simulation.symbol
         pose = start_of(options, symbol.function.start_pose.pose, (4,)).to(symbol.projector.target)
-        ((name, held),) = state.held.items()
-        self._state = replace(state, held={name: replace(held, controller=self.acting.start(pose))})
+        ((name, held),) = state.symbols.items()
+        self._state = replace(state, symbols={name: replace(held, controller=self.acting.start(pose))})
         self._result = None
         return self._observed(None), {}
 
     def step(self, action: Floats) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         if self._state is None:
             raise LuxloopError("step: there is no episode; call reset() first")
-        ((name, held),) = self._state.held.items()
+        ((name, held),) = self._state.symbols.items()
         taken = action_of(action, (self.acting.size,)).to(self.simulation.device)
         acted = replace(held, controller=self.acting.act(held.controller, taken))
-        self._state, result = self.simulation.step(replace(self._state, held={name: acted}))
-        self._result = result
-        verdict = result.symbol.verdict
+        self._state, result = self.simulation.step(replace(self._state, symbols={name: acted}))
+        self._result = evaluated = self.simulation.evaluate(result)
+        verdict = evaluated.symbol.verdict
         assert verdict is not None
         found = reward(verdict, taken)
         info = {
@@ -131,7 +132,7 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
         truncated = self._state.step >= self.simulation.scenario.steps
         if self.render_mode == "human":
             self._show()
-        return self._observed(result.symbol.measurement), float(found.reward), False, truncated, info
+        return self._observed(result.measurement), float(found.reward), False, truncated, info
 
     def render(self) -> Any:
         """The camera's view as in a run's video, `[height, width, 3]` uint8, black before the first step; None with render_mode "human"."""
@@ -168,7 +169,7 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
 
     def _observed(self, seen: Measurement | None) -> Any:
         assert self._state is not None
-        ((_, held),) = self._state.held.items()
+        ((_, held),) = self._state.symbols.items()
         ego = self.simulation.ego(self._state.samples, self._state.arrivals.time_s)
         if seen is None:
             seen = self.simulation.symbol.sensor.lost(self.acting.projection(held.controller, ego).pose, ExtractionStatus.NO_FRAME)

@@ -18,7 +18,7 @@ from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.loop.scenario.model import Scenario
-from luxloop.loop.simulation.simulated import as_simulated
+from luxloop.loop.simulation.simulated import world_plant
 from luxloop.loop.studies.batch.copies import Copies
 from luxloop.loop.studies.batch.laws import rows
 from luxloop.loop.studies.batch.looking import Taken
@@ -144,7 +144,7 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
         scenario = self.copies.simulation.scenario
         if not (scenario.camera.drop_probability or scenario.disturbances.drops):
             return np.zeros(self.num_envs, bool)
-        plant = as_simulated(self.copies.simulation.plant, "an environment")
+        plant = world_plant(self.copies.simulation.plant, "an environment")
         taken = zip(self._seeds, (self._age - self.late).tolist(), strict=True)
         return np.array([step >= 0 and replace(plant, seed=seed).loses(step) for seed, step in taken])
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from luxloop.controllers.pixels.mrpc_tuning import OPTIONS, THESIS
-from luxloop.loop.recording.digest import digest_of_code
+from luxloop.loop.recording.sources import digest_of_code
 from luxloop.loop.studies.evaluation import jobs
 from luxloop.loop.studies.jobs.executors import ALL_CORES, Executor
 from luxloop.loop.studies.jobs.runner import Job, Results, digest_of, run

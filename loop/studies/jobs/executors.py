@@ -12,7 +12,7 @@ from typing import Any, Final, Protocol, TypeVar
 from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky import process_executor
 
-from luxloop.loop.recording.digest import digest_of_code
+from luxloop.loop.recording.sources import digest_of_code
 from luxloop.world.errors import LuxloopError
 
 Task = TypeVar("Task")

@@ -64,7 +64,7 @@ class Results:
         """Write the rows as Parquet, whole or not at all. Raises LuxloopError if that fails."""
         import pyarrow as pa  # imported here, since workers do not need it and start faster
 
-        from luxloop.loop.recording.files import write_table
+        from luxloop.loop.recording.manifest import write_table
 
         try:
             with _writing(file):

@@ -160,7 +160,7 @@ def test_the_lights_of_a_scenario_are_those_of_its_run() -> None:
 
 def test_a_symbol_that_is_held_is_shown_where_its_control_is_by_then() -> None:
     scenario = load("flat", ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "renderer=raycast", "steps=3"])
-    results = list(Simulation.prepare(scenario).run())
+    results = list(Simulation.prepare(scenario).evaluations())
     for step in (0, 2):
         (u,) = lights_by_side(scenario, "idealised-332x1024", step / scenario.rate_hz)[0]["left"]
         torch.testing.assert_close(u, results[step].lights[0], rtol=1e-6, atol=1e-7)  # as above

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from luxloop.loop.recording import digest
+from luxloop.loop.recording import sources
 
 
 @pytest.mark.parametrize(
@@ -23,16 +23,16 @@ from luxloop.loop.recording import digest
 def test_the_version_follows_a_file_that_is_added_or_changed(
     file: str, decides: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(digest, "files", lambda package: tmp_path)
-    for package in digest.PACKAGES:
+    monkeypatch.setattr(sources, "files", lambda package: tmp_path)
+    for package in sources.LAYERS:
         (tmp_path / package).mkdir()
-    versions = [digest.digest_of_code.__wrapped__()]
+    versions = [sources.digest_of_code.__wrapped__()]
     for text in ("a = 1\n", "a = 2\n"):
         (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / file).write_text(text)
-        versions.append(digest.digest_of_code.__wrapped__())
+        versions.append(sources.digest_of_code.__wrapped__())
     assert len(set(versions)) == (3 if decides else 1)
 
 
 def test_the_folders_that_only_show_are_there() -> None:
-    assert all((Path(__file__).parents[3] / folder).is_dir() for folder in digest.SHOWING)
+    assert all((Path(__file__).parents[3] / folder).is_dir() for folder in sources.SHOWING)

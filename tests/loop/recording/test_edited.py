@@ -1,17 +1,13 @@
 """A simulation goes on with other values of keys."""
 
-from dataclasses import replace
-
 import pytest
 import torch
 
-from luxloop.loop.recording.edited import edited
+from luxloop.loop.recording.editing import apply_edit
 from luxloop.loop.scenario.edits import acts, with_overrides
 from luxloop.loop.scenario.model import Scenario, load
 from luxloop.loop.simulation.result import SimulationState, StepResult
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.loop.studio.messages import VIEWS
-from luxloop.loop.studio.runs import Run
 from luxloop.world.errors import LuxloopError
 
 SMALL = ("camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "judge_every=0")
@@ -30,6 +26,7 @@ def stepped(simulation: Simulation, state: SimulationState, steps: int) -> tuple
     results = []
     for _ in range(steps):
         state, result = simulation.step(state)
+        result = simulation.evaluate(result)
         results.append(result)
     return state, results
 
@@ -42,48 +39,17 @@ def test_the_same_values_change_nothing(simulation: Simulation) -> None:
     state, _ = stepped(simulation, simulation.start(), 3)
     assert acts(simulation.scenario, scenario()) == "step"
     expected = poses(stepped(simulation, state, 3)[1])
-    assert poses(stepped(*edited(simulation, state, scenario()), 3)[1]).equal(expected)
+    assert poses(stepped(*apply_edit(simulation, state, scenario()), 3)[1]).equal(expected)
 
 
 def test_a_gain_holds_from_the_next_step_on_and_the_controller_goes_on(simulation: Simulation) -> None:
     state, _ = stepped(simulation, simulation.start(), 3)
     other = scenario("functions.symbol.controller.position.kp=0.2")
-    found = poses(stepped(*edited(simulation, state, other), 3)[1])
+    found = poses(stepped(*apply_edit(simulation, state, other), 3)[1])
     assert found.equal(poses(stepped(Simulation.prepare(other), state, 3)[1]))
     before = poses(stepped(simulation, state, 3)[1])
     assert found[0].equal(before[0])  # which the step before has measured
     assert found[1:, :2].ne(before[1:, :2]).all()
-
-
-def test_another_controller_starts_where_the_symbol_starts(simulation: Simulation) -> None:
-    state, _ = stepped(simulation, simulation.start(), 3)
-    after, there = edited(simulation, state, scenario("functions.symbol.controller=open"))
-    _, (result,) = stepped(after, there, 1)
-    assert result.symbol.pose.equal(after.symbol.projector.target)
-
-
-def test_a_function_of_another_kind_starts() -> None:
-    marker = "functions.other.kind=marker"
-    zone = "functions.other={kind='zone', centre_m=[20.0, 0.0, 0.0], size_m=[4.0, 2.0, 0.0], luminance_cd_m2=1.0}"
-    simulation = Simulation.prepare(scenario(marker))
-    state, _ = stepped(simulation, simulation.start(), 2)
-    after, there = edited(simulation, state, scenario(zone))
-    assert there.functions["other"] is not None
-    stepped(after, there, 2)
-
-
-def test_a_controller_with_another_stage_starts() -> None:
-    simulation = Simulation.prepare(scenario("functions.symbol.controller.supervisor.grace_steps=8"))
-    state, _ = stepped(simulation, simulation.start(), 2)
-    symbol, lifting = simulation.symbol, state.held["symbol"].controller
-    charged = replace(lifting.inner, inner=symbol.controller.inner.inner.start(symbol.projector.target))  # type: ignore[attr-defined]
-    state = replace(state, held={"symbol": replace(state.held["symbol"], controller=replace(lifting, inner=charged))})
-    _, same = edited(simulation, state, scenario("functions.symbol.controller.supervisor.grace_steps=9"))
-    assert same.held["symbol"].controller.inner is charged
-    warped = ("functions.symbol.controller.supervisor.grace_steps=8", "functions.symbol.controller.warp.takes_over=0.3")
-    after, there = edited(simulation, state, scenario(*warped))
-    assert there.held["symbol"].controller.inner.inner is None
-    stepped(after, there, 2)
 
 
 def test_functions_come_and_go() -> None:
@@ -91,9 +57,9 @@ def test_functions_come_and_go() -> None:
     simulation = Simulation.prepare(guarded)
     assert acts(guarded, plain) == "step"
     state, masked = stepped(simulation, simulation.start(), 1)
-    open_, state = edited(simulation, state, plain)
+    open_, state = apply_edit(simulation, state, plain)
     state, bright = stepped(open_, state, 1)
-    _, again = stepped(*edited(open_, state, guarded), 1)
+    _, again = stepped(*apply_edit(open_, state, guarded), 1)
     dark, lit, back = (sum(float(u.sum()) for u in result.lights) for (result,) in (masked, bright, again))
     assert lit > 1.05 * max(dark, back)
 
@@ -111,28 +77,21 @@ def test_keys_act_when_it_is_said(when: str, key: str) -> None:
     assert acts(before, with_overrides(before, [key])) == when
 
 
-def test_a_car_cannot_begin_to_drive_in_a_run_that_stands(simulation: Simulation) -> None:
-    drives = scenario("vehicle={course = [{speed_m_s = 5.0}]}")
-    assert acts(simulation.scenario, drives) == "restart"
-    with pytest.raises(LuxloopError, match="cannot go on with these values; start it anew"):
-        edited(simulation, simulation.start(), drives)
-
-
 def test_what_has_stayed_is_not_made_anew(simulation: Simulation) -> None:
     state = simulation.start()
-    after, _ = edited(simulation, state, scenario("functions.symbol.controller.position.kp=0.2"))
+    after, _ = apply_edit(simulation, state, scenario("functions.symbol.controller.position.kp=0.2"))
     assert after.world is simulation.world and after.modules == simulation.modules
     assert after.symbol.sensor is simulation.symbol.sensor and after.symbol.judge is simulation.symbol.judge
     assert after.symbol.controller is not simulation.symbol.controller
     object_ = 'objects=[{kind = "box", name = "box", size_m = [0.4, 0.4, 0.3], track = [{position_m = [25.0, 3.0, 0.0]}]}]'
-    fuller, _ = edited(after, state, scenario("functions.symbol.controller.position.kp=0.2", object_))
+    fuller, _ = apply_edit(after, state, scenario("functions.symbol.controller.position.kp=0.2", object_))
     assert fuller.world is not after.world and fuller.world.scene.bodies[0] is after.world.scene.bodies[0]
     assert fuller.symbol.sensor is after.symbol.sensor and fuller.symbol.judge is not after.symbol.judge
 
 
 def test_the_world_changes_while_a_run_goes_on(simulation: Simulation) -> None:
     state, _ = stepped(simulation, simulation.start(), 3)
-    after, state = edited(simulation, state, scenario("light.ambient_lx=3.0"))
+    after, state = apply_edit(simulation, state, scenario("light.ambient_lx=3.0"))
     _, (result,) = stepped(after, state, 1)
     assert result.step == 3
     fresh = Simulation.prepare(scenario("light.ambient_lx=3.0"))
@@ -144,28 +103,12 @@ def test_the_world_changes_while_a_run_goes_on(simulation: Simulation) -> None:
 def test_a_symbol_that_cannot_be_drawn_is_refused(simulation: Simulation) -> None:
     state = simulation.start()
     with pytest.raises(LuxloopError, match=r"functions\.symbol"):
-        edited(simulation, state, scenario("functions.symbol.x_m=400.0"))
-
-
-def test_a_run_goes_on_without_one_of_its_symbols_and_with_it_again() -> None:
-    few = ("renderer=raycast", "camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "judge_every=0", "steps=9")
-    both, one = (load("two_symbols", (*few, *overrides, "checks={}")) for overrides in ((), ("functions.flake={}",)))
-    assert "flake" in both.functions and "flake" not in one.functions and acts(both, one) == "step"
-    run = Run(Simulation.prepare(both), "two_symbols", ())
-    run.step(VIEWS)
-    run.edit(run.prepare_edit(one), ("functions.flake={}",))
-    run.look_again(VIEWS)  # at rest, as the next step is seen
-    assert set(run.snapshots[-1].head["symbols"]) == set(one.controlled)
-    run.step(VIEWS)
-    assert set(run.snapshots[-1].head["symbols"]) == set(one.controlled) == set(run.summary()["functions"])
-    run.edit(run.prepare_edit(both), ())
-    run.step(VIEWS)
-    assert set(run.snapshots[-1].head["symbols"]) == set(both.controlled) == set(run.summary()["functions"])
+        apply_edit(simulation, state, scenario("functions.symbol.x_m=400.0"))
 
 
 def test_what_came_between_two_steps_and_is_gone_again_leaves_no_trace(simulation: Simulation) -> None:
     state, _ = stepped(simulation, simulation.start(), 3)
     there, back = scenario("functions.symbol.controller=open"), scenario()
-    other, _ = edited(simulation, state, there)
-    again, then = edited(other, state, back, simulation.scenario)
+    other, _ = apply_edit(simulation, state, there)
+    again, then = apply_edit(other, state, back, simulation.scenario)
     assert poses(stepped(again, then, 3)[1]).equal(poses(stepped(simulation, state, 3)[1]))

@@ -29,7 +29,7 @@ from luxloop.loop.simulation.frames import (
     write_image,
     write_light,
 )
-from luxloop.loop.simulation.protocol import Exposure, Frame, Showing
+from luxloop.loop.simulation.protocol import Exposure, Frame
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import CameraParams
@@ -62,35 +62,32 @@ def same(given: tuple[Sample, ...], others: tuple[Sample, ...]) -> bool:
 def test_all_that_was_shown_and_came_is_kept_bit_for_bit(changes: dict[str, Any], tmp_path: Path) -> None:
     simulation = Simulation.prepare(validate({**SMALL, **changes}, "small"))
     with Recorder(tmp_path, simulation, frames=True) as recorder:
-        results = list(simulation.run())
+        results = list(simulation.evaluations())
         for result in results:
             recorder.add(result)
-    showings = [showing for result in results for showing in result.showings]
+    exposures = [each for result in results for each in result.exposures]
+    arrivals = [results[0].reception.arrivals[0], *(each for result in results for each in result.reception.arrivals[1:])]
     rows, camera, like = read_exposures(tmp_path / TABLE), simulation.scenario.camera, simulation.symbol.projector.target
-    assert len(rows) == len(showings) + 1 and pq.read_schema(tmp_path / TABLE).equals(SCHEMA, check_metadata=True)
-    for row, showing in zip(rows, showings, strict=False):
-        assert (row["number"], row["time_s"], row["duration_s"]) == (
-            showing.exposure.number,
-            showing.before.time_s,
-            showing.exposure.duration_s,
-        )
-        assert same(read_samples(row, like), showing.before.samples)
-        pixels = [light.u.numel() for light in showing.exposure.lights]
+    assert len(rows) == len(exposures) + 1 and pq.read_schema(tmp_path / TABLE).equals(SCHEMA, check_metadata=True)
+    for row, exposure, before in zip(rows, exposures, arrivals, strict=False):
+        assert (row["number"], row["time_s"], row["duration_s"]) == (exposure.number, before.time_s, exposure.duration_s)
+        assert same(read_samples(row, like), before.samples)
+        pixels = [light.u.numel() for light in exposure.lights]
         lights, projections, _ = read_light(light_file(tmp_path, row["light"]), pixels, like.device)
-        asked = showing.exposure.projections
-        assert all(a.u.equal(b.u) and a.band == b.band for a, b in zip(lights, showing.exposure.lights, strict=True))
+        asked = exposure.projections
+        assert all(a.u.equal(b.u) and a.band == b.band for a, b in zip(lights, exposure.lights, strict=True))
         assert projections.keys() == asked.keys() and all(projections[name].shows(asked[name]) for name in asked)
-    assert same(read_samples(rows[-1], like), showings[-1].after.samples) and rows[-1]["time_s"] == showings[-1].after.time_s
-    came = {frame.number: (frame, showing) for showing in showings for frame in showing.after.frames}
+    assert same(read_samples(rows[-1], like), arrivals[-1].samples) and rows[-1]["time_s"] == arrivals[-1].time_s
+    came = {frame.number: (frame, each) for each, after in zip(exposures, arrivals[1:], strict=True) for frame in after.frames}
     assert {row["number"] for row in rows if row["came_with"] is not None} == came.keys()
-    for number, (frame, showing) in came.items():
+    for number, (frame, exposure) in came.items():
         row = rows[number]
-        assert (row["taken_s"], row["arrived_s"], row["came_with"]) == (frame.taken_s, frame.arrived_s, showing.exposure.number)
+        assert (row["taken_s"], row["arrived_s"], row["came_with"]) == (frame.taken_s, frame.arrived_s, exposure.number)
         assert row["lost"] == (frame.image is None) != image_file(tmp_path, number).exists()
         assert frame.image is None or read_image(image_file(tmp_path, number), camera, like).equal(frame.image)
     lost = [frame.image is None for frame, _ in came.values()]
     assert any(lost) == bool(camera.drop_probability) and not all(lost)
-    assert any(showing.exposure.projections for showing in showings) and not all(showing.exposure.projections for showing in showings)
+    assert {bool(each.projections) for each in exposures} == {True, False}
     light_files = len(list((tmp_path / FOLDER).glob("light_*")))
     assert light_files <= len(results) + 1, "off exposures share one light"
 
@@ -154,22 +151,16 @@ def test_old_frames_go_with_their_recording_and_nothing_else(
     assert not (directory / FOLDER).exists() and (elsewhere / "frame_00000000.png").exists()
 
 
-def test_an_interrupted_run_keeps_the_frames_so_far(tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]) -> None:
-    with pytest.raises(KeyboardInterrupt), Recorder(tmp_path, small_simulation, frames=True) as recorder:
-        for result in small_results[:3]:
-            recorder.add(result)
-        raise KeyboardInterrupt
-    assert Manifest.read(tmp_path).status == "interrupted" and len(read_exposures(tmp_path / TABLE)) == 7
-
-
 @pytest.mark.parametrize("value", [0.5, -1.0, 4096.0, float("nan")])
 def test_frames_that_would_not_be_kept_as_they_are_are_refused(
     value: float, tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]
 ) -> None:
-    showing = small_results[0].showings[0]
-    (frame,) = showing.after.frames
+    reception = small_results[0].reception
+    before, after, _ = reception.arrivals
+    (frame,) = after.frames
     assert frame.image is not None
     broken: Frame = replace(frame, image=torch.full_like(frame.image, value))
-    result = replace(small_results[0], showings=(Showing(showing.before, showing.exposure, replace(showing.after, frames=(broken,))),))
+    broken_reception = replace(reception, exposures=reception.exposures[:1], arrivals=(before, replace(after, frames=(broken,))))
+    result = replace(small_results[0], reception=broken_reception)
     with pytest.raises(LuxloopError, match=r"frame_00000000.png: cannot be stored, .* 0 to 4095; check the plant with luxloop.check_plant"):
         Recorder(tmp_path, small_simulation, frames=True).add(result)

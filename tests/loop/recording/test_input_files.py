@@ -45,13 +45,6 @@ def test_every_file_that_decides_is_an_input(tmp_path: Path, monkeypatch: pytest
     assert dict(input_files(own))["module found_by_python"] == tmp_path / "found_by_python.py"
 
 
-def test_animations_of_many_files_are_inputs(tmp_path: Path) -> None:
-    for name in ("0.png", "1.png"):
-        (tmp_path / name).write_text(name)
-    shown = load("animated_symbol", [f"functions.guidance.image={tmp_path}"])
-    assert [file.name for key, file in input_files(shown) if "image" in key] == ["0.png", "1.png"]
-
-
 @pytest.fixture
 def symbol(tmp_path: Path) -> Path:
     """A symbol's file; another one has the same name and another width."""

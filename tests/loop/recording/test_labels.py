@@ -11,10 +11,9 @@ import pytest
 from pycocotools.coco import COCO
 
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.loop.recording.coco import run_lengths
 from luxloop.loop.recording.frames import FrameRecorder
 from luxloop.loop.recording.label_recorder import LabelRecorder
-from luxloop.loop.recording.labelled import Labels
+from luxloop.loop.recording.labels import Labels
 from luxloop.loop.run import prepare, run
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.result import StepResult
@@ -100,38 +99,18 @@ def test_depth_and_light_are_those_of_the_scene(drive: tuple[Path, list[StepResu
         assert (folder / image["light"]).is_file()
 
 
-def test_light_without_anybody_who_asks_for_it(tmp_path: Path) -> None:
-    scenario = street(objects=[], vehicle=None, steps=1)
-    assert not scenario.meters_light
-    run(scenario, tmp_path / "plain", video=False, report=False, labels="coco", lux=True)
-    run(street(vehicle=None, steps=1), tmp_path / "metered", video=False, report=False, labels="coco", lux=True)
-    plain, metered = (np.load(tmp_path / name / "labels" / "lux_00000000.npz")["lux"] for name in ("plain", "metered"))
-    free = plain[:, :60]  # beside all objects and their shadows
-    assert free.max() > 0.05 and np.array_equal(free, metered[:, :60])
-
-
-def test_late_and_lost_frames_have_the_labels_of_their_exposure(tmp_path: Path) -> None:
-    late = {**STREET["camera"], "latency_steps": 1, "drop_probability": 0.4}
-    run(street(camera=late, steps=8, seed=1), tmp_path, video=False, report=False, labels="coco", masks=True)
-    images = json.loads((tmp_path / "labels" / "coco.json").read_text())["images"]
-    frames = {f"frames/{file.name}" for file in (tmp_path / "frames").glob("frame_*.png")}
-    assert {image["file_name"] for image in images} == frames and 0 < len(frames) < 7
-    assert len(list((tmp_path / "labels").glob("instances_*.png"))) == len(frames)
-    assert [image["time_s"] for image in images] == pytest.approx([image["id"] / 10 for image in images])
-
-
 def test_light_is_that_which_the_frame_shows(tmp_path: Path) -> None:
     simulation = prepare(street(steps=1), "cpu")
-    (result,) = simulation.run()
-    (showing,) = result.showings
-    dark = tuple(Utilisation(0 * each.u) for each in showing.exposure.lights)
-    (frame,) = showing.after.frames
-    other = replace(frame, shown=replace(showing.exposure, lights=dark))
+    (result,) = simulation.evaluations()
+    reception = result.reception
+    (exposure,), (before, after), (frame,) = reception.exposures, reception.arrivals, reception.frames
+    dark = tuple(Utilisation(0 * each.u) for each in exposure.lights)
+    other = replace(frame, shown=replace(exposure, lights=dark))
     frames = FrameRecorder(tmp_path, bits=8)
     labels = LabelRecorder(tmp_path, simulation.world, Labels("coco", lux=True), frames)
     for each in (frames, labels):
         each.begin()
-        each.add([replace(showing, after=replace(showing.after, frames=(other,)))])
+        each.add(replace(reception, frames=(other,), arrivals=(before, replace(after, frames=(other,)))))
         each.write()
     (image,) = json.loads((tmp_path / "labels" / "coco.json").read_text())["images"]
     assert not np.load(tmp_path / image["lux"])["lux"].any() and not np.load(tmp_path / image["light"])["u_0"].any()
@@ -157,25 +136,6 @@ def test_kitti_boxes_lie_where_the_calibration_puts_the_objects(tmp_path: Path) 
             assert bottom == pytest.approx(v / w, abs=2) or "Pedestrian" in line, "its feet are behind the bin"
             assert top == pytest.approx(upper / depth, abs=3)
         assert float(lines[0].split()[-1]) == pytest.approx(-np.pi / 2, abs=0.01), "it faces as the camera does"
-
-
-def test_run_lengths_are_those_of_coco() -> None:
-    rng = np.random.default_rng(0)
-    coco = COCO()
-    for share in (0.0, 0.1, 0.7, 1.0):
-        mask = rng.random((7, 5)) < share
-        coco.imgs = {1: {"height": 7, "width": 5}}
-        assert np.array_equal(coco.annToMask({"image_id": 1, "segmentation": run_lengths(mask)}), mask)
-
-
-def test_old_labels_go_with_their_recording_and_nothing_else(tmp_path: Path) -> None:
-    scenario = street(steps=1)
-    run(scenario, tmp_path, video=False, report=False, labels="kitti", masks=True, depth=True)
-    (tmp_path / "labels" / "notes.txt").write_text("mine")
-    run(scenario, tmp_path, video=False, report=False, labels="coco")
-    assert sorted(file.name for file in (tmp_path / "labels").iterdir()) == ["coco.json", "notes.txt"]
-    run(scenario, tmp_path, video=False, report=False)
-    assert [file.name for file in (tmp_path / "labels").iterdir()] == ["notes.txt"] and not (tmp_path / "frames").exists()
 
 
 def test_what_cannot_be_labelled_is_said_in_a_sentence(lux: Lux, tmp_path: Path) -> None:

@@ -19,9 +19,8 @@ import torch
 
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.loop.recording import recorder
-from luxloop.loop.recording.files import table_of
-from luxloop.loop.recording.manifest import Manifest
-from luxloop.loop.recording.record import row, schema, summary_of
+from luxloop.loop.recording.manifest import table_of
+from luxloop.loop.recording.record import row, schema
 from luxloop.loop.recording.recorder import Recorder
 from luxloop.loop.recording.replay import load
 from luxloop.loop.run import run
@@ -80,13 +79,13 @@ def test_what_the_plant_computes_of_a_frame_where_it_is_read_is_no_time_of_the_c
     clock, frame = Clock(), PartialImage.of(9, 16, torch.zeros(0), slowly)
     assert not frame.any()
     clock.lap("control")
-    assert clock.taken_ms["plant"] >= 50 > 25 > clock.processing_ms
+    assert clock.ms["plant"] >= 50 > 25 > clock.processing_ms
 
 
 def test_lost_symbol_is_a_row_with_a_reason(small_simulation: Simulation, small_results: list[StepResult]) -> None:
     result = small_results[0]
     seen = small_simulation.symbol.sensor.measure(None, ProjectionCommand(result.symbol.pose), small_simulation.symbol.projector.resting)
-    values = row(replace(result, frames=None, held={"symbol": replace(result.symbol, measurement=seen)}))
+    values = row(replace(result, held={"symbol": replace(result.symbol, measurement=seen)}))
     assert values["functions.symbol.loss"] == "no_frame"
     assert math.isnan(values["functions.symbol.c_u"]) and math.isnan(values["functions.symbol.e_pitch"])
     assert table_of([values], schema(small_simulation))["functions.symbol.c_u"].null_count == 1
@@ -157,7 +156,7 @@ from luxloop.loop.scenario.model import validate
 
 simulation = Simulation.prepare(validate(json.loads(sys.argv[2]), "test"))
 with Recorder(Path(sys.argv[1]), simulation) as recording:
-    for result in simulation.run():
+    for result in simulation.evaluations():
         recording.add(result)
         print(result.step, flush=True)
 """
@@ -193,34 +192,6 @@ def test_one_seed_gives_the_same_bits_in_two_processes(tmp_path: Path, small_sce
     exact = [name for name in a.column_names if not name.endswith("_ms")]
     assert a.num_rows == 5
     assert a.select(exact).equals(b.select(exact))
-
-
-def test_another_seed_gives_another_trajectory(small_scenario: Scenario, small_results: list[StepResult]) -> None:
-    other = Simulation.prepare(small_scenario.model_copy(update={"seed": 1}))
-    _, result = other.step(other.start())
-    assert not torch.equal(result.symbol.measurement.errors, small_results[0].symbol.measurement.errors)
-
-
-def test_a_run_is_summarised_once(tmp_path: Path, small_scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
-    found: list[dict[str, Any]] = []
-
-    def counted(*given: Any) -> dict[str, Any]:
-        found.append(summary_of(*given))
-        return found[-1]
-
-    monkeypatch.setattr(recorder, "summary_of", counted)
-    result = run(small_scenario.model_copy(update={"steps": 1}), tmp_path, video=False, report=False)
-    assert len(found) == 1, "it judges the open loop, which takes a rendering"
-    assert result.summary == strict_json(tmp_path / "summary.json")
-
-
-def test_old_recording_is_replaced_as_a_whole(tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]) -> None:
-    record(tmp_path, small_simulation, small_results)
-    for name in ("report.png", "video.mp4", "notes.txt"):
-        (tmp_path / name).write_text("old")
-    Recorder(tmp_path, small_simulation).add(small_results[0])
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["manifest.json", "notes.txt", "trajectory.parquet"]
-    assert load(tmp_path).table.num_rows == 1
 
 
 def test_what_ends_before_its_first_step_leaves_all_as_it_was(
@@ -262,13 +233,3 @@ def test_what_cannot_be_written_is_said(
     shutil.rmtree(tmp_path / "gone")
     with pytest.raises(LuxloopError, match=r"gone/trajectory.parquet: cannot be written \(No such file or directory\)"):
         recording.add(small_results[0])
-
-
-def test_manifest_names_meshes_and_says_which_file_is_missing(tmp_path: Path, small_scenario: Scenario) -> None:
-    mesh = {"kind": "mesh", "name": "cone", "file": str(tmp_path / "cone.stl"), "track": [{"position_m": [20, 2, 0]}]}
-    scenario = validate({**small_scenario.model_dump(mode="json"), "objects": [mesh]}, "test")
-    with pytest.raises(LuxloopError, match=r"cone\.stl: cannot be read .*; put it back, or name another in the scenario"):
-        Manifest.of(scenario, "rays", torch.device("cpu"))
-    (tmp_path / "cone.stl").write_bytes(b"a mesh")
-    inputs = Manifest.of(scenario, "rays", torch.device("cpu")).inputs
-    assert inputs["objects[0].file"].sha256 == hashlib.sha256(b"a mesh").hexdigest()

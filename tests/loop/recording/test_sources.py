@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from luxloop.loop.recording import sources
 from luxloop.loop.recording.manifest import Manifest, digests
 from luxloop.loop.recording.sources import sources_of
 from luxloop.loop.run import prepare
@@ -47,18 +46,6 @@ def test_imports_are_followed_within_the_folder(folder: Path) -> None:
     assert sources_of("own_neighbour") == {"own_neighbour": folder / "own_neighbour.py"}
     assert sources_of("own_pkg.nothing") == {"own_pkg": folder / "own_pkg/__init__.py"}
     assert sources_of("no_such_module_at_all") == sources_of("luxloop.controllers.pixels.ssc") == sources_of("random") == {}
-
-
-def test_relative_imports_that_find_nothing_are_left_to_python(folder: Path) -> None:
-    (folder / "own_neighbour.py").write_text("try:\n    from . import tables\nexcept ImportError:\n    import own_helper\n")
-    assert set(sources_of("own_neighbour")) == {"own_neighbour", "own_helper"}
-    (folder / "own_pkg/tables.py").write_text("from .deep import waves\nfrom ...beyond import nothing\n")
-    assert set(sources_of("own_pkg.tables")) >= {"own_pkg.tables", "own_pkg.deep.waves"}
-
-
-def test_of_an_installed_package_only_itself_is_followed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sources, "INSTALLED", {folder})
-    assert "own_helper" not in sources_of("own_pkg.roads") and "own_pkg.tables" in sources_of("own_pkg.roads")
 
 
 def test_what_is_not_python_is_said_in_a_sentence(folder: Path) -> None:

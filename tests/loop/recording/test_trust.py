@@ -10,12 +10,11 @@ from typing import Any
 import pytest
 
 from luxloop.loop.commands import cli
-from luxloop.loop.recording.manifest import FILE, Manifest, digests
+from luxloop.loop.recording.manifest import MANIFEST, Manifest, digests
 from luxloop.loop.recording.replay import replay
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import load
 from luxloop.loop.studies import campaign
-from luxloop.loop.studies.jobs.executors import local
 from luxloop.world import plugin
 from luxloop.world.errors import LuxloopError
 
@@ -124,24 +123,15 @@ def test_a_name_in_a_file_stays_untrusted_beside_what_is_typed(mine: Path) -> No
     assert load(str(file), ["functions.symbol.extraction.kind=differential"]).symbol.extraction.kind == "differential"
 
 
-def test_all_modules_that_a_file_names_are_told_at_once(mine: Path) -> None:
-    (file := mine / "scenario.toml").write_text(NAMING["road.kind"] + '\ntracker.kind = "other:Nearest"\ndetector.kind = "mine:Sees"\n')
-    with pytest.raises(LuxloopError) as caught:
-        load(str(file))
-    (sentence,) = caught.value.args
-    for part in ("road.kind: ", "tracker.kind: other:Nearest", "detector.kind: ", "would run the modules mine, other;", "and the modules"):
-        assert part in sentence
-
-
 def recorded(mine: Path, text: str, key: str, value: Any) -> Path:
     """A recording in whose manifest a key of the scenario was edited."""
     (mine / "plain.toml").write_text(text)
     scenario = load(str(mine / "plain.toml"))
     run(scenario, mine / "run", device="cpu", video=False, report=False)
-    manifest = json.loads((mine / "run" / FILE).read_text())
+    manifest = json.loads((mine / "run" / MANIFEST).read_text())
     *tables, last = key.split(".")
     reduce(getitem, tables, manifest["scenario"])[last] = value
-    (mine / "run" / FILE).write_text(json.dumps(manifest))
+    (mine / "run" / MANIFEST).write_text(json.dumps(manifest))
     return mine / "run"
 
 
@@ -168,32 +158,6 @@ def test_a_campaign_names_code_as_a_scenario_does(mine: Path) -> None:
     with pytest.raises(LuxloopError, match=r"plain\.toml: road\.kind: .*--allow-code"):
         campaign.read(file)
     assert not ran(mine)
-
-
-@pytest.mark.slow
-def test_workers_run_what_the_campaign_may(mine: Path) -> None:
-    (file := mine / "campaign.toml").write_text(
-        'scenarios = ["plain.toml"]\nseeds = [0, 1]\n[set.functions.symbol.extraction]\nkind = "mine:Looks"\n'
-    )
-    done = campaign.run_campaign(file, mine / "out", executor=local(2), allow_code=True)
-    assert not done.failures and ran(mine)
-    assert "mine" not in sys.modules, "it ran in workers"
-
-
-def test_commands_take_the_flag(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (file := mine / "scenario.toml").write_text(NAMING["road.kind"])
-    (mine / "campaign.toml").write_text('scenarios = ["scenario.toml"]\n')
-    for command in (
-        ["check", str(file)],
-        ["run", str(file)],
-        ["tune", str(file), "--key", "light.ambient_lx=0:1"],
-        ["campaign", str(mine / "campaign.toml")],
-        ["optimise-beam", str(file)],
-        ["headlight", "show", "hd84", "--scenario", str(file)],
-    ):
-        assert cli.main(command) == cli.WRONG and "--allow-code" in capsys.readouterr().err, command
-        assert not ran(mine) and not Path("runs").exists(), command
-    assert cli.main(["check", str(file), "--allow-code"]) == cli.OK and ran(mine)
 
 
 def test_a_step_that_fails_says_where_and_debug_shows_how(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -57,7 +57,8 @@ def test_symbol_is_outlined_where_it_is(small_simulation: Simulation, small_resu
 def test_lost_frames_are_a_dark_picture_that_says_so(small_simulation: Simulation, small_results: list[StepResult]) -> None:
     result = small_results[0]
     seen = small_simulation.symbol.sensor.measure(None, ProjectionCommand(result.symbol.pose), small_simulation.symbol.projector.resting)
-    lost = replace(result, frame=None, frames=None, held={"symbol": replace(result.symbol, measurement=seen)})
+    none, held = replace(result.perception, image=None), {"symbol": replace(result.symbol, measurement=seen)}
+    lost = replace(result, perception=none, control=replace(result.control, frames=None), held=held)
     picture = drawn(lost, small_simulation)
     assert not shows(picture, SEEN_RGB)
     assert shows(picture[-12:, :80], LOST_RGB)
@@ -80,28 +81,6 @@ def test_video_has_every_picture_in_even_size(tmp_path: Path, size: tuple[int, i
     assert [picture.shape for picture in pictures] == [(height // 2 * 2, width // 2 * 2, 3)] * 3
     assert [picture.mean() for picture in pictures] == pytest.approx(shades, abs=3)  # limited range and quantisation
     assert [file.name for file in tmp_path.iterdir()] == ["video.mp4"]
-
-
-def test_interrupted_video_can_be_played(tmp_path: Path) -> None:
-    with pytest.raises(KeyboardInterrupt), VideoWriter(tmp_path / "video.mp4", 30, (64, 64)) as video:
-        video.add(np.zeros((64, 64, 3), np.uint8))
-        raise KeyboardInterrupt
-    assert len(decoded(tmp_path / "video.mp4")) == 1
-
-
-def test_video_of_nothing_is_no_file(tmp_path: Path) -> None:
-    with VideoWriter(tmp_path / "video.mp4", 30, (64, 64)):
-        pass
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_same_pictures_give_the_same_file(tmp_path: Path) -> None:
-    noise = np.random.default_rng(0).integers(0, 255, (3, 64, 64, 3), np.uint8)
-    for name in ("a", "b"):
-        with VideoWriter(tmp_path / f"{name}.mp4", 30, (64, 64)) as video:
-            for picture in noise:
-                video.add(picture)
-    assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "b.mp4").read_bytes()
 
 
 def test_video_that_cannot_be_written_is_told(tmp_path: Path) -> None:

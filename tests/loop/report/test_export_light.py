@@ -18,7 +18,7 @@ SMALL = ["camera.width_px=320", "camera.height_px=133", "renderer=raycast"]
 def test_npz_has_the_textures_of_the_modules(lux: Lux, tmp_path: Path) -> None:
     code, out, error = lux("export", "light", "gfhb", "--at", str(AT_S), "--out", "light.npz", "--set", *SMALL)
     assert (code, error, out) == (0, "", "light.npz written: gfhb at 0.3 s, 1 file\n")
-    *_, result = (each for each in prepare(load("gfhb", SMALL, steps=4), "cpu").run())
+    *_, result = (each for each in prepare(load("gfhb", SMALL, steps=4), "cpu").evaluations())
     assert result.time_s == pytest.approx(AT_S)
     simulation, arrays = prepare(load("gfhb", SMALL), "cpu"), np.load(tmp_path / "light.npz")
     for module, u in zip(simulation.world.modules, result.lights, strict=True):

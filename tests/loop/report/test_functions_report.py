@@ -14,15 +14,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from luxloop.loop.recording.compared import compared
-from luxloop.loop.recording.functions_summary import NAMED, eyes_lx, lost_steps, named, steps_of_nothing
+from luxloop.loop.recording.functions_summary import NAMED, brightest, eyes_lx, lost_steps, reference_power, steps_of_nothing
 from luxloop.loop.report.courses import write_courses
 from luxloop.loop.report.marks import Mark, readable
 from luxloop.loop.report.run_table import _of_light, _of_lost, summary_table
 from luxloop.loop.report.style import STYLE
 from luxloop.loop.run import check, in_words, run
 from luxloop.loop.scenario.model import Scenario, validate
-from luxloop.loop.simulation.detection import recognised
+from luxloop.loop.simulation.detection import recognise
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.detection.detector import Detections
 
@@ -81,7 +80,7 @@ def test_of_many_objects_the_brightest_are_named_and_the_rest_counted() -> None:
     assert "light on 1 other" in _of_light({f"car_{k}": in_sight(float(k)) for k in range(NAMED + 1)}, 9)
     assert _of_light({f"car_{k}": in_sight(0.0) for k in range(NAMED + 1)}, 9) == {f"light on {NAMED + 1} objects": "0 lx at most"}
     few = {f"car_{k}": in_sight(0.0) for k in range(NAMED)}
-    assert [*_of_light(few, 9)] == [f"light on car_{k}" for k in range(NAMED)] and named(few) == [*few]
+    assert [*_of_light(few, 9)] == [f"light on car_{k}" for k in range(NAMED)] and brightest(few) == [*few]
 
 
 def test_of_many_objects_the_largest_that_are_lost_are_named() -> None:
@@ -124,12 +123,12 @@ def test_energy_stands_beside_that_of_standby_and_of_undimmed_beams(tmp_path: Pa
 def test_power_is_compared_within_the_same_limit_and_beams_are_named_once() -> None:
     table = pa.table({"time_s": [0.0, 0.1], "beam": ["low", "low"]})
     free, limited = (
-        compared(Simulation.prepare(scenario({}, "low", lighting={"base": {"beam": "low"}, "power_limit": limit})), table)
+        reference_power(Simulation.prepare(scenario({}, "low", lighting={"base": {"beam": "low"}, "power_limit": limit})), table)
         for limit in (1.0, 0.001)
     )
     assert list(free) == list(limited) == ["standby", "low beam"]
     assert free["low beam"].shape == (2,) and free["standby"][0] < limited["low beam"][0] < free["low beam"][0]
-    dark = compared(Simulation.prepare(scenario({}, "off")), pa.table({"time_s": [0.0], "beam": ["off"]}))
+    dark = reference_power(Simulation.prepare(scenario({}, "off")), pa.table({"time_s": [0.0], "beam": ["off"]}))
     assert list(dark) == ["standby", "low beam"]
 
 
@@ -202,7 +201,7 @@ def test_who_is_too_small_or_of_another_class_is_not_missed() -> None:
     view = simulation.world.lit(0.0)
     assert simulation.pipeline is not None
     nothing = simulation.pipeline.present(simulation.pipeline.tracker.start(), 0.0), Detections(torch.zeros(0, 4), torch.zeros(0, 8))
-    both, cars = (recognised(view, *nothing, classes) for classes in (("pedestrian", "car"), ("car",)))
+    both, cars = (recognise(view, *nothing, classes) for classes in (("pedestrian", "car"), ("car",)))
     assert {name: each.findable for name, each in both.items()} == {"walker": True, "far": False}
     assert not cars["walker"].findable
 

@@ -11,8 +11,9 @@ import pytest
 import torch
 from matplotlib.figure import Figure
 
-from luxloop.loop.recording.files import REPORT, table_of
-from luxloop.loop.recording.record import row, schema, summary_of
+from luxloop.loop.recording.functions_summary import summary_of
+from luxloop.loop.recording.manifest import REPORT, table_of
+from luxloop.loop.recording.record import row, schema
 from luxloop.loop.report.highlights import Highlights, SymbolHistory
 from luxloop.loop.report.page import DPI, LIGHT_IN, WIDE_IN, _from_near, write_report
 from luxloop.loop.report.symbol import HIGH_IN, _courses
@@ -81,7 +82,7 @@ def test_page_of_two_lamps_seen_from_above(tmp_path: Path) -> None:
     symbol = SYMBOL | {"modules": ["left", "right"], "features": {"view": "birdseye", "shape": "moments"}}
     simulation = Simulation.prepare(validate(SMALL | {"headlight": lamps, "functions": {"symbol": symbol}, "steps": 2}, "two lamps"))
     assert len(simulation.symbol.projector.modules) == 2
-    assert drawn(tmp_path / "report.png", simulation, list(simulation.run())).shape == size(HIGH_IN)
+    assert drawn(tmp_path / "report.png", simulation, list(simulation.evaluations())).shape == size(HIGH_IN)
 
 
 @pytest.mark.slow
@@ -89,7 +90,7 @@ def test_page_has_all_light_and_then_each_symbol(tmp_path: Path) -> None:
     box = {"kind": "box", "name": "box", "category": "car", "size_m": [1.0, 0.5, 0.6], "track": [{"position_m": [25, 0, 0]}]}
     functions = {name: SYMBOL | {"y_m": y_m, "start": {"x_m": 17.0, "y_m": y_m}} for name, y_m in (("left", 1.6), ("right", -1.6))}
     simulation = Simulation.prepare(validate(SMALL | {"objects": [box], "functions": functions, "steps": 4}, "lit"))
-    results = list(simulation.run())
+    results = list(simulation.evaluations())
     assert drawn(tmp_path / "both.png", simulation, results).shape == size(LIGHT_IN + 2 * HIGH_IN)
     without = [replace(result, held={name: each for name, each in result.held.items() if name == "right"}) for result in results]
     assert drawn(tmp_path / "one.png", simulation, without).shape == size(LIGHT_IN + HIGH_IN), "a symbol that was never shown has no part"

@@ -108,12 +108,12 @@ def run_on(bench: Bench, rig_params: RigParams, steps: int = 40) -> tuple[Simula
         assert await_camera(rig, 20)
         judged = Judged(simulation.controlled, scenario.camera, rig_params.mark)
         watched = Watched(replace(RigPlant.of(rig, modules, 2 * steps), look=judged.look))
-        results = list(replace(simulation, plant=from_zero(watched, scenario, modules)).run())
+        results = list(replace(simulation, plant=from_zero(watched, scenario, modules)).evaluations())
         summary = {**rig.statistics.summary(2), "interruptions": rig.keeper.interruptions, "judged": judged.summary()}
-    on, off = (each.exposure.lights for each in results[-1].showings)
+    on, off = (each.lights for each in results[-1].exposures)
     judge = world.symbol.judge
     assert judge is not None
-    verdict = judge.judged(world.world.added(0.0, on, off, ()), 0.0)
+    verdict = judge.evaluate(world.world.added(0.0, on, off, ()), 0.0)
     return world, watched.taken, summary, float(verdict.iou)
 
 
@@ -133,7 +133,7 @@ def test_on_a_good_rig_the_symbol_is_as_straight_as_in_simulation(bench: Callabl
     rig = bench("faults.camera.latency_s=0.02")
     world, taken, summary, iou = run_on(rig, rig.params())
     assert not wrong(rig, taken) and len(taken) >= 70
-    simulated = [float(each.symbol.verdict.iou) for each in world.run()][-1]
+    simulated = [float(each.symbol.verdict.iou) for each in world.evaluations()][-1]
     print(f"\nIoU {iou:.3f}, simulated {simulated:.3f}; {summary}")
     assert iou > simulated - 0.02
     assert abs(summary["judged"]["symbol"]["iou_final"] - iou) < 0.06  # with noise, and by a plane where the road is none

@@ -37,7 +37,7 @@ def prepared(disturbances: dict[str, Any] | None = None, **changes: Any) -> Simu
 
 
 def first(simulation: Simulation) -> StepResult:
-    return next(simulation.run())
+    return next(simulation.evaluations())
 
 
 @pytest.fixture(scope="module")
@@ -189,7 +189,7 @@ def test_two_lamps_draw_one_symbol_until_one_is_aimed_aside(plain: Simulation) -
     shared, alone = first(together), first(plain)
     assert float(shared.symbol.verdict.iou) > 0.97
     runs = ((together, shared), (plain, alone))
-    lit = [float(sim.world.lit(0.0).luminance(result.showings[0].exposure.lights).sum()) for sim, result in runs]
+    lit = [float(sim.world.lit(0.0).luminance(result.exposures[0].lights).sum()) for sim, result in runs]
     assert lit[0] == pytest.approx(lit[1], rel=0.01)  # each gives half of the setpoint
     apart = first(prepared({"aim": [{"lamp": "right", "yaw_deg": -1.0}]}, **both))
     y_percent = float(apart.symbol.verdict.centroid_percent[1])

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from luxloop.loop.scenario.model import HeadlightParams, Scenario, load, validate
+from luxloop.loop.scenario.model import Scenario, load, validate
 from luxloop.loop.simulation.build_lamps import mount
 from luxloop.loop.simulation.build_scene import build_motion, build_scene
 from luxloop.loop.simulation.part_cache import PartCache
@@ -88,12 +88,6 @@ def test_what_can_turn_is_turned_and_the_rest_stays(scenario: Scenario) -> None:
 def test_what_the_lamp_has_not_is_named(scenario: Scenario, values: dict, words: str) -> None:
     with pytest.raises(LuxloopError, match=words):
         mount(with_headlight(scenario, **values).headlight)
-
-
-def test_modules_that_give_no_light_cannot_be_scaled(tmp_path: Path) -> None:
-    archive.save(tmp_path / "dark.npz", Lamp("dark", (Module("main", idealised(4, 8).scale(0.0)),)))
-    with pytest.raises(LuxloopError, match="main give no light"):
-        mount(HeadlightParams(model=str(tmp_path / "dark.npz"), intensity_cd=1000))
 
 
 def test_the_road_is_there_under_all_that_is_met_on_a_drive() -> None:

@@ -1,21 +1,14 @@
 """Functions turn and dim modules: the light follows, other functions aim by the turned modules, and plants get the commands."""
 
 import math
-import re
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pyarrow as pa
 import pytest
 import torch
-from matplotlib.figure import Figure
-from rich.console import Console
 
-from luxloop.loop.recording.record import row, schema
-from luxloop.loop.report.courses import _modules
-from luxloop.loop.report.run_table import summary_table
-from luxloop.loop.run import check, run
+from luxloop.loop.recording.record import schema
+from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
@@ -67,7 +60,7 @@ def scenario(lamp: str, functions: dict[str, Any], **changes: Any) -> Scenario:
 
 
 def results(*given: Any, **changes: Any) -> list[StepResult]:
-    return list(Simulation.prepare(scenario(*given, **changes)).run())
+    return list(Simulation.prepare(scenario(*given, **changes)).evaluations())
 
 
 def test_commanded_modules_shine_as_those_that_are_mounted_so(lamp: str) -> None:
@@ -91,22 +84,6 @@ def test_bending_turns_light_and_what_functions_know_into_a_curve(lamp: str) -> 
     assert math.atan2(*light.T_world_headlight[[1, 0], 0].tolist()) == pytest.approx(expected, rel=2e-3)
 
 
-def test_what_only_follows_the_cars_motion_is_told_to_do_nothing_where_it_stands(lamp: str, tmp_path: Path) -> None:
-    functions = {
-        "bend": {"kind": "bending"},
-        "level": {"kind": "levelling"},
-        "fixed": {"kind": "levelling", "entries": [{"level_deg": 1.0}]},
-    }
-    stands = scenario(lamp, functions, steps=1)
-    notes = check(stands)["notes"]
-    assert [note.partition(" does nothing")[0] for note in notes] == ["functions.bend (bending)", "functions.level (levelling)"]
-    assert all("give a [vehicle] that drives" in note for note in notes)
-    told = run(stands, tmp_path / "stands", video=False, report=False).summary
-    assert told["idle_functions"] == ["functions.bend (bending)", "functions.level (levelling)"]
-    drives = scenario(lamp, functions, steps=1, vehicle=DRIVES | {"oscillation": {"pitch_deg": 0.5}})
-    assert check(drives)["notes"] == []
-
-
 def test_levelling_holds_the_beam_over_the_ground_while_the_body_pitches(lamp: str) -> None:
     vehicle = {"course": [{"speed_m_s": 15.0}], "oscillation": {"pitch_deg": 1.0, "rate_hz": 1.1}}
 
@@ -114,7 +91,7 @@ def test_levelling_holds_the_beam_over_the_ground_while_the_body_pitches(lamp: s
         """Of the beam's axis over the ground, 25 m ahead."""
         simulation = Simulation.prepare(scenario(lamp, functions, steps=10, vehicle=vehicle))
         heights = []
-        for result in simulation.run():
+        for result in simulation.evaluations():
             (command, *_) = result.now.commands or (REST,)
             T = simulation.world.motion.at(result.time_s).T_ground_body @ command.turn(simulation.modules[0].T_world_module)
             heights.append(float(T[2, 3] + 25 / T[0, 0] * T[2, 0]))
@@ -151,33 +128,6 @@ def test_a_dimmed_module_gives_the_lux_that_are_asked_for_as_far_as_it_can(lamp:
         assert not dimmed.illuminance.any() and all(bool(u.isfinite().all()) for u in dimmed.lights)
 
 
-def test_a_function_draws_on_the_same_place_with_a_turned_module(lamp: str) -> None:
-    turned = {
-        "level": {"kind": "levelling", "dynamic": False, "entries": [{"level_deg": 0.7}]},
-        "bend": {"kind": "bending"},
-    }
-    dark = {"base": {"beam": "off"}}
-    (plain, *_) = results(lamp, {"patch": PATCH}, lighting=dark, vehicle=DRIVES)
-    (aimed, *_) = results(lamp, {"patch": PATCH} | turned, lighting=dark, vehicle=DRIVES)
-    assert abs(aimed.now.commands[0].swivel_deg) > 5 and aimed.now.commands[0].level_deg == 0.7
-    assert not aimed.lights[0].equal(plain.lights[0])
-    one, other = (each.illuminance > 0.25 for each in (plain, aimed))
-    # pixels of 0.16 deg, two of which are the border of a patch that is 5 deg wide
-    assert float((one & other).sum() / (one | other).sum()) > 0.9
-    (missed, *_) = results(lamp, {"patch": PATCH}, lighting=dark, vehicle=DRIVES, headlight={"swivel_deg": 5.0})
-    assert float(((missed.illuminance > 0.25) & one).sum() / one.sum()) > 0.9, "the mount is known as well"
-
-
-def test_modules_share_by_what_they_can_give_now(lamp: str) -> None:
-    """Of two lamps, one of which is dimmed, the other gives more, so that the patch is as bright."""
-    both, dark = {"lamps": ["left", "right"]}, {"base": {"beam": "off"}}
-    dim = {"dim": {"kind": "dimming", "modules": ["right"], "entries": [{"share": 0.2}]}}
-    (plain, *_), (dimmed, *_) = (results(lamp, {"patch": PATCH} | more, lighting=dark, headlight=both) for more in ({}, dim))
-    assert dimmed.powers["left"].flux_lm > 1.3 * plain.powers["left"].flux_lm
-    lit = plain.illuminance > 0.4
-    torch.testing.assert_close(dimmed.illuminance[lit].mean(), plain.illuminance[lit].mean(), rtol=0.03, atol=0)
-
-
 def test_what_was_commanded_is_recorded_and_played_again(lamp: str, tmp_path: Path) -> None:
     functions = {
         "bend": {"kind": "bending", "rate_deg_s": 5.0},
@@ -188,69 +138,24 @@ def test_what_was_commanded_is_recorded_and_played_again(lamp: str, tmp_path: Pa
     table = run(given, tmp_path, frames=True, video=False, report=False, on_step=shown.append).trajectory
     assert table["modules.left fine.intensity"].to_pylist() == pytest.approx([1.0, 0.75, 0.5])
     assert table["modules.left fine.swivel_deg"].to_pylist() == [each.now.commands[0].swivel_deg for each in shown]
-    assert [each.showings[0].exposure.commands for each in shown] == [each.now.commands for each in shown]
+    assert [each.exposures[0].commands for each in shown] == [each.now.commands for each in shown]
     again = given.model_copy(update={"plant": validate({"name": "p", "plant": {"kind": "recording", "folder": str(tmp_path)}}, "p").plant})
-    played = list(Simulation.prepare(again).run())
-    frames = [frame for each in played for frame in each.showings[0].after.frames]
+    played = list(Simulation.prepare(again).evaluations())
+    frames = [frame for each in played for frame in each.reception.frames]
     assert [frame.shown.commands for frame in frames if frame.shown] == [each.now.commands for each in shown]
 
 
-def test_summary_and_closing_table_say_how_far_modules_were_modules(lamp: str, tmp_path: Path) -> None:
-    level = {"kind": "levelling", "dynamic": False, "rate_deg_s": 1000.0}
-    functions = {
-        "level": level | {"entries": [{"level_deg": 0.0}, {"time_s": 0.1, "level_deg": 4.0}, {"time_s": 0.2, "level_deg": 1.0}]},
-        "dim": {"kind": "dimming", "modules": ["right"], "entries": [{"share": 1.0}, {"time_s": 0.2, "share": 0.25}]},
-    }
-    summary = run(scenario(lamp, functions, headlight={"lamps": ["left", "right"]}), tmp_path, video=False).summary
-    level_deg = {"least": 0.0, "most": 2.5, "steps_at_end": 1}  # which is as far as it can; rest is no end, though level_deg begins there
-    dimmed = {"least": 0.25, "most": 1.0}
-    assert summary["modules"] == {"left fine": {"level_deg": level_deg}, "right fine": {"level_deg": level_deg, "intensity": dimmed}}
-    console = Console(record=True, width=200)
-    console.print(summary_table(summary, "here"))
-    ends = "all levelled 0.0° to 2.5°, at the end of the range in 1 of 3 steps"
-    assert re.search(rf"modules +{ends}; right fine dimmed 25% to 100% of their maximum", console.export_text())
-    assert (tmp_path / "report.png").exists()
-
-
-def test_modules_that_move_alike_share_a_curve_which_says_how_often_they_are_at_an_end() -> None:
-    turned = {"left fine.level_deg": [0.0, 1.0], "right fine.level_deg": [0.0, 1.0], "right fine.intensity": [1.0, 0.5]}
-    axes = Figure().subplots()
-    table = pa.table({"time_s": [0.0, 0.1], **{f"modules.{name}": values for name, values in turned.items()}})
-    moved = {"level_deg": {"steps_at_end": 1}, "intensity": {}}
-    _modules(axes, table, table.column_names[1:], {"modules": {"left fine": moved, "right fine": moved}}, "deg", "")
-    told = {str(line.get_label()): np.asarray(line.get_ydata()).tolist() for line in axes.get_lines()}
-    assert told == {"all levelled, at a limit in 1 of 2 steps": [0.0, 1.0], "right fine dimmed": [1.0, 0.5]}
-
-
-def test_no_such_function_no_command(lamp: str) -> None:
-    simulation = Simulation.prepare(scenario(lamp, {"patch": PATCH}))
-    assert simulation.at(0).showings[0].exposure.commands == ()
-    assert not [name for name in schema(simulation).names if name.startswith("modules.")]
-    assert not [name for name in row(simulation.at(0)) if name.startswith("modules.")]
-
-
-@pytest.mark.usefixtures("own")
-def test_functions_of_ones_own_command_modules(lamp: str) -> None:
-    bend = {"bend": {"kind": "bending"}}
-    (result, *_) = results(lamp, {"own": {"kind": "own:Waving"}} | bend, vehicle={"course": [{"speed_m_s": 10.0}]})
-    assert result.now.commands == (ModuleCommand(3.0, 0.0, 0.5),)
-
-
 SYMBOL = {"kind": "symbol", "image": "snowflake", "controller": "open"}
-AT = {"kind": "dimming", "entries": [{"share": 0.5}]}
 COMMAND = {"kind": "command", "swivel_deg": 3.0, "level_deg": 0.5, "intensity": 0.5}
 WRONG: dict[str, tuple[dict[str, Any], dict[str, Any], list[str]]] = {
     "no swivel": ({"bend": {"kind": "bending"}}, {"model": "hd84"}, ["functions.bend.modules: none of these modules can be swivelled"]),
     "no level": ({"a": {"kind": "levelling"}}, {"model": "hd84"}, ["functions.a.modules: none of these modules can be levelled"]),
     "no module": ({"a": {"kind": "bending", "modules": ["coarse"]}}, {}, ["functions.a.modules", "'coarse'", "left fine"]),
-    "held": ({"flake": SYMBOL, "bend": {"kind": "bending"}}, {}, ["functions.flake.modules: 'left fine' is swivelled by functions.bend"]),
-    "held and dimmed": ({"flake": SYMBOL, "dim": AT}, {}, ["functions.flake.modules: 'left fine' is dimmed by functions.dim"]),
     "held and commanded": (
         {"flake": SYMBOL, "a": COMMAND},
         {},
         ["functions.flake.modules: 'left fine' is turned or dimmed by functions.a"],
     ),
-    "own, held": ({"flake": SYMBOL, "own": {"kind": "own:Waving"}}, {}, ["functions.flake.modules: 'left fine' is turned or dimmed"]),
     "own, no module": ({"own": {"kind": "own:Waving", "options": {"module": "right"}}}, {}, ["functions.own", "'right'", "left fine"]),
     "own, no share": ({"own": {"kind": "own:Waving", "options": {"intensity": 2.0}}}, {}, ["own:Waving: commands gives", "of 0 to 1"]),
 }
@@ -258,7 +163,7 @@ WRONG: dict[str, tuple[dict[str, Any], dict[str, Any], list[str]]] = {
 
 def test_a_module_goes_where_it_is_commanded_within_its_range_and_back(lamp: str) -> None:
     simulation = Simulation.prepare(scenario(lamp, {"a": COMMAND | {"swivel_deg": 90.0, "stop_s": 0.15}, "patch": PATCH}))
-    first, _, last = (each.now.commands for each in simulation.run())
+    first, _, last = (each.now.commands for each in simulation.evaluations())
     (module,) = simulation.modules
     assert first == (ModuleCommand(module.swivel_deg[1], 0.5, 0.5),) and last == (REST,)
     columns = {"modules.left fine.swivel_deg", "modules.left fine.level_deg", "modules.left fine.intensity"}

@@ -11,11 +11,10 @@ from rich.console import Console
 
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
-from luxloop.loop.commands import cli
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.report.run_table import summary_table
 from luxloop.loop.run import run as luxloop_run
-from luxloop.loop.scenario.model import load, validate
+from luxloop.loop.scenario.model import validate
 from luxloop.loop.simulation.protocol import Arrivals, Exposure
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
@@ -41,7 +40,7 @@ def simulation(functions: dict[str, Any], **changes: Any) -> Simulation:
 
 
 def run(functions: dict[str, Any], **changes: Any) -> list[StepResult]:
-    return list(simulation(functions, **changes).run())
+    return list(simulation(functions, **changes).evaluations())
 
 
 def ious(results: Sequence[StepResult], name: str) -> list[float]:
@@ -78,22 +77,6 @@ def test_a_symbol_under_other_functions_is_lost_as_covered_and_they_are_named(tm
     assert "11, of which guard covered it in 11" in text and "functions.guard took too much light from the symbol to measure it" in text
 
 
-@pytest.mark.parametrize("speed_m_s", [0.0, pytest.param(5.0, marks=pytest.mark.slow)])
-def test_a_symbol_that_is_wholly_covered_waits_in_its_place(speed_m_s: float) -> None:
-    """A wall comes along for 40 steps: no other road is looked for, to which the symbol would be moved; then it is held at once."""
-    there_s, x_m = 40 / 30, 17 + speed_m_s * 40 / 30
-    places = [(0.0, 17.0, 0.0), (there_s, x_m, 0.0), (there_s + 0.02, x_m, 40.0)]
-    track = [{"time_s": time_s, "position_m": [x, y, 0]} for time_s, x, y in places]
-    wall = {"kind": "box", "name": "wall", "category": "car", "size_m": [6.0, 5.0, 0.1], "track": track}
-    more = {"vehicle": {"course": [{"speed_m_s": speed_m_s}]}} if speed_m_s else {}
-    results = run({"flake": FLAKE, "guard": {"kind": "glare_free"}}, objects=[wall], steps=46, judge_every=45, **more)
-    assert [int(each.held["flake"].measurement.code) for each in results[:40]] == [ExtractionStatus.COVERED] * 40
-    for each in results[:40]:
-        # a body that nods by 0.01 rad moves what is drawn for it by as much times its height over the road
-        assert (each.held["flake"].pose[:2] - torch.tensor([17.0, 0.0])).norm() < 0.01
-    assert ious(results, "flake")[-1] > 0.8
-
-
 def test_symbols_apart_are_measured_in_each_step_and_each_is_judged_by_itself() -> None:
     results = run({"left": LEFT, "right": RIGHT})
     for name in ("left", "right"):
@@ -102,7 +85,7 @@ def test_symbols_apart_are_measured_in_each_step_and_each_is_judged_by_itself() 
 
 def test_symbols_that_meet_take_turns_and_stay_lit_in_the_other_ones() -> None:
     both = simulation({"lower": FLAKE, "upper": FLAKE | {"image": "chevrons", "x_m": 15.0, "y_m": -0.6, "priority": 1}})
-    results = list(both.run())
+    results = list(both.evaluations())
     turns = [[name for name, held in each.held.items() if held.verdict is not None] for each in results]
     assert turns == [["lower"], ["upper"]] * 5
     assert {int(each.held[name].measurement.code) for each in results[2:] for name in each.held} == {
@@ -110,42 +93,21 @@ def test_symbols_that_meet_take_turns_and_stay_lit_in_the_other_ones() -> None:
         ExtractionStatus.NO_FRAME,
     }
     assert min(ious(results, "upper")[2:]) > 0.75
-    on, off = (showing.exposure.lights[0].u for showing in results[-1].showings)  # the upper one's turn
+    on, off = (each.lights[0].u for each in results[-1].exposures)  # the upper one's turn
     alone = simulation({"lower": FLAKE}).at(0).lights[0]
     assert float(((alone > 0.5) & (off > 0.5) & (on > 0.5)).sum()) > 100
-
-
-def test_a_symbol_that_is_not_shown_waits() -> None:
-    results = run({"flake": FLAKE | {"start": START, "stop_s": 0.1}, "later": RIGHT | {"start_s": 0.2}})
-    assert [sorted(each.held) for each in results] == [["flake"]] * 3 + [[]] * 3 + [["later"]] * 4
-    assert not results[4].lights[0].any()
-    assert ious(results, "later")[-1] > 0.8
-
-
-def test_late_and_lost_frames_reach_each_controller_in_their_turn() -> None:
-    camera = WORLD["camera"] | {"latency_steps": 1, "drop_probability": 0.2}
-    results = run({"left": LEFT, "right": RIGHT}, camera=camera, steps=16, seed=4)
-    codes = [int(each.held["left"].measurement.code) for each in results]
-    assert codes[0] == ExtractionStatus.NO_FRAME and codes.count(ExtractionStatus.NO_FRAME) < 8
-    assert ious(results, "left")[-1] > 0.8 and ious(results, "right")[-1] > 0.8
 
 
 def test_a_run_is_recorded_by_symbol_and_compared_with_the_open_loop() -> None:
     held = simulation({"flake": FLAKE | {"start": START}})
     names = schema(held).names
     assert {"functions.flake.x_m", "functions.flake.iou", "functions.flake.loss", "control_ms"} <= set(names)
-    last = list(held.run())[-1]
+    last = list(held.evaluations())[-1]
     values = row(last)
     assert values["functions.flake.iou"] == pytest.approx(ious([last], "flake")[0])
-    opened = list(held.lit_by("open_loop").run())[-1]
+    opened = list(held.lit_by("open_loop").evaluations())[-1]
     assert ious([opened], "flake")[0] < 0.75 < 0.85 < values["functions.flake.iou"]
     assert opened.held["flake"].pose.tolist() == pytest.approx([17.0, 0.0, 0.0, 0.0])
-
-
-def test_flux_is_the_mean_of_both_exposures() -> None:
-    held = simulation({"flake": FLAKE})
-    result = held.at(0)
-    assert result.powers["left"].flux_lm == pytest.approx(float((result.lights[0] * held.modules[0].flux).sum()) / 2)
 
 
 @pytest.mark.parametrize(
@@ -173,49 +135,25 @@ def test_what_cannot_be_held_is_refused_in_a_sentence(changes: dict[str, Any], w
     assert all(word in str(told.value) for word in words), str(told.value)
 
 
-def test_the_controller_of_the_only_symbol_goes_by_the_option(capsys: pytest.CaptureFixture[str]) -> None:
-    controller = load("masked_symbol", controller={"name": "open"}).symbol.controller
-    assert controller is not None and controller.name == "open"
-    assert cli.main(["check", "two_symbols", "--controller", "open"]) == cli.WRONG
-    assert "several symbols have one: flake, way; set functions.NAME.controller" in capsys.readouterr().err
-    assert cli.main(["check", "gfhb", "--controller", "open"]) == cli.WRONG
-    assert "none of its functions has one" in capsys.readouterr().err
-
-
 def test_the_share_of_a_step_without_the_symbol_weighs_the_means_and_moves_no_symbol() -> None:
     """A car that stands sees the same at other times, and the light of both exposures stays as it is."""
     box = {"kind": "box", "name": "box", "category": "car", "size_m": [0.2, 1.0, 0.3], "track": [{"position_m": [16.5, 0.0, 0]}]}
     functions = {"flake": FLAKE}
     camera = WORLD["camera"] | {"exposure_s": 0.008}
     half, quarter = (simulation(functions, objects=[box], camera=camera, off_share=share, steps=4) for share in (0.5, 0.25))
-    for a, b in zip(half.run(), quarter.run(), strict=True):
+    for a, b in zip(half.evaluations(), quarter.evaluations(), strict=True):
         assert a.held["flake"].pose.equal(b.held["flake"].pose)
-        on, off = b.showings
+        on, off = b.exposures
         begins_s = b.step / 30
-        assert (on.exposure.start_s, off.exposure.start_s) == pytest.approx((begins_s, begins_s + 0.75 / 30))
-        assert (on.exposure.duration_s, off.exposure.duration_s) == pytest.approx((0.75 / 30, 0.25 / 30))
-        dark = float((off.exposure.lights[0].u * quarter.modules[0].flux).sum())
+        assert (on.start_s, off.start_s) == pytest.approx((begins_s, begins_s + 0.75 / 30))
+        assert (on.duration_s, off.duration_s) == pytest.approx((0.75 / 30, 0.25 / 30))
+        dark = float((off.lights[0].u * quarter.modules[0].flux).sum())
         assert b.powers["left"].flux_lm_peak == a.powers["left"].flux_lm_peak > dark
         assert b.powers["left"].flux_lm == pytest.approx(0.75 * b.powers["left"].flux_lm_peak + 0.25 * dark)
         assert a.objects["box"].lx_peak == b.objects["box"].lx_peak > 0
         assert a.objects["box"].lx_max == pytest.approx(0.5 * a.objects["box"].lx_peak)  # in the off exposure there is no light
         assert b.objects["box"].lx_max == pytest.approx(0.75 * b.objects["box"].lx_peak)
     assert "lamp.left.flux_lm_peak" in schema(quarter).names and "objects.box.lx_peak" in schema(quarter).names
-
-
-def test_exposures_must_fit_and_nothing_else_can_be_off() -> None:
-    with pytest.raises(LuxloopError, match=r"off_share nearer to 0.5"):
-        simulation({"flake": FLAKE}, off_share=0.1)
-    with pytest.raises(LuxloopError, match=r"off_share: no controller holds a symbol"):
-        simulation({}, off_share=0.3)
-
-
-def test_other_light_beside_held_symbols_is_of_the_same_times_and_drive() -> None:
-    drives = {"vehicle": {"course": [{"speed_m_s": 5.0}]}, "steps": 3, "headlight": {"model": "ssl-hd-hires", "lamps": ["left"]}}
-    held = simulation({"flake": FLAKE}, **drives)
-    for light in ("open_loop", "full_light"):
-        beside = held.lit_by(light)
-        assert [each.time_s for each in beside.run()] == [each.time_s for each in held.run()], light
 
 
 def test_what_a_frame_says_that_it_shows_is_what_is_measured() -> None:
@@ -242,6 +180,6 @@ def test_what_a_frame_says_that_it_shows_is_what_is_measured() -> None:
             return symbol.controller.step(state, observation)
 
     listening = replace(asked, plant=Half(), controlled={"flake": replace(symbol, controller=Listening())})
-    results = list(listening.run())
+    results = list(listening.evaluations())
     for observation, each in zip(looks, results, strict=True):
         torch.testing.assert_close(observation.lights[0].u, each.lights[0] / 2)

@@ -23,7 +23,7 @@ def rows(steps: int, **changes: Any) -> list[dict[str, Any]]:
         "detector": {"kind": "truth"},
         "renderer": "raycast",
     }
-    return [row(result) for result in Simulation.prepare(validate(base | changes, "lit")).run()]
+    return [row(result) for result in Simulation.prepare(validate(base | changes, "lit")).evaluations()]
 
 
 @pytest.mark.parametrize(("share", "least", "most"), [(True, 0.8, 1.15), (False, 1.5, 4.1)], ids=["shared", "each gives the whole"])

@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from luxloop.loop.run import check
-from luxloop.loop.scenario.model import load
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import direction
 from luxloop.world.lamps import archive, presets
-from luxloop.world.lamps.description import build, describe, load_lamp
+from luxloop.world.lamps.description import build, load_lamp
 from luxloop.world.lamps.utilisations import read_utilisation
 from luxloop.world.photometry import lm63
 from luxloop.world.photometry.distribution import Distribution
@@ -66,34 +64,6 @@ def test_the_documented_way_from_files_to_a_lamp_works(tmp_path: Path) -> None:
     archive.save(tmp_path / "mylamp.npz", replace(lamp, beams={}))  # fitting is tested elsewhere
     assert load_lamp(tmp_path / "mylamp.npz").name == "mylamp"
     assert (report.pixel_rows, report.pixel_cols) == (3, 28)
-
-
-def test_default_texture_of_a_model_holds_its_light(tmp_path: Path) -> None:
-    lamp, _ = build(write(tmp_path, MATRIX))
-    light = lamp.modules[0].headlight.light_texture(torch.ones(8))
-    assert light.max() == pytest.approx(1000, rel=0.01)
-    assert torch.cat([light[0], light[-1], light[:, 0], light[:, -1]]).max() < 0.01 * 1000
-
-
-def test_measured_sources_are_relative_to_the_file_and_reported(tmp_path: Path) -> None:
-    pixel_file(tmp_path / "pixel.ies")
-    text = 'name="m"\n[[module]]\nname="a"\nsource={kind="file", path="pixel.ies", rows=2, columns=3, pitch_deg=3}\n'
-    seen: list[tuple[str, int, int]] = []
-    lamp, (report,) = build(write(tmp_path, text), on_progress=lambda *each: seen.append(each))
-    assert seen[-1] == ("a", 6, 6)
-    assert report.dropped is not None and 0 < report.dropped < 1e-4
-    assert report.rmse is not None and 0 < report.rmse < 0.02
-    # Pixel (0, 0) is 3 deg to the left and 1.5 deg up.
-    u = torch.eye(6)[0]
-    h, v = torch.tensor([-3.0, 3.0]), torch.tensor([1.5, 1.5])
-    assert lamp.intensity([u], direction(h, v)).tolist() == pytest.approx([750, 0], rel=0.07)  # the tip of a cone, between texels
-
-
-def test_texture_keys_override_what_is_chosen(tmp_path: Path) -> None:
-    lamp, _ = build(write(tmp_path, f"{MATRIX}texture = {{ rows = 10, left_deg = 4, right_deg = -6 }}"))
-    light = lamp.modules[0].headlight
-    assert light.rows == 10
-    assert (light.left, light.right) == pytest.approx(tuple(np.tan(np.radians([4, -6]))))
 
 
 def test_a_preset_can_be_a_module(tmp_path: Path) -> None:
@@ -176,19 +146,6 @@ def test_what_is_wrong_in_a_description_is_named(tmp_path: Path, text: str, word
     assert str(path) in str(error.value)
 
 
-def test_files_that_are_no_description_are_named(tmp_path: Path) -> None:
-    (tmp_path / "a.toml").write_bytes(b"name = '\xff'")
-    for name, words in {"a.toml": "not UTF-8", "gone.toml": "cannot be read"}.items():
-        with pytest.raises(LuxloopError, match=words):
-            describe(tmp_path / name)
-
-
-@pytest.mark.parametrize(("name", "words"), [("a.npz", "is a lamp file already"), ("a.ies", "is a photometric file")])
-def test_what_is_a_lamp_already_needs_no_building(name: str, words: str) -> None:
-    with pytest.raises(LuxloopError, match=f"{name}: {words}.*info"):
-        describe(Path(name))
-
-
 def test_lamps_come_by_name_and_by_file(tmp_path: Path) -> None:
     assert load_lamp("hd84", "right") is presets.lamp("hd84", "right")
     described = load_lamp(write(tmp_path, MATRIX))
@@ -214,28 +171,3 @@ def test_the_right_lamp_mirrors_the_left_one(tmp_path: Path) -> None:
             lamp.intensity(lamp.beam("full"), direction(sign * h, torch.zeros(41))) for lamp, sign in ((left, 1), (right, -1))
         )
         torch.testing.assert_close(seen, mirrored, rtol=1e-5, atol=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("ssl_hd", "did you mean 'ssl-hd'?"),
-        ("nothing of the kind", "known are idealised-332x1024"),
-        ("gone.npz", "gone.npz does not exist"),
-        (".", "give a file in it"),
-    ],
-)
-def test_lamps_that_are_not_there_are_named(name: str, words: str) -> None:
-    with pytest.raises(LuxloopError) as error:
-        load_lamp(name)
-    assert words in str(error.value)
-
-
-@pytest.mark.parametrize("n", [121, 13])
-def test_a_pixel_too_wide_for_a_symbol_is_said_in_angles_that_there_are(n: int, tmp_path: Path) -> None:
-    angles = np.linspace(-60, 60, n)
-    lm63.write(tmp_path / "wide.ies", Distribution("A", angles, angles, np.full((len(angles), len(angles)), 500.0)))
-    with pytest.raises(LuxloopError) as error:
-        check(load("snowflake", [f"headlight.model={tmp_path / 'wide.ies'}"]))
-    assert "cannot be distinguished from noise" in str(error.value)
-    assert "(a pixel of left wide spans about 120 x 148 deg across and down, and the symbol 6.73 x 0.602 deg" in str(error.value)

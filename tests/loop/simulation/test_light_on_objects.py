@@ -23,7 +23,7 @@ def driven() -> tuple[Simulation, World, float]:
 def test_light_on_objects_is_that_of_the_whole_image(driven: tuple[Simulation, World, float], later_s: float) -> None:
     simulation, world, time_s = driven
     time_s += later_s
-    lights = simulation.step(simulation.start())[1].showings[0].exposure.lights
+    lights = simulation.step(simulation.start())[1].exposures[0].lights
     light = world.on_objects(time_s, lights)
     whole, lx = world.lit(time_s), world.illuminance(time_s, lights)
     numbers = whole.surfaces.object_id
@@ -39,7 +39,7 @@ def test_light_on_objects_is_that_of_the_whole_image(driven: tuple[Simulation, W
 def test_a_module_is_driven_once_where_both_exposures_draw_the_same(driven: tuple[Simulation, World, float]) -> None:
     simulation = driven[0]
     result = simulation.step(simulation.start())[1]
-    on, off = (showing.exposure.lights for showing in result.showings)
+    on, off = (each.lights for each in result.exposures)
     assert [k for k, each in enumerate(on) if each is not off[k]] == list(simulation.controlled["way"].drawn_by)
     drawn = simulation.planner.draw(result.now, result.functions)
     alone = simulation.lights_of(result, {name: each for name, each in drawn.items() if name != "way"})

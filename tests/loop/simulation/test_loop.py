@@ -1,7 +1,6 @@
 """With a detector the loop is closed: frames are looked through, objects tracked, light planned from tracks, and all of it recorded."""
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -9,14 +8,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import torch
-from rich.console import Console
 
-from luxloop.controllers.situation import AdaptiveFunction
 from luxloop.loop.commands import cli
-from luxloop.loop.recording.files import table_of
-from luxloop.loop.recording.manifest import input_files
-from luxloop.loop.recording.record import LOOKED_AT, row, schema
-from luxloop.loop.report.run_table import summary_table
+from luxloop.loop.recording.record import row
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.simulation import Simulation
@@ -71,7 +65,7 @@ def test_everyone_is_found_tracked_placed_and_recorded(tmp_path: Path) -> None:
 
 def test_masks_follow_tracks_and_darken_them() -> None:
     masked = scenario(steps=6, lighting={"base": {"beam": "full"}}, functions={"guard": {"kind": "glare_free"}})
-    results = list(Simulation.prepare(masked).run())
+    results = list(Simulation.prepare(masked).evaluations())
     assert not results[0].masked and results[0].objects["oncoming"].lx_max > 1
     last = results[-1].objects
     assert last["oncoming"].masked and last["parked"].masked and not last["walker"].masked
@@ -80,10 +74,10 @@ def test_masks_follow_tracks_and_darken_them() -> None:
 
 def test_late_frames_make_tracks_late() -> None:
     late = scenario(camera=CAMERA | {"latency_steps": 2}, steps=7)
-    results = list(Simulation.prepare(late).run())
+    results = list(Simulation.prepare(late).evaluations())
     assert [each.frame is None for each in results] == [True, True] + [False] * 5
     assert [each.look is not None and len(each.look.tracks) for each in results] == [0, 0, 0, 0, 3, 3, 3]
-    in_time = list(Simulation.prepare(scenario(steps=5)).run())
+    in_time = list(Simulation.prepare(scenario(steps=5)).evaluations())
     assert results[2].frame is not None and in_time[0].frame is not None
     assert results[2].frame.equal(in_time[0].frame)  # no function has anything to do before a track is confirmed
 
@@ -97,13 +91,13 @@ def test_light_is_computed_once_however_late_its_frame_is_read(monkeypatch: pyte
         return light(lit, *given)
 
     monkeypatch.setattr(LitScene, "light", counted)
-    *_, last = Simulation.prepare(scenario(camera=CAMERA | {"latency_steps": 3}, steps=6)).run()
+    *_, last = Simulation.prepare(scenario(camera=CAMERA | {"latency_steps": 3}, steps=6)).evaluations()
     assert last.frame is not None and len(computed) == 3  # the last three frames have not come
 
 
 def test_a_track_is_predicted_where_frames_are_lost() -> None:
     lost = scenario(disturbances={"drops": [{"from_step": 4, "until_step": 6}]}, steps=6)
-    *_, last = Simulation.prepare(lost).run()
+    *_, last = Simulation.prepare(lost).evaluations()
     assert last.frame is None and last.look is not None and len(last.look.found) == 0 and len(last.look.tracks) == 3
     made = last.look.recognised["walker"]  # whose track goes on as he does: they still overlap
     assert made.track is not None and made.score == 0.0
@@ -113,46 +107,14 @@ def test_a_track_is_predicted_where_frames_are_lost() -> None:
 def test_what_no_frame_shows_is_recorded_as_unknown(late: dict[str, Any]) -> None:
     functions = {"matter": {"kind": "material", "lights": [{"materials": ["asphalt"], "lx": 5.0}], "road_m": [5, 30]}}
     simulation = Simulation.prepare(scenario(functions=functions, steps=3, **late))
-    first, *_, last = (row(result) for result in simulation.run())
+    first, *_, last = (row(result) for result in simulation.evaluations())
     assert first["functions.matter.asphalt.lx"] is None and last["functions.matter.asphalt.lx"] > 0
     assert "detections" not in first and "objects.walker.score" not in first and last["detections"] == 3
 
 
-def test_lighting_functions_have_no_off_frame() -> None:
-    with pytest.raises(LuxloopError, match=r"disturbances\.ambient\[0\]\.frames: without a held symbol, steps have no off frame"):
-        scenario(disturbances={"ambient": [{"factor": 2.0, "frames": "off"}]})
-
-
-def test_lamps_that_are_misaimed_or_worn_light_other_places_than_planned() -> None:
-    low = {"lighting": {"base": {"beam": "low"}}, "functions": {}}
-    results = [
-        Simulation.prepare(scenario(**low, detector=None, disturbances=each)).at(0)
-        for each in ({}, {"aim": [{"pitch_deg": -1.0}]}, {"wear": {"aged": 1.0}})
-    ]
-    plain, raised, worn = (float(each.objects["oncoming"].lx_mean) for each in results)
-    assert all(a.equal(b) for each in results[1:] for a, b in zip(results[0].lights, each.lights, strict=True))
-    assert raised > 1.2 * plain and worn == pytest.approx(0.5 * plain, rel=1e-4)
-
-
-def test_a_camera_that_looks_elsewhere_misplaces_tracks() -> None:
-    wrong = scenario(disturbances={"calibration": {"yaw_deg": 1.0}}, steps=4)
-    places = []
-    for each in (scenario(steps=4), wrong):
-        simulation = Simulation.prepare(each)
-        *_, last = simulation.run()
-        assert last.look is not None and last.look.recognised["walker"].track is not None
-        name = f"track_{last.look.recognised['walker'].track}"
-        state = simulation.start()
-        for _ in range(4):
-            state, _ = simulation.step(state)
-        places.append(next(one for one in simulation.situation(4 / 30, state.tracks).objects if one.name == name).T_world_object[1, 3])
-    # 1 deg to the left at 15 m from lamps, 16.6 m from the camera, puts all 29 cm to the right; a pixel of this camera is 3 cm there
-    assert float(places[1] - places[0]) == pytest.approx(-0.29, abs=0.05)
-
-
 def test_tracks_are_where_objects_are() -> None:
     simulation = Simulation.prepare(scenario(steps=8))
-    *_, last = simulation.run()
+    *_, last = simulation.evaluations()
     assert last.look is not None
     true = {each.name: each for each in Simulation.prepare(scenario(detector=None)).situation(last.time_s).objects}
     for name, length_m in (("walker", 0.5), ("oncoming", 4.0)):
@@ -177,7 +139,7 @@ def test_a_state_taken_up_again_goes_on_as_the_run_did() -> None:
 
 def test_the_lights_of_a_time_are_those_of_the_run() -> None:
     simulation = Simulation.prepare(scenario(steps=6))
-    *_, last = simulation.run()
+    *_, last = simulation.evaluations()
     assert all(torch.equal(a, b) for a, b in zip(simulation.lights_at(5 / 30)[0], last.lights, strict=True))
 
 
@@ -191,59 +153,6 @@ def test_a_base_beam_is_dimmed_as_functions_ask() -> None:
     for full, one, two in zip(bright.lights, dim.lights, both.lights, strict=True):
         torch.testing.assert_close(one, 0.5 * full)
         torch.testing.assert_close(two, 0.8 * full)  # the least dimmed wins
-
-
-def test_without_a_detector_functions_that_learn_are_told_the_truth() -> None:
-    simulation = Simulation.prepare(scenario(detector=None))
-    assert simulation.planner.learns and isinstance(simulation.planner.functions["object_light"], AdaptiveFunction)
-    state, result = simulation.step(simulation.start())
-    assert state.tracks is None and [each.name for each in result.now.objects] == ["walker", "oncoming"]
-    names = schema(simulation).names
-    assert "power_w" in names and "objects.walker.track" not in names and "parked" not in " ".join(names)
-    assert set(names) <= set(row(result))
-
-
-def test_a_detectors_file_is_among_the_inputs_of_a_run(tmp_path: Path) -> None:
-    weights = tmp_path / "own.pt"
-    weights.write_bytes(b"not weights")
-    given = scenario(detector={"kind": "network", "weights": str(weights)})
-    assert dict(input_files(given))["detector.weights"] == weights
-    with pytest.raises(LuxloopError, match=r"detector\.weights"):
-        Simulation.prepare(given)
-
-
-def test_scenes_without_objects_and_out_of_sight_are_recorded(tmp_path: Path) -> None:
-    behind = WALKER | {"path": None, "track": [{"position_m": [-20, 0, 0]}]}
-    for objects in ([], [behind]):
-        simulation = Simulation.prepare(scenario(objects=objects))
-        result = simulation.at(0)
-        assert (
-            result.look is not None and result.look.false_positives == 0 and result.look.eyes_lx_max is None and len(result.look.found) == 0
-        )
-        table = table_of([row(result)], schema(simulation))
-        assert [table[f"objects.{each['name']}.{key}"].to_pylist() for each in objects for key in LOOKED_AT] == [[None]] * 3 * len(objects)
-    summary = run(scenario(objects=[behind], steps=2), tmp_path / "run", video=False, report=False).summary
-    assert summary["objects"]["walker"] == {
-        **{"lx_mean": None, "lx_max": None, "masked_steps": 0, "confidence_final": None, "confidence_min": None},
-        **{"tracks": 0, "pixels_max": 0.0, "steps_in_sight": 0, "steps_lost": 0, "findable": False},
-    }
-    console = Console(record=True, width=160)
-    console.print(summary_table(summary, "here"))
-    assert re.search("never in sight +walker", console.export_text())
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"detector": None, "tracker": {"keep_s": 0.1}}, "tracker: follows what a detector finds, but there is none"),
-        ({"functions": {"guard": {"kind": "glare_free", "names": ["oncoming"]}}}, "functions.guard: names objects, but a detector"),
-        ({"detector": {"kind": "none"}}, "detector"),
-        ({"headlight": {"efficacy_lm_w": 0}}, "efficacy_lm_w"),
-    ],
-)
-def test_what_cannot_be_is_refused(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(LuxloopError, match=message):
-        scenario(**changes)
 
 
 class Numpy:

@@ -66,7 +66,7 @@ def scenario(**functions: Any) -> Scenario:
 
 
 def lights(**functions: Any) -> list[Any]:
-    return [result.lights[0] for result in Simulation.prepare(scenario(**functions)).run()]
+    return [result.lights[0] for result in Simulation.prepare(scenario(**functions)).evaluations()]
 
 
 @pytest.mark.usefixtures("own")
@@ -109,8 +109,3 @@ def test_what_is_wrong_with_it_is_said_in_a_sentence(name: str, options: dict[st
         lights(mine={"kind": f"own:{name}", "options": options})
     message = str(error.value)
     assert all(word in message for word in [f"own:{name}", *words]) and "\n" not in message, message
-
-
-def test_an_unknown_kind_is_named() -> None:
-    with pytest.raises(LuxloopError, match=r"functions\.mine\.kind: .*did you mean 'lane'"):
-        scenario(mine={"kind": "lanes"})

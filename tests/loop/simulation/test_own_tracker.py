@@ -79,7 +79,7 @@ def scenario(**tracker: Any) -> Scenario:
 
 
 def looked(**tracker: Any) -> list[Any]:
-    results = Simulation.prepare(scenario(**tracker)).run()
+    results = Simulation.prepare(scenario(**tracker)).evaluations()
     return [(each.look.tracks.boxes.tolist(), each.look.recognised, [o.name for o in each.now.objects]) for each in results]
 
 
@@ -112,8 +112,3 @@ def test_what_is_wrong_with_it_is_said_in_a_sentence(name: str, options: dict[st
         looked(kind=f"own:{name}", options=options)
     message = str(error.value)
     assert all(word in message for word in [f"tracker.kind: own:{name}", *words]) and "\n" not in message, message
-
-
-def test_an_unknown_kind_is_named() -> None:
-    with pytest.raises(LuxloopError, match=r"tracker\.kind: .*did you mean 'kalman'"):
-        scenario(kind="kalmann")

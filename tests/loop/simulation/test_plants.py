@@ -83,22 +83,13 @@ def lights(results: Sequence[StepResult]) -> list[Tensor]:
 
 @pytest.mark.usefixtures("own")
 def test_without_truth_the_light_is_the_same_and_nobody_says_where_it_lies() -> None:
-    known, blind = list(simulation(**SEES).run()), list(simulation(**SEES, plant=BLIND).run())
+    known, blind = list(simulation(**SEES).evaluations()), list(simulation(**SEES, plant=BLIND).evaluations())
     assert all(a.equal(b) for a, b in zip(lights(known), lights(blind), strict=True))
     assert [each.zones["near"].lx for each in known] == [each.zones["near"].lx for each in blind]
     for each in blind:
         assert each.illuminance is None and each.luminance is None and not each.objects
         assert row(each)["functions.near.luminance"] is None and row(each)["dark_lx_max"] is None
     assert any(len(each.look.tracks) for each in blind if each.look is not None), "the detector works on the frames"
-
-
-@pytest.mark.usefixtures("own")
-def test_frames_of_exposures_that_were_never_shown_change_nothing() -> None:
-    """They come before the frames of the camera, which are late, and after them."""
-    functions = {"functions": SEES["functions"]}
-    true, strayed = (list(simulation(**functions, steps=5, plant={"kind": f"own:{name}"}).run()) for name in ("Blind", "Straying"))
-    assert all(a.equal(b) for a, b in zip(lights(true), lights(strayed), strict=True))
-    assert [each.frame is None for each in strayed] == [True] + [False] * 4
 
 
 @pytest.mark.usefixtures("own")
@@ -111,10 +102,10 @@ def test_a_symbol_is_held_on_a_plant_without_truth() -> None:
         "functions": {"flake": flake},
         "vehicle": None,
     }
-    known, blind = list(simulation(**held).run()), list(simulation(**held, plant=BLIND).run())
+    known, blind = list(simulation(**held).evaluations()), list(simulation(**held, plant=BLIND).evaluations())
     assert all(a.held["flake"].pose.equal(b.held["flake"].pose) for a, b in zip(known, blind, strict=True))
     assert all(each.held["flake"].verdict is None for each in blind)
-    third = list(simulation(**held, judge_every=3).run())
+    third = list(simulation(**held, judge_every=3).evaluations())
     assert [each.held["flake"].verdict is not None for each in third] == [step % 3 == 0 for step in range(8)]
 
 
@@ -136,12 +127,12 @@ def test_functions_work_in_shadow_on_the_frames_of_a_recording(tmp_path: Path) -
     folder = tmp_path / "recorded"
     run(validate(WORLD | SEES, "lit"), folder, frames=True, video=False, report=False, device="cpu")
     recording = {"plant": {"kind": "recording", "folder": str(folder)}}
-    again = list(simulation(**SEES, **recording).run())
+    again = list(simulation(**SEES, **recording).evaluations())
     table = pq.read_table(folder / "trajectory.parquet")
     for key in ("functions.near.lx", "lamp.left.flux_lm", "speed_m_s", "tracks"):
         assert [row(each)[key] for each in again] == table[key].to_pylist(), f"{key}, bit for bit"
     changed = SEES | {"functions": {"far": {"kind": "zone", "centre_m": [30, 0, 0.1], "size_m": [9, 3, 0.2], "luminance_cd_m2": 5.0}}}
-    other = list(simulation(**changed, **recording).run())
+    other = list(simulation(**changed, **recording).evaluations())
     assert not lights(other)[-1].equal(lights(again)[-1])
     for a, b in zip(again, other, strict=True):
         assert (a.frame is None) == (b.frame is None) and (a.frame is None or a.frame.equal(b.frame))
@@ -186,14 +177,6 @@ def test_all_checks_that_a_plant_cannot_be_held_to_are_named_with_their_remedies
     assert len(lines) == len(refused) + (len(refused) > 1)
 
 
-@pytest.mark.usefixtures("own")
-def test_what_needs_the_simulated_world_is_refused_on_another_plant() -> None:
-    blind = simulation(plant=BLIND)
-    for asked in (lambda: blind.lit_by("low_beam"), lambda: blind.at(3), lambda: blind.world):
-        with pytest.raises(LuxloopError, match=r"needs the simulated world|does not know the truth"):
-            asked()
-
-
 def test_a_recording_of_other_exposures_or_of_held_symbols_is_refused(tmp_path: Path) -> None:
     folder = tmp_path / "recorded"
     run(validate(WORLD | {"steps": 4}, "lit"), folder, frames=True, video=False, report=False, device="cpu")
@@ -202,4 +185,4 @@ def test_a_recording_of_other_exposures_or_of_held_symbols_is_refused(tmp_path: 
         simulation(**recording, rate_hz=50.0)
     with pytest.raises(LuxloopError, match="shows none of the symbols that are held here, flake, but none"):
         simulation(**recording, functions={"flake": {"kind": "symbol", "image": "snowflake", "controller": "luxloop"}})
-    assert lights(list(simulation(**recording).run()))[-1].equal(lights(list(simulation(steps=4).run()))[-1])
+    assert lights(list(simulation(**recording).evaluations()))[-1].equal(lights(list(simulation(steps=4).evaluations()))[-1])

@@ -3,14 +3,12 @@
 from pathlib import Path
 from typing import Any
 
-import av
 import cv2
 import numpy as np
 import pytest
 import torch
 
-from luxloop.loop.recording.manifest import input_files
-from luxloop.loop.scenario.model import Scenario, load, validate
+from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
 from luxloop.world.lamps.utilisations import read_sequence
@@ -62,20 +60,6 @@ def test_every_form_gives_the_same_frames(form: str, written: dict[str, Path], s
     torch.testing.assert_close(read.frames, torch.from_numpy(sequence).flatten(1).float(), rtol=0, atol=1e-7)  # float32
 
 
-def test_a_video_without_loss_gives_its_frames_at_its_own_rate(tmp_path: Path) -> None:
-    grey = np.random.default_rng(4).integers(0, 256, (FRAMES, 4, 28), np.uint8)
-    with av.open(str(tmp_path / "v.mkv"), "w") as container:
-        stream = container.add_stream("ffv1", rate=5, options={"level": "3"})
-        stream.width, stream.height, stream.pix_fmt = 28, 4, "gray"
-        for image in grey:
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="gray")))
-        container.mux(stream.encode())
-    read = read_sequence(tmp_path / "v.mkv", 4, 28)
-    assert read.rate_hz == 5.0
-    # On the way through RGB a value may be rounded by one.
-    torch.testing.assert_close(read.frames, torch.from_numpy(grey).flatten(1) / 255, rtol=0, atol=1 / 255)
-
-
 def test_both_lamps_show_the_frame_of_the_time(written: dict[str, Path], sequence: Array) -> None:
     """At 10 steps and 5 frames a second each frame stays for two steps; then it starts over, or the last one stays."""
     raw = {"file": str(written["folder"]), "rate_hz": 5.0}
@@ -86,21 +70,6 @@ def test_both_lamps_show_the_frame_of_the_time(written: dict[str, Path], sequenc
             torch.testing.assert_close(u, frame, rtol=0, atol=1e-7)
     for u in held.at(9).lights:
         torch.testing.assert_close(u, torch.from_numpy(sequence[-1]).flatten().float(), rtol=0, atol=1e-7)
-
-
-def test_modules_that_are_not_meant_keep_their_base_beam(written: dict[str, Path], sequence: Array) -> None:
-    raw = {"file": str(written["folder"]), "modules": ["right"]}
-    left, right = Simulation.prepare(scenario([raw], lighting={"base": {"beam": "full"}})).at(0).lights
-    assert (left == 1).all() and right.view(ROWS, COLUMNS)[0, 0] == pytest.approx(sequence[0, 0, 0])
-
-
-def test_it_is_said_what_shines_below_the_functions(written: dict[str, Path]) -> None:
-    def words(*raw: dict[str, Any]) -> str:
-        return Simulation.prepare(scenario(raw, lighting={"base": {"beam": "low"}})).base("low")
-
-    file = str(written["array"])
-    assert (words(), words({"file": file})) == ("low beam", "raw utilisations")
-    assert words({"file": file, "modules": ["left"]}) == "low beam and raw utilisations"
 
 
 def test_functions_draw_over_them_and_limits_hold(written: dict[str, Path]) -> None:
@@ -116,34 +85,11 @@ def test_functions_draw_over_them_and_limits_hold(written: dict[str, Path]) -> N
     assert all(power.share == pytest.approx(0.1) for power in limited.powers.values())
 
 
-def test_paths_are_those_beside_the_file_and_every_frame_is_an_input(written: dict[str, Path], tmp_path: Path) -> None:
-    (tmp_path / "my.toml").write_text('name = "my"\n[headlight]\nmodel = "hd84"\n[[lighting.raw]]\nfile = "./png/*.png"\n')
-    mine = load(str(tmp_path / "my.toml"))
-    assert Simulation.prepare(mine).at(0).lights[0].any()
-    assert [file.name for _, file in input_files(mine)] == [f"{k:02d}.png" for k in range(FRAMES)]
-    assert len(dict(input_files(mine))) == FRAMES
-
-
-def test_the_shipped_sequence_is_what_its_program_draws(tmp_path: Path) -> None:
-    from luxloop.loop.scenario.shipped import shipped_files
-    from luxloop.scenarios.examples.draw_utilisations import draw
-
-    draw(tmp_path)
-    shipped = shipped_files("utilisations")["curtain"]
-    assert [path.name for path in sorted(shipped.iterdir())] == [path.name for path in sorted((tmp_path / "curtain").iterdir())]
-    for path in shipped.iterdir():
-        assert (cv2.imread(str(path), -1) == cv2.imread(str(tmp_path / "curtain" / path.name), -1)).all()
-
-
 WRONG: dict[str, tuple[list[dict[str, Any]], list[str]]] = {
     "missing": ([{"file": "./no.npy"}], ["lighting.raw[0].file", "no.npy", "No such file", "check the path"]),
-    "missing video": ([{"file": "./no.mp4"}], ["lighting.raw[0].file", "no.mp4", "check the path"]),
     "empty folder": ([{"file": "empty/"}], ["lighting.raw[0].file", "empty", "no utilisations", ".png"]),
-    "unknown name": ([{"file": "curtains"}], ["lighting.raw[0].file", "'curtains'", "'curtain'"]),
     "other size": ([{"file": "curtain"}], ["lighting.raw[0].file", "'left matrix'", "64 x 256", "3 x 28", "bring them to this size"]),
     "above one": ([{"file": "much.npy"}], ["lighting.raw[0].file", "much.npy", "between 0 and 1", "2", "divide"]),
-    "other format": ([{"file": "text.txt"}], ["lighting.raw[0].file", "text.txt", ".npy, .npz, .csv, .png"]),
-    "many arrays": ([{"file": "two.npz"}], ["lighting.raw[0].file", "two.npz", "2 arrays"]),
     "unknown module": ([{"file": "good.npy", "modules": ["hires"]}], ["lighting.raw[0].modules", "'hires'", "matrix"]),
     "two for one": (
         [{"file": "good.npy"}, {"file": "good.npy", "modules": ["left"]}],

@@ -3,7 +3,6 @@
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +11,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import torch
 
-from luxloop.loop.recording.files import table_of
+from luxloop.loop.recording.manifest import table_of
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.run import prepare, run
 from luxloop.loop.scenario.model import Scenario, load, validate
 from luxloop.loop.simulation.columns import of_one
 from luxloop.loop.simulation.frames import TABLE, image_file, light_file
 from luxloop.loop.simulation.protocol import Exposure
-from luxloop.loop.simulation.recorded import RecordedPlant
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
@@ -73,7 +70,7 @@ def recorded_in(folder: Path, name: str = "symbol") -> pa.Table:
 
 def run_of(simulation: Simulation) -> pa.Table:
     """A row a step, as a recording has them."""
-    return table_of([row(result) for result in simulation.run()], schema(simulation))
+    return table_of([row(result) for result in simulation.evaluations()], schema(simulation))
 
 
 def asked_and_seen(simulation: Simulation) -> pa.Table:
@@ -191,43 +188,13 @@ def test_a_recording_plays_its_own_frames(lux: Lux, tmp_path: Path) -> None:
     assert code == 2 and "recording does not exist" in error
 
 
-def test_frames_of_a_shadow_are_kept_with_the_light_that_they_show(recorded: dict[str, Path], tmp_path: Path) -> None:
-    folder = {"kind": "recording", "folder": str(recorded["stands"])}
-    scenario = scenario_of(STANDS, plant=folder, functions=held_by("open"))
-    run(scenario, tmp_path / "copy", frames=True, video=False, report=False, device="cpu")
-    again, first = (asked_and_seen(playing(STANDS, folder)) for folder in (tmp_path / "copy", recorded["stands"]))
-    assert again["x_m"].to_pylist() == first["x_m"].to_pylist()
-
-
-def test_a_folder_is_that_beside_the_scenario(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recorded: dict[str, Path]) -> None:
-    (tmp_path / "there").mkdir()
-    text = 'name = "small"\nplant = { kind = "recording", folder = "drive" }\n'
-    (tmp_path / "there/shadow.toml").write_text(text)
-    monkeypatch.chdir(tmp_path)
-    scenario = load("there/shadow.toml")
-    assert scenario.plant == scenario_of(SMALL, plant=scenario.plant.model_dump()).plant
-    assert scenario.plant.model_dump()["folder"] == str(tmp_path / "there/drive")
-
-
-def emptied(folder: Path) -> None:
-    image_file(folder, 2).write_bytes(b"")
-
-
 def linked(folder: Path) -> None:
     image_file(folder, 2).unlink()
     image_file(folder, 2).symlink_to(folder / "manifest.json")
 
 
-def of_eight_bits(folder: Path) -> None:
-    cv2.imwrite(str(image_file(folder, 2)), np.zeros((180, 320), np.uint8))
-
-
 def of_another_size(folder: Path) -> None:
     cv2.imwrite(str(image_file(folder, 2)), np.zeros((90, 160), np.uint16))
-
-
-def brighter(folder: Path) -> None:
-    cv2.imwrite(str(image_file(folder, 2)), np.full((180, 320), 5000, np.uint16))
 
 
 def gone(folder: Path) -> None:
@@ -238,25 +205,8 @@ def of_another_lamp(folder: Path) -> None:
     np.savez(light_file(folder, 2), u_0=np.zeros(3, np.float32))
 
 
-def of_objects(folder: Path) -> None:
-    np.savez(light_file(folder, 2), u_0=np.array([print] * 332 * 64, object))
-
-
 def of_nothing(folder: Path) -> None:
     np.savez(light_file(folder, 2), u_0=np.full(332 * 64, np.nan, np.float32))
-
-
-def of_too_much(folder: Path) -> None:
-    np.savez(light_file(folder, 2), u_0=np.full(332 * 64, 2, np.float32))
-
-
-def of_few_pixels(folder: Path) -> None:
-    projection = {"symbol.pose": np.zeros(4, np.float32), "symbol.raw_0": np.zeros(3, np.float32)}
-    np.savez(light_file(folder, 2), u_0=np.zeros(332 * 64, np.float32), **projection)
-
-
-def of_no_name(folder: Path) -> None:
-    np.savez(light_file(folder, 2), u_0=np.zeros(332 * 64, np.float32), **{"A/b.pose": np.zeros(4, np.float32)})
 
 
 def in_table(change: Callable[[pa.Table], pa.Table]) -> Callable[[Path], None]:
@@ -276,27 +226,16 @@ def without(name: str, number: int, value: str | None = None) -> Callable[[pa.Ta
 
 
 DAMAGE: dict[str, tuple[Callable[[Path], Any], str]] = {
-    "emptied": (emptied, r"frame_00000002.png: damaged, or no frame .*no grey PNG of 16 bits.*; record the run again with --frames"),
     "linked": (linked, r"frame_00000002.png: is a link, but a recording holds its own files"),
-    "of eight bits": (of_eight_bits, "no grey PNG of 16 bits"),
     "of another size": (of_another_size, "has 160 x 90 px, but the camera 320 x 180; run it with the scenario recorded"),
-    "brighter": (brighter, "has numbers up to 5000, but camera.bits = 12"),
     "gone": (gone, r"frame_00000002.png: cannot be read \(No such file"),
     "of another lamp": (of_another_lamp, OTHER),
-    "of objects": (of_objects, "light_00000002.npz: damaged, or no light of a recording"),
     "of nothing": (of_nothing, "u_0 is no finite float"),
-    "of too much": (of_too_much, "u_0 is no utilisation"),
-    "of few pixels": (of_few_pixels, "the utilisations of symbol are of none of the modules"),
-    "of no name": (of_no_name, "is no name of a symbol"),
     "no table": (lambda folder: (folder / TABLE).unlink(), "holds no frames; record frames with `luxloop run --frames`"),
     "no row": (in_table(lambda table: table.slice(0, 1)), "no exposures that are numbered from 0"),
-    "other rows": (in_table(lambda table: table.slice(2)), "no exposures that are numbered from 0"),
     "no column": (in_table(lambda table: table.drop(["came_with"])), "exposures.parquet: damaged, or no table of exposures .*came_with"),
     "no light": (in_table(without("light", 3)), "exposure 3 is not complete"),
-    "no time": (in_table(without("taken_s", 2)), "the frame of exposure 2 has no times"),
     "no gyro": (in_table(without("samples", 1, '[["gyro", 0, 0, [1, 2]]]')), "a sample of gyro has no such values"),
-    "no sensor": (in_table(without("samples", 1, '[["radar", 0, 0, [1]]]')), "exposures.parquet: damaged, or no table of exposures"),
-    "no samples": (in_table(without("samples", 1)), "time or samples of exposure 1 are not complete"),
 }
 
 
@@ -306,7 +245,7 @@ def test_what_is_damaged_or_lies_elsewhere_is_refused_in_a_sentence(name: str, r
     folder = shutil.copytree(recorded["drives"], tmp_path / "copy")
     damage(folder)
     with pytest.raises(LuxloopError, match=words) as caught:
-        for _ in playing(DRIVES, folder).run():
+        for _ in playing(DRIVES, folder).evaluations():
             pass
     (sentence,) = caught.value.args
     assert str(folder) in sentence and "\n" not in sentence
@@ -322,31 +261,3 @@ def test_frames_of_lighting_functions_hold_no_symbol(lamps: str, words: str, tmp
     model = load("gfhb", given).headlight.model
     with pytest.raises(LuxloopError, match=words):
         playing({**SMALL, "steps": 1, "headlight": {"model": model, "lamps": ["left"]}}, tmp_path / "gfhb")
-
-
-def test_a_plant_may_say_that_it_shows_something_else(small_simulation: Simulation) -> None:
-    """A symbol that a hot lamp dims is looked for as it was dimmed."""
-
-    class Moved:
-        def __init__(self, says: bool) -> None:
-            self.says = says
-
-        def start(self) -> Any:
-            return small_simulation.plant.start()
-
-        def show(self, state: Any, exposure: Exposure) -> Any:
-            pose = small_simulation.symbol.projector.target + torch.tensor([0.0, 0.5, 0.0, 0.0])
-            lights = exposure.lights if exposure.number % 2 else small_simulation.symbol.projector.light(pose)
-            shown = replace(exposure, lights=lights)
-            state, arrivals = small_simulation.plant.show(state, shown)
-            return state, replace(arrivals, frames=tuple(replace(each, shown=shown if self.says else None) for each in arrivals.frames))
-
-    silent, told = (next(replace(small_simulation, plant=Moved(says)).run()).symbol for says in (False, True))
-    assert float((told.measurement.area_ratio - 1).abs()) < float((silent.measurement.area_ratio - 1).abs())
-
-
-def test_the_plant_does_not_know_the_truth(recorded: dict[str, Path]) -> None:
-    simulation = playing(STANDS, recorded["stands"])
-    assert isinstance(simulation.plant, RecordedPlant)
-    with pytest.raises(LuxloopError, match="the plant recording does not know the truth"):
-        _ = simulation.world

@@ -1,26 +1,20 @@
 """Lamps share what they draw together, make up for each other, and draw for an observer, in whole scenarios."""
 
-from dataclasses import replace
 from typing import Any
 
 import pytest
 import torch
 
-from luxloop.controllers.functions.commands import CommandParams
-from luxloop.loop.scenario.model import Scenario, load, validate
-from luxloop.loop.scenario.shipped import scenario_files
-from luxloop.loop.simulation.observed import WIDTH_PX, observed_symbols, picture_view
+from luxloop.loop.scenario.model import validate
+from luxloop.loop.simulation.light_figures import WIDTH_PX, picture_view
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.perception.camera import CameraParams
 from tests.lamps import SMALL_LAMP
 
 CARPET = {"kind": "lane", "quantity": "E_v", "value": 1.0, "lane_width_m": 3.0, "near_m": 14.0, "far_m": 30.0}
 WANTED_LX = 1.0  # a single lamp of 50 kcd can give it up to 33 m ahead
 PATCH = (18.0, 26.0, 1.0)  # from, to and half the width in m, well inside of the carpet
 BARRIER = {"kind": "box", "name": "barrier", "size_m": [0.1, 0.5, 0.9], "albedo": 0.2, "track": [{"position_m": [12.0, 0.6, 0]}]}
-SMALL = CameraParams(width_px=240, height_px=135, hfov_deg=26).model_dump(mode="json")
-METERED = [name for name in scenario_files() if load(name).meters_light]  # others run as they were recorded, in tests/regression
 
 
 def run(lighting: dict[str, Any], function: dict[str, Any] = CARPET, **changes: Any) -> tuple[Simulation, StepResult]:
@@ -83,21 +77,6 @@ def test_an_observer_sees_the_picture_upright() -> None:
     assert float(y.abs().max()) < 0.5 * 33.2 / 16.6 + 0.2
 
 
-def test_what_an_observer_sees_is_measured_from_their_eye() -> None:
-    """From where the symbol is meant to be seen it is the wanted picture; 2 m beside, from where it leans, it is not."""
-    picture = {"centre_m": [14.0, 0.0, 0.5], "width_m": 2.0, "height_m": 0.5, "eye_m": [-1.6, 0.0, 1.3]}
-    symbol = {"kind": "symbol", "image": "warning_triangle", "observer": picture}
-    simulation, result = run({}, symbol, headlight={"model": SMALL_LAMP})
-    assert result.symbol_iou_min is not None and result.symbol_iou_min > 0.85  # pixels are a fortieth of the picture in height
-    primitives = result.plan.primitives
-    assert primitives is not None and primitives.observer is not None
-    aside = replace(primitives.observer, eye=primitives.observer.eye + torch.tensor([0.0, 2.0, 0.0]))
-    plan = replace(result.plan, primitives=replace(primitives, observer=aside))
-    full = tuple(torch.ones_like(u) for u in result.lights)
-    (seen,) = observed_symbols(plan, result.lights, full, simulation.world, result.now)
-    assert seen.iou < 0.5
-
-
 def test_the_wanted_picture_fills_the_observers_camera() -> None:
     eye, origin, d1, d2 = torch.tensor([[-1.0, 0.3, 1.3], [10.0, 0.8, 1.0], [0.3, -1.6, 0.0], [0.0, 0.0, -0.6]], dtype=torch.float64)
     view = picture_view(eye, origin, d1, d2)
@@ -105,43 +84,3 @@ def test_the_wanted_picture_fills_the_observers_camera() -> None:
     width, height = float(WIDTH_PX), float(view.height)
     torch.testing.assert_close(uv, torch.tensor([[0, width, width, 0], [0, 0, height, height]]).double(), rtol=0, atol=1e-6)
     assert (depth > 0).all() and height == round(WIDTH_PX * 0.6 / float(d1.norm()))
-
-
-@pytest.mark.slow
-def test_driver_cyclist_and_pedestrian_see_what_they_shall_see() -> None:
-    """The shipped scenario, on a flat road with 1.3 million mirrors: 0.03 are left to the blur of their edges."""
-    scenario = load("observer_symbol", ["renderer=raycast"])
-    assert scenario.headlight.model == "dmd-1m3"
-    seen = [result.symbol_iou_min for result in Simulation.prepare(scenario).run()]
-    assert len(seen) == 3
-    assert all(iou is not None and iou >= 0.97 for iou in seen), seen  # 0.983, 0.990 and 0.979
-
-
-def by_lamps_that_load_at_once(name: str) -> Scenario:
-    """A shipped scenario with them; raw utilisations fit their own alone, and these cannot be turned."""
-    scenario = load(name, camera=SMALL)
-    turns = any(isinstance(function, CommandParams) for function in scenario.functions.values())
-    model = scenario.headlight.model if scenario.lighting.raw or turns else "hd84"
-    headlight = scenario.headlight.model_copy(update={"modules": None, "model": model})
-    functions = {
-        name: function.model_copy(update={"modules": ()}) if hasattr(function, "modules") else function
-        for name, function in scenario.functions.items()
-    }
-    return scenario.model_copy(update={"functions": functions, "headlight": headlight})
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", METERED)
-def test_shipped_scenarios_run(name: str) -> None:
-    """First and last steps, or two where steps depend on earlier ones; symbols that are held need their own lamps and camera."""
-    scenario = load(name)
-    if not scenario.symbols:
-        scenario = by_lamps_that_load_at_once(name)
-    simulation = Simulation.prepare(scenario)
-    state, first = simulation.step(simulation.start())
-    last = simulation.step(state)[1] if simulation.remembers else simulation.at(scenario.steps - 1)
-    assert all(power.flux_lm > 0 for power in last.powers.values())
-    for result in (first, last):
-        assert all(((u >= 0) & (u <= 1)).all() for u in result.lights)
-        assert torch.isfinite(result.luminance).all()
-        assert not result.dark_lx_max

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from luxloop.loop.recording.files import REPORT
+from luxloop.loop.recording.manifest import REPORT
 from luxloop.loop.recording.replay import load as recording
 from luxloop.loop.recording.replay import replay
 from luxloop.loop.studio.sources import Source

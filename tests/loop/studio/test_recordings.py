@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import luxloop
-from luxloop.loop.recording.files import EDITS, TRAJECTORY
+from luxloop.loop.recording.manifest import EDITS, TRAJECTORY
 from luxloop.loop.studio.sources import Source
 from luxloop.world.arrays import read_parquet
 from tests.loop.studio.clients import watching

@@ -83,7 +83,7 @@ def test_a_client_gets_the_run_and_the_values_of_the_command_line(served: Served
         assert all(ANSWERS[each["type"]].keys() <= each.keys() for each, _ in watcher.got)
         assert PARTS["Run"].keys() == head["runs"][0].keys() and PARTS["Module"].keys() == head["runs"][0]["modules"][0].keys()
     simulation = luxloop.prepare(luxloop.load("snowflake", SMALL), "cpu")
-    expected = [row(result) for result in simulation.run()]
+    expected = [row(result) for result in simulation.evaluations()]
     assert len(rows) == len(expected)
     for name in ("functions.symbol.iou", "functions.symbol.x_m", "lamp.left.flux_lm"):
         assert np.array_equal(rows[:, names.index(name)], np.array([each[name] for each in expected], np.float32))

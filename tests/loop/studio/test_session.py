@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from luxloop.loop.recording.files import REPORT, SUMMARY
+from luxloop.loop.recording.manifest import REPORT, SUMMARY
 from luxloop.loop.recording.replay import load as recording
 from luxloop.loop.recording.replay import replay
 from luxloop.loop.scenario.model import load

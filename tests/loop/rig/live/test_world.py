@@ -65,7 +65,7 @@ def test_without_a_rig_it_is_checked_and_not_run(lux: Lux) -> None:
     assert code == 2 and "modules.left: is digitised from a real lamp" in error and not Path("runs").exists()
     assert_one_sentence(error)
     with pytest.raises(LuxloopError, match=r"modules\.left: is digitised"):
-        next(prepare(load("small.toml", ["modules.left.source=digitised"])).run())
+        next(prepare(load("small.toml", ["modules.left.source=digitised"])).evaluations())
 
 
 @pytest.mark.parametrize(

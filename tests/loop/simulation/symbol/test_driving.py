@@ -12,7 +12,6 @@ from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.egomotion import Ego
-from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import inverse, transform
 from tests.loop.conftest import SMALL
 
@@ -27,7 +26,7 @@ def driving(**changes: object) -> Scenario:
 
 
 def run(**changes: object) -> list[StepResult]:
-    return list(Simulation.prepare(driving(**changes)).run())
+    return list(Simulation.prepare(driving(**changes)).evaluations())
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +45,7 @@ def test_a_flat_road_looks_the_same_from_a_car_that_drives_smoothly():
 
 
 def test_a_nose_that_goes_down_brings_the_symbol_nearer(nodding):
-    at = [float(result.symbol.verdict.centroid_percent[0]) for result in nodding.run()]
+    at = [float(result.symbol.verdict.centroid_percent[0]) for result in nodding.evaluations()]
     pitch, to_lamp = math.radians(PITCH_DEG), 2.2
     for sign, seen in ((1, at[1]), (-1, at[3])):
         height = 0.75 - sign * to_lamp * pitch
@@ -99,14 +98,8 @@ class Listening:
 
 def test_light_is_drawn_with_what_is_known_when_it_is_exposed(nodding):
     controller = Listening(nodding.symbol.projector.target)
-    results = list(nodding.with_controller(controller).run())
+    results = list(nodding.with_controller(controller).evaluations())
     assert [ego.time_s for ego in controller.drawn] == pytest.approx([result.time_s for result in results])
     assert [ego.attitude_s for ego in controller.drawn] == pytest.approx([0, 0, 1 / 30, 2 / 30]), "a step late"
     assert [then for then, _ in controller.looked] == controller.drawn
     assert [now.time_s for _, now in controller.looked] == pytest.approx([(step + 1) / 30 for step in range(4)]), "when frames come"
-
-
-def test_a_course_out_of_order_is_told():
-    course = [{"time_s": 1.0, "speed_m_s": 5.0}, {"time_s": 0.5, "speed_m_s": 5.0}]
-    with pytest.raises(LuxloopError, match=r"vehicle\.course: time_s must ascend"):
-        driving(vehicle={"course": course})

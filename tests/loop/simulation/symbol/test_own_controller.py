@@ -32,10 +32,12 @@ def test_a_controller_of_ones_own_is_named_in_the_scenario() -> None:
     scenario = load("flat", [*SMALL, "functions.symbol.controller={name='own:Halfway', options={share=0.25}}"])
     simulation = prepare(scenario, "cpu")
     state, first = simulation.step(simulation.start())
+    first = simulation.evaluate(first)
     _, second = simulation.step(state)
+    second = simulation.evaluate(second)
     assert simulation.symbol.controller.inner.share == 0.25
     assert (second.symbol.pose - first.symbol.pose + 0.25 * first.symbol.measurement.pose_error).abs().max() < 1e-6
-    assert isinstance(simulation.symbol.controller.projection(state.held["symbol"].controller, None), ProjectionCommand)
+    assert isinstance(simulation.symbol.controller.projection(state.symbols["symbol"].controller, None), ProjectionCommand)
     again = type(scenario).model_validate_json(scenario.model_dump_json())
     assert again == scenario, "recordings hold it"
 

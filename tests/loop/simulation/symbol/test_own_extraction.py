@@ -26,10 +26,6 @@ class Pooled(Ours):
     def symbol_image(self, contrast, limit):
         return contrast[..., ::2, ::2]
 
-class Listed(Ours):
-    def symbol_image(self, contrast, limit):
-        return contrast.tolist()
-
 class Elsewhere(Ours):
     def symbol_image(self, contrast, limit):
         return contrast.to("meta")
@@ -43,7 +39,7 @@ SMALL = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
 def looked(*overrides: Any) -> tuple[Simulation, Tensor]:
     """Errors of three steps on bumps."""
     simulation = prepare(load("flat", [*SMALL, "road.kind=bumps", *overrides], steps=3), "cpu")
-    return simulation, torch.stack([result.symbol.measurement.errors for result in simulation.run()])
+    return simulation, torch.stack([result.symbol.measurement.errors for result in simulation.evaluations()])
 
 
 @pytest.mark.usefixtures("own")
@@ -65,15 +61,10 @@ def test_the_loop_looks_with_it(controller: str) -> None:
 @pytest.mark.parametrize(
     ("extraction", "words"),
     [
-        ({"kind": "no_such_extractions:Ours"}, ["No module named 'no_such_extractions'", "PYTHONPATH"]),
-        ({"kind": "own:Theirs"}, ["own has no Theirs"]),
         ({"kind": "own:Ours", "options": {"edge": "grey"}}, ["functions.symbol: extraction.options", "edge"]),
         ({"kind": "own:Blind"}, ["no method symbol_image"]),
         ({"kind": "own:Pooled"}, ["float32", "an image like that"]),
-        ({"kind": "own:Listed"}, ["gives list"]),
         ({"kind": "own:Elsewhere"}, ["on meta for", "on cpu"]),
-        ({"kind": "own:Ours", "edges": "grey"}, ["functions.symbol.extraction.edges", "unknown key"]),
-        ({"kind": "differentiall"}, ["functions.symbol.extraction.kind", "did you mean 'differential'"]),
     ],
 )
 def test_what_is_wrong_with_it_is_said_in_a_sentence(extraction: dict[str, Any], words: list[str]) -> None:

@@ -2,14 +2,12 @@
 
 from typing import Any
 
-import numpy as np
 import pytest
 
 from luxloop.controllers.symbol import FeedforwardParams
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.world.errors import LuxloopError
-from luxloop.world.roads.shapes import OwnRoad, SpeedBump
 
 OWN = """
 import numpy as np
@@ -32,14 +30,6 @@ class Shapeless(Along):
 class Bottomless(Along):
     def z(self, x, y):
         return np.where(x > 0, np.nan, 0.0)
-
-class Mistyped(Along):
-    def z(self, x, y):
-        return np.sinn(x)
-
-class Meshless(Along):
-    def grid(self):
-        return 0.03
 
 class Heightless:
     def grid(self):
@@ -67,29 +57,13 @@ def test_it_lies_and_is_believed_in_as_the_same_road_of_ours() -> None:
 
 
 @pytest.mark.usefixtures("own")
-def test_heights_are_one_a_place() -> None:
-    x, y = np.linspace(0, 3, 4)[:, None], np.linspace(-1, 1, 3)
-    np.testing.assert_array_equal(OwnRoad(kind="own:Along", options={"rise": 0.5}).z(x, y), np.broadcast_to(0.5 * x, (4, 3)))
-    own, bump = OwnRoad(kind="own:Bump", options={"height_m": 0.08}), SpeedBump()
-    np.testing.assert_array_equal(own.z(17.0, [0, 1]), bump.z(17.0, [0, 1]))
-    assert own.grid() == bump.grid()
-
-
-@pytest.mark.usefixtures("own")
 @pytest.mark.parametrize(
     ("road", "words"),
     [
-        ({"kind": "no_such_roads:Along"}, ["No module named 'no_such_roads'", "PYTHONPATH"]),
-        ({"kind": "own:Across"}, ["own has no Across"]),
         ({"kind": "own:Along", "options": {"rise": "much"}}, ["road.options.rise: is the text 'much'; write a number"]),
-        ({"kind": "own:Along", "options": {"raise": 1}}, ["road.options", "raise"]),
         ({"kind": "own:Heightless"}, ["no method z", "z, grid"]),
         ({"kind": "own:Shapeless"}, ["(3,)", "one a place"]),
         ({"kind": "own:Bottomless"}, ["not finite"]),
-        ({"kind": "own:Mistyped"}, ["z fails", "sinn"]),
-        ({"kind": "own:Meshless"}, ["grid gives float", "MeshGrid"]),
-        ({"kind": "own:"}, ["road.kind", "pattern"]),
-        ({"kind": "own:Along", "rise": 1}, ["road.rise", "unknown key"]),
         ({"kind": "washboard"}, ["road.kind", "package.module:Name"]),
     ],
 )

@@ -16,7 +16,7 @@ def test_the_controller_knows_that_the_road_is_wet(small_scenario: Scenario) -> 
     surface = small_scenario.surface.model_copy(update={"wet": 1.0})
     functions = {"symbol": small_scenario.symbol.model_copy(update={"start": StartParams()})}
     wet = small_scenario.model_copy(update={"surface": surface, "functions": functions, "steps": 6})
-    verdicts = [result.symbol.verdict for result in Simulation.prepare(wet).run()]
+    verdicts = [result.symbol.verdict for result in Simulation.prepare(wet).evaluations()]
     # At the target light and model agree; noise moves the symbol by a few centimetres then. A model of a dry road has 0.6 throughout.
     assert verdicts[0].iou > 0.98
     assert min(float(verdict.iou) for verdict in verdicts) > 0.85 and verdicts[-1].iou > 0.9
@@ -32,9 +32,9 @@ def in_a_beam(scenario: Scenario, beam: str, steps: int, **symbol: object) -> Sc
 @pytest.mark.parametrize("symbol", [{}, {"quantity": "u_rel", "value": 5.0}], ids=["u_abs", "u_rel"])
 def test_a_symbol_settles_in_a_burning_beam(small_scenario: Scenario, symbol: dict[str, object]) -> None:
     simulation = prepare(in_a_beam(small_scenario, "low", 30, **symbol))
-    results = list(simulation.run())
+    results = list(simulation.evaluations())
     # Off frames show the beam, at least three times the ambient light about the symbol; the median leaves no noise worth a tolerance.
-    shining, dark = simulation.world.luminance(0.0, results[0].showings[-1].exposure.lights)
+    shining, dark = simulation.world.luminance(0.0, results[0].exposures[-1].lights)
     off, lit = torch.stack([luminance_of(each.frames[1], simulation.scenario.camera) for each in results]), shining > 3 * dark
     seen = off.mean(0)[lit]
     assert len(seen) > 1000 and seen.median() == pytest.approx(float(shining[lit].median()), rel=0.02)

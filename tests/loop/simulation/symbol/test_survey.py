@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import pytest
-import torch
 
 from luxloop.controllers.symbol.heights.feedforward import Surveyed
 from luxloop.loop.run import prepare
@@ -26,22 +25,13 @@ def test_a_survey_finds_a_lifted_plane_and_draws_for_it() -> None:
     state = sim.start()
     for _ in range(20):
         state, result = sim.step(state)
+        result = sim.evaluate(result)
     assert isinstance(sim.symbol.controller, Surveyed)
-    heights = sim.symbol.controller.survey.relief(state.held["symbol"].controller.survey).heights
+    heights = sim.symbol.controller.survey.relief(state.symbols["symbol"].controller.survey).heights
     assert heights.mean() == pytest.approx(0.03, abs=0.002)  # the camera has half a row of the lamp's in a row of its own
     # the judge's limit for a right symbol: what a camera of 20 cm a row leaves of the edges
     assert result.symbol.verdict.centroid_percent.abs().max() < 2.0
     assert result.symbol.verdict.iou > 0.85
-
-
-def test_late_and_lost_frames_only_cost_time() -> None:
-    sim = simulation("camera.latency_steps=1", "camera.drop_probability=0.3")
-    state, steps = sim.start(), 0
-    while state.held["symbol"].controller.projection is None:
-        state, steps = sim.step(state)[0], steps + 1
-        assert steps < 80
-    assert steps > len(sim.symbol.controller.survey.patterns)  # type: ignore[attr-defined]
-    assert all(torch.isfinite(each).all() for each in state.held["symbol"].controller.survey.seen)
 
 
 def test_the_road_that_is_believed_in_is_found_as_the_true_one_is(tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ def simulation(request: pytest.FixtureRequest) -> Simulation:
 
 
 def test_each_copy_is_a_single_run(simulation: Simulation) -> None:
-    copies, results = Copies(simulation), list(simulation.run())
+    copies, results = Copies(simulation), list(simulation.evaluations())
     assert copies.windowed == (simulation.scenario.lighting.base.beam == "off")
     poses = torch.stack([each.symbol.pose for each in results])
     light, seed = copies.show(poses), simulation.scenario.seed

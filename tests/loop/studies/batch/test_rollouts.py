@@ -42,7 +42,7 @@ def simulation(request: pytest.FixtureRequest) -> Simulation:
 
 def test_each_rollout_is_the_run_with_its_gains(simulation: Simulation) -> None:
     given = {key: float(value_of(simulation.scenario, key) or 0.0) for key in KEYS}
-    single = list(simulation.run())
+    single = list(simulation.evaluations())
     poses = torch.stack([result.symbol.pose for result in single])
     alone = rollouts(simulation, {key: torch.tensor([value]) for key, value in given.items()})
     # Sums are rounded in another order; a digital number that this turns by one moves later poses by some 1e-4 m.

@@ -74,12 +74,12 @@ def test_each_of_a_batch_is_the_single_run(law: str) -> None:
 
 def test_frames_arrive_as_those_of_the_plant_do() -> None:
     given = scenario(*LATE, seed=5)
-    results = list(Simulation.prepare(given).run())
+    results = list(Simulation.prepare(given).evaluations())
     planned = arrivals(given)
     assert len({len(each) for each in planned}) > 1, "some come together, as latencies differ"
     for result, came in zip(results, planned, strict=True):
         taken_s = math.nan if came[-1] is None else came[-1] / given.rate_hz
-        assert result.taken_s == pytest.approx(taken_s, nan_ok=True)
+        assert result.control.taken_s == pytest.approx(taken_s, nan_ok=True)
 
 
 def test_what_searches_for_its_symbol_is_run_alone() -> None:

@@ -69,7 +69,7 @@ def test_a_seed_draws_the_noise_and_nothing_else(env: SymbolEnv) -> None:
     start = {"start": run.symbol.projector.target.tolist()}
     env.reset(seed=7, options=start)
     seen = env.step(np.zeros(4, np.float32))[0]
-    assert seen[ERRORS].tolist() == pytest.approx(next(run.run()).symbol.measurement.pose_error.tolist(), abs=1e-6), "as `luxloop run`"
+    assert seen[ERRORS].tolist() == pytest.approx(next(run.run()).measurement.pose_error.tolist(), abs=1e-6), "as `luxloop run`"
 
 
 def test_moves_move_the_symbol_as_far_as_the_controller_may(env: SymbolEnv) -> None:
@@ -121,7 +121,7 @@ def test_actions_of_another_shape_or_without_a_number_are_refused(env: SymbolEnv
 def test_gains_that_stay_are_the_thesis_pid_and_others_are_not() -> None:
     held = luxloop.make("snowflake", *SMALL, action="gains")
     run = luxloop.Simulation.prepare(luxloop.load("snowflake", [*SMALL, "seed=3"]))
-    expected = [result.symbol.pose.tolist() for result in run.run()]
+    expected = [result.symbol.pose.tolist() for result in run.evaluations()]
     told = [held.reset(seed=3)[0], *(held.step(np.zeros(6, np.float32))[0] for _ in range(4))]
     for seen, pose in zip(told, expected, strict=True):
         assert seen[POSE].tolist() == pytest.approx(pose, abs=1e-6)

@@ -7,17 +7,17 @@ from typing import Any
 from pydantic import BaseModel
 from torch import Tensor
 
-from luxloop.loop.recording.driven import driven_on
 from luxloop.loop.recording.record import refuse_unknown_columns
 from luxloop.loop.scenario.edits import acts
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.overrides import TAGS
 from luxloop.loop.simulation.result import SimulationState
+from luxloop.loop.simulation.simulated import SimulatedPlant, driven_plant
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
 
 
-def edited(
+def apply_edit(
     simulation: Simulation, state: SimulationState, scenario: Scenario, reached_by: Scenario | None = None
 ) -> tuple[Simulation, SimulationState]:
     """The simulation with another scenario, and its state before the next step.
@@ -30,7 +30,7 @@ def edited(
     reached_by = reached_by or simulation.scenario
     if acts(simulation.scenario, scenario) == "restart":
         raise LuxloopError(f"{scenario.source}: a run cannot go on with these values; start it anew")
-    driven = driven_on(simulation, scenario)
+    driven = continue_course(simulation, scenario)
     if driven is not None and reached_by is simulation.scenario:
         return driven, state
     after = driven or Simulation.prepare(scenario, simulation.device, simulation)
@@ -38,14 +38,14 @@ def edited(
         after = replace(after, plant=simulation.plant)  # which may hold a connection or devices
     if (scenario.checks, scenario.functions) != (simulation.scenario.checks, simulation.scenario.functions):
         refuse_unknown_columns(after)
-    held = {name: each.start() for name, each in after.controlled.items()}
+    symbols = {name: each.start() for name, each in after.controlled.items()}
     same = {name for name, each in scenario.functions.items() if _alike(reached_by.functions.get(name), each)}
-    functions, kept = _kept(after.planner.start(), state.functions, same), _kept(held, state.held, same)
+    functions, symbols = _continue_states(after.planner.start(), state.functions, same), _continue_states(symbols, state.symbols, same)
     commanded = {name: each for name, each in state.commanded.items() if name in after.planner.commanding}
-    return after, replace(state, functions=functions, held=kept, commanded=commanded)
+    return after, replace(state, functions=functions, symbols=symbols, commanded=commanded)
 
 
-def _kept(fresh: Mapping[str, Any], old: Mapping[str, Any], same: Collection[str]) -> dict[str, Any]:
+def _continue_states(fresh: Mapping[str, Any], old: Mapping[str, Any], same: Collection[str]) -> dict[str, Any]:
     return {name: old[name] if name in same and name in old and _fits(old[name], each) else each for name, each in fresh.items()}
 
 
@@ -69,3 +69,21 @@ def _fits(old: Any, fresh: Any) -> bool:
     if isinstance(old, tuple) and len(old) == len(fresh):
         return all(_fits(*pair) for pair in zip(old, fresh, strict=True))
     return True
+
+
+def continue_course(simulation: Simulation, scenario: Scenario) -> Simulation | None:
+    """The simulation with another scenario, where that has another course of a vehicle that roams, or other steps, and nothing else."""
+    before, plant = simulation.scenario, simulation.plant
+    if before.vehicle is None or scenario.vehicle is None or not scenario.vehicle.roams or not isinstance(plant, SimulatedPlant):
+        return None
+    vehicle = before.vehicle.model_copy(update={"course": scenario.vehicle.course})
+    if before.model_copy(update={"vehicle": vehicle, "steps": scenario.steps}) != scenario:
+        return None
+    cache = simulation.cache.copy()
+    plant, controlled = driven_plant(plant, scenario, cache), {}
+    for name, each in simulation.controlled.items():
+        if (judge := each.judge) is not None:
+            judge = replace(judge, world=plant.world)
+        controlled[name] = replace(each, judge=judge)
+    cache.end()
+    return replace(simulation, scenario=scenario, plant=plant, controlled=controlled, cache=cache)

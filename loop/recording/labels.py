@@ -2,11 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from pathlib import Path
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 from torch import Tensor
 
+from luxloop.loop.simulation.frames import FOLDER as FRAMES
+from luxloop.loop.simulation.frames import image_file, light_file
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.world import TrueObject, World
 from luxloop.world.errors import LuxloopError
@@ -92,3 +95,34 @@ def part_names(world: World) -> tuple[str, ...]:
 def _array(values: Tensor, dtype: Any) -> np.ndarray:
     array: np.ndarray = np.ascontiguousarray(values.detach().cpu().numpy(), dtype)
     return array
+
+
+FOLDER: Final = "labels"
+COCO, IMAGES = f"{FOLDER}/coco.json", f"{FOLDER}/images.json"
+IMAGE_2, LABEL_2, CALIB = (f"{FOLDER}/{name}" for name in ("image_2", "label_2", "calib"))
+PATTERNS: Final = {
+    FOLDER: ("coco.json", "images.json", "instances_*.png", "parts_*.png", "depth_*.npz", "lux_*.npz"),
+    IMAGE_2: ("*.png",),
+    LABEL_2: ("*.txt",),
+    CALIB: ("*.txt",),
+}
+
+
+def frame_name(number: int) -> str:
+    """The frame of an exposure, from the recording's folder on."""
+    return f"{FRAMES}/{image_file(Path(), number).name}"
+
+
+def light_name(number: int) -> str:
+    """A light, from the recording's folder on."""
+    return f"{FRAMES}/{light_file(Path(), number).name}"
+
+
+def mask_name(kind: str, number: int) -> str:
+    """A mask of the instances or parts of an exposure's frame, from the recording's folder on."""
+    return f"{FOLDER}/{kind}_{number:08d}.png"
+
+
+def values_name(kind: str, number: int) -> str:
+    """Values at the pixels of an exposure's frame, depth or lux, from the recording's folder on."""
+    return f"{FOLDER}/{kind}_{number:08d}.npz"

@@ -1,0 +1,273 @@
+"""Figures of a step's light: on objects, zones and materials in the camera's view, and on symbols in their observers' eyes (T 7.2.2)."""
+
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from luxloop.controllers.functions.material import MaterialLightParams, MaterialParams, MaterialState, Quantity
+from luxloop.controllers.functions.objects import GlareFreeParams
+from luxloop.controllers.functions.planner import Plan
+from luxloop.controllers.functions.zone import ZoneParams, region_of
+from luxloop.controllers.pixels.primitives import Primitives
+from luxloop.controllers.pixels.rthc import masks
+from luxloop.controllers.situation import Situation, TrackedObject
+from luxloop.loop.simulation.detection import LEAST_PX, Recognition, name_of
+from luxloop.loop.simulation.protocol import Exposure
+from luxloop.loop.simulation.world import LitScene, ObjectLight, World
+from luxloop.perception.metrics import iou
+from luxloop.world.frames import View, inverse, transform
+from luxloop.world.traffic.objects import ObjectParams
+from luxloop.world.traffic.tracked import ROAD_USERS
+
+DRIVEN = ROAD_USERS - {"pedestrian"}
+DUE_S = 0.3 - 1e-6  # the time that it has for that, less the rounding of clocks
+
+
+@dataclass(frozen=True)
+class OnObject:
+    """The lamps' light on what the camera sees of an object: pixels, and lx that are NaN where there are none. masked: it must be dark.
+
+    lx_min, lx_mean, lx_max: means over the exposures of a step. lx_peak: the highest lx_max of one.
+    """
+
+    pixels: int
+    lx_min: float
+    lx_mean: float
+    lx_max: float
+    lx_peak: float
+    masked: bool
+
+
+def light_on_objects(world: World, exposures: Sequence[Exposure]) -> list[ObjectLight]:
+    """In each exposure, if somebody asks for it."""
+    shown = ((each.start_s, each.lights, each.commands) for each in exposures)
+    return [world.on_objects(*each) for each in shown] if world.metered else []
+
+
+def ids_in_situation(watched: Mapping[str, int], recognised: Mapping[str, Recognition] | None) -> Mapping[str, int]:
+    """Ids of objects by the names under which functions are told of them: their own, with a detector those of their tracks."""
+    if recognised is None:
+        return watched
+    tracks = {name: each.track for name, each in recognised.items()}
+    return {name_of(track): number for name, number in watched.items() if (track := tracks.get(name)) is not None}
+
+
+def on_objects(
+    watched: Mapping[str, int], dark: frozenset[int], metered: Sequence[ObjectLight], shares: Sequence[float]
+) -> Mapping[str, OnObject]:
+    """By name. watched: ids of those that are meant. dark: ids of those that must be. metered: of each exposure, with its share of time."""
+    found = {}
+    for name, number in watched.items():
+        lights = [each.on(number) for each in metered]
+        low = mean = high = peak = math.nan
+        if all(map(len, lights)):
+            each = ([float(what(lx)) for lx in lights] for what in (Tensor.min, Tensor.mean, Tensor.max))
+            low, mean, high = (sum(share * lx for share, lx in zip(shares, values, strict=True)) for values in each)
+            peak = max(float(lx.max()) for lx in lights)
+        found[name] = OnObject(len(lights[0]), low, mean, high, peak, number in dark)
+    return found
+
+
+def near_enough(seen: LitScene, since_s: Mapping[str, float], now_s: float) -> Mapping[str, float]:
+    """Since when the drivers and riders who come towards the camera have been LEAST_PX tall and half visible, by name; since_s: as known
+    before.
+    """
+    heading = {placed.body.name: placed.T_world_body[:3, 0].double() for placed in seen.triangles.placed if placed.object_id > 0}
+    ahead = seen.view.T_world_view[:3, 2].double()
+    near = (
+        each.name
+        for each in seen.objects
+        if seen.given[each.object_id - 1].category in DRIVEN
+        and each.whole[3] - each.whole[1] >= LEAST_PX
+        and each.visible >= 0.5
+        and float(heading[each.name] @ ahead) < 0
+    )
+    return {name: since_s.get(name, now_s) for name in near}
+
+
+def on_eyes(
+    given: Sequence[ObjectParams], due: Collection[str], metered: Sequence[ObjectLight], shares: Sequence[float]
+) -> tuple[float | None, float | None, float | None]:
+    """Most light in lx on heads and windscreens of road users, mean over the exposures and highest, and the mean on those that are due.
+
+    None where none is seen in any exposure. given: parameters of the objects 1, 2, ... due: names of some.
+    """
+    users = {each.name: number for number, each in enumerate(given, 1) if each.category in ROAD_USERS}
+    mean, highest = _most(users.values(), metered, shares)
+    return mean, highest, _most([users[name] for name in due], metered, shares)[0]
+
+
+def _most(numbers: Collection[int], metered: Sequence[ObjectLight], shares: Sequence[float]) -> tuple[float | None, float | None]:
+    """Most light in lx on heads and windscreens of objects, mean over the exposures and highest; None where none is seen in any."""
+    lights = [each.on_eyes(numbers) for each in metered]
+    if not any(map(len, lights)):
+        return None, None
+    most = [float(lx.max()) if len(lx) else 0.0 for lx in lights]
+    return sum(share * lx for share, lx in zip(shares, most, strict=True)), max(most)
+
+
+def must_be_dark(functions: Mapping[str, Any], each: TrackedObject, now: Situation) -> bool:
+    """Whether a glare-free function keeps all light off an object: its own mask is there, and not fading."""
+    alone = replace(now, objects=(each,))
+    there = each.since_s <= now.time_s < each.until_s
+    glare_free = (function for function in functions.values() if isinstance(function, GlareFreeParams))
+    return there and any(any(masks(part)) for function in glare_free for part in function.primitives(alone))
+
+
+@dataclass(frozen=True)
+class InZone:
+    """One zone in one step. lx: asked for. luminance, target: cd/m^2, the mean without the camera's noise, None out of its sight and
+    where nobody knows it, and the one wanted.
+    """
+
+    lx: float
+    luminance: float | None
+    target: float
+
+
+def in_zones(functions: Mapping[str, Any], states: Mapping[str, Any], luminance: Tensor | None, view: View) -> Mapping[str, InZone]:
+    """The zones among a scenario's functions, by name; luminance: `[height, width]` cd/m^2, None where nobody knows it."""
+    found = {}
+    for name, function in functions.items():
+        if isinstance(function, ZoneParams):
+            mean = None
+            if luminance is not None and len(seen := luminance[region_of(function, view).to(luminance.device)]):
+                mean = float(seen.mean())
+            found[name] = InZone(states[name].lx, mean, function.luminance_cd_m2)
+    return found
+
+
+@dataclass(frozen=True)
+class OnMaterial:
+    """A material in one step, in lx or cd/m^2 as its light says. median: of its pixels, without the camera's noise, None out of sight."""
+
+    quantity: Quantity
+    median: float | None
+    wanted: float
+
+
+def quantities(functions: Mapping[str, Any]) -> Mapping[str, Quantity]:
+    """Requested quantity by function and material, or range of albedo; where several lights share both, that of the first."""
+    found: dict[str, Quantity] = {}
+    for name, function in functions.items():
+        if isinstance(function, MaterialParams):
+            for light in function.lights:
+                for label, _ in _labels(light):
+                    found.setdefault(f"{name}.{label}", light.quantity)
+    return found
+
+
+def on_materials(
+    functions: Mapping[str, Any],
+    states: Mapping[str, Any],
+    now: Situation,
+    told: Mapping[str, int],
+    world: World,
+    illuminance: Tensor,
+    luminance: Tensor,
+) -> Mapping[str, OnMaterial]:
+    """All that have a quantity, where their function asks for it: on objects that it selects, and on its part of the road.
+
+    Of several lights of one label the first is recorded, as in `quantities`.
+    states: None of a function that has seen nothing yet. told: ids of objects by their names in the situation. illuminance, luminance:
+    `[height, width]` now.
+    """
+    found: dict[str, OnMaterial] = {}
+    for called, function in functions.items():
+        if isinstance(function, MaterialParams):
+            state, view = states[called], world.lit(now.time_s)
+            picture, names = view.materials
+            asked = torch.zeros_like(picture, dtype=torch.bool) if state is None else _request_mask(function, state, now, told, view)
+            for number, light in enumerate(function.lights):
+                arriving = illuminance if light.quantity == "lx" else luminance
+                mine = asked if state is None else asked & (state.light == number)
+                for label, name in _labels(light):
+                    of_it = mine & (picture == names.index(name)) if name in names else mine & (name == "")
+                    median = float(arriving[of_it].median()) if bool(of_it.any()) else None
+                    found.setdefault(f"{called}.{label}", OnMaterial(light.quantity, median, light.value))
+    return found
+
+
+def _labels(light: MaterialLightParams) -> Iterator[tuple[str, str]]:
+    """Labels, and the materials that they are of; "" is any."""
+    chosen = "" if light.materials and light.albedo == (0.0, 1.0) else "albedo {:g} to {:g}".format(*light.albedo)
+    yield from ((f"{name} {chosen}".strip(), name) for name in light.materials or ("",))
+
+
+def _request_mask(function: MaterialParams, state: MaterialState, now: Situation, told: Mapping[str, int], view: LitScene) -> Tensor:
+    """Where a function asks for light, `[height, width]` bool."""
+    surfaces = view.surfaces
+    ids = torch.tensor([told[each.name] for each in function.select(now) if each.name in told])
+    standing = torch.isin(surfaces.object_id, ids.to(surfaces.object_id)) & ~state.ground
+    if function.road_m is None:
+        return standing
+    T_ground_world = inverse(view.vehicle.T_world_ground).to(surfaces.position)
+    x, y, _ = transform(T_ground_world, surfaces.position.flatten(1)).unflatten(1, state.ground.shape)
+    near, far = function.road_m
+    return standing | state.ground & (x >= near) & (x <= far) & (y.abs() <= function.road_width_m / 2)
+
+
+WIDTH_PX = 640  # of a wanted picture in the observer's camera, which it fills
+LIT = 0.5  # of what there would be if the picture were white
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedSymbol:
+    """One symbol from its observer's eye. share: luminance `[rows, cols]` as a share of what a white picture would have there; NaN where
+    no lamp reaches. wanted: the picture `[rows, cols]`, 0..1.
+    """
+
+    share: Tensor
+    wanted: Tensor
+
+    @property
+    def iou(self) -> float:
+        """Overlap of what is lit with what is wanted white."""
+        return float(iou(self.share > LIT, self.wanted > LIT))
+
+
+def pictures(primitives: Primitives) -> list[int]:
+    """Which primitives are pictures for an observer's eye; images with an opacity are a camera's, of where light shall be."""
+    return [p for p in range(len(primitives)) if primitives.has_observer(p) and primitives.image_of(p).ndim == 2]
+
+
+def in_white(plan: Plan) -> Plan | None:
+    """The plan with white pictures for all observers, None where it has no observers."""
+    if plan.primitives is None or not (shown := pictures(plan.primitives)):
+        return None
+    symbols = (*plan.primitives.symbols, torch.ones(1, 1).to(plan.primitives.origin))
+    symbol_of = plan.primitives.symbol_of.index_fill(0, torch.tensor(shown), len(symbols) - 1)
+    return replace(plan, primitives=replace(plan.primitives, symbols=symbols, symbol_of=symbol_of))
+
+
+def observed_symbols(
+    plan: Plan, lights: Sequence[Tensor], white: Sequence[Tensor], world: World, now: Situation
+) -> tuple[ObservedSymbol, ...]:
+    """All symbols of a plan that are meant for an observer, in its order; its lights and those of white pictures `[n_p]`, one a module."""
+    primitives = plan.primitives
+    if primitives is None or (who := primitives.observer) is None:
+        return ()
+    found = []
+    for p in pictures(primitives):
+        view = picture_view(*(each[p].double() for each in (who.eye, who.origin, who.d1, who.d2)))
+        seen = world.through(view, now.time_s)
+        (_, drawn), (_, full) = seen.light(lights, now.commands), seen.light(white, now.commands)
+        symbol = primitives.symbols[int(primitives.symbol_of[p])].to(drawn)
+        wanted = torch.nn.functional.interpolate(symbol[None, None], drawn.shape, mode="bilinear")[0, 0]
+        found.append(ObservedSymbol(drawn / full, wanted))
+    return tuple(found)
+
+
+def picture_view(eye: Tensor, origin: Tensor, d1: Tensor, d2: Tensor) -> View:
+    """The camera in an eye whose image is the flying picture, a rectangle: origin, d1, d2 `[3]` m."""
+    right, down = (torch.nn.functional.normalize(edge, dim=0) for edge in (d1, d2))
+    T = torch.eye(4, dtype=torch.float64)
+    T[:3, :3], T[:3, 3] = torch.stack([right, down, torch.linalg.cross(right, down)], -1), eye
+    x, y, depth = (T[:3, :3].T @ (origin - eye)).tolist()
+    height = max(round(WIDTH_PX * float(d2.norm() / d1.norm())), 1)
+    fx, fy = WIDTH_PX * depth / float(d1.norm()), height * depth / float(d2.norm())
+    return View(WIDTH_PX, height, fx, fy, -x * fx / depth, -y * fy / depth, T)
