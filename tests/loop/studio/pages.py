@@ -1,4 +1,4 @@
-"""The page in a real browser: opened once for the tests of a file, which read and steer it."""
+"""The page in a real browser, which all files share: how it is opened and waited for."""
 
 import shutil
 from collections.abc import Iterator

@@ -36,6 +36,8 @@ def objects() -> Iterator[Served]:
 
 @pytest.fixture(scope="module")
 def page(browser: webdriver.Chrome, objects: Served) -> webdriver.Chrome:
+    browser.get("about:blank")
+    browser.get_log("browser")  # what pages of other files complained of, whose servers have ended
     return visit(browser, objects)
 
 

@@ -32,7 +32,7 @@ def keys_of(browser: webdriver.Chrome, served: Served, token: str | None = None)
     return browser
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def page(browser: webdriver.Chrome, symbol: Served) -> webdriver.Chrome:
     return keys_of(browser, symbol)
 

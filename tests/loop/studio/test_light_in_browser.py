@@ -27,7 +27,7 @@ def dark() -> Iterator[Served]:
     yield from serving(Source("gfhb", DARK), PAGE)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def page(browser: webdriver.Chrome, dark: Served) -> webdriver.Chrome:
     visit(browser, dark)
     browser.execute_script("luxloop.store.set({ viewpoint: 'above' })")

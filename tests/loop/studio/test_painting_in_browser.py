@@ -32,7 +32,7 @@ def plain() -> Iterator[Served]:
     yield from serving(Source("gfhb", (*SMALL, "headlight.model=hd84", "functions={}", "checks={}", "objects=[]")), PAGE)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def tools(browser: webdriver.Chrome, plain: Served) -> webdriver.Chrome:
     """The page with the tools to paint."""
     until(visit(browser, plain), "return luxloop.store.state.runs[0].utilisations.size === 2")
@@ -44,7 +44,6 @@ def tools(browser: webdriver.Chrome, plain: Served) -> webdriver.Chrome:
 def page(tools: webdriver.Chrome, plain: Served) -> webdriver.Chrome:
     """With nothing painted."""
     clicked(tools, "clear")
-    clicked(tools, "brush")
     until(tools, "return luxloop.store.state.model.lighting.painted.length === 0")
     (run,) = plain.studio.session.state.runs
 

@@ -51,7 +51,7 @@ def plain() -> Iterator[Served]:
     yield from serving(Source("gfhb", (*SMALL, *given)), PAGE)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def page(browser: webdriver.Chrome, plain: Served) -> webdriver.Chrome:
     visit(browser, plain)
     body = browser.find_element(By.TAG_NAME, "body")
