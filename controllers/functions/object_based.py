@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal, Self
 
 import torch
-from pydantic import Field, field_validator
+from pydantic import Field
 from torch import Tensor
 
 from luxloop.controllers.functions.object_loop import Ambient, AmbientLoopParams, ObjectLoop, ObjectLoopParams
@@ -188,14 +188,6 @@ class ObjectBasedParams(SelectionParams):
     fade_out_s: float = Field(0.6, ge=0, le=LINGER_S, description="time until the light on a vanished object is off")
     priority: int = Field(20, ge=0, le=100, description="where functions overlap, the higher priority is drawn")
     modules: tuple[str, ...] = Field((), description="lamps or modules that draw it; left out: all")
-
-    @field_validator("setpoints_lx")
-    @classmethod
-    def _not_negative(cls, setpoints_lx: dict[Category, float]) -> dict[Category, float]:
-        for category, lx in setpoints_lx.items():
-            if lx < 0:
-                raise ValueError(f"{category}: {lx:g} lx is negative; give 0 or more")
-        return setpoints_lx
 
     def start(self) -> ObjectBasedState:
         return ObjectBasedState(Ambient(self.ambient.first if self.method == "confidence" else self.share))

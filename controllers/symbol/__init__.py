@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import Tag
 
 from luxloop.controllers.symbol.feedback import Feedback, GaussNewtonParams, ModelReferenceParams, ThesisPid, ThesisPidParams
-from luxloop.controllers.symbol.heights.feedforward import Feedforward, FeedforwardParams, OpenLoop, OpenLoopParams, Surveyed
+from luxloop.controllers.symbol.heights.feedforward import Feedforward, FeedforwardParams, MeasuringFeedforward, OpenLoop, OpenLoopParams
 from luxloop.controllers.symbol.heights.height_controller import HeightController, HeightControllerParams
 from luxloop.controllers.symbol.sensing.projector import StartParams
 from luxloop.controllers.symbol.sensing.protocol import SymbolController
@@ -45,7 +45,7 @@ def build_controller(params: AnyParams, sensor: SymbolSensor) -> SymbolControlle
         case OpenLoopParams():
             return OpenLoop(sensor.projector.target)
         case FeedforwardParams():
-            return Surveyed(params, sensor) if params.survey else Feedforward(params, sensor)
+            return MeasuringFeedforward(params, sensor) if params.survey else Feedforward(params, sensor)
         case ThesisPidParams():
             return with_stages(params, ThesisPid.prepare(params, sensor.projector.target), sensor)
         case HeightControllerParams():

@@ -190,38 +190,38 @@ class StructuredLight:
 
 
 @dataclass(frozen=True)
-class SurveyedState:
+class MeasuringState:
     """survey: what was seen of the patterns. projection: for the road that they told, None before."""
 
     survey: StructuredLightState
     projection: ProjectionCommand | None = None
 
 
-class Surveyed:
+class MeasuringFeedforward:
     """Surveys the road, then draws for it for ever."""
 
     def __init__(self, params: FeedforwardParams, sensor: SymbolSensor) -> None:
         self.params, self.sensor = params, sensor
         self.survey = StructuredLight(sensor, region_around(sensor))
 
-    def start(self, pose: Tensor) -> SurveyedState:
+    def start(self, pose: Tensor) -> MeasuringState:
         """The first pattern, whatever the pose `[4]`."""
-        return SurveyedState(self.survey.start())
+        return MeasuringState(self.survey.start())
 
-    def projection(self, state: SurveyedState, ego: Ego | None) -> ProjectionCommand:
+    def projection(self, state: MeasuringState, ego: Ego | None) -> ProjectionCommand:
         """A pattern, or the symbol for the road that was found."""
         return state.projection or self.survey.projection(state.survey)
 
-    def step(self, state: SurveyedState, observation: Observation) -> SurveyedState:
+    def step(self, state: MeasuringState, observation: Observation) -> MeasuringState:
         """Go on with the survey; draw as soon as it is complete."""
         if state.projection is not None:
             return state
         survey = self.survey.step(state.survey, observation)
         if not survey.complete:
-            return SurveyedState(survey)
+            return MeasuringState(survey)
         relief = self.survey.relief(survey)
         relief = replace(relief, heights=relief.heights + self.params.offset_m)
-        return SurveyedState(survey, shown_on(relief, self.sensor))
+        return MeasuringState(survey, shown_on(relief, self.sensor))
 
 
 def region_around(sensor: SymbolSensor) -> Region:

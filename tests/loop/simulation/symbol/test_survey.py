@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from luxloop.controllers.symbol.heights.feedforward import Surveyed
+from luxloop.controllers.symbol.heights.feedforward import MeasuringFeedforward
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.loop.scenario.overrides import resolve_paths
@@ -26,7 +26,7 @@ def test_a_survey_finds_a_lifted_plane_and_draws_for_it() -> None:
     for _ in range(20):
         state, result = sim.step(state)
         result = sim.evaluate(result)
-    assert isinstance(sim.symbol.controller, Surveyed)
+    assert isinstance(sim.symbol.controller, MeasuringFeedforward)
     heights = sim.symbol.controller.survey.relief(state.symbols["symbol"].controller.survey).heights
     assert heights.mean() == pytest.approx(0.03, abs=0.002)  # the camera has half a row of the lamp's in a row of its own
     # the judge's limit for a right symbol: what a camera of 20 cm a row leaves of the edges
