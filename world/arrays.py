@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from numpy.lib import format as npy
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import afford, reading
+from luxloop.world.files import afford, reading, regular
 
 BYTES_A_NUMBER: Final = 16  # readers turn most numbers into float64, and copy them once
 REMEDY: Final = "save fewer numbers in it"
@@ -26,14 +26,14 @@ Arrays = dict[str, np.ndarray[Any, Any]]
 
 def read_npy(path: Path) -> np.ndarray[Any, Any]:
     """The array of a .npy. Raises LuxloopError beyond the memory budget, and NumPy's errors for damaged files."""
-    with path.open("rb") as stream:
+    with regular(path).open("rb") as stream:
         afford(f"{path}: its array", BYTES_A_NUMBER * _array_size(stream, path.stat().st_size), REMEDY)
         return _array(stream)
 
 
 def read_npz(path: Path) -> Arrays:
     """The arrays of a .npz by name, `.npy` left out. Raises as `read_npy` does."""
-    with zipfile.ZipFile(path) as archive:
+    with zipfile.ZipFile(regular(path)) as archive:
         members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
         afford(f"{path}: its entries", sum(info.file_size for info in members.values()), REMEDY)
         declared = 0

@@ -5,7 +5,8 @@ import io
 import math
 import re
 import zlib
-from typing import Final
+from contextlib import suppress
+from typing import Any, Final
 from xml.parsers import expat
 
 import cv2
@@ -15,44 +16,52 @@ from PIL import ExifTags, Image
 from luxloop.world.files import afford
 
 BYTES_A_PIXEL: Final = 32  # of a colour picture of 16 bits with transparency, and the same in single precision beside it
-FLIPS: Final = {2: 1, 3: -1, 4: 0, 6: 1, 7: -1, 8: 0}  # of an EXIF orientation, as OpenCV numbers them
+FLIPS: Final = {2: 1, 3: -1, 4: 0, 6: 1, 7: -1, 8: 0}  # of an orientation (EXIF 2.32, 4.6.4.A), as OpenCV numbers them
 TRANSPOSED: Final = (5, 6, 7, 8)  # orientations of pictures that are transposed before the flip
 
 
 def decode(coded: bytes, what: str, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarray | None:
-    """The picture as OpenCV decodes it with `flags`, upright by its EXIF orientation, or None where it is none.
+    """The picture as OpenCV decodes it with `flags`, upright unless they ignore orientation; None where it is none or damaged.
 
     what: the picture, as a message begins.
     Raises LuxloopError where it declares more pixels than the budget allows.
     """
+    orientation = None
     try:
         with Image.open(io.BytesIO(coded)) as header:
-            pixels = math.prod(header.size)
+            pixels, form = math.prod(header.size), header.format
+            with suppress(Exception):  # of damaged tags
+                orientation = header.getexif().get(ExifTags.Base.Orientation)
     except Image.DecompressionBombError:  # Pillow refuses twice the number that it warns of, before it gives the size
-        pixels = 2 * (Image.MAX_IMAGE_PIXELS or 0)
+        pixels, form = 2 * (Image.MAX_IMAGE_PIXELS or 0), None
     except Exception:  # readers raise whatever their formats provoke
         return None
     afford(f"{what}: its pixels", BYTES_A_PIXEL * pixels, "shrink the picture")
+    keeps = flags != cv2.IMREAD_UNCHANGED and flags & cv2.IMREAD_IGNORE_ORIENTATION
     try:
-        picture, kinds, blocks = cv2.imdecodeWithMetadata(np.frombuffer(coded, np.uint8), flags=flags)
+        picture = cv2.imdecode(np.frombuffer(coded, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error:
         return None
-    if flags == cv2.IMREAD_UNCHANGED and picture is not None and cv2.IMAGE_METADATA_EXIF in kinds:  # with other flags OpenCV turns it
-        return _upright(picture, bytes(blocks[list(kinds).index(cv2.IMAGE_METADATA_EXIF)]))
-    return picture
-
-
-def _upright(picture: np.ndarray, exif: bytes) -> np.ndarray:
-    """The picture turned and mirrored by its orientation, 1 to 8 (EXIF 2.32, 4.6.4.A); unchanged where there is none."""
-    tags = Image.Exif()
-    try:
-        tags.load(exif)
-        orientation = tags.get(ExifTags.Base.Orientation)
-    except Exception:  # of damaged tags
+    if picture is None or (form in ("JPEG", "MPO") and not _complete(coded)):
+        return None
+    if keeps or form == "TIFF" or orientation not in (*FLIPS, 5):  # OpenCV always turns a TIFF
         return picture
     if orientation in TRANSPOSED:
         picture = cv2.transpose(picture)
     return cv2.flip(picture, FLIPS[orientation]) if orientation in FLIPS else picture
+
+
+def _complete(jpeg: bytes) -> bool:
+    """Whether nothing of a JPEG is damaged or missing; OpenCV fills with grey what is."""
+    import av
+
+    decoder: Any = av.CodecContext.create("mjpeg", "r")
+    decoder.options = {"err_detect": "explode"}
+    try:
+        decoder.decode(av.Packet(jpeg))
+    except av.FFmpegError:
+        return False
+    return True
 
 
 GZIP: Final = b"\x1f\x8b"
@@ -73,7 +82,10 @@ def svg_text(data: bytes) -> str:
             raise ValueError(f"damaged gzip: {error}") from error
     if len(data) > LONGEST:
         raise ValueError(f"it is longer than {LONGEST / 1e6:g} MB")
-    text = data.decode("utf-8-sig")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError("its text is not in UTF-8, save it as UTF-8") from error
     try:
         _Check().parser.Parse(text, True)
     except expat.ExpatError as error:

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import afford, content, reading
+from luxloop.world.files import afford, content, reading, regular
 from luxloop.world.images import decode, svg_text
 
 DRAWN_PX = 512  # longer side of what is drawn from an SVG, and the largest of a video: finer than a lamp can show
@@ -73,7 +73,7 @@ def load(path: Path, rate_hz: float | None = None, repeat: bool = True) -> Symbo
     """
     if os.path.isdir(path):
         return _lit(Frames(_sequence(path), rate_hz or FOLDER_HZ, repeat), path)
-    if not os.path.isfile(path):
+    if not os.path.exists(path):
         raise LuxloopError(
             f"symbol {path} does not exist: give the path of a picture, SVG, video or folder, or the name of a shipped symbol"
         )
@@ -129,7 +129,7 @@ def video(path: Path, largest_px: int | None = DRAWN_PX) -> tuple[Tensor, float]
 
     frames: list[Tensor] = []
     sound = reading(path, "is no video that can be read", "convert it to H.264 in an .mp4 file")
-    with sound, av.open(str(path), options=CONTAINERS) as container:
+    with sound, av.open(str(regular(path)), options=CONTAINERS) as container:
         stream = container.streams.video[0]
         afford(f"video {path}: a frame", DECODED_BYTES * stream.width * stream.height, "shrink it")
         rate_hz = float(stream.average_rate or 25)

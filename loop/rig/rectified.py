@@ -17,7 +17,6 @@ from luxloop.world.images import decode
 
 AS_SENT: Final = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION  # a camera that is mounted upside down is calibrated so
 GREY: Final = cv2.IMREAD_GRAYSCALE | AS_SENT
-JPEG: Final = b"\xff\xd8"
 REMEDY: Final = "set camera.width_px and camera.height_px of the scenario, or camera.crop of the rig file"
 AGAIN: Final = "run `luxloop rig calibrate` again"
 
@@ -117,22 +116,9 @@ def camera_picture(data: bytes, flags: int) -> NDArray[np.generic]:
         picture = decode(data, "camera: a picture", flags)
     except LuxloopError as error:
         raise WrongPicture(str(error)) from error
-    if picture is None or (data.startswith(JPEG) and not _whole(data)):
+    if picture is None:
         raise WrongPicture("camera: a picture is damaged")
     return picture
-
-
-def _whole(jpeg: bytes) -> bool:
-    """Whether nothing of a JPEG is damaged or missing; OpenCV fills with grey what is."""
-    import av
-
-    decoder: Any = av.CodecContext.create("mjpeg", "r")
-    decoder.options = {"err_detect": "explode"}
-    try:
-        decoder.decode(av.Packet(jpeg))
-    except av.FFmpegError:
-        return False
-    return True
 
 
 def load_lens(file: Path) -> Lens:

@@ -1,6 +1,7 @@
 """Symbols from all kinds of files, and what is said of bad ones."""
 
 import gzip
+import os
 import struct
 import tracemalloc
 from pathlib import Path
@@ -187,7 +188,7 @@ def test_units_of_an_svg_are_those_of_css(unit: str, px: float, tmp_path: Path) 
     torch.testing.assert_close(image, expected, atol=0.01, rtol=0)  # borders fall on pixels but for rounding in the file
 
 
-@pytest.mark.parametrize("kind", ["jpeg", "png", "webp", "tiff"])
+@pytest.mark.parametrize("kind", ["jpeg", "png", "webp", "tiff", "avif"])
 def test_pictures_are_upright_by_their_exif_orientation(kind: str, tmp_path: Path) -> None:
     picture = np.zeros((40, 64), np.uint8)
     picture[8:32, 8:16] = picture[24:32, 8:56] = 255
@@ -195,12 +196,28 @@ def test_pictures_are_upright_by_their_exif_orientation(kind: str, tmp_path: Pat
     for orientation in range(1, 9):
         image = Image.fromarray(picture)
         image.getexif()[ExifTags.Base.Orientation] = orientation
-        image.save(file, exif=image.getexif(), lossless=True)
         upright = np.asarray(ImageOps.exif_transpose(image))
+        image.save(file, exif=image.getexif(), lossless=True)  # whose AVIF has a transformation in its place
         for flags in (cv2.IMREAD_UNCHANGED, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH):
             read = decode(file.read_bytes(), "it", flags)
             assert read is not None and read.shape[:2] == upright.shape
             assert np.abs(read.reshape(*upright.shape, -1)[..., 0].astype(int) - upright).max() < 16  # JPEG is lossy
+
+
+def test_half_a_jpeg_a_pipe_and_utf_16_are_refused(tmp_path: Path) -> None:
+    data = write(tmp_path, np.random.default_rng(0).integers(0, 255, (64, 64), np.uint8), "a.jpg").read_bytes()
+    (tmp_path / "half.jpg").write_bytes(data[: len(data) // 2] + b"\xff\xd9")
+    os.mkfifo(tmp_path / "pipe.png")
+    os.mkfifo(tmp_path / "pipe.mp4")
+    (tmp_path / "wide.svg").write_text(INSIDE.format(RECTANGLE, ""), "utf-16")
+    for name, words in {
+        "half.jpg": "8 or 16 bits",
+        "pipe.png": "no regular file",
+        "pipe.mp4": "no regular",
+        "wide.svg": "save it as UTF-8",
+    }.items():
+        with pytest.raises(LuxloopError, match=words):
+            load(tmp_path / name)
 
 
 def test_a_picture_with_damaged_exif_stays_as_it_is(tmp_path: Path) -> None:

@@ -179,7 +179,7 @@ def load_lamp(name: str | Path, side: Side = "left") -> Lamp:
     if suffix not in known:
         hint = "give a file in it" if str(name) and os.path.isdir(path) else did_you_mean(str(name), presets.NAMES)
         raise LuxloopError(f"there is no lamp {str(name)!r}; {hint} (lamp files end in {', '.join(known)})")
-    if not os.path.isfile(path):
+    if not os.path.exists(path):
         raise LuxloopError(f"lamp file {path} does not exist; check the path, or name one of {', '.join(presets.NAMES)}")
     if suffix == ".toml":
         return build(path, side)[0]

@@ -52,6 +52,10 @@ class Header:
             if number is None:
                 raise CrgError(f"{self.path}, line {line}: {key.strip()} = {value!r} is not a number; correct the header")
             found, unit = _float(number[0]), value[number.end() :]
+            if key.strip().lower().endswith("_phi") and abs(found) > 2 * math.pi and _ODD_EXPONENT.fullmatch(unit):
+                raise CrgError(
+                    f"{self.path}, line {line}: {key.strip()} = {found:g} rad is more than a turn; write its unit, deg or rad, after it"
+                )
             if not _ODD_EXPONENT.fullmatch(unit):
                 found *= _unit(self.path, line, unit, _units_of(key.strip().lower()))
             if abs(found) > LARGEST:
@@ -116,6 +120,13 @@ def read_header(path: Path) -> Header:
     return Header(path, sections, len(lines) + 1, data[end.end() :] if end else b"")
 
 
+def _name_and_unit(path: Path, line: int, text: str) -> tuple[str, str]:
+    name, unit, *more = [*filter(str.strip, text.translate(_BRACKETS).split(",")), "", ""]
+    if any(more):
+        raise CrgError(f"{path}, line {line}: {text.strip()!r} has more than a name and a unit; write 'D:name,unit'")
+    return name, unit
+
+
 def read_channels(header: Header) -> Channels:
     path = header.path
     if "KD_DEFINITION" not in header.sections:
@@ -133,7 +144,7 @@ def read_channels(header: Header) -> Channels:
         tag, colon, rest = text.partition(":")
         if tag.strip().upper() != "D" or not colon:
             continue
-        name, unit = [*(part for part in rest.translate(_BRACKETS).split(",") if part.strip()), "", ""][:2]
+        name, unit = _name_and_unit(path, line, rest)
         words = name.lower().split()
         units = LENGTH
         if words[:2] == ["reference", "line"]:
@@ -238,7 +249,7 @@ def _follow_reference(header: Header, depth: int) -> Crg:
     if depth == 0:
         raise CrgError(f"{header.path}: $ROAD_CRG_FILE refers to itself in a circle; name the file that has the data")
     target = header.path.parent / named
-    if not os.path.isfile(target):
+    if not os.path.exists(target):
         raise CrgError(f"{header.path}: $ROAD_CRG_FILE names {named}, which is not at {target}; correct the path")
     return _read(target, depth - 1)
 

@@ -18,6 +18,7 @@ from luxloop.world.photometry.record import Numbers, Photometry, PhotometryError
 _SETS_AT = 26  # line of the number of lamp sets, each of which takes six lines
 _COUNTS = re.compile(r".*\n\s*\d+\s*\n\s*[0-4]\s*\n\s*\d+[.,]?0*\s*\n")  # lines 2 to 4: kind, symmetry, number of planes
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")  # or a decimal comma
+_WHOLE_THOUSANDS = re.compile(r"[1-9]\d{0,2}\.000")  # which is 1, or 1000 where a point separates thousands
 _RATIOS = 10  # lines of direct ratios, which nobody here needs
 
 
@@ -75,10 +76,17 @@ def parse(text: str, path: Path) -> Photometry:
     symmetry = lines.whole(3, "the symmetry Isym", 0, 4)
     n_c = lines.whole(4, "the number of C planes", 1)
     n_gamma = lines.whole(6, "the number of angles gamma in a plane", 2)
-    factor = (lines.number(24, "the conversion factor") if lines.text(24) else 0.0) or 1.0
+    factor = lines.number(24, "the conversion factor") if lines.text(24) else 1.0
+    if factor == 0:
+        warnings.append("conversion factor 0 is read as 1")
+        factor = 1.0
     sets = lines.whole(_SETS_AT, "the number of lamp sets", 1)
     lamps = int(lines.optional(_SETS_AT + 1, "the number of lamps"))
     flux = lines.number(_SETS_AT + 3, "the total luminous flux of the lamps in lm")
+    if _WHOLE_THOUSANDS.fullmatch(flux_text := lines.text(_SETS_AT + 3)):
+        warnings.append(
+            f"line {_SETS_AT + 3}: the luminous flux is {flux_text}, read as {flux:g} lm; leave the point out if thousands are meant"
+        )
     if factor <= 0 or flux <= 0:
         line, what = (24, "a conversion factor") if factor <= 0 else (_SETS_AT + 3, "a luminous flux")
         raise PhotometryError(f"{path}, line {line}: expected {what} above 0, found {lines.text(line)[:40]!r}; correct it")
@@ -160,7 +168,7 @@ def write(path: str | Path, distribution: Distribution, name: str) -> None:
     kind, no_symmetry, uneven = 3, 0, 0
     head = ["luxloop (computed)", kind, no_symmetry, len(c), f"{360 / len(c):g}", len(gamma), uneven]
     names = ["none", name, "none", path.name, "none"]
-    opening, shares, lamp = [0] * 9, [100, 100, 1, 0], [1, 1, "none", f"{flux:.3f}", "none", "none", 0]
+    opening, shares, lamp = [0] * 9, [100, 100, 1, 0], [1, 1, "none", f"{flux:.12g}", "none", "none", 0]
     values = (f"{value:.3f}" for value in (distribution.candela * (1000 / flux)).ravel())
     angles = (f"{angle:g}" for angle in (*c, *gamma))
     with whole(path) as part:

@@ -3,7 +3,6 @@
 import base64
 import io
 import json
-import os
 import re
 import struct
 from collections.abc import Iterable, Mapping, Sequence
@@ -37,7 +36,9 @@ def _read_gltf(file: Path, data: bytes) -> dict[str, trimesh.Trimesh]:
     whatever a damaged file provokes.
     """
     tree, chunk = _parts(data)
-    if unread := [each for each in tree.get("extensionsRequired", []) if not each.startswith(READ)]:
+    if not isinstance(required := tree.get("extensionsRequired", []), list):
+        raise LuxloopError(f"{file}: extensionsRequired is {required!r}, not a list of names; export it again")
+    if unread := [str(each) for each in required if not str(each).startswith(READ)]:
         raise LuxloopError(f"{file}: extensionsRequired: {', '.join(unread)} cannot be decoded; export it without, uncompressed")
     buffers = [_buffer(file, each, chunk) for each in tree.get("buffers", [])]
     nodes, found = tree.get("nodes", []), dict[str, trimesh.Trimesh]()
@@ -78,6 +79,8 @@ def _parts(data: bytes) -> tuple[Json, bytes | None]:
 def _buffer(file: Path, buffer: Json, chunk: bytes | None) -> bytes | None:
     if (uri := buffer.get("uri")) is None:
         return chunk
+    if not isinstance(uri, str) or "\0" in unquote(uri):
+        raise LuxloopError(f"{file}: buffers: the uri {uri!r} is no name of a file; export it again")
     if uri.startswith("data:"):
         head, _, text = uri.partition(",")
         return base64.b64decode(text) if head.endswith(";base64") else unquote_to_bytes(text)
@@ -147,8 +150,6 @@ MESHES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 
 def read_nodes(file: Path) -> Mapping[str, trimesh.Trimesh]:
     """The meshes of a file in its frame, by the names of its nodes. Raises LuxloopError where it is missing or unreadable."""
-    if not os.path.isfile(file):
-        raise LuxloopError(f"{file}: there is no such mesh file; correct the object's key 'file'")
     form = file.suffix.lower()[1:]
     if f".{form}" not in MESHES:  # archives and documents that trimesh reads as well may hold anything
         raise LuxloopError(f"{file}: meshes are {', '.join(MESHES)} files; export it as one of them")

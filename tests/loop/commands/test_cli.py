@@ -182,7 +182,7 @@ def test_several_errors_have_a_line_each(lux: Lux, command: str) -> None:
         ("run small.toml --set road.kind=opencrg road.file=none.crg", ["none.crg", "check the path"]),
         ("run small.toml --set road.kind=opencrg road.file=text.png", ["text.png", "OpenCRG"]),
         ("run small.toml --set road.kind=opencrg road.file=short.crg", ["short.crg", "truncated"]),
-        ("run mesh.toml --set road.kind=flat", ["none.obj", "no such mesh"]),
+        ("run mesh.toml --set road.kind=flat", ["none.obj", "No such file"]),
         ("run badmesh.toml", ["text.stl", "triangles"]),
         ("run small.toml --set camera.yaw_deg=90", ["functions.symbol: the target at x_m = 17", "camera's view"]),
         (

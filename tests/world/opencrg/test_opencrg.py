@@ -235,6 +235,8 @@ def test_a_reference_shows_no_environment_variable(tmp_path: Path, monkeypatch: 
         ("LRFI", b"D:long section 6,m\n", b"", r"line \d+: has more than the 5 values"),
         ("LRFI", b"0\n 0.25", b"0 0.25", r"line \d+: has 120 characters, and LRFI data 80 at most"),
         ("LRFI", b"section 6,m", b"section 6,furlong", r"line \d+: the unit 'furlong' is unknown"),
+        ("LRFI", b"section 6,m", b"section 6,m,cm", r"line \d+: .* has more than a name and a unit"),
+        ("LRFI", b"_PHI  ", b"_PHI = 90 !", r"line \d+: REFERENCE_LINE_START_PHI = 90 rad is more than a turn"),
         ("LRFI", b"section 6,m", b"section 6", r"line \d+: the unit '' is unknown"),
         ("LRFI", b"D:long section 6,m", b"D:reference line heading,rad", r"line \d+: .* no channel of a reference line"),
         ("LRFI", b"= 0.25", b"= 0,25", r"line \d+: the unit ',25' is unknown"),

@@ -86,6 +86,8 @@ def test_a_negative_number_of_lamps_means_absolute() -> None:
         (PLAIN + "\x1a", "Ctrl-Z"),
         (PLAIN.replace("\n4000\n80\n20\n", "\n4000\n80\nunknown\n"), "read as 0"),
         (PLAIN.replace("100\n100\n1\n0\n", "100\n100\n2\n0\n"), "conversion factor 2"),
+        (PLAIN.replace("100\n100\n1\n0\n", "100\n100\n0\n0\n"), "conversion factor 0"),
+        (ldt(4, C, GAMMA, TABLE, flux="1.000"), "read as 1 lm"),
     ],
 )
 def test_odd_files_are_read_with_a_warning(text: str, warned: str) -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.roads.shapes import Flat, Iso8608
-from luxloop.world.scene.ground import NEAR_M, SIDE_M, SKIRT_M, RoadPatches
+from luxloop.world.scene.ground import PATCH_NEAR_M, SIDE_M, SKIRT_M, RoadPatches
 
 ROAD = Iso8608(roughness_class="C")
 
@@ -34,7 +34,7 @@ def test_they_lie_on_the_road_finer_where_it_is_near_and_with_skirts() -> None:
         below = ROAD.z(x, y) - z
         assert np.isin(below.round(9), (0.0, SKIRT_M)).all()
         away = np.hypot(*np.clip(np.abs(vertices(each)[:, :2].mean(0) - (100, 40)) - SIDE_M / 2, 0, None))
-        assert (len(x) > 1000) == (away <= NEAR_M)
+        assert (len(x) > 1000) == (away <= PATCH_NEAR_M)
 
 
 def test_a_patch_is_made_once_and_its_normals_look_beyond_it() -> None:

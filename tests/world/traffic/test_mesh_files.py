@@ -164,6 +164,9 @@ def packed() -> Tree:
     [
         (plate() | {"extensionsRequired": ["KHR_draco_mesh_compression"]}, "extensionsRequired: KHR_draco_mesh_compression cannot"),
         (plate() | {"extensionsRequired": ["KHR_materials_unlit", "EXT_meshopt_compression"]}, "extensionsRequired: EXT_meshopt"),
+        (plate() | {"extensionsRequired": "KHR_draco"}, "extensionsRequired is 'KHR_draco', not a list"),
+        (plate() | {"buffers": [{"uri": 5}]}, "the uri 5 is no name of a file"),
+        (plate(uri="a%00.bin"), "the uri 'a%00.bin' is no name of a file"),
         (packed(), "corners in KHR_draco_mesh_compression"),
         (circle(), "no tree"),
         (plate(bufferView=1), "not readable as a mesh"),
