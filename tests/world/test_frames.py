@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from luxloop.world.frames import R_ISO_OPENCV, inverse, pose, pose_from_degrees, rotation, transform, unit
+from luxloop.world.frames import R_ISO_OPENCV, inverse, pose, pose_from_degrees, rotation, transform
 
 angle = st.floats(-math.pi, math.pi)
 metre = st.floats(-1000, 1000)
@@ -52,21 +52,3 @@ def test_poses_chain_as_their_names_say() -> None:
     lamp = transform(T_world_car @ T_car_lamp, torch.zeros(3, 1, dtype=torch.float64))[:, 0]
     # The car looks along +y: its front is north, its left is west.
     np.testing.assert_allclose(lamp, [9.5, 2.0, 0.7], atol=1e-12)
-
-
-def test_batches_broadcast_and_keep_their_dtype(device: torch.device) -> None:
-    angles = torch.linspace(-1, 1, 5, device=device)
-    R = rotation(angles, angles[0], torch.zeros(2, 1, device=device))
-    T = pose(torch.ones(3, device=device), R)
-    assert R.shape == (2, 5, 3, 3)
-    assert T.shape == (2, 5, 4, 4)
-    assert (T.dtype, T.device.type) == (torch.float32, device.type)
-    assert transform(T, torch.zeros(3, 7, device=device)).shape == (2, 5, 3, 7)
-    torch.testing.assert_close(T[1, 3, :3, :3], rotation(angles[3], angles[0], torch.zeros((), device=device)))
-
-
-def test_unit_vectors_are_those_of_torch_and_nothing_stays_nothing() -> None:
-    vectors = torch.randn(3, 50, generator=torch.Generator().manual_seed(1))
-    vectors[:, 0] = 0
-    # The sum of three squares may be rounded in another order.
-    torch.testing.assert_close(unit(vectors), torch.nn.functional.normalize(vectors, dim=0), rtol=3e-7, atol=0)

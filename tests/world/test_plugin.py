@@ -1,8 +1,6 @@
 """Parts of the user's own are found by name, and what is wrong with them is said in one sentence."""
 
 import copy
-import os
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -151,18 +149,6 @@ def test_a_method_that_fails_is_said_as_init_is() -> None:
     with pytest.raises(LuxloopError, match="work fails at"):
         again.work()
     assert copy.copy(made).a == 3
-
-
-def test_a_class_of_the_main_program_is_placed_as_well(tmp_path: Path) -> None:
-    """As in a script or a notebook."""
-    (file := tmp_path / "script.py").write_text(
-        "from luxloop.world import plugin\n\nclass Part:\n    def work(self):\n        return None.frames\n\n"
-        "plugin.construct(Part, plugin.Name('__main__:Part'), 'road.kind', {}, {}).work()\n"
-    )
-    done = subprocess.run(
-        [sys.executable, file], env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, capture_output=True, text=True
-    )
-    assert f"work fails at {file}, line 5 (AttributeError: 'NoneType' object has no attribute 'frames')" in done.stderr
 
 
 def test_what_is_no_such_class_is_not_called(tmp_path: Path) -> None:

@@ -67,27 +67,7 @@ def test_gradient_is_the_transpose(batch: tuple[int, ...]) -> None:
     assert torch.autograd.gradgradcheck(lambda x: multiply(csr, x) ** 2, (x,))
 
 
-def test_float32_on_every_device(device: torch.device) -> None:
-    matrix = random_matrix(2, 200, 100, 0.1)
-    csr = Csr.from_scipy(matrix).to(device)
-    x = torch.linspace(0, 1, 100, device=device)
-    y = multiply(csr, x.expand(4, -1))
-    assert (y.dtype, y.device.type) == (torch.float32, device.type)
-    # Sums of ten float32 products.
-    np.testing.assert_allclose(y[2].cpu(), matrix @ x.cpu().double().numpy(), rtol=1e-5, atol=1e-6)
-    assert csr.transpose.values.device.type == device.type
-    assert csr.to(torch.float64).values.dtype == torch.float64
-
-
 def test_bounds_of_segments() -> None:
     first, last = segment_bounds(torch.tensor([2, 0, 2, 2]), torch.tensor([5, 7, 3, 4]), 3)
     assert first.tolist() == [7, torch.iinfo(torch.int64).max, 3]
     assert last.tolist() == [7, -1, 5]
-
-
-def test_bad_input_is_named() -> None:
-    csr = Csr.from_scipy(sp.eye_array(3))
-    with pytest.raises(ValueError, match="3 columns cannot multiply a vector of 4"):
-        multiply(csr, torch.zeros(2, 4))
-    with pytest.raises(ValueError, match=r"1 x 2147483648 matrix of 0 entries is too large for int32"):
-        Csr.from_scipy(sp.csr_matrix((1, 2**31)))

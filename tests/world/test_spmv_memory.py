@@ -7,7 +7,7 @@ import pytest
 import torch
 from sparse.formats import build
 
-from luxloop.world.spmv import LARGE, Csr, streamable, zeros
+from luxloop.world.spmv import LARGE, Csr, zeros
 from tests.world.spmv_matrices import random_matrix
 
 DTYPES = (torch.float32, torch.float64, torch.int32)
@@ -22,16 +22,6 @@ def test_zeros_are_zero_in_memory_that_was_used_before(shape: tuple[int, ...], d
             assert tensor.is_contiguous() and not tensor.any()
             tensor.fill_(7)
             del tensor  # so that the next ones may get its memory
-
-
-def test_settled_is_a_copy(device: torch.device) -> None:
-    for dtype in DTYPES:
-        for n in (3, LARGE // 4):
-            tensor = torch.arange(2 * n, dtype=dtype, device=device).view(2, n)
-            copy = streamable(tensor)
-            assert torch.equal(copy, tensor) and copy.data_ptr() != tensor.data_ptr()
-            assert (copy.dtype, copy.device.type) == (dtype, device.type)
-    assert not streamable(torch.ones(3, requires_grad=True)).requires_grad
 
 
 def test_a_format_streams_from_memory_of_its_own() -> None:

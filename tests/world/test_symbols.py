@@ -58,13 +58,6 @@ def test_what_moves_is_no_symbol_under_control(tmp_path: Path) -> None:
             load_still(path)
 
 
-def test_a_picture_stands_still(tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "a.png"), np.array([[0, 51], [102, 255]], np.uint8))
-    symbol = load(tmp_path / "a.png")
-    torch.testing.assert_close(symbol.at(0), torch.tensor([[0, 0.2], [0.4, 1]]))
-    assert symbol.at(0) is symbol.at(7.5)
-
-
 def test_an_svg_is_drawn_where_its_shapes_are(tmp_path: Path) -> None:
     (tmp_path / "a.SVG").write_text(SVG.format("white"))
     image = load(tmp_path / "a.SVG").at(0)

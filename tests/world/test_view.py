@@ -27,12 +27,6 @@ def test_rays_project_onto_their_pixel_centres(position: tuple, angles: tuple, d
     np.testing.assert_allclose(uv.reshape(2, 6, 8), [cols + 0.5, rows + 0.5], atol=1e-9)
 
 
-def test_axes_of_the_image() -> None:
-    points = torch.tensor([[10.0, 0.0, 0.0], [10.0, -1.0, 0.0], [10.0, 0.0, -1.0]], dtype=torch.float64).T
-    uv, _ = view().project(points)
-    assert uv.T.tolist() == [[4.0, 2.5], [5.0, 2.5], [4.0, 3.7]]  # ahead, to the right, down
-
-
 def test_depth_tells_what_lies_behind(device: torch.device) -> None:
     points = torch.tensor([[-1.0], [0.0], [0.0]], device=device)
     uv, depth = view().project(points.expand(2, 3, 1))

@@ -81,12 +81,6 @@ def test_the_light_is_even(beam: str, ssl_hd: Lamp, beams: dict[str, tuple[Tenso
     assert float(error.square().mean().sqrt()) < 0.015
 
 
-def test_utilisations_are_shares_and_one_a_pixel(ssl_hd: Lamp, beams: dict[str, tuple[Tensor, ...]]) -> None:
-    for u in beams.values():
-        assert [len(each) for each in u] == [module.headlight.n_pixels for module in ssl_hd.modules]
-        assert all(float(each.min()) >= 0 and float(each.max()) <= 1 for each in u)
-
-
 def test_left_hand_traffic_gets_the_mirror_image() -> None:
     hd84, other = lamp("hd84"), lamp("hd84", "right")
     left = fit(hd84, pattern("low"), "left")

@@ -1,7 +1,6 @@
 """Bounded least squares against scipy's solver, and what must hold for any matrix."""
 
 import numpy as np
-import pytest
 import scipy.sparse as sp
 import torch
 from hypothesis import given, settings
@@ -60,22 +59,3 @@ def test_values_between_bounds_cost_nothing_and_bounds_hold_where_they_can() -> 
     assert bool((light >= low - 1e-6).all()) and bool((light <= high + 1e-6).all())
     welcome = torch.tensor([0.8, 0.25], dtype=torch.float64)
     assert torch.equal(solve(matrix, (low, high), start=welcome), welcome)
-
-
-def test_a_warm_start_at_the_optimum_stays_and_pixels_without_light_keep_their_start() -> None:
-    A, b, _ = problem(2)
-    A = sp.hstack([A, sp.csr_array((A.shape[0], 1))]).tocsr()
-    matrix = Csr.from_scipy(A, torch.float64)
-    start = torch.full((A.shape[1],), 0.3, dtype=torch.float64)
-    u = solve(matrix, torch.tensor(b), start=start, iterations=5000, tolerance=1e-11)
-    assert u[-1] == 0.3
-    again = solve(matrix, torch.tensor(b), start=u, iterations=10)
-    torch.testing.assert_close(again, u, rtol=0, atol=1e-8)
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_dtype_and_device_are_kept(dtype: torch.dtype, device: torch.device) -> None:
-    A, b, _ = problem(3)
-    u = solve(Csr.from_scipy(A, dtype).to(device), torch.tensor(b, dtype=dtype, device=device))
-    assert u.dtype == dtype and u.device.type == device.type
-    assert float(u.min()) >= 0 and float(u.max()) <= 1

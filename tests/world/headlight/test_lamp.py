@@ -1,7 +1,6 @@
 """Modules, their movements, and the light of a whole lamp in photometry's angles."""
 
 import math
-from dataclasses import replace
 
 import pytest
 import torch
@@ -61,14 +60,6 @@ def test_modules_add_up_and_the_mirrored_one_lights_the_other_side(headlight: He
     torch.testing.assert_close(light, alone + alone.flip(1), rtol=1e-6, atol=1e-3)
 
 
-def test_unknown_beams_and_modules_are_named(headlight: Headlight) -> None:
-    lamp = Lamp("lamp", (Module("main", headlight),), {"low": (torch.zeros(45),)})
-    with pytest.raises(LuxloopError, match="no beam 'hihg'; it has low, full, off"):
-        lamp.beam("hihg")
-    with pytest.raises(LuxloopError, match="no module 'x'; it has main"):
-        lamp.module("x")
-
-
 def test_grids_from_degrees_refuse_what_is_no_plane() -> None:
     grid = TexelGrid.from_degrees(2, 4, 20, -10, -5, 5)
     assert (grid.left, grid.right, grid.top) == pytest.approx(tuple(math.tan(math.radians(a)) for a in (20, -10, 5)))
@@ -76,14 +67,6 @@ def test_grids_from_degrees_refuse_what_is_no_plane() -> None:
         TexelGrid.from_degrees(2, 4, 85, -10, -5, 5)
     with pytest.raises(LuxloopError, match="left must exceed right"):
         TexelGrid.from_degrees(2, 4, -20, 20, -5, 5)
-
-
-def test_the_finest_module_has_the_smallest_pixels_and_scaling_sets_the_peak(headlight: Headlight) -> None:
-    wide = replace(headlight, left=2 * headlight.left)
-    lamp = Lamp("lamp", (Module("wide", wide), Module("narrow", headlight)))
-    assert lamp.finest.name == "narrow"
-    assert headlight.scale(0.5).peak_cd == pytest.approx(0.5 * headlight.peak_cd)
-    assert headlight.scale(1.0) is headlight
 
 
 def test_the_field_is_that_of_all_modules_as_they_are_mounted(headlight: Headlight) -> None:

@@ -82,54 +82,11 @@ def test_least_squares_are_never_worse_where_they_were_fitted(matrix: Csr, seed:
     assert errors(matrix, reduce(matrix, keep), full).rmse <= errors(matrix, reduce(matrix, keep, "threshold"), full).rmse + 1e-12
 
 
-def test_methods_rank_as_expected_on_a_lamp_that_overlaps() -> None:
-    lamp = gaussian_lamp()
-    cases = standard_use_cases(1, lamp.n_cols)
-    threshold, proportional, fitted = (errors(lamp, reduce(lamp, 3, method, cases), cases) for method in METHODS)
-    assert fitted.rmse < proportional.rmse < threshold.rmse
-    assert threshold.darkening > 0.05 > abs(proportional.darkening)
-
-
-@each_method
-@settings(deadline=None)
-@given(matrix=matrices)
-def test_keeping_the_longest_row_changes_nothing(method: Method, matrix: Csr) -> None:
-    reduced = reduce(matrix, max(int(matrix.indptr.diff().max()), 1), method, standard_use_cases(1, matrix.n_cols))
-    for name in ("indptr", "indices", "values"):
-        assert torch.equal(getattr(reduced, name), getattr(matrix, name)), name
-
-
-def test_least_squares_do_not_learn_use_cases_by_heart() -> None:
-    lamp = gaussian_lamp()
-    seen, unseen = (standard_use_cases(1, lamp.n_cols, seed=seed) for seed in (0, 1))
-    fitted, proportional = (errors(lamp, reduce(lamp, 3, method, seen), unseen[3:]).rmse for method in ("least_squares", "proportional"))
-    assert fitted < 1.2 * proportional  # 1.13; with next to no pull 1.25
-
-
-def test_ties_keep_lower_columns() -> None:
-    matrix = Csr.from_scipy(sp.csr_array([[5.0, 7.0, 5.0, 5.0]]))
-    assert reduce(matrix, 2, "threshold").indices.tolist() == [0, 1]
-    assert reduce(matrix, 3, "threshold").indices.tolist() == [0, 1, 2]
-
-
 def test_a_bound_drops_what_is_below_it() -> None:
     matrix = Csr.from_scipy(sp.csr_array([[1.0, 2.0, 3.0], [0.5, 0.0, 0.0]]))
     assert reduce(matrix, method="threshold", bound_cd=2).to_scipy().toarray().tolist() == [[0, 2, 3], [0, 0, 0]]
     assert reduce(matrix, bound_cd=2).to_scipy().toarray() == pytest.approx(np.array([[0, 2.4, 3.6], [0, 0, 0]]))
     assert strongest(matrix, 1, 2).tolist() == [False, False, True, False]
-
-
-def test_pixels_that_no_use_case_lights_stay_proportional() -> None:
-    lamp = gaussian_lamp()
-    fitted = reduce(lamp, 3, "least_squares", [np.zeros(lamp.n_cols)])
-    torch.testing.assert_close(fitted.values, reduce(lamp, 3).values, rtol=1e-14, atol=0)
-
-
-def test_dtype_and_device_stay(device: torch.device) -> None:
-    matrix = gaussian_lamp().to(torch.float32).to(device)
-    reduced = reduce(matrix, 2)
-    assert (reduced.values.dtype, reduced.values.device) == (torch.float32, matrix.values.device)
-    assert reduced.indices.dtype == reduced.indptr.dtype == torch.int32
 
 
 def test_errors_are_shares() -> None:

@@ -250,13 +250,6 @@ def test_what_is_wrong_in_a_table_is_named(tmp_path: Path, write: Callable[[Path
     assert path.name in str(error.value)
 
 
-def test_notes_in_a_table_are_left_alone(tmp_path: Path) -> None:
-    head = "pixel,horizontal_deg,vertical_deg,candela,note,Note,day\n"
-    lines = "".join(f"0,{h},{v},5,fine,yes,2026-05-0{1 + h}\n" for h in (0, 1) for v in (0, 1))
-    array = TableSource(path=csv(head + lines)(tmp_path), rows=1, columns=1).pixels()
-    assert array.pixels[0].distribution.candela.max() == 5
-
-
 def test_numbers_in_names_may_be_written_in_any_script(tmp_path: Path) -> None:
     write_folder(tmp_path / "p", lambda j: f"²{j + 1}.ies")
     check(FolderSource(path=tmp_path / "p", rows=ROWS, columns=COLUMNS).pixels())

@@ -16,7 +16,7 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import pixels
 from luxloop.world.headlight.pixels import Pixel, PixelArray, _window, assemble, border_share, default_grid
 from luxloop.world.headlight.sources import FileSource
-from luxloop.world.photometry import lm63, read_photometry
+from luxloop.world.photometry import lm63
 from luxloop.world.photometry.distribution import Aim, Distribution, angles_of, directions_of
 from luxloop.world.photometry.texture import light_texture, solid_angles
 from luxloop.world.texels import TexelGrid
@@ -53,20 +53,6 @@ def test_light_is_kept_at_any_resolution(texels: tuple[int, int]) -> None:
     flux = (assemble(alone(gaussian()), grid, cutoff=0).matrix.toarray().ravel() * solid_angles(grid).ravel()).sum()
     # Texels of 0.22 deg, just finer than the steps of 0.25 deg, are interpolated at their centres, which is 0.4 % off.
     assert flux == pytest.approx(gaussian().luminous_flux, rel=5e-3)
-
-
-def test_error_against_the_source_falls_to_zero_with_resolution() -> None:
-    array = PixelArray([Pixel(gaussian(h)) for h in (-0.5, 0.5)], 1, 2)
-    errors = [assemble(array, TexelGrid.from_degrees(n, n, 4, -4, -4, 4), cutoff=0).rmse for n in (10, 40, 160, 640)]
-    assert errors == sorted(errors, reverse=True)
-    # Interpolated twice: in the table and in the texture, whose error falls with a texel's square, but for the kinks at the table's angles.
-    assert errors[-1] < errors[0] / 50
-    assert errors[-1] < 1e-3
-
-
-def test_light_outside_of_the_texture_is_an_error() -> None:
-    whole, half = (assemble(alone(gaussian()), TexelGrid.from_degrees(100, 100, left, -4, -4, 4)) for left in (4, -1))
-    assert half.rmse > 0.1 > 10 * whole.rmse
 
 
 def test_faint_light_is_dropped_and_told() -> None:
@@ -166,22 +152,6 @@ def test_lamps_that_shine_elsewhere_are_refused() -> None:
     dark = replace(gaussian(), candela=np.zeros((25, 25)))
     with pytest.raises(LuxloopError, match="no pixel shines"):
         default_grid(alone(dark))
-
-
-def test_progress_is_told() -> None:
-    seen: list[tuple[int, int]] = []
-    assemble(PixelArray([Pixel(gaussian())] * 3, 1, 3), GRID, on_progress=lambda done, of: seen.append((done, of)))
-    assert seen == [(1, 3), (2, 3), (3, 3)]
-
-
-@pytest.mark.parametrize("name", ["sample8.ldt", "medium_scatter.ies", "type_a_symmetric.ies", "type_b_full.ies"])
-def test_real_files_agree_with_their_own_texture(data_dir: Path, name: str) -> None:
-    distribution = read_photometry(data_dir / "ies" / name).distribution
-    grid = TexelGrid.from_degrees(90, 120, 50, -50, -40, 40)
-    made = assemble(alone(distribution), grid, cutoff=0)
-    peak = distribution.candela.max()
-    # Texels here are finer than most steps of these files, about as fine as others.
-    np.testing.assert_allclose(made.matrix.toarray().ravel(), light_texture(distribution, grid).ravel(), atol=0.01 * peak)
 
 
 def test_a_measurement_tells_what_it_cuts_off() -> None:

@@ -75,17 +75,6 @@ def test_round_trip_is_exact(lamp: Lamp, tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["lamp.npz"]
 
 
-def test_a_lamp_in_double_precision_is_stored_in_single(tmp_path: Path) -> None:
-    u = torch.rand(6, dtype=torch.float64)
-    save(tmp_path / "lamp.npz", Lamp("double", (Module("matrix", headlight(torch.float64, True)),), {"low": (u,)}))
-    loaded = load(tmp_path / "lamp.npz")
-    light = loaded.modules[0].headlight
-    for beam in ("low", "full"):
-        assert light.colour_texture(*loaded.beam(beam)).dtype == torch.float32
-    assert torch.equal(light.matrix.values, headlight(torch.float64, True).matrix.values.float())
-    assert torch.equal(loaded.beam("low")[0], u.float())
-
-
 def test_equal_lamps_give_equal_bytes(lamp: Lamp, content: bytes, tmp_path: Path) -> None:
     save(tmp_path / "again.npz", lamp)
     assert (tmp_path / "again.npz").read_bytes() == content

@@ -60,16 +60,3 @@ def test_views_show_the_sum_of_all_modules_through_the_air(lamp: Lamp, pattern: 
     torch.testing.assert_close(luminance, 0.2 * found / math.pi)
     hazy, _ = surface_light(road, lit, extinction_per_m=0.01)
     torch.testing.assert_close(hazy, expected * torch.exp(-0.01 * d).view(12, 8), rtol=1e-5, atol=1e-6)
-
-
-def test_colours_have_the_luminance_of_the_light(lamp: Lamp, pattern: tuple[torch.Tensor, ...]) -> None:
-    h, v = torch.tensor([[0.0, 2.0]]), torch.tensor([[-1.0, -2.0]])
-    plain, rgb = (wall_illuminance(sources(lamp, pattern, LEFT, colour), MIDDLE, h, v) for colour in (False, True))
-    assert rgb.shape == (3, 1, 2)
-    torch.testing.assert_close(rgb, plain.expand(3, 1, 2))
-
-
-def test_no_source_no_light() -> None:
-    eye = pose_from_degrees((0.0, 0.0, 2.0)) @ pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
-    assert not surface_light(flat_road(View(4, 4, 2.0, 2.0, 2.0, 2.0, eye), 0.2), ())[0].any()
-    assert not wall_illuminance((), MIDDLE, torch.zeros(2), torch.zeros(2)).any()

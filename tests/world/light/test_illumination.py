@@ -153,13 +153,6 @@ def test_texture_is_bilinear_between_centres_and_clamped_outside_of_them(borders
     assert intensity(-0.01, 2.5) == intensity(4.01, 2.5) == intensity(2.5, -0.01) == intensity(2.5, 5.01) == 0
 
 
-def test_a_lamp_of_one_texel() -> None:
-    lamp = texel_lamp(0.1, -0.1, -0.1, 0.1, rows=1, cols=1)
-    point = torch.tensor([[2.0], [0.05], [0.0]], dtype=torch.float64)
-    light = light_on(surface_at(point, (-1.0, 0.0, 0.0)), torch.eye(4, dtype=torch.float64), lamp)
-    assert light.item() == pytest.approx(2 / point.norm().item() ** 3)
-
-
 def test_a_box_throws_a_shadow_as_long_as_its_height_asks() -> None:
     box = trimesh.creation.box(bounds=[[8, 0.1, 0], [9, 1.1, 0.5]])
     road = trimesh.Trimesh([[-5, -20, 0], [80, -20, 0], [80, 20, 0], [-5, 20, 0]], [[0, 1, 2], [0, 2, 3]])
@@ -200,29 +193,6 @@ def test_oversampled_transport_takes_the_mean_over_a_pixel() -> None:
     torch.testing.assert_close(image.view(2, 90, 160), samples.view(2, 90, 3, 160).mean(2), rtol=1e-5, atol=0)
 
 
-def test_oversampled_transport_is_the_mean_of_its_rows_transports() -> None:
-    """Whatever is lit only in part of a pixel: at the lamp's border and the road's end some rows have no entry."""
-    gbuffer, samples = flat_road(camera(oversampling=3), 0.2), 3
-
-    def dense(part: GBuffer, oversampling: int) -> Tensor:
-        folded_transport = transport(reach(part, LAMP, T_LEFT), LAMP, 160, oversampling)
-        image = torch.zeros(90 * 160, LAMP.n_pixels)
-        image[folded_transport.index] = torch.from_numpy(folded_transport.matrix.to_scipy().toarray())
-        return image
-
-    rows = [
-        dense(
-            GBuffer(gbuffer.position[:, k::3], gbuffer.normal[:, k::3], gbuffer.albedo[k::3], gbuffer.object_id[k::3]),
-            1,
-        )
-        for k in range(samples)
-    ]
-    lit = torch.stack([row.any(1) for row in rows])
-    assert (lit.any(0) & ~lit.all(0)).any(), "the case that a mean over lit rows alone would get wrong"
-    # Sums of at most twelve float32 products, none negative.
-    torch.testing.assert_close(dense(gbuffer, samples), torch.stack(rows).mean(0), rtol=1e-5, atol=0)
-
-
 @pytest.mark.parametrize(
     "band", [slice(0, 640), slice(330, 331), slice(300, 420), slice(0, 32), slice(639, 640), slice(0, 0), slice(640, 640)]
 )
@@ -258,48 +228,6 @@ def test_transport_passes_gradients(folded: tuple) -> None:
     torch.testing.assert_close(u.grad, v.grad, rtol=1e-4, atol=1e-6)
 
 
-def test_colour_is_three_light_textures(device: torch.device) -> None:
-    generator = torch.Generator().manual_seed(2)
-    chroma = torch.rand(3, len(LAMP.matrix.values), generator=generator)
-    chroma = chroma / (chroma * torch.tensor([[0.2126], [0.7152], [0.0722]])).sum(0)
-    lamp, road = replace(LAMP, chroma=chroma).to(device), flat_road(camera(), 0.2).to(device)
-    u = torch.rand(2, LAMP.n_pixels, generator=generator).to(device)
-    lit = reach(road, lamp, T_LEFT)
-    coloured, white = luminance(lit, lamp.colour_texture(u)), luminance(lit, lamp.light_texture(u))
-    assert coloured.shape == (2, 3, len(lit.index))
-    assert (coloured[:, 0] - coloured[:, 2]).abs().max() > 0.1 * white.max()
-    weighted = (coloured * torch.tensor([0.2126, 0.7152, 0.0722], device=device)[:, None]).sum(1)
-    torch.testing.assert_close(weighted, white, rtol=1e-4, atol=1e-5)
-
-
-def test_lights_add_up_on_a_base(folded: tuple) -> None:
-    _, left = folded
-    right = transport(reach(flat_road(camera(), 0.2), LAMP, T_RIGHT), LAMP, 160)
-    u = torch.rand(2, 3, LAMP.n_pixels, generator=torch.Generator().manual_seed(4))
-    base = torch.full((90, 160), 0.5)
-    image = added_light((left, right), (Light(u[0]), Light(u[1])), base)
-    expected = base.flatten().repeat(3, 1)
-    for part, light in zip((left, right), u, strict=True):
-        expected[:, part.index] += part.luminance(light)[0]
-    torch.testing.assert_close(image, expected.view(3, 90, 160), rtol=1e-6, atol=0)
-    assert (base == 0.5).all()
-
-
-def test_the_assumed_road_is_empty_above_the_horizon() -> None:
-    view = camera()
-    road = flat_road(view, 0.2)
-    below = road.object_id >= 0
-    assert torch.equal(below, view.rays()[2] < 0)
-    assert below.any() and not below.all()
-    for image in (road.position[:, ~below], road.normal[:, ~below], road.albedo[~below]):
-        assert not image.any()
-    uv, depth = view.project(road.position.flatten(1)[:, below.flatten()].double())
-    assert (depth > 0).all()
-    # Where the float32 position is far away it is a millionth of that off.
-    centres = torch.nonzero(below).flip(-1).T + 0.5
-    torch.testing.assert_close(uv, centres.double(), rtol=0, atol=1e-3)
-
-
 @pytest.mark.parametrize("oversampling", [1, 3])
 def test_the_direct_way_gives_what_the_matrix_gives(device, oversampling):
     view = camera(oversampling=oversampling)
@@ -320,27 +248,3 @@ def test_the_direct_way_gives_what_the_matrix_gives(device, oversampling):
     assert torch.allclose(image, expected, rtol=1e-5, atol=1e-6 * float(expected.max()))  # sums of float32 in another order
     dark = direct.luminance(torch.zeros_like(u), slice(0, 0))
     assert dark[0].shape == (3, 0) and len(dark[1]) == 0
-
-
-def test_the_direct_way_gives_the_lit_samples_of_the_plain_path_to_the_bit():
-    view, triangles = camera(), Scene(()).at(0.0)
-    road = flat_road(view, 0.2)
-    direct = DirectTransport(road, LAMP, T_LEFT, Shadows(road.position.flatten(1), T_LEFT[:3, 3], triangles), view.width)
-    u = torch.zeros(LAMP.n_pixels)
-    u[330] = 1
-    light, index = direct.luminance(u)
-    plain = luminance(direct.surface, LAMP.light_texture(u))
-    assert torch.equal(direct.surface.index[plain > 0], index)
-    assert torch.equal(light, plain[plain > 0])
-    assert 0 < len(index) < len(plain) / 10, "what is dark costs no ray"
-    for band in (slice(330, 331), slice(0, 331), slice(300, 420)):
-        assert all(map(torch.equal, direct.luminance(u, band), (light, index))), "a band changes nothing"
-
-
-@pytest.mark.parametrize("batch", [(), (2,)])
-def test_the_direct_way_lights_nothing_where_the_lamp_reaches_nothing(batch):
-    behind = surface_at(torch.tensor([[-5.0], [0.6], [0.75]]), (1.0, 0.0, 0.0))
-    shadows = Shadows(behind.position.flatten(1), T_LEFT[:3, 3], Scene(()).at(0.0))
-    direct = DirectTransport(behind, LAMP, T_LEFT, shadows, 1)
-    light, index = direct.luminance(torch.ones(*batch, LAMP.n_pixels))
-    assert light.shape == (*batch, 0) and len(index) == 0

@@ -9,11 +9,8 @@ import torch
 import trimesh
 from scipy.integrate import quad
 
-from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
-from luxloop.world.headlight.lamp import Lamp, Module
-from luxloop.world.lamps.presets import idealised
-from luxloop.world.light.emitters import Source, sources
+from luxloop.world.light.emitters import Source
 from luxloop.world.light.volumetric import Medium, airlight, phase, shadow_map
 from luxloop.world.rendering.surfaces import face_source
 from luxloop.world.scene.body import Body
@@ -84,31 +81,6 @@ def test_light_ends_at_surfaces_and_at_the_eye() -> None:
     assert float(near + rest * math.exp(-0.2)) == pytest.approx(float(far), rel=1e-4)
     assert float(airlight(uniform(), BESIDE, ACROSS, torch.tensor([2.0], dtype=torch.float64), medium)) == 0, "before the beam"
     assert float(airlight(uniform(), BESIDE, -ACROSS, FAR, medium)) == 0, "away from the beam"
-
-
-def test_scattered_light_is_linear_in_the_lamp_and_absent_without_droplets() -> None:
-    light = idealised(6, 10, (4, 4))
-    lamp = Lamp("lamp", (Module("main", light),))
-    u = torch.rand(light.n_pixels, generator=torch.Generator().manual_seed(1))
-    rays = torch.nn.functional.normalize(torch.tensor([[1.0, 1, 1], [-0.2, 0, -0.4], [0, -0.05, 0]]), dim=0)
-    medium, eye, far = Medium.fog(100.0), torch.tensor([-3.0, 1.5, 1.0]), torch.full((3,), 200.0)
-
-    def seen(u: torch.Tensor, air: Medium = medium) -> torch.Tensor:
-        return airlight(sources(lamp, (u,), pose_from_degrees((0, 0.6, 0.75)))[0], eye, rays, far, air)
-
-    torch.testing.assert_close(seen(u) + seen(1 - u), seen(torch.ones_like(u)), rtol=1e-5, atol=1e-9)  # float32
-    assert seen(u).max() > 0
-    assert not seen(u, Medium(0.0, 0.03)).any()
-    assert not sources(lamp, lamp.beam("off"), torch.eye(4)), "a dark module is no source"
-
-
-def test_colours_are_marched_together() -> None:
-    source = uniform()
-    share = torch.tensor([0.5, 1.0, 2.0], dtype=torch.float64)
-    coloured = Source(source.headlight, share[:, None, None] * source.texture, source.T_world_source)
-    medium = Medium.fog(200.0)
-    expected = share[:, None] * airlight(source, BESIDE, ACROSS, FAR, medium)
-    torch.testing.assert_close(airlight(coloured, BESIDE, ACROSS, FAR, medium), expected)
 
 
 def test_a_board_casts_a_shadow_into_the_fog() -> None:

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.materials.brdf import LAMBERTIAN, Material, luminance_factor
+from luxloop.world.materials.brdf import Material, luminance_factor
 from luxloop.world.materials.library import MATERIALS, WET
 
 share = st.sampled_from([0.0, 1.0]) | st.floats(0, 1)
@@ -87,25 +87,6 @@ def test_lamp_and_eye_may_change_places(material: Material, albedo: float, lamp:
     to_lamp, to_eye = (on_sphere(*(torch.tensor([x], dtype=torch.float64) for x in place)) for place in (lamp, eye))
     there, back = beta(material, albedo, to_lamp, to_eye), beta(material, albedo, to_eye, to_lamp)
     torch.testing.assert_close(there, back, rtol=1e-9, atol=1e-12)
-
-
-def test_the_default_is_lambertian() -> None:
-    assert LAMBERTIAN.lambertian
-    rays = on_sphere(torch.linspace(0.01, 1, 50, dtype=torch.float64), torch.linspace(0, 6, 50, dtype=torch.float64))
-    # but for the margin of the tables; where all is Lambertian they are not asked
-    torch.testing.assert_close(beta(LAMBERTIAN, 0.3, rays, rays.flip(1)), torch.full((50,), 0.3).double(), rtol=2e-3, atol=0)
-
-
-def test_float32_does_on_any_device(device: torch.device) -> None:
-    generator = torch.Generator().manual_seed(1)
-    rays = [on_sphere(torch.rand(500, dtype=torch.float64, generator=generator), torch.linspace(0, 9, 500).double()) for _ in range(2)]
-    rays[1] = normalize(torch.lerp(rays[0], rays[1], 0.02), dim=0)  # near the lobe back, where differences are small
-    for material in (*MATERIALS.values(), Material(1, 0.04, 0.02)):
-        exact = beta(material, 0.2, *rays)
-        single = beta(material, 0.2, *(ray.float().to(device) for ray in rays))
-        assert single.dtype == torch.float32
-        # a peak 0.02 wide amplifies rounded directions
-        torch.testing.assert_close(single.double().cpu(), exact, rtol=1e-3, atol=1e-6)
 
 
 def to_the_side(angle_deg: float) -> Tensor:

@@ -10,7 +10,7 @@ from torch.nn.functional import normalize
 
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.lamps.presets import idealised
-from luxloop.world.light.illumination import luminance, reach, transport
+from luxloop.world.light.illumination import luminance, reach
 from luxloop.world.materials.brdf import LAMBERTIAN, luminance_factor
 from luxloop.world.materials.library import MATERIALS, WET, RoadSurfaceParams
 from luxloop.world.rendering.gbuffer import GBuffer, flat_road, gbuffer
@@ -79,15 +79,6 @@ def test_a_sign_shines_back_as_its_brdf_says_and_nothing_else_changes() -> None:
     assert 20 < (now[lit] / was[lit]).median() < 200
 
 
-def test_the_folded_matrix_shows_materials_too() -> None:
-    seen = see(road(markings=True, beads=True, wet=0.5), board(material="retroreflective_sign"))
-    folded = transport(reach(seen, LAMP, T_LEFT), LAMP, 320)
-    part, index = folded.luminance(ALL_ON)
-    image = torch.zeros(seen.albedo.numel())
-    image[index] = part
-    torch.testing.assert_close(image.view(seen.albedo.shape), shown(seen), rtol=1e-4, atol=1e-6)
-
-
 def test_beads_make_the_lines_shine_and_only_them() -> None:
     matt, beaded = see(road(markings=True)), see(road(markings=True, beads=True))
     assert torch.equal(matt.albedo, beaded.albedo)
@@ -126,14 +117,6 @@ def test_a_puddle_is_as_dark_as_wet_asphalt() -> None:
     puddle = board(material="wet_asphalt", albedo=0.2)
     assert MATERIALS[puddle.parts[0].material] == WET
     assert puddle.parts[0].albedo == pytest.approx(WET.darken(torch.tensor(0.2)).item(), rel=1e-6)
-
-
-def test_a_texel_is_of_one_material() -> None:
-    texture = RoadSurfaceParams(markings=True, beads=True).texture()
-    x, y = torch.tensor([1.0, 5.0, 37.0, -35.0, 1.0]), torch.tensor([1.75, 1.75, 1.75, -1.75, 1.75 + 18])
-    assert texture.material_at(x, y).tolist() == [1, 0, 1, 1, 0], "along the road lines go on, beside it there are no others"
-    assert texture.at(x, y)[-1] < 0.4
-    assert RoadSurfaceParams(wet=0.3).texture().material_at(x, y).tolist() == [0] * 5
 
 
 def test_an_unknown_material_is_refused_with_those_there_are() -> None:

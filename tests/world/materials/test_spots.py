@@ -3,12 +3,7 @@
 import pytest
 import torch
 
-from luxloop.world.materials.library import MATERIALS, WET, RoadSurfaceParams, SpotParams, SpottedTexture
-from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
-from luxloop.world.rendering.raycast import RayCaster
-from luxloop.world.scene.body import Body
-from luxloop.world.scene.scene import Scene
-from tests.world.grids import camera, flat
+from luxloop.world.materials.library import WET, RoadSurfaceParams, SpotParams, SpottedTexture
 
 DRY = RoadSurfaceParams(seed=3)
 
@@ -50,34 +45,3 @@ def test_a_puddle_is_what_a_wet_road_is() -> None:
     torch.testing.assert_close(texture.at(x, y), wet.at(x, y), rtol=0.02, atol=0)
     assert {texture.materials[k] for k in texture.material_at(x, y).unique()} == {WET}
     assert {texture.materials[k] for k in texture.material_at(x + 3, y).unique()} == {texture.materials[0]}
-
-
-def test_on_a_wet_road_a_patch_is_wet_and_paint_shows_its_own() -> None:
-    surface = RoadSurfaceParams(wet=0.6, grain=0.0)
-    patch, paint = SpotParams(x_m=10, albedo_factor=2.0), SpotParams(x_m=20, albedo_factor=9.0, material="lane_paint")
-    texture = spotted(patch, paint, surface=surface)
-    at = texture.at(torch.tensor([10.0, 20.0]), torch.zeros(2))
-    assert float(at[0]) == pytest.approx(float(surface.ground.darken(torch.tensor(0.4))))
-    assert float(at[1]) == 1.0  # 9 x 0.2 is more than all light
-    assert texture.materials[texture.material_at(torch.tensor([20.0]), torch.zeros(1))] == MATERIALS["lane_paint"]
-
-
-def test_the_last_spot_lies_on_top() -> None:
-    texture = spotted(SpotParams(x_m=17, albedo_factor=0.5, length_m=4), SpotParams(x_m=17, albedo_factor=2.0, material="lane_paint"))
-    x, y = torch.tensor([17.0, 18.5]), torch.zeros(2)
-    torch.testing.assert_close(texture.at(x, y), torch.tensor([2.0, 0.5]) * DRY.texture().at(x, y))
-    assert texture.material_at(x, y).tolist() == [2, 0]
-
-
-def test_a_camera_sees_spots() -> None:
-    def see(texture: object) -> GBuffer:
-        triangles = Scene((Body("road", flat(), DRY.albedo, texture, smooth=True),)).at(0.0)  # type: ignore[arg-type]
-        return gbuffer(triangles, camera(), RayCaster().face_ids(triangles, camera()))
-
-    spot = SpotParams(x_m=17, length_m=4.0, width_m=2.0, albedo_factor=0.5, material="wet_asphalt")
-    with_it, without = see(spotted(spot)), see(DRY.texture())
-    there = spot.covers(*with_it.position[:2])
-    assert 100 < int(there.sum()) < 2000
-    assert torch.equal(with_it.albedo[~there], without.albedo[~there]) and (with_it.albedo[there] < 0.6 * without.albedo[there]).all()
-    assert with_it.finish is not None and without.finish is None
-    assert torch.equal(with_it.finish.material != 0, there)

@@ -119,15 +119,6 @@ def test_write_and_read_again(tmp_path: Path, kind: str, tolerance: float, kind_
     assert (tmp_path / "two.crg").read_bytes() == (tmp_path / "one.crg").read_bytes()
 
 
-def test_real_scans_survive_a_round_trip(scan: Crg, tmp_path: Path) -> None:
-    for kind in ("KRBI", "KDBI") if scan.z.size > 50_000 else ("LRFI", "LDFI", "KRBI", "KDBI"):
-        write_crg(tmp_path / "copy.crg", scan, kind)
-        copy = read_crg(tmp_path / "copy.crg")
-        np.testing.assert_allclose(copy.z, scan.z, rtol=0, atol=0.0 if kind == "KDBI" else 1e-7)
-        np.testing.assert_array_equal(copy.v, scan.v)
-        assert copy.road == {**scan.road, "reference_line_end_u": copy.road["reference_line_end_u"]}
-
-
 @settings(max_examples=30, deadline=None)
 @example(u=3.0, v=-1.2659479698433227, seed=0)  # rounding takes it before the line's start, where another heading counts
 @given(u=st.floats(3.0, 12.7), v=st.floats(-1.5, 1.5), seed=st.integers(0, 20))

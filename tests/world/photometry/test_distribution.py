@@ -7,7 +7,6 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.integrate import dblquad
 
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import direction
@@ -116,32 +115,6 @@ def test_bilinear_within_a_cell() -> None:
 )
 def test_uniform_light_has_the_flux_of_its_solid_angle(distribution: Distribution, flux: float) -> None:
     assert distribution.luminous_flux == pytest.approx(flux, rel=1e-12)
-
-
-@pytest.mark.parametrize("kind", ["A", "B", "C"])
-def test_flux_is_the_integral_of_what_is_looked_up(kind: Kind) -> None:
-    rng = np.random.default_rng(3)
-    v, h = np.array([5.0, 11, 30]), np.array([10.0, 14, 31])
-    d = Distribution(kind, v, h, rng.random((3, 3)))
-    density = {"A": lambda v, h: math.cos(v), "B": lambda v, h: math.cos(h), "C": lambda v, h: math.sin(v)}[kind]
-    total = 0.0
-    for i in range(2):
-        for j in range(2):  # a cell at a time, within which the integrand is smooth
-            cell = np.deg2rad([h[i], h[i + 1], v[j], v[j + 1]])
-            total += dblquad(lambda y, x: float(d.at(math.degrees(y), math.degrees(x))) * density(y, x), *cell, epsabs=1e-12)[0]
-    assert d.luminous_flux == pytest.approx(total, rel=1e-9)  # dblquad's own accuracy
-
-
-@given(st.sampled_from(["A", "B", "C"]), st.integers(0, 2**32 - 1), st.sampled_from(["beam", "nadir"]))
-def test_intensity_depends_on_direction_alone_and_is_never_brighter_than_the_table(kind: Kind, seed: int, aim: str) -> None:
-    rng = np.random.default_rng(seed)
-    v = np.sort(rng.choice(90, 4, replace=False)).astype(float)
-    d = Distribution(kind, v, np.array([0.0, 30, 90]), rng.random((3, 4)))
-    directions = rng.normal(size=(3, 5, 7))
-    light = d.intensity(directions, aim)  # type: ignore[arg-type]
-    assert light.shape == (5, 7)
-    assert (light >= 0).all() and (light <= d.candela.max() * (1 + 1e-12)).all()
-    np.testing.assert_allclose(d.intensity(3.7 * directions, aim), light, atol=1e-9)  # type: ignore[arg-type]
 
 
 def test_a_lamp_is_sampled_at_the_nodes() -> None:

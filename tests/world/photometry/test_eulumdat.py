@@ -124,12 +124,6 @@ def test_broken_files_name_the_line_and_what_was_expected(number: int, value: st
     assert f"line {number}:" in str(error.value) or (number == 44 and "line 46" in str(error.value))
 
 
-@pytest.mark.parametrize("symmetry", [2, 3, 4])
-def test_planes_that_miss_their_symmetry_altogether_are_named(symmetry: int) -> None:
-    with pytest.raises(LuxloopError, match=f"as symmetry {symmetry} needs"):
-        parsed(ldt(symmetry, [200, 250], [0, 90], [[1, 1], [1, 1]]))
-
-
 @pytest.mark.parametrize("lines", [1, 5, 27, 35, 42, 45, 52])
 def test_truncated_files_name_their_end(lines: int) -> None:
     with pytest.raises(LuxloopError, match=r"found the file's end|found '\(nothing\)'"):

@@ -1,7 +1,6 @@
 """Light textures of distributions: averages and interpolation, flux, and an error that falls with resolution."""
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -58,16 +57,6 @@ def test_coarse_texels_hold_the_average_over_their_solid_angle(kind: Kind) -> No
     assert (samples_of(d, g)[0] >= 16).all()  # some 7 deg of 0.5
 
 
-def test_one_texture_may_have_both() -> None:
-    """A file that is fine in the middle and coarse outside, as goniophotometers measure."""
-    h = np.concatenate([np.arange(-40, -5, 5), np.arange(-5, 5, 0.1), np.arange(5, 41, 5)])
-    v = np.array([-30.0, 30])
-    d = Distribution("A", v, h, np.repeat(1 + np.cos(np.deg2rad(40 * h))[:, None], 2, axis=1))
-    across, down = samples_of(d, grid(4, 40))
-    assert across[0, 0] == down[0, 0] == across[0, -1] == down[0, -1] == 1  # 1 deg of 5
-    assert across[0, 20] >= 32 and down[0, 20] == 2  # 1 deg of 0.1 across; a step of 60 deg down
-
-
 @pytest.mark.parametrize("shape", [(3, 5), (10, 20), (33, 64), (80, 160)])
 def test_flux_is_kept(shape: tuple[int, int]) -> None:
     """All of the light lies within the texture; it is the integral of the table, at any resolution."""
@@ -85,24 +74,6 @@ def test_flux_of_a_pointed_spot_is_kept(shape: tuple[int, int]) -> None:
     g = grid(*shape, 40, 30)
     # Half a step is the coarsest that is interpolated: there, kinks cost some 0.2 %.
     assert (light_texture(d, g) * solid_angles(g)).sum() == pytest.approx(d.luminous_flux, rel=5e-3)
-
-
-@pytest.mark.parametrize("n", [12, 20, 28, 33])
-@pytest.mark.parametrize("aside_deg", [0.0, 0.13])
-def test_flux_of_a_spot_that_is_hardly_resolved_is_kept(n: int, aside_deg: float) -> None:
-    """A standard deviation of 0.6 steps of the file, on texels of one to three steps that lie anyhow to them."""
-    angles = np.arange(-10, 10.1, 0.5)
-    spot = np.exp(-0.5 * (angles / 0.3) ** 2)
-    d = Distribution("A", angles, angles, 1e4 * np.outer(spot, spot))
-    g = TexelGrid.from_degrees(n, n, 10 + aside_deg, -10, -10, 10 + aside_deg)
-    # The kink on the peak at four samples a step: up to 1.5 / step * (step / 4)^2 / 12 of 1.5 steps, 0.5 %, in each direction.
-    assert (light_texture(d, g) * solid_angles(g)).sum() == pytest.approx(d.luminous_flux, rel=0.01)
-
-
-def test_a_window_is_a_part_of_the_whole() -> None:
-    d, g = beam(1.3), grid(12, 80)
-    window = np.arange(2, 9), np.arange(31, 60)
-    np.testing.assert_array_equal(light_texture(d, g, window=window), light_texture(d, g)[2:9, 31:60])
 
 
 def test_a_hard_edge_is_sampled_densely() -> None:
@@ -123,16 +94,6 @@ def test_the_error_counts_where_the_source_shines_and_light_that_is_cut_off() ->
     assert rmse(d, half, light_texture(d, half)) == pytest.approx(8 * math.sqrt(0.5), rel=0.01)
 
 
-def test_uniform_light_stays_uniform() -> None:
-    for kind in ("A", "B"):
-        d = Distribution(kind, np.linspace(-90, 90, 181), np.linspace(-90, 90, 181), np.full((181, 181), 7.0))
-        np.testing.assert_allclose(light_texture(d, grid(3, 5)), 7.0, rtol=1e-12)
-    round_about = Distribution("C", np.linspace(0, 90, 91), np.linspace(0, 360, 73), np.full((73, 91), 7.0))
-    for aim in ("beam", "nadir"):
-        texture = light_texture(round_about, TexelGrid.from_degrees(4, 6, 30, -30, -60, -10), aim)  # type: ignore[arg-type]
-        np.testing.assert_allclose(texture, 7.0, rtol=1e-12)
-
-
 def test_type_c_turns_with_its_aim() -> None:
     """A street lamp that throws to its C0 side: to the right when it is the beam, and below the horizon as it hangs."""
     d = Distribution("C", np.array([0.0, 20, 90]), np.array([0.0, 90, 180]), np.array([[1.0, 100, 0], [1, 10, 0], [1, 1, 0]]))
@@ -151,20 +112,3 @@ def test_the_error_falls_to_zero_with_resolution(kind: Kind) -> None:
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert (orders > 1.3).all() and orders[1:].mean() == pytest.approx(1.5, abs=0.2)
     assert errors[-1] < 2e-4
-
-
-def test_the_error_falls_for_uneven_type_c_too() -> None:
-    v, h = np.array([0.0, 1, 2.5, 5, 9, 15, 20]), np.arange(0.0, 361, 15)
-    candela = np.outer(2 + np.cos(np.deg2rad(h)), [9, 8, 6, 3, 1, 0.3, 0])
-    candela[:, 0] = 18  # one value into one direction
-    d = Distribution("C", v, h, candela)
-    errors = [rmse(d, g, light_texture(d, g)) for g in (grid(n, 2 * n, 21, 21) for n in (8, 16, 32, 64, 128))]
-    assert all(finer < coarser / 2 for coarser, finer in pairwise(errors))
-
-
-def test_averages_are_better_than_samples_where_texels_are_coarse() -> None:
-    rng = np.random.default_rng(5)
-    h, v = np.arange(-20, 20.1, 0.25), np.arange(-10, 10.1, 0.25)
-    speckled = Distribution("A", v, h, rng.random((len(h), len(v))))
-    g = grid(10, 20)
-    assert rmse(speckled, g, light_texture(speckled, g)) < 0.85 * rmse(speckled, g, speckled.intensity(centres(g)))

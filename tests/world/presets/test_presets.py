@@ -10,8 +10,6 @@ from luxloop.world.headlight.parametric import LUMINANCE
 from luxloop.world.lamps.patterns import PATTERNS
 from luxloop.world.lamps.presets import NAMES, lamp
 
-ANGLES = torch.meshgrid(torch.linspace(-70, 70, 141), torch.linspace(-9, 9, 37), indexing="xy")
-
 
 def seen(lamp: Lamp, h_deg: Tensor, v_deg: Tensor) -> Tensor:
     return lamp.intensity(lamp.beam("full"), direction(h_deg, v_deg).flatten(1)).reshape(h_deg.shape)
@@ -60,22 +58,6 @@ def test_the_brightest_spot_is_as_published(name: str, peak_lx: float) -> None:
     assert field.max() / 25**2 == pytest.approx(peak_lx, rel=0.03)  # published as "up to", in whole lux
 
 
-def test_the_hires_module_lights_the_road_from_15_m_on() -> None:
-    whole = lamp("ssl-hd")
-    u = [torch.full((m.headlight.n_pixels,), float(m.name == "hires")) for m in whole.modules]
-    below = torch.tensor([-3.2, -3.0, -2.8, -1.0])
-    intensity = whole.intensity(u, direction(torch.zeros(4), below).flatten(1)) / whole.module("hires").headlight.peak_cd
-    torch.testing.assert_close(intensity[[1, 3]], torch.tensor([0.5, 1.0], dtype=torch.float64), atol=0.03, rtol=0)
-    assert intensity[0] < 0.05 < 0.9 < intensity[2]
-
-
-@pytest.mark.parametrize("name", ["hd84", "ssl-hd"])
-def test_the_right_lamp_is_the_left_one_in_a_mirror(name: str) -> None:
-    h, v = ANGLES
-    left, right = seen(lamp(name), h, v), seen(lamp(name, "right"), -h, v)
-    torch.testing.assert_close(left, right, rtol=1e-5, atol=1e-2)  # float32 light, of up to 1e5 cd
-
-
 def test_the_cornering_light_lies_on_the_outside_and_the_lamp_can_bend_further_outwards() -> None:
     for side, sign in (("left", -1.0), ("right", 1.0)):
         module = lamp("ssl-hd", side).module("cornering")
@@ -88,14 +70,6 @@ def test_the_cornering_light_lies_on_the_outside_and_the_lamp_can_bend_further_o
         assert max(swivel, key=abs) == -15 * sign
 
 
-def test_every_micromirror_lights_texels_of_its_own() -> None:
-    light = lamp("dmd-1m3").modules[0].headlight
-    assert light.n_pixels == 1_327_104
-    per_texel, per_pixel = light.matrix.indptr.diff(), torch.bincount(light.matrix.indices, minlength=light.n_pixels)
-    assert (per_texel == 1).all() and (per_pixel == 2).all()
-    assert light.matrix.values.min() == pytest.approx(50_000)
-
-
 @pytest.mark.parametrize("name", ["hd84", "ssl-hd-lores"])
 def test_coloured_edges_keep_the_luminance(name: str) -> None:
     light = lamp(name, chromatic_shift=0.01).modules[0].headlight
@@ -106,15 +80,6 @@ def test_coloured_edges_keep_the_luminance(name: str) -> None:
     colours, intensity = light.colour_texture(u), light.light_texture(u)
     torch.testing.assert_close(torch.einsum("c,cij->ij", torch.tensor(LUMINANCE), colours), intensity, rtol=1e-4, atol=1e-2)
     assert light.n_pixels == lamp(name).modules[0].headlight.n_pixels
-
-
-def test_the_outer_edges_are_bluish_and_the_middle_is_white() -> None:
-    light = lamp("ssl-hd-lores", chromatic_shift=0.01).modules[0].headlight
-    red, _, blue = light.colour_texture(torch.ones(light.n_pixels))
-    lit = light.light_texture(torch.ones(light.n_pixels)) > 100
-    outermost = int(lit[light.rows // 2].nonzero()[0])
-    assert blue[light.rows // 2, outermost] > 1.5 * red[light.rows // 2, outermost]
-    assert blue[light.rows // 2, light.cols // 2] == pytest.approx(float(red[light.rows // 2, light.cols // 2]), rel=0.03)
 
 
 def test_an_unknown_lamp_or_side_is_named_with_what_there_is() -> None:

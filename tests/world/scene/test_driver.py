@@ -91,12 +91,3 @@ def test_the_past_stays_to_the_bit_and_nothing_jumps(controls: list[tuple[float,
     late = motion.times_s <= (steps - 1) / RATE_HZ
     assert abs(motion.states[late, 13] + motion.states[late, 8] - whole.states[late, 13] - whole.states[late, 8]).max() < 2e-4
     # rad, of the body's pitch in the world: the acceleration of the moment before a change looks a moment ahead
-
-
-def test_another_road_or_vehicle_goes_on_from_nothing() -> None:
-    before = drive(rolling(10.0), Flat(), 1.0)
-    heavy = VehicleParams(course=rolling(10.0).course, wheelbase_m=3.5)
-    assert np.array_equal(drive(heavy, Flat(), 1.0, before).states, drive(heavy, Flat(), 1.0).states)
-    rough = Iso8608(roughness_class="C")
-    assert np.array_equal(drive(rolling(10.0), rough, 1.0, before).states, drive(rolling(10.0), rough, 1.0).states)
-    assert np.array_equal(drive(rolling(10.0), Flat(), 0.5, before).states, before.states[: math.ceil(0.5 * 500) + 2])

@@ -10,7 +10,7 @@ from luxloop.world.frames import pose_from_degrees
 from luxloop.world.rendering.deferred import DeferredRenderer
 from luxloop.world.rendering.rasterise import NoOpenGL
 from luxloop.world.rendering.surfaces import QuickSurfaces
-from luxloop.world.roads.shapes import Curb, Iso8608, Road
+from luxloop.world.roads.shapes import Iso8608, Road
 from luxloop.world.scene.ground import LENGTH_M, NEAR_M, SIGHT_M, RoadTiles
 from luxloop.world.scene.triangles import Triangles
 from tests.world.grids import camera
@@ -53,12 +53,6 @@ def test_the_road_reaches_under_what_stands_far_beside_it():
     assert (y.min(), y.max()) == (vertices(tiles().near(0, pose_from_degrees((50.0, 0.0, 0.0)))[0])[:, 1].min(), 65.0)
 
 
-def test_a_tile_is_made_once():
-    road = tiles()
-    first, later = (road.near(0, pose_from_degrees((x, 0.0, 0.0))) for x in (0.1, 0.5))
-    assert all(a is b for a, b in zip(first, later, strict=True))
-
-
 def test_normals_look_beyond_the_tile():
     tile = tiles().near(0, pose_from_degrees((20.0, 0.0, 0.0)))[0]
     x, y, _ = vertices(tile).T
@@ -69,12 +63,6 @@ def test_normals_look_beyond_the_tile():
     # central differences over the mesh's own spacing, at the borders as inside
     assert np.abs(-normals[:, 0] / normals[:, 2] - slope)[inner].max() < 1e-6
     assert np.ptp(slope) > 0.05
-
-
-def test_lines_that_a_road_asks_for_are_in_its_tiles():
-    curb = Curb()
-    tile = tiles(curb).near(0, pose_from_degrees((20.0, 0.0, 0.0)))[0]
-    assert set(curb.grid().y_lines_m) <= set(vertices(tile)[:, 1].tolist())
 
 
 def test_the_road_has_no_holes():

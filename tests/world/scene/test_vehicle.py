@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from luxloop.world.frames import transform
 from luxloop.world.roads.base import Floats, MeshGrid
 from luxloop.world.roads.shapes import Flat, GradeParams, Profile
-from luxloop.world.scene.vehicle import COLUMNS, STANDING, CourseParams, Motion, OscillationParams, SuspensionParams, VehicleParams, drive
+from luxloop.world.scene.vehicle import COLUMNS, STANDING, CourseParams, Motion, SuspensionParams, VehicleParams, drive
 
 LAMP = torch.tensor([[0.0], [0.0], [0.75]], dtype=torch.float64)
 
@@ -45,16 +45,6 @@ def test_who_stands_stays_at_the_origin_to_the_bit():
         assert torch.equal(state.T_world_body, torch.eye(4, dtype=torch.float64)) and state.speed_m_s == 0
 
 
-def test_a_straight_course_on_a_flat_road():
-    motion = driven((0, 20, 0))
-    for t in (0.0, 0.5, 7.123):
-        state = motion.at(t)
-        expected = torch.eye(4, dtype=torch.float64)
-        expected[0, 3] = 20 * t
-        assert torch.allclose(state.T_world_ground, expected, atol=1e-9)  # sums of rounding errors
-        assert torch.equal(state.T_ground_body, torch.eye(4, dtype=torch.float64))
-
-
 def test_the_rear_axle_goes_round_a_circle_to_the_left():
     motion = driven((0, 10, 1 / 50))
     rear = torch.tensor([[motion.rear_x_m], [0.0], [0.0]], dtype=torch.float64)
@@ -66,12 +56,6 @@ def test_the_rear_axle_goes_round_a_circle_to_the_left():
         assert (state.yaw_rate_rad_s, state.lateral_m_s2) == pytest.approx((0.2, 2.0))
         heading = state.T_world_ground[:2, 0]
         assert heading.tolist() == pytest.approx([math.cos(angle), math.sin(angle)], abs=1e-6)
-
-
-def test_braking_takes_the_way_that_it_should():
-    motion = driven((0, 20, 0), (1, 20, 0), (5, 0, 0))
-    assert motion.at(9.0).T_world_ground[0, 3] == pytest.approx(20 + 40, abs=1e-6)
-    assert motion.at(3.0).acceleration_m_s2 == pytest.approx(-5)
 
 
 def test_a_brake_dives_as_a_damped_oscillator_does():
@@ -181,12 +165,6 @@ def test_over_a_crest_the_ground_touches_the_road_under_the_rear_axle():
     level, up, down = (motion.at(t) for t in (0.0, 5.0, 13.5))  # 5 s: 96 m, half of the window before the crest
     assert [state.slope_rad for state in (level, down)] == pytest.approx([0.0, math.atan(0.05)], abs=2e-4)
     assert -0.05 < up.slope_rad < -0.04
-
-
-def test_an_oscillation_is_added():
-    motion = driven((0, 0, 0), oscillation=OscillationParams(pitch_deg=0.2, rate_hz=1.25))
-    assert motion.at(0.2).pitch_rad == pytest.approx(math.radians(0.2), rel=1e-4)
-    assert motion.at(0.6).pitch_rad == pytest.approx(-math.radians(0.2), rel=1e-4)
 
 
 def test_times_must_ascend():
