@@ -1,10 +1,8 @@
 """Suggestions are made where a name is near, and nowhere else; a message has a line an error."""
 
-import pickle
-
 import pytest
 
-from luxloop.world.errors import LuxloopError, all_of, did_you_mean, locate, redact
+from luxloop.world.errors import LuxloopError, all_of, did_you_mean, redact
 
 KNOWN = ("zones", "flat", "gfhb", "belgian_block", "kp")
 
@@ -33,14 +31,6 @@ def test_what_is_not_near_is_not_suggested(given: str) -> None:
 
 def test_input_in_a_message_does_not_control_the_terminal() -> None:
     assert str(LuxloopError("a\x1b[31m\x07: line\nü")) == "a?[31m?: line ü"
-
-
-def test_several_errors_name_their_place_once() -> None:
-    with pytest.raises(LuxloopError) as caught, locate("my.toml"):
-        raise all_of([f"key{k}: is\nwrong" for k in range(12)])
-    assert caught.value.args == ("my.toml: 12 errors", *(f"key{k}: is wrong" for k in range(10)), "and 2 more")
-    assert str(caught.value).splitlines()[1] == "  key0: is wrong"
-    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
 
 
 def test_a_single_error_has_no_count() -> None:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from luxloop.world.frames import R_ISO_OPENCV, inverse, pose, pose_from_degrees, rotation, transform
+from luxloop.world.frames import inverse, pose, rotation, transform
 
 angle = st.floats(-math.pi, math.pi)
 metre = st.floats(-1000, 1000)
@@ -29,13 +29,6 @@ def test_signs_of_iso_8855(device: torch.device) -> None:
     assert (rotation(zero, zero, small) @ forward)[1] > 0, "positive yaw turns to the left"
 
 
-def test_opencv_axes_in_an_iso_frame() -> None:
-    right, down, ahead = R_ISO_OPENCV.T
-    assert right.tolist() == [0, -1, 0]
-    assert down.tolist() == [0, 0, -1]
-    assert ahead.tolist() == [1, 0, 0]
-
-
 @settings(deadline=None)
 @given(st.tuples(metre, metre, metre), st.tuples(angle, angle, angle))
 def test_inverse_undoes_a_pose(position: tuple[float, float, float], angles: tuple[float, float, float]) -> None:
@@ -44,11 +37,3 @@ def test_inverse_undoes_a_pose(position: tuple[float, float, float], angles: tup
     points = torch.tensor([[1.0, -2.0], [3.0, 0.5], [0.0, 7.0]], dtype=torch.float64)
     # Kilometres in float64 leave 1e-13 m; a decade for the two products.
     torch.testing.assert_close(transform(inverse(T), transform(T, points)), points, rtol=0, atol=1e-11)
-
-
-def test_poses_chain_as_their_names_say() -> None:
-    T_world_car = pose_from_degrees((10.0, 0.0, 0.0), yaw_deg=90)
-    T_car_lamp = pose_from_degrees((2.0, 0.5, 0.7))
-    lamp = transform(T_world_car @ T_car_lamp, torch.zeros(3, 1, dtype=torch.float64))[:, 0]
-    # The car looks along +y: its front is north, its left is west.
-    np.testing.assert_allclose(lamp, [9.5, 2.0, 0.7], atol=1e-12)

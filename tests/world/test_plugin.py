@@ -151,14 +151,6 @@ def test_a_method_that_fails_is_said_as_init_is() -> None:
     assert copy.copy(made).a == 3
 
 
-def test_what_is_no_such_class_is_not_called(tmp_path: Path) -> None:
-    mark = tmp_path / "mark"
-    for name, said in (("subprocess:Popen", "no method work"), ("os:system", "is no class"), ("math:tau", "is no class")):
-        with pytest.raises(LuxloopError, match=said):
-            plugin.make(plugin.Name(name), "road.kind", {"command": f"touch {mark}"}, {"shell": True}, ("work",))
-    assert not mark.exists()
-
-
 def test_a_folder_goes_to_the_end_of_the_path_and_hides_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "path", [*sys.path])
     for folder in ("a", "b"):

@@ -156,13 +156,6 @@ def test_an_svg_stands_for_itself(extra: str, words: str, tmp_path: Path) -> Non
     assert load_still(file).any()
 
 
-@pytest.mark.parametrize(("width", "height", "shape"), [(40_000, 40_000, (512, 512)), (40_000, 80, (2, 512)), (8, 40_000, (512, 1))])
-def test_an_svg_of_any_size_is_drawn_alike(width: int, height: int, shape: tuple[int, int], tmp_path: Path) -> None:
-    file = tmp_path / "a.svg"
-    file.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}"><rect {SIZE} fill="white"/></svg>')
-    assert load_still(file).shape == shape
-
-
 SIZE = 'width="40000" height="40000"'
 
 

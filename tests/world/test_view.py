@@ -25,18 +25,3 @@ def test_rays_project_onto_their_pixel_centres(position: tuple, angles: tuple, d
     assert depth.numpy() == pytest.approx(depth_m, rel=1e-9)
     rows, cols = np.mgrid[:6, :8]
     np.testing.assert_allclose(uv.reshape(2, 6, 8), [cols + 0.5, rows + 0.5], atol=1e-9)
-
-
-def test_depth_tells_what_lies_behind(device: torch.device) -> None:
-    points = torch.tensor([[-1.0], [0.0], [0.0]], device=device)
-    uv, depth = view().project(points.expand(2, 3, 1))
-    assert uv.shape == (2, 2, 1)
-    assert depth.tolist() == [[-1.0], [-1.0]]
-    assert (depth.dtype, depth.device.type) == (torch.float32, device.type)
-
-
-def test_a_few_points_are_projected_as_many() -> None:
-    points = torch.rand(3, 9, dtype=torch.float64) * 10 - 3
-    (uv, depth), few = view().project(points), view().project_few(points.numpy())
-    np.testing.assert_allclose(few[0], uv, rtol=1e-12)
-    np.testing.assert_allclose(few[1], depth, rtol=1e-12, atol=1e-12)

@@ -38,17 +38,6 @@ def test_the_optimum_is_scipys(seed: int, signed: bool, highest: float) -> None:
     assert cost <= best * (1 + 1e-9) + 1e-12
 
 
-def test_a_batch_is_solved_as_its_entries_are(device: torch.device) -> None:
-    A, _, w = problem(1)
-    matrix = Csr.from_scipy(A, torch.float64).to(device)
-    targets = torch.rand(2, 3, A.shape[0], dtype=torch.float64, device=device)
-    weight = torch.tensor(w, device=device)
-    together = solve(matrix, targets, weight=weight, iterations=3000, tolerance=1e-9)
-    assert together.shape == (2, 3, A.shape[1])
-    alone = solve(matrix, targets[1, 2], weight=weight, iterations=3000, tolerance=1e-9)
-    torch.testing.assert_close(together[1, 2], alone, rtol=0, atol=1e-6)
-
-
 def test_values_between_bounds_cost_nothing_and_bounds_hold_where_they_can() -> None:
     matrix = Csr.from_scipy(sp.csr_array(np.array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]])), torch.float64)
     inf = float("inf")

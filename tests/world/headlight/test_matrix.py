@@ -7,8 +7,6 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
@@ -29,16 +27,6 @@ def test_overlap_is_minimal(thesis_lamp: Headlight) -> None:
     # Two of four texels along a pixel lie on its flanks; only the border of the lamp has fewer.
     assert entries_per_texel == pytest.approx(1.5, rel=0.002)
     assert thesis_lamp.matrix.values.min() > 0
-
-
-@settings(deadline=None, max_examples=25)
-@given(st.integers(1, 6), st.integers(1, 6), st.tuples(st.integers(1, 5), st.integers(1, 5)), st.floats(1, 1e5))
-def test_neighbours_share_their_border_at_any_size(rows: int, cols: int, texels: tuple[int, int], cd: float) -> None:
-    lamp = idealised(rows, cols, texels_per_pixel=texels, intensity_cd=cd)
-    assert (lamp.rows, lamp.cols) == (rows * texels[0], cols * texels[1])
-    light = lamp.light_texture(torch.ones(lamp.n_pixels))
-    inner = light[texels[0] : -texels[0], texels[1] : -texels[1]]
-    torch.testing.assert_close(inner, torch.full_like(inner, cd), rtol=1e-5, atol=0)
 
 
 def test_pixels_are_row_major_from_the_top_left() -> None:

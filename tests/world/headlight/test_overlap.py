@@ -89,13 +89,6 @@ def test_a_bound_drops_what_is_below_it() -> None:
     assert strongest(matrix, 1, 2).tolist() == [False, False, True, False]
 
 
-def test_errors_are_shares() -> None:
-    matrix, half = (Csr.from_scipy(sp.csr_array(np.diag([a, a, a]))) for a in (2.0, 1.0))
-    seen = errors(matrix, half, [np.ones(3), np.array([1.0, 0, 0])])
-    assert (seen.rmse, seen.largest, seen.darkening) == pytest.approx((0.5, 0.5, 0.5))
-    assert errors(matrix, matrix, [np.zeros(3)]).rmse == 0
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

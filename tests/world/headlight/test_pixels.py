@@ -40,21 +40,6 @@ def alone(distribution: Distribution, aim: Aim = "beam") -> PixelArray:
     return PixelArray([Pixel(distribution)], 1, 1, aim)
 
 
-@pytest.mark.parametrize("grid", [GRID, TexelGrid.from_degrees(7, 9, 4, -4, -3, 3)], ids=["finer", "coarser"])
-def test_agrees_with_the_texture_of_a_single_file(grid: TexelGrid) -> None:
-    distribution = gaussian(0.5, -0.4)
-    made = assemble(alone(distribution), grid, cutoff=0).matrix.toarray().reshape(grid.rows, grid.cols)
-    np.testing.assert_allclose(made, light_texture(distribution, grid), rtol=1e-12)
-
-
-@pytest.mark.parametrize("texels", [(8, 10), (31, 37), (300, 400)])
-def test_light_is_kept_at_any_resolution(texels: tuple[int, int]) -> None:
-    grid = TexelGrid.from_degrees(*texels, 4, -4, -3.5, 3.5)
-    flux = (assemble(alone(gaussian()), grid, cutoff=0).matrix.toarray().ravel() * solid_angles(grid).ravel()).sum()
-    # Texels of 0.22 deg, just finer than the steps of 0.25 deg, are interpolated at their centres, which is 0.4 % off.
-    assert flux == pytest.approx(gaussian().luminous_flux, rel=5e-3)
-
-
 def test_faint_light_is_dropped_and_told() -> None:
     all_of_it, cut = (assemble(alone(gaussian()), GRID, cutoff) for cutoff in (0, 0.1))
     assert all_of_it.dropped == 0
@@ -84,14 +69,6 @@ def test_a_grid_of_turned_pixels_is_exact_in_angles(tmp_path: Path) -> None:
             assert (h_at, v_at) == pytest.approx((h, v), abs=0.005)  # texels are 0.1 deg
             # Each place keeps the pixel's flux, as a shift in tangents would not: 10 % more at 16 deg.
             assert light.sum() == pytest.approx(gaussian().luminous_flux, rel=5e-3)
-
-
-def test_a_distribution_about_an_axis_is_found_from_one_plane() -> None:
-    spot = Distribution("C", np.array([0.0, 2, 4, 90]), np.array([0.0]), np.array([[500.0, 400, 0, 0]]))
-    grid = default_grid(alone(spot))
-    borders = [math.degrees(math.atan(each)) for each in (grid.left, -grid.right, grid.top, -grid.bottom)]
-    assert borders == pytest.approx([4, 4, 4, 4], rel=1e-6)
-    assert assemble(alone(spot), grid).matrix.max() == pytest.approx(500, rel=0.2)
 
 
 def test_default_texture_holds_all_light_and_is_finer_than_the_data() -> None:
@@ -141,17 +118,6 @@ def test_memory_of_assembly_is_what_the_estimate_says(coloured: bool) -> None:
     tracemalloc.stop()
     share = peak / made.matrix.nnz / pixels._bytes_an_entry(array)
     assert 0.8 < share <= 1.0
-
-
-def test_lamps_that_shine_elsewhere_are_refused() -> None:
-    with pytest.raises(LuxloopError, match="widen it"):
-        assemble(alone(gaussian()), TexelGrid.from_degrees(10, 10, 40, 30, -3, 3))
-    down = Distribution("C", np.array([0.0, 5, 10]), np.array([0.0]), np.array([[500.0, 400, 0]]))
-    with pytest.raises(LuxloopError, match="look at `aim`"):
-        default_grid(alone(down, "nadir"))
-    dark = replace(gaussian(), candela=np.zeros((25, 25)))
-    with pytest.raises(LuxloopError, match="no pixel shines"):
-        default_grid(alone(dark))
 
 
 def test_a_measurement_tells_what_it_cuts_off() -> None:

@@ -75,11 +75,6 @@ def test_round_trip_is_exact(lamp: Lamp, tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["lamp.npz"]
 
 
-def test_equal_lamps_give_equal_bytes(lamp: Lamp, content: bytes, tmp_path: Path) -> None:
-    save(tmp_path / "again.npz", lamp)
-    assert (tmp_path / "again.npz").read_bytes() == content
-
-
 def test_numpy_alone_reads_it(content: bytes) -> None:
     with np.load(io.BytesIO(content)) as arrays:
         header = json.loads(arrays["header"].tobytes())
@@ -124,21 +119,14 @@ def rewritten(content: bytes, change: Callable[[dict[str, Any]], None]) -> bytes
     ("change", "words"),
     [
         (lambda a: a["header"].update(version=2, luxloop="9.0"), "written by luxloop 9.0 as version 2"),
-        (lambda a: a["header"].update(format="something"), "header: format"),
-        (lambda a: a["header"].update(mood="good"), "header: mood"),
         (lambda a: a["header"]["modules"][0].update(left=-1), "wrong order"),
-        (lambda a: a["header"].update(modules=[]), "header: modules"),
         (lambda a: a["header"]["modules"][0].update(rows=5), "module0_indptr is not what the header says"),
         (lambda a: a["module1_indices"].__setitem__(0, 6), "module1_indices"),
         (lambda a: a["module1_indptr"].__setitem__(1, 99), "module1_indptr"),
         (lambda a: a["module1_values"].__setitem__(0, np.nan), "module1_values"),
         (lambda a: a["module0_beam0"].__setitem__(0, 1.5), "module0_beam0"),
-        (lambda a: a.update(module0_pose=np.eye(3)), "module0_pose"),
-        (lambda a: a.update(module0_values=a["module0_values"].astype(complex)), "module0_values"),
         (lambda a: a.update(module0_values=a["module0_values"].astype(np.float64)), "module0_values"),
         (lambda a: a["module0_values"].__setitem__(0, -1), "module0_values"),
-        (lambda a: a.update(module0_beam0=a["module0_beam0"].astype(np.float64)), "module0_beam0"),
-        (lambda a: a.update(module0_pose=np.zeros((4, 4))), "module0_pose"),
         (lambda a: a.update(module0_pose=np.diag([1.0, -1, 1, 1])), "module0_pose"),
         (lambda a: a["header"]["modules"][1].update(swivel_deg=[5, -5]), "swivel_deg = 5 to -5 is in the wrong order"),
         (lambda a: a["header"]["modules"][1].update(name="matrix"), "module 'matrix' occurs twice"),

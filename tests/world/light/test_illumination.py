@@ -29,7 +29,6 @@ class Light(NamedTuple):
 
 LAMP = idealised(20, 32, intensity_cd=CD)
 T_LEFT = pose_from_degrees((0.0, 0.6, 0.75))
-T_RIGHT = pose_from_degrees((0.0, -0.6, 0.75))
 
 
 def camera(width: int = 160, height: int = 90, oversampling: int = 1) -> View:
@@ -94,17 +93,6 @@ def assert_closed_form(gbuffer: GBuffer, poses: list[Tensor]) -> None:
 @pytest.mark.parametrize("turned", [(0.0, 0.0, 0.0), (3.0, -1.0, 5.0)])
 def test_flat_wall(x_m: float, turned: tuple[float, float, float], device: torch.device) -> None:
     assert_closed_form(wall(x_m, device), [pose_from_degrees((0.0, 0.6, 0.75), *turned)])
-
-
-@pytest.mark.parametrize("poses", [[T_LEFT], [T_LEFT, T_RIGHT]], ids=["one lamp", "two lamps"])
-def test_flat_road(poses: list[Tensor], device: torch.device) -> None:
-    assert_closed_form(flat_road(camera(), 0.2).to(device), poses)
-
-
-def test_a_lambertian_road_shows_albedo_times_illuminance_over_pi() -> None:
-    lit = reach(flat_road(camera(), 0.2), LAMP, T_LEFT)
-    texture = LAMP.light_texture(torch.ones(LAMP.n_pixels))
-    torch.testing.assert_close(luminance(lit, texture), illuminance(lit, texture) * 0.2 / math.pi)
 
 
 def test_nothing_is_lit_beyond_the_border_behind_the_lamp_or_on_the_back(device: torch.device) -> None:
@@ -182,17 +170,6 @@ def test_transport_equals_the_plain_path(folded: tuple) -> None:
     assert torch.equal(index, lit.index)
 
 
-def test_oversampled_transport_takes_the_mean_over_a_pixel() -> None:
-    lit = reach(flat_road(camera(oversampling=3), 0.2), LAMP, T_LEFT)
-    u = torch.rand(2, LAMP.n_pixels, generator=torch.Generator().manual_seed(6))
-    samples = torch.zeros(2, 270 * 160)
-    samples[:, lit.index] = luminance(lit, LAMP.light_texture(u))
-    image = torch.zeros(2, 90 * 160)
-    part, index = transport(lit, LAMP, 160, 3).luminance(u)
-    image[:, index] = part
-    torch.testing.assert_close(image.view(2, 90, 160), samples.view(2, 90, 3, 160).mean(2), rtol=1e-5, atol=0)
-
-
 @pytest.mark.parametrize(
     "band", [slice(0, 640), slice(330, 331), slice(300, 420), slice(0, 32), slice(639, 640), slice(0, 0), slice(640, 640)]
 )
@@ -206,17 +183,6 @@ def test_banded_light_equals_whole_light(folded: tuple, band: slice) -> None:
     whole, index = folded_transport.luminance(u)
     expected[index] = whole
     torch.testing.assert_close(image, expected, rtol=1e-6, atol=0)
-
-
-@pytest.mark.parametrize("rows", [slice(0, 90), slice(40, 60), slice(0, 1), slice(89, 90), slice(50, 50)])
-def test_light_of_some_rows_is_that_part_of_all_light(folded: tuple, rows: slice) -> None:
-    _, folded_transport = folded
-    u, base = torch.rand(LAMP.n_pixels, generator=torch.Generator().manual_seed(7)), torch.rand(90, 160)
-    for band in (None, slice(300, 420)):
-        light = [Light(u, band)]
-        whole, part = added_light([folded_transport], light, base), added_light([folded_transport], light, base, rows)
-        assert part.shape == (rows.stop - rows.start, 160) and part.equal(whole[rows])
-    assert added_light([folded_transport], light, base, slice(40, 60)).ne(base[40:60]).any(), "the lamp lights some of these"
 
 
 def test_transport_passes_gradients(folded: tuple) -> None:

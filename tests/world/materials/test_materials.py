@@ -11,7 +11,7 @@ from torch.nn.functional import normalize
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.lamps.presets import idealised
 from luxloop.world.light.illumination import luminance, reach
-from luxloop.world.materials.brdf import LAMBERTIAN, luminance_factor
+from luxloop.world.materials.brdf import luminance_factor
 from luxloop.world.materials.library import MATERIALS, WET, RoadSurfaceParams
 from luxloop.world.rendering.gbuffer import GBuffer, flat_road, gbuffer
 from luxloop.world.rendering.raycast import RayCaster
@@ -55,15 +55,6 @@ def test_a_lambertian_scene_carries_no_finish() -> None:
     assert torch.equal(lit.luminance_factor, seen.albedo.flatten()[lit.index])
 
 
-def test_each_pixel_has_the_finish_of_what_it_shows(device: torch.device) -> None:
-    seen = see(road(), board(material="retroreflective_sign"), board(name="other", track=[{"position_m": (15, -1, 0)}])).to(device)
-    assert seen.finish is not None
-    assert seen.finish.materials == (LAMBERTIAN, MATERIALS["retroreflective_sign"])
-    assert torch.equal(seen.finish.material == 1, seen.object_id == 1)
-    assert torch.equal(seen.finish.eye.cpu(), camera().origin)
-    assert seen.albedo[seen.object_id == 1].unique().tolist() == pytest.approx([0.4])
-
-
 def test_a_sign_shines_back_as_its_brdf_says_and_nothing_else_changes() -> None:
     plain, sign = see(road(), board()), see(road(), board(material="retroreflective_sign"))
     was, now = shown(plain), shown(sign)
@@ -77,19 +68,6 @@ def test_a_sign_shines_back_as_its_brdf_says_and_nothing_else_changes() -> None:
     torch.testing.assert_close(now[lit] / was[lit], (factor / 0.4).float(), rtol=1e-3, atol=0)
     # the eye is 0.7 deg to the side and 2 deg above the lamp
     assert 20 < (now[lit] / was[lit]).median() < 200
-
-
-def test_beads_make_the_lines_shine_and_only_them() -> None:
-    matt, beaded = see(road(markings=True)), see(road(markings=True, beads=True))
-    assert torch.equal(matt.albedo, beaded.albedo)
-    assert beaded.finish is not None
-    painted = beaded.finish.material == 1
-    was, now = shown(matt), shown(beaded)
-    assert (beaded.albedo[painted] > 0.3).double().mean() > 0.95
-    assert torch.equal(was[~painted], now[~painted])
-    # the lit lines are 10 to 40 m off: at 30 m R_L would be 200 where a matt line has 0.6 / pi cos_l, 4 mcd/(m^2 lx)
-    lit = painted & (was > 0)
-    assert 5 < (now[lit] / was[lit]).median() < 60
 
 
 def test_water_darkens_the_road_and_drowns_the_beads() -> None:
@@ -111,12 +89,6 @@ def test_the_assumed_road_is_as_wet_as_the_real_one() -> None:
     assert shown(assumed).max() > 0.1
     dry = flat_road(camera(), RoadSurfaceParams().seen_albedo, material=RoadSurfaceParams().ground)
     assert dry.finish is None and torch.equal(dry.albedo, flat_road(camera(), 0.2).albedo)
-
-
-def test_a_puddle_is_as_dark_as_wet_asphalt() -> None:
-    puddle = board(material="wet_asphalt", albedo=0.2)
-    assert MATERIALS[puddle.parts[0].material] == WET
-    assert puddle.parts[0].albedo == pytest.approx(WET.darken(torch.tensor(0.2)).item(), rel=1e-6)
 
 
 def test_an_unknown_material_is_refused_with_those_there_are() -> None:

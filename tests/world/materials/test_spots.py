@@ -30,14 +30,6 @@ def test_a_turned_spot_covers_its_area(shape: str, area_m2: float) -> None:
     assert spot.covers(*ahead_on_the_left).all()
 
 
-def test_a_patch_scales_the_albedo_and_is_there_once() -> None:
-    texture, around = spotted(SpotParams(x_m=17, albedo_factor=0.4)), DRY.texture()
-    x, y = cells((16.6, 17.4), (-0.3, 0.3))
-    torch.testing.assert_close(texture.at(x, y), 0.4 * around.at(x, y))
-    assert torch.equal(texture.at(x + 36, y), around.at(x + 36, y))  # where the asphalt's tile repeats
-    assert (texture.material_at(x, y) == 0).all()
-
-
 def test_a_puddle_is_what_a_wet_road_is() -> None:
     texture, wet = spotted(SpotParams(x_m=17, material="wet_asphalt")), RoadSurfaceParams(seed=3, wet=1.0).texture()
     x, y = cells((16.8, 17.2), (-0.2, 0.2))

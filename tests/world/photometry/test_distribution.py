@@ -4,13 +4,11 @@ import math
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.headlight.lamp import direction
-from luxloop.world.photometry import Distribution, sample
+from luxloop.world.photometry import Distribution
 from luxloop.world.photometry.distribution import Aim, Kind, angles_of, directions_of
 
 HALF = math.sqrt(0.5)
@@ -60,12 +58,6 @@ def test_type_b_is_type_c_by_the_known_conversion() -> None:
     np.testing.assert_allclose(np.sin(h), np.sin(np.pi / 2 - c) * np.sin(gamma), rtol=1e-9)
 
 
-def test_hanging_planes_run_counterclockwise_seen_from_above() -> None:
-    turn = np.deg2rad(np.array([0.0, 30, 60, 90]))
-    directions = np.stack([np.sin(turn), -np.cos(turn), 0 * turn])  # from the right to ahead, which is counterclockwise
-    np.testing.assert_allclose(angles_of("C", directions, "nadir")[1], [0, 30, 60, 90], atol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("stored", "queries", "expected"),
     [
@@ -94,11 +86,6 @@ def test_types_a_and_b_are_mirrored_where_they_begin_at_zero_and_dark_beyond_the
         np.testing.assert_allclose(sided.at([-1, 10, -5, 0], [1, 20, 10, -5]), [4, 1, 0, 0])
 
 
-def test_bilinear_within_a_cell() -> None:
-    d = Distribution("A", np.array([-1.0, 1]), np.array([-2.0, 2]), np.array([[0.0, 4], [8, 12]]))
-    assert d.at(0.5, 1.0) == pytest.approx(0.25 * 3 + 0.75 * 11)
-
-
 @pytest.mark.parametrize(
     ("distribution", "flux"),
     [
@@ -115,17 +102,6 @@ def test_bilinear_within_a_cell() -> None:
 )
 def test_uniform_light_has_the_flux_of_its_solid_angle(distribution: Distribution, flux: float) -> None:
     assert distribution.luminous_flux == pytest.approx(flux, rel=1e-12)
-
-
-def test_a_lamp_is_sampled_at_the_nodes() -> None:
-    def intensity(directions: torch.Tensor) -> torch.Tensor:
-        return directions[0] + 0.5 * directions[1].clamp(max=0).abs()  # brighter to the right
-
-    d = sample(intensity, np.linspace(-20, 20, 9), np.linspace(-5, 5, 5))
-    assert d.type == "A" and d.candela.shape == (9, 5)
-    there = direction(torch.tensor(15.0), torch.tensor(-2.5))
-    assert d.at(-2.5, 15.0) == pytest.approx(float(intensity(there[:, None])), rel=1e-12)
-    assert d.at(-2.5, 15.0) > d.at(-2.5, -15.0)
 
 
 @pytest.mark.parametrize(

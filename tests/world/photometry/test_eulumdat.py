@@ -4,8 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from luxloop.world.errors import LuxloopError
 from luxloop.world.photometry import Distribution, read_photometry, write_eulumdat
@@ -137,20 +135,6 @@ def test_what_a_file_holds_counts_more_than_its_name(tmp_path: Path) -> None:
     assert read_photometry(tmp_path / "lamp.ies").format == "EULUMDAT"
     (tmp_path / "lamp.txt").write_text(PLAIN)
     assert read_photometry(tmp_path / "lamp.txt").format == "EULUMDAT"
-
-
-PIECES = st.sampled_from(["-1", "0", "nan", "1e400", "9999999999999", "\n", "\x1a", ",", "x", "ÿ", "1_0", "٣", "1e308", ""])
-
-
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.integers(0, len(PLAIN)), st.integers(0, 12), PIECES, st.booleans())
-def test_any_damage_is_read_or_refused_with_a_sentence(tmp_path: Path, at: int, cut: int, piece: str, truncated: bool) -> None:
-    file = tmp_path / "lamp.ldt"
-    file.write_bytes((PLAIN[:at] + piece + ("" if truncated else PLAIN[at + cut :])).encode())
-    try:
-        assert np.isfinite(read_photometry(file).distribution.candela).all()
-    except LuxloopError as error:
-        assert str(file) in str(error)
 
 
 def test_what_is_written_is_read_again(tmp_path: Path) -> None:

@@ -80,20 +80,6 @@ def test_opengl_and_rays_agree():
     assert torch.equal(a.object_id[inner], b.object_id[inner])
 
 
-def test_a_box_shows_its_faces(source):
-    seen = see(Scene((Body("road", flat()), box())), camera(), source)
-    on_box = seen.object_id == 1
-    assert on_box.sum() > 300
-    assert (seen.albedo[on_box] == 0.05).all()
-    yaw = np.radians(30)
-    faces = torch.tensor([[-np.cos(yaw), -np.sin(yaw), 0], [-np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]], dtype=torch.float32)
-    assert ((seen.normal[:, on_box].T @ faces.T).amax(1) > 1 - 1e-6).all()
-    local = pose_from_degrees((14, 0.3, 0), yaw_deg=30)
-    p = local[:3, :3].T @ (seen.position[:, on_box].double() - local[:3, 3:])
-    distance = (p - torch.tensor([[0], [0], [0.5]])).abs().amax(0) - 0.5
-    assert distance.abs().max() < 1e-4
-
-
 def test_bodies_move_appear_and_vanish_under_their_own_id(source):
     passing = box(track=[{"time_s": 0, "position_m": (12, 1, 0)}, {"time_s": 1, "position_m": (12, -1, 0)}], vanishes_s=2.0)
     late = box(track=[{"position_m": (20, 2, 0)}], appears_s=1.0)
@@ -146,7 +132,31 @@ def test_auto_falls_back_to_rays_with_a_warning(monkeypatch):
 
 
 def test_embree_forgets_a_body_with_its_last_use() -> None:
-    """It has no room for more than about 1,000, which a run of many scenes reaches before the garbage collector comes."""
+    """
+    import gc
+    import hashlib
+    import subprocess
+    import sys
+    from pathlib import Path
+    import numpy as np
+    import pytest
+    import torch
+    import trimesh
+    from torch.nn.functional import max_pool2d
+    from trimesh.ray.ray_pyembree import _EmbreeWrap
+    from luxloop.world.frames import View, pose_from_degrees
+    from luxloop.world.materials.library import Texture
+    from luxloop.world.rendering import rasterise
+    from luxloop.world.rendering.gbuffer import GBuffer, gbuffer
+    from luxloop.world.rendering.rasterise import NoOpenGL
+    from luxloop.world.rendering.raycast import RayCaster, first_hits, hits_on
+    from luxloop.world.rendering.surfaces import FaceSource, face_source
+    from luxloop.world.scene.body import Body, PoseTrack
+    from luxloop.world.scene.scene import Scene
+    from luxloop.world.scene.triangles import Triangles
+    from luxloop.world.traffic.objects import BoxParams
+    from tests.world.grids import bumpy, camera, flat, grid, lamp
+    It has no room for more than about 1,000, which a run of many scenes reaches before the garbage collector comes."""
 
     def scenes() -> int:
         return sum(isinstance(each, _EmbreeWrap) for each in gc.get_objects())
@@ -162,3 +172,17 @@ def test_embree_forgets_a_body_with_its_last_use() -> None:
         assert scenes() == before
     finally:
         gc.enable()
+
+
+def test_a_box_shows_its_faces(source):
+    seen = see(Scene((Body("road", flat()), box())), camera(), source)
+    on_box = seen.object_id == 1
+    assert on_box.sum() > 300
+    assert (seen.albedo[on_box] == 0.05).all()
+    yaw = np.radians(30)
+    faces = torch.tensor([[-np.cos(yaw), -np.sin(yaw), 0], [-np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]], dtype=torch.float32)
+    assert ((seen.normal[:, on_box].T @ faces.T).amax(1) > 1 - 1e-6).all()
+    local = pose_from_degrees((14, 0.3, 0), yaw_deg=30)
+    p = local[:3, :3].T @ (seen.position[:, on_box].double() - local[:3, 3:])
+    distance = (p - torch.tensor([[0], [0], [0.5]])).abs().amax(0) - 0.5
+    assert distance.abs().max() < 1e-4

@@ -47,12 +47,6 @@ def test_tiles_are_there_where_the_vehicle_looks_and_finer_where_it_is_near():
     assert max(vertices(tile)[:, 0].max() for tile in back) < 50 + LENGTH_M
 
 
-def test_the_road_reaches_under_what_stands_far_beside_it():
-    far = RoadTiles(ROAD, (0.0, 0.0), 0.2, None, others_y_m=(3.0, 60.0)).near(0, pose_from_degrees((50.0, 0.0, 0.0)))
-    y = vertices(far[0])[:, 1]
-    assert (y.min(), y.max()) == (vertices(tiles().near(0, pose_from_degrees((50.0, 0.0, 0.0)))[0])[:, 1].min(), 65.0)
-
-
 def test_normals_look_beyond_the_tile():
     tile = tiles().near(0, pose_from_degrees((20.0, 0.0, 0.0)))[0]
     x, y, _ = vertices(tile).T

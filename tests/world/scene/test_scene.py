@@ -54,15 +54,6 @@ def test_only_what_moved_is_rebuilt():
     assert [placed.object_id for placed in scene.at(3.0).placed] == [0]
 
 
-def test_a_box_stands_on_its_position():
-    (placed,) = Scene((box(track=[{"position_m": (17, 1, 0.1), "yaw_deg": 90}]).build(),)).at(0.0).placed
-    corners = placed.corners.flatten(0, 1)
-    assert torch.allclose(corners.amin(0), torch.tensor([16.0, 0.5, 0.1], dtype=torch.float64))
-    assert torch.allclose(corners.amax(0), torch.tensor([18.0, 1.5, 3.1], dtype=torch.float64))
-    outwards = placed.corners.mean(1) - corners.mean(0)
-    assert ((placed.corner_normals[:, 0] * outwards).sum(-1) > 0).all()
-
-
 def test_smooth_normals_follow_the_surface_and_flat_ones_the_faces():
     mesh = bumpy()
     x, y, _ = mesh.vertices[mesh.faces].mean(1).T

@@ -71,15 +71,6 @@ def test_a_brake_dives_as_a_damped_oscillator_does():
         assert motion.at(1 + t).pitch_rad == pytest.approx(expected, abs=0.01 * final)
 
 
-def test_the_nose_goes_down_when_braking_and_up_when_accelerating():
-    for final_m_s, sign in ((10.0, 1), (50.0, -1)):
-        state = driven((0, 30, 0), (10, final_m_s, 0)).at(9.0)
-        assert sign * state.pitch_rad == pytest.approx(math.radians(2 * 0.2), rel=1e-3)  # e^(-0.35 * 8.8 * 9) is left of the ringing
-        lamp = transform(state.T_ground_body, LAMP)
-        ahead = transform(state.T_ground_body, LAMP + torch.tensor([[10.0], [0.0], [0.0]]))
-        assert sign * (0.75 - float(lamp[2])) > 0 and sign * float(lamp[2] - ahead[2]) > 0
-
-
 def test_the_body_leans_out_of_a_bend():
     state = driven((0, 20, 0.01)).at(9.0)  # to the left, 4 m/s^2
     assert state.roll_rad == pytest.approx(math.radians(4 * 0.4), rel=1e-3)

@@ -93,18 +93,6 @@ def test_nothing_is_ever_in_the_own_way(motion: Motion):
     assert led > 0  # cars that go ahead are among them
 
 
-def test_nobody_is_inside_of_another(motion: Motion):
-    times = np.arange(0, DRIVE_S, 0.1)
-    for seed in range(3):
-        places = np.full((len(items := along(seed)), 2, len(times)), np.nan)
-        for place, item in zip(places, items, strict=True):
-            there = (times >= (item.appears_s or 0)) & (times < (item.vanishes_s or np.inf))
-            at, way = np.array([each.time_s for each in item.track]), np.array([each.position_m for each in item.track])
-            place[:, there] = [np.interp(times[there], at, way[:, k]) for k in (0, 1)]
-        apart = np.linalg.norm(places[:, None] - places, axis=2)
-        assert np.nanmin(apart + np.where(np.eye(len(items)), np.inf, 0)[..., None]) > 0.6  # two people of 0.8 m, nearer inside of a bend
-
-
 def test_nothing_moves_where_nothing_shall():
     still = TRAFFIC.model_copy(update={"moving": False}).along(BEND, DRIVE_S)
     assert len(still) > 40 and all(len(each.track) == 1 for each in still)
