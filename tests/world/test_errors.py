@@ -1,8 +1,19 @@
-"""Suggestions are made where a name is near, and nowhere else; a message has a line an error."""
+"""Errors of users as sentences, and processes that cannot simulate."""
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import pytest
+from pydantic import Field, Tag
 
 from luxloop.world.errors import LuxloopError, all_of, did_you_mean, redact
+from luxloop.world.params import Params
+from luxloop.world.plugin import OWN, OwnName, known_or_own
+from luxloop.world.rendering.rasterise import NoOpenGL
+from luxloop.world.rendering.surfaces import face_source
+from luxloop.world.validation import validate_model
 
 KNOWN = ("zones", "flat", "gfhb", "belgian_block", "kp")
 
@@ -47,3 +58,122 @@ def test_plain_data_is_told_without_logins() -> None:
         "list": ["x://***@g"],
     }
     assert redact(rig) == told
+
+
+class Disc(Params):
+    kind: Literal["disc"] = "disc"
+    radius_m: float = Field(gt=0, examples=[0.5], description="half of its width")
+
+
+class Slab(Params):
+    kind: Literal["slab"] = "slab"
+    corners_m: tuple[tuple[float, float], ...] = Field(min_length=2, examples=[[[0, 0], [1, 2]]], description="its outline")
+
+
+class Own(Params):
+    kind: OwnName
+    options: tuple[int, ...] = ()
+
+
+Shape = Annotated[Disc, Tag("disc")] | Annotated[Slab, Tag("slab")] | Annotated[Own, Tag(OWN)]
+
+
+class Sheet(Params):
+    name: str
+    shapes: tuple[Annotated[Shape, known_or_own("kind")], ...] = ()
+    low: int = 1
+    high: int = Field(default_factory=lambda values: values["low"] + 1)
+
+
+def errors(**data: Any) -> list[str]:
+    with pytest.raises(LuxloopError) as caught:
+        validate_model(Sheet, data, "the docs have one")
+    return list(caught.value.args)
+
+
+def test_one_error_is_a_sentence() -> None:
+    assert errors(name=3) == ["name: 3 is not a text in quotes"]
+
+
+def test_errors_in_nested_lists_have_their_places() -> None:
+    corners = [[0, "a"], [1], [[], 2]]
+    assert errors(name="x", shapes=[{"kind": "slab", "corners_m": corners}]) == [
+        "3 errors",
+        "shapes[0].corners_m[0][1]: 'a' is not a number",
+        "shapes[0].corners_m[1][1]: is missing; write corners_m = [[0, 0], [1, 2]], say: its outline (the docs have one)",
+        "shapes[0].corners_m[2][0]: [] is not a number; the shell took its quotes, put all of key=value into single ones",
+    ]
+
+
+def test_a_variant_has_its_own_errors_alone() -> None:
+    shapes = [{"kind": "disc", "radius": 1}, {"kind": "disk", "zzz": 3}, {"radius_m": 1}, {"kind": "mine:Shape", "option": 1}, 7]
+    assert errors(name="x", shapes=shapes) == [
+        "5 errors",
+        "shapes[0].radius: unknown key; did you mean 'radius_m'?",
+        "shapes[3].option: unknown key; did you mean 'options'?",
+        "shapes[1].kind: there is no 'disk'; did you mean 'disc'?",
+        'shapes[2].kind: is missing; write kind = "disc", or one of slab, package.module:Name (the docs have one)',
+        "shapes[4]: 7 is no table of keys; write key = value below a [header]",
+    ]
+
+
+def test_a_default_that_cannot_be_made_is_no_error() -> None:
+    assert validate_model(Sheet, {"name": "x", "low": 3}, "").high == 4
+    assert errors(name="x", low="a") == ["low: 'a' is not a whole number"]
+
+
+def test_a_misspelt_key_is_not_also_missing() -> None:
+    assert errors(nam="x") == ["nam: unknown key; did you mean 'name'?"]
+    assert errors(zzz="x")[1:] == [
+        "zzz: unknown key; known are name, shapes, low, high",
+        "name: is missing; add it (the docs have one)",
+    ]
+
+
+def test_ten_errors_are_listed_and_one_example_is_named() -> None:
+    first, *lines = errors(name="x", shapes=[{"kind": "disc"}] * 13)
+    assert first == "13 errors"
+    assert lines[0] == "shapes[0].radius_m: is missing; write radius_m = 0.5, say: half of its width (the docs have one)"
+    assert lines[1:] == [
+        *(f"shapes[{k}].radius_m: is missing; write radius_m = 0.5, say: half of its width" for k in range(1, 10)),
+        "and 3 more",
+    ]
+
+
+ROOT = Path(__file__).parents[2]
+RENDER = """
+import threading
+from luxloop.world.rendering.rasterise import context
+context()
+def say():
+    try:
+        context()
+    except ValueError as error:
+        print(error)
+"""
+
+
+def said(program: str) -> str:
+    """What a program of a process of its own prints."""
+    return subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True, timeout=120).stdout
+
+
+def test_few_addresses_are_refused_before_libraries_crash() -> None:
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_AS, (3_000_000_000, 3_000_000_000))"
+    ask = "from luxloop.world.rendering.rasterise import check_process\ntry: check_process()\nexcept ValueError as error: print(error)"
+    assert "ulimit -v" in said(f"{limit}\n{ask}") and said(ask) == ""
+
+
+@pytest.mark.parametrize(
+    ("then", "word"),
+    [
+        ("thread = threading.Thread(target=say); thread.start(); thread.join()", "thread"),
+        ("import pyrender; pyrender.OffscreenRenderer(8, 8).delete(); say()", "delete()"),
+    ],
+)
+def test_a_context_that_cannot_be_current_is_a_sentence(then: str, word: str) -> None:
+    try:
+        face_source("opengl")
+    except NoOpenGL as error:
+        pytest.skip(str(error))
+    assert word in said(RENDER + then)

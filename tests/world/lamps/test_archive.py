@@ -1,4 +1,4 @@
-"""Lamp files come back bit for bit, and nothing else comes in."""
+"""Lamp files: read bit for bit, and refused where they are foreign, damaged or do not fit together."""
 
 import io
 import json

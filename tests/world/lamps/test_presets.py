@@ -1,4 +1,4 @@
-"""Lamps by name: what is published of them holds, left and right are mirror images, colours keep the luminance."""
+"""Shipped lamps are as published."""
 
 import pytest
 import torch

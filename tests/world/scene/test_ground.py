@@ -1,4 +1,4 @@
-"""Tiles of a road lie on it, meet without gaps, and are there where the vehicle looks."""
+"""Roads in tiles and in patches: they lie on the road and meet, are fine where it is near, and are there where the vehicle looks."""
 
 from itertools import pairwise
 
@@ -10,8 +10,8 @@ from luxloop.world.frames import pose_from_degrees
 from luxloop.world.rendering.deferred import DeferredRenderer
 from luxloop.world.rendering.rasterise import NoOpenGL
 from luxloop.world.rendering.surfaces import QuickSurfaces
-from luxloop.world.roads.shapes import Iso8608, Road
-from luxloop.world.scene.ground import LENGTH_M, NEAR_M, SIGHT_M, RoadTiles
+from luxloop.world.roads.shapes import Flat, Iso8608, Road
+from luxloop.world.scene.ground import LENGTH_M, NEAR_M, PATCH_NEAR_M, SIDE_M, SIGHT_M, SKIRT_M, RoadPatches, RoadTiles
 from luxloop.world.scene.triangles import Triangles
 from tests.world.grids import camera
 
@@ -74,3 +74,38 @@ def test_the_road_has_no_holes():
     expected = (rays[2] < 0) & (ground[0] < SIGHT_M - 40) & (ground[1].abs() < 20)
     assert expected.sum() > 1000 and bool((seen.object_id[expected] == 0).all())
     assert torch.isfinite(seen.position).all()
+
+
+def patches(road=ROAD) -> RoadPatches:
+    return RoadPatches(road, 0.2, None)
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 200.0])
+def test_the_road_is_there_ahead_wherever_the_vehicle_heads(yaw_deg: float) -> None:
+    T = pose_from_degrees((300.0, -70.0, 0.0), yaw_deg=yaw_deg)
+    corners = {tuple(vertices(each)[:, :2].min(0).round(6)) for each in patches(Flat()).near(0, T)}
+    for ahead, left in np.random.default_rng(0).uniform((0, -30), (80, 30), (200, 2)):
+        x, y = (T[:2, :2].numpy() @ [ahead, left]) + [300.0, -70.0]
+        assert (SIDE_M * np.floor(x / SIDE_M), SIDE_M * np.floor(y / SIDE_M)) in corners
+
+
+def test_they_lie_on_the_road_finer_where_it_is_near_and_with_skirts() -> None:
+    T = pose_from_degrees((100.0, 40.0, 0.0), yaw_deg=45.0)
+    for each in patches().near(0, T):
+        x, y, z = vertices(each).T
+        below = ROAD.z(x, y) - z
+        assert np.isin(below.round(9), (0.0, SKIRT_M)).all()
+        away = np.hypot(*np.clip(np.abs(vertices(each)[:, :2].mean(0) - (100, 40)) - SIDE_M / 2, 0, None))
+        assert (len(x) > 1000) == (away <= PATCH_NEAR_M)
+
+
+def test_a_patch_is_made_once_and_its_normals_look_beyond_it() -> None:
+    road = patches()
+    first, later = ({id(each) for each in road.near(0, pose_from_degrees((x, 0.0, 0.0)))} for x in (0.5, 1.0))
+    assert len(first & later) > 0.9 * len(first)
+    patch = next(each for each in road.near(0, pose_from_degrees((60.0, 0.0, 0.0))) if len(vertices(each)) > 1000)
+    x, y, _ = vertices(patch).T
+    h = 0.2  # its spacing
+    normals = np.asarray(patch.body.mesh.vertex_normals)
+    slope = (ROAD.z(x + h, y) - ROAD.z(x - h, y)) / (2 * h)
+    assert np.abs(-normals[:, 0] / normals[:, 2] - slope).max() < 1e-9
