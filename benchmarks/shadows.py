@@ -30,7 +30,9 @@ from luxloop.world.light.illumination import illuminance, reach
 from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.rendering.raycast import TOLERANCE_M, depths, first_hits, sees
 from luxloop.world.rendering.surfaces import ExactSurfaces, face_source, surface_source
-from luxloop.world.roads.shapes import Bumps, Curb, Flat, Grade, Iso8608, Mixed, OpenCrgRoad, Pothole, Road, SpeedBump, Step
+from luxloop.world.roads.base import Road
+from luxloop.world.roads.scan import OpenCrgRoad
+from luxloop.world.roads.shapes import Bumps, Curb, Flat, Grade, Iso8608, Mixed, Pothole, SpeedBump, Step
 from luxloop.world.scene.body import Body
 from luxloop.world.scene.ground import RoadTiles, road_mesh
 from luxloop.world.scene.scene import Scene

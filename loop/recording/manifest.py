@@ -27,7 +27,7 @@ from luxloop.world.lamps.description import lamp_files
 from luxloop.world.lamps.utilisations import sequence_files
 from luxloop.world.params import Params
 from luxloop.world.plugin import own_names
-from luxloop.world.roads.shapes import OpenCrgRoad
+from luxloop.world.roads.scan import OpenCrgRoad
 from luxloop.world.traffic.objects import MeshParams
 from luxloop.world.validation import parsed_json, sentences
 

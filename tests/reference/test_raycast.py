@@ -12,7 +12,8 @@ from luxloop.world.frames import pose_from_degrees
 from luxloop.world.rendering.gbuffer import gbuffer
 from luxloop.world.rendering.raycast import TOLERANCE_M, sees
 from luxloop.world.rendering.surfaces import face_source
-from luxloop.world.roads.shapes import Bumps, Flat, Grade, Iso8608, Road
+from luxloop.world.roads.base import Road
+from luxloop.world.roads.shapes import Bumps, Flat, Grade, Iso8608
 from luxloop.world.scene.body import Body, PoseTrack
 from luxloop.world.scene.ground import road_mesh
 from luxloop.world.scene.scene import Scene

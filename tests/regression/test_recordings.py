@@ -26,7 +26,7 @@ from luxloop.loop.scenario.model import Scenario, load
 from luxloop.loop.scenario.shipped import scenario_files
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.world.roads.shapes import OpenCrgRoad
+from luxloop.world.roads.scan import OpenCrgRoad
 from tests.regression.recorded import FOLDER, ROOT, file_of, replace, told
 
 # Thin extraction on these roads amplifies the rounding of another processor a hundredfold in ten steps, from about step 25 visibly.

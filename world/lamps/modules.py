@@ -203,12 +203,8 @@ def build_module(
         rows=light.rows,
         cols=light.cols,
         entries_per_texel=(len(full.matrix.values) / full.n_texels, len(light.matrix.values) / full.n_texels),
-        dropped=None if assembled is None else assembled.dropped,
-        flux=None if assembled is None else assembled.flux,
-        peak=None if assembled is None else assembled.peak,
-        rmse=None if assembled is None else assembled.rmse,
-        rmse_cd=None if assembled is None else assembled.rmse_cd,
         overlap=overlap,
+        **({} if assembled is None else {key: getattr(assembled, key) for key in ("dropped", "flux", "peak", "rmse", "rmse_cd")}),
     )
 
 

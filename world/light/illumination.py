@@ -280,12 +280,7 @@ def _camera_pixel(index: Tensor, width: int, oversampling: int) -> Tensor:
     return index // (width * oversampling) * width + index % width
 
 
-class LightTransport(Protocol):
-    """From one module's utilisation `[..., n_p]` to luminances `[..., m]` in cd/m^2 and the flat image indices `[m]` that they add to, all
-    of them or those within a part.
-    """
-
-    def luminance(self, utilisation: Tensor, band: slice | None = None, within: slice | None = None) -> tuple[Tensor, Tensor]: ...
+LightTransport = Transport | DirectTransport
 
 
 class Light(Protocol):

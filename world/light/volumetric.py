@@ -58,19 +58,6 @@ class Medium:
         return cls(extinction, extinction)
 
 
-@dataclass(frozen=True)
-class _Segments:
-    """Parts of N rays, in the headlight frame: from an eye `[3]` m along `[3, N]`, unit, from near to far `[N]` m."""
-
-    eye: Tensor
-    rays: Tensor
-    near: Tensor
-    far: Tensor
-
-    def part(self, index: Tensor) -> "_Segments":
-        return _Segments(self.eye, self.rays[:, index], self.near[index], self.far[index])
-
-
 def phase(cosine: Tensor, asymmetry: float) -> Tensor:
     """Share of scattered light that goes into a unit of solid angle, 1/sr, by the cosine of deflection (Henyey and Greenstein)."""
     g = asymmetry
@@ -96,19 +83,19 @@ def airlight(
     R = T_source_world[:3, :3]
     eye = R @ origin.to(directions) + T_source_world[:3, 3]
     rays = R @ directions
-    lit = _inside(source, eye, rays, far_m)
-    index = torch.nonzero(lit.far > lit.near)[:, 0]
+    near, far = _inside(source, eye, rays, far_m)
+    index = torch.nonzero(far > near)[:, 0]
     batch = source.texture.shape[:-2]
     light = directions.new_zeros(*batch, directions.shape[1])
     texture = source.texture.to(directions).flatten(0, -3)[None] if batch else source.texture.to(directions)[None, None]
     for part in index.split(max(CHUNK // samples, 1)):
-        found = _march(source, texture, lit.part(part), medium, samples, shadow)
+        found = _march(source, texture, (eye, rays[:, part], near[part], far[part]), medium, samples, shadow)
         light[..., part] = found.unflatten(0, batch) if batch else found[0]
     return light
 
 
-def _inside(source: Source, eye: Tensor, rays: Tensor, far_m: Tensor) -> _Segments:
-    """The parts of rays of lengths `[N]` m within the pyramid of the light texture."""
+def _inside(source: Source, eye: Tensor, rays: Tensor, far_m: Tensor) -> tuple[Tensor, Tensor]:
+    """Begin and end `[N]` in m of the parts of rays of lengths `[N]` m within the pyramid of the light texture."""
     grid = source.headlight
     planes = rays.new_tensor([[-grid.right, 1, 0], [grid.left, -1, 0], [-grid.bottom, 0, 1], [grid.top, 0, -1], [1, 0, 0]])
     at_eye, slope = (planes @ eye)[:, None], planes @ rays
@@ -116,15 +103,19 @@ def _inside(source: Source, eye: Tensor, rays: Tensor, far_m: Tensor) -> _Segmen
     entering = torch.where(slope > 0, crossing, -torch.inf).amax(0).clamp(min=0)
     leaving = torch.minimum(torch.where(slope < 0, crossing, torch.inf).amin(0), far_m)
     outside = ((slope == 0) & (at_eye < 0)).any(0)
-    return _Segments(eye, rays, entering, torch.where(outside, -torch.inf, leaving))
+    return entering, torch.where(outside, -torch.inf, leaving)
 
 
-def _march(source: Source, texture: Tensor, lit: _Segments, medium: Medium, samples: int, shadow: ShadowMap | None) -> Tensor:
-    """Luminance `[B, M]` of M parts of rays; texture: `[1, B, rows, cols]` cd."""
-    grid, eye, rays = source.headlight, lit.eye, lit.rays
+def _march(
+    source: Source, texture: Tensor, lit: tuple[Tensor, Tensor, Tensor, Tensor], medium: Medium, samples: int, shadow: ShadowMap | None
+) -> Tensor:
+    """Luminance `[B, M]` of M parts of rays. texture: `[1, B, rows, cols]` cd. lit: eye `[3]` m and rays `[3, M]` unit in the headlight
+    frame, begin and end `[M]` m.
+    """
+    grid, (eye, rays, near, far) = source.headlight, lit
     closest = -(eye @ rays)
     height = (eye[:, None] + closest * rays).norm(dim=0).clamp(min=NEAREST_M)
-    first, last = ((end - closest).div(height).atan() for end in (lit.near, lit.far))
+    first, last = ((end - closest).div(height).atan() for end in (near, far))
     step = (last - first) / samples
     angle = first[:, None] + step[:, None] * (torch.arange(samples, device=rays.device, dtype=rays.dtype) + 0.5)  # [M, samples]
     along = closest[:, None] + height[:, None] * angle.tan()  # m from the eye

@@ -1,5 +1,6 @@
 """G-buffer: what a view sees at each pixel, whichever way its faces were found."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -23,9 +24,6 @@ class Finish:
     material: Tensor
     eye: Tensor
 
-    def to(self, device: torch.device) -> "Finish":
-        return Finish(self.materials, self.material.to(device), self.eye.to(device))
-
 
 @dataclass(frozen=True)
 class GBuffer:
@@ -45,25 +43,22 @@ class GBuffer:
     part: Tensor | None = None
 
     def to(self, device: torch.device) -> "GBuffer":
-        finish = None if self.finish is None else self.finish.to(device)
-        part = None if self.part is None else self.part.to(device)
-        return GBuffer(self.position.to(device), self.normal.to(device), self.albedo.to(device), self.object_id.to(device), finish, part)
+        moved = self._map(lambda image: image.to(device))
+        return moved if moved.finish is None else replace(moved, finish=replace(moved.finish, eye=moved.finish.eye.to(device)))
 
     def at(self, pixels: Tensor) -> "GBuffer":
         """The surfaces at flat pixels `[m]`, as an image of one row."""
-        finish = None if self.finish is None else replace(self.finish, material=self.finish.material.flatten()[None, pixels])
-        part = None if self.part is None else self.part.flatten()[None, pixels]
-        position, normal = (each.flatten(1)[:, None, pixels] for each in (self.position, self.normal))
-        return GBuffer(position, normal, self.albedo.flatten()[None, pixels], self.object_id.flatten()[None, pixels], finish, part)
+        return self._map(lambda image: image.flatten(-2)[..., None, pixels])
 
     def one_row_of(self, rows: int) -> "GBuffer":
         """The middle one of every so many rows."""
-        if rows == 1:
-            return self
-        middle = slice(rows // 2, None, rows)
-        finish = None if self.finish is None else replace(self.finish, material=self.finish.material[middle])
-        part = None if self.part is None else self.part[middle]
-        return GBuffer(self.position[:, middle], self.normal[:, middle], self.albedo[middle], self.object_id[middle], finish, part)
+        return self if rows == 1 else self._map(lambda image: image[..., rows // 2 :: rows, :])
+
+    def _map(self, change: Callable[[Tensor], Tensor]) -> "GBuffer":
+        """With every image `[..., height, width]` changed."""
+        finish = None if self.finish is None else replace(self.finish, material=change(self.finish.material))
+        part = None if self.part is None else change(self.part)
+        return GBuffer(*map(change, (self.position, self.normal, self.albedo, self.object_id)), finish, part)
 
 
 def gbuffer(triangles: Triangles, view: View, face_ids: Tensor) -> GBuffer:

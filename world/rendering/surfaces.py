@@ -59,14 +59,6 @@ def face_source(name: Literal["auto", "opengl", "raycast"] = "auto") -> FaceSour
         return RayCaster()
 
 
-class SurfaceSource(Protocol):
-    """Tells what a view sees."""
-
-    def gbuffer(self, triangles: Triangles, view: View, part: Part | None = None) -> GBuffer:
-        """Surfaces at the centres of the view's pixels, or of a part of them."""
-        ...
-
-
 @dataclass(frozen=True)
 class ExactSurfaces:
     """Every ray is intersected with its face in float64."""
@@ -105,6 +97,9 @@ class QuickSurfaces:
         finish = Finish(tuple(numbers), material.view(shape), view.origin) if len(numbers) > 1 else None
         seen_part = None if parts is None else parts.view(shape)
         return GBuffer(position.view(3, *shape), normal.view(3, *shape), albedo.view(shape), object_id.view(shape), finish, seen_part)
+
+
+SurfaceSource = ExactSurfaces | QuickSurfaces
 
 
 def _one_an_object(triangles: Triangles) -> tuple[Instance, ...]:

@@ -87,24 +87,6 @@ class OwnRoad(RoadModel):
         return grid
 
 
-__all__ = [
-    "Bumps",
-    "Curb",
-    "Flat",
-    "Grade",
-    "Iso8608",
-    "MeshGrid",
-    "Mixed",
-    "OpenCrgRoad",
-    "OwnRoad",
-    "Pothole",
-    "Profile",
-    "Road",
-    "RoadParams",
-    "SpeedBump",
-    "Step",
-]
-
 RoughnessClass = Literal["A", "B", "C", "D", "E"]
 
 

@@ -41,8 +41,7 @@ def drive_on(params: VehicleParams, now_s: float, until_s: float, controls: Cont
     curvature = _curvature(params.wheelbase_m, last.curvature_1_m, speed, controls.steering, dt)
     if (speed, curvature) == (last.speed_m_s, last.curvature_1_m):
         return ()
-    now = last.model_copy(update={"time_s": now_s})
-    return (*((now,) if last.time_s < now_s else ()), CourseParams(time_s=until_s, speed_m_s=speed, curvature_1_m=curvature))
+    return _then(last, now_s, CourseParams(time_s=until_s, speed_m_s=speed, curvature_1_m=curvature))
 
 
 def let_go(params: VehicleParams, now_s: float) -> tuple[CourseParams, ...]:
@@ -51,8 +50,12 @@ def let_go(params: VehicleParams, now_s: float) -> tuple[CourseParams, ...]:
     turns_s = abs(math.degrees(math.atan(params.wheelbase_m * last.curvature_1_m))) / STEERS_DEG_S
     if turns_s == 0:
         return ()
-    now = last.model_copy(update={"time_s": now_s})
-    return (*((now,) if last.time_s < now_s else ()), last.model_copy(update={"time_s": now_s + turns_s, "curvature_1_m": 0.0}))
+    return _then(last, now_s, last.model_copy(update={"time_s": now_s + turns_s, "curvature_1_m": 0.0}))
+
+
+def _then(last: CourseParams, now_s: float, entry: CourseParams) -> tuple[CourseParams, ...]:
+    """An entry after a course that stays as its last one is until now."""
+    return (last.model_copy(update={"time_s": now_s}), entry) if last.time_s < now_s else (entry,)
 
 
 def _speed(before_m_s: float, throttle: float, dt: float) -> float:

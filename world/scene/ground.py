@@ -110,8 +110,7 @@ class StandingRoad:
         return (self._road(object_id),)
 
     def _make(self, object_id: int) -> Instance:
-        body = Body(self.name, road_mesh(self.road), self.albedo, self.texture, smooth=True)
-        return Instance(object_id, body, torch.eye(4, dtype=torch.float64))
+        return _instance(self, object_id, road_mesh(self.road))
 
 
 LENGTH_M: Final = 6.0  # of a tile
@@ -178,7 +177,7 @@ class RoadTiles:
         dx, dy = np.gradient(z, around, y)
         normals = np.stack([-dx, -dy, np.ones_like(z)], axis=-1)
         mesh = grid_mesh(*np.meshgrid(x, y, indexing="ij"), z[1:-1], normals[1:-1])
-        return Instance(object_id, Body(self.name, mesh, self.albedo, self.texture, smooth=True), torch.eye(4, dtype=torch.float64))
+        return _instance(self, object_id, mesh)
 
 
 SIDE_M: Final = 12.0  # of a patch
@@ -227,10 +226,15 @@ class RoadPatches:
         X, Y, Z, dx, dy = (np.pad(each, 1, mode="edge") for each in grids)
         Z = Z - np.pad(np.zeros((len(x), len(y))), 1, constant_values=SKIRT_M)
         mesh = grid_mesh(X, Y, Z, np.stack([-dx, -dy, np.ones_like(dx)], axis=-1))
-        return Instance(object_id, Body(self.name, mesh, self.albedo, self.texture, smooth=True), torch.eye(4, dtype=torch.float64))
+        return _instance(self, object_id, mesh)
 
 
 def _lines(start: float, spacing: float, required: tuple[float, ...]) -> Floats:
     """Of a patch that starts there in m; those that the road asks for are among them."""
     regular = np.linspace(start, start + SIDE_M, round(SIDE_M / spacing) + 1)
     return np.unique(np.concatenate([regular, [line for line in required if start < line < start + SIDE_M]]))
+
+
+def _instance(road: StandingRoad | RoadTiles | RoadPatches, object_id: int, mesh: "trimesh.Trimesh") -> Instance:
+    body = Body(road.name, mesh, road.albedo, road.texture, smooth=True)
+    return Instance(object_id, body, torch.eye(4, dtype=torch.float64))

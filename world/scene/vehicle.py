@@ -8,7 +8,7 @@ on its springs, which lamps and camera are fixed to.
 import math
 from bisect import bisect_right
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise, takewhile
 from typing import Annotated, Final, Self
@@ -23,13 +23,6 @@ from luxloop.world.frames import pose, rotation
 from luxloop.world.kept import keeping
 from luxloop.world.params import Params
 from luxloop.world.roads.base import Floats, Road, smoothstep
-
-COLUMNS: Final = (
-    *("x_m", "y_m", "yaw_rad", "speed_m_s", "yaw_rate_rad_s", "acceleration_m_s2", "lateral_m_s2", "ground_m", "slope_rad"),
-    *("climb_m_s", "bend_rad_s"),
-    *("heave_m", "roll_rad", "pitch_rad", "rise_m_s", "roll_rate_rad_s", "pitch_rate_rad_s"),
-    *("travel_fl_m", "travel_fr_m", "travel_rl_m", "travel_rr_m"),
-)
 
 BYTES_A_MOMENT: Final = 900  # of the integrated motion: all columns, and as many while they are made
 LOW_PASS_M: Final = (10.0, 50.0)  # of the road's height and slope: a raised cosine leaves half of a wave of that length
@@ -134,6 +127,10 @@ class VehicleState:
     @property
     def T_world_body(self) -> Tensor:
         return self.T_world_ground @ self.T_ground_body
+
+
+# Of the integrated states: where the vehicle is, then all numbers of a VehicleState.
+COLUMNS: Final = ("x_m", "y_m", "yaw_rad", *(each.name for each in fields(VehicleState) if not each.name.startswith("T_")))
 
 
 @dataclass(frozen=True, eq=False)

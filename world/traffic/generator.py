@@ -73,7 +73,7 @@ class TrafficParams(Params):
         rng = np.random.default_rng(self.seed)
         taken: list[tuple[float, float, float]] = []
         found: list[ObjectParams] = []
-        for kind, number, (radius_m, _, make) in self._numbers_by_role():
+        for kind, number, (_, radius_m, _, make) in self._numbers_by_role():
             for k in range(number):
                 seed = int(rng.integers(2**31))
                 keys, speed, place = next(self._free(rng, taken, radius_m, make), ({}, 0.0, None))
@@ -113,7 +113,7 @@ class TrafficParams(Params):
     def _tries(
         self, rng: np.random.Generator, k: int, route: Route, kind: str, role: "Role"
     ) -> Iterator[tuple[dict[str, Any], Met | None]]:
-        (_, half_m, make), moment_s = role, self._moment_s(k, route)
+        (_, _, half_m, make), moment_s = role, self._moment_s(k, route)
         for _ in range(TRIES):
             x = self._distance(rng) if k == 0 else float(rng.uniform(k * self.far_m, (k + 1) * self.far_m))
             keys, speed, y, yaw = make(rng)
@@ -146,26 +146,18 @@ class TrafficParams(Params):
 
 Made = tuple[dict[str, Any], float, float, float]  # keys, speed in m/s, y in m, yaw in deg
 Maker = Callable[[np.random.Generator], Made]
-Role = tuple[float, tuple[float, float], Maker]  # radius in m of its place, half its length and width in m, who makes it
-KINDS: dict[str, Any] = {
-    "car": CarParams,
-    "deer": AnimalParams,
-    "cyclist": CyclistParams,
-    "pedestrian": PedestrianParams,
-    "parked_car": CarParams,
-    "sign": TrafficSignParams,
-    "clutter": ClutterParams,
-}
+# What it is, radius in m of its place, half its length and width in m, who makes it.
+Role = tuple[Any, float, tuple[float, float], Maker]
 
 
 def _object(kind: str, name: str, seed: int, place: Place, speed_m_s: float, keys: dict[str, Any]) -> ObjectParams:
     x, y, yaw = (round(value, 3) for value in place)
     if speed_m_s == 0:
-        return KINDS[kind](name=name, seed=seed, track=({"position_m": (x, y, 0.0), "yaw_deg": yaw},), **keys)
+        return ROLES[kind][0](name=name, seed=seed, track=({"position_m": (x, y, 0.0), "yaw_deg": yaw},), **keys)
     way, ahead = AWAY_S * speed_m_s, np.radians(yaw)
     end = (round(x + way * float(np.cos(ahead)), 3), round(y + way * float(np.sin(ahead)), 3), 0.0)
     path = WayParams(points_m=((x, y, 0.0), end), speed_m_s=round(speed_m_s, 3))
-    return KINDS[kind](name=name, seed=seed, path=path, **keys)
+    return ROLES[kind][0](name=name, seed=seed, path=path, **keys)
 
 
 @lru_cache(maxsize=8)  # a run asks for its objects again and again
@@ -182,7 +174,7 @@ def _along(params: TrafficParams, vehicle: VehicleParams, duration_s: float) -> 
         for kind, seed, keys, met in params._stretch(k, route, taken):
             names[kind] += 1
             if met.start_s <= duration_s:
-                found.append(KINDS[kind](name=f"{kind}_{names[kind]}", seed=seed, on_road=True, **route.keys(met), **keys))
+                found.append(ROLES[kind][0](name=f"{kind}_{names[kind]}", seed=seed, on_road=True, **route.keys(met), **keys))
     return tuple(found)
 
 
@@ -240,13 +232,13 @@ def _clutter(rng: np.random.Generator) -> Made:
 
 # in the order in which they take their places: those that move first
 ROLES: dict[str, Role] = {
-    "car": (3.2, (2.6, 1.0), _car),
-    "deer": (1.0, (0.9, 0.9), _deer),
-    "cyclist": (1.1, (1.0, 0.4), _cyclist),
-    "pedestrian": (0.5, (0.4, 0.4), _pedestrian),
-    "parked_car": (2.6, (2.6, 1.0), _parking_car),
-    "sign": (0.5, (0.4, 0.4), _sign),
-    "clutter": (0.9, (0.9, 0.9), _clutter),
+    "car": (CarParams, 3.2, (2.6, 1.0), _car),
+    "deer": (AnimalParams, 1.0, (0.9, 0.9), _deer),
+    "cyclist": (CyclistParams, 1.1, (1.0, 0.4), _cyclist),
+    "pedestrian": (PedestrianParams, 0.5, (0.4, 0.4), _pedestrian),
+    "parked_car": (CarParams, 2.6, (2.6, 1.0), _parking_car),
+    "sign": (TrafficSignParams, 0.5, (0.4, 0.4), _sign),
+    "clutter": (ClutterParams, 0.9, (0.9, 0.9), _clutter),
 }
 
 

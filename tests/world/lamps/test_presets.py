@@ -64,7 +64,7 @@ def test_the_cornering_light_lies_on_the_outside_and_the_lamp_can_bend_further_o
         assert max(swivel, key=abs) == -15 * sign
 
 
-@pytest.mark.parametrize("name", ["hd84", "ssl-hd-lores"])
+@pytest.mark.parametrize("name", ["hd84"])
 def test_coloured_edges_keep_the_luminance(name: str) -> None:
     light = lamp(name, chromatic_shift=0.01).modules[0].headlight
     assert light.chroma is not None

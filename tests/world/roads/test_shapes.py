@@ -9,7 +9,8 @@ from scipy.signal import welch
 
 from luxloop.world.errors import LuxloopError
 from luxloop.world.opencrg import Crg
-from luxloop.world.roads.scan import WHEELS_M
+from luxloop.world.roads.base import Road
+from luxloop.world.roads.scan import WHEELS_M, OpenCrgRoad
 from luxloop.world.roads.shapes import (
     GEOMETRIC_MEAN_M3,
     REFERENCE_FREQUENCY,
@@ -19,9 +20,7 @@ from luxloop.world.roads.shapes import (
     Grade,
     Iso8608,
     Mixed,
-    OpenCrgRoad,
     Pothole,
-    Road,
     RoadParams,
     SpeedBump,
     Step,

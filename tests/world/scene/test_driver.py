@@ -6,7 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from luxloop.world.roads.shapes import Flat, Iso8608, Road
+from luxloop.world.roads.base import Road
+from luxloop.world.roads.shapes import Flat, Iso8608
 from luxloop.world.scene.driver import (
     BRAKES_M_S2,
     FASTEST_M_S,

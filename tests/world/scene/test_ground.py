@@ -10,7 +10,8 @@ from luxloop.world.frames import pose_from_degrees
 from luxloop.world.rendering.deferred import DeferredRenderer
 from luxloop.world.rendering.rasterise import NoOpenGL
 from luxloop.world.rendering.surfaces import QuickSurfaces
-from luxloop.world.roads.shapes import Flat, Iso8608, Road
+from luxloop.world.roads.base import Road
+from luxloop.world.roads.shapes import Flat, Iso8608
 from luxloop.world.scene.ground import LENGTH_M, NEAR_M, PATCH_NEAR_M, SIDE_M, SIGHT_M, SKIRT_M, RoadPatches, RoadTiles
 from luxloop.world.scene.triangles import Triangles
 from tests.world.grids import camera
