@@ -130,16 +130,6 @@ def test_a_misspelt_key_is_not_also_missing() -> None:
     ]
 
 
-def test_ten_errors_are_listed_and_one_example_is_named() -> None:
-    first, *lines = errors(name="x", shapes=[{"kind": "disc"}] * 13)
-    assert first == "13 errors"
-    assert lines[0] == "shapes[0].radius_m: is missing; write radius_m = 0.5, say: half of its width (the docs have one)"
-    assert lines[1:] == [
-        *(f"shapes[{k}].radius_m: is missing; write radius_m = 0.5, say: half of its width" for k in range(1, 10)),
-        "and 3 more",
-    ]
-
-
 ROOT = Path(__file__).parents[2]
 RENDER = """
 import threading

@@ -67,12 +67,6 @@ def parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("parts")
-def test_a_class_makes_a_part() -> None:
-    made = plugin.make(plugin.Name("own_parts:Part"), "road.kind", {"place": 3}, {"share": 0.25}, ("work",))
-    assert (made.a, made.share) == (3, 0.25)
-
-
-@pytest.mark.usefixtures("parts")
 @pytest.mark.parametrize(
     ("name", "options", "words"),
     [

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from luxloop.world.spmv import LARGE, Csr, multiply, numbers, segment_bounds, solve, zeros
+from luxloop.world.spmv import LARGE, Csr, multiply, numbers, solve, zeros
 from tests.world.spmv_matrices import matrices, random_matrix
 
 
@@ -57,12 +57,6 @@ def test_gradient_is_the_transpose(batch: tuple[int, ...]) -> None:
     x = torch.rand(*batch, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(1), requires_grad=True)
     assert torch.autograd.gradcheck(lambda x: multiply(csr, x), (x,))
     assert torch.autograd.gradgradcheck(lambda x: multiply(csr, x) ** 2, (x,))
-
-
-def test_bounds_of_segments() -> None:
-    first, last = segment_bounds(torch.tensor([2, 0, 2, 2]), torch.tensor([5, 7, 3, 4]), 3)
-    assert first.tolist() == [7, torch.iinfo(torch.int64).max, 3]
-    assert last.tolist() == [7, -1, 5]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="large pages are asked for on Linux")

@@ -206,14 +206,6 @@ def test_half_a_jpeg_a_pipe_and_utf_16_are_refused(tmp_path: Path) -> None:
             load(tmp_path / name)
 
 
-def test_a_picture_with_damaged_exif_stays_as_it_is(tmp_path: Path) -> None:
-    file = write(tmp_path, np.full((2, 3), 255, np.uint8), "a.jpg")
-    data = file.read_bytes()
-    exif = b"Exif\0\0MM\0*\xff\xff\xff\xff"
-    file.write_bytes(data[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + data[2:])
-    assert load_still(file).shape == (2, 3)
-
-
 def test_a_video_is_turned_as_its_matrix_says(tmp_path: Path) -> None:
     picture = np.zeros((32, 64), np.uint8)
     picture[:16, :16] = 255

@@ -58,7 +58,8 @@ class GBuffer:
         """With every image `[..., height, width]` changed."""
         finish = None if self.finish is None else replace(self.finish, material=change(self.finish.material))
         part = None if self.part is None else change(self.part)
-        return GBuffer(*map(change, (self.position, self.normal, self.albedo, self.object_id)), finish, part)
+        position, normal, albedo, object_id = map(change, (self.position, self.normal, self.albedo, self.object_id))
+        return GBuffer(position, normal, albedo, object_id, finish, part)
 
 
 def gbuffer(triangles: Triangles, view: View, face_ids: Tensor) -> GBuffer:

@@ -56,7 +56,7 @@ def test_what_is_not_python_is_said_in_a_sentence(folder: Path) -> None:
 
 def test_a_replay_says_which_code_has_changed(folder: Path) -> None:
     (folder / "own_pkg/__init__.py").write_text("")
-    (folder / "own_pkg/roads.py").write_text("from luxloop.world.roads.shapes import Flat\nfrom . import tables\n"
+    (folder / "own_pkg/roads.py").write_text("from luxloop.world.roads.shapes import Flat\nfrom . import tables\n")
     (folder / "own_pkg/tables.py").write_text("HEIGHT_M = 0.0\n")
     small = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
     scenario = load("flat", [*small, "road.kind=own_pkg.roads:Flat"])

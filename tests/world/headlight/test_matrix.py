@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
 from luxloop.world.lamps.presets import idealised
 
@@ -52,17 +51,6 @@ def test_texel_centres_lie_half_a_texel_inside(device: torch.device) -> None:
     np.testing.assert_allclose(z.cpu(), expected_z, atol=1e-15)
     row, col = lamp.texel_of(y[[1]], z[[3]])
     assert (row.item(), col.item()) == (pytest.approx(3.5), pytest.approx(1.5))
-
-
-def test_view_sees_the_texture(device: torch.device) -> None:
-    lamp = idealised(4, 6)
-    T = pose_from_degrees((0.3, 0.6, 0.75), roll_deg=2, pitch_deg=1, yaw_deg=-4)
-    view = lamp.view(T, lamp.cols, lamp.rows)
-    y, z = lamp.tangents(torch.float64, torch.device("cpu"))
-    rays = torch.stack([torch.ones(lamp.rows, lamp.cols, dtype=torch.float64), y.expand(lamp.rows, -1), z[:, None].expand(-1, lamp.cols)])
-    torch.testing.assert_close(view.rays(), torch.einsum("ij,jhw->ihw", T[:3, :3], rays), rtol=0, atol=1e-12)
-    assert lamp.to(device).matrix.values.device.type == device.type
-    assert lamp.to(device).light_texture(torch.ones(2, 24, device=device)).shape == (2, lamp.rows, lamp.cols)
 
 
 def test_mirroring_twice_gives_the_module_back_and_once_swaps_left_and_right() -> None:

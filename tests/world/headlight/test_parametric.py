@@ -87,15 +87,6 @@ def test_light_is_kept_on_any_texture(blur: float, overlap: float, widening: flo
 
 
 @pytest.mark.parametrize(
-    "model", [BlurredRectangles(**RECTANGLES, cut=0.05), GaussianPixels(**GAUSSIANS, cut=0.05)], ids=["rectangles", "gaussian"]
-)
-def test_nothing_below_the_cut_is_stored_and_nothing_above_is_lost(model: BlurredRectangles | GaussianPixels) -> None:
-    cut, whole = dense(model), dense(model.model_copy(update={"cut": 0.0}))
-    share = whole / whole.max(axis=(0, 1))
-    np.testing.assert_allclose(cut, np.where(share > 0.05, whole, 0.0), rtol=1e-12)
-
-
-@pytest.mark.parametrize(
     ("model", "values", "said"),
     [
         (BlurredRectangles, {"left_deg": -7.0}, "left_deg = -7 must exceed right_deg = -6"),

@@ -125,14 +125,6 @@ def test_patterns_and_pitches_that_cannot_work_are_refused(tmp_path: Path) -> No
             FileSource(path=tmp_path / "p.ies", pitch_deg=1, **{key: value})
 
 
-def test_one_real_file_is_a_lamp_of_one_pixel(data_dir: Path) -> None:
-    array = FileSource(path=data_dir / "ies" / "sample8.ldt").pixels()
-    made = assemble(array, TexelGrid.from_degrees(250, 250, 70, -70, -70, 70))
-    assert made.matrix.shape == (62500, 1)
-    assert made.matrix.max() == pytest.approx(157.29, rel=0.01)  # the file's peak, cd
-    assert made.rmse < 0.2  # its light beyond these 70 deg is not there
-
-
 @pytest.mark.parametrize("four", [False, True])
 def test_npz(tmp_path: Path, four: bool) -> None:
     tensor = candela().astype(np.float32)
@@ -189,11 +181,6 @@ def npz(**arrays: object) -> Callable[[Path], Path]:
         return folder / "t.npz"
 
     return write
-
-
-def single_array(folder: Path) -> Path:
-    np.save(folder / "t.npy", candela())
-    return (folder / "t.npy").rename(folder / "t.npz")
 
 
 def csv(text: str, name: str = "t.csv", encoding: str = "utf-8") -> Callable[[Path], Path]:

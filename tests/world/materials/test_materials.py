@@ -1,7 +1,5 @@
 """Materials in pictures: finishes, water, beads, and spots on the road."""
 
-from dataclasses import replace
-
 import pytest
 import torch
 from pydantic import ValidationError
@@ -94,14 +92,6 @@ def test_the_assumed_road_is_as_wet_as_the_real_one() -> None:
 def test_an_unknown_material_is_refused_with_those_there_are() -> None:
     with pytest.raises(ValidationError, match="retroreflective_sign"):
         board(material="sign")
-
-
-def test_a_grazing_eye_behind_an_interpolated_normal_sees_no_nonsense() -> None:
-    seen = see(road(wet=1.0))
-    assert seen.finish is not None
-    tilted = replace(seen, normal=normalize(seen.normal + torch.tensor([0.5, 0.0, 0.0])[:, None, None], dim=0) * (seen.object_id >= 0))
-    image = shown(replace(tilted, finish=replace(seen.finish, eye=torch.tensor([-50.0, 0.0, 1.0], dtype=torch.float64))))
-    assert image.isfinite().all() and (image >= 0).all()
 
 
 DRY = RoadSurfaceParams(seed=3)

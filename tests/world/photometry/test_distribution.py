@@ -4,12 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from luxloop.world.errors import LuxloopError
 from luxloop.world.photometry import Distribution
-from luxloop.world.photometry.distribution import Aim, Kind, angles_of, directions_of
+from luxloop.world.photometry.distribution import Kind, angles_of
 
 HALF = math.sqrt(0.5)
 AHEAD, RIGHT, UP, DOWN = (1, 0, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)
@@ -119,13 +117,3 @@ def test_uniform_light_has_the_flux_of_its_solid_angle(distribution: Distributio
 def test_nonsense_is_refused(kind: Kind, v: list[float], h: list[float], candela: list[list[float]], word: str) -> None:
     with pytest.raises(LuxloopError, match=word):
         Distribution(kind, np.array(v), np.array(h), np.array(candela))
-
-
-@settings(deadline=None)
-@given(st.sampled_from("ABC"), st.sampled_from(["beam", "nadir"]), st.lists(st.floats(-1, 1), min_size=3, max_size=3))
-def test_directions_are_the_inverse_of_angles(kind: Kind, aim: Aim, direction: list[float]) -> None:
-    length = np.linalg.norm(direction)
-    if length < 1e-3:
-        return
-    given = np.array(direction) / length
-    np.testing.assert_allclose(directions_of(kind, *angles_of(kind, given, aim), aim), given, atol=1e-12)

@@ -65,11 +65,6 @@ def test_the_ballast_lamp_factor_of_old_editions_is_applied(head: str) -> None:
     assert "ballast-lamp factor 0.8" in p.warnings[-1]
 
 
-@pytest.mark.parametrize("code", [2, 3])
-def test_one_plane_of_types_a_and_b_is_told(code: int) -> None:
-    assert "one horizontal angle" in parsed(ies([-45, 0, 45], [0], [[1.0, 2, 3]], code=code)).warnings[0]
-
-
 NUMBERS = [match.span() for match in re.finditer(r"\S+", PLAIN) if match.start() > PLAIN.index("NONE")][1:]
 
 
@@ -99,13 +94,6 @@ def test_layout_does_not_matter(layout, tmp_path: Path) -> None:  # type: ignore
     p = read_photometry(file)
     assert p.warnings == () and p.format == "LM-63-2002"
     np.testing.assert_array_equal(p.distribution.candela, TABLE)
-
-
-def test_latin_1_where_utf_8_fails(tmp_path: Path) -> None:
-    text = ies(V, H, TABLE, head="IESNA91\n[MANUFAC] Müller\n")
-    for encoding in ("latin-1", "utf-8"):
-        (tmp_path / "lamp.ies").write_bytes(text.encode(encoding))
-        assert read_photometry(tmp_path / "lamp.ies").keywords["MANUFAC"] == "Müller"
 
 
 @pytest.mark.parametrize(

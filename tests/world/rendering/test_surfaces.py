@@ -68,16 +68,6 @@ def test_the_quick_way_sees_what_the_exact_one_sees():
     assert not fast.position[:, nothing].any() and not fast.normal[:, nothing].any() and not fast.albedo[nothing].any()
 
 
-def test_the_quick_way_finds_the_same_points_in_shadow():
-    triangles, view, lamp_m = scene().at(0.0), camera(), lamp().origin
-    exact, fast = ExactSurfaces(RayCaster()).gbuffer(triangles, view), quick().gbuffer(triangles, view)
-    road = (exact.object_id == 0) & (fast.object_id == 0) & (exact.position[0] > 3)
-    in_light, found = (sees(triangles, lamp_m, each.position[:, road]) for each in (exact, fast))
-    assert 0.01 < (~in_light).float().mean() < 0.9  # there are shadows
-    # where bumps hide each other a ray may meet the next one, as above
-    assert (in_light == found).float().mean() > 0.998
-
-
 def test_far_from_the_origin_of_the_world_smooth_bumps_shade_no_points_more():
     T, view = pose_from_degrees((1500.0, 0.0, 0.0)), camera()
     mesh = bumpy().apply_translation((1500.0, 0.0, 0.0))

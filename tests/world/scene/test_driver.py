@@ -1,7 +1,5 @@
 """A driver's course keeps its limits, and a motion that goes on keeps what has been."""
 
-import math
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -16,7 +14,6 @@ from luxloop.world.scene.driver import (
     PULLS_M_S2,
     Controls,
     drive_on,
-    let_go,
     taken_over,
 )
 from luxloop.world.scene.vehicle import CourseParams, Motion, VehicleParams, drive
@@ -48,14 +45,6 @@ def test_speed_acceleration_and_curvature_keep_their_limits(controls: list[tuple
     assert speeds.min() >= 0 and speeds.max() <= FASTEST_M_S
     assert ((accelerations >= -BRAKES_M_S2 - rounding) & (accelerations <= PULLS_M_S2 + rounding)).all()
     assert abs(curvatures).max() <= LARGEST_1_M and (speeds**2 * abs(curvatures)).max() <= LATERAL_M_S2 + 1e-5
-
-
-def test_the_wheels_turn_as_far_as_the_speed_allows_and_back() -> None:
-    vehicle = driven_by([(0.0, 1.0, 60)], 20.0)
-    assert math.isclose(vehicle.course[-1].curvature_1_m, LATERAL_M_S2 / 20**2, rel_tol=1e-6)
-    straight = let_go(vehicle, 60 / RATE_HZ)
-    assert straight[-1].curvature_1_m == 0 and straight[-1].speed_m_s == 20.0
-    assert drive_on(rolling(20.0), 0.0, 1 / RATE_HZ, Controls()) == () == let_go(rolling(20.0), 3.0)
 
 
 def test_a_course_that_is_taken_over_stays_as_it_is() -> None:

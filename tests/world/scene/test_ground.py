@@ -98,15 +98,3 @@ def test_they_lie_on_the_road_finer_where_it_is_near_and_with_skirts() -> None:
         assert np.isin(below.round(9), (0.0, SKIRT_M)).all()
         away = np.hypot(*np.clip(np.abs(vertices(each)[:, :2].mean(0) - (100, 40)) - SIDE_M / 2, 0, None))
         assert (len(x) > 1000) == (away <= PATCH_NEAR_M)
-
-
-def test_a_patch_is_made_once_and_its_normals_look_beyond_it() -> None:
-    road = patches()
-    first, later = ({id(each) for each in road.near(0, pose_from_degrees((x, 0.0, 0.0)))} for x in (0.5, 1.0))
-    assert len(first & later) > 0.9 * len(first)
-    patch = next(each for each in road.near(0, pose_from_degrees((60.0, 0.0, 0.0))) if len(vertices(each)) > 1000)
-    x, y, _ = vertices(patch).T
-    h = 0.2  # its spacing
-    normals = np.asarray(patch.body.mesh.vertex_normals)
-    slope = (ROAD.z(x + h, y) - ROAD.z(x - h, y)) / (2 * h)
-    assert np.abs(-normals[:, 0] / normals[:, 2] - slope).max() < 1e-9

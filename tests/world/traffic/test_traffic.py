@@ -100,19 +100,6 @@ def test_a_path_keeps_its_speed_and_looks_ahead():
     assert turned.min() > 0.97 and track.travelled_m(4.0) == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize(
-    ("keys", "words"),
-    [
-        ({}, "is neither"),
-        ({"track": HERE, "path": {"points_m": ((0, 0, 0), (1, 0, 0)), "speed_m_s": 1}}, "are both"),
-        ({"path": {"points_m": ((0, 0, 0), (0, 0, 1)), "speed_m_s": 1}}, r"points_m\[1\] lies at points_m\[0\]"),
-    ],
-)
-def test_a_way_that_makes_no_sense_is_told(keys: dict, words: str):
-    with pytest.raises(ValidationError, match=words):
-        PedestrianParams(name="eva", **keys)
-
-
 def test_an_unknown_part_is_told_with_the_nearest():
     with pytest.raises(LuxloopError, match="object 'it': parts: there is no part 'jaket'; did you mean 'jacket'"):
         made("pedestrian", parts={"jaket": {"albedo": 0.5}})
@@ -180,34 +167,6 @@ def test_traffic_that_is_nowhere_is_told():
 def test_cyclists_have_bicycles():
     assert {"head", "helmet", "tyres", "frame"} <= {part.name for part in made("cyclist", helmet=True).parts}
     assert "helmet" not in {part.name for part in made("cyclist", helmet=False).parts}
-
-
-def car_file(folder):
-    """A hull and a windscreen, each a node of its own, the windscreen 2 m higher."""
-    scene = trimesh.Scene()
-    for node, up_m in (("hull", 0.0), ("windscreen", 2.0)):
-        mesh = trimesh.creation.box((1.0, 1.0, 1.0))
-        mesh.visual = trimesh.visual.TextureVisuals(
-            uv=np.zeros((len(mesh.vertices), 2)), material=trimesh.visual.material.PBRMaterial(name=f"{node} paint")
-        )
-        scene.add_geometry(
-            mesh, node_name=node, geom_name=f"{node} geometry", transform=trimesh.transformations.translation_matrix((0, 0, up_m))
-        )
-    scene.export(folder / "car.glb")
-    return folder / "car.glb"
-
-
-def test_nodes_of_a_file_are_parts_by_name(tmp_path):
-    params = {"name": "car", "file": car_file(tmp_path), "track": HERE, "albedo": 0.3}
-    body = MeshParams(**params, parts={"windscreen": {"material": "glass", "albedo": 0.02}}).build()
-    parts = {part.name: part for part in body.parts}
-    assert (parts["hull"].albedo, parts["hull"].material) == (pytest.approx(0.3), "matt")
-    assert (parts["windscreen"].albedo, parts["windscreen"].material) == (pytest.approx(0.02), "glass")
-    higher = body.corners.mean(1)[:, 2] > 1.0
-    assert torch.equal(body.part_of_face[higher], torch.full((12,), [*parts].index("windscreen")))
-    assert torch.equal(body.part_of_face[~higher], torch.full((12,), [*parts].index("hull")))
-    with pytest.raises(LuxloopError, match="no part 'windscren'; did you mean 'windscreen'"):
-        MeshParams(**params, parts={"windscren": {}}).build()
 
 
 def test_files_with_other_axes_are_turned(tmp_path):
