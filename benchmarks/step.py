@@ -24,8 +24,8 @@ from luxloop.loop.simulation.result import SimulationState
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import expose
 from luxloop.perception.noise import FrameNoise
+from luxloop.world.caches import PartialImage
 from luxloop.world.light.illumination import added_light
-from luxloop.world.partial import PartialImage
 
 SIZES, QUICK_SIZES = ((640, 480), (1280, 720)), ((320, 180),)  # px
 TAKES = 4

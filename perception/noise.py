@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from luxloop.world.partial import Part
+from luxloop.world.caches import Part
 
 GOLDEN: Final = 0x9E3779B97F4A7C15 - 2**64
 FIRST: Final = 0xBF58476D1CE4E5B9 - 2**64

@@ -18,8 +18,8 @@ from luxloop.controllers.pixels.homographies import Homographies, homographies
 from luxloop.controllers.pixels.primitives import E_V, HEAVIEST, U_ABS, U_REL, Primitives
 from luxloop.controllers.pixels.secondary import SecondaryRays
 from luxloop.controllers.pixels.windows import NOWHERE, SLACK, Window, row_bands, union, whole
+from luxloop.world.caches import keeping
 from luxloop.world.errors import LuxloopError
-from luxloop.world.kept import keeping
 from luxloop.world.texels import TexelGrid
 
 PARALLEL = 1e-6  # tolerance of the cosine between a given normal and that of the edges

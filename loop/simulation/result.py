@@ -20,8 +20,8 @@ from luxloop.loop.simulation.lamps import LampPower
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, ExposurePair, Frame, Images
 from luxloop.perception.detection.detector import Detections
 from luxloop.perception.egomotion import Ego, Samples
+from luxloop.world.caches import PartialImage
 from luxloop.world.frames import View
-from luxloop.world.partial import PartialImage
 
 OUTSIDE = ("plant", "look")  # parts of a step that no car computes
 

@@ -19,8 +19,8 @@ from luxloop.perception.camera import expose, glare
 from luxloop.perception.egomotion import Sample
 from luxloop.perception.noise import FrameNoise
 from luxloop.perception.sensors import EXACT, SensorParams, Sensors
+from luxloop.world.caches import Part, PartialImage
 from luxloop.world.errors import LuxloopError
-from luxloop.world.partial import Part, PartialImage
 from luxloop.world.rendering.surfaces import FirstFound, face_source
 from luxloop.world.scene.vehicle import STANDING, LateBody, Motion
 

@@ -16,12 +16,12 @@ from luxloop.loop.simulation.truth import LampModule
 from luxloop.perception.camera import CameraParams, average_rows, camera_view
 from luxloop.perception.detection.detector import Detections, TruthParams
 from luxloop.perception.ground_truth import Box, GroundTruth, ground_truth, material_picture, part_mask, part_picture
+from luxloop.world.caches import Part, PartialImage
 from luxloop.world.frames import View
 from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand
 from luxloop.world.light.emitters import ambient_luminance
 from luxloop.world.light.illumination import DirectTransport, LastTextures, LightTransport, Shadows, added_light, reach, transport
 from luxloop.world.materials.library import MaterialName
-from luxloop.world.partial import Part, PartialImage
 from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.rendering.surfaces import FaceSource, SurfaceSource, surface_source
 from luxloop.world.scene.scene import Scene

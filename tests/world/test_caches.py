@@ -10,8 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from luxloop.world.kept import keeping
-from luxloop.world.partial import AROUND_PX, Part, PartialImage
+from luxloop.world.caches import AROUND_PX, Part, PartialImage, keeping
 
 
 @dataclass

@@ -11,9 +11,9 @@ import scipy.sparse as sp
 import torch
 from torch import Tensor
 
+from luxloop.world.caches import keeping
 from luxloop.world.frames import inverse, transform, unit
 from luxloop.world.headlight import Headlight
-from luxloop.world.kept import keeping
 from luxloop.world.materials.brdf import luminance_factor
 from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.rendering.raycast import sees

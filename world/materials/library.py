@@ -12,7 +12,7 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn.functional import pad
 
-from luxloop.world.kept import keeping
+from luxloop.world.caches import keeping
 from luxloop.world.materials.brdf import LAMBERTIAN, Material
 from luxloop.world.params import Params
 

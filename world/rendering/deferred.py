@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from luxloop.world.caches import Part
 from luxloop.world.frames import View, inverse
-from luxloop.world.partial import Part
 from luxloop.world.rendering.rasterise import FAR_M, NEAR_M, context
 from luxloop.world.scene.body import Body
 from luxloop.world.scene.triangles import Instance, Triangles

@@ -8,9 +8,9 @@ from typing import Literal, Protocol
 import torch
 from torch import Tensor
 
+from luxloop.world.caches import Part
 from luxloop.world.frames import View
 from luxloop.world.materials.brdf import LAMBERTIAN, Material
-from luxloop.world.partial import Part
 from luxloop.world.rendering.deferred import DeferredRenderer
 from luxloop.world.rendering.gbuffer import Finish, GBuffer, gbuffer, reflection
 from luxloop.world.rendering.rasterise import NoOpenGL, Rasteriser

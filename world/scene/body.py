@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from luxloop.world.caches import keeping
 from luxloop.world.frames import pose, rotation
-from luxloop.world.kept import keeping
 from luxloop.world.materials.brdf import LAMBERTIAN, Material
 from luxloop.world.materials.library import MaterialName, SpottedTexture, Texture
 from luxloop.world.roads.base import Road

@@ -20,7 +20,7 @@ from typing import Final
 import torch
 from torch import Tensor
 
-from luxloop.world.kept import keeping
+from luxloop.world.caches import keeping
 from luxloop.world.materials.library import SpottedTexture, Texture
 from luxloop.world.scene.body import Body, PoseTrack
 from luxloop.world.scene.triangles import Instance

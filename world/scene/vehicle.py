@@ -18,9 +18,9 @@ import torch
 from pydantic import AfterValidator, Field
 from torch import Tensor
 
+from luxloop.world.caches import keeping
 from luxloop.world.files import afford
 from luxloop.world.frames import pose, rotation
-from luxloop.world.kept import keeping
 from luxloop.world.params import Params
 from luxloop.world.roads.base import Floats, Road, smoothstep
 

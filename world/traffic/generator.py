@@ -15,9 +15,8 @@ from luxloop.world.params import Params
 from luxloop.world.scene.vehicle import Course, VehicleParams
 from luxloop.world.traffic.animal import AnimalParams
 from luxloop.world.traffic.car import CarParams
-from luxloop.world.traffic.objects import ObjectParams
+from luxloop.world.traffic.objects import ClutterParams, ObjectParams, TrafficSignParams
 from luxloop.world.traffic.people import CyclistParams, PedestrianParams
-from luxloop.world.traffic.roadside import ClutterParams, TrafficSignParams
 from luxloop.world.traffic.route import LANE_M, Met, Route
 from luxloop.world.traffic.tracked import WayParams
 

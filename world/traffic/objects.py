@@ -1,4 +1,4 @@
-"""Objects for scenarios: boxes, meshes from files, and random objects."""
+"""Objects for scenarios: boxes, meshes from files, signs, clutter that detectors should not report, and all random objects."""
 
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -13,8 +13,90 @@ from luxloop.world.scene.body import Body, Part
 from luxloop.world.traffic.animal import AnimalParams
 from luxloop.world.traffic.car import CarParams
 from luxloop.world.traffic.people import CyclistParams, PedestrianParams
-from luxloop.world.traffic.roadside import ClutterParams, TrafficSignParams
-from luxloop.world.traffic.tracked import SurfaceParams, TrackedParams, check_parts
+from luxloop.world.traffic.shapes import Piece, blob, block, limb, plate, polygon, tube, xyz
+from luxloop.world.traffic.tracked import Category, RandomParams, SurfaceParams, TrackedParams, check_parts
+
+SignShape = Literal["round", "triangle", "square", "octagon"]
+CORNERS: dict[SignShape, tuple[int, float]] = {
+    "round": (24, 0.0),
+    "triangle": (3, np.pi / 2),
+    "square": (4, np.pi / 4),
+    "octagon": (8, np.pi / 8),
+}
+Clutter = Literal["tree", "bush", "post", "bin", "delineator"]
+
+
+class TrafficSignParams(RandomParams):
+    """A traffic sign of retroreflective sheet on a post; it faces the way that its x axis points, its origin is the post's foot."""
+
+    kind: Literal["traffic_sign"] = "traffic_sign"
+    category: Category | None = Field("sign", description="class that trackers report to lighting functions")
+    shape: SignShape | None = Field(None, description="shape of the sign; left out: from the seed")
+    height_m: float = Field(2.0, ge=0, le=8, description="height of its lower edge")
+    size_m: float = Field(0.6, gt=0.1, le=3, description="diameter, or that of the circle through its corners")
+
+    def build(self) -> Body:
+        """Raises LuxloopError where `parts` names one that there is not."""
+        rng = self.random()
+        shape = self.shape or tuple(CORNERS)[int(rng.integers(len(CORNERS)))]
+        corners, turn = CORNERS[shape]
+        radius = self.size_m / 2
+        middle = np.array([0.05, 0, self.height_m + radius * (0.5 if shape == "triangle" else np.cos(np.pi / corners))])
+        dark = shape in ("octagon", "square")
+        looks: dict[str, tuple[MaterialName, float]] = {
+            "border": ("retroreflective_sign", 0.45 if dark else 0.1),
+            "face": ("retroreflective_sign", float(rng.uniform(0.05, 0.15)) if dark else 0.5),
+            "picture": ("retroreflective_sign", 0.45) if dark else ("cloth", 0.04),
+            "back": ("metal", 0.3),
+            "post": ("metal", 0.3),
+        }
+        pieces = [limb("post", (0, 0, 0), (0, 0, middle[2]), 0.03, 0.03)]
+        pieces.append(plate("back", polygon(middle, -1, radius, corners, turn)))
+        for k, (part, share) in enumerate((("border", 1.0), ("face", 0.8), ("picture", 0.3))):
+            pieces.append(plate(part, polygon(middle + xyz(0.003 * (k + 1), 0, 0), 1, share * radius, corners, turn)))
+        return self.body(pieces, looks, self.pose_track())
+
+
+class ClutterParams(RandomParams):
+    """A tree, bush, post, bin or delineator; the origin is its foot."""
+
+    kind: Literal["clutter"] = "clutter"
+    shape: Clutter = Field("tree", description="kind of object")
+
+    def build(self) -> Body:
+        """Raises LuxloopError where `parts` names one that there is not."""
+        rng = self.random()
+        looks: dict[str, tuple[MaterialName, float]] = {
+            "trunk": ("bark", float(rng.uniform(0.08, 0.25))),
+            "leaves": ("leaves", float(rng.uniform(0.04, 0.16))),
+            "shell": ("metal" if self.shape == "post" else "car_paint", float(rng.uniform(0.05, 0.6))),
+            "lid": ("rubber", 0.05),
+            "pole": ("car_paint", 0.6),
+            "stripe": ("retroreflective_sign", 0.4),
+        }
+        return self.body(_clutter(self.shape, rng), looks, self.pose_track())
+
+
+def _clutter(shape: Clutter, rng: np.random.Generator) -> list[Piece]:
+    if shape == "tree":
+        height, crown = rng.uniform(4, 9), rng.uniform(0.22, 0.34)
+        top = np.array([0.1 * rng.standard_normal(), 0.1 * rng.standard_normal(), 0.62 * height])
+        around = [top + height * crown * rng.uniform(-0.5, 0.5, 3) + xyz(0, 0, 0.12 * height) for _ in range(3)]
+        trunk = limb("trunk", (0, 0, 0), top, 0.028 * height, 0.016 * height, sides=10)
+        return [trunk, *(blob("leaves", each, height * crown * rng.uniform(0.6, 0.9, 3), rng) for each in around)]
+    if shape == "bush":
+        size = rng.uniform(0.5, 1.1)
+        around = [size * rng.uniform(-0.5, 0.5, 3) + xyz(0, 0, 0.6 * size) for _ in range(3)]
+        return [blob("leaves", each, size * rng.uniform(0.45, 0.75, 3), rng, 0.2) for each in around]
+    if shape == "post":
+        height, radius = rng.uniform(0.9, 6), rng.uniform(0.04, 0.09)
+        return [tube("shell", [(0, 0, 0), (0, 0, height)], [(radius, radius)] * 2, (0, 1, 0), 12)]
+    if shape == "bin":
+        x, y, z = rng.uniform((0.4, 0.4, 0.8), (0.8, 1.1, 1.3))
+        return [block("shell", (0, 0, 0.47 * z), (x, y, 0.94 * z)), block("lid", (0, 0, 0.97 * z), (1.06 * x, 1.06 * y, 0.06 * z))]
+    pole = tube("pole", [(0, 0, 0), (0, 0, 0.95), (0, 0, 1.0)], [(0.06, 0.04), (0.06, 0.04), (0.04, 0.03)], (0, 1, 0), 8)
+    return [pole, block("stripe", (0, 0, 0.78), (0.09, 0.13, 0.18))]
+
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 AXES = np.eye(3)

@@ -24,9 +24,9 @@ from luxloop.perception.birdseye import Region
 from luxloop.perception.camera import camera_view
 from luxloop.perception.egomotion import Ego
 from luxloop.perception.extraction import ExtractionStatus
+from luxloop.world.caches import keeping
 from luxloop.world.frames import inverse, transform
 from luxloop.world.frames import pose as pose_of
-from luxloop.world.kept import keeping
 from luxloop.world.params import Params
 from luxloop.world.scene.vehicle import LEARNT_M
 

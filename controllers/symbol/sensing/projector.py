@@ -19,8 +19,8 @@ from luxloop.controllers.symbol.sensing.projection import CELLS, ProjectionComma
 from luxloop.controllers.symbol.sensing.road_shape import below_lamps, holding, pose_of_rectangle, ray_lengths
 from luxloop.perception import appearance
 from luxloop.perception.extraction import Crop
+from luxloop.world.caches import keeping
 from luxloop.world.frames import View, inverse, pose, rotation, transform
-from luxloop.world.kept import keeping
 from luxloop.world.params import Params
 from luxloop.world.texels import resample
 

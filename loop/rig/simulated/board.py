@@ -16,9 +16,9 @@ from luxloop.loop.rig.simulated.faults import ShownBoardParams
 from luxloop.loop.rig.simulated.lens import Image, Lens, distorted, focal_px
 from luxloop.loop.rig.simulated.scene import LitBench
 from luxloop.perception.camera import CameraParams, luminance_of
+from luxloop.world.caches import keeping
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
-from luxloop.world.kept import keeping
 
 Floats = NDArray[np.float64]
 POSES: Final = 20

@@ -12,8 +12,8 @@ import torch
 from pydantic import BaseModel
 from torch import Tensor
 
+from luxloop.world.caches import PartialImage
 from luxloop.world.errors import LuxloopError
-from luxloop.world.partial import PartialImage
 from luxloop.world.plugin import Guard, Name, check_methods
 
 DATA = (Tensor, np.ndarray, np.generic, bool, int, float, complex, str, bytes, type(None), Enum, Path, torch.device, torch.dtype)

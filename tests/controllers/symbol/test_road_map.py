@@ -9,8 +9,8 @@ from luxloop.controllers.symbol.heights.registration import Heights
 from luxloop.controllers.symbol.heights.road_map import CHANGED, PATIENCE, RoadMap
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.perception.birdseye import Region
+from luxloop.world.caches import keeping
 from luxloop.world.frames import pose
-from luxloop.world.kept import keeping
 
 
 class Drawing:

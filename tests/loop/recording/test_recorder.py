@@ -29,8 +29,8 @@ from luxloop.loop.simulation.columns import POSE, SYMBOL, loss_name
 from luxloop.loop.simulation.result import Clock, StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.extraction import ExtractionStatus
+from luxloop.world.caches import Part, PartialImage
 from luxloop.world.errors import LuxloopError
-from luxloop.world.partial import Part, PartialImage
 from tests.loop.conftest import SMALL
 
 ROOT = Path(__file__).parents[3]

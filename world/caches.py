@@ -1,8 +1,10 @@
-"""Images that are computed where they are read."""
+"""Methods and images that hold their last results: of a method the last few, of an image the part that was read."""
 
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Final
+from functools import lru_cache
+from typing import Any, ClassVar, Final, ParamSpec, TypeVar, cast
+from weakref import WeakMethod
 
 from torch import Tensor
 from torch.utils._pytree import tree_map_only
@@ -51,3 +53,24 @@ class PartialImage(Tensor):
             PartialImage.spent_s = tuple(spent + end - start for spent, start, end in spans_s)
         (v, u), (top, left) = asked, (each.start for each in known)
         return self.pixels[..., v.start - top : v.stop - top, u.start - left : u.stop - left]
+
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+
+def keeping(most: int, method: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """A bound method with its last `most` results, to be kept by its object, whose other methods call it. Arguments must be hashable.
+
+    Unlike `lru_cache` of the bound method it holds no reference to the object, whose memory, often hundreds of megabytes, is so free as
+    soon as nobody uses it, and not at some later collection of cycles.
+    """
+    of_object = WeakMethod(method)
+
+    @lru_cache(most)
+    def kept(*arguments: Arguments.args, **named: Arguments.kwargs) -> Result:
+        living = of_object()
+        assert living is not None, "the object that keeps this calls it"
+        return living(*arguments, **named)
+
+    return cast(Callable[Arguments, Result], kept)
