@@ -68,9 +68,9 @@ def keeping(most: int, method: Callable[Arguments, Result]) -> Callable[Argument
     of_object = WeakMethod(method)
 
     @lru_cache(most)
-    def kept(*arguments: Arguments.args, **named: Arguments.kwargs) -> Result:
+    def call(*arguments: Arguments.args, **named: Arguments.kwargs) -> Result:
         living = of_object()
         assert living is not None, "the object that keeps this calls it"
         return living(*arguments, **named)
 
-    return cast(Callable[Arguments, Result], kept)
+    return cast(Callable[Arguments, Result], call)

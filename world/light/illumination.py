@@ -172,7 +172,7 @@ class LastTextures:
 
     def __init__(self, headlight: Headlight) -> None:
         self._headlight = headlight
-        self._kept = keeping(KEPT_TEXTURES, self._made)
+        self._kept = keeping(KEPT_TEXTURES, self._texture)
 
     def light_texture(self, utilisation: Tensor, band: slice | None = None) -> Tensor:
         """As `Headlight.light_texture`."""
@@ -180,7 +180,7 @@ class LastTextures:
             return self._headlight.light_texture(utilisation, band)
         return self._kept(utilisation)
 
-    def _made(self, utilisation: Tensor) -> Tensor:
+    def _texture(self, utilisation: Tensor) -> Tensor:
         if bool(utilisation.any()):
             return self._headlight.light_texture(utilisation)
         return utilisation.new_zeros(*utilisation.shape[:-1], self._headlight.rows, self._headlight.cols)
