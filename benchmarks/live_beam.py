@@ -13,10 +13,10 @@ import torch
 from bench import BLAS, OMP, interleaved, run, show
 from rig_bench import ALBEDO, Effects, rig, wall
 
-from luxloop.loop.rig.calibration.bench import Array, SimulatedBench
-from luxloop.loop.rig.calibration.files import Calibration
-from luxloop.loop.rig.calibration.response import Response
-from luxloop.loop.rig.live.digitiser import Digitiser
+from luxloop.loop.rig.calibration.calibrate import Calibration
+from luxloop.loop.rig.calibration.setups import Array, SimulatedSetup
+from luxloop.loop.rig.calibration.shots import Response
+from luxloop.loop.rig.live.plant import Digitiser
 from luxloop.perception.camera import saturation_luminance
 from luxloop.world.headlight import Headlight
 from luxloop.world.lamps.presets import idealised
@@ -35,12 +35,12 @@ def patterns(light: Headlight) -> dict[str, Array]:
     return {name: 0.8 * np.asarray(u, np.float32).ravel() for name, u in images.items()}
 
 
-def setup(width: int, height: int) -> tuple[SimulatedBench, Calibration, Headlight]:
+def setup(width: int, height: int) -> tuple[SimulatedSetup, Calibration, Headlight]:
     """A bench, its calibration with the lens as a board shows it, and the lamp."""
     found = rig(wall("idealised-332x1024", width, height, 24.0, pitch_deg=4.0), Effects())
     scale = float(np.pi * saturation_luminance(found.bench.camera) / ALBEDO)
     response, truth = Response.linear(found.bench.levels), found.truth
-    known = Calibration(found.known.camera, response, np.zeros(3), truth.screens[0], {"left matrix": truth.lamp}, {}, scale)
+    known = Calibration(found.known.camera, response, np.zeros(3), truth.screen, {"left matrix": truth.lamp}, {}, scale)
     return found.bench, known, found.light
 
 

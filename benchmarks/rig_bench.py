@@ -5,12 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from luxloop.loop.rig.calibration.bench import Array, SimulatedBench, simulated_bench
-from luxloop.loop.rig.calibration.board import Corners
 from luxloop.loop.rig.calibration.geometry import CameraModel, Geometry, Pose
-from luxloop.loop.rig.calibration.intrinsics import lens
+from luxloop.loop.rig.calibration.intrinsics import Corners, lens
+from luxloop.loop.rig.calibration.setups import Array, SimulatedSetup, simulated_setup
 from luxloop.loop.rig.simulated.faults import LensParams
-from luxloop.loop.rig.simulated.lens import Lens, distorted, undistorted
+from luxloop.loop.rig.simulated.lens import Lens, distort, undistort
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.build_lamps import mount
 from luxloop.loop.simulation.lamps import lamp_modules
@@ -48,7 +47,7 @@ class Effects:
 class Rig:
     """params, focal_px: of the lens, whose pinhole is `truth.camera`. known: as a board shows it, with a lamp that is a few cm off."""
 
-    bench: SimulatedBench
+    bench: SimulatedSetup
     scenario: Scenario
     light: Headlight
     truth: Geometry
@@ -66,13 +65,13 @@ class Rig:
 
 def _pinhole_px(camera: CameraModel, params: LensParams, u: Array, v: Array) -> tuple[Array, Array]:
     focal, centre = camera.matrix[0, 0], np.array([camera.width, camera.height]) / 2
-    straight = undistorted(params, (np.stack([u.ravel(), v.ravel()], 1) - centre) / focal, focal) * focal + centre
+    straight = undistort(params, (np.stack([u.ravel(), v.ravel()], 1) - centre) / focal, focal) * focal + centre
     return straight[:, 0].reshape(u.shape), straight[:, 1].reshape(v.shape)
 
 
 def _lens_px(camera: CameraModel, params: LensParams, at: Array) -> Array:
     focal, centre = camera.matrix[0, 0], np.array([camera.width, camera.height]) / 2
-    return np.asarray(distorted(params, (at - centre) / focal) * focal + centre)
+    return np.asarray(distort(params, (at - centre) / focal) * focal + centre)
 
 
 def wall(model: str, width: int, height: int, hfov_deg: float, **camera: float) -> Scenario:
@@ -99,13 +98,13 @@ def rig(scenario: Scenario, effects: Effects, fine: int = 2, seed: int = 0) -> R
     params = LensParams(
         model="division" if effects.division else "opencv", coefficients=tuple(c * scale**k for k, c in enumerate(coefficients, 1))
     )
-    bench = simulated_bench(scenario, [module], lambda u, v: _pinhole_px(pinhole, params, u, v), fine)
+    bench = simulated_setup(scenario, [module], lambda u, v: _pinhole_px(pinhole, params, u, v), fine)
     T_world_screen = np.eye(4)
     T_world_screen[:3, :3] = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]]).T
     T_world_screen[:3, 3] = SCREEN_M, 0.0, 1.0
     to_camera = np.linalg.inv(camera_view(scenario.camera).T_world_view.numpy())
     screen, lamp = (Pose.of(to_camera @ each) for each in (T_world_screen, module.T_world_headlight.numpy()))
-    truth = Geometry(pinhole, (screen,), lamp, np.ones(2), {}, {})
+    truth = Geometry(pinhole, screen, lamp)
     gain = _sheen(truth, params) if effects.gloss else 1.0
     optics = Lens.of(effects.optics or LensParams(), scenario.camera)
     bench = replace(bench, optics=lambda luminance: optics.image(gain * luminance)) if effects != Effects() else bench
@@ -132,7 +131,7 @@ def _views(camera: CameraModel, params: LensParams, rng: np.random.Generator) ->
 def _sheen(truth: Geometry, params: LensParams) -> Array:
     """Gain of the luminance of a glossy screen, `[height, width]`."""
     v, u = np.indices((truth.camera.height, truth.camera.width)) + 0.5
-    points, normal = truth.on_screen(*_pinhole_px(truth.camera, params, u, v)), truth.screens[0].rotation[:, 2]
+    points, normal = truth.on_screen(*_pinhole_px(truth.camera, params, u, v)), truth.screen.rotation[:, 2]
     to_lamp, to_eye = ((each / np.linalg.norm(each, axis=-1, keepdims=True)) for each in (truth.lamp.place - points, -points))
     half = to_lamp + to_eye
     cos = np.abs(half @ normal) / np.linalg.norm(half, axis=-1)

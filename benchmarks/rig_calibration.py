@@ -14,11 +14,10 @@ import torch
 from bench import show
 from rig_bench import ALBEDO, BLUR, VEIL, Effects, Rig, model, rig, wall
 
-from luxloop.loop.rig.calibration.bench import Array
-from luxloop.loop.rig.calibration.digitise import Digitised, Nominal, Reading, Settings, digitised, lux, scaled, take
+from luxloop.loop.rig.calibration.digitise import ModuleMeasurement, Nominal, Reading, Settings, digitise_module, lux, scale_to_lux, take
 from luxloop.loop.rig.calibration.geometry import Geometry, candela_factor
-from luxloop.loop.rig.calibration.response import Response
-from luxloop.loop.rig.calibration.shots import Shots
+from luxloop.loop.rig.calibration.setups import Array
+from luxloop.loop.rig.calibration.shots import Response, Shots
 from luxloop.loop.rig.simulated.faults import LensParams
 from luxloop.world.headlight import Headlight
 from luxloop.world.lamps.presets import idealised
@@ -61,11 +60,11 @@ def readings(of: Rig, n: int) -> list[Reading]:
         for b in np.linspace(0.1, 0.9, 3) if n > 1 else [0.5]:
             y, z = of.light.left + a * (of.light.right - of.light.left), of.light.top + b * (of.light.bottom - of.light.top)
             ray = of.truth.lamp.rotation @ np.array([1.0, y, z])
-            normal, screen = of.truth.screens[0].rotation[:, 2], of.truth.screens[0].place
+            normal, screen = of.truth.screen.rotation[:, 2], of.truth.screen.place
             point = of.truth.lamp.place + ray * (normal @ (screen - of.truth.lamp.place) / (normal @ ray))
             reading = Reading(1.0, *of.lens_px(of.truth.camera.project(point[None]))[0].tolist())
             offsets = rng.uniform(-0.005, 0.005, (4000, 2))
-            sensor = point + offsets[np.hypot(*offsets.T) < 0.005] @ of.truth.screens[0].rotation[:, :2].T
+            sensor = point + offsets[np.hypot(*offsets.T) < 0.005] @ of.truth.screen.rotation[:, :2].T
             found.append(replace(reading, lux=lux(of.light, of.truth, sensor, reading)))
     return found
 
@@ -79,7 +78,7 @@ def places(of: Rig) -> tuple[Array, Array]:
         return (seen @ u) / total, (seen @ v) / total
 
 
-def digitise(of: Rig, folder: Path | None = None, settings: Settings | None = None) -> Digitised:
+def digitise(of: Rig, folder: Path | None = None, settings: Settings | None = None) -> ModuleMeasurement:
     """The rig's lamp, digitised, in the camera's unit."""
     settings = settings or Settings()
     shots = Shots(of.bench, Response.linear(of.bench.levels), folder, "benchmark")
@@ -89,10 +88,10 @@ def digitise(of: Rig, folder: Path | None = None, settings: Settings | None = No
     def factor(geometry: Geometry) -> Array:
         return candela_factor(geometry, of.bench.shape, lambda cos: np.full_like(cos, ALBEDO))
 
-    return digitised(taken, nominal, of.known, settings, factor)
+    return digitise_module(taken, nominal, of.known, settings, factor)
 
 
-def figures(of: Rig, found: Digitised) -> dict[str, float]:
+def figures(of: Rig, found: ModuleMeasurement) -> dict[str, float]:
     """How far a digitised lamp is from the rig's."""
     u, v = places(of)
     alive = np.isfinite(u) & ~found.dead.ravel()
@@ -100,7 +99,7 @@ def figures(of: Rig, found: Digitised) -> dict[str, float]:
     true = flux(of.light)
     errors = []
     for n in (1, 9):
-        (inside,), _ = scaled([found], readings(of, n))
+        (inside,), _ = scale_to_lux([found], readings(of, n))
         errors.append(flux(inside.light)[alive] / true[alive] - 1)
         if n == 1:
             one = inside

@@ -26,10 +26,9 @@ from bench import OMP, Goal, run, show
 from torch import Tensor
 
 from luxloop.loop.commands.rig_runs import pixel_grids
-from luxloop.loop.rig.judged import Judged
 from luxloop.loop.rig.params import RigParams
-from luxloop.loop.rig.plant import RigPlant
-from luxloop.loop.rig.rig import Rig, await_camera, opened
+from luxloop.loop.rig.plant import RigPlant, SymbolEvaluator
+from luxloop.loop.rig.rig import Rig, await_camera, open_rig
 from luxloop.loop.run import run as run_scenario
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.build_plant import from_zero
@@ -163,15 +162,15 @@ def soak(minutes: int) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     scenario = load("snowflake", [*KEYS, "plant.kind=rig", "checks={}", "steps=100000"])
     with rig_process() as process, TemporaryDirectory() as folder:
         grids = pixel_grids(scenario)
-        with opened(params, grids, scenario.camera, armed=True) as rig:
+        with open_rig(params, grids, scenario.camera, armed=True) as rig:
             if not await_camera(rig, 20):
                 sys.exit("the rig's camera sends nothing")
 
-            watched, judges = Minutes(rig, process, minutes), list[Judged]()
+            watched, judges = Minutes(rig, process, minutes), list[SymbolEvaluator]()
 
             def plant(simulation: Any) -> Any:
                 modules = lamp_modules(simulation.modules)
-                judge = Judged(simulation.controlled, scenario.camera, None)
+                judge = SymbolEvaluator(simulation.controlled, scenario.camera, None)
                 judges.append(judge)
 
                 def look(exposure: Exposure, image: Tensor | None) -> None:

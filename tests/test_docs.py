@@ -42,7 +42,7 @@ EXEMPT = {
     r"python game_engine\.py\b|luxloop run (.*plant\.kind=remote|runs/engine)\b": "needs two programs at once, and has a test of its own",
     r"luxloop rig (calibrate|digitise|fit)\b": "takes minutes, and has tests of its own",
     r"luxloop rig simulate\b": "serves until it is ended, and has tests of its own",
-    r"luxloop (rig (check|blink|take|light)|run .*--rig)\b": "needs a rig; tests/loop/rig/test_page.py, test_chain.py have one",
+    r"luxloop (rig (check|blink|take|light)|run .*--rig)\b": "needs a rig; tests/loop/rig/test_page.py has one",
     r"luxloop studio\b": "serves until it is ended, and has tests in a browser",
     r"luxloop run .*--checks": "holds for all steps of a run, and has a test of its own",
     r"luxloop (evaluate|campaign|dataset|optimise-beam|train-detector)\b": "takes minutes, and has tests of its own",

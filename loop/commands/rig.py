@@ -4,7 +4,7 @@ import re
 import signal
 import time
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,8 +20,7 @@ from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import whole
 
 if TYPE_CHECKING:
-    from luxloop.loop.rig.blink import Blinked
-    from luxloop.loop.rig.simulated.camera import End
+    from luxloop.loop.rig.blink import BlinkResult
 
 Named = Annotated[str, Parameter(name="--scenario")]
 rig_app = App(name="rig", help="A rig: a real lamp and a real camera in the loop, or a process that simulates both.")
@@ -73,18 +72,16 @@ def simulate(
 
     keys, changes = split(set or ())
     scenario, wrong = scenario_of(name, keys, allow_code=allow_code), read(faults, changes)
-    from luxloop.loop.rig.simulated.camera import End
-    from luxloop.loop.rig.simulated.rig import Ports, Rig
+    from luxloop.loop.rig.simulated.rig import Ports, SimulatedRig
 
     addresses = _address("--ego", ego), None if screen is None else _address("--screen", screen)
-    end = End()
-    with Rig(scenario, wrong, Ports(host, light_port, camera_port, truth_port, *addresses)) as rig:
+    with SimulatedRig(scenario, wrong, Ports(host, light_port, camera_port, truth_port, *addresses)) as rig:
 
         def ready() -> None:
             print("\n".join([*rig.addresses(), "End it with Ctrl-C."]), flush=True)
 
-        with _ending(end):
-            rig.run(end, ready)
+        with _ending(rig.end):
+            rig.run(ready)
         print(rig.summary(), flush=True)
 
 
@@ -101,10 +98,9 @@ def check(file: Path, /, *, scenario: Named = "snowflake", set: Keys = None, all
     set
         Keys of the scenario to change, as key=value in TOML syntax.
     """
-    from luxloop.loop.rig.light import open_light
-    from luxloop.loop.rig.look import look
+    from luxloop.loop.rig.lights import open_light
     from luxloop.loop.rig.params import load_rig
-    from luxloop.loop.rig.rig import opened
+    from luxloop.loop.rig.rig import look, open_rig
 
     params = load_rig(file, allow_code=allow_code)
     given = scenario_of(scenario, set, allow_code=allow_code)
@@ -112,7 +108,7 @@ def check(file: Path, /, *, scenario: Named = "snowflake", set: Keys = None, all
         grids = pixel_grids(given)
         light = open_light(params.light, grids)
         light.close()
-        with opened(params, grids, given.camera, armed=False) as rig:
+        with open_rig(params, grids, given.camera, armed=False) as rig:
             await_rig(rig)
             found = look(rig)
     rows = {
@@ -161,7 +157,7 @@ def light(
 
     from luxloop.loop.rig.light import Shine
     from luxloop.loop.rig.params import load_rig
-    from luxloop.loop.rig.rig import opened
+    from luxloop.loop.rig.rig import open_rig
 
     if not 0 < level <= 1 or not 0 < seconds <= 3600:
         raise LuxloopError("--level is a utilisation above 0, up to 1; --seconds up to 3600")
@@ -172,7 +168,7 @@ def light(
         print(f"{file}: all {count:,} pixels would be lit for {seconds:g} s; give --arm to light them")
         return
     on = tuple(np.full(grid, level, np.float32) for grid in grids)
-    with locate(str(file)), opened(params, grids, None, armed=True) as rig, progress("light", max(round(seconds), 1)) as advance:
+    with locate(str(file)), open_rig(params, grids, None, armed=True) as rig, progress("light", max(round(seconds), 1)) as advance:
         await_rig(rig)
         until_s, number = time.monotonic() + seconds, 0
         while time.monotonic() < until_s:
@@ -202,8 +198,8 @@ def take(file: Path, /, *, out: Path = Path("boards"), count: int = 20, every_s:
     import cv2
 
     from luxloop.loop.rig.params import load_rig
-    from luxloop.loop.rig.rectified import grey
-    from luxloop.loop.rig.rig import CAMERA_S, opened
+    from luxloop.loop.rig.rectification import grey
+    from luxloop.loop.rig.rig import CAMERA_S, open_rig
 
     single = out.suffix == ".png"
     if out.exists():
@@ -212,12 +208,12 @@ def take(file: Path, /, *, out: Path = Path("boards"), count: int = 20, every_s:
         raise LuxloopError("--count is at least 1, --every-s from 0 to 60")
     params = load_rig(file, allow_code=allow_code).model_copy(update={"mark": None})
     paths = [out] if single else [out / f"{k:03d}.png" for k in range(count)]
-    with locate(str(file)), opened(params, (), None, armed=False) as rig, progress("pictures", len(paths)) as advance:
+    with locate(str(file)), open_rig(params, (), None, armed=False) as rig, progress("pictures", len(paths)) as advance:
         await_rig(rig)
         for k, path in enumerate(paths):
             time.sleep(every_s if k else 0.0)
             rig.camera.forget()
-            if params.triggered:
+            if params.has_trigger:
                 rig.camera.trigger()
             picture = rig.camera.next(time.monotonic() + CAMERA_S)
             if picture is None:
@@ -268,7 +264,7 @@ def blink(
     """
     from luxloop.loop.rig.blink import blink as measure
     from luxloop.loop.rig.params import load_rig
-    from luxloop.loop.rig.rig import opened
+    from luxloop.loop.rig.rig import open_rig
 
     params = load_rig(file, allow_code=allow_code)
     if not 0 < level <= 1:
@@ -278,7 +274,7 @@ def blink(
     if not arm:
         print(f"{file}: all {sum(rows * columns for rows, columns in grids):,} pixels would blink {blinks} times; give --arm to light them")
         return
-    with locate(str(file)), opened(params, grids, None, armed=True) as rig, progress("blink", blinks + 2) as advance:
+    with locate(str(file)), open_rig(params, grids, None, armed=True) as rig, progress("blink", blinks + 2) as advance:
         await_rig(rig)
         found = measure(rig, grids, blinks, level, advance)
     tables.show(tables.facts(_delays(found)))
@@ -286,13 +282,13 @@ def blink(
         tables.console().print(found.warning, markup=False)
     text = "[timing]\n" + "".join(f"{name} = {value:g}\n" for name, value in found.timing.items())
     if write:
-        written(file, found.timing)
+        write_timing(file, found.timing)
         print(f"{file}: [timing] written")
     else:
         print(f"\n{text}\nWith --write these go into {file}.")
 
 
-def written(file: Path, timing: Mapping[str, float]) -> None:
+def write_timing(file: Path, timing: Mapping[str, float]) -> None:
     """Write values of `[timing]` into a rig file and change nothing else in it. Raises LuxloopError if it cannot be written."""
     text = file.read_text("utf-8")
     table = re.search(r"^\[timing\][^\n]*\n(?:(?!\[)[^\n]*\n?)*", text, re.M)
@@ -315,7 +311,7 @@ def written(file: Path, timing: Mapping[str, float]) -> None:
         part.write_text(made, "utf-8")
 
 
-def _delays(found: "Blinked") -> dict[str, str]:
+def _delays(found: "BlinkResult") -> dict[str, str]:
     (interval, longest), (median, most, worst) = found.interval_s, (1e3 * each for each in found.first_s)
     return {
         "light to frame": f"{median:.0f} ms (median), {most:.0f} ms (95 %), {worst:.0f} ms (worst), in {found.blinks} blinks",
@@ -328,10 +324,10 @@ def _delays(found: "Blinked") -> dict[str, str]:
 
 
 @contextmanager
-def _ending(end: "End") -> Iterator[None]:
+def _ending(end: Callable[[], None]) -> Iterator[None]:
     """Ctrl-C, SIGTERM and SIGHUP request the end, in place of an exception that could be raised while a lock is held."""
     ends = [each for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if signal.getsignal(each) is not signal.SIG_IGN]
-    before = [(each, signal.signal(each, lambda *_: end.ask())) for each in ends]
+    before = [(each, signal.signal(each, lambda *_: end())) for each in ends]
     try:
         yield
     finally:

@@ -14,11 +14,10 @@ from luxloop.loop.report import terminal as tables
 from luxloop.world.errors import LuxloopError
 
 if TYPE_CHECKING:
-    from luxloop.loop.rig.calibration.bench import Bench
-    from luxloop.loop.rig.calibration.board import Corners
     from luxloop.loop.rig.calibration.digitise import Reading
-    from luxloop.loop.rig.calibration.response import Response
-    from luxloop.loop.rig.calibration.shots import Shots
+    from luxloop.loop.rig.calibration.intrinsics import Corners
+    from luxloop.loop.rig.calibration.setups import Setup
+    from luxloop.loop.rig.calibration.shots import Response, Shots
     from luxloop.loop.scenario.model import Scenario
     from luxloop.loop.simulation.truth import LampModule
 
@@ -45,7 +44,7 @@ def board(
     paper
         Size of the page.
     """
-    from luxloop.loop.rig.calibration.board import print_board
+    from luxloop.loop.rig.calibration.intrinsics import print_board
 
     print_board(out, _board(columns, rows, square_mm), paper)
     print(f"{out} written: {columns} x {rows} squares of {square_mm:g} mm; print it at 100 %, and measure a square")
@@ -107,13 +106,11 @@ def calibrate(
     import numpy as np
 
     from luxloop.loop.rig.calibration import calibrate as steps
-    from luxloop.loop.rig.calibration import files
-    from luxloop.loop.rig.calibration.digitise import Settings
     from luxloop.loop.rig.calibration.geometry import DISTORTION
     from luxloop.loop.rig.calibration.intrinsics import lens, vignetting
-    from luxloop.loop.rig.calibration.response import Response
+    from luxloop.loop.rig.calibration.shots import Response
 
-    files.refuse_name(out)
+    steps.refuse_name(out)
     readings = [_reading(each) for each in lux or ()]
     _require_arm(rig, arm)
     if screen_m is not None and not 0 < screen_m < math.inf:
@@ -123,17 +120,17 @@ def calibrate(
     views, size = _views(boards, printed) if boards is not None else ([], (0, 0))
     found_lens = lens(views, *size) if boards is not None else None
     seen = _views(on_screen, printed)[0][0] if on_screen is not None else None
-    known = steps.Known(scenario.camera, found_lens, seen, screen_m)
-    with _bench(scenario, rig, allow_code) as (bench, modules):
+    known = steps.Prior(scenario.camera, found_lens, seen, screen_m)
+    with _setup(scenario, rig, allow_code) as (setup, modules):
         kept = frames or out.with_name(f"{out.stem}_frames")
-        shots = _shots(bench, Response.linear(bench.levels), kept, scenario)
-        response = steps.measured_response(shots, [each.headlight.n_pixels for each in modules])
-        even = [] if flats is None else [response.light(each.clip(0, bench.levels)) for each in _pictures(flats).values()]
+        shots = _shots(setup, Response.linear(setup.levels), kept, scenario)
+        response = steps.measure_response(shots, [each.headlight.n_pixels for each in modules])
+        even = [] if flats is None else [response.light(each.clip(0, setup.levels)) for each in _pictures(flats).values()]
         darkening, left = vignetting(even) if even else (np.zeros(3), 0.0)
-        shots = _shots(bench, response, kept, scenario)
-        done = steps.calibrated(shots, modules, known, Settings(), darkening)
+        shots = _shots(setup, response, kept, scenario)
+        done = steps.calibrate_poses(shots, modules, known, darkening)
         scale = steps.lux_scale(shots, [each.headlight.n_pixels for each in modules], readings, darkening) if readings else None
-    files.save(out, replace(done.calibration, lux=scale))
+    steps.save(out, replace(done.calibration, lux=scale))
     camera = done.calibration.camera
     values = dict(zip(("fx", "fy", "cx", "cy", *DISTORTION), camera.values, strict=True))
     std = [""] * 9 if camera.covariance is None else [f" ± {by:.2g}" for by in np.sqrt(np.diag(camera.covariance))]
@@ -202,43 +199,44 @@ def digitise(
         Keys of the scenario to change, as key=value in TOML syntax.
     """
     from luxloop.loop.rig.calibration import digitise as steps
-    from luxloop.loop.rig.calibration import files, report
+    from luxloop.loop.rig.calibration import pictures as report
+    from luxloop.loop.rig.calibration.calibrate import load, refuse_name
     from luxloop.loop.rig.calibration.geometry import candela_factor
     from luxloop.loop.rig.calibration.intrinsics import brightness
-    from luxloop.loop.rig.calibration.lamp import digitised_side, measured_lamp
+    from luxloop.loop.rig.calibration.lamp import digitised_side, lamp_of
     from luxloop.world.lamps import archive
 
     if not 0 < reflectance <= 1 or comb_frames < 1 or not all(1 <= each <= 8 for each in texels):
         raise LuxloopError("--reflectance is above 0, up to 1; --comb-frames at least 1; --texels from 1 to 8")
     readings = [_reading(each) for each in lux or ()]
-    files.refuse_name(out)
+    refuse_name(out)
     _require_arm(rig, arm)
     scenario = scenario_of(name, set, allow_code=allow_code)
     digitised_side(scenario)
-    known = files.load(calibration)
+    known = load(calibration)
     settings = steps.Settings(comb_frames=comb_frames, texels=texels)
-    with _bench(scenario, rig, allow_code) as (bench, modules):
-        if bench.shape != (known.camera.height, known.camera.width):
-            height, width = bench.shape
+    with _setup(scenario, rig, allow_code) as (setup, modules):
+        if setup.shape != (known.camera.height, known.camera.width):
+            height, width = setup.shape
             raise LuxloopError(
                 f"{calibration}: is of {known.camera.width} x {known.camera.height} px, but the camera has {width} x {height} px"
             )
         factor = _factor(reflectance, by_angle)
-        shade = brightness(known.vignetting, *bench.shape)
-        shots = _shots(bench, known.response, frames or out.with_name(f"{out.stem}_frames"), scenario)
+        shade = brightness(known.vignetting, *setup.shape)
+        shots = _shots(setup, known.response, frames or out.with_name(f"{out.stem}_frames"), scenario)
         nominal = [steps.Nominal.of(k, each.name, each.headlight) for k, each in enumerate(modules)]
         sizes = [each.headlight.n_pixels for each in modules]
         found = []
         for each in nominal:
             taken = steps.take(shots, each, sizes, settings)
             start = known.geometry(each.name)
-            found.append(steps.digitised(taken, each, start, settings, lambda at: candela_factor(at, bench.shape, factor) / shade))
+            found.append(steps.digitise_module(taken, each, start, settings, lambda at: candela_factor(at, setup.shape, factor) / shade))
     scatter = None
     if readings:
-        scaled, scatter = steps.scaled(found, readings)
+        scaled, scatter = steps.scale_to_lux(found, readings)
         found = list(scaled)
     notes = f"Digitised on a rig with {calibration.name}, {tables.plural(len(readings), 'luxmeter reading')}."
-    archive.save(out, measured_lamp(scenario, [each.light for each in found], out.stem, notes))
+    archive.save(out, lamp_of(scenario, [each.light for each in found], out.stem, notes))
     written = report.write(out.with_suffix(""), found)
     for module in found:
         told = report.facts(module)
@@ -287,20 +285,20 @@ def fit(
         Keys of the scenario to change first, as key=value in TOML syntax.
     """
     from luxloop.loop.report.progress import progress
-    from luxloop.loop.rig.calibration.fit import Varied, recorded
-    from luxloop.loop.rig.calibration.fit import fit as fitted
+    from luxloop.loop.rig.calibration.twin import fit as fitted
+    from luxloop.loop.rig.calibration.twin import read_exposures
 
     if exposures < 1:
         raise LuxloopError(f"--exposures {exposures}: compares nothing; give 1 at least")
-    varied = [Varied(*_span(each)) for each in vary]
+    spans = dict(_span(each) for each in vary)
     keys = list(set or ())
 
     def scenario_with(values: Any) -> "Scenario":
         return scenario_of(name, [*keys, *(f"{key}={value!r}" for key, value in values.items())], allow_code=allow_code)
 
-    shown = recorded(recording, scenario_with({}), exposures)
+    shown = read_exposures(recording, scenario_with({}), exposures)
     with progress("pictures", 1) as advance:
-        found = fitted(scenario_with, shown, varied, lambda: advance(0))
+        found = fitted(scenario_with, shown, spans, lambda: advance(0))
     rows = ((key, f"{value:.6g}", f"{found.stds[key]:.2g}") for key, value in found.values.items())
     tables.show(tables.plain(("key", "value", "standard deviation"), rows, "lrr"))
     scores = ((what, f"{found.before[what]:.4g}", f"{found.after[what]:.4g}") for what in found.before)
@@ -314,23 +312,23 @@ def fit(
 
 
 @contextmanager
-def _bench(scenario: "Scenario", rig: Path | None, allow_code: bool) -> Iterator[tuple["Bench", tuple["LampModule", ...]]]:
+def _setup(scenario: "Scenario", rig: Path | None, allow_code: bool) -> Iterator[tuple["Setup", tuple["LampModule", ...]]]:
     """The lit rig, or without a rig file the scenario's simulated world, and the modules that shine."""
 
-    from luxloop.loop.rig.calibration.bench import simulated_bench
+    from luxloop.loop.rig.calibration.setups import simulated_setup
     from luxloop.loop.simulation.build_lamps import mount
     from luxloop.loop.simulation.lamps import lamp_modules
 
     modules = lamp_modules(mount(scenario.headlight))
     if rig is None:
-        yield simulated_bench(scenario, modules), modules
+        yield simulated_setup(scenario, modules), modules
         return
-    from luxloop.loop.rig.calibration.live import live_bench
+    from luxloop.loop.rig.calibration.setups import rig_setup
     from luxloop.loop.rig.params import load_rig
     from luxloop.loop.rig.plant import grids_of
 
-    with live_bench(rig, load_rig(rig, allow_code=allow_code), scenario.camera, grids_of(modules), await_rig) as bench:
-        yield bench, modules
+    with rig_setup(rig, load_rig(rig, allow_code=allow_code), grids_of(modules), await_rig) as setup:
+        yield setup, modules
 
 
 def _require_arm(rig: Path | None, arm: bool) -> None:
@@ -340,17 +338,17 @@ def _require_arm(rig: Path | None, arm: bool) -> None:
         raise LuxloopError("--arm lights the lamp of a rig file; give --rig FILE as well")
 
 
-def _shots(bench: "Bench", response: "Response", folder: Path, scenario: "Scenario") -> "Shots":
-    from luxloop.loop.rig.calibration import codes
-    from luxloop.loop.rig.calibration.combs import SPACING
+def _shots(setup: "Setup", response: "Response", folder: Path, scenario: "Scenario") -> "Shots":
+    from luxloop.loop.rig.calibration import structured_light as codes
+    from luxloop.loop.rig.calibration.shapes import SPACING
     from luxloop.loop.rig.calibration.shots import Shots, plan_digest
 
     plan = codes.PERIOD, codes.STEPS, SPACING
-    return Shots(bench, response, folder, plan_digest(scenario.headlight.model_dump(mode="json"), bench.shape, plan))
+    return Shots(setup, response, folder, plan_digest(scenario.headlight.model_dump(mode="json"), setup.shape, plan))
 
 
 def _board(columns: int, rows: int, square_mm: float) -> Any:
-    from luxloop.loop.rig.calibration.board import BoardParams
+    from luxloop.loop.rig.calibration.intrinsics import BoardParams
     from luxloop.world.validation import validate_model
 
     return validate_model(BoardParams, {"columns": columns, "rows": rows, "square_mm": square_mm}, "see `luxloop rig board --help`")
@@ -380,7 +378,7 @@ def _pictures(path: Path) -> dict[Path, Any]:
 
 def _views(path: Path, printed: Any) -> tuple[list["Corners"], tuple[int, int]]:
     """Corners of the boards in pictures, and their width and height; says which are left out. Raises LuxloopError where all are."""
-    from luxloop.loop.rig.calibration.board import Corners, corners
+    from luxloop.loop.rig.calibration.intrinsics import Corners, corners
 
     pictures = _pictures(path)
     found = {file: corners(each, printed, str(file)) for file, each in pictures.items()}

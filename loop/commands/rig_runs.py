@@ -32,10 +32,9 @@ def run_on_rig(
     """
     from luxloop.loop.commands.runs import run_scenario
     from luxloop.loop.recording.manifest import RIG, write_json
-    from luxloop.loop.rig.judged import Judged
     from luxloop.loop.rig.params import load_rig
-    from luxloop.loop.rig.plant import RigPlant
-    from luxloop.loop.rig.rig import opened
+    from luxloop.loop.rig.plant import RigPlant, SymbolEvaluator
+    from luxloop.loop.rig.rig import open_rig
     from luxloop.loop.simulation.build_plant import from_zero
 
     file, armed, allow_code = rig_file
@@ -43,20 +42,20 @@ def run_on_rig(
     scenario, left_out = _without_truth(scenario)
     if left_out:
         tables.console().print(f"checks that need the truth are left out: {', '.join(left_out)}", markup=False)
-    with locate(str(file)), opened(params, pixel_grids(scenario), scenario.camera, armed=armed) as rig:
+    with locate(str(file)), open_rig(params, pixel_grids(scenario), scenario.camera, armed=armed) as rig:
         await_rig(rig)
         rig.refuse_misfit()
         if not armed:
             tables.console().print("dry run: the lamp stays dark; give --arm to light it", markup=False)
 
-        judged: Judged | None = None
+        judged: SymbolEvaluator | None = None
         simulated: SimulatedPlant | None = None
 
         def plant(simulation: Any) -> Any:
             from luxloop.loop.simulation.lamps import lamp_modules
 
             nonlocal judged, simulated
-            modules, judged = lamp_modules(simulation.modules), Judged(simulation.controlled, scenario.camera, params.mark)
+            modules, judged = lamp_modules(simulation.modules), SymbolEvaluator(simulation.controlled, scenario.camera, params.mark)
             if twin:
                 from luxloop.loop.rig.calibration.twin import twin_plant
 
@@ -91,12 +90,12 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
     """
     from luxloop.loop.commands.runs import run_scenario
     from luxloop.loop.recording.manifest import BEAM, RIG, write_json
-    from luxloop.loop.rig.calibration.files import load
-    from luxloop.loop.rig.live.picture import draw_beam
+    from luxloop.loop.rig.calibration.calibrate import load
+    from luxloop.loop.rig.calibration.pictures import draw_beam
     from luxloop.loop.rig.live.plant import live_plant, refuse_unfit
     from luxloop.loop.rig.params import load_rig
     from luxloop.loop.rig.plant import grids_of
-    from luxloop.loop.rig.rig import opened
+    from luxloop.loop.rig.rig import open_rig
     from luxloop.loop.scenario.plant import SimulatedPlantParams
     from luxloop.loop.simulation.build_lamps import mount
     from luxloop.loop.simulation.digitised import digitised_number
@@ -112,7 +111,7 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
         modules = mount(scenario.headlight)
         number = digitised_number(scenario, [each.name for each in modules])
     exposures = scenario.steps * len(scenario.shares)
-    with locate(str(file)), opened(params, grids_of([modules[number]]), None, armed=armed) as rig, ExitStack() as stack:
+    with locate(str(file)), open_rig(params, grids_of([modules[number]]), None, armed=armed) as rig, ExitStack() as stack:
         await_rig(rig)
         if not armed:
             tables.console().print("dry run: the lamp stays dark, and so does its module; give --arm to light it", markup=False)
@@ -121,7 +120,7 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
         def plant(simulation: Any) -> Any:
             nonlocal live
             with locate(str(calibration_file)):
-                live = stack.enter_context(live_plant(rig, simulation.plant, calibration, scenario.camera, exposures))
+                live = stack.enter_context(live_plant(rig, simulation.plant, calibration, exposures))
             rig.statistics = type(rig.statistics)()
             return live
 
@@ -131,7 +130,7 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
             rig.dark("the run has ended")
             if live is not None and rig.statistics.exposures and out.is_dir():
                 found = of_run(rig, len(scenario.shares)) | {"judged": {}}
-                beam = live.beam.summary() | {"module": modules[number].name, "seen": live.digitiser.seen}
+                beam = live.beam.summary() | {"module": modules[number].name, "seen": live.digitiser.coverage}
                 write_json(out / RIG, {"rig": redact(params.model_dump(mode="json")), "armed": armed, **found, "live": beam})
                 if live.beam.newest is not None:
                     texture, u = live.beam.newest

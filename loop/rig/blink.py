@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from luxloop.loop.rig.camera import CameraPicture
 from luxloop.loop.rig.light import Shine
 from luxloop.loop.rig.matching import needed_s
-from luxloop.loop.rig.rectified import WrongPicture, grey
+from luxloop.loop.rig.rectification import WrongPicture, grey
 from luxloop.loop.rig.rig import Rig, await_camera
 from luxloop.world.errors import LuxloopError
 
@@ -31,7 +31,7 @@ SURE, DRIFT_MS, LARGE_MS = 3.0, 1.0, 10.0  # a drift is told from 1 ms a minute 
 
 
 @dataclass(frozen=True, eq=False)
-class Looks:
+class BlinkPictures:
     """Pictures of a blink test. lag_s: `[n]`, from sending the light that stands to the picture's arrival. at_s: `[n]`, when that was sent.
     late_s: `[n]`, by how much they came later than the camera's rhythm lets expect, as was known when they came. least, most: `[n]`, share
     of the change that is seen in the row of pixels that shows least and most of it. seen: share that is more than scatter. intervals_s:
@@ -49,7 +49,7 @@ class Looks:
 
 
 @dataclass(frozen=True)
-class Blinked:
+class BlinkResult:
     """What a blink test found; times in s.
 
     latency_s, jitter_s, rolling_s: keys of `[timing]`, of the rows that see the light. first_s: median, 95 % and worst time from light to
@@ -83,15 +83,17 @@ class Blinked:
         )
 
 
-def blink(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: float, advance: Callable[[], None] = lambda: None) -> Blinked:
+def blink(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: float, advance: Callable[[], None] = lambda: None) -> BlinkResult:
     """Let the lamp of an armed rig blink. level: utilisation of all pixels, where the limits allow it. advance: called after each blink.
 
     Raises LuxloopError where the camera does not see it, or too few pictures come.
     """
-    return found(watched(rig, grids, blinks, level, advance), blinks)
+    return evaluate(record(rig, grids, blinks, level, advance), blinks)
 
 
-def watched(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: float, advance: Callable[[], None] = lambda: None) -> Looks:
+def record(
+    rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: float, advance: Callable[[], None] = lambda: None
+) -> BlinkPictures:
     """Pictures of a lamp that blinks; as `blink`."""
     if blinks < FEWEST:
         raise LuxloopError(f"--blinks {blinks}: is too few for a worst case; give {FEWEST} at least")
@@ -107,7 +109,7 @@ def watched(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: floa
     for number in range(LEARNT + blinks):
         on = number % 2 == 1
         if rig.camera.alive:
-            _shown(rig, Shine(number, (lit if on else black).pictures))
+            _show(rig, Shine(number, (lit if on else black).pictures))
         else:
             rig.dark(rig.camera.reason)
         sent_s = rig.keeper.since_s
@@ -133,17 +135,17 @@ def watched(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: floa
             del pictures[begun:]
         was_lit = on and not in_doubt
         if number < LEARNT:
-            settled.append(_settled(kept))
+            settled.append(_steady(kept))
             if number == LEARNT - 1:
                 mask, rows = _region(*(each.mean(0) for each in settled))
         advance()
     assert mask is not None and rows is not None
     steady = [(each * mask).sum(2)[:, rows] for each in settled]
     rig.dark("the blink test has ended")
-    return _looks(switches, pictures, steady, (np.diff(np.array(arrivals)), queued / max(len(arrivals), 1)))
+    return _blink_pictures(switches, pictures, steady, (np.diff(np.array(arrivals)), queued / max(len(arrivals), 1)))
 
 
-def found(looks: Looks, blinks: int) -> Blinked:
+def evaluate(looks: BlinkPictures, blinks: int) -> BlinkResult:
     """What the pictures of a blink test tell. Raises LuxloopError where they are too few."""
     whole, begun, lag_s = looks.least > 1 - looks.seen, looks.most > looks.seen, looks.lag_s
     if whole.sum() < blinks / 2 or len(lag_s) < 2 * blinks:
@@ -162,7 +164,7 @@ def found(looks: Looks, blinks: int) -> Blinked:
     minutes = (starts_s[len(halves[0]) :].mean() - starts_s[: len(halves[0])].mean()) / 60
     early, later = map(latency, halves)
     others = [[latency([half[k] for k in drawn.integers(len(half), size=len(half))]) for half in halves] for _ in range(DRAWS)]
-    return Blinked(
+    return BlinkResult(
         latency_s,
         MARGIN * needed_s(lag_s[~whole] - latency_s, looks.late_s[~whole]) + MARGIN_S,
         max(latency_s - begins_s, 0.0),
@@ -181,10 +183,10 @@ def _lights(rig: Rig, grids: Sequence[tuple[int, int]], level: float) -> tuple[S
     return Shine(0, tuple(u * factor for u in on.pictures)), Shine(0, tuple(np.zeros(grid, np.float32) for grid in grids))
 
 
-def _shown(rig: Rig, shine: Shine) -> None:
+def _show(rig: Rig, shine: Shine) -> None:
     """Show light at once. Raises LuxloopError where a limit forbids that."""
     rig.keeper.beat()
-    given = rig.limited(shine, time.monotonic())
+    given = rig.limit(shine, time.monotonic())
     if given.slowed < 1:
         raise LuxloopError("limits.change_per_s: is too low for a blink; give a lower --level, or raise it")
     rig.show(given.shine)
@@ -204,7 +206,7 @@ def _pictures(rig: Rig, until_s: float) -> Iterator[tuple[CameraPicture, NDArray
                 continue
 
 
-def _settled(images: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+def _steady(images: list[NDArray[np.float32]]) -> NDArray[np.float32]:
     """The last half of them `[n, height, width]`, 20 at most. Raises LuxloopError where there are too few, or their sizes differ."""
     last = images[len(images) // 2 :][-20:]
     if len(last) < 3 or len({each.shape for each in last}) > 1:
@@ -225,12 +227,12 @@ def _region(dark: NDArray[np.float32], bright: NDArray[np.float32]) -> tuple[NDA
     return mask, counts > 0.2 * counts.max()
 
 
-def _looks(
+def _blink_pictures(
     switches: Sequence[tuple[float, bool]],
     pictures: Sequence[tuple[float, float, NDArray[Any]]],
     steady: Sequence[NDArray[Any]],
     came: tuple[NDArray[np.float64], float],
-) -> Looks:
+) -> BlinkPictures:
     """steady: dark and bright rows of pixels, both `[n, rows]`. came: intervals between the pictures, and share that lay in a queue."""
     dark, bright = (np.median(each, axis=0) for each in steady)
     scatter = max(float((each.std(0) / (bright - dark)).max()) for each in steady)
@@ -246,7 +248,7 @@ def _looks(
         share = share if on else 1 - share
         values.append((arrived_s - at_s, at_s, late_s, share.min(), share.max()))
     columns = np.array(values).T if values else np.zeros((5, 0))
-    return Looks(columns[0], columns[1], columns[2], columns[3], columns[4], seen, *came)
+    return BlinkPictures(columns[0], columns[1], columns[2], columns[3], columns[4], seen, *came)
 
 
 def _between(lag_s: NDArray[np.float64], after: NDArray[np.bool_], reach_s: float) -> float:

@@ -11,16 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from luxloop.loop.rig.matching import Regularity
-from luxloop.loop.rig.params import Cameras, DeviceCameraParams, FolderCameraParams, HttpCameraParams, StreamCameraParams
-from luxloop.world import plugin
 from luxloop.world.errors import LuxloopError
 
-METHODS: Final = ("read", "close")
 KEY: Final = "camera.kind"
 KEPT: Final = 8  # pictures that nobody has looked at yet; older ones are dropped
 AGAIN_S: Final = 0.5  # between two attempts to connect
 STEP_S: Final = 0.1  # for which a read waits at most, so that the thread can end
-CHANNELS: Final = (3, 4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,28 +42,6 @@ class CameraSource(Protocol):
         ...
 
     def close(self) -> None: ...
-
-
-def opener(params: Cameras) -> Callable[[], CameraSource]:
-    """A function that connects to the camera of a rig file, and raises LuxloopError or OSError if it cannot.
-
-    Raises LuxloopError if a camera of the user's own cannot be loaded.
-    """
-    from luxloop.loop.rig.http_camera import HttpCamera
-    from luxloop.loop.rig.video_camera import DeviceCamera, FolderCamera, StreamCamera
-
-    match params:
-        case HttpCameraParams():
-            return lambda: HttpCamera(params)
-        case DeviceCameraParams():
-            return lambda: DeviceCamera(params)
-        case StreamCameraParams():
-            return lambda: StreamCamera(params)
-        case FolderCameraParams():
-            return lambda: FolderCamera(params)
-    methods = (*METHODS, "trigger") if params.triggered else METHODS
-    plugin.load(params.kind, KEY, methods)
-    return lambda: cast(CameraSource, _Own(plugin.make(params.kind, KEY, {}, params.options, methods)))
 
 
 class Camera:
@@ -149,7 +123,7 @@ class Camera:
     def _read(self, source: CameraSource) -> None:
         heard_s, regularity = time.monotonic(), Regularity()
         while self._open:
-            picture = source.read(STEP_S)
+            picture = check_picture(source.read(STEP_S))
             if picture is not None:
                 heard_s = time.monotonic()
                 self._last_s = max(self._last_s, picture.arrived_s)
@@ -163,36 +137,20 @@ class Camera:
                 raise LuxloopError(f"camera: no picture for {self._timeout_s:g} s")
 
 
-class _Own:
-    """A camera of the user's own, whose pictures are looked at."""
-
-    def __init__(self, own: Any) -> None:
-        self._own = own
-
-    def read(self, timeout_s: float) -> CameraPicture | None:
-        given = self._own.read(timeout_s)
-        return None if given is None else checked_picture(given)
-
-    def trigger(self) -> None:
-        self._own.trigger()
-
-    def close(self) -> None:
-        self._own.close()
-
-
-def checked_picture(given: Any) -> CameraPicture:
-    """The picture from a camera of the user's own. Raises LuxloopError if it is not a valid CameraPicture."""
+def check_picture(given: Any) -> CameraPicture | None:
+    """What a camera's `read` gives. Raises LuxloopError if it is neither None nor a valid CameraPicture, as of a user's own code."""
+    if given is None:
+        return None
     if not isinstance(given, CameraPicture):
         raise LuxloopError(f"{KEY}: read gives a {type(given).__name__}; return a luxloop.CameraPicture, or None where none has come")
     if not isinstance(given.arrived_s, int | float) or not -np.inf < given.arrived_s <= time.monotonic() + 1e-3:
         raise LuxloopError(f"{KEY}: read gives the time {given.arrived_s!r}; give time.monotonic() when the picture had come")
-    if not isinstance(given.data, bytes) and not _is_picture(given.data):
-        what = f"{given.data.dtype} {list(given.data.shape)}" if isinstance(given.data, np.ndarray) else type(given.data).__name__
+    data: Any = given.data
+    if not isinstance(data, bytes) and not (getattr(data, "dtype", None) in (np.uint8, np.uint16) and data.size and _is_image(data.shape)):
+        what = f"{data.dtype} {list(data.shape)}" if isinstance(data, np.ndarray) else type(data).__name__
         raise LuxloopError(f"{KEY}: read gives a picture of {what}; give uint8 or uint16 [height, width] or [height, width, 3], or bytes")
     return given
 
 
-def _is_picture(data: Any) -> bool:
-    if not isinstance(data, np.ndarray) or data.dtype not in (np.uint8, np.uint16) or data.size == 0:
-        return False
-    return data.ndim == 2 or (data.ndim == 3 and data.shape[2] in CHANNELS)
+def _is_image(shape: tuple[int, ...]) -> bool:
+    return len(shape) == 2 or (len(shape) == 3 and shape[2] in (3, 4))

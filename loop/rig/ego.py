@@ -1,20 +1,63 @@
-"""Samples of the vehicle's sensors."""
+"""Samples of the vehicle's sensors, received as UDP datagrams of JSON, one a datagram:
 
-import socket
+    {"sensor": "gyro", "measured_s": 12.34, "sent_s": 12.35, "values": [0.0, 0.01, 0.2]}
+
+Both times are of the sender's clock, so that a receiver knows the age of a sample without a common clock.
+"""
+
+import json
+import math
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Final, Protocol, cast
 
 from torch import Tensor
 
 from luxloop.loop.rig.params import Egos, NoEgoParams, UdpEgoParams
-from luxloop.loop.rig.wire.addresses import REFUSED, reason_of
-from luxloop.loop.rig.wire.datagrams import LARGEST as LARGEST_DATAGRAM
-from luxloop.loop.rig.wire.datagrams import SensorDatagram, decoded
+from luxloop.loop.rig.wire.sockets import udp_listener
 from luxloop.perception.egomotion import LARGEST, VALUES, Sample
 from luxloop.world import plugin
-from luxloop.world.errors import LuxloopError
+
+LARGEST_DATAGRAM: Final = 4096  # bytes of a datagram
+MOST_VALUES: Final = 64
+
+
+@dataclass(frozen=True)
+class SensorDatagram:
+    """A sample as it goes over the network. values: as in `luxloop.perception.egomotion.Sample`. Times in s of the sender's clock."""
+
+    sensor: str
+    measured_s: float
+    sent_s: float
+    values: tuple[float, ...]
+
+    @property
+    def age_s(self) -> float:
+        """Time from measurement to sending in s."""
+        return self.sent_s - self.measured_s
+
+
+def encode(sensor: str, measured_s: float, sent_s: float, values: Sequence[float]) -> bytes:
+    """The datagram of a sample."""
+    return json.dumps({"sensor": sensor, "measured_s": measured_s, "sent_s": sent_s, "values": list(values)}).encode()
+
+
+def decode(datagram: bytes) -> SensorDatagram | None:
+    """The sample of a datagram, None where it has none."""
+    if len(datagram) > LARGEST_DATAGRAM:
+        return None
+    try:
+        data = json.loads(datagram)
+        values = tuple(float(value) for value in data["values"])
+        sample = SensorDatagram(str(data["sensor"]), float(data["measured_s"]), float(data["sent_s"]), values)
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
+        return None
+    finite = all(math.isfinite(value) for value in (sample.measured_s, sample.sent_s, *values))
+    return sample if finite and 0 < len(values) <= MOST_VALUES else None
+
 
 KEY: Final = "ego.kind"
 METHODS: Final = ("samples", "close")
@@ -49,14 +92,7 @@ class UdpEgo:
         """Raises LuxloopError if the port cannot be opened."""
         self._params, self.refused = params, 0
         self._come = deque[tuple[float, SensorDatagram]](maxlen=MOST)
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            self._socket.bind((params.host, params.port))
-        except REFUSED as error:
-            self._socket.close()
-            raise LuxloopError(
-                f"ego.port: cannot listen on {params.host}:{params.port} ({reason_of(error)}); give another port, or end what holds it"
-            ) from error
+        self._socket = udp_listener("ego.port", params.host, params.port)
         self._socket.settimeout(0.1)
         self._open = True
         self._thread = threading.Thread(target=self._run, name="ego", daemon=True)
@@ -83,7 +119,7 @@ class UdpEgo:
                 continue
             except OSError:
                 return
-            told = decoded(datagram)
+            told = decode(datagram)
             if told is not None and _possible(told):
                 self._come.append((time.monotonic(), told))
             else:

@@ -11,8 +11,8 @@ from urllib.request import AbstractDigestAuthHandler, HTTPPasswordMgrWithDefault
 
 from luxloop.loop.rig.camera import CameraPicture
 from luxloop.loop.rig.params import HttpCameraParams
-from luxloop.loop.rig.wire.addresses import REFUSED, reason_of
 from luxloop.loop.rig.wire.mjpeg import LONGEST_LINE, parts
+from luxloop.loop.rig.wire.sockets import REFUSED, reason_of
 from luxloop.world.errors import LuxloopError
 
 MOST_HEAD: Final = 16_384  # bytes of the answer's head

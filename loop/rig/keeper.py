@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from luxloop.loop.rig.light import Light, Shine, checked_reason
+from luxloop.loop.rig.light import Light, Shine, check_reason
 from luxloop.loop.rig.params import LightParams
 
 STILL: Final = 0.8  # of the lamp's own time-out, within which light that was sent surely stands
@@ -53,7 +53,7 @@ class Keeper:
         """Send new light. Returns None if it was sent, else the reason why it may not be shown."""
         with self._lock:
             self.beat()
-            reason = checked_reason(self._light.show(shine))
+            reason = check_reason(self._light.show(shine))
             self._standing, self._sent_s, self._broken, self._dark_s = shine, time.monotonic(), None, None
             self._since_s, self.reason = (self._sent_s, "") if reason is None else (None, reason)
             return reason
@@ -100,7 +100,7 @@ class Keeper:
             return
         if time.monotonic() - self._sent_s < self._params.keep_alive_s / 2:
             return
-        reason = checked_reason(self._light.show(self._standing))
+        reason = check_reason(self._light.show(self._standing))
         self._notice_gap()
         self._sent_s = time.monotonic()
         if reason is not None:

@@ -1,19 +1,17 @@
-"""The interface of all lights of a rig: they show pictures of utilisations, and go dark."""
+"""Light of a rig: its pictures of utilisations, the interface of all lights, and the limits of power and of change."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Final, Protocol, cast
+from dataclasses import dataclass, replace
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from luxloop.loop.rig.params import DdpLightParams, FilesLightParams, Lights, ScanParams, ScreenLightParams
-from luxloop.world import plugin
+from luxloop.loop.rig.params import LimitParams, ScanParams
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import REST, Commands
 
 Picture = NDArray[np.float32]  # utilisations [rows, columns] of a module in 0..1, row 0 on top, column 0 on the left
-METHODS: Final = ("show", "dark", "close")
 KEY: Final = "light.kind"
 
 
@@ -26,7 +24,7 @@ class Shine:
     commands: Commands = ()
 
     @property
-    def dimmed(self) -> tuple[Picture, ...]:
+    def net_pictures(self) -> tuple[Picture, ...]:
         """The pictures times the modules' intensities, for lamps without this command."""
         commands = self.commands or (REST,) * len(self.pictures)
         return tuple(np.float32(each.intensity) * u for each, u in zip(commands, self.pictures, strict=True))
@@ -34,7 +32,7 @@ class Shine:
     @property
     def share(self) -> float:
         """Mean utilisation of all pixels, times the modules' intensities."""
-        return float(sum(u.sum() for u in self.dimmed) / sum(u.size for u in self.pictures))
+        return float(sum(u.sum() for u in self.net_pictures) / sum(u.size for u in self.pictures))
 
 
 class Light(Protocol):
@@ -66,22 +64,6 @@ class NoLight:
         return None
 
 
-def open_light(params: Lights, grids: Sequence[tuple[int, int]]) -> Light:
-    """The light of a rig file. grids: rows and columns of the modules' pixels. Raises LuxloopError if it cannot be opened."""
-    from luxloop.loop.rig.ddp import DdpLight
-    from luxloop.loop.rig.files import FilesLight
-    from luxloop.loop.rig.screen import ScreenLight
-
-    match params:
-        case DdpLightParams():
-            return DdpLight(params, grids)
-        case ScreenLightParams():
-            return ScreenLight(params, grids)
-        case FilesLightParams():
-            return FilesLight(params)
-    return cast(Light, plugin.make(params.kind, KEY, {"grids": tuple(grids)}, params.options, METHODS))
-
-
 def places(scan: ScanParams, rows: int, columns: int) -> NDArray[np.int64]:
     """Indices `[rows * columns]` into a picture in the order in which a device wants its pixels."""
     index = np.arange(rows * columns).reshape(rows, columns)
@@ -93,8 +75,45 @@ def places(scan: ScanParams, rows: int, columns: int) -> NDArray[np.int64]:
     return lines.ravel()
 
 
-def checked_reason(reason: Any) -> str | None:
+def check_reason(reason: Any) -> str | None:
     """The result of a light's `show`. Raises LuxloopError if it is neither None nor a text."""
     if reason is None or isinstance(reason, str):
         return reason
     raise LuxloopError(f"{KEY}: show gives a {type(reason).__name__}; return None where the light was sent, else the reason as a text")
+
+
+@dataclass(frozen=True, eq=False)
+class LimitedLight:
+    """Light within the limits. dimmed: the factor by which the power limit dims it. slowed: the share of the requested change that is
+    made, 1 for all of it.
+    """
+
+    shine: Shine
+    dimmed: float = 1.0
+    slowed: float = 1.0
+
+    @property
+    def whole(self) -> bool:
+        """Whether it is the requested light."""
+        return self.dimmed == 1 and self.slowed == 1
+
+
+def limit(shine: Shine, before: Sequence[Picture] | None, passed_s: float, limits: LimitParams) -> LimitedLight:
+    """Light within limits. before: current pictures times the modules' intensities, None if dark. passed_s: time since they were sent.
+
+    Light is dimmed by one factor. Of a change that is too fast, only a part is made, so that it is complete after some exposures.
+    """
+    share = shine.share
+    factor = 1.0 if share <= limits.share else limits.share / share
+    pictures = shine.pictures if factor == 1 else tuple(np.float32(factor) * u for u in shine.pictures)
+    asked = replace(shine, pictures=pictures)
+    old = tuple(np.zeros_like(u) for u in pictures) if before is None else tuple(before)
+    count = sum(u.size for u in pictures)
+    change = float(sum(np.abs(new - u).sum() for new, u in zip(asked.net_pictures, old, strict=True))) / count
+    most = limits.change_per_s * passed_s
+    if change <= most:
+        return LimitedLight(asked, factor)
+    part = most / change
+    commands = shine.commands and tuple(replace(each, intensity=1.0) for each in shine.commands)
+    between = tuple(u + np.float32(part) * (new - u) for new, u in zip(asked.net_pictures, old, strict=True))
+    return LimitedLight(replace(asked, pictures=between, commands=commands), factor, part)

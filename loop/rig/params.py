@@ -289,7 +289,7 @@ class RigParams(Params):
     platform: PlatformParams | None = Field(None, description="a motion platform")
 
     @property
-    def triggered(self) -> bool:
+    def has_trigger(self) -> bool:
         """Whether each frame of the camera is triggered."""
         return isinstance(self.camera, OwnCameraParams) and self.camera.triggered
 

@@ -1,8 +1,9 @@
-"""The rig as a plant of the loop: it shows exposures, and assigns pictures to them."""
+"""The rig as a plant of the loop: it shows exposures, assigns pictures to them, and evaluates the symbol in them."""
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,11 +12,16 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.loop.rig.light import Shine
-from luxloop.loop.rig.limits import Limited
+from luxloop.loop.rig.light import LimitedLight, Shine
+from luxloop.loop.rig.matching import mark_surroundings
+from luxloop.loop.rig.params import MarkParams
 from luxloop.loop.rig.rig import Rig
+from luxloop.loop.simulation.controlled import ControlledSymbol
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame
 from luxloop.loop.simulation.truth import LampModule
+from luxloop.perception.birdseye import BirdsEye, birds_eye, region_around
+from luxloop.perception.camera import CameraParams, camera_view, luminance_of
+from luxloop.perception.metrics import CELL_M, Target, evaluate, target
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,14 +56,14 @@ class RigPlant:
         else:
             taken_s = max(taken.sent_s, taken.arrived_s - self.rig.params.timing.latency_s)
             image = torch.from_numpy(taken.image).to(self.like)
-            frame = Frame(exposure.number, taken_s, taken.arrived_s, image, None if given.whole else self._shown(exposure, given))
+            frame = Frame(exposure.number, taken_s, taken.arrived_s, image, None if given.whole else self._exposure_of(exposure, given))
         self.look(exposure, frame.image)
         if exposure.number == self.last:
             self.rig.dark("the run has ended")
         samples = self.rig.ego.samples(self.like)
         return state, Arrivals(time.monotonic(), (frame,), samples)
 
-    def _shown(self, exposure: Exposure, given: Limited) -> Exposure:
+    def _exposure_of(self, exposure: Exposure, given: LimitedLight) -> Exposure:
         """The exposure as the limits let it be."""
         lights = tuple(
             Utilisation(torch.from_numpy(u.ravel()).to(each.u)) for u, each in zip(given.shine.pictures, exposure.lights, strict=True)
@@ -73,3 +79,62 @@ def grids_of(modules: Sequence[Any]) -> tuple[tuple[int, int], ...]:
 def _picture(light: Utilisation, grid: tuple[int, int]) -> np.ndarray:
     """What can be shown of it: the limits would count light below 0 against that of other pixels."""
     return light.u.detach().to("cpu", torch.float32).nan_to_num(0.0).clamp(0, 1).numpy().reshape(grid)
+
+
+LAST = 10  # pairs of frames
+
+
+class SymbolEvaluator:
+    """The last steps of a run, judged after its end, since judging would delay the steps."""
+
+    def __init__(self, symbols: Mapping[str, ControlledSymbol], camera: CameraParams, mark: MarkParams | None = None) -> None:
+        """symbols: held symbols by name. camera: the scenario's. mark: in the light, left out of the judgement."""
+        self._camera, self._mark = camera, mark
+        self._goals = {name: _goal(each, camera) for name, each in symbols.items()}
+        self._on: tuple[Exposure, Tensor] | None = None
+        self._pairs = {name: deque[tuple[int, Tensor, Tensor]](maxlen=LAST) for name in symbols}
+
+    def look(self, exposure: Exposure, image: Tensor | None) -> None:
+        """Take the frame of an exposure, None if it is lost; frames of consecutive exposures are compared."""
+        before, self._on = self._on, None if image is None else (exposure, image)
+        if before is None or image is None or before[0].number + 1 != exposure.number:
+            return
+        for name in before[0].projections.keys() - exposure.projections.keys():
+            self._pairs[name].append((exposure.number, before[1], image))
+
+    def summary(self) -> dict[str, Any]:
+        """By name: IoU and centroid error (None where nothing is lit) of the last pair of frames, the number of its exposure, and the mean
+        IoU of the last ten.
+        """
+        found = {}
+        for name, pairs in self._pairs.items():
+            verdicts = [evaluate(self._luminance(on) - self._luminance(off), *self._goals[name]) for _, on, off in pairs]
+            if verdicts:
+                off = verdicts[-1].centroid_percent.tolist()
+                ious = [float(each.iou) for each in verdicts]
+                lit = all(map(math.isfinite, off))
+                mean = sum(ious) / len(ious)
+                found[name] = {
+                    "exposure": pairs[-1][0],
+                    "iou_final": ious[-1],
+                    "iou_mean": mean,
+                    "centroid_error_percent": off if lit else None,
+                    "pairs": len(ious),
+                }
+        return found
+
+    def _luminance(self, image: Tensor) -> Tensor:
+        """Luminance `[height, width]` of a frame, 0 around the mark."""
+        if self._mark is not None:
+            image = image.clone()
+            image[mark_surroundings(self._mark)] = 0
+        return luminance_of(image, self._camera)
+
+
+def _goal(symbol: ControlledSymbol, camera: CameraParams) -> tuple[BirdsEye, Target]:
+    """The view of the assumed road, and the symbol at its target on it, as the camera would see it."""
+    held, projector = symbol.function.held, symbol.projector
+    region = region_around(held.x_m, held.y_m, held.length_m, held.width_m, CELL_M)
+    flat = symbol.sensor.model.luminance(projector.light(projector.target))
+    plane = birds_eye(region, camera_view(camera)).to(flat.device)
+    return plane, target(flat, plane, held.length_m, held.width_m)

@@ -1,32 +1,122 @@
-"""An open rig: lamp, camera and sensors; it shows light and returns a frame of it."""
+"""An open rig: lamp, camera and sensors; it shows light and returns a frame of it, with statistics of a run."""
 
 import math
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from luxloop.loop.rig import mark
-from luxloop.loop.rig.camera import Camera, CameraPicture, opener
+from luxloop.loop.rig.camera import Camera, CameraPicture
+from luxloop.loop.rig.cameras import opener
 from luxloop.loop.rig.ego import Ego, open_ego
 from luxloop.loop.rig.keeper import Keeper
-from luxloop.loop.rig.light import Light, NoLight, Picture, Shine, open_light
-from luxloop.loop.rig.limits import Limited, limited
-from luxloop.loop.rig.matching import shows
+from luxloop.loop.rig.light import Light, LimitedLight, NoLight, Picture, Shine, limit
+from luxloop.loop.rig.lights import open_light
+from luxloop.loop.rig.matching import CODES, draw_mark, limits_beside_mark, read_mark, shows
 from luxloop.loop.rig.params import LimitParams, RigParams, refuse_module
-from luxloop.loop.rig.rectified import Rectifier, WrongPicture
-from luxloop.loop.rig.statistics import Statistics
+from luxloop.loop.rig.rectification import Rectifier, Rectify, WrongPicture, grey
 from luxloop.perception.camera import CameraParams
+from luxloop.world.errors import LuxloopError
+
+BIN_S: Final = 0.0005
+BINS: Final = 10_000  # up to 5 s; later ones count as the last
+MOST_LOSSES: Final = 1000  # of which the number of the exposure is kept
+LEAST_FRAMES: Final = 0.8  # share of the exposures: jitter, lost packets and a camera that reconnects cost less
+LONGEST_SILENCE: Final = 10  # exposures without a frame at the end, of a rig that died in a long run
+
+
+@dataclass
+class TimeHistogram:
+    """Times in a histogram of constant memory."""
+
+    counts: "np.ndarray" = field(default_factory=lambda: np.zeros(BINS, np.int64))
+    worst_s: float = 0.0
+
+    def add(self, time_s: float) -> None:
+        self.counts[min(max(int(time_s / BIN_S), 0), BINS - 1)] += 1
+        self.worst_s = max(self.worst_s, time_s)
+
+    def quantile_s(self, share: float) -> float | None:
+        """Quantile in s, None without any times. share: 0..1."""
+        total = int(self.counts.sum())
+        if not total:
+            return None
+        at = int(np.searchsorted(np.cumsum(self.counts), share * total))
+        return min((at + 0.5) * BIN_S, self.worst_s)
+
+    @property
+    def in_ms(self) -> dict[str, float | None]:
+        """Median, 95 % quantile and worst in ms."""
+        values = {"median": self.quantile_s(0.5), "p95": self.quantile_s(0.95), "worst": self.worst_s if self.counts.any() else None}
+        return {name: None if value is None else round(1e3 * value, 2) for name, value in values.items()}
+
+
+@dataclass
+class Statistics:
+    """Statistics of a run so far. lateness: from sending light to the arrival of its frame. hold: from the start of an exposure to its
+    end. seen: number of pictures by their use. silent: exposures since the newest frame.
+    """
+
+    lateness: TimeHistogram = field(default_factory=TimeHistogram)
+    hold: TimeHistogram = field(default_factory=TimeHistogram)
+    seen: Counter[str] = field(default_factory=Counter)
+    lost: Counter[str] = field(default_factory=Counter)
+    losses: list[tuple[int, str]] = field(default_factory=list)
+    exposures: int = 0
+    silent: int = 0
+    dimmed: int = 0
+    slowed: int = 0
+    began_s: float = 0.0
+    ended_s: float = 0.0
+
+    def take(self, lateness_s: float) -> None:
+        self.lateness.add(lateness_s)
+        self.silent = 0
+
+    def lose(self, number: int, reason: str) -> None:
+        self.lost[reason] += 1
+        self.silent += 1
+        if len(self.losses) < MOST_LOSSES:
+            self.losses.append((number, reason))
+
+    @property
+    def failure(self) -> str:
+        """Why a run is none of a working rig: fewer than 80 % of the exposures have a frame, or none of the last ten; empty if it is."""
+        came = self.exposures - self.lost.total()
+        if came >= LEAST_FRAMES * self.exposures and self.silent < LONGEST_SILENCE:
+            return ""
+        silence = f", none of the last {self.silent}" if self.silent else ""
+        why = f" ({self.lost.most_common(1)[0][0]})" if self.lost else ""
+        return f"frames of only {came} of {self.exposures} exposures came{silence}{why}; see `luxloop rig check` and `luxloop rig blink`"
+
+    def summary(self, per_step: int) -> dict[str, Any]:
+        """The statistics as plain data. per_step: exposures per control step."""
+        lasted_s = self.ended_s - self.began_s
+        return {
+            "exposures": self.exposures,
+            "lost": dict(self.lost),
+            "silent": self.silent,
+            "losses": [{"exposure": number, "reason": reason} for number, reason in self.losses],
+            "control_rate_hz": round(self.exposures / per_step / lasted_s, 3) if lasted_s > 0 else None,
+            "light_to_frame_ms": self.lateness.in_ms,
+            "hold_ms": self.hold.in_ms,
+            "pictures": dict(self.seen),
+            "dimmed": self.dimmed,
+            "slowed": self.slowed,
+        }
+
 
 CAMERA_S = 5.0  # for a camera's first picture
 BEAT_S = 0.05  # between two beats at most, half of the least limits.loop_s
 
 
 @dataclass(frozen=True)
-class Taken:
+class RigFrame:
     """A frame, or the reason why it is lost. sent_s, arrived_s: times of the light and of the frame, by `time.monotonic`.
 
     image: `[height, width]`, None if lost. data: the picture as it arrived.
@@ -52,14 +142,14 @@ class Rig:
     keeper: Keeper
     camera: Camera
     ego: Ego
-    rectifier: Rectifier | None
+    rectify: Rectify | None
     limits: LimitParams
     statistics: Statistics = field(default_factory=Statistics)
     _stands: tuple[Picture, ...] | None = None
     _changed_s: float = 0.0
     _marked: int = -1  # number of the newest exposure whose mark was seen
 
-    def expose(self, shine: Shine, least_s: float) -> tuple[Limited, Taken]:
+    def expose(self, shine: Shine, least_s: float) -> tuple[LimitedLight, RigFrame]:
         """Show light for at least `least_s`, until a frame of this light alone has arrived or counts as lost."""
         self.statistics.exposures += 1
         began_s = time.monotonic()
@@ -67,41 +157,41 @@ class Rig:
         self.keeper.beat()
         if not self.camera.alive:  # nobody would see it
             self.keeper.dark(self.camera.reason)
-            if self.params.triggered:  # without that it would never come back
+            if self.params.has_trigger:  # without that it would never come back
                 self.camera.trigger()
             reason = self.camera.reason
             if (picture := self.camera.next(began_s + self.params.timing.wait_s)) is not None:
                 with suppress(WrongPicture):
                     self._image(picture)
             self._done(began_s)
-            return Limited(shine), self._lost(shine.number, began_s, reason)
-        given = self.limited(shine, began_s)
+            return LimitedLight(shine), self._lost(shine.number, began_s, reason)
+        given = self.limit(shine, began_s)
         self.show(given.shine)
         taken = self._frame(given.shine.number, began_s)
-        self._hold(began_s + least_s)
+        self._wait_until(began_s + least_s)
         self._done(began_s)
         return given, taken
 
-    def limited(self, shine: Shine, now_s: float) -> Limited:
+    def limit(self, shine: Shine, now_s: float) -> LimitedLight:
         """Light within the limits, given the current light, or the time since the lamp was darkened."""
         dark_s = self.keeper.dark_since_s
         before, changed_s = (self._stands, self._changed_s) if dark_s is None else (None, dark_s)
-        given = limited(shine, before, now_s - changed_s, self.limits)
+        given = limit(shine, before, now_s - changed_s, self.limits)
         self.statistics.dimmed += given.dimmed < 1
         self.statistics.slowed += given.slowed < 1
         return given
 
     def show(self, shine: Shine) -> None:
         """Show light that is within the limits, with the mark."""
-        self._stands, self._changed_s = shine.dimmed, time.monotonic()
-        marked = shine.pictures if self.params.mark is None else mark.drawn(shine.pictures, self.params.mark, shine.number)
+        self._stands, self._changed_s = shine.net_pictures, time.monotonic()
+        marked = shine.pictures if self.params.mark is None else draw_mark(shine.pictures, self.params.mark, shine.number)
         self.keeper.show(Shine(shine.number, marked, shine.commands))
 
     def dark(self, reason: str) -> None:
         """Darken the lamp until light is shown again. reason: in words."""
         self.keeper.dark(reason)
 
-    def _hold(self, until_s: float) -> None:
+    def _wait_until(self, until_s: float) -> None:
         while (left_s := until_s - time.monotonic()) > 0:
             self.keeper.beat()
             time.sleep(min(left_s, BEAT_S))
@@ -111,17 +201,17 @@ class Rig:
         self.statistics.hold.add(self.statistics.ended_s - began_s)
         self.keeper.beat()
 
-    def _lost(self, number: int, sent_s: float, reason: str) -> Taken:
+    def _lost(self, number: int, sent_s: float, reason: str) -> RigFrame:
         self.statistics.lose(number, reason)
-        return Taken(sent_s, np.nan, None, reason)
+        return RigFrame(sent_s, np.nan, None, reason)
 
-    def _frame(self, number: int, began_s: float) -> Taken:
+    def _frame(self, number: int, began_s: float) -> RigFrame:
         """The first frame of the current light alone, or the reason why there is none."""
         timing, statistics = self.params.timing, self.statistics
         until_s = began_s + timing.wait_s
         last = "no picture came"
-        if self.params.triggered and (since_s := self.keeper.since_s) is not None:
-            self._hold(since_s + timing.clear_s)
+        if self.params.has_trigger and (since_s := self.keeper.since_s) is not None:
+            self._wait_until(since_s + timing.clear_s)
             statistics.seen["old"] += self.camera.forget()
             self.camera.trigger()
         while (now_s := time.monotonic()) < until_s:
@@ -131,13 +221,13 @@ class Rig:
                 return self._lost(number, began_s, self.keeper.reason)
             if picture is None:
                 continue
-            why = self._refused(picture, since_s)
+            why = self._rejection(picture, since_s)
             if why is not None:
                 statistics.seen[why] += 1
                 last = {"late": "all pictures had lain in a queue"}.get(why, "no picture that shows this light alone came")
                 continue
             taken = self._looked_at(picture, number, since_s)
-            if isinstance(taken, Taken):
+            if isinstance(taken, RigFrame):
                 statistics.seen["taken"] += 1
                 return taken
             last = taken
@@ -145,14 +235,14 @@ class Rig:
 
     def refuse_misfit(self) -> None:
         """Raises LuxloopError where the camera's next picture cannot become the scenario's image; a triggered camera sends none yet."""
-        picture = None if self.params.triggered else self.camera.next(time.monotonic() + self.params.camera.timeout_s)
-        if picture is not None and self.rectifier is not None:
-            self.rectifier.image(picture.data)
+        picture = None if self.params.has_trigger else self.camera.next(time.monotonic() + self.params.camera.timeout_s)
+        if picture is not None and self.rectify is not None:
+            self.rectify(picture.data)
 
-    def _refused(self, picture: CameraPicture, since_s: float) -> str | None:
+    def _rejection(self, picture: CameraPicture, since_s: float) -> str | None:
         """Why a picture may not show only the light sent at since_s: "old", "mixed", or "late" if it lay in a buffer; else None."""
         lag_s = picture.arrived_s - since_s
-        if self.params.triggered:  # which has no rhythm
+        if self.params.has_trigger:  # which has no rhythm
             return None if lag_s > self.params.timing.clear_s else "old"
         verdict = shows(lag_s, self.params.timing, picture.late_s)
         return verdict if verdict != "clear" else None if picture.awaited else "late"
@@ -160,23 +250,23 @@ class Rig:
     def _image(self, picture: CameraPicture) -> NDArray[np.float32]:
         """The scenario's image. Raises WrongPicture if the picture does not fit, which darkens the lamp if it goes on."""
         try:
-            image = np.zeros((1, 1), np.float32) if self.rectifier is None else self.rectifier.image(picture.data)
+            image = np.zeros((1, 1), np.float32) if self.rectify is None else self.rectify(picture.data)
         except WrongPicture as error:
             self.camera.judge(str(error))
             raise
         self.camera.judge(None)
         return image
 
-    def _looked_at(self, picture: CameraPicture, number: int, since_s: float) -> Taken | str:
+    def _looked_at(self, picture: CameraPicture, number: int, since_s: float) -> RigFrame | str:
         """The frame of a picture, or the reason why it cannot be used."""
         try:
             image = self._image(picture)
         except WrongPicture as error:
             self.statistics.seen["wrong"] += 1
             return str(error)
-        if self.params.mark is not None and self.armed and self.rectifier is not None:
-            found = mark.shown(image, self.params.mark)
-            if found != number % mark.CODES:
+        if self.params.mark is not None and self.armed and self.rectify is not None:
+            found = read_mark(image, self.params.mark)
+            if found != number % CODES:
                 self.statistics.seen["unmarked" if found is None else "of another exposure"] += 1
                 return "no picture with this exposure's mark came" if found is None else "the mark was that of another exposure"
             if self._marked != number:  # the light may have come in its midst; the next picture begins after it has ended
@@ -186,11 +276,11 @@ class Rig:
         if self.keeper.since_s != since_s:  # while it was looked at
             return self.keeper.reason or "the light changed"
         self.statistics.take(picture.arrived_s - since_s)
-        return Taken(since_s, picture.arrived_s, image, data=picture.data)
+        return RigFrame(since_s, picture.arrived_s, image, data=picture.data)
 
 
 @contextmanager
-def opened(params: RigParams, grids: Sequence[tuple[int, int]], camera: CameraParams | None, *, armed: bool) -> Iterator[Rig]:
+def open_rig(params: RigParams, grids: Sequence[tuple[int, int]], camera: CameraParams | None, *, armed: bool) -> Iterator[Rig]:
     """Open a rig, and darken it at the end in any case.
 
     grids: rows and columns of the modules' pixels. camera: the scenario's, None if images are not needed. armed: whether the lamp is lit.
@@ -199,9 +289,9 @@ def opened(params: RigParams, grids: Sequence[tuple[int, int]], camera: CameraPa
     limits = params.limits
     if params.mark is not None:
         refuse_module(params.mark, grids)
-        limits = mark.spared(limits, params.mark, grids)
+        limits = limits_beside_mark(limits, params.mark, grids)
     with ExitStack() as stack:
-        rectifier = None if camera is None else Rectifier.of(params, camera)
+        rectify = None if camera is None else Rectifier.of(params, camera).image
         ego = open_ego(params.ego)
         stack.callback(ego.close)
         watched = Camera(opener(params.camera), params.camera.timeout_s)
@@ -209,14 +299,14 @@ def opened(params: RigParams, grids: Sequence[tuple[int, int]], camera: CameraPa
         light: Light = open_light(params.light, grids) if armed else NoLight()
         keeper = Keeper(light, params.light, params.limits.loop_s, lambda: None if watched.alive else watched.reason)
         stack.callback(keeper.close)
-        yield Rig(params, armed, light, keeper, watched, ego, rectifier, limits)
+        yield Rig(params, armed, light, keeper, watched, ego, rectify, limits)
 
 
 def await_camera(rig: Rig, seconds: float = CAMERA_S) -> bool:
     """Wait for the camera's first pictures, until its period is known; returns whether pictures arrive."""
     until_s = time.monotonic() + seconds
     while time.monotonic() < until_s:
-        if rig.params.triggered:
+        if rig.params.has_trigger:
             rig.camera.trigger()
             if rig.camera.next(time.monotonic() + rig.params.timing.wait_s) is not None:
                 break
@@ -225,3 +315,41 @@ def await_camera(rig: Rig, seconds: float = CAMERA_S) -> bool:
         if picture is not None and math.isfinite(picture.late_s):
             break
     return rig.camera.alive
+
+
+LOOK_S: Final = 3.0
+
+
+def look(rig: Rig, seconds: float = LOOK_S) -> dict[str, Any]:
+    """Rate, sizes and brightness of the camera's pictures in some seconds. Raises LuxloopError if fewer than two arrive."""
+    if not await_camera(rig):
+        raise LuxloopError(rig.camera.reason)
+    rig.camera.forget()
+    arrivals, late, sizes, brightest, refused = [], 0, set[tuple[int, int]](), 0.0, Counter[str]()
+    until_s = time.monotonic() + seconds
+    while time.monotonic() < until_s:
+        if rig.params.has_trigger:
+            rig.camera.trigger()
+        if (picture := rig.camera.next(until_s)) is None:
+            break
+        arrivals.append(picture.arrived_s)
+        late += not picture.awaited
+        try:
+            image = grey(picture.data)
+            sizes.add((image.shape[1], image.shape[0]))
+            brightest = max(brightest, float(image.max()) / (2 ** (rig.params.camera.bits or 8 * image.dtype.itemsize) - 1))
+            if rig.rectify is not None:
+                rig.rectify(picture.data)
+        except WrongPicture as error:
+            refused[str(error)] += 1
+    if len(arrivals) < 2:
+        raise LuxloopError(f"camera: {len(arrivals)} pictures in {seconds:g} s; it is too slow, or has stopped")
+    intervals = np.diff(arrivals)
+    return {
+        "sizes": sorted(sizes),
+        "rate_hz": (len(arrivals) - 1) / (arrivals[-1] - arrivals[0]),
+        "interval_worst_ms": 1e3 * float(intervals.max()),
+        "late": late / len(arrivals),
+        "brightest": brightest,
+        "refused": refused.most_common(1)[0][0] if 2 * refused.total() > len(arrivals) else "",
+    }

@@ -3,6 +3,7 @@
 import asyncio
 import json
 import socket
+import struct
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -14,6 +15,7 @@ from typing import Any, Final
 from urllib.parse import urlsplit
 
 import numpy as np
+from numpy.typing import NDArray
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
@@ -21,10 +23,43 @@ from websockets.http11 import Request, Response
 
 from luxloop.loop.rig.light import Shine, places
 from luxloop.loop.rig.params import ScreenLightParams
-from luxloop.loop.rig.wire.addresses import REFUSED, reason_of
 from luxloop.loop.rig.wire.ddp import codes_of
-from luxloop.loop.rig.wire.screen import message_of, stacked
+from luxloop.loop.rig.wire.sockets import REFUSED, reason_of
 from luxloop.world.errors import LuxloopError
+
+HEAD: Final = struct.Struct(">IHH")  # of a message: number of the light, width and height of its picture
+
+
+def stack_pictures(pictures: Sequence[NDArray]) -> NDArray:
+    """Pictures of all modules below each other, the first on top, each at the left: `[sum of rows, most columns]`, black beside them."""
+    width = max(each.shape[1] for each in pictures)
+    return np.concatenate([np.pad(each, ((0, 0), (0, width - each.shape[1]))) for each in pictures])
+
+
+def split_picture(picture: NDArray, grids: Sequence[tuple[int, int]]) -> NDArray:
+    """The pixels `[n]` of all modules one after another, row by row, of a picture. grids: rows and columns of each. Raises ValueError where
+    the picture has another size.
+    """
+    rows, columns = sum(rows for rows, _ in grids), max(columns for _, columns in grids)
+    if picture.shape != (rows, columns):
+        raise ValueError(f"the picture has {picture.shape[0]} x {picture.shape[1]} pixels, not {rows} x {columns}")
+    ends = np.cumsum([rows for rows, _ in grids])[:-1]
+    parts = np.split(picture, ends)
+    return np.concatenate([part[:, :columns].ravel() for part, (_, columns) in zip(parts, grids, strict=True)])
+
+
+def message_of(number: int, codes: NDArray[np.uint8]) -> bytes:
+    """The bytes of a picture `[height, width]`: `HEAD`, big endian, and a byte a pixel, row by row from the top."""
+    return HEAD.pack(number % 2**32, codes.shape[1], codes.shape[0]) + codes.tobytes()
+
+
+def understood(message: bytes) -> tuple[int, NDArray[np.uint8]]:
+    """The number of a message and its picture `[height, width]`. Raises ValueError where it is none."""
+    if len(message) < HEAD.size:
+        raise ValueError(f"a message of {len(message)} bytes has no head")
+    number, width, height = HEAD.unpack_from(message)
+    return number, np.frombuffer(message, np.uint8, offset=HEAD.size).reshape(height, width)
+
 
 PAGE: Final = Path(__file__).parent / "page" / "screen.html"
 LARGEST_ANSWER: Final = 1000  # bytes
@@ -51,13 +86,13 @@ class ScreenLight:
             raise LuxloopError(self._failed)
 
     @property
-    def connected(self) -> bool:
+    def has_page(self) -> bool:
         """Whether a page is connected."""
         return self._page is not None
 
     def await_page(self, ask: Callable[[str], None], seconds: float = 600.0) -> None:
         """Wait until a page is connected. ask: called with the address to open. Raises LuxloopError if none connects in time."""
-        if not self.connected:
+        if not self.has_page:
             ask(f"http://{self._params.host}:{self.port}/")
         with self._changed:
             if not self._changed.wait_for(lambda: self._page is not None, seconds):
@@ -78,7 +113,7 @@ class ScreenLight:
             return (
                 None if self._shown_on is page else self._undone("light: the page darkened by itself, or another one has taken its place")
             )
-        picture = stacked([u.ravel()[order].reshape(u.shape) for u, order in zip(shine.dimmed, self._order, strict=True)])
+        picture = stack_pictures([u.ravel()[order].reshape(u.shape) for u, order in zip(shine.net_pictures, self._order, strict=True)])
         codes = codes_of(picture, 8, self._params.gamma)
         self._number, self._shown_on = shine.number, page
         self._send(page, message_of(shine.number, codes.astype(np.uint8)))

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from rig_bench import Rig, model, rig, wall
 from rig_calibration import CASES, digitise, figures, lamp
 
-from luxloop.loop.rig.calibration.digitise import Digitised
+from luxloop.loop.rig.calibration.digitise import ModuleMeasurement
 from luxloop.world.errors import LuxloopError
 
 STUCK = 433
@@ -34,18 +34,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def found(small: dict[str, Rig], folder: Path) -> dict[str, Digitised]:
+def found(small: dict[str, Rig], folder: Path) -> dict[str, ModuleMeasurement]:
     return {name: digitise(of, folder if name == "nothing" else None) for name, of in small.items()}
 
 
 @pytest.mark.parametrize(("case", "stuck"), [("nothing", [STUCK]), ("all four", [])])
-def test_a_small_lamp_with_dead_and_stuck_pixels(small: dict[str, Rig], found: dict[str, Digitised], case: str, stuck: list[int]) -> None:
+def test_a_small_lamp_with_dead_and_stuck_pixels(
+    small: dict[str, Rig], found: dict[str, ModuleMeasurement], case: str, stuck: list[int]
+) -> None:
     px, one, _, turned, *_ = figures(small[case], found[case]).values()
     assert px < 0.1 and one < 2.0 and turned < 0.05
     assert np.flatnonzero(found[case].dead).tolist() == [266, 405] and np.flatnonzero(found[case].stuck).tolist() == stuck
 
 
-def test_measurement_goes_on_where_it_stopped(small: dict[str, Rig], found: dict[str, Digitised], folder: Path) -> None:
+def test_measurement_goes_on_where_it_stopped(small: dict[str, Rig], found: dict[str, ModuleMeasurement], folder: Path) -> None:
     of, kept = small["nothing"], sorted(folder.glob("*.png"))
     dark = replace(of.bench, transports=tuple(0 * each for each in of.bench.transports))
     from_folder = digitise(replace(of, bench=dark), folder)  # this lamp gives no light: every frame is from the folder

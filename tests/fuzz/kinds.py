@@ -18,11 +18,11 @@ from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from luxloop.loop.recording import replay
 from luxloop.loop.recording.manifest import Manifest
-from luxloop.loop.rig.calibration import files as calibrations
+from luxloop.loop.rig.calibration import calibrate as calibrations
 from luxloop.loop.rig.calibration.geometry import CameraModel, Pose
-from luxloop.loop.rig.calibration.response import Response
+from luxloop.loop.rig.calibration.shots import Response
 from luxloop.loop.rig.params import load_rig
-from luxloop.loop.rig.rectified import load_lens
+from luxloop.loop.rig.rectification import load_lens
 from luxloop.loop.rig.simulated import faults
 from luxloop.loop.rig.simulated.lens import Lens
 from luxloop.loop.run import check

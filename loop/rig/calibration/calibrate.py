@@ -1,26 +1,130 @@
-"""Calibrate a rig: response, lens, and the relative poses of camera, screen and modules."""
+"""Calibrate a rig: response, lens, and the relative poses of camera, screen and modules; the result as a file."""
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
 
 import cv2
 import numpy as np
 
-from luxloop.loop.rig.calibration.bench import Array
-from luxloop.loop.rig.calibration.board import Corners
-from luxloop.loop.rig.calibration.charts import Places
-from luxloop.loop.rig.calibration.codes import patterns
-from luxloop.loop.rig.calibration.digitise import Nominal, Reading, Settings, located
-from luxloop.loop.rig.calibration.files import Calibration
-from luxloop.loop.rig.calibration.geometry import ISO, MOST_PX, CameraModel, Geometry, Pose, Seen, adjusted
-from luxloop.loop.rig.calibration.intrinsics import Lens, brightness
-from luxloop.loop.rig.calibration.response import Response, response_curve
-from luxloop.loop.rig.calibration.shots import Shots
+from luxloop.loop.rig.calibration.digitise import Nominal, Reading, Settings, locate_pixels
+from luxloop.loop.rig.calibration.geometry import DISTORTION, ISO, MOST_PX, CameraModel, Geometry, Observation, Pose, adjust
+from luxloop.loop.rig.calibration.intrinsics import Corners, Lens, brightness
+from luxloop.loop.rig.calibration.setups import Array
+from luxloop.loop.rig.calibration.shots import Response, Shots, response_curve
+from luxloop.loop.rig.calibration.structured_light import Places, patterns
 from luxloop.loop.simulation.truth import LampModule
 from luxloop.perception.camera import CameraParams, camera_view
+from luxloop.world.arrays import read_npz, write_npz
 from luxloop.world.errors import LuxloopError
+from luxloop.world.files import content, reading, whole
+
+FORMAT: Final = "luxloop rig calibration"
+AGAIN: Final = "run `luxloop rig calibrate` again"
+HALF: Final = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # OpenCV counts from a pixel's centre, we from its corner
+LARGEST_PX: Final = 16384
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """camera: the lens. response: from digital numbers to light. vignetting: `[3]`, as `brightness` takes it. screen: T_camera_screen.
+    modules: T_camera_lamp of each, by name. rms: in px, by what was seen. lux: illuminance of the screen in lx that saturates the camera,
+    None without a luxmeter reading.
+    """
+
+    camera: CameraModel
+    response: Response
+    vignetting: Array
+    screen: Pose
+    modules: dict[str, Pose]
+    rms: dict[str, float]
+    lux: float | None = None
+
+    def geometry(self, module: str) -> Geometry:
+        """The geometry of a module. Raises LuxloopError if it was not calibrated."""
+        if module not in self.modules:
+            known = ", ".join(self.modules)
+            raise LuxloopError(f"the calibration knows the modules {known}, not {module!r}; {AGAIN} with this scenario")
+        return Geometry(self.camera, self.screen, self.modules[module])
+
+
+def refuse_name(path: Path) -> None:
+    """Raises LuxloopError if a file's name does not end in .npz."""
+    if path.suffix != ".npz":
+        raise LuxloopError(f"{path}: its name ends in .npz; write for example {path.with_suffix('.npz')}")
+
+
+def save(path: Path, calibration: Calibration) -> None:
+    """Write a calibration atomically. Raises LuxloopError if the name does not end in .npz, or it cannot be written."""
+    refuse_name(path)
+    camera = calibration.camera
+    header = {"format": FORMAT, "version": 1, "modules": list(calibration.modules), "rms_px": calibration.rms}
+    arrays: dict[str, Any] = {
+        "header": np.frombuffer(json.dumps(header).encode(), np.uint8),
+        "size_px": np.array([camera.width, camera.height]),
+        "camera_matrix": camera.matrix - HALF,
+        "distortion": camera.distortion,
+        "response": calibration.response.curve.clip(0, 1).astype(np.float32),
+        "response_signed": calibration.response.curve,
+        "vignetting": calibration.vignetting,
+        "T_camera_screen": calibration.screen.matrix,
+        "T_camera_modules": np.stack([each.matrix for each in calibration.modules.values()]),
+    }
+    if camera.covariance is not None:
+        arrays["covariance"] = camera.covariance
+    if calibration.lux is not None:
+        arrays["lux"] = np.array([calibration.lux])
+    with whole(path) as part:
+        write_npz(part, arrays.items())
+
+
+def load(path: Path) -> Calibration:
+    """Read a calibration. Raises LuxloopError if the file is missing, damaged, or not a calibration."""
+    with reading(path, "no calibration of a rig, or damaged", AGAIN):
+        content(path)
+        arrays = read_npz(path)
+        header = json.loads(arrays["header"].tobytes())
+        if header["format"] != FORMAT or header["version"] != 1:
+            raise ValueError("another format")
+        names, rms = [str(name) for name in header["modules"]], {str(key): float(value) for key, value in header["rms_px"].items()}
+        width, height = (int(each) for each in _array(arrays, "size_px", (2,)))
+        if not (0 < width <= LARGEST_PX and 0 < height <= LARGEST_PX):
+            raise ValueError("size_px is none")
+        matrix = _array(arrays, "camera_matrix", (3, 3)) + HALF
+        covariance = _array(arrays, "covariance", (9, 9)) if "covariance" in arrays else None
+        camera = CameraModel(width, height, matrix, _array(arrays, "distortion", (len(DISTORTION),)), covariance)
+        if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
+            raise ValueError("camera_matrix has no positive focal length")
+        curve = arrays["response_signed"]
+        if curve.ndim != 1 or not 256 <= len(curve) <= 65536 or not np.isfinite(curve).all():
+            raise ValueError("response has no 256 to 65536 finite numbers")
+        poses = _array(arrays, "T_camera_modules", (len(names), 4, 4))
+        screen, *modules = (_pose(each) for each in (_array(arrays, "T_camera_screen", (4, 4)), *poses))
+        vignetting = _array(arrays, "vignetting", (3,))
+        lux = float(_array(arrays, "lux", (1,))[0]) if "lux" in arrays else None
+        if lux is not None and lux <= 0:
+            raise ValueError("lux is none")
+        placed = dict(zip(names, modules, strict=True))
+        return Calibration(camera, Response(curve.astype(np.float32)), vignetting, screen, placed, rms, lux)
+
+
+def _array(arrays: dict[str, Any], name: str, shape: tuple[int, ...]) -> Array:
+    array = np.asarray(arrays[name], float)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError(f"{name} is no {list(shape)} of finite numbers")
+    return array
+
+
+def _pose(T: Array) -> Pose:
+    turn = T[:3, :3]
+    if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-6 or np.linalg.det(turn) < 0 or (T[3] != (0, 0, 0, 1)).any():
+        raise ValueError("a pose is none")
+    return Pose.of(T)
+
 
 LADDER: Final = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 0.75, 1.0)  # utilisations, for a camera with one exposure
 AVERAGED: Final = 8  # frames of each rung
@@ -29,7 +133,7 @@ SCREEN: Final = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]]).T  # of a screen
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class Prior:
     """Prior knowledge of a rig. camera: the scenario's. lens: from a board, None for the scenario's pinhole camera. board: the board
     that lies on the screen, None where the screen stands square to the x axis, `screen_m` m ahead of the lamps.
     """
@@ -47,7 +151,7 @@ class Known:
 
 
 @dataclass(frozen=True, eq=False)
-class Calibrated:
+class CalibrationResult:
     """calibration: for the file. geometry: of each module by name. found: share of its pixels that was located."""
 
     calibration: Calibration
@@ -55,26 +159,26 @@ class Calibrated:
     found: Mapping[str, float]
 
 
-def measured_response(shots: Shots, sizes: Sequence[int]) -> Response:
+def measure_response(shots: Shots, sizes: Sequence[int]) -> Response:
     """The camera's response: from exposure times if it has three or more, else from utilisations, which needs a dark room.
 
     sizes: number of pixels of each module. Raises LuxloopError if the frames do not suffice.
     """
     on, off = ([np.full(n, u) for n in sizes] for u in (1.0, 0.0))
-    times = shots.bench.exposures_s
+    times = shots.setup.exposures_s
     if len(times) >= 3:
         frames = [shots.frames("response", on, AVERAGED, each).mean(0) for each in times]
         black = shots.frames("black", off, AVERAGED, times[0]).mean(0)
-        return response_curve([black, *frames], [0.0, *times], shots.bench.levels)
+        return response_curve([black, *frames], [0.0, *times], shots.setup.levels)
     frames = [shots.frames(f"response_{100 * u:.0f}", [np.full(n, u) for n in sizes], AVERAGED, times[-1]).mean(0) for u in LADDER]
-    return response_curve(frames, LADDER, shots.bench.levels)
+    return response_curve(frames, LADDER, shots.setup.levels)
 
 
-def calibrated(shots: Shots, modules: Sequence[LampModule], known: Known, settings: Settings, vignetting: Array) -> Calibrated:
+def calibrate_poses(shots: Shots, modules: Sequence[LampModule], known: Prior, vignetting: Array) -> CalibrationResult:
     """Locate the pixels of all modules, and adjust all poses to them. Raises LuxloopError if too few pixels are located."""
     camera = CameraModel.of(known.camera) if known.lens is None else known.lens.camera
-    if (camera.height, camera.width) != shots.bench.shape:
-        height, width = shots.bench.shape
+    if (camera.height, camera.width) != shots.setup.shape:
+        height, width = shots.setup.shape
         raise LuxloopError(f"the camera has {width} x {height} px, but the board's pictures {camera.width} x {camera.height} px")
     sizes = [each.headlight.n_pixels for each in modules]
     start = _screen(camera, known)
@@ -82,16 +186,16 @@ def calibrated(shots: Shots, modules: Sequence[LampModule], known: Known, settin
     geometry, found = {}, {}
     for number, module in enumerate(modules):
         nominal = Nominal.of(number, module.name, module.headlight)
-        places = _places(shots, nominal, sizes, settings)
-        seen = _seen(nominal, places, known.board)
+        places = _places(shots, nominal, sizes)
+        seen = _observation(nominal, places, known.board)
         lamp = Pose.of(T_camera_world @ module.T_world_headlight.double().cpu().numpy())
-        geometry[module.name] = adjusted(camera, (start,), lamp, [seen], fixed=("scale",))
+        geometry[module.name] = adjust(camera, start, lamp, seen)
         found[module.name] = float(np.isfinite(places.u).mean())
     last = next(iter(geometry.values()))
     poses = {name: each.lamp for name, each in geometry.items()}
-    rms = {f"module {name}": each.rms["lamp"][0] for name, each in geometry.items()}
+    rms = {f"module {name}": each.rms["lamp"] for name, each in geometry.items()}
     if known.board is not None:
-        rms["board on the screen"] = last.rms["board"][0]
+        rms["board on the screen"] = last.rms["board"]
     if known.lens is not None:
         rms["boards"] = float(np.sqrt(np.mean(np.square(known.lens.rms))))
     for what, left in rms.items():
@@ -101,7 +205,7 @@ def calibrated(shots: Shots, modules: Sequence[LampModule], known: Known, settin
                 "the screen's distance or the picture of the board on it, and the order of the lamp's pixels"
             )
     kept = replace(last.camera, covariance=camera.covariance)
-    return Calibrated(Calibration(kept, shots.response, vignetting, last.screens[0], poses, rms), geometry, found)
+    return CalibrationResult(Calibration(kept, shots.response, vignetting, last.screen, poses, rms), geometry, found)
 
 
 def lux_scale(shots: Shots, sizes: Sequence[int], readings: Sequence[Reading], vignetting: Array) -> float:
@@ -109,7 +213,7 @@ def lux_scale(shots: Shots, sizes: Sequence[int], readings: Sequence[Reading], v
 
     The screen is Lambertian. Raises LuxloopError if the camera sees no light at the position of a reading.
     """
-    height, width = shots.bench.shape
+    height, width = shots.setup.shape
     for each in readings:
         if not (0 <= each.u <= width and 0 <= each.v <= height):
             raise LuxloopError(f"--lux: {each.u:g}, {each.v:g} px lies outside of the camera's picture of {width} x {height} px")
@@ -125,23 +229,21 @@ def lux_scale(shots: Shots, sizes: Sequence[int], readings: Sequence[Reading], v
                 f"the camera sees no light at {each.u:g}, {each.v:g} px; give the place of the luxmeter's sensor in its picture"
             )
         found.append(each.lux / there)
-    return float(np.mean(found)) / shots.bench.exposures_s[-1]
+    return float(np.mean(found)) / shots.setup.exposures_s[-1]
 
 
-def _places(shots: Shots, nominal: Nominal, sizes: Sequence[int], settings: Settings) -> Places:
-    def lit(u: Array) -> list[Array]:
-        return [u if k == nominal.number else np.zeros(n) for k, n in enumerate(sizes)]
-
-    main = shots.exposures(f"{nominal.number}_brightest", lit(np.ones(sizes[nominal.number])))[:1]
-    repeats = shots.response.light(shots.frames(f"{nominal.number}_full", lit(np.ones(sizes[nominal.number])), 4, main[0])) / main[0]
-    noise = float(np.sqrt(repeats.var(0, ddof=1).mean()) / np.sqrt(settings.frames))
-    light = [
-        shots.light(f"{nominal.number}_{each.name}", lit(each.u), settings.frames, main) for each in patterns(nominal.rows, nominal.cols)
-    ]
-    return located(light, noise, nominal)
+def _places(shots: Shots, nominal: Nominal, sizes: Sequence[int]) -> Places:
+    name, lit, frames = nominal.shot, partial(nominal.alone, sizes), Settings().frames
+    on = lit(np.ones(sizes[nominal.number]))
+    main = shots.exposures(name("brightest"), on)[:1]
+    repeats = shots.response.light(shots.frames(name("full"), on, 4, main[0])) / main[0]
+    noise = float(np.sqrt(repeats.var(0, ddof=1).mean()) / np.sqrt(frames))
+    return locate_pixels(
+        [shots.light(name(what), lit(u), frames, main) for what, u in patterns(nominal.rows, nominal.cols)], noise, nominal
+    )
 
 
-def _seen(nominal: Nominal, places: Places, board: Corners | None) -> Seen:
+def _observation(nominal: Nominal, places: Places, board: Corners | None) -> Observation:
     """Lamp pixels that were found, but for the outermost, and the corners of a board on the screen."""
     inner = np.isfinite(places.u)
     for axis, n in enumerate(inner.shape):
@@ -153,10 +255,10 @@ def _seen(nominal: Nominal, places: Places, board: Corners | None) -> Seen:
     finite = np.isfinite(tangents).all(1)
     pixels = np.stack(places.chart(row, col), -1)
     corners = {} if board is None else {"board": board.board, "corners": board.pixels}
-    return Seen(tangents[finite], pixels[finite], **corners)
+    return Observation(tangents[finite], pixels[finite], **corners)
 
 
-def _screen(camera: CameraModel, known: Known) -> Pose:
+def _screen(camera: CameraModel, known: Prior) -> Pose:
     """T_camera_screen to begin with. Raises LuxloopError where the board does not tell it."""
     if known.board is not None:
         points = np.concatenate([known.board.board, np.zeros((len(known.board.board), 1))], 1)

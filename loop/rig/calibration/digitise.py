@@ -2,20 +2,19 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 import torch
 from scipy.ndimage import median_filter
 
-from luxloop.loop.rig.calibration.bench import Array, Indices
-from luxloop.loop.rig.calibration.charts import Chart, Places, places
-from luxloop.loop.rig.calibration.codes import decode, patterns
-from luxloop.loop.rig.calibration.combs import Windows, combs, windows
-from luxloop.loop.rig.calibration.geometry import Geometry, Seen, adjusted
+from luxloop.loop.rig.calibration.geometry import Geometry, Observation, adjust
 from luxloop.loop.rig.calibration.lamp import grid_over, headlight
-from luxloop.loop.rig.calibration.shapes import Measured, measure
+from luxloop.loop.rig.calibration.setups import Array, Indices
+from luxloop.loop.rig.calibration.shapes import PixelMeasurements, Windows, combs, measure, windows
 from luxloop.loop.rig.calibration.shots import Shots
+from luxloop.loop.rig.calibration.structured_light import Chart, Places, decode, patterns, places
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
 
@@ -51,7 +50,7 @@ class Reading:
 
 
 @dataclass(frozen=True, eq=False)
-class Digitised:
+class ModuleMeasurement:
     """A measured module.
 
     light: in cd, or in the camera's unit without a luxmeter reading. geometry: camera, screen and module to each other. measured: of each
@@ -62,7 +61,7 @@ class Digitised:
     name: str
     light: Headlight
     geometry: Geometry
-    measured: Measured
+    measured: PixelMeasurements
     u: Array
     v: Array
     dead: np.ndarray
@@ -71,7 +70,7 @@ class Digitised:
 
 
 @dataclass(frozen=True, eq=False)
-class Taken:
+class ModuleFrames:
     """Frames of one module. dark: light `[height, width]` without it. located: of `patterns`. combs: `[spacing^2, height, width]`. full:
     with all pixels on; the last three without the dark.
     """
@@ -103,30 +102,31 @@ class Nominal:
         shape = light.pixel_rows, light.pixel_cols
         return cls(number, name, *shape, (matrix.T @ across / total).reshape(shape), (matrix.T @ up / total).reshape(shape))
 
+    def alone(self, sizes: Sequence[int], u: Array) -> list[Array]:
+        """Utilisations of all modules, those of the others 0. sizes: number of pixels of each. u: `[n_p]`, of this one."""
+        return [u if k == self.number else np.zeros(n) for k, n in enumerate(sizes)]
 
-def take(shots: Shots, nominal: Nominal, sizes: Sequence[int], settings: Settings) -> Taken:
+    def shot(self, what: str) -> str:
+        """Name of frames of this module."""
+        return f"{self.number}_{what}"
+
+
+def take(shots: Shots, nominal: Nominal, sizes: Sequence[int], settings: Settings) -> ModuleFrames:
     """Take all frames of one module, the others dark. sizes: number of pixels of each module. Raises LuxloopError as `Shots.exposures`."""
-
-    def lit(u: Array) -> list[Array]:
-        return [u if k == nominal.number else np.zeros(n) for k, n in enumerate(sizes)]
-
-    def name(what: str) -> str:
-        return f"{nominal.number}_{what}"
-
-    n = nominal.rows * nominal.cols
+    name, lit, n = nominal.shot, partial(nominal.alone, sizes), nominal.rows * nominal.cols
     every = shots.exposures(name("brightest"), lit(np.ones(n)))
     main = every[:1]
     repeats = shots.frames(name("full"), lit(np.ones(n)), max(settings.comb_frames, 2), main[0])
     linear = shots.response.light(repeats) / main[0]
     bright = linear.mean(0) > 0.5 * np.percentile(linear.mean(0), 99)
     noise = float(np.sqrt(linear.var(0, ddof=1)[bright].mean()))
-    located = [shots.light(name(each.name), lit(each.u), settings.frames, main) for each in patterns(nominal.rows, nominal.cols)]
+    located = [shots.light(name(what), lit(u), settings.frames, main) for what, u in patterns(nominal.rows, nominal.cols)]
     dark = shots.light(name("off"), lit(np.zeros(n)), settings.comb_frames, every)
     taken = [shots.light(name(what), lit(u), settings.comb_frames, every) - dark for what, u in combs(nominal.rows, nominal.cols)]
-    return Taken(dark, located, np.stack(taken), linear.mean(0) - located[0], noise / np.sqrt(settings.frames))
+    return ModuleFrames(dark, located, np.stack(taken), linear.mean(0) - located[0], noise / np.sqrt(settings.frames))
 
 
-def located(light: Sequence[Array], noise: float, nominal: Nominal) -> Places:
+def locate_pixels(light: Sequence[Array], noise: float, nominal: Nominal) -> Places:
     """Locate the pixels in the light `[height, width]` of `patterns`. noise: standard deviation of it. Raises LuxloopError for too few."""
     decoded = decode(light, nominal.rows, nominal.cols, np.full(light[0].shape, noise))
     if not decoded.valid.any():
@@ -141,17 +141,17 @@ def located(light: Sequence[Array], noise: float, nominal: Nominal) -> Places:
     return found
 
 
-def digitised(
-    taken: Taken,
+def digitise_module(
+    taken: ModuleFrames,
     nominal: Nominal,
     start: Geometry,
     settings: Settings,
     factor_of: Callable[[Geometry], Array],
-) -> Digitised:
+) -> ModuleMeasurement:
     """Measure a module in its frames. start: camera, screen and the approximate pose of the lamp. factor_of: cd per unit of light at each
     camera pixel, `[height, width]`.
     """
-    found = located(taken.located, taken.noise, nominal)
+    found = locate_pixels(taken.located, taken.noise, nominal)
     texels = settings.texels
     row, col = np.indices((nominal.rows, nominal.cols)) + 0.5
 
@@ -162,12 +162,12 @@ def digitised(
         return at
 
     chart, lamp_of = found.chart, found.lamp_of
-    geometry = _lamp_placed(start, nominal, chart)
+    geometry = _place_lamp(start, nominal, chart)
     images = (taken.combs * factor_of(geometry)).astype(np.float32)
     for every in REFINED:
         rough = measure(window_of(images, chart, lamp_of), nominal.rows, nominal.cols, texels, every)
-        chart, lamp_of = _refined(rough, chart)
-    geometry = _lamp_placed(geometry, nominal, chart)
+        chart, lamp_of = _refine(rough, chart)
+    geometry = _place_lamp(geometry, nominal, chart)
     factor = factor_of(geometry).astype(np.float32)
     images = taken.combs * factor
     measured = measure(window_of(images, chart, lamp_of), nominal.rows, nominal.cols, texels)
@@ -175,17 +175,17 @@ def digitised(
 
     y, z = geometry.tangents(geometry.on_screen(*chart(row, col)))
     grid = grid_over(y, z, texels)
-    light = headlight(nominal.name, grid, measured, Chart.fitted((y.ravel(), z.ravel()), (row.ravel(), col.ravel())))
+    light = headlight(nominal.name, grid, measured, Chart.fit((y.ravel(), z.ravel()), (row.ravel(), col.ravel())))
     u, v = chart(*measured.centres())
-    made = Digitised(nominal.name, light, geometry, measured, u, v, dead, stuck, {})
+    made = ModuleMeasurement(nominal.name, light, geometry, measured, u, v, dead, stuck, {})
     lights: dict[str, tuple[Array, Array]] = {"full": (np.ones(nominal.rows * nominal.cols), taken.full)}
-    for pattern, image in zip(patterns(nominal.rows, nominal.cols), taken.located, strict=True):
-        if pattern.name.endswith("phase_0"):
-            lights[pattern.name] = pattern.u, image - taken.located[0]
+    for (name, u_n), image in zip(patterns(nominal.rows, nominal.cols), taken.located, strict=True):
+        if name.endswith("phase_0"):
+            lights[name] = u_n, image - taken.located[0]
     return replace(made, checked={name: _difference(made, factor * image, u) for name, (u, image) in lights.items()})
 
 
-def scaled(modules: Sequence[Digitised], readings: Sequence[Reading]) -> tuple[tuple[Digitised, ...], float]:
+def scale_to_lux(modules: Sequence[ModuleMeasurement], readings: Sequence[Reading]) -> tuple[tuple[ModuleMeasurement, ...], float]:
     """The modules with intensities in cd by luxmeter readings, and the relative standard deviation of the readings from the result.
 
     One reading gives the scale. With four readings the scale is linear over the picture, with nine quadratic, to correct errors of the
@@ -219,9 +219,9 @@ def _terms(at: Array, readings: int, size: tuple[int, int]) -> Array:
     return np.stack(terms, -1)
 
 
-def _lux(module: Digitised, reading: Reading) -> float:
+def _lux(module: ModuleMeasurement, reading: Reading) -> float:
     """Mean illuminance of the screen over a luxmeter's sensor at a reading's place, with all pixels on."""
-    geometry, screen = module.geometry, module.geometry.screens[0]
+    geometry, screen = module.geometry, module.geometry.screen
     line = np.linspace(-0.5, 0.5, SENSOR_POINTS)
     across, along = (each.ravel() for each in np.meshgrid(line, line))
     disc = np.hypot(across, along) <= 0.5
@@ -235,7 +235,7 @@ def lux(light: Headlight, geometry: Geometry, points: Array, reading: Reading) -
     texture = light.light_texture(torch.ones(light.n_pixels))
     away = geometry.lamp.place - points
     distance = np.linalg.norm(away, axis=1)
-    cos = np.abs(away @ geometry.screens[0].rotation[:, 2]) / distance
+    cos = np.abs(away @ geometry.screen.rotation[:, 2]) / distance
     intensity = light.intensity(texture, torch.from_numpy((-away @ geometry.lamp.rotation).T.copy())).numpy()
     found = float((intensity * cos / distance**2).mean())
     if found <= 0:
@@ -243,16 +243,16 @@ def lux(light: Headlight, geometry: Geometry, points: Array, reading: Reading) -
     return found
 
 
-def _lamp_placed(geometry: Geometry, nominal: Nominal, chart: Chart) -> Geometry:
+def _place_lamp(geometry: Geometry, nominal: Nominal, chart: Chart) -> Geometry:
     """The lamp's pose from where its pixels are seen; the outermost are left out, since their light ends there."""
     inner = (np.s_[1:-1] if nominal.rows > 2 else np.s_[:], np.s_[1:-1] if nominal.cols > 2 else np.s_[:])
     row, col = (each[inner].ravel() + 0.5 for each in np.indices((nominal.rows, nominal.cols)))
     tangents = np.stack([nominal.y[inner].ravel(), nominal.z[inner].ravel()], -1)
-    seen = Seen(tangents, np.stack(chart(row, col), -1))
-    return adjusted(geometry.camera, geometry.screens[:1], geometry.lamp, [seen], fixed=("camera", "scale"))
+    seen = Observation(tangents, np.stack(chart(row, col), -1))
+    return adjust(geometry.camera, geometry.screen, geometry.lamp, seen, fix_camera=True)
 
 
-def _refined(measured: Measured, chart: Chart) -> tuple[Chart, Chart]:
+def _refine(measured: PixelMeasurements, chart: Chart) -> tuple[Chart, Chart]:
     """Charts that go through the centres of what was measured of the inner pixels."""
     row, col = measured.centres()
     at = np.indices(row.shape) + 0.5
@@ -261,10 +261,10 @@ def _refined(measured: Measured, chart: Chart) -> tuple[Chart, Chart]:
     for axis, n in enumerate(row.shape):
         good &= (at[axis] > 1) & (at[axis] < n - 1) if n > 2 else True
     lamp, camera = (at[0][good], at[1][good]), chart(row[good], col[good])
-    return Chart.fitted(lamp, camera), Chart.fitted(camera, lamp)
+    return Chart.fit(lamp, camera), Chart.fit(camera, lamp)
 
 
-def _faulty(measured: Measured, dark_at: Callable[[Indices, Indices], Windows]) -> tuple[np.ndarray, np.ndarray]:
+def _faulty(measured: PixelMeasurements, dark_at: Callable[[Indices, Indices], Windows]) -> tuple[np.ndarray, np.ndarray]:
     """Dead and stuck pixels; the light of a stuck one is there in the dark, and does not change."""
     around = median_filter(measured.intensity, AROUND)
     low = measured.intensity < np.maximum(DEAD * around, 3 * measured.noise)
@@ -279,7 +279,7 @@ def _faulty(measured: Measured, dark_at: Callable[[Indices, Indices], Windows]) 
     return low & ~stuck, stuck
 
 
-def _difference(module: Digitised, seen: Array, u: Array) -> float:
+def _difference(module: ModuleMeasurement, seen: Array, u: Array) -> float:
     """Of what is seen of a light in cd `[height, width]`, and what the digitised module gives there."""
     geometry, light = module.geometry, module.light
     v_px, u_px = np.indices(seen.shape) + 0.5

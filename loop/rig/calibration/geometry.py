@@ -4,7 +4,7 @@ The lamp is an inverse camera: each pixel has a direction from the data sheet, a
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, Self
 
@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from luxloop.loop.rig.calibration.bench import Array, Indices
+from luxloop.loop.rig.calibration.setups import Array, Indices
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.world.errors import LuxloopError
 
@@ -98,6 +98,11 @@ class Pose:
         return T
 
     @property
+    def values(self) -> Array:
+        """Turn and place, `[6]`."""
+        return np.concatenate([self.turn, self.place])
+
+    @property
     def rotation(self) -> Array:
         return Rotation.from_rotvec(self.turn).as_matrix()
 
@@ -106,7 +111,7 @@ class Pose:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class Observation:
     """Observations of a screen at one pose.
 
     tangents: `[n, 2]`, y and z of the directions of lamp pixels by their data sheet; pixels: `[n, 2]` px, where they are seen. board:
@@ -121,23 +126,20 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """camera: with what the adjustment made of it. screens: T_camera_screen, one of each; the screen is its plane z = 0.
-
-    lamp: T_camera_lamp, whose frame is OpenCV's for the camera and ISO 8855 for the lamp. scale: `[2]`, factors of the data sheet's
-    tangents y and z. std: standard deviations by name (`covariance_of`), with those of what was
-    assumed. rms: root mean squares in px of the residuals of lamp pixels and of board corners, one a screen.
+    """camera: with what the adjustment made of it. screen: T_camera_screen; the screen is its plane z = 0. lamp: T_camera_lamp, whose frame
+    is OpenCV's for the camera and ISO 8855 for the lamp. std: standard deviations by name (`covariance_of`), with those of what was
+    assumed. rms: root mean squares in px of the residuals of lamp pixels and of board corners.
     """
 
     camera: CameraModel
-    screens: tuple[Pose, ...]
+    screen: Pose
     lamp: Pose
-    scale: Array
-    std: dict[str, Array]
-    rms: dict[str, tuple[float, ...]]
+    std: Mapping[str, Array] = field(default_factory=dict)
+    rms: Mapping[str, float] = field(default_factory=dict)
 
-    def on_screen(self, u: Array, v: Array, screen: int = 0) -> Array:
+    def on_screen(self, u: Array, v: Array) -> Array:
         """Points `[..., 3]` m on the screen at camera pixels, in the camera's frame."""
-        return on_plane(self.camera.rays(u, v), np.zeros(3), self.screens[screen])
+        return on_plane(self.camera.rays(u, v), np.zeros(3), self.screen)
 
     def tangents(self, points: Array) -> tuple[Array, Array]:
         """Tangents y and z at which the lamp sees points `[..., 3]` m."""
@@ -151,96 +153,65 @@ def on_plane(rays: Array, origin: Array, screen: Pose) -> Array:
     return origin + rays * (normal @ (screen.place - origin) / (rays @ normal))[..., None]
 
 
-def adjusted(
-    camera: CameraModel,
-    screens: Sequence[Pose],
-    lamp: Pose,
-    seen: Sequence[Seen],
-    fixed: Sequence[str] = ("scale",),
-) -> Geometry:
-    """Bundle adjustment: camera, screens, lamp and the scale of its field, from start values.
+def adjust(camera: CameraModel, screen: Pose, lamp: Pose, seen: Observation, fix_camera: bool = False) -> Geometry:
+    """Bundle adjustment: camera, screen and lamp, from start values.
 
-    The lamp's start position has a standard deviation of 0.1 m. The camera is constrained by its covariance; a camera without covariance
-    is fixed, and so is a screen without a board. fixed: what else is fixed: camera, lamp, scale. With one screen the scale cannot be
-    separated from the distance; with two that are well apart it can.
+    The lamp's start position has a standard deviation of 0.1 m. The camera is constrained by its covariance; without one, or with
+    `fix_camera`, it is fixed, and so is a screen without a board. The scale of the lamp's field cannot be separated from its distance.
     """
-    given = [_thinned(each) for each in seen]
-    free = [name for name in ("camera", "lamp", "scale") if name not in fixed and not (name == "camera" and camera.covariance is None)]
-    moved = [k for k, each in enumerate(given) if len(each.board)]
-    root = None if camera.covariance is None else np.linalg.pinv(_root(camera.covariance))
+    seen = _thin(seen)
+    root = None if fix_camera or camera.covariance is None else np.linalg.pinv(_root(camera.covariance))
+    start = {} if root is None else {"camera": np.zeros(9)}
+    start |= {"lamp": lamp.values} | ({"screen": screen.values} if len(seen.board) else {})
+    ends = np.cumsum([len(each) for each in start.values()])[:-1]
 
-    def unpacked(x: Array) -> tuple[CameraModel, list[Pose], Pose, Array]:
-        at = iter(np.split(x, np.cumsum(sizes)[:-1]))
-        values = {name: next(at) for name in free}
-        poses = list(screens)
-        for k in moved:
-            each = next(at)
-            poses[k] = Pose(each[:3], each[3:])
-        there = values.get("lamp", np.concatenate([lamp.turn, lamp.place]))
+    def unpack(x: Array) -> tuple[CameraModel, Pose, Pose]:
+        values = dict(zip(start, np.split(x, ends), strict=True))
         eye = camera.with_values(camera.values + values["camera"]) if "camera" in values else camera
-        return eye, poses, Pose(there[:3], there[3:]), values.get("scale", np.ones(2))
-
-    start = {"camera": np.zeros(9), "lamp": np.concatenate([lamp.turn, lamp.place]), "scale": np.ones(2)}
-    parts = [*(start[name] for name in free), *(np.concatenate([screens[k].turn, screens[k].place]) for k in moved)]
-    sizes = [len(each) for each in parts]
+        plane, there = values.get("screen", screen.values), values["lamp"]
+        return eye, Pose(plane[:3], plane[3:]), Pose(there[:3], there[3:])
 
     def residuals(x: Array) -> Array:
-        eye, poses, there, scale = unpacked(x)
-        left = [each.ravel() / UNSURE_PX for pair in _residuals(eye, poses, there, scale, given) for each in pair]
-        if "lamp" in free:
-            left.append((there.place - lamp.place) / PLACED_M)
-        if "camera" in free and root is not None:
-            left.append(root @ x[:9])
-        return np.concatenate(left)
+        eye, plane, there = unpack(x)
+        left = [each.ravel() / UNSURE_PX for each in _residuals(eye, plane, there, seen)]
+        left.append((there.place - lamp.place) / PLACED_M)
+        return np.concatenate(left if root is None else [*left, root @ x[:9]])
 
-    x0 = np.concatenate(parts)
+    x0 = np.concatenate(list(start.values()))
     size = np.maximum(np.abs(x0), 1e-2)
     solved: Any = least_squares(residuals, x0, loss="soft_l1", f_scale=10.0, x_scale=size, xtol=1e-13, ftol=1e-13, gtol=1e-13)
-    eye, poses, there, scale = unpacked(solved.x)
-    pairs = _residuals(eye, poses, there, scale, given)
-    left = np.concatenate([part.ravel() for pair in pairs for part in pair]) / UNSURE_PX
-    groups = np.concatenate([np.repeat(blocks(each), 2) for some in given for each in (some.pixels, some.corners)])
+    eye, plane, there = unpack(solved.x)
+    pixels, corners = _residuals(eye, plane, there, seen)
+    left = np.concatenate([pixels.ravel(), corners.ravel()]) / UNSURE_PX
+    groups = np.concatenate([np.repeat(blocks(each), 2) for each in (seen.pixels, seen.corners)])
     jac, prior = np.split(solved.jac, [len(left)])
     variance = float(left @ left) / max(len(left) - len(x0), 1)
-    covariance = covariance_of(*grouped(jac, left, groups), variance, prior.T @ prior)
+    covariance = covariance_of(*group_residuals(jac, left, groups), variance, prior.T @ prior)
     weight = np.linalg.pinv(jac.T @ jac + prior.T @ prior * variance) @ jac.T
-    for other_eye, others in _assumed(eye, poses, [k for k in range(len(poses)) if k not in moved], "camera" not in fixed):
-        other = _residuals(other_eye, others, there, scale, given)
-        by = weight @ (np.concatenate([part.ravel() for pair in other for part in pair]) / UNSURE_PX - left)
+    for other_eye, other_plane in _perturbations(eye, plane, not fix_camera and camera.covariance is None, "screen" not in start):
+        other = _residuals(other_eye, other_plane, there, seen)
+        by = weight @ (np.concatenate([part.ravel() for part in other]) / UNSURE_PX - left)
         covariance += np.outer(by, by)
-    stds = np.split(np.sqrt(np.diag(covariance)), np.cumsum(sizes)[:-1])
-    std = dict(zip([*free, *(f"screen_{k}" for k in moved)], stds, strict=True))
-    rms = {name: tuple(rms_of(pair[k]) for pair in pairs) for k, name in enumerate(("lamp", "board"))}
-    return Geometry(eye, tuple(poses), there, scale, std, rms)
+    std = dict(zip(start, np.split(np.sqrt(np.diag(covariance)), ends), strict=True))
+    return Geometry(eye, plane, there, std, {"lamp": rms_of(pixels), "board": rms_of(corners)})
 
 
-def _residuals(camera: CameraModel, screens: Sequence[Pose], lamp: Pose, scale: Array, seen: Sequence[Seen]) -> list[tuple[Array, Array]]:
-    """Of lamp pixels `[n, 2]` and of board corners `[k, 2]` in px, of each screen."""
-    found: list[tuple[Array, Array]] = []
-    for screen, each in zip(screens, seen, strict=True):
-        rays = np.concatenate([np.ones((len(each.tangents), 1)), each.tangents * scale], 1) @ lamp.rotation.T
-        pixels = camera.project(on_plane(rays, lamp.place, screen)) - each.pixels if len(rays) else np.zeros((0, 2))
-        board = np.concatenate([each.board, np.zeros((len(each.board), 1))], 1)
-        found.append((pixels, camera.project(screen.points(board)) - each.corners if len(board) else np.zeros((0, 2))))
-    return found
+def _residuals(camera: CameraModel, screen: Pose, lamp: Pose, seen: Observation) -> tuple[Array, Array]:
+    """Of lamp pixels `[n, 2]` and of board corners `[k, 2]` in px."""
+    rays = np.concatenate([np.ones((len(seen.tangents), 1)), seen.tangents], 1) @ lamp.rotation.T
+    pixels = camera.project(on_plane(rays, lamp.place, screen)) - seen.pixels if len(rays) else np.zeros((0, 2))
+    board = np.concatenate([seen.board, np.zeros((len(seen.board), 1))], 1)
+    return pixels, camera.project(screen.points(board)) - seen.corners if len(board) else np.zeros((0, 2))
 
 
-def _assumed(
-    camera: CameraModel, screens: Sequence[Pose], fixed: Sequence[int], lens: bool
-) -> Iterator[tuple[CameraModel, Sequence[Pose]]]:
-    """Camera and screens with one assumption after the other off by its standard deviation. fixed: numbers of screens whose pose is
-    assumed. lens: whether the camera's is, if it has no covariance.
-    """
-    if lens and camera.covariance is None:
-        yield camera.with_values(camera.values * np.where(np.arange(9) < 2, 1 + ASSUMED_FOCAL, 1)), screens
-    for k in fixed:
-        for axis in np.eye(3):
-            turn = Pose(
-                Rotation.from_matrix(screens[k].rotation @ Rotation.from_rotvec(ASSUMED_RAD * axis).as_matrix()).as_rotvec(),
-                screens[k].place,
-            )
-            move = Pose(screens[k].turn, screens[k].place + ASSUMED_M * axis)
-            yield from ((camera, [*screens[:k], each, *screens[k + 1 :]]) for each in (turn, move))
+def _perturbations(camera: CameraModel, screen: Pose, lens: bool, plane: bool) -> Iterator[tuple[CameraModel, Pose]]:
+    """Camera and screen with one assumption after the other off by its standard deviation. lens, plane: whether they are assumed."""
+    if lens:
+        yield camera.with_values(camera.values * np.where(np.arange(9) < 2, 1 + ASSUMED_FOCAL, 1)), screen
+    for axis in np.eye(3) if plane else ():
+        turn = Rotation.from_matrix(screen.rotation @ Rotation.from_rotvec(ASSUMED_RAD * axis).as_matrix()).as_rotvec()
+        yield camera, Pose(turn, screen.place)
+        yield camera, Pose(screen.turn, screen.place + ASSUMED_M * axis)
 
 
 def blocks(pixels: Array) -> Indices:
@@ -252,7 +223,7 @@ def blocks(pixels: Array) -> Indices:
     return np.asarray(SIDE * row + column)
 
 
-def grouped(jacobian: Array, residuals: Array, groups: Indices) -> tuple[Array, Array]:
+def group_residuals(jacobian: Array, residuals: Array, groups: Indices) -> tuple[Array, Array]:
     """Normal matrices `[g, p, p]` and gradients `[g, p]` by groups of residuals `[n]`. jacobian: `[n, p]`. groups: `[n]`, their numbers."""
     parts = [(jacobian[at], residuals[at]) for at in (groups == k for k in np.unique(groups))]
     return np.stack([J.T @ J for J, _ in parts]), np.stack([J.T @ r for J, r in parts])
@@ -261,7 +232,7 @@ def grouped(jacobian: Array, residuals: Array, groups: Indices) -> tuple[Array, 
 def covariance_of(normals: Array, gradients: Array, variance: float, prior: Array | float = 0.0) -> Array:
     """Covariance `[p, p]` of values from a least-squares fit whose residuals are alike within groups, such as the views of a board.
 
-    normals, gradients: as of `grouped`. variance: of a residual. prior: `[p, p]`, the inverse covariance of what was known before. The
+    normals, gradients: as of `group_residuals`. variance: of a residual. prior: `[p, p]`, the inverse covariance of prior knowledge. The
     standard deviations are those of independent residuals, or those of the jackknife where they are larger: by how much the values change
     where a group is left out (Efron 1982). Values that are not determined have very large ones.
     """
@@ -280,7 +251,7 @@ def covariance_of(normals: Array, gradients: Array, variance: float, prior: Arra
     return np.asarray(plain * np.outer(larger, larger))
 
 
-def _thinned(seen: Seen) -> Seen:
+def _thin(seen: Observation) -> Observation:
     some = slice(None, None, max(1, len(seen.tangents) // MOST_PIXELS))
     return replace(seen, tangents=seen.tangents[some], pixels=seen.pixels[some])
 
@@ -296,19 +267,19 @@ def _root(covariance: Array) -> Array:
     return vectors * np.sqrt(np.maximum(values, 1e-24))
 
 
-def candela_factor(geometry: Geometry, shape: tuple[int, int], reflectance: Callable[[Array], Array], screen: int = 0) -> Array:
+def candela_factor(geometry: Geometry, shape: tuple[int, int], reflectance: Callable[[Array], Array]) -> Array:
     """cd of the lamp per cd/m^2 at each camera pixel, `[height, width]`: `I = pi L d^2 / (rho cos)` (T eq. 2.1.5).
 
     shape: rows and columns of the picture. reflectance: luminance factor of the screen at the cosine of the angle of view. Raises
     LuxloopError if the camera sees the back of the screen.
     """
     v, u = np.indices(shape) + 0.5
-    points = geometry.on_screen(u, v, screen)
-    normal = geometry.screens[screen].rotation[:, 2]
+    points = geometry.on_screen(u, v)
+    normal = geometry.screen.rotation[:, 2]
     away = geometry.lamp.place - points
     distance = np.linalg.norm(away, axis=-1)
     cos = np.abs(away @ normal) / distance
     seen = np.abs(points @ normal) / np.linalg.norm(points, axis=-1)
-    if (normal @ (geometry.lamp.place - geometry.screens[screen].place)) * (normal @ -geometry.screens[screen].place) <= 0:
+    if (normal @ (geometry.lamp.place - geometry.screen.place)) * (normal @ -geometry.screen.place) <= 0:
         raise LuxloopError("lamp and camera are on different sides of the screen; look at its pose, and at the lamp's")
     return np.pi * distance**2 / (cos * reflectance(seen))

@@ -8,10 +8,9 @@ from typing import Final
 import numpy as np
 import scipy.sparse as sp
 
-from luxloop.loop.rig.calibration.bench import Array
-from luxloop.loop.rig.calibration.charts import Chart
-from luxloop.loop.rig.calibration.combs import REACH
-from luxloop.loop.rig.calibration.shapes import Blocks, Measured
+from luxloop.loop.rig.calibration.setups import Array, neighbours
+from luxloop.loop.rig.calibration.shapes import REACH, Blocks, PixelMeasurements
+from luxloop.loop.rig.calibration.structured_light import Chart
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.build_lamps import mount
 from luxloop.world.errors import LuxloopError
@@ -44,7 +43,7 @@ def grid_over(y: Array, z: Array, texels: tuple[int, int]) -> TexelGrid:
     )
 
 
-def headlight(name: str, grid: TexelGrid, measured: Measured, lamp_of: Chart) -> Headlight:
+def headlight(name: str, grid: TexelGrid, measured: PixelMeasurements, lamp_of: Chart) -> Headlight:
     """The headlight matrix of a measured module in cd. lamp_of: from tangents (y, z) to lamp coordinates (row, column)."""
     rows, cols = measured.intensity.shape
     block_of = [np.searchsorted(each, np.arange(n), "right") - 1 for each, n in zip(_starts(rows, cols), (rows, cols), strict=True)]
@@ -86,13 +85,9 @@ def _read(shapes: Array, block: tuple[Array, Array], dr: Array, dc: Array) -> Ar
     """Shapes of blocks `[n]` at distances `[n]` from their centres in lamp pixels, bilinear between texels and zero beyond."""
     n_r, n_c = shapes.shape[2:]
     r, c = (dr + REACH) * (n_r / (2 * REACH)) - 0.5, (dc + REACH) * (n_c / (2 * REACH)) - 0.5
-    r0, c0 = np.floor(r).astype(int), np.floor(c).astype(int)
     total = np.zeros(len(r))
-    for i in (0, 1):
-        for j in (0, 1):
-            weight = np.abs(1 - i - (r - r0)) * np.abs(1 - j - (c - c0))
-            inside = (r0 + i >= 0) & (r0 + i < n_r) & (c0 + j >= 0) & (c0 + j < n_c)
-            total += np.where(inside, weight * shapes[(*block, (r0 + i).clip(0, n_r - 1), (c0 + j).clip(0, n_c - 1))], 0)
+    for row, col, weight, inside in neighbours(r, c, (n_r, n_c)):
+        total += np.where(inside, weight * shapes[(*block, row.clip(0, n_r - 1), col.clip(0, n_c - 1))], 0)
     return total
 
 
@@ -103,7 +98,7 @@ def digitised_side(scenario: Scenario) -> str:
     return scenario.headlight.lamps[0]
 
 
-def measured_lamp(scenario: Scenario, lights: Sequence[Headlight], name: str, notes: str) -> Lamp:
+def lamp_of(scenario: Scenario, lights: Sequence[Headlight], name: str, notes: str) -> Lamp:
     """The scenario's lamp with measured lights, one per lit module, as a left lamp, the kind that lamp files have."""
     mounts = mount(scenario.headlight)
     lamp = mounts[0].lamp

@@ -1,10 +1,10 @@
-"""Shape, intensity and place of each pixel's light, from the combs.
+"""Shape, intensity and place of each pixel's light, from combs of distant pixels that are lit together.
 
 Around pixel j a camera pixel sees `a_j sum_k S_k w_k + b_j`: S is the light distribution on the lamp's texels, the same for all pixels of a
 block, w how much of each texel's tent lies in the camera pixel, a_j the pixel's intensity and b_j what the lens scatters. S is found over
 a block by least squares, with a weak penalty on its roughness, as the camera resolves texels only over many pixels that fall on its raster
-in different ways (the effective point spread function of Anderson and King, 2000). The shift
-of each pixel follows by least squares in its window alone, and a_j from the sum of the light there, on which the shape has no influence.
+in different ways (the effective point spread function of Anderson and King, 2000). The shift of each pixel follows by least squares in its
+window alone, and a_j from the sum of the light there, on which the shape has no influence.
 """
 
 from collections.abc import Callable, Iterator
@@ -14,8 +14,68 @@ from typing import Final, Self
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from luxloop.loop.rig.calibration.bench import Array, Indices
-from luxloop.loop.rig.calibration.combs import REACH, Windows
+from luxloop.loop.rig.calibration.setups import Array, Indices, neighbours
+from luxloop.loop.rig.calibration.structured_light import Chart
+
+SPACING: Final = 5  # pixels between those of a comb, in either direction: the light of a pixel reaches REACH
+REACH: Final = 1.5  # pixels from its centre, to all sides
+SUBSAMPLES: Final = 3  # points over a camera pixel's width and height, at which a shape is read
+
+
+def combs(rows: int, cols: int, spacing: int = SPACING) -> Iterator[tuple[str, Array]]:
+    """Names and utilisations `[n_p]` of combs, which together light each pixel once. spacing: in pixels."""
+    for i in range(spacing):
+        for j in range(spacing):
+            u = np.zeros((rows, cols))
+            u[i::spacing, j::spacing] = 1
+            yield f"comb_{i}_{j}", u.ravel()
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """The picture around n lit pixels, m camera pixels around each.
+
+    seen: `[n, m]`. inside: `[n, m]` bool, camera pixels that are in the image and nearer to this pixel than to others of its comb. dr, dc:
+    `[n, m, s]`, places of points of each camera pixel, in lamp pixels from this one's centre. area: `[n]`, lamp pixels a camera pixel.
+    """
+
+    seen: Array
+    inside: np.ndarray
+    dr: Array
+    dc: Array
+    area: Array
+
+
+def windows(images: Array, row: Indices, col: Indices, places: tuple[Array, Array], lamp_of: Chart, spacing: int = SPACING) -> Windows:
+    """The windows of pixels at row and col `[n]`, whole numbers.
+
+    images: `[spacing^2, height, width]`, of the combs. places: (u, v) `[n]` px, about where they are seen.
+    """
+    height, width = images.shape[1:]
+    u, v = places
+    jacobian = lamp_of.jacobian(u, v)  # [2, 2, n]
+    du, dv = (each.ravel() for each in np.meshgrid(*(np.arange(-half, half + 1) for half in _halves(jacobian, spacing / 2))))
+    x, y = np.floor(u).astype(int)[:, None] + du, np.floor(v).astype(int)[:, None] + dv  # [n, m]
+    image = (row % spacing * spacing + col % spacing)[:, None]
+    seen = images[image, y.clip(0, height - 1), x.clip(0, width - 1)]
+    centre_r, centre_c = lamp_of(x + 0.5, y + 0.5)
+    area = np.abs(jacobian[0, 0] * jacobian[1, 1] - jacobian[0, 1] * jacobian[1, 0])
+    part = (np.arange(SUBSAMPLES) + 0.5) / SUBSAMPLES - 0.5
+    du_s, dv_s = (each.ravel() for each in np.meshgrid(part, part))
+    dr, dc = (
+        (centre - at[:, None] - 0.5)[..., None] + along[0][:, None, None] * du_s + along[1][:, None, None] * dv_s
+        for centre, at, along in ((centre_r, row, jacobian[0]), (centre_c, col, jacobian[1]))
+    )
+    near = (np.abs(dr.mean(-1)) <= spacing / 2) & (np.abs(dc.mean(-1)) <= spacing / 2)
+    return Windows(seen, near & (x >= 0) & (x < width) & (y >= 0) & (y < height), dr, dc, area)
+
+
+def _halves(jacobian: Array, reach: float) -> tuple[int, int]:
+    """Camera pixels to either side of a lamp pixel's centre, in u and in v, that are nearer to it than `reach` along rows or columns."""
+    by_lamp = np.linalg.inv(np.moveaxis(jacobian, -1, 0))  # [n, 2, 2], camera pixels a lamp pixel
+    u, v = (reach * np.abs(by_lamp).sum(-1)).max(0)
+    return int(np.ceil(u + 0.5)), int(np.ceil(v + 0.5))
+
 
 BLOCK: Final = 16  # pixels along a side that have one shape, together with the blocks around them
 ROUGHNESS: Final = 1e-3  # weight of the second differences, relative to the mean of the normal matrix' diagonal
@@ -27,7 +87,7 @@ SHIFT: Final = 0.05  # pixels, by which those of a lamp stray: shifts are drawn 
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class PixelMeasurements:
     """What was found of a module's pixels, all `[rows, cols]`.
 
     intensity: relative to the shapes, in the unit of the images. background: beside the pixel. shift_row, shift_col: of its light from
@@ -68,7 +128,7 @@ class Blocks:
 
     @classmethod
     def of(cls, rows: int, cols: int) -> Self:
-        return cls(_divided(rows), _divided(cols))
+        return cls(_borders(rows), _borders(cols))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -81,12 +141,14 @@ class Blocks:
             yield (int(i), int(j)), r.ravel(), c.ravel()
 
 
-def _divided(n: int) -> tuple[int, ...]:
+def _borders(n: int) -> tuple[int, ...]:
     inner = np.linspace(1, n - 1, 1 + max(1, round((n - 2) / BLOCK))).astype(int).tolist() if n > 2 else [1][: n - 1]
     return tuple(dict.fromkeys([0, *inner, n]))
 
 
-def measure(window_of: Callable[[Indices, Indices], Windows], rows: int, cols: int, texels: tuple[int, int], every: int = 1) -> Measured:
+def measure(
+    window_of: Callable[[Indices, Indices], Windows], rows: int, cols: int, texels: tuple[int, int], every: int = 1
+) -> PixelMeasurements:
     """Fit shapes, to some pixels of each block, then pixels. window_of: windows of pixels at rows and columns `[n]`. texels: rows and
     columns of texels a pixel. every: measures one of so many pixels of a block, the others are NaN.
     """
@@ -98,15 +160,15 @@ def measure(window_of: Callable[[Indices, Indices], Windows], rows: int, cols: i
         some = _some(len(r), max(every, SHAPED))
         each = window_of(r[some], c[some])
         normal[block], right[block] = _normal(each, _weights(each, texels, shape))
-    shapes = _solved(normal, right, shape)
+    shapes = _solve(normal, right, shape)
     found = np.full((6, rows, cols), np.nan)
     for block, r, c in divided:
         some = _some(len(r), every)
         r, c = r[some], c[some]
         each = window_of(r, c)
-        found[:, r, c] = _fitted(each, _weights(each, texels, shape), shapes[block], texels)
+        found[:, r, c] = _fit_pixels(each, _weights(each, texels, shape), shapes[block], texels)
     intensity, background, shift_row, shift_col, noise, residual = found
-    return Measured(intensity, background, shift_row, shift_col, noise, residual, shapes)
+    return PixelMeasurements(intensity, background, shift_row, shift_col, noise, residual, shapes)
 
 
 def _some(n: int, every: int) -> Indices:
@@ -121,14 +183,8 @@ def _weights(at: Windows, texels: tuple[int, int], shape: tuple[int, int]) -> Ar
     base = np.arange(n * m).repeat(s) * (shape[0] * shape[1])
     total = np.zeros(n * m * shape[0] * shape[1], np.float32)
     place = [((d + REACH) * t - 0.5).ravel() for d, t in ((at.dr, texels[0]), (at.dc, texels[1]))]
-    low = [np.floor(each).astype(int) for each in place]
-    part = [each - down for each, down in zip(place, low, strict=True)]
-    for i in (0, 1):
-        for j in (0, 1):
-            row, col = low[0] + i, low[1] + j
-            weight = np.abs(1 - i - part[0]) * np.abs(1 - j - part[1]) / s
-            inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
-            total += np.bincount((base + row * shape[1] + col)[inside], weight[inside], len(total))
+    for row, col, weight, inside in neighbours(place[0], place[1], shape):
+        total += np.bincount((base + row * shape[1] + col)[inside], weight[inside] / s, len(total))
     return total.reshape(n, m, -1)
 
 
@@ -156,10 +212,10 @@ def _mean(values: Array, where: np.ndarray) -> Array:
     return (values * where).sum(1) / np.maximum(where.sum(1), 1)
 
 
-def _solved(normal: Array, right: Array, shape: tuple[int, int]) -> Array:
+def _solve(normal: Array, right: Array, shape: tuple[int, int]) -> Array:
     """Shapes `[block rows, block cols, *shape]`, of each block with those around it, of mean one over the pixel's own texels."""
     around = normal.shape[:2]
-    normal, right = _gathered(normal), _gathered(right)
+    normal, right = _neighbour_means(normal), _neighbour_means(right)
     lines = [_second(n) for n in shape]
     rough = np.kron(lines[0], np.eye(shape[1])) + np.kron(np.eye(shape[0]), lines[1])
     far = [np.maximum(np.abs((np.arange(n) + 0.5) * (2 * REACH / n) - REACH) - 1, 0) / (REACH - 1) for n in shape]
@@ -173,7 +229,7 @@ def _solved(normal: Array, right: Array, shape: tuple[int, int]) -> Array:
     return (solved / np.maximum(total, 1e-12)).reshape(*around, *shape)
 
 
-def _gathered(values: Array) -> Array:
+def _neighbour_means(values: Array) -> Array:
     """Means over the blocks around each, those of the edges among themselves."""
     values = values.copy()
     rows, cols = values.shape[:2]
@@ -190,7 +246,7 @@ def _second(n: int) -> Array:
     return d.T @ d
 
 
-def _fitted(at: Windows, weights: Array, shape: Array, texels: tuple[int, int]) -> Array:
+def _fit_pixels(at: Windows, weights: Array, shape: Array, texels: tuple[int, int]) -> Array:
     """Intensity, background, shifts, noise and residual of a block's pixels `[6, n]`."""
     slope_r, slope_c = (np.gradient(shape, 1 / t, axis=axis) for axis, t in enumerate(texels))
     parts = weights @ np.stack([shape, -slope_r, -slope_c], -1).reshape(-1, 3)  # a light that lies further down is the shape at less

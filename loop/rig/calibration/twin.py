@@ -1,9 +1,11 @@
-"""The twin of a rig: simulated frames of the exposures that a rig has shown, compared with the rig's frames.
+"""The twin of a rig: simulated frames of the exposures that a rig has recorded, compared with the rig's frames, and fitted to them.
 
-It is computed from the recording after the run, so that it does not slow down the loop.
+It is computed after the run, so that it does not slow down the loop. A fit is by least squares of digital numbers, with the uncertainty of
+each value.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
@@ -11,17 +13,178 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 import torch
+from scipy.ndimage import gaussian_filter
+from scipy.optimize import least_squares
+from torch import Tensor
 
+from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.recording.manifest import TWIN, TWIN_PICTURE, table_of, write_table
-from luxloop.loop.rig.calibration.fit import scores
-from luxloop.loop.rig.calibration.twin_picture import draw_twin
-from luxloop.loop.rig.mark import surroundings
+from luxloop.loop.rig.calibration.geometry import SIDE, blocks, covariance_of, group_residuals
+from luxloop.loop.rig.calibration.pictures import draw_twin
+from luxloop.loop.rig.calibration.setups import Array
+from luxloop.loop.rig.matching import mark_surroundings
 from luxloop.loop.rig.params import MarkParams
 from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.simulation.build_lamps import mount
 from luxloop.loop.simulation.frames import image_file, light_file, read_image, read_light, twin_file, write_image
+from luxloop.loop.simulation.lamps import lamp_modules
+from luxloop.loop.simulation.part_cache import PartCache
 from luxloop.loop.simulation.recorded import inside, recorded_rows
 from luxloop.loop.simulation.simulated import SimulatedPlant, simulated_plant
 from luxloop.loop.simulation.truth import LampModule
+from luxloop.perception.camera import CameraParams, expose, luminance_of
+from luxloop.perception.metrics import ssim
+from luxloop.world.errors import LuxloopError
+from luxloop.world.headlight.lamp import Commands
+
+BLUR: Final = "blur_px"  # a value of the fit that no scenario has: standard deviation of the picture's blur
+MOST_PIXELS: Final = 200_000  # of all frames, that are compared in a fit
+SSIM_RADIUS: Final = 1.5
+STEP: Final = 0.05  # of a value, relative to its span, in differences
+MOST_STEPS: Final = 20
+BLURRED: Final = 0.3  # px, to begin with: at zero it has no slope
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedExposure:
+    """One recorded exposure. image: digital numbers `[height, width]`."""
+
+    time_s: float
+    lights: tuple[Utilisation, ...]
+    commands: Commands
+    image: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class FitResult:
+    """values, stds: by key, the latter with residuals that are alike within blocks of the frames (`covariance_of`). before, after: MAE and
+    RMSE in digital numbers and SSIM. noise: rms of the camera's in the recorded frames.
+    """
+
+    values: Mapping[str, float]
+    stds: Mapping[str, float]
+    before: Mapping[str, float]
+    after: Mapping[str, float]
+    noise: float
+
+
+def read_exposures(folder: Path, scenario: Scenario, most: int) -> list[RecordedExposure]:
+    """Up to `most` exposures of a recording with frames, spread evenly over it. Raises LuxloopError if it has none."""
+    rows = [row for row in recorded_rows(folder)[:-1] if row["lost"] is False]
+    if not rows:
+        raise LuxloopError(f"{folder}: all frames are lost; record another run with --frames")
+    modules = lamp_modules(mount(scenario.headlight))
+    pixels, like = [each.headlight.n_pixels for each in modules], modules[0].headlight.matrix.values
+    shown = []
+    for k in np.unique(np.linspace(0, len(rows) - 1, most).astype(int)):
+        row = rows[int(k)]
+        lights, _, commands = read_light(inside(light_file(folder, row["light"]), folder), pixels, like.device)
+        image = read_image(inside(image_file(folder, row["number"]), folder), scenario.camera, like)
+        shown.append(RecordedExposure(row["time_s"], lights, commands, image))
+    return shown
+
+
+def fit(
+    scenario_of: Callable[[Mapping[str, float]], Scenario],
+    shown: Sequence[RecordedExposure],
+    spans: Mapping[str, float],
+    on_step: Callable[[], None] = lambda: None,
+) -> FitResult:
+    """Least-squares fit of simulated to recorded frames. scenario_of: returns the scenario with values by key. spans: expected error of
+    each value to fit, by key.
+
+    Frames are compared as digital numbers before rounding, without noise; those that are saturated in the recording are left out.
+    Raises LuxloopError if a key is not of the scenario, or its value has no effect.
+    """
+    scenario = scenario_of({})
+    start = np.array([0.0 if key == BLUR else _value(scenario, key) for key in spans])
+    span = np.array(list(spans.values()))
+    levels = 2**scenario.camera.bits - 1
+    some = max(1, sum(each.image.numel() for each in shown) // MOST_PIXELS)
+    wanted = [each.image.double().numpy() for each in shown]
+    used = [(each < levels).ravel() & (np.arange(each.size) % some == 0) for each in wanted]
+    cache = PartCache()
+
+    def pictures(x: Array) -> list[Array]:
+        nonlocal cache
+        cache = PartCache(cache)
+        values = dict(zip(spans, (start + span * (x - 1)).tolist(), strict=True))
+        blur = abs(values.pop(BLUR, 0.0))
+        on_step()
+        return _pictures(scenario_of(values), shown, cache, blur)
+
+    def residuals(x: Array) -> Array:
+        return np.concatenate([(a - b).ravel()[use] for a, b, use in zip(pictures(x), wanted, used, strict=True)])
+
+    at = np.ones(len(spans))  # so that steps, which are relative, are shares of the spans
+    before = scores(pictures(at), wanted, levels)
+    at += [BLURRED / each if key == BLUR else 0.0 for key, each in spans.items()]
+    scale = _scale(residuals(at))
+    solved: Any = least_squares(
+        residuals, at, loss="soft_l1", f_scale=scale, diff_step=STEP, x_scale=1.0, xtol=1e-4, ftol=1e-6, max_nfev=MOST_STEPS
+    )
+    after = scores(pictures(solved.x), wanted, levels)
+    length = np.linalg.norm(solved.jac, axis=0)
+    if dead := [key for key, size in zip(spans, length, strict=True) if not size > 0]:
+        raise LuxloopError(f"{dead[0]}: has no effect on the recorded frames; leave it out, or record others")
+    plain = residuals(solved.x)
+    variance = float(plain @ plain) / max(len(plain) - len(spans), 1)
+    robust = plain * (1 + (plain / scale) ** 2) ** 0.25  # which belongs to the Jacobian that `least_squares` gives with soft_l1
+    numbers = [k * SIDE**2 + blocks(np.argwhere(np.ones(each.shape)).astype(float)) for k, each in enumerate(wanted)]
+    groups = np.concatenate([each[use] for each, use in zip(numbers, used, strict=True)])
+    covariance = covariance_of(*group_residuals(solved.jac, robust, groups), variance)
+    std = np.sqrt(np.diag(covariance))
+    values = dict(zip(spans, (start + span * (solved.x - 1)).tolist(), strict=True))
+    if BLUR in values:
+        values[BLUR] = abs(values[BLUR])
+    stds = dict(zip(spans, (span * std).tolist(), strict=True))
+    noise = _noise([each.image for each in shown], scenario.camera)
+    return FitResult(values, stds, before, after, noise)
+
+
+def _pictures(scenario: Scenario, shown: Sequence[RecordedExposure], cache: PartCache, blur: float) -> list[Array]:
+    """Digital numbers before rounding of what a scenario's camera would see, blurred by so many px."""
+    modules = cache("modules", lambda headlight: lamp_modules(mount(headlight)), scenario.headlight)
+    world = simulated_plant(scenario, modules, cache).world
+    found = [world.luminance(each.time_s, each.lights, each.commands)[0].double().numpy() for each in shown]
+    seen = [gaussian_filter(each, blur) if blur else each.copy() for each in found]
+    return [expose(torch.from_numpy(each), world.camera, quantise=False).numpy() for each in seen]
+
+
+def _noise(images: Sequence[Tensor], camera: CameraParams) -> float:
+    """Root mean square of the camera's noise in digital numbers of frames `[height, width]`."""
+    drawn = torch.Generator().manual_seed(0)
+    noise = [expose(luminance_of(each, camera), camera, torch.randn(each.shape, generator=drawn)) - each for each in images]
+    return float(torch.stack([each.square().mean() for each in noise]).mean().sqrt())
+
+
+def _scale(residuals: Array) -> float:
+    return max(1.48 * float(np.median(np.abs(residuals))), 1.0)
+
+
+def scores(pictures: Sequence[Array], wanted: Sequence[Array], levels: int) -> dict[str, float]:
+    """MAE and RMSE in digital numbers and SSIM of pictures `[height, width]`, over all of them. levels: the largest digital number."""
+    left = [a - b for a, b in zip(pictures, wanted, strict=True)]
+    alike = [float(ssim(torch.from_numpy(a), torch.from_numpy(b), SSIM_RADIUS, levels)) for a, b in zip(pictures, wanted, strict=True)]
+    return {
+        "mae": float(np.mean([np.abs(each).mean() for each in left])),
+        "rmse": float(np.sqrt(np.mean([(each**2).mean() for each in left]))),
+        "ssim": float(np.mean(alike)),
+    }
+
+
+def _value(scenario: Scenario, key: str) -> float:
+    """The number at a key such as `disturbances.aim[0].pitch_deg`. Raises LuxloopError where there is none."""
+    at: Any = scenario.model_dump(mode="json")
+    for name in key.replace("]", "").replace("[", ".").split("."):
+        try:
+            at = at[int(name)] if isinstance(at, list | tuple) else at[name]
+        except (KeyError, IndexError, ValueError, TypeError) as error:
+            raise LuxloopError(f"{key}: the scenario has no such key; see `luxloop schema`, and give tables first with --set") from error
+    if isinstance(at, bool) or not isinstance(at, int | float):
+        raise LuxloopError(f"{key}: is {at!r}, not a number; give its value first with --set, or vary another key")
+    return float(at)
+
 
 # name: (type, unit, description)
 COLUMNS: Final[dict[str, tuple[pa.DataType, str, str]]] = {
@@ -90,7 +253,7 @@ def write_twin(
 def _without(mark: MarkParams | None, image: torch.Tensor) -> np.ndarray:
     shown = image.double().cpu().numpy()
     if mark is not None:
-        shown[surroundings(mark)] = 0
+        shown[mark_surroundings(mark)] = 0
     return shown
 
 

@@ -1,12 +1,22 @@
-"""The simulated world lit by a real lamp: the lamp shows each exposure, and its beam on a screen becomes a module's light (T 4.3)."""
+"""The simulated world lit by a real lamp: the lamp shows each exposure, and its beam on a screen becomes a module's light (T 4.3).
 
+A motion platform gets the poses of the vehicle's body over the ground as UDP datagrams of JSON, one a pose; roll is positive right side
+down, pitch nose down:
+
+    {"number": 12, "time_s": 0.4, "heave_m": 0.01, "roll_deg": 0.2, "pitch_deg": -0.5}
+"""
+
+import json
 import math
+import socket
 import time
+from collections import deque
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import cv2
 import numpy as np
@@ -15,42 +25,179 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.loop.rig.calibration.files import Calibration
-from luxloop.loop.rig.live.beam import Beam
-from luxloop.loop.rig.live.digitiser import ONE_FORMAT, Digitiser, luminous
+from luxloop.loop.rig.calibration.calibrate import Calibration
+from luxloop.loop.rig.calibration.geometry import Geometry, on_plane
+from luxloop.loop.rig.calibration.intrinsics import brightness
+from luxloop.loop.rig.calibration.shots import luminous
 from luxloop.loop.rig.params import RigParams
 from luxloop.loop.rig.plant import RigPlant
-from luxloop.loop.rig.rectified import AS_SENT, Rectifier, WrongPicture, camera_picture
-from luxloop.loop.rig.rig import Rig
-from luxloop.loop.rig.wire.poses import BodyPose, PoseSender
+from luxloop.loop.rig.rectification import AS_SENT, WrongPicture, camera_picture
+from luxloop.loop.rig.rig import Rig, TimeHistogram
+from luxloop.loop.rig.wire.sockets import udp_sender
 from luxloop.loop.simulation.digitised import DigitisedPlant
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame
 from luxloop.loop.simulation.simulated import UnderWay
 from luxloop.loop.simulation.world import World
-from luxloop.perception.camera import CameraParams
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import REST
+from luxloop.world.texels import TexelGrid
+
+
+class Beam:
+    """Light textures of exposures, in order. newest: the last digitised texture of a lit lamp, with its utilisation `[n_p]`."""
+
+    def __init__(self, late: int, dark: Tensor) -> None:
+        """late: delay of the light in the simulated world, in exposures. dark: the texture before the first one."""
+        self._under_way = deque[Tensor | None]([dark] * late, maxlen=late + 1)
+        self._digitising, self._whole, self._saturated = TimeHistogram(), TimeHistogram(), 0.0
+        self.newest: tuple[Tensor, Tensor] | None = None
+
+    def take(self, texture: Tensor | None) -> Tensor | None:
+        """Add the texture of an exposure, None if its frame is lost; returns the one that shines now, None if it is lost."""
+        self._under_way.append(texture)
+        return self._under_way[0]
+
+    def note(self, digitising_s: float, since_light_s: float, saturated: float) -> None:
+        """Record an exposure. digitising_s: frame to texture. since_light_s: sent light to texture. saturated: share of pixels."""
+        self._digitising.add(digitising_s)
+        self._whole.add(since_light_s)
+        self._saturated = max(self._saturated, saturated)
+
+    def summary(self) -> dict[str, Any]:
+        """The statistics as plain data."""
+        return {
+            "light_to_texture_ms": self._whole.in_ms,
+            "frame_to_texture_ms": self._digitising.in_ms,
+            "saturated": round(self._saturated, 6),
+        }
+
+
+Picture = NDArray[Any]
+SEEN: Final = 0.5  # least share of the texels that the camera has to see
+ONE_FORMAT: Final = "camera: gives pictures in grey and in colour by turns; set it to one of them"
+SATURATED: Final = 0.98  # of the largest digital number, from which on a pixel counts as saturated
+
+
+@dataclass(frozen=True, eq=False)
+class Digitiser:
+    """Samples a camera's picture where the light of the texels falls on the screen, and converts it to luminous intensity.
+
+    u, v: `[rows, cols]` float32, these positions in px, pixel centres at integers. candela: `[rows, cols]` float32, intensity in cd that
+    saturates the camera there, 0 where the camera does not see the screen. curve: `[levels + 1]` float32, light of a digital number
+    relative to saturation. shape: height and width of the picture in px. dark: light without the lamp in the part of the picture that is
+    read, as `light` returns it, or 0.
+    """
+
+    u: NDArray[np.float32]
+    v: NDArray[np.float32]
+    candela: NDArray[np.float32]
+    curve: NDArray[np.float32]
+    shape: tuple[int, int]
+    dark: NDArray[np.float32] | float = 0.0
+
+    @classmethod
+    def of(cls, calibration: Calibration, module: str, grid: TexelGrid) -> Self:
+        """module: its name in the calibration. grid: of its light texture. Raises LuxloopError if the calibration lacks the module or the
+        scale, or if the camera sees less than half of the texels.
+        """
+        if calibration.lux is None:
+            raise LuxloopError("has no scale; run `luxloop rig calibrate` again with a reading of a luxmeter, --lux LUX@U,V")
+        geometry, camera = calibration.geometry(module), calibration.camera
+        y, z = (each.numpy() for each in grid.tangents(torch.float64, torch.device("cpu")))
+        places, candela = _falling(geometry, y, z)
+        u, v = camera.project(places).T.reshape(2, grid.rows, grid.cols) - 0.5  # OpenCV's maps count from pixels' centres
+        ahead = (places[:, 2] > 0).reshape(grid.rows, grid.cols) & np.isfinite(u) & np.isfinite(v)
+        seen = ahead & (u >= 0) & (v >= 0) & (u <= camera.width - 1) & (v <= camera.height - 1)
+        if seen.mean() < SEEN:
+            raise LuxloopError(
+                f"by it the camera sees {seen.mean():.0%} of the light of {module!r} on the screen; calibrate with a camera that sees all"
+            )
+        shade = brightness(calibration.vignetting, camera.height, camera.width).astype(np.float32)
+        u, v = (np.where(seen, each, 0).astype(np.float32) for each in (u, v))
+        factor = calibration.lux * candela.reshape(seen.shape) / cv2.remap(shade, u, v, cv2.INTER_LINEAR)
+        return cls(u, v, np.where(seen, factor, 0).astype(np.float32), calibration.response.curve, (camera.height, camera.width))
+
+    @property
+    def coverage(self) -> float:
+        """Share of the texels whose light the camera sees, 0..1."""
+        return float((self.candela > 0).mean())
+
+    def without(self, pictures: Picture) -> Self:
+        """A digitiser that also subtracts the mean light of pictures `[n, height, width]` or `[n, height, width, 3]` without the lamp."""
+        return replace(self, dark=np.mean([self.light(each) for each in pictures], 0, np.float32))
+
+    def light(self, picture: Picture) -> NDArray[np.float32]:
+        """Linear light of digital numbers in the part of the picture that is read, relative to saturation.
+
+        Raises LuxloopError if the picture has another size or larger numbers than the calibration's camera.
+        """
+        if picture.shape[:2] != self.shape:
+            raise LuxloopError(f"is of {self.shape[1]} x {self.shape[0]} px, but the camera has {picture.shape[1]} x {picture.shape[0]} px")
+        part = picture[self._part]
+        try:
+            return self.curve[part if part.dtype.kind == "u" else part.astype(np.uint16)]
+        except IndexError as error:
+            raise LuxloopError(f"has the response of numbers up to {len(self.curve) - 1}, but the camera gives {part.max():.0f}") from error
+
+    def saturation(self, picture: Picture) -> float:
+        """Share of saturated pixels in the part that is read, 0..1."""
+        return float((picture[self._part] >= SATURATED * (len(self.curve) - 1)).mean())
+
+    def texture(self, picture: Picture) -> Tensor:
+        """Light texture `[rows, cols]` in cd of a grey picture `[height, width]`, or `[3, rows, cols]` in linear sRGB of a colour picture
+        `[height, width, 3]` (blue, green, red). Raises LuxloopError as `light`, and if the dark pictures had another number of channels.
+        """
+        if isinstance(self.dark, np.ndarray) and self.dark.ndim != picture.ndim:
+            raise LuxloopError(ONE_FORMAT)
+        lit = cv2.remap(self.light(picture) - self.dark, *self._maps, cv2.INTER_LINEAR).clip(0)  # noise has no sign in the dark
+        if lit.ndim == 2:
+            return torch.from_numpy(lit * self.candela)
+        return torch.from_numpy(lit).flip(2).permute(2, 0, 1) * torch.from_numpy(self.candela)
+
+    @cached_property
+    def _part(self) -> tuple[slice, slice]:
+        """Rows and columns of the picture that are read."""
+        seen = self.candela > 0
+        spans = ((each[seen].min(), each[seen].max(), n) for each, n in zip((self.v, self.u), self.shape, strict=True))
+        v, u = (slice(int(low), min(int(high) + 2, n)) for low, high, n in spans)
+        return v, u
+
+    @cached_property
+    def _maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """u and v, counted from the start of that part."""
+        rows, cols = self._part
+        return self.u - np.float32(cols.start), self.v - np.float32(rows.start)
+
+
+def _falling(geometry: Geometry, y: NDArray[np.floating], z: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Points on the screen lit by the texels at tangents y `[cols]` and z `[rows]`, `[rows * cols, 3]` m in the camera's frame, and cd per
+    lx there, `[rows * cols]`, from `I = E d^2 / cos` (T eq. 2.1.5); 0 where the light does not meet the screen.
+    """
+    lamp, screen = geometry.lamp, geometry.screen
+    zz, yy = np.meshgrid(z, y, indexing="ij")
+    rays = np.stack([np.ones(yy.size), yy.ravel(), zz.ravel()], -1) @ lamp.rotation.T
+    places = on_plane(rays, lamp.place, screen)
+    away = places - lamp.place
+    distance = np.linalg.norm(away, axis=1)
+    cos = np.abs(away @ screen.rotation[:, 2]) / distance
+    falls = (away * rays).sum(1) > 0
+    return places, np.where(falls, distance**2 / cos, 0.0)
+
 
 DARKS: Final = 8  # frames without light before the run, whose mean is subtracted
 FIRST: Final = 40  # number of the run's first exposure on the rig; the numbers below it are for the dark frames, which may be lost
 
 
-@dataclass(frozen=True, eq=False)
-class ScreenPictures(Rectifier):
-    """Unchanged pictures of a screen, grey or in colour. shape: height and width in px."""
+def screen_picture(shape: tuple[int, int], data: bytes | Picture) -> NDArray[np.float32]:
+    """Codes `[height, width]`, or `[height, width, 3]` (blue, green, red), of encoded or raw data. shape: height and width of the pictures.
 
-    shape: tuple[int, int] = (0, 0)
-
-    def image(self, data: bytes | NDArray[np.generic]) -> NDArray[np.float32]:
-        """Codes `[height, width]`, or `[height, width, 3]` (blue, green, red), of encoded or raw data.
-
-        Raises WrongPicture if it is damaged or of another size.
-        """
-        picture = camera_picture(data, cv2.IMREAD_ANYCOLOR | AS_SENT) if isinstance(data, bytes) else data
-        if picture.shape[:2] != self.shape:
-            (height, width), (rows, columns) = self.shape, picture.shape[:2]
-            raise WrongPicture(f"camera: a picture of {columns} x {rows} px, where the calibration is of {width} x {height}")
-        return (picture if picture.ndim == 2 else picture[..., :3]).astype(np.float32)
+    Raises WrongPicture if it is damaged or of another size.
+    """
+    picture = camera_picture(data, cv2.IMREAD_ANYCOLOR | AS_SENT) if isinstance(data, bytes) else data
+    if picture.shape[:2] != shape:
+        (height, width), (rows, columns) = shape, picture.shape[:2]
+        raise WrongPicture(f"camera: a picture of {columns} x {rows} px, where the calibration is of {width} x {height}")
+    return (picture if picture.ndim == 2 else picture[..., :3]).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,14 +205,14 @@ class LivePlant:
     """A plant whose simulated world waits for the lamp at each exposure. If the rig gets no frame of it, the exposure is lost.
 
     own: the simulated world, and which of its modules is digitised. lab: the rig, which shows this module alone. digitiser: from pictures
-    to light textures. beam: the textures. platform: gets the body's poses.
+    to light textures. beam: the textures. platform: where the body's poses are sent.
     """
 
     own: DigitisedPlant
     lab: RigPlant
     digitiser: Digitiser
     beam: Beam
-    platform: PoseSender | None = None
+    platform: socket.socket | None = None
 
     @property
     def truth(self) -> World:
@@ -87,10 +234,10 @@ class LivePlant:
             self.own.measured.keep(light.u, now)
         queue, arrivals = self.own.night.show(state, exposure)
         if now is None:
-            return _changed(queue, arrivals, exposure.number, image=None)
+            return _replace_frame(queue, arrivals, exposure.number, image=None)
         if frame.shown is not None:
             lights = (*exposure.lights[: self.own.number], *frame.shown.lights, *exposure.lights[self.own.number + 1 :])
-            return _changed(queue, arrivals, exposure.number, shown=replace(exposure, lights=lights))
+            return _replace_frame(queue, arrivals, exposure.number, shown=replace(exposure, lights=lights))
         return queue, arrivals
 
     def _light(self, exposure: Exposure) -> Utilisation:
@@ -106,7 +253,7 @@ class LivePlant:
         intensity = luminous(texture)
         took_s = time.monotonic() - begun_s
         if since_s is not None:
-            self.beam.note(took_s, frame.arrived_s - since_s + took_s, self.digitiser.saturated(picture))
+            self.beam.note(took_s, frame.arrived_s - since_s + took_s, self.digitiser.saturation(picture))
         if bool(light.u.any()):
             self.beam.newest = texture, light.u
         return intensity
@@ -114,26 +261,27 @@ class LivePlant:
     def _move(self, exposure: Exposure) -> None:
         if self.platform is not None:
             body = self.own.night.dynamics.at(exposure.start_s)
-            angles = math.degrees(body.roll_rad), math.degrees(body.pitch_rad)
-            self.platform.send(BodyPose(exposure.number, exposure.start_s, body.heave_m, *angles))
+            angles = {"roll_deg": math.degrees(body.roll_rad), "pitch_deg": math.degrees(body.pitch_rad)}
+            pose = {"number": exposure.number, "time_s": exposure.start_s, "heave_m": body.heave_m, **angles}
+            with suppress(OSError):  # it is lost where nobody listens
+                self.platform.send(json.dumps(pose).encode())
 
 
 @contextmanager
-def live_plant(rig: Rig, own: DigitisedPlant, calibration: Calibration, camera: CameraParams, exposures: int) -> Iterator[LivePlant]:
-    """The plant of an open rig. own: the scenario's plant. calibration: of the rig. camera: the scenario's. exposures: number of exposures.
+def live_plant(rig: Rig, own: DigitisedPlant, calibration: Calibration, exposures: int) -> Iterator[LivePlant]:
+    """The plant of an open rig. own: the scenario's plant. calibration: of the rig. exposures: number of exposures.
 
     Takes dark frames first. Raises LuxloopError if they do not arrive, or if rig, calibration and scenario do not fit together.
     """
     module = own.truth.modules[own.number]
-    rig.rectifier = ScreenPictures(rig.params.camera, camera, None, None, (calibration.camera.height, calibration.camera.width))
+    rig.rectify = partial(screen_picture, (calibration.camera.height, calibration.camera.width))
     lab = RigPlant.of(rig, [module], FIRST + exposures)
     digitiser = Digitiser.of(calibration, module.name, module.headlight)
     dark = torch.zeros(module.headlight.rows, module.headlight.cols)
     with ExitStack() as stack:
         platform = None
         if (to := rig.params.platform) is not None:
-            platform = PoseSender(to.host, to.port)
-            stack.callback(platform.close)
+            platform = stack.enter_context(udp_sender("platform.host", to.host, to.port))
         yield LivePlant(
             own,
             lab,
@@ -167,10 +315,10 @@ def _dark_frames(lab: RigPlant) -> NDArray[np.float32]:
     raise LuxloopError(f"{len(found)} of {DARKS} dark frames came in {FIRST} tries; measure [timing] with `luxloop rig blink`")
 
 
-def _changed(queue: UnderWay, arrivals: Arrivals, number: int, **changes: Any) -> tuple[UnderWay, Arrivals]:
+def _replace_frame(queue: UnderWay, arrivals: Arrivals, number: int, **changes: Any) -> tuple[UnderWay, Arrivals]:
     """The queue and the arrivals with changes to the frame of an exposure, whether pending or arrived."""
 
-    def changed(frame: Frame) -> Frame:
+    def swap(frame: Frame) -> Frame:
         return replace(frame, **changes) if frame.number == number else frame
 
-    return tuple((due, changed(frame)) for due, frame in queue), replace(arrivals, frames=tuple(map(changed, arrivals.frames)))
+    return tuple((due, swap(frame)) for due, frame in queue), replace(arrivals, frames=tuple(map(swap, arrivals.frames)))

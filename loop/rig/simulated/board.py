@@ -11,10 +11,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from luxloop.loop.rig.calibration.board import BoardParams, picture
-from luxloop.loop.rig.simulated.faults import ShownBoardParams
-from luxloop.loop.rig.simulated.lens import Image, Lens, distorted, focal_px
-from luxloop.loop.rig.simulated.scene import LitBench
+from luxloop.loop.rig.calibration.intrinsics import BoardParams, picture
+from luxloop.loop.rig.simulated.faults import BoardFaultParams
+from luxloop.loop.rig.simulated.lens import Image, Lens, distort, focal_px
+from luxloop.loop.rig.simulated.scene import RigScene
 from luxloop.perception.camera import CameraParams, luminance_of
 from luxloop.world.caches import keeping
 from luxloop.world.errors import LuxloopError
@@ -40,7 +40,7 @@ SENSOR_POINTS: Final = 25  # along that
 
 
 @dataclass(frozen=True, eq=False)
-class ShownBoard:
+class BoardView:
     """A board in room light. T_view_screen: where it lies on what the camera's middle looks at. paper, room: luminance in cd/m^2."""
 
     board: BoardParams
@@ -50,12 +50,11 @@ class ShownBoard:
     room: float
 
     @classmethod
-    def of(cls, params: ShownBoardParams, bench: LitBench) -> Self:
+    def of(cls, params: BoardFaultParams, rig_scene: RigScene) -> Self:
         """Raises LuxloopError where the camera looks at nothing that a board could lie on."""
-        board = BoardParams(columns=params.columns, rows=params.rows, square_mm=params.square_mm)
-        paper, room = luminance_of(torch.tensor([PAPER, ROOM]) * (2**bench.camera.bits - 1), bench.camera).tolist()
-        T_world_view = bench.world.view.T_world_view.numpy()
-        surfaces = bench.world.lit(0.0).surfaces
+        paper, room = luminance_of(torch.tensor([PAPER, ROOM]) * (2**rig_scene.camera.bits - 1), rig_scene.camera).tolist()
+        T_world_view = rig_scene.world.view.T_world_view.numpy()
+        surfaces = rig_scene.world.lit(0.0).surfaces
         row, column = (n // 2 for n in surfaces.object_id.shape)
         if int(surfaces.object_id[row, column]) < 0:
             raise LuxloopError(
@@ -63,7 +62,7 @@ class ShownBoard:
             )
         point, normal = (each[:, row, column].double().numpy() for each in (surfaces.position, surfaces.normal))
         turn = T_world_view[:3, :3].T
-        return cls(board, bench.lens, _lying(turn @ (point - T_world_view[:3, 3]), turn @ normal, _size_m(board)), paper, room)
+        return cls(params, rig_scene.lens, _lying(turn @ (point - T_world_view[:3, 3]), turn @ normal, _size_m(params)), paper, room)
 
     def at(self, from_s: float, heard_s: float | None) -> Image | None:
         """What the lens images `[height, width]` cd/m^2 from a time on; None while light comes, for which it is taken away.
@@ -71,16 +70,16 @@ class ShownBoard:
         heard_s: when light came last, None for never: until then it is held in the hand.
         """
         if heard_s is None:
-            return self._kept(int(from_s / POSE_S) % POSES)
-        return None if from_s - heard_s < LAID_S else self._kept(None)
+            return self._images(int(from_s / POSE_S) % POSES)
+        return None if from_s - heard_s < LAID_S else self._images(None)
 
     @cached_property
-    def _kept(self) -> Callable[[int | None], Image]:
+    def _images(self) -> Callable[[int | None], Image]:
         return keeping(1, self.image)
 
     def image(self, pose: int | None) -> Image:
         """What the lens images `[height, width]` cd/m^2 of the board in the hand, in one of its poses, or, None, on the screen."""
-        T_view_board = self.T_view_screen if pose is None else held(self.board, self.lens.camera, pose)
+        T_view_board = self.T_view_screen if pose is None else board_pose(self.board, self.lens.camera, pose)
         drawn = picture(self.board, DPI)
         m_per_px = self.board.square_mm / 1000 * self.board.columns / drawn.shape[1]
         on_board = np.array([[m_per_px, 0, m_per_px / 2], [0, m_per_px, m_per_px / 2], [0, 0, 1]])  # of the centres of its pixels
@@ -95,7 +94,7 @@ class ShownBoard:
         return self.lens.image((self.paper * share + self.room * (1 - covered.astype(np.float32) / 255)).astype(np.float32))
 
 
-def held(board: BoardParams, camera: CameraParams, pose: int) -> Floats:
+def board_pose(board: BoardParams, camera: CameraParams, pose: int) -> Floats:
     """T_view_board `[4, 4]` of a board in the hand, tilted, in the middle of the picture or aside."""
     width, height = _size_m(board)
     way, tilt = GOLDEN_RAD * pose, math.radians(TILTS_DEG[pose % len(TILTS_DEG)])
@@ -109,13 +108,13 @@ def held(board: BoardParams, camera: CameraParams, pose: int) -> Floats:
     return _pose(turn, aside - turn @ np.array([width / 2, height / 2, 0.0]))
 
 
-def readings(bench: LitBench) -> list[tuple[float, float, float]]:
+def readings(rig_scene: RigScene) -> list[tuple[float, float, float]]:
     """What a luxmeter shows at nine places of the light on the screen, all pixels on: lx, and where the camera sees it (u, v) px.
 
     Raises LuxloopError where the camera sees no light.
     """
-    scene = bench.world.lit(0.0, direct=True)
-    lux, _ = scene.light([torch.ones(each.headlight.n_pixels) for each in bench.modules])
+    scene = rig_scene.world.lit(0.0, direct=True)
+    lux, _ = scene.light([torch.ones(each.headlight.n_pixels) for each in rig_scene.modules])
     lit = (lux > LIT * lux.max()).numpy()
     if not float(lux.max()) > 0:
         raise LuxloopError("board: the camera sees no light of the lamp on anything; turn the camera, or set board.shown = false")
@@ -126,8 +125,8 @@ def readings(bench: LitBench) -> list[tuple[float, float, float]]:
         for column in np.quantile(columns, READ).astype(int):
             point, normal = (each[:, row, column].double().numpy() for each in (scene.surfaces.position, scene.surfaces.normal))
             sensor = point + _disc(normal)
-            modules = ((each.headlight, T_world_body @ each.T_world_headlight.double().numpy()) for each in bench.modules)
-            found.append((sum(_lux(light, T, sensor, normal) for light, T in modules), *_seen(bench, row, column)))
+            modules = ((each.headlight, T_world_body @ each.T_world_headlight.double().numpy()) for each in rig_scene.modules)
+            found.append((sum(_lux(light, T, sensor, normal) for light, T in modules), *_image_place(rig_scene, row, column)))
     return found
 
 
@@ -141,11 +140,11 @@ def _disc(normal: Floats) -> Floats:
     return SENSOR_M * (across[disc, None] * side + along[disc, None] * np.cross(normal, side))
 
 
-def _seen(bench: LitBench, row: int, column: int) -> tuple[float, float]:
+def _image_place(rig_scene: RigScene, row: int, column: int) -> tuple[float, float]:
     """Where the lens shows a pixel of the pinhole's picture, (u, v) px."""
-    lens, focal = bench.lens, focal_px(bench.lens.camera)
-    straight = np.array([[(column + 0.5) / bench.columns - lens.camera.width_px / 2, row + 0.5 - lens.camera.height_px / 2]]) / focal
-    u, v = (distorted(lens.params, straight) * focal)[0] + lens.matrix[:2, 2]
+    lens, focal = rig_scene.lens, focal_px(rig_scene.lens.camera)
+    straight = np.array([[(column + 0.5) / rig_scene.columns - lens.camera.width_px / 2, row + 0.5 - lens.camera.height_px / 2]]) / focal
+    u, v = (distort(lens.params, straight) * focal)[0] + lens.matrix[:2, 2]
     return float(u), float(v)
 
 

@@ -3,6 +3,7 @@
 import math
 import queue
 import random
+import struct
 import threading
 import time
 import zlib
@@ -15,23 +16,39 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from luxloop.loop.rig.simulated.board import ShownBoard
+from luxloop.loop.rig.simulated.board import BoardView
 from luxloop.loop.rig.simulated.faults import CameraErrorParams, FaultParams, FlickerParams
+from luxloop.loop.rig.simulated.lamp import Segment, Timeline
 from luxloop.loop.rig.simulated.lens import Image
-from luxloop.loop.rig.simulated.scene import LitBench, sensor_of
-from luxloop.loop.rig.simulated.timeline import Segment, Timeline
+from luxloop.loop.rig.simulated.scene import RigScene, sensor_of
 from luxloop.loop.rig.wire.mjpeg import JPEG, PNG, Part
-from luxloop.loop.rig.wire.png import png
 from luxloop.perception.camera import CameraParams, expose
 from luxloop.perception.noise import FrameNoise
 from luxloop.world.errors import LuxloopError
+
+SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
+GREY: Final = 0  # colour type
+
+
+def png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
+    """A picture `[height, width]` of 8 or 16 bits, its numbers as they are."""
+    height, width = image.shape
+    rows = np.zeros((height, 1 + width * image.itemsize), np.uint8)  # a row begins with its filter, 0 for none
+    rows[:, 1:] = image.astype(image.dtype.newbyteorder(">"), copy=False).view(np.uint8)
+    head = struct.pack(">IIBBBBB", width, height, 8 * image.itemsize, GREY, 0, 0, 0)
+    return SIGNATURE + _chunk(b"IHDR", head) + _chunk(b"IDAT", zlib.compress(rows.data, 0)) + _chunk(b"IEND", b"")
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return b"".join((struct.pack(">I", len(data)), kind, data, struct.pack(">I", zlib.crc32(data, zlib.crc32(kind)))))
+
 
 WAIT_S: Final = 0.1  # in which the end of the process is noticed
 UNSENT: Final = 128  # frames under way to the sender at most
 
 
 @dataclass(frozen=True)
-class Exposed:
+class FrameTruth:
     """What was true of a frame; times of `time.monotonic()` in s.
 
     timecodes: of all light in it in the order of its appearance, None for dark. crc32: of its bytes as they are sent.
@@ -45,31 +62,21 @@ class Exposed:
     sent_s: float = math.nan
 
 
-class End:
-    """Whether the end is asked for; a signal's handler may do so, which must not wait for a lock."""
+class RigCamera:
+    """Exposes frames of a rig_scene in the caller's thread, and sends them in one of its own."""
 
-    def __init__(self) -> None:
-        self.asked = False
-
-    def ask(self) -> None:
-        """From any thread."""
-        self.asked = True
-
-
-class BenchCamera:
-    """Exposes frames of a bench in the caller's thread, and sends them in one of its own."""
-
-    def __init__(self, bench: LitBench, timeline: Timeline, faults: FaultParams, send: Callable[[Part, Exposed], None]) -> None:
+    def __init__(self, rig_scene: RigScene, timeline: Timeline, faults: FaultParams, send: Callable[[Part, FrameTruth], None]) -> None:
         """send: gets each frame when it leaves the camera. Raises LuxloopError where the encoding lacks bits."""
-        self.bench, self.timeline, self.faults = bench, timeline, faults
-        self.sensor = sensor_of(bench.camera, faults.camera.gamma)
+        self.rig_scene, self.timeline, self.faults = rig_scene, timeline, faults
+        self.sensor = sensor_of(rig_scene.camera, faults.camera.gamma)
         if faults.camera.encoding == "jpeg" and self.sensor.bits > 8:
             raise LuxloopError(f"camera.encoding: JPEG has 8 bits and the camera {self.sensor.bits}; set camera.bits=8 in the scenario")
-        self.board = ShownBoard.of(faults.board, bench) if faults.board.shown else None
+        self.board = BoardView.of(faults.board, rig_scene) if faults.board.shown else None
         self.exposures = self.skipped = self.lost = 0
+        self.ended = False  # a signal's handler may set it, which must not wait for a lock
         self._random, self._send, self._open = random.Random(faults.seed + 1), send, True
-        self._unsent: queue.Queue[tuple[float, Part, Exposed] | None] = queue.Queue(UNSENT)
-        self._sender = threading.Thread(target=self._keep_sending, name="camera", daemon=True)
+        self._unsent: queue.Queue[tuple[float, Part, FrameTruth] | None] = queue.Queue(UNSENT)
+        self._sender = threading.Thread(target=self._send_due, name="camera", daemon=True)
         self._sender.start()
 
     @property
@@ -77,10 +84,10 @@ class BenchCamera:
         """From the beginning of the first row's exposure to the end of the last one's."""
         return self.faults.camera.readout_s + self.sensor.exposure_s
 
-    def run(self, end: End) -> None:
-        """Expose frame after frame until the end."""
+    def run(self) -> None:
+        """Expose frame after frame until `ended`."""
         params, next_s = self.faults.camera, time.monotonic()
-        while not end.asked:
+        while not self.ended:
             if params.trigger == "light":
                 late_s = time.monotonic() - 1 / params.rate_hz  # light from before triggers nothing any more
                 lit_s = self.timeline.newer(max(next_s, late_s), WAIT_S)
@@ -94,23 +101,23 @@ class BenchCamera:
                 self.skipped += behind
                 from_s = next_s + behind * period_s
                 next_s = from_s + period_s
-            while not end.asked and (left_s := from_s + self.window_s - time.monotonic()) > 0:
+            while not self.ended and (left_s := from_s + self.window_s - time.monotonic()) > 0:
                 time.sleep(min(left_s, WAIT_S))
             self._queue(self.expose(from_s))
 
-    def expose(self, from_s: float) -> tuple[Part, Exposed]:
+    def expose(self, from_s: float) -> tuple[Part, FrameTruth]:
         """The frame whose first row is exposed from a time on; its exposure is over."""
         segments, number = self.timeline.between(from_s, from_s + self.window_s), self.exposures
         self.exposures += 1
         begun_s = self.timeline.begun_s
         drive_s = 0.0 if begun_s is None else max(from_s + self.window_s / 2 - begun_s, 0.0)
-        starts_s = from_s + self.faults.camera.readout_s * (np.arange(self.bench.lens.height) / self.bench.lens.height)
+        starts_s = from_s + self.faults.camera.readout_s * (np.arange(self.rig_scene.lens.height) / self.rig_scene.lens.height)
         shown = None if self.board is None or any(each.light for each in segments) else self.board.at(from_s, self.timeline.heard_s)
         luminance = self.luminance(segments, starts_s, drive_s) if shown is None else shown
-        codes = digitised(luminance, self.sensor, self.faults, number)
-        part = encoded(codes, self.sensor.bits, self.faults.camera)
+        codes = read_out(luminance, self.sensor, self.faults, number)
+        part = encode(codes, self.sensor.bits, self.faults.camera)
         lit = dict.fromkeys(code for each in segments for code in ((None,) if each.light is None else each.light.timecodes))
-        return part, Exposed(number, from_s, from_s + self.window_s, tuple(lit), zlib.crc32(part.body))
+        return part, FrameTruth(number, from_s, from_s + self.window_s, tuple(lit), zlib.crc32(part.body))
 
     def luminance(self, segments: Sequence[Segment], starts_s: NDArray[np.float64], drive_s: float) -> Image:
         """Mean over each row's exposure of what the lens images, `[height, width]` cd/m^2.
@@ -119,9 +126,9 @@ class BenchCamera:
         """
         exposure_s = self.sensor.exposure_s
         lights = [(each.light, share) for each in segments if each.light and (share := shares(each, starts_s, exposure_s)).any()]
-        mixed = self.bench.base(drive_s) * flicker(self.faults.flicker, starts_s, exposure_s)[:, None]
+        mixed = self.rig_scene.base(drive_s) * flicker(self.faults.flicker, starts_s, exposure_s)[:, None]
         for light, share in lights:
-            mixed += self.bench.light(light, drive_s) * share[:, None]
+            mixed += self.rig_scene.light(light, drive_s) * share[:, None]
         return mixed
 
     def close(self) -> None:
@@ -130,7 +137,7 @@ class BenchCamera:
         self._unsent.put(None)
         self._sender.join()
 
-    def _queue(self, frame: tuple[Part, Exposed]) -> None:
+    def _queue(self, frame: tuple[Part, FrameTruth]) -> None:
         params, (part, exposed) = self.faults.camera, frame
         if params.loss and self._random.random() < params.loss:
             self.lost += 1
@@ -138,7 +145,7 @@ class BenchCamera:
         jitter_s = params.jitter_s * self._random.random() if params.jitter_s else 0.0
         self._unsent.put((exposed.exposed_to_s + params.latency_s + jitter_s, part, exposed))
 
-    def _keep_sending(self) -> None:
+    def _send_due(self) -> None:
         while (due := self._unsent.get()) is not None:
             due_s, part, exposed = due
             while self._open and (left_s := due_s - time.monotonic()) > 0:
@@ -162,7 +169,7 @@ def flicker(params: FlickerParams, starts_s: NDArray[np.float64], exposure_s: fl
     return (1 + params.depth * wave).astype(np.float32)
 
 
-def digitised(luminance: Image, sensor: CameraParams, faults: FaultParams, number: int) -> NDArray[np.uint16]:
+def read_out(luminance: Image, sensor: CameraParams, faults: FaultParams, number: int) -> NDArray[np.uint16]:
     """Digital numbers `[height, width]` of a frame, with noise, response and black level."""
     dn = expose(torch.from_numpy(luminance), sensor, FrameNoise.of(faults.seed, number, 0) if sensor.noise else None, quantise=False)
     if black := faults.camera.black_level:
@@ -170,7 +177,7 @@ def digitised(luminance: Image, sensor: CameraParams, faults: FaultParams, numbe
     return dn.round_().numpy().astype(np.uint16)
 
 
-def encoded(codes: NDArray[np.uint16], bits: int, params: CameraErrorParams) -> Part:
+def encode(codes: NDArray[np.uint16], bits: int, params: CameraErrorParams) -> Part:
     """A frame as it is sent: the digital numbers as they are, in 8 or 16 bits, without compression unless as JPEG."""
     image = codes.astype(np.uint8) if bits == 8 else codes
     if params.encoding == "jpeg":

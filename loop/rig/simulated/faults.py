@@ -6,6 +6,7 @@ from typing import Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
+from luxloop.loop.rig.calibration.intrinsics import BoardParams
 from luxloop.loop.scenario.disturbances import PoseErrorParams
 from luxloop.loop.scenario.overrides import overridden
 from luxloop.world.errors import locate
@@ -99,13 +100,10 @@ class FlickerParams(Params):
     rate_hz: float = Field(100.0, gt=0, le=1000, description="frequency, twice that of the mains")
 
 
-class ShownBoardParams(Params):
+class BoardFaultParams(BoardParams):
     """A ChArUco board before the camera in room light, while no light is sent."""
 
     shown: bool = Field(False, description="whether the camera sees a board")
-    columns: int = Field(8, ge=3, le=30, description="squares in a row")
-    rows: int = Field(11, ge=3, le=30, description="squares in a column")
-    square_mm: float = Field(23.0, gt=1, le=500, description="side of a square")
 
 
 class FaultParams(Params):
@@ -117,7 +115,7 @@ class FaultParams(Params):
     lens: LensParams = Field(LensParams(), description="distortion and errors of the lens")
     camera: CameraErrorParams = Field(CameraErrorParams(), description="shutter, response, delay and loss")
     flicker: FlickerParams = Field(FlickerParams(), description="flicker of the ambient light")
-    board: ShownBoardParams = Field(ShownBoardParams(), description="no fault: a board to calibrate the lens with")
+    board: BoardFaultParams = Field(BoardFaultParams(), description="no fault: a board to calibrate the lens with")
     seed: int = Field(0, ge=0, lt=2**63, description="seed of losses, jitter and faulty pixels")
 
 

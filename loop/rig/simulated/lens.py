@@ -49,7 +49,7 @@ class Lens:
             return cls(params, camera, width, height, (), falloff)
         seen = (np.stack([u.ravel(), v.ravel()], 1) - centre) / focal
         colours = [(0, 1.0)] if params.chromatic_percent == 0 else RED_GREEN_BLUE
-        straight = [(undistorted(params, seen / (1 + sign * params.chromatic_percent / 100), focal), share) for sign, share in colours]
+        straight = [(undistort(params, seen / (1 + sign * params.chromatic_percent / 100), focal), share) for sign, share in colours]
         reach = [np.abs(places).max(0) for places, _ in straight]
         half_width, half_height = (math.ceil(float(each) * focal) + MARGIN_PX for each in np.max(reach, 0))
         if half_width > LARGEST * width / 2 or half_height > LARGEST * height / 2:
@@ -93,7 +93,7 @@ def focal_px(camera: CameraParams) -> float:
     return camera.width_px / 2 / math.tan(math.radians(camera.hfov_deg) / 2)
 
 
-def undistorted(params: LensParams, seen: Floats, focal: float) -> Floats:
+def undistort(params: LensParams, seen: Floats, focal: float) -> Floats:
     """Where a pinhole of focal length 1 sees the points `[N, 2]` that the lens images to `seen` `[N, 2]`.
 
     focal: in px, for the permitted error. Raises LuxloopError where the coefficients fold the picture.
@@ -109,15 +109,15 @@ def undistorted(params: LensParams, seen: Floats, focal: float) -> Floats:
             straight = _from_fisheye(given, seen)
         else:
             straight = _from_opencv(params, seen)
-        error = np.abs(distorted(params, straight) - seen).max() * focal
+        error = np.abs(distort(params, straight) - seen).max() * focal
         turned = (straight * seen).sum(1)
     if not (error < MOST_ERROR_PX and (turned >= 0).all()):
         raise LuxloopError(f"lens.coefficients: {list(params.coefficients)} fold the picture of the model {params.model}; give weaker ones")
     return straight
 
 
-def distorted(params: LensParams, straight: Floats) -> Floats:
-    """Where the lens images points `[N, 2]` of a pinhole, both of focal length 1: the inverse of `undistorted`."""
+def distort(params: LensParams, straight: Floats) -> Floats:
+    """Where the lens images points `[N, 2]` of a pinhole, both of focal length 1: the inverse of `undistort`."""
     given: Any = np.zeros({"opencv": 5, "fisheye": 4, "division": 1}[params.model])
     given[: len(params.coefficients)] = params.coefficients
     if params.model == "opencv":
@@ -136,7 +136,7 @@ def distorted(params: LensParams, straight: Floats) -> Floats:
 def _from_opencv(params: LensParams, seen: Floats) -> Floats:
     straight = seen.copy()
     for _ in range(MOST_ROUNDS):
-        step = seen - distorted(params, straight)
+        step = seen - distort(params, straight)
         straight += step
         if not np.abs(step).max() > SETTLED:
             break

@@ -1,31 +1,38 @@
-"""The rig: all its parts in one process."""
+"""The rig process: all its parts, its sensors, and what was true of it for tests."""
 
+import json
+import socket
 import sys
+import threading
+import time
+from collections import deque
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing, suppress
 from dataclasses import asdict, dataclass
-from types import TracebackType
+from http.server import BaseHTTPRequestHandler
 from typing import Any, Final, Self
+from urllib.parse import parse_qs, urlsplit
 
 import cv2
 import numpy as np
 import torch
 
+from luxloop.loop.rig.ego import encode
 from luxloop.loop.rig.simulated.board import readings
-from luxloop.loop.rig.simulated.camera import BenchCamera, End, Exposed
+from luxloop.loop.rig.simulated.camera import FrameTruth, RigCamera
 from luxloop.loop.rig.simulated.faults import FaultParams
-from luxloop.loop.rig.simulated.light_input import DdpInput
-from luxloop.loop.rig.simulated.scene import LitBench
-from luxloop.loop.rig.simulated.screen_input import ScreenInput
-from luxloop.loop.rig.simulated.sensors import SensorSender
-from luxloop.loop.rig.simulated.timeline import Timeline
-from luxloop.loop.rig.simulated.truth import TruthServer
+from luxloop.loop.rig.simulated.lamp import DdpInput, ScreenInput, Timeline
+from luxloop.loop.rig.simulated.scene import RigScene
 from luxloop.loop.rig.wire.ddp import LightFrame
 from luxloop.loop.rig.wire.mjpeg import Part, PictureServer
+from luxloop.loop.rig.wire.sockets import serve_http, udp_sender
 from luxloop.loop.scenario.model import Scenario
 from luxloop.perception.sensors import Sensors
 from luxloop.world.scene.vehicle import STANDING
 
+PERIOD_S: Final = 0.002  # in which samples that have become due are sent
+STANDING_S: Final = 0.05  # before the drive, the samples of its beginning come again and again
+MOST_FRAMES: Final = 4096
 SWITCH_S: Final = 0.0005  # after which a thread that waits for Python gets it, so that no packet is late
 
 
@@ -33,82 +40,82 @@ SWITCH_S: Final = 0.0005  # after which a thread that waits for Python gets it, 
 class Ports:
     """Where a rig listens, 0 for a free port, and the address to which it sends the sensors' samples.
 
-    truth: None for no truth. screen: address of a loop's page, from which light comes in place of the network.
+    screen: address of a loop's page, from which light comes in place of the network.
     """
 
     host: str = "127.0.0.1"
     light: int = 4048
     camera: int = 8080
-    truth: int | None = 8081
+    truth: int = 8081
     ego: tuple[str, int] = ("127.0.0.1", 4049)
     screen: tuple[str, int] | None = None
 
 
-class Rig:
-    """A rig that runs in real time; `run` exposes frames in the thread that calls it, which owns the renderer."""
+class SimulatedRig:
+    """A rig that runs in real time; `run` exposes frames in the thread that calls it, which owns the renderer. truth: the server for tests,
+    of what was true.
+    """
 
     def __init__(self, scenario: Scenario, faults: FaultParams, ports: Ports) -> None:
         """Build the scene and listen. Raises LuxloopError where something of the scenario or a port cannot be had."""
         self.scenario, self.faults, self.ports = scenario, faults, ports
-        self.bench = LitBench(scenario, faults)
+        self.rig_scene = RigScene(scenario, faults)
         self.timeline = Timeline(faults.light.timeout_ms / 1000, faults.light.latency_s)
-        with ExitStack() as opened:
-
-            def open_(part: Any) -> Any:
-                opened.callback(part.close)
-                return part
-
-            self.pictures: PictureServer = open_(PictureServer(ports.host, ports.camera))
-            self.camera: BenchCamera = open_(BenchCamera(self.bench, self.timeline, faults, self._send))
-            self.light: DdpInput | ScreenInput = open_(self._input())
-            self.truth: TruthServer | None = None
-            if ports.truth is not None:
-                self.truth = open_(TruthServer(ports.host, ports.truth, self._state, self.description()))
-            motion = self.bench.world.motion
+        self._frames, self._lock, self._closed = deque[FrameTruth](maxlen=MOST_FRAMES), threading.Lock(), threading.Event()
+        with ExitStack() as stack:
+            self.pictures = stack.enter_context(closing(PictureServer(ports.host, ports.camera)))
+            self.camera = stack.enter_context(closing(RigCamera(self.rig_scene, self.timeline, faults, self._send)))
+            self.light = stack.enter_context(closing(self._input()))
+            self.truth = stack.enter_context(serve_http(f"--truth-port {ports.truth}", ports.host, ports.truth, self._answer))
+            stack.callback(self.truth.shutdown)
+            motion = self.rig_scene.world.motion
             if motion is not STANDING:
                 sensors = Sensors(motion, scenario.sensors, 1 / scenario.rate_hz, scenario.seed)
-                open_(SensorSender(sensors, self.timeline, ports.ego))
-            self._opened = opened.pop_all()
+                to = stack.enter_context(udp_sender("--ego", *ports.ego))
+                thread = threading.Thread(target=self._send_samples, args=(sensors, to), name="sensors", daemon=True)
+                thread.start()
+                stack.callback(thread.join)
+            stack.callback(self._closed.set)
+            self._opened = stack.pop_all()
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
-
-    def close(self) -> None:
+    def __exit__(self, *error: object) -> None:
         """Stop to listen and to send."""
         self._opened.close()
 
-    def run(self, end: End, ready: Callable[[], None] = lambda: None) -> None:
-        """Expose and send frames until the end. ready: called when the first light could come."""
+    def run(self, ready: Callable[[], None] = lambda: None) -> None:
+        """Expose and send frames until `end` is called. ready: called when the first light could come."""
         torch.set_num_threads(1)
         cv2.setNumThreads(1)
         sys.setswitchinterval(SWITCH_S)
-        self.bench.light(LightFrame(np.zeros(self.bench.pixels, np.uint8), (0,)), 0.0)  # so that the first light waits for nothing
+        self.rig_scene.light(LightFrame(np.zeros(self.rig_scene.pixels, np.uint8), (0,)), 0.0)  # so that the first light waits for nothing
         ready()
-        self.camera.run(end)
+        self.camera.run()
+
+    def end(self) -> None:
+        """End `run`, from any thread or a signal's handler, which must not wait for a lock."""
+        self.camera.ended = True
 
     def addresses(self) -> list[str]:
         """A line for each of its addresses."""
-        host, lens, modules = self.ports.host, self.bench.lens, self.bench.modules
+        host, lens, modules = self.ports.host, self.rig_scene.lens, self.rig_scene.modules
         shown = ", ".join(f"{each.name} {each.headlight.pixel_rows} x {each.headlight.pixel_cols}" for each in modules)
-        camera = f"{lens.width} x {lens.height} px, {self.bench.camera.bits} bits"
-        lines = [f"light:  {self.light.where}, {self.bench.pixels:,} pixels: {shown}"]
+        camera = f"{lens.width} x {lens.height} px, {self.rig_scene.camera.bits} bits"
+        lines = [f"light:  {self.light.where}, {self.rig_scene.pixels:,} pixels: {shown}"]
         lines += [f"camera: http://{host}:{self.pictures.port}{self.pictures.path} ({camera})"]
-        if self.bench.world.motion is not STANDING:
+        if self.rig_scene.world.motion is not STANDING:
             lines += [f"ego:    samples go to udp://{self.ports.ego[0]}:{self.ports.ego[1]} from the first light on"]
         if self.camera.board is not None:
-            read = " ".join(f"{lux:.5g}@{u:.1f},{v:.1f}" for lux, u, v in readings(self.bench))
+            read = " ".join(f"{lux:.5g}@{u:.1f},{v:.1f}" for lux, u, v in readings(self.rig_scene))
             lines += [f"luxmeter: {read} (lx at px of the camera, all pixels on)"]
-        if self.truth is not None:
-            lines += [f"truth:  http://{host}:{self.truth.port}/truth (for tests)"]
-        return lines
+        return [*lines, f"truth:  http://{host}:{self.truth.server_address[1]}/truth (for tests)"]
 
     def description(self) -> dict[str, Any]:
         """What the rig truly is, as plain data."""
-        bench, lens = self.bench, self.bench.lens
-        T_world_camera = bench.world.view.T_world_view.tolist()
+        rig_scene, lens = self.rig_scene, self.rig_scene.lens
+        T_world_camera = rig_scene.world.view.T_world_view.tolist()
         camera = {"width_px": lens.width, "height_px": lens.height, "matrix": lens.matrix.tolist(), "T_world_camera": T_world_camera}
         modules = [
             {
@@ -117,28 +124,66 @@ class Rig:
                 "pixel_cols": each.headlight.pixel_cols,
                 "T_world_headlight": each.T_world_headlight.tolist(),
             }
-            for each in bench.modules
+            for each in rig_scene.modules
         ]
         return {"scenario": self.scenario.name, "camera": camera, "modules": modules, "faults": self.faults.model_dump(mode="json")}
 
     def _input(self) -> DdpInput | ScreenInput:
         if self.ports.screen is None:
             address = self.ports.host, self.ports.light
-            return DdpInput(self.timeline, self.bench.pixels, self.faults.light, address, self.faults.seed)
-        grids = [(each.headlight.pixel_rows, each.headlight.pixel_cols) for each in self.bench.modules]
+            return DdpInput(self.timeline, self.rig_scene.pixels, self.faults.light, address, self.faults.seed)
+        grids = [(each.headlight.pixel_rows, each.headlight.pixel_cols) for each in self.rig_scene.modules]
         return ScreenInput(self.timeline, grids, self.ports.screen)
 
     def summary(self) -> str:
         """What it has done, in a line."""
         camera, light = self.camera, self.light.counts()
         lost = f"{camera.lost} lost, {camera.skipped} skipped"
-        return f"{camera.exposures} frames exposed ({lost}), {light.frames} frames of light ({light.incomplete} incomplete)"
+        return f"{camera.exposures} frames exposed ({lost}), {light['frames']} frames of light ({light['incomplete']} incomplete)"
 
-    def _send(self, part: Part, exposed: Exposed) -> None:
-        if self.truth is not None:
-            self.truth.add(exposed)
+    def _send(self, part: Part, exposed: FrameTruth) -> None:
+        with self._lock:
+            self._frames.append(exposed)
         self.pictures.publish(part)
 
+    def _answer(self, handler: BaseHTTPRequestHandler) -> None:
+        """`GET /truth` gives frames in the order of sending and the lamp's state, `?since=INDEX` only frames from that index on; `GET
+        /truth/rig` gives the description.
+        """
+        asked = urlsplit(handler.path)
+        if asked.path == "/truth/rig":
+            found = self.description()
+        elif asked.path == "/truth":
+            given = parse_qs(asked.query).get("since", ["0"])[0]
+            since = int(given) if given.isdecimal() and len(given) < 16 else 0
+            with self._lock:
+                frames = [asdict(each) for each in self._frames if each.index >= since]
+            found = {"frames": frames, **self._state()}
+        else:
+            handler.send_error(404)
+            return
+        body = json.dumps(found).encode()
+        with suppress(OSError):  # the client has gone
+            handler.send_response(200)
+            handler.send_header("Content-Type", "application/json")
+            handler.send_header("Content-Length", str(len(body)))
+            handler.end_headers()
+            handler.wfile.write(body)
+
+    def _send_samples(self, sensors: Sensors, to: socket.socket) -> None:
+        """Send what the vehicle's sensors measure as it becomes due; the drive begins with the first light."""
+        like, sent_s = torch.empty(0), 0.0
+        while not self._closed.wait(STANDING_S if self.timeline.begun_s is None else PERIOD_S):
+            now_s, begun_s = time.monotonic(), self.timeline.begun_s
+            if begun_s is None:
+                samples, zero_s = sensors.newest(0.0, like), now_s
+            else:
+                samples, zero_s = sensors.arriving(sent_s, max(now_s - begun_s, sent_s), like), begun_s
+                sent_s = max(now_s - begun_s, sent_s)
+            with suppress(OSError):  # nobody listens yet
+                for each in samples:
+                    to.send(encode(each.sensor, zero_s + each.measured_s, time.monotonic(), each.values.tolist()))
+
     def _state(self) -> dict[str, Any]:
-        counts, camera = self.light.counts()._asdict(), self.camera
+        counts, camera = self.light.counts(), self.camera
         return {**asdict(self.timeline.state()), "light": counts, "skipped": camera.skipped, "lost": camera.lost}

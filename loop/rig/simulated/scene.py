@@ -28,7 +28,7 @@ KEPT: Final = 8  # images of lights, of which an on and an off frame alternate
 STUCK_KEY: Final = 1  # of the generator of stuck pixels, beside that of dead ones
 
 
-class LitBench:
+class RigScene:
     """A scene as the true lens images it, without exposure.
 
     modules: the lamps as they truly are. camera: of the sensor behind the lens.

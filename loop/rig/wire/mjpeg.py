@@ -6,16 +6,15 @@ Each part is a JPEG or PNG with `Content-Type` and `Content-Length`, without num
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from typing import Final, Protocol
 
-from luxloop.loop.rig.wire.addresses import REFUSED, reason_of
+from luxloop.loop.rig.wire.sockets import serve_http
 from luxloop.world.errors import LuxloopError
 
 BOUNDARY: Final = b"--frame"
 JPEG, PNG = "image/jpeg", "image/png"
 MOST_CLIENTS: Final = 8
-STALLED_S: Final = 5.0  # after which a client that takes nothing is cut off
 LONGEST_LINE: Final = 1024  # bytes of a part's header line
 MOST_LINES: Final = 32
 
@@ -28,20 +27,6 @@ class Part:
     kind: str
 
 
-def server_of(handler: type[BaseHTTPRequestHandler], host: str, port: int, key: str) -> ThreadingHTTPServer:
-    """An HTTP server that serves in threads of its own; a port of 0 takes a free one. key: of the port, for messages.
-
-    Raises LuxloopError where the port cannot be had.
-    """
-    try:
-        server = ThreadingHTTPServer((host, port), handler)
-    except REFUSED as error:
-        raise LuxloopError(f"{key} {port}: cannot listen on {host}:{port} ({reason_of(error)}); give another, 0 for a free one") from error
-    server.daemon_threads = True
-    threading.Thread(target=server.serve_forever, args=(0.1,), name=f"{key} {port}", daemon=True).start()
-    return server
-
-
 class PictureServer:
     """Sends each picture to all clients that have taken the one before."""
 
@@ -49,18 +34,7 @@ class PictureServer:
         """Listen. Raises LuxloopError where the port cannot be had."""
         self.path = path
         self._changed, self._part, self._number, self._open, self._clients = threading.Condition(), Part(b"", JPEG), 0, True, 0
-        ours = self
-
-        class Handler(BaseHTTPRequestHandler):
-            timeout = STALLED_S
-
-            def do_GET(self) -> None:
-                ours._answer(self)
-
-            def log_message(self, format: str, *args: object) -> None:
-                pass
-
-        self._server = server_of(Handler, host, port, "--camera-port")
+        self._server = serve_http(f"--camera-port {port}", host, port, self._answer)
         self.port = self._server.server_address[1]
 
     @property

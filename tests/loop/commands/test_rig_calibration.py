@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from luxloop.loop.rig.calibration.board import BoardParams, Corners, _board, corners
-from luxloop.loop.rig.calibration.files import load
-from luxloop.loop.rig.simulated.board import ShownBoard
-from luxloop.loop.rig.simulated.faults import FaultParams, ShownBoardParams
-from luxloop.loop.rig.simulated.scene import LitBench
+from luxloop.loop.rig.calibration.calibrate import load
+from luxloop.loop.rig.calibration.intrinsics import BoardParams, Corners, _board, corners
+from luxloop.loop.rig.simulated.board import BoardView
+from luxloop.loop.rig.simulated.faults import BoardFaultParams, FaultParams
+from luxloop.loop.rig.simulated.scene import RigScene
 from luxloop.loop.scenario.model import load as load_scenario
 from luxloop.world.headlight.lamp import Lamp, Module
 from luxloop.world.lamps import archive
@@ -85,8 +85,8 @@ def test_rig_is_calibrated_and_its_lamp_digitised(wall: Lux) -> None:
 
 def test_a_board_on_the_screen_tells_how_far_it_is(wall: Lux) -> None:
     keys = ["camera.width_px=320", "camera.height_px=240"]
-    bench = LitBench(load_scenario("wall.toml", keys), FaultParams())
-    laid = ShownBoard.of(ShownBoardParams(columns=5, rows=7, square_mm=120), bench).image(None)
+    rig_scene = RigScene(load_scenario("wall.toml", keys), FaultParams())
+    laid = BoardView.of(BoardFaultParams(columns=5, rows=7, square_mm=120), rig_scene).image(None)
     cv2.imwrite("screen.png", (laid / laid.max() * 60_000).astype(np.uint16))
     code, out, err = wall(
         "rig", "calibrate", "wall.toml", "--on-screen", "screen.png", "--columns", "5", "--rows", "7", "--square-mm", "120", "--set", *keys

@@ -1,20 +1,28 @@
 """Rigs as processes of their own, and rig files that name them."""
 
+import json
 import os
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+import urllib.request
+import zlib
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from luxloop.loop.rig.lights import DdpLight
 from luxloop.loop.rig.params import RigParams
+from luxloop.loop.rig.rig import Rig
 from luxloop.world.validation import validate_model
 
 ROOT = Path(__file__).parents[3]
 SMALL = Path(__file__).parent / "small_rig.py"
+PROGRAM = [sys.executable, "-m", "luxloop.loop.commands.cli"]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
 CALM_S = 10.0
 
 
@@ -35,8 +43,7 @@ class Process:
     def start(self, **keys: float) -> None:
         given = [f"{name}={value}" for name, value in (self.keys | keys).items()]
         command = [sys.executable, str(SMALL), str(self.light), str(self.camera), str(self.pixels), *given]
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT)
         assert self.process.stdout is not None and self.process.stdout.readline() == "ready\n"
 
     def kill(self) -> None:
@@ -63,6 +70,51 @@ def small_rig() -> Iterator[Callable[..., Process]]:
     yield start
     for each in started:
         each.kill()
+
+
+class SimulatedRigProcess:
+    """`luxloop rig simulate` as a process of its own, when it is ready: its ports, and what it says of frames."""
+
+    def __init__(self, arguments: Sequence[str], folder: Path, ports: tuple[int, int, int] | None = None) -> None:
+        """ports: of light, camera and truth; left out: free ones."""
+        kinds = socket.SOCK_DGRAM, socket.SOCK_STREAM, socket.SOCK_STREAM
+        self.light, self.camera, self.port = ports or [free_port(kind) for kind in kinds]
+        given = ("--light-port", str(self.light), "--camera-port", str(self.camera), "--truth-port", str(self.port))
+        command = [*PROGRAM, "rig", "simulate", *arguments, *given]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT, cwd=folder)
+        assert self.process.stdout is not None
+        while "End it" not in (line := self.process.stdout.readline()):
+            assert line, "the rig has not started"
+
+    def wrong(self, taken: Sequence[tuple[int, int, float]]) -> list[Any]:
+        """Frames that show something else than the light for which they were taken: time code, CRC-32 of the picture, time of arrival."""
+        told, found = json.load(urllib.request.urlopen(f"http://127.0.0.1:{self.port}/truth", timeout=20))["frames"], []
+        for code, crc, arrived_s in taken:
+            same = [each for each in told if each["crc32"] == crc]  # dark pictures may be equal
+            assert same
+            sent = min(same, key=lambda each: abs(arrived_s - each["sent_s"]))
+            if sent["timecodes"] != [code]:
+                found.append((code, sent["timecodes"], arrived_s - sent["exposed_from_s"], arrived_s - sent["sent_s"]))
+        return found
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait()
+
+
+def watch_frames(rig: Rig) -> list[tuple[int, int, float]]:
+    """Which picture a rig takes for which light from now on: time code, CRC-32 of the picture, and when it arrived."""
+    taken, expose, light = list[tuple[int, int, float]](), rig.expose, rig.light
+    assert isinstance(light, DdpLight)
+
+    def watched(*given: Any) -> Any:
+        limited, frame = expose(*given)
+        if frame.image is not None:
+            taken.append((light.timecode, zlib.crc32(frame.data), frame.arrived_s))
+        return limited, frame
+
+    rig.expose = watched  # type: ignore[method-assign]
+    return taken
 
 
 def eventually(true: Callable[[], bool], seconds: float = CALM_S) -> bool:

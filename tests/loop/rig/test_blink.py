@@ -3,7 +3,6 @@
 import math
 import threading
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 from luxloop.loop.rig import blink
 from luxloop.loop.rig.matching import Regularity, shows
 from luxloop.loop.rig.params import TimingParams
-from luxloop.loop.rig.rig import Rig, await_camera, opened
+from luxloop.loop.rig.rig import Rig, await_camera, open_rig
 from tests.loop.rig.conftest import Process, eventually
 
 PERIOD_S, EXPOSURE_S, READOUT_S, LIGHT_S, REST_S = 1 / 30, 0.015, 0.003, 0.004, 0.03
@@ -21,7 +20,7 @@ BLINKS = 100
 GRID = (12, 16)
 
 
-def drawn(seed: int, jitter_s: float, stuck: float = 0.0, drift: float = 0.0) -> tuple[blink.Looks, np.ndarray]:
+def drawn(seed: int, jitter_s: float, stuck: float = 0.0, drift: float = 0.0) -> tuple[blink.BlinkPictures, np.ndarray]:
     """Pictures of a camera of 30 Hz, one in a hundred of which is lost, and by how much each is late. stuck: share that is 50 ms late.
     drift: s in a s by which they come later and later.
     """
@@ -38,11 +37,11 @@ def drawn(seed: int, jitter_s: float, stuck: float = 0.0, drift: float = 0.0) ->
     share = ((rows_s + EXPOSURE_S - sent_s[of, None] - LIGHT_S) / EXPOSURE_S).clip(0, 1) + 0.002 * rng.standard_normal(rows_s.shape)
     kept = (of >= 0) & (arrived_s < sent_s[-1])
     columns = (arrived_s - sent_s[of], sent_s[of], told_s, share.min(1), share.max(1))
-    looks = blink.Looks(*(each[kept] for each in columns), 0.01, np.diff(arrived_s), 0.0)
+    looks = blink.BlinkPictures(*(each[kept] for each in columns), 0.01, np.diff(arrived_s), 0.0)
     return looks, (arrived_s - begins_s - (LEAST_S - LIGHT_S))[kept]
 
 
-def verdicts(found: blink.Blinked, looks: blink.Looks, part: np.ndarray) -> list[str]:
+def verdicts(found: blink.BlinkResult, looks: blink.BlinkPictures, part: np.ndarray) -> list[str]:
     """Of some pictures, with the timing that was found."""
     timing = TimingParams(**found.timing)
     return [shows(lag_s, timing, late_s) for lag_s, late_s in zip(looks.lag_s[part], looks.late_s[part], strict=True)]
@@ -50,7 +49,7 @@ def verdicts(found: blink.Blinked, looks: blink.Looks, part: np.ndarray) -> list
 
 @pytest.mark.parametrize("jitter_s", [0.0, 0.01, 0.02])
 def test_the_mean_latency_is_found_through_jitter(jitter_s: float) -> None:
-    found = [blink.found(drawn(seed, jitter_s)[0], BLINKS) for seed in range(8)]
+    found = [blink.evaluate(drawn(seed, jitter_s)[0], BLINKS) for seed in range(8)]
     # A hundred blinks give 3 pictures a ms, at random times, so that the mean scatters by sqrt(J / 9 ms): by 1.5 ms at J = 20 ms
     scatter_s = 0.0005 + math.sqrt(jitter_s * PERIOD_S / BLINKS / 3)
     assert max(abs(each.latency_s - LEAST_S - jitter_s / 2) for each in found) < 3 * scatter_s
@@ -61,7 +60,7 @@ def test_the_mean_latency_is_found_through_jitter(jitter_s: float) -> None:
 
 def test_pictures_that_are_stuck_leave_the_latency_as_it_is() -> None:
     looks, late_s = drawn(0, 0.01, stuck=0.03)
-    found = blink.found(looks, BLINKS)
+    found = blink.evaluate(looks, BLINKS)
     assert abs(found.latency_s - LEAST_S - 0.005) < 0.003
     assert late_s.max() > 0.05 and found.jitter_s < 0.05  # a run knows of these by the camera's rhythm
     assert "clear" not in verdicts(found, looks, looks.least < 1 - looks.seen)
@@ -69,19 +68,12 @@ def test_pictures_that_are_stuck_leave_the_latency_as_it_is() -> None:
 
 @pytest.mark.parametrize("jitter_s", [0.0, 0.01])
 def test_a_drift_is_told_and_its_scatter_is_not(jitter_s: float) -> None:
-    steady, drifting = ([blink.found(drawn(seed, jitter_s, drift=each)[0], BLINKS) for seed in range(8)] for each in (0.0, -0.015 / 60))
+    steady, drifting = ([blink.evaluate(drawn(seed, jitter_s, drift=each)[0], BLINKS) for seed in range(8)] for each in (0.0, -0.015 / 60))
     # Four standard deviations, of which 50 draws tell 10 %. With jitter, 15 ms a minute are three of them, so that some are not told.
     assert all(abs(each.drift_s_per_min[0]) < 4 * each.drift_s_per_min[1] + 0.0003 for each in steady)
     assert all(abs(each.drift_s_per_min[0] + 0.015) < 4 * each.drift_s_per_min[1] + 0.0003 for each in drifting)
     assert not any(each.warning for each in steady)
     assert sum(bool(each.warning) for each in drifting) >= (6 if jitter_s else 8)
-
-
-def test_too_few_pictures_are_told() -> None:
-    looks, _ = drawn(0, 0.0)
-    few = [getattr(looks, name)[:100] for name in ("lag_s", "at_s", "late_s", "least", "most")]
-    with pytest.raises(blink.LuxloopError, match="too few pictures came"):
-        blink.found(replace(looks, **dict(zip(("lag_s", "at_s", "late_s", "least", "most"), few, strict=True))), BLINKS)
 
 
 @pytest.fixture
@@ -91,13 +83,13 @@ def fast(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(blink, name, value)
 
 
-def watched(process: Process, blinks: int, advance: Callable[[Rig], None], **tables: Any) -> blink.Looks:
-    with opened(process.params(**tables), (GRID,), None, armed=True) as rig:
+def watched(process: Process, blinks: int, advance: Callable[[Rig], None], **tables: Any) -> blink.BlinkPictures:
+    with open_rig(process.params(**tables), (GRID,), None, armed=True) as rig:
         assert await_camera(rig)
-        return blink.watched(rig, (GRID,), blinks, 1.0, lambda: advance(rig))
+        return blink.record(rig, (GRID,), blinks, 1.0, lambda: advance(rig))
 
 
-def first_s(looks: blink.Looks) -> float:
+def first_s(looks: blink.BlinkPictures) -> float:
     """From light to the earliest picture that shows it."""
     return float(looks.lag_s[looks.most > looks.seen].min())
 

@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from luxloop.loop.rig.calibration.live import live_bench
-from luxloop.loop.rig.camera import CameraPicture, checked_picture
+from luxloop.loop.rig.calibration.setups import rig_setup
+from luxloop.loop.rig.camera import CameraPicture, check_picture
 from luxloop.loop.rig.light import Shine
-from luxloop.loop.rig.look import look
 from luxloop.loop.rig.params import RigParams
-from luxloop.loop.rig.rig import Rig, await_camera, opened
+from luxloop.loop.rig.rig import Rig, await_camera, look, open_rig
 from luxloop.perception.camera import CameraParams
 from luxloop.world.errors import LuxloopError
 from luxloop.world.validation import validate_model
@@ -24,7 +23,7 @@ OWN = """
 import threading
 import time
 import numpy as np
-from luxloop.loop.rig.camera import CameraPicture
+from luxloop.loop.rig.camera import CameraPicture, check_picture
 
 PICTURE = np.full((48, 64), 200, np.uint16)
 
@@ -66,7 +65,7 @@ def params(folder: Path, name: str, **camera: object) -> RigParams:
 
 @contextmanager
 def rig_of(given: RigParams) -> Iterator[Rig]:
-    with opened(given, (GRID,), CAMERA, armed=True) as rig:
+    with open_rig(given, (GRID,), CAMERA, armed=True) as rig:
         yield rig
 
 
@@ -96,11 +95,18 @@ def test_pictures_that_never_end_do_not_hold_an_exposure_up(tmp_path: Path) -> N
         assert time.monotonic() - began_s < 2
 
 
-@pytest.mark.parametrize("data", [b"picture", np.zeros((48, 64), np.uint8)])
-@pytest.mark.parametrize("clock_s", [time.time(), float("nan"), float("inf"), "now"], ids=["of the day", "nan", "inf", "text"])
-def test_a_picture_of_another_clock_is_refused(data: bytes | np.ndarray, clock_s: float) -> None:
-    with pytest.raises(LuxloopError, match=r"read gives the time .*; give time.monotonic\(\)"):
-        checked_picture(CameraPicture(clock_s, True, data))
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (CameraPicture(time.time(), True, b"picture"), r"read gives the time .*; give time.monotonic\(\)"),
+        (CameraPicture(float("nan"), True, b"picture"), "read gives the time nan"),
+        (CameraPicture(0.0, True, np.zeros((48, 64))), r"read gives a picture of float64 \[48, 64\]"),
+        ("picture", "read gives a str; return a luxloop.CameraPicture"),
+    ],
+)
+def test_what_is_no_picture_is_refused(given: object, words: str) -> None:
+    with pytest.raises(LuxloopError, match=words):
+        check_picture(given)
 
 
 def test_numbers_beyond_those_of_the_camera_are_told_in_a_calibration(tmp_path: Path) -> None:
@@ -111,13 +117,6 @@ def test_numbers_beyond_those_of_the_camera_are_told_in_a_calibration(tmp_path: 
 
     with (
         pytest.raises(LuxloopError, match=r"camera.bits: a picture has the number 20000, more than the largest, 4095"),
-        live_bench(tmp_path / "rig.toml", given, CAMERA, (GRID,), ready) as bench,
+        rig_setup(tmp_path / "rig.toml", given, (GRID,), ready) as setup,
     ):
-        bench.frames([np.ones(16)], 1, 1.0)
-
-
-def test_only_a_camera_of_ones_own_is_triggered(tmp_path: Path) -> None:
-    with pytest.raises(LuxloopError, match="triggered"):
-        validate_model(
-            RigParams, {"light": {"kind": "ddp", "host": "a"}, "camera": {"kind": "folder", "folder": ".", "triggered": True}}, ""
-        )
+        setup.frames([np.ones(16)], 1, 1.0)

@@ -11,7 +11,7 @@ import pytest
 
 from luxloop.loop.rig.blink import blink
 from luxloop.loop.rig.light import Shine
-from luxloop.loop.rig.rig import Rig, await_camera, opened
+from luxloop.loop.rig.rig import Rig, await_camera, open_rig
 from luxloop.perception.camera import CameraParams
 from luxloop.world.errors import LuxloopError
 from tests.loop.rig.conftest import Process, eventually, free_port
@@ -29,7 +29,7 @@ def shine(number: int, share: float | None = None) -> Shine:
 
 @contextmanager
 def rig_of(process: Process, **tables: object) -> Iterator[Rig]:
-    with opened(process.params(**tables), (GRID,), CAMERA, armed=True) as rig:
+    with open_rig(process.params(**tables), (GRID,), CAMERA, armed=True) as rig:
         assert await_camera(rig)
         yield rig
 
@@ -41,24 +41,69 @@ def said(image: np.ndarray) -> set[int]:
 
 def camera_sees(rig: Rig, level: float) -> bool:
     picture = rig.camera.next(time.monotonic() + 0.2)
-    return picture is not None and rig.rectifier is not None and abs(float(rig.rectifier.image(picture.data)[10:].mean()) - level) < 2
+    return picture is not None and rig.rectify is not None and abs(float(rig.rectify(picture.data)[10:].mean()) - level) < 2
 
 
-def test_each_frame_shows_its_own_exposure_alone(small_rig: Callable[..., Process]) -> None:
-    with rig_of(small_rig(dark_s=PATIENT_S)) as rig:
-        for number in range(30):
+@pytest.fixture(scope="module")
+def steady() -> Iterator[Process]:
+    """A rig that goes on."""
+    process = Process(192, dark_s=PATIENT_S)
+    yield process
+    process.kill()
+
+
+def test_each_frame_shows_its_own_exposure_alone(steady: Process) -> None:
+    with rig_of(steady) as rig:
+        for number in range(20):
             given, taken = rig.expose(shine(number), 0.001)
             assert given.whole and taken.image is not None, taken.reason
             assert said(taken.image) == {number + 1}
             assert taken.sent_s < taken.arrived_s <= time.monotonic()
         assert rig.statistics.lateness.quantile_s(0.5) < 0.07  # latency, jitter and two periods of the camera
+        time.sleep(0.5)
+        assert rig.camera.dropped > 5, "pictures that nobody reads are dropped"
+        _, taken = rig.expose(shine(20), 0.001)
+        assert taken.image is not None and said(taken.image) == {21}
+
+
+def test_a_loop_that_says_nothing_leaves_the_lamp_dark_and_light_comes_back_slowly(steady: Process) -> None:
+    with rig_of(steady, limits={"loop_s": 0.2}) as rig:
+        rig.expose(shine(0), 0.001)
+        assert eventually(lambda: camera_sees(rig, 20), 1.0)  # of a picture in the dark
+        assert rig.keeper.darkened == 1
+        _, taken = rig.expose(shine(1), 0.001)
+        assert taken.image is not None and said(taken.image) == {3}  # lit again; the darkness between had a time code of its own
+    with rig_of(steady, limits={"loop_s": 0.2, "change_per_s": 0.5}) as rig:
+        rig.expose(shine(0, 0.8), 0.001)
+        assert eventually(lambda: rig.keeper.darkened == 1, 2)
+        given, _ = rig.expose(shine(1, 0.8), 0.001)
+        assert given.slowed < 0.5 and given.shine.share < 0.4
+
+
+def test_power_and_change_are_limited_and_told(steady: Process) -> None:
+    with rig_of(steady, limits={"power": 0.5, "change_per_s": 4.0}) as rig:
+        rig.expose(shine(0, 0.0), 0.2)
+        given, _ = rig.expose(shine(1, 1.0), 0.001)
+        assert given.dimmed == 0.5
+        time.sleep(0.2)
+        given, taken = rig.expose(shine(2, 0.5), 0.001)
+        assert given.whole and taken.image is not None
+        given, _ = rig.expose(shine(3, 0.0), 0.001)
+        assert 0 < given.slowed < 1 and 0.1 < given.shine.share < 0.5
+
+
+def test_a_dry_run_lights_nothing(steady: Process) -> None:
+    with open_rig(steady.params(), (GRID,), CAMERA, armed=False) as rig:
+        assert await_camera(rig)
+        _, taken = rig.expose(shine(0), 0.001)
+        assert taken.image is not None and said(taken.image) == {0}
 
 
 def test_with_jitter_and_lost_packets_a_frame_is_right_or_lost(small_rig: Callable[..., Process]) -> None:
     process = small_rig(20_000, jitter_s=0.02, loss=0.01)  # 14 packets a frame, of which one is lost in every seventh
     timing = {"latency_s": 0.02, "jitter_s": 0.03, "rolling_s": 0.03, "wait_s": 0.6}
     light = {"kind": "ddp", "timecode": True, "host": "127.0.0.1", "port": process.light, "repeats": 4}
-    with opened(process.params(timing=timing, light=light), ((100, 200),), CAMERA, armed=True) as rig:
+    with open_rig(process.params(timing=timing, light=light), ((100, 200),), CAMERA, armed=True) as rig:
         assert await_camera(rig)
         came = 0
         for number in range(40):
@@ -81,15 +126,6 @@ def test_a_camera_that_stops_darkens_the_lamp_and_comes_back(small_rig: Callable
             number += 1
         assert rig.keeper.darkened == 1 and any("no picture" in each for each in reasons)
         assert reasons[-1] == "" == reasons[0]
-
-
-def test_a_loop_that_says_nothing_leaves_the_lamp_dark(small_rig: Callable[..., Process]) -> None:
-    with rig_of(small_rig(dark_s=PATIENT_S), limits={"loop_s": 0.2}) as rig:
-        rig.expose(shine(0), 0.001)
-        assert eventually(lambda: camera_sees(rig, 20), 1.0)  # of a picture in the dark
-        assert rig.keeper.darkened == 1
-        _, taken = rig.expose(shine(1), 0.001)
-        assert taken.image is not None and said(taken.image) == {3}  # lit again; the darkness between had a time code of its own
 
 
 def test_a_rig_that_is_killed_and_started_again(small_rig: Callable[..., Process]) -> None:
@@ -136,22 +172,6 @@ def test_a_network_that_is_cut_leaves_the_lamp_dark_and_comes_back(small_rig: Ca
         assert taken.image is not None and said(taken.image) == {3}
 
 
-def test_pictures_that_nobody_reads_are_dropped(small_rig: Callable[..., Process]) -> None:
-    with rig_of(small_rig(dark_s=PATIENT_S)) as rig:
-        time.sleep(0.5)
-        assert rig.camera.dropped > 5
-        _, taken = rig.expose(shine(0), 0.001)
-        assert taken.image is not None and said(taken.image) == {1}
-
-
-def test_pictures_of_a_wrong_size_are_lost_with_the_reason(small_rig: Callable[..., Process]) -> None:
-    with rig_of(small_rig(width=80, dark_s=PATIENT_S)) as rig:
-        _, taken = rig.expose(shine(0), 0.001)
-        assert taken.image is None and "80 x 48 px, where the scenario's image has 64 x 48" in taken.reason
-        with pytest.raises(LuxloopError, match=r"set camera\.width_px and camera\.height_px of the scenario"):
-            rig.refuse_misfit()  # as `luxloop run` does before it lights anything
-
-
 def test_pictures_that_do_not_fit_do_not_keep_the_lamp_lit(small_rig: Callable[..., Process]) -> None:
     process = small_rig(dark_s=60.0)
     with rig_of(process) as rig:
@@ -159,6 +179,8 @@ def test_pictures_that_do_not_fit_do_not_keep_the_lamp_lit(small_rig: Callable[.
         process.kill()
         process.start(width=80)
         assert eventually(lambda: rig.camera.alive, 5)
+        with pytest.raises(LuxloopError, match=r"set camera\.width_px and camera\.height_px of the scenario"):
+            rig.refuse_misfit()  # as `luxloop run` does before it lights anything
         assert eventually(lambda: "80 x 48 px" in rig.expose(shine(1), 0.001)[1].reason and rig.keeper.dark_since_s is not None, 5)
         process.kill()
         process.start()
@@ -170,42 +192,15 @@ def test_at_the_end_the_lamp_is_dark_at_once(small_rig: Callable[..., Process]) 
     with pytest.raises(KeyboardInterrupt), rig_of(process) as rig:
         rig.expose(shine(0), 0.001)
         raise KeyboardInterrupt
-    with opened(process.params(), (GRID,), CAMERA, armed=False) as rig:
+    with open_rig(process.params(), (GRID,), CAMERA, armed=False) as rig:
         assert await_camera(rig) and eventually(lambda: camera_sees(rig, 20), 1.0)
-
-
-def test_a_dry_run_lights_nothing(small_rig: Callable[..., Process]) -> None:
-    with opened(small_rig(dark_s=PATIENT_S).params(), (GRID,), CAMERA, armed=False) as rig:
-        assert await_camera(rig)
-        _, taken = rig.expose(shine(0), 0.001)
-        assert taken.image is not None and said(taken.image) == {0}
-
-
-def test_power_and_change_are_limited_and_told(small_rig: Callable[..., Process]) -> None:
-    with rig_of(small_rig(dark_s=PATIENT_S), limits={"power": 0.5, "change_per_s": 4.0}) as rig:
-        rig.expose(shine(0, 0.0), 0.2)
-        given, _ = rig.expose(shine(1, 1.0), 0.001)
-        assert given.dimmed == 0.5
-        time.sleep(0.2)
-        given, taken = rig.expose(shine(2, 0.5), 0.001)
-        assert given.whole and taken.image is not None
-        given, _ = rig.expose(shine(3, 0.0), 0.001)
-        assert 0 < given.slowed < 1 and 0.1 < given.shine.share < 0.5
-
-
-def test_after_a_darkness_light_comes_back_as_fast_as_the_limit_lets_it(small_rig: Callable[..., Process]) -> None:
-    with rig_of(small_rig(dark_s=PATIENT_S), limits={"loop_s": 0.2, "change_per_s": 0.5}) as rig:
-        rig.expose(shine(0, 0.8), 0.001)
-        assert eventually(lambda: rig.keeper.darkened == 1, 2)
-        given, _ = rig.expose(shine(1, 0.8), 0.001)
-        assert given.slowed < 0.5 and given.shine.share < 0.4
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("keys", [{"latency_s": 0.01}, {"latency_s": 0.04, "light_s": 0.02, "exposure_s": 0.015}])
 def test_blinks_find_latency_and_exposure(small_rig: Callable[..., Process], keys: dict[str, float]) -> None:
     process = small_rig(dark_s=PATIENT_S, **keys)
-    with opened(process.params(), (GRID,), None, armed=True) as rig:
+    with open_rig(process.params(), (GRID,), None, armed=True) as rig:
         assert await_camera(rig)
         found = blink(rig, (GRID,), 24, 1.0)
     exposure_s = keys.get("exposure_s", 0.005)

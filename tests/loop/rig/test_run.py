@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import torch
 
-from luxloop.loop.commands.rig import written
+from luxloop.loop.commands.rig import write_timing
 from luxloop.loop.rig.params import load_rig
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.build_lamps import mount
@@ -42,60 +42,41 @@ def rig_file(process: Process, folder: Path, more: str = "") -> Path:
     return file
 
 
-def test_a_scenario_runs_on_a_rig_and_is_recorded(small_rig: Callable[..., Process], lux: Lux, tmp_path: Path) -> None:
-    process = small_rig(PIXELS, width=320, height=180)
-    file = rig_file(process, tmp_path)
-    code, out, error = lux("run", "small.toml", "--rig", str(file), "--arm", "--out", "runs/rig", "--set", "camera.bits=8", "--frames")
+def test_a_scenario_runs_on_a_rig_and_is_recorded_with_its_twin(small_rig: Callable[..., Process], lux: Lux, tmp_path: Path) -> None:
+    process, folder = small_rig(PIXELS, width=320, height=180), tmp_path / "runs/rig"
+    given = ("--rig", str(rig_file(process, tmp_path)), "--arm", "--out", "runs/rig", "--set", "camera.bits=8", "--no-video", "--twin")
+    code, out, error = lux("run", "small.toml", *given)
     assert code == 0, error
-    assert "control rate" in out and "light to frame" in out and "the rig's own camera" in out and "6 of 6 exposures" in out
-    told = json.loads((tmp_path / "runs/rig/rig.json").read_text())
+    for words in ("control rate", "light to frame", "the rig's own camera", "6 of 6 exposures", "twin, on frames", "twin, off frames"):
+        assert words in out
+    told = json.loads((folder / "rig.json").read_text())
     assert told["armed"] and not told["lost"] and told["rig"]["light"]["kind"] == "ddp"
     assert 20 < told["light_to_frame_ms"]["median"] < 150 and 1 < told["control_rate_hz"] < 20
     assert told["rig"]["camera"]["url"] == f"http://***@127.0.0.1:{process.camera}/camera?pwd=***"
-    assert not [file for file in (tmp_path / "runs/rig").rglob("*") if file.is_file() and PASSWORD.encode() in file.read_bytes()]
-    summary = json.loads((tmp_path / "runs/rig/summary.json").read_text())
-    assert summary["frames"] == {"asked": 6, "came": 6, "unknown": 0}
+    assert not [file for file in folder.rglob("*") if file.is_file() and PASSWORD.encode() in file.read_bytes()]
+    assert json.loads((folder / "summary.json").read_text())["frames"] == {"asked": 6, "came": 6, "unknown": 0}
 
-    code, out, error = lux("run", "small.toml", "--plant", "runs/rig", "--out", "runs/again", "--set", "camera.bits=8", "--no-report")
-    assert code == 0, error
-    code, out, error = lux("replay", "runs/rig")
-    assert code == 2 and "no rig is connected" in error
-
-
-def test_without_arm_nothing_is_lit(small_rig: Callable[..., Process], lux: Lux, tmp_path: Path) -> None:
-    process = small_rig(PIXELS, width=320, height=180)
-    file = rig_file(process, tmp_path)
-    code, out, _ = lux("run", "small.toml", "--rig", str(file), "--out", "runs/dry", "--set", "camera.bits=8", "--no-report", "--no-video")
-    assert code == 0 and "dry run: the lamp stays dark" in out
-    assert not json.loads((tmp_path / "runs/dry/rig.json").read_text())["armed"]
-
-
-def test_the_twin_of_a_rig_is_put_beside_its_frames(small_rig: Callable[..., Process], lux: Lux, tmp_path: Path) -> None:
-    file = rig_file(small_rig(PIXELS, width=320, height=180), tmp_path)
-    given = ("--rig", str(file), "--arm", "--out", "runs/rig", "--set", "camera.bits=8", "--no-report", "--no-video")
-    code, out, error = lux("run", "small.toml", *given, "--twin")
-    assert code == 0, error
-    assert "twin, on frames" in out and "twin, off frames" in out
-    folder = tmp_path / "runs/rig"
-    told = json.loads((folder / "rig.json").read_text())["twin"]
     rows = read_parquet(folder / "twin.parquet").to_pylist()
-    assert told["exposures"] == 6 and [row["number"] for row in rows] == list(range(6))
-    assert (folder / "twin.png").is_file()
-    scenario = load("small.toml", overrides=["camera.bits=8", "camera.noise=false"])
+    assert told["twin"]["exposures"] == 6 and [row["number"] for row in rows] == list(range(6)) and (folder / "twin.png").is_file()
     for row in rows:  # figures are those of the frames that are kept, and these are the simulated plant's
         rig, simulated = (cv2.imread(str(each(folder, row["number"])), -1).astype(float) for each in (image_file, twin_file))
         assert row["mae"] == pytest.approx(np.abs(rig - simulated).mean())
         assert row["rmse"] == pytest.approx(np.sqrt(np.square(rig - simulated).mean()))
         assert (row["mean_rig"], row["mean_simulated"]) == pytest.approx((rig.mean(), simulated.mean()))
         assert -1 <= row["ssim"] <= 1
-    assert told["on"]["mean_simulated"] > told["off"]["mean_simulated"]
+    assert told["twin"]["on"]["mean_simulated"] > told["twin"]["off"]["mean_simulated"]
+    scenario = load("small.toml", overrides=["camera.bits=8", "camera.noise=false"])
     modules = lamp_modules(mount(scenario.headlight))
     light = read_light(folder / "frames/light_00000000.npz", [each.headlight.n_pixels for each in modules], torch.device("cpu"))[0]
     shown = simulated_plant(scenario, modules).show((), Exposure(0, 0.0, 1 / scenario.rate_hz / 2, light))[1].frames[0].image
-    assert shown is not None
-    assert np.array_equal(shown[:, :].numpy(), cv2.imread(str(twin_file(folder, 0)), -1))
+    assert shown is not None and np.array_equal(shown[:, :].numpy(), cv2.imread(str(twin_file(folder, 0)), -1))
 
-    assert lux("run", "small.toml", *given)[0] == 0
+    code, _, error = lux("run", "small.toml", "--plant", "runs/rig", "--out", "runs/again", "--set", "camera.bits=8", "--no-report")
+    assert code == 0, error
+    code, _, error = lux("replay", "runs/rig")
+    assert code == 2 and "no rig is connected" in error
+    code, out, _ = lux("run", "small.toml", *given[:2], "--out", "runs/rig", "--set", "camera.bits=8", "--no-report", "--no-video")
+    assert code == 0 and "dry run: the lamp stays dark" in out and not json.loads((folder / "rig.json").read_text())["armed"]
     assert not list(folder.glob("**/*twin*"))
 
 
@@ -130,9 +111,7 @@ def test_a_rig_check_fails_where_the_pictures_do_not_fit(small_rig: Callable[...
     ("arguments", "words"),
     [
         (("run", "small.toml", "--rig", "rig.toml", "--twin"), "give --rig FILE and --arm as well"),
-        (("run", "small.toml", "--arm"), "give --rig FILE as well"),
         (("run", "small.toml", "--rig", "rig.toml", "--plant", "runs/a"), "give one of the two"),
-        (("run", "small.toml", "--rig", "none.toml"), "none.toml: cannot be read"),
         (("run", "small.toml", "--set", "plant.kind=rig"), "no rig is connected; run it with `luxloop run NAME --rig FILE`"),
         (("run", "small.toml", "--rig", "rig.toml", "--arm"), "Connection refused"),
     ],
@@ -150,9 +129,7 @@ def test_what_cannot_run_says_so(lux: Lux, tmp_path: Path, arguments: tuple[str,
 @pytest.mark.parametrize(
     ("kind", "url"),
     [
-        ("http", f"http://a:{PASSWORD}@127.0.0.1:9/"),
         ("http", f"http://a:{PASSWORD}/@#x@host/"),
-        ("http", f"http://a:{PASSWORD}#x@host/"),
         ("http", f"https://a:{PASSWORD}{70 * 'x'}@host/"),
         ("stream", f"rtsp://a:{PASSWORD}@127.0.0.1:9/"),
     ],
@@ -165,22 +142,17 @@ def test_no_message_tells_a_password(lux: Lux, tmp_path: Path, kind: str, url: s
     assert code == 2 and "camera" in error and PASSWORD not in out + error
 
 
-def test_a_scenario_on_a_rig_is_checked_without_one(lux: Lux) -> None:
-    code, out, error = lux("check", "small.toml", "--set", "plant.kind=rig")
-    assert code == 0 and "small.toml: ok" in out, error
-
-
 @pytest.mark.parametrize(
     "wrong", ["[light]\nx = 1\n  [timing]\nwait_s = 2\n", "timing = { wait_s = 2 }\n[light]\nx = 1\n", "timing.wait_s = 2\n"]
 )
 def test_values_are_put_into_a_table_timing_or_nowhere(tmp_path: Path, wrong: str) -> None:
     file = tmp_path / "rig.toml"
     file.write_text("[timing]  # mine\nwait_s = 2\njitter_s = 0.5  # measured\n\n[light]\nx = 1\n")
-    written(file, {"latency_s": 0.03, "jitter_s": 0.02})
+    write_timing(file, {"latency_s": 0.03, "jitter_s": 0.02})
     assert file.read_text() == "[timing]  # mine\nlatency_s = 0.03\nwait_s = 2\njitter_s = 0.02\n\n[light]\nx = 1\n"
     file.write_text(wrong)
     with pytest.raises(LuxloopError, match=r"timing: is not written as a table"):
-        written(file, {"latency_s": 0.03})
+        write_timing(file, {"latency_s": 0.03})
     assert file.read_text() == wrong
 
 
@@ -193,8 +165,9 @@ def test_a_loop_that_ends_leaves_the_lamp_dark(end: signal.Signals, small_rig: C
     command = [sys.executable, "-m", "luxloop.loop.commands.cli", "run", "small.toml", "--rig", str(file), "--arm", "--steps", "2000"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     loop = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    from luxloop.loop.rig.camera import Camera, opener
-    from luxloop.loop.rig.rectified import grey
+    from luxloop.loop.rig.camera import Camera
+    from luxloop.loop.rig.cameras import opener
+    from luxloop.loop.rig.rectification import grey
 
     camera = Camera(opener(load_rig(file).camera), 1.0)
 

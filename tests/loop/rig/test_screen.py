@@ -78,17 +78,6 @@ def test_pixels_on_the_screen_are_those_sent(browser: webdriver.Chrome, light: S
         assert (seen[:60, :300] == codes[..., None]).all() and not seen[61:].any()
 
 
-def test_frames_are_shown_in_their_order_with_the_time_of_each(browser: webdriver.Chrome, light: ScreenLight) -> None:
-    presented = []
-    for number in range(20):
-        sent_s = time.monotonic()
-        assert light.show(Shine(number, pictures_of(number)[0])) is None
-        assert light.answer["number"] == number
-        assert sent_s <= light.answer["arrived_s"] <= time.monotonic()
-        presented.append(light.answer["presented_ms"])
-    assert (np.diff(presented) > 0).all()
-
-
 def test_the_page_darkens_by_itself_and_when_told(browser: webdriver.Chrome, light: ScreenLight) -> None:
     light.show(Shine(0, pictures_of(0)[0]))
     light.dark()
@@ -98,11 +87,3 @@ def test_the_page_darkens_by_itself_and_when_told(browser: webdriver.Chrome, lig
     assert drawn(browser)[..., :3].any()
     time.sleep(1.2)
     assert not drawn(browser)[..., :3].any()
-
-
-def test_without_a_page_light_is_lost(browser: webdriver.Chrome, light: ScreenLight) -> None:
-    browser.get("about:blank")
-    until_s = time.monotonic() + 5
-    while light.connected and time.monotonic() < until_s:
-        time.sleep(0.05)
-    assert "no page shows it; open http://127.0.0.1" in str(light.show(Shine(0, pictures_of(0)[0])))

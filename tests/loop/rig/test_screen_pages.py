@@ -50,7 +50,7 @@ def test_light_is_in_doubt_once_its_page_has_darkened_or_another_has_come() -> N
     light = ScreenLight(ScreenLightParams(kind="screen", port=0), ((2, 3),))
     try:
         first = Page(light)
-        assert eventually(lambda: light.connected, 5)
+        assert eventually(lambda: light.has_page, 5)
         assert light.show(shine(0)) is None and light.show(shine(0)) is None and first.frames == 1
         first.send('{"darkened": true}')
         assert eventually(lambda: "darkened by itself" in str(light.show(shine(0))), 2)
@@ -59,7 +59,7 @@ def test_light_is_in_doubt_once_its_page_has_darkened_or_another_has_come() -> N
         assert eventually(lambda: "another one has taken its place" in str(light.show(shine(1))), 2)
         assert light.show(shine(2)) is None and second.frames == 1
         second.close()
-        assert eventually(lambda: not light.connected, 5) and "no page shows it" in str(light.show(shine(2)))
+        assert eventually(lambda: not light.has_page, 5) and "no page shows it" in str(light.show(shine(2)))
     finally:
         light.close()
 

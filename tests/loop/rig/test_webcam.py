@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 import pytest
 
+from luxloop.loop.rig.cameras import DeviceCamera
 from luxloop.loop.rig.params import DeviceCameraParams
-from luxloop.loop.rig.video_camera import DeviceCamera
 from luxloop.world.errors import LuxloopError
 
 SLOT = 1280 * 720 * 2  # bytes of the device file for the picture of each mode

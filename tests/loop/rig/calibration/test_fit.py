@@ -7,7 +7,7 @@ import torch
 from scipy.ndimage import gaussian_filter
 
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.loop.rig.calibration.fit import BLUR, Shown, Varied, fit
+from luxloop.loop.rig.calibration.twin import BLUR, RecordedExposure, fit
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.scenario.overrides import overridden
 from luxloop.loop.simulation.build_lamps import mount
@@ -34,7 +34,7 @@ def scenario_with(values: Mapping[str, float]) -> Scenario:
     return validate(data, "wall")
 
 
-def shown(values: Mapping[str, float], blur_px: float = 0.0) -> list[Shown]:
+def shown(values: Mapping[str, float], blur_px: float = 0.0) -> list[RecordedExposure]:
     """Frames of a rig with these values, of two lights."""
     scenario = scenario_with(values)
     modules = lamp_modules(mount(scenario.headlight))
@@ -46,14 +46,16 @@ def shown(values: Mapping[str, float], blur_px: float = 0.0) -> list[Shown]:
         luminance = world.luminance(0.0, lights)[0].double().numpy()
         luminance = gaussian_filter(luminance, blur_px) if blur_px else luminance
         image = expose(torch.from_numpy(luminance).float(), world.camera, FrameNoise.of(1, number, 0))
-        found.append(Shown(0.0, lights, (), image))
+        found.append(RecordedExposure(0.0, lights, (), image))
     return found
 
 
 def test_values_are_found_with_their_uncertainty() -> None:
     true = {"camera.pitch_deg": 3.2, "objects[0].albedo": 0.23}
     found = fit(
-        scenario_with, shown(true, blur_px=0.8), [Varied("camera.pitch_deg", 0.3), Varied("objects[0].albedo", 0.05), Varied(BLUR, 1.0)]
+        scenario_with,
+        shown(true, blur_px=0.8),
+        {"camera.pitch_deg": 0.3, "objects[0].albedo": 0.05, BLUR: 1.0},
     )
     for key, value in {**true, BLUR: 0.8}.items():
         assert found.stds[key] > 0
@@ -65,7 +67,7 @@ def test_values_are_found_with_their_uncertainty() -> None:
 
 def test_uncertainty_covers_what_is_not_fitted_and_the_residual_tells_of_it() -> None:
     true = {"camera.x_m": -1.55, "camera.roll_deg": 0.3}
-    found = fit(scenario_with, shown(true), [Varied("camera.x_m", 0.1), Varied("camera.z_m", 0.05)])
+    found = fit(scenario_with, shown(true), {"camera.x_m": 0.1, "camera.z_m": 0.05})
     left = {"camera.x_m": found.values["camera.x_m"] + 1.55, "camera.z_m": found.values["camera.z_m"] - 1.35}
     # The camera's roll, which is not fitted, moves them by up to four standard deviations of independent pixels.
     assert all(abs(each) < 1.5 * found.stds[key] for key, each in left.items())
@@ -78,4 +80,4 @@ def test_uncertainty_covers_what_is_not_fitted_and_the_residual_tells_of_it() ->
 )
 def test_what_cannot_be_fitted_is_named(key: str, told: str) -> None:
     with pytest.raises(LuxloopError, match=told):
-        fit(scenario_with, shown({}), [Varied(key, 0.1)])
+        fit(scenario_with, shown({}), {key: 0.1})

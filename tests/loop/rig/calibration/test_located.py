@@ -1,11 +1,9 @@
 """Structured light tells where a lamp's pixels are seen, and smooth maps go both ways."""
 
 import numpy as np
-import pytest
 
-from luxloop.loop.rig.calibration.bench import Array
-from luxloop.loop.rig.calibration.charts import Chart, places
-from luxloop.loop.rig.calibration.codes import bits, decode, patterns
+from luxloop.loop.rig.calibration.setups import Array
+from luxloop.loop.rig.calibration.structured_light import Chart, decode, patterns, places
 
 ROWS, COLS = 36, 50
 SCALE, OFF = 2.3, 7.4  # camera pixels a lamp pixel, and where the lamp's light begins
@@ -18,13 +16,13 @@ def pictures(noise: float) -> tuple[list[Array], Array, Array]:
     rng = np.random.default_rng(0)
     along = [np.clip(0.9 - np.abs(at.ravel()[:, None] - np.arange(n) - 0.5), 0, 0.8) / 0.8 for at, n in ((row, ROWS), (col, COLS))]
     found = []
-    for pattern in patterns(ROWS, COLS):
-        image = np.einsum("nr,rc,nc->n", along[0], pattern.u.reshape(ROWS, COLS), along[1]).reshape(row.shape)
+    for _, u in patterns(ROWS, COLS):
+        image = np.einsum("nr,rc,nc->n", along[0], u.reshape(ROWS, COLS), along[1]).reshape(row.shape)
         found.append(0.1 + image + noise * rng.standard_normal(row.shape))
     return found, row, col
 
 
-def test_each_camera_pixel_reads_its_place() -> None:
+def test_each_camera_pixel_reads_its_place_and_centres_follow() -> None:
     light, row, col = pictures(0.01)
     decoded = decode(light, ROWS, COLS, np.full(row.shape, 0.01))
     inside = (row > 0.7) & (row < ROWS - 0.7) & (col > 0.7) & (col < COLS - 0.7)
@@ -34,27 +32,14 @@ def test_each_camera_pixel_reads_its_place() -> None:
     for read, true in ((decoded.row, row), (decoded.col, col)):
         off = (read - true)[inside & decoded.valid]
         assert np.abs(off).max() < 0.6 and abs(off.mean()) < 0.01
-
-
-def test_places_are_found_within_a_tenth_of_a_camera_pixel() -> None:
-    light, row, _ = pictures(0.02)
-    found = places(decode(light, ROWS, COLS, np.full(row.shape, 0.02)), ROWS, COLS)
+    found = places(decoded, ROWS, COLS)
     r, c = np.indices((ROWS, COLS)) + 0.5
-    v = SCALE * r + OFF
-    u = (OFF + SCALE * c) / (1 - 2e-4 * SCALE * c)
+    v, u = SCALE * r + OFF, (OFF + SCALE * c) / (1 - 2e-4 * SCALE * c)
     inner = np.s_[3:-3, 3:-3]
     off = np.hypot(*(np.stack(found.chart(r, c)) - np.stack([u, v])))[inner]
-    assert np.sqrt((off**2).mean()) < 0.1
+    assert np.sqrt((off**2).mean()) < 0.1  # camera pixels
     back = np.stack(found.lamp_of(u, v)) - np.stack([r, c])
     assert np.abs(back[(slice(None), *inner)]).max() < 0.1
-
-
-@pytest.mark.parametrize(("pixels", "expected"), [(8, 0), (9, 1), (332, 6), (1024, 7)])
-def test_codes_are_as_short_as_can_be(pixels: int, expected: int) -> None:
-    assert bits(pixels) == expected
-
-
-def test_a_lamp_of_332_x_1024_pixels_takes_thirty_frames() -> None:
     assert len(patterns(332, 1024)) == 30
 
 
@@ -67,7 +52,7 @@ def test_maps_follow_perspective_and_distortion() -> None:
         w, bent = 1 + 0.05 * a - 0.03 * b, 1 - 0.1 * (a * a + b * b) + 0.02 * (a * a + b * b) ** 2
         return 900 + 800 * a * bent / w, 500 + 700 * b * bent / w
 
-    chart = Chart.fitted((x, y), lens(x, y))
+    chart = Chart.fit((x, y), lens(x, y))
     at = rng.uniform(50, 950, (2, 500))
     assert np.abs(np.stack(chart(*at)) - np.stack(lens(*at))).max() < 0.01
     step = 1e-3
@@ -80,5 +65,5 @@ def test_strays_do_not_bend_a_map() -> None:
     x, y = rng.uniform(0, 100, (2, 2000))
     u, v = 2 * x + 5, 2 * y - 3
     u[::50] += rng.uniform(-30, 30, len(u[::50]))
-    chart = Chart.fitted((x, y), (u, v))
+    chart = Chart.fit((x, y), (u, v))
     assert np.abs(chart(x, y)[0] - (2 * x + 5)).max() < 0.01

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from luxloop.loop.rig.calibration.bench import simulated_bench
 from luxloop.loop.rig.calibration.geometry import CameraModel
 from luxloop.loop.rig.calibration.intrinsics import brightness
-from luxloop.loop.rig.live.beam import Beam
-from luxloop.loop.rig.live.digitiser import Digitiser, luminous
+from luxloop.loop.rig.calibration.setups import simulated_setup
+from luxloop.loop.rig.live.plant import Beam, Digitiser, luminous
 from luxloop.world.errors import LuxloopError
 from tests.loop.rig.live.walls import LAMP, blob, calibration, module, off_by, wall
 
@@ -19,12 +18,12 @@ GOAL = 0.03  # of the request; what is left is the camera's noise, 1 to 2 %, and
 
 def test_a_smooth_beam_is_seen_within_three_percent() -> None:
     scenario, lamp = wall(), module()
-    bench = simulated_bench(scenario, [lamp])
-    reader = Digitiser.of(calibration(bench.camera, lamp), lamp.name, LAMP)
-    assert reader.seen == 1
-    picture = bench.frames([blob()], 1, bench.camera.exposure_s)[0]
+    setup = simulated_setup(scenario, [lamp])
+    reader = Digitiser.of(calibration(setup.camera, lamp), lamp.name, LAMP)
+    assert reader.coverage == 1
+    picture = setup.frames([blob()], 1, setup.camera.exposure_s)[0]
     assert off_by(reader.texture(picture), LAMP, blob()) < GOAL
-    assert reader.saturated(picture) == 0
+    assert reader.saturation(picture) == 0
 
 
 def test_lens_response_vignetting_and_other_light_are_taken_off() -> None:
@@ -38,21 +37,21 @@ def test_lens_response_vignetting_and_other_light_are_taken_off() -> None:
 
     darkening = np.array([-0.3, 0.0, 0.0])
     shade = brightness(darkening, 120, 160)
-    bench = replace(simulated_bench(scenario, [lamp], straight), optics=lambda luminance: luminance * shade)
-    known = replace(calibration(bench.camera, lamp, lens), vignetting=darkening)
+    setup = replace(simulated_setup(scenario, [lamp], straight), optics=lambda luminance: luminance * shade)
+    known = replace(calibration(setup.camera, lamp, lens), vignetting=darkening)
     reader = Digitiser.of(known, lamp.name, LAMP)
-    exposure_s = bench.camera.exposure_s
-    picture = bench.frames([blob()], 1, exposure_s)[0]
+    exposure_s = setup.camera.exposure_s
+    picture = setup.frames([blob()], 1, exposure_s)[0]
     assert off_by(reader.texture(picture), LAMP, blob()) > 2 * GOAL  # other light is in it
-    dark = bench.frames([np.zeros(LAMP.n_pixels)], 8, exposure_s)
+    dark = setup.frames([np.zeros(LAMP.n_pixels)], 8, exposure_s)
     assert off_by(reader.without(dark).texture(picture), LAMP, blob()) < GOAL
 
 
 def test_colour_is_kept_and_its_luminance_is_the_light() -> None:
     scenario, lamp = wall(), module()
-    bench = simulated_bench(scenario, [lamp])
-    reader = Digitiser.of(calibration(bench.camera, lamp), lamp.name, LAMP)
-    grey = bench.frames([blob()], 1, bench.camera.exposure_s)[0]
+    setup = simulated_setup(scenario, [lamp])
+    reader = Digitiser.of(calibration(setup.camera, lamp), lamp.name, LAMP)
+    grey = setup.frames([blob()], 1, setup.camera.exposure_s)[0]
     white = reader.texture(np.stack([grey] * 3, -1))
     assert white.shape == (3, LAMP.rows, LAMP.cols)
     torch.testing.assert_close(luminous(white), reader.texture(grey))

@@ -1,27 +1,18 @@
 """Two processes: a rig that knows the truth, and a loop that calibrates it from nothing and digitises its beam."""
 
-import json
-import os
-import socket
-import subprocess
-import sys
-import urllib.request
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.loop.rig.calibration.files import load
-from luxloop.loop.rig.ddp import DdpLight
+from luxloop.loop.rig.calibration.calibrate import load
 from luxloop.loop.rig.live.plant import live_plant
 from luxloop.loop.rig.params import load_rig
 from luxloop.loop.rig.plant import grids_of
-from luxloop.loop.rig.rig import Rig, await_camera, opened
+from luxloop.loop.rig.rig import await_camera, open_rig
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario import model
 from luxloop.loop.simulation.digitised import DigitisedPlant
@@ -30,9 +21,8 @@ from luxloop.perception.camera import camera_view
 from luxloop.world.headlight.lamp import Lamp, Module
 from luxloop.world.lamps import archive
 from tests.loop.conftest import Lux
-from tests.loop.rig.conftest import ROOT, free_port
+from tests.loop.rig.conftest import SimulatedRigProcess, watch_frames
 from tests.loop.rig.live.walls import LAMP, SCREEN_M, blob, off_by
-from tests.loop.rig.test_truth import Taken, wrong
 
 pytestmark = pytest.mark.slow
 GOAL = 0.03
@@ -90,53 +80,17 @@ file = "rig.npz"
 """
 
 
-class Bench:
-    """The rig process, and what it says of frames."""
-
-    def __init__(self, folder: Path) -> None:
-        kinds = (("light", socket.SOCK_DGRAM), ("camera", socket.SOCK_STREAM), ("truth", socket.SOCK_STREAM))
-        ports = {name: free_port(kind) for name, kind in kinds}
-        (folder / "rig.toml").write_text(RIG.format(**ports))
-        self.port = ports["truth"]
-        given = [each for name, port in ports.items() for each in (f"--{name}-port", str(port))]
-        command = [sys.executable, "-m", "luxloop.loop.commands.cli", "rig", "simulate", "wall.toml", "--set", *FAULTS, *given]
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment, cwd=folder)
-        assert self.process.stdout is not None
-        while "End it" not in (line := self.process.stdout.readline()):
-            assert line, "the rig has not started"
-
-    def truth(self) -> dict[str, Any]:
-        told: dict[str, Any] = json.load(urllib.request.urlopen(f"http://127.0.0.1:{self.port}/truth", timeout=20))
-        return told
-
-
-def watched(rig: Rig) -> list[Taken]:
-    """Which picture is taken for which light from now on, by time code."""
-    taken, expose, light = list[Taken](), rig.expose, rig.light
-    assert isinstance(light, DdpLight)
-
-    def exposed(*given: Any) -> Any:
-        limited, frame = expose(*given)
-        if frame.image is not None:
-            taken.append((light.timecode, zlib.crc32(frame.data), frame.arrived_s))
-        return limited, frame
-
-    rig.expose = exposed  # type: ignore[method-assign]
-    return taken
-
-
 @pytest.fixture
-def bench(lux: Lux, tmp_path: Path) -> Iterator[Bench]:
+def rig(lux: Lux, tmp_path: Path) -> Iterator[SimulatedRigProcess]:
     archive.save(tmp_path / "lamp.npz", Lamp("lamp", (Module("matrix", LAMP),)))
     (tmp_path / "wall.toml").write_text(WALL)
-    started = Bench(tmp_path)
+    started = SimulatedRigProcess(["wall.toml", "--set", *FAULTS], tmp_path)
+    (tmp_path / "rig.toml").write_text(RIG.format(light=started.light, camera=started.camera))
     yield started
-    started.process.kill()
-    started.process.wait()
+    started.kill()
 
 
-def test_a_beam_is_digitised_within_three_percent_and_no_frame_is_wrong(bench: Bench, lux: Lux) -> None:
+def test_a_beam_is_digitised_within_three_percent_and_no_frame_is_wrong(rig: SimulatedRigProcess, lux: Lux) -> None:
     """With lost packets, jitter, other light and a black level. The luxmeter is at a known place, E = I cos / d^2 = I x / d^3."""
     place = torch.tensor([SCREEN_M, 0.1, -0.05], dtype=torch.float64)  # m from the lamp
     tangents = (place / place[0])[:, None]
@@ -153,10 +107,10 @@ def test_a_beam_is_digitised_within_three_percent_and_no_frame_is_wrong(bench: B
     own = prepare(scenario).plant
     assert isinstance(own, DigitisedPlant)
     params, rng = load_rig(Path("rig.toml")), np.random.default_rng(0)
-    with opened(params, grids_of(own.truth.modules), None, armed=True) as rig:
-        assert await_camera(rig, 20)
-        with live_plant(rig, own, load(Path("rig.npz")), scenario.camera, STEPS) as live:
-            taken, (state, _), found = watched(rig), live.start(), list[float]()
+    with open_rig(params, grids_of(own.truth.modules), None, armed=True) as lab:
+        assert await_camera(lab, 20)
+        with live_plant(lab, own, load(Path("rig.npz")), STEPS) as live:
+            taken, (state, _), found = watch_frames(lab), live.start(), list[float]()
             for number in range(STEPS):
                 u = blob() * np.float32(rng.uniform(0.3, 0.9))
                 light = Utilisation(torch.from_numpy(u))
@@ -166,4 +120,4 @@ def test_a_beam_is_digitised_within_three_percent_and_no_frame_is_wrong(bench: B
     rms = float(np.sqrt(np.mean(np.square(found))))
     print(f"\n{rms:.4f} rms, {max(found):.4f} at worst of {len(found)}; {live.beam.summary()}")
     assert len(found) >= 0.7 * STEPS and rms < GOAL  # which is of single frames, noise of 10,000 electrons included
-    assert len(taken) == len(found) and not wrong(bench, taken)
+    assert len(taken) == len(found) and not rig.wrong(taken)

@@ -9,21 +9,10 @@ import torch
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load, validate
-from luxloop.loop.simulation.digitised import DigitisedPlant, MeasuredTextures
+from luxloop.loop.simulation.digitised import DigitisedPlant
 from luxloop.world.errors import LuxloopError
 from luxloop.world.scene.vehicle import LateBody
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
-from tests.loop.rig.live.walls import LAMP
-
-
-def test_shown_light_is_as_measured_and_other_light_simulated() -> None:
-    textures, u = MeasuredTextures(LAMP), torch.rand(LAMP.n_pixels)
-    torch.testing.assert_close(textures.light_texture(u), LAMP.light_texture(u))
-    textures.keep(u, torch.full((LAMP.rows, LAMP.cols), 7.0))
-    assert (textures.light_texture(u.clone(), slice(0, 1)) == 7).all()
-    torch.testing.assert_close(textures.light_texture(0.5 * u), LAMP.light_texture(0.5 * u))
-    textures.keep(u, torch.full((LAMP.rows, LAMP.cols), 8.0))
-    assert (textures.light_texture(u) == 8).all()
 
 
 def test_the_world_is_lit_by_measured_light() -> None:
@@ -39,6 +28,7 @@ def test_the_world_is_lit_by_measured_light() -> None:
     base = simulated.world.lit(0.0).base
     wanted = simulated.world.luminance(0.0, lights)[0] - base
     plant.measured.keep(u, 0.5 * light.light_texture(u))
+    torch.testing.assert_close(plant.measured.light_texture(0.5 * u), light.light_texture(0.5 * u))  # which was not measured
     found = digitised.world.luminance(0.0, lights)[0] - base
     assert wanted.max() > 0.01
     torch.testing.assert_close(found, 0.5 * wanted, rtol=1e-3, atol=1e-4 * float(wanted.max()))
@@ -72,7 +62,6 @@ def test_without_a_rig_it_is_checked_and_not_run(lux: Lux) -> None:
     ("keys", "told"),
     [
         (["modules.lft.source=digitised"], "there is no module 'lft'; name one of left matrix"),
-        (["modules.left.source=film"], "modules.left.source"),
         (["modules.left.latency_s=0.1"], 'for source = "digitised"'),
         (["modules.left={source='digitised', delay_body=true}"], "the vehicle stands"),
         (["modules.left.source=digitised", "modules.right.source=digitised"], "a camera cannot tell two beams apart"),

@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from luxloop.loop.rig.calibration.bench import Array
-from luxloop.loop.rig.calibration.calibrate import SCREEN
-from luxloop.loop.rig.calibration.files import Calibration
+from luxloop.loop.rig.calibration.calibrate import SCREEN, Calibration
 from luxloop.loop.rig.calibration.geometry import CameraModel, Pose
-from luxloop.loop.rig.calibration.response import Response
+from luxloop.loop.rig.calibration.setups import Array
+from luxloop.loop.rig.calibration.shots import Response
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.truth import LampModule
 from luxloop.perception.camera import CameraParams, camera_view, saturation_luminance

@@ -1,4 +1,4 @@
-"""A small bench on a flat road, and how to make others. Its renderer is at home in all threads."""
+"""A small rig_scene on a flat road, and how to make others. Its renderer is at home in all threads."""
 
 from collections.abc import Callable
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from luxloop.loop.rig.simulated.faults import FaultParams, read
-from luxloop.loop.rig.simulated.scene import LitBench
+from luxloop.loop.rig.simulated.scene import RigScene
 from luxloop.loop.rig.wire.ddp import LightFrame
 from luxloop.loop.scenario.model import Scenario, load
 
@@ -29,16 +29,16 @@ def light(codes: np.ndarray, *timecodes: int) -> LightFrame:
 
 
 @pytest.fixture(scope="session")
-def bench() -> LitBench:
-    return LitBench(scenario_of(), faults_of())
+def rig_scene() -> RigScene:
+    return RigScene(scenario_of(), faults_of())
 
 
 @pytest.fixture(scope="session")
-def pattern(bench: LitBench) -> np.ndarray:
-    return np.random.default_rng(0).integers(0, 256, bench.pixels, np.uint8)
+def pattern(rig_scene: RigScene) -> np.ndarray:
+    return np.random.default_rng(0).integers(0, 256, rig_scene.pixels, np.uint8)
 
 
 @pytest.fixture
-def image_with(bench: LitBench, pattern: np.ndarray) -> Callable[..., np.ndarray]:
-    """What the lens sees of the pattern on a bench with faults."""
-    return lambda *keys: LitBench(scenario_of(), faults_of(*keys)).light(light(pattern), 0.0)
+def image_with(rig_scene: RigScene, pattern: np.ndarray) -> Callable[..., np.ndarray]:
+    """What the lens sees of the pattern on a rig_scene with faults."""
+    return lambda *keys: RigScene(scenario_of(), faults_of(*keys)).light(light(pattern), 0.0)

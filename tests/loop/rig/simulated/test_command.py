@@ -50,14 +50,13 @@ def started(command: str, folder: Path) -> Iterator[tuple[subprocess.Popen[str],
         process.wait()
 
 
-@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
-def test_it_says_where_it_listens_and_ends_cleanly(end: signal.Signals, tmp_path: Path) -> None:
+def test_it_says_where_it_listens_and_ends_cleanly(tmp_path: Path) -> None:
     with started(f"rig simulate flat {FREE} --set {SMALL}", tmp_path) as (process, addresses):
         assert set(addresses) == {"light", "camera", "truth"}
         with urllib.request.urlopen(addresses["camera"], timeout=10) as answer:
             assert answer.readline() == b"--frame\r\n"
         assert json.load(urllib.request.urlopen(addresses["truth"], timeout=10))["lit"] is False
-        process.send_signal(end)
+        process.send_signal(signal.SIGTERM)
         said, _ = process.communicate(timeout=30)
     assert process.returncode == 0
     assert re.fullmatch(r"\d+ frames exposed \(0 lost, \d+ skipped\), 0 frames of light \(0 incomplete\)\n", said)
@@ -79,10 +78,7 @@ def test_documented_commands_start_a_rig(command: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("rig simulate flatt", "there is no scenario 'flatt'"),
         ("rig simulate flat --set faults.lens.blurr_px=1", "--set faults.lens.blurr_px=1: lens.blurr_px: unknown key"),
-        ("rig simulate flat --faults none.toml", "none.toml: cannot be read"),
-        ("rig simulate flat --ego here", "--ego here: is no address; write HOST:PORT"),
         ("rig simulate flat --ego here:²", "--ego here:²: is no address; write HOST:PORT"),
         (f"rig simulate flat {FREE} --set {SMALL} --host {'a' * 100}", "--camera-port 0: cannot listen on"),
         (f"rig simulate flat {FREE} --set {SMALL} faults.camera.encoding=jpeg", "JPEG has 8 bits and the camera 12"),

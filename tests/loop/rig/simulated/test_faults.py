@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from luxloop.loop.rig.simulated.faults import FaultParams, read, split
+from luxloop.loop.rig.simulated.faults import FaultParams, read
 from luxloop.loop.scenario.shipped import examples
 from luxloop.world.errors import LuxloopError
 
@@ -19,10 +19,6 @@ def test_a_file_and_changes_make_faults(tmp_path: Path) -> None:
 def test_the_shipped_example_has_a_little_of_everything() -> None:
     faults = read(examples()["rig_faults.toml"])
     assert all(getattr(faults, table) != getattr(FaultParams(), table) for table in FaultParams.model_fields if table != "board")
-
-
-def test_keys_of_scenario_and_faults_are_told_apart() -> None:
-    assert split(["camera.bits=8", "faults.seed=3", "my.toml"]) == (["camera.bits=8", "my.toml"], ["faults.seed=3"])
 
 
 @pytest.mark.parametrize(

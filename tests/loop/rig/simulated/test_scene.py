@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.loop.rig.simulated.camera import digitised
+from luxloop.loop.rig.simulated.camera import read_out
 from luxloop.loop.rig.simulated.faults import FaultParams, ScreenParams
-from luxloop.loop.rig.simulated.scene import LitBench, gloss
+from luxloop.loop.rig.simulated.scene import RigScene, gloss
 from luxloop.loop.rig.wire.ddp import LightFrame, WireCommand
 from luxloop.loop.scenario.model import load
 from luxloop.loop.scenario.shipped import examples
@@ -23,44 +23,44 @@ Images = Callable[..., np.ndarray]
 
 def test_without_faults_its_frames_are_the_plants(pattern: np.ndarray) -> None:
     scenario = scenario_of("camera.noise=false")
-    bench = LitBench(scenario, faults_of("camera.columns=1"))
-    given = tuple(LampModule(each.name, each.headlight, each.T_world_headlight) for each in bench.modules)
+    rig_scene = RigScene(scenario, faults_of("camera.columns=1"))
+    given = tuple(LampModule(each.name, each.headlight, each.T_world_headlight) for each in rig_scene.modules)
     plant = simulated_plant(scenario, given)
     lights = (Utilisation(torch.from_numpy(pattern).float() / 255, None),)
     expected = plant.exposed(*plant.world.luminance(0.0, lights), 0, 0).numpy()
-    codes = digitised(bench.base(0.0) + bench.light(light(pattern), 0.0), bench.camera, FaultParams(), 0)
+    codes = read_out(rig_scene.base(0.0) + rig_scene.light(light(pattern), 0.0), rig_scene.camera, FaultParams(), 0)
     assert abs(codes - expected).max() <= 1, "but for rounding: the lamp's light is added to the rest"
 
 
-def test_light_adds_up(bench: LitBench, pattern: np.ndarray) -> None:
-    half = np.where(np.arange(bench.pixels) % 2, pattern, 0).astype(np.uint8)
-    whole, one, other = (bench.light(light(each), 0.0) for each in (pattern, half, pattern - half))
+def test_light_adds_up(rig_scene: RigScene, pattern: np.ndarray) -> None:
+    half = np.where(np.arange(rig_scene.pixels) % 2, pattern, 0).astype(np.uint8)
+    whole, one, other = (rig_scene.light(light(each), 0.0) for each in (pattern, half, pattern - half))
     assert np.allclose(whole, one + other, rtol=1e-4, atol=1e-5)
-    assert bench.light(light(pattern), 0.0) is whole, "and is computed once"
+    assert rig_scene.light(light(pattern), 0.0) is whole, "and is computed once"
 
 
-def test_a_lamp_is_as_wrong_as_it_is_said_to_be(bench: LitBench, pattern: np.ndarray, image_with: Images) -> None:
-    right = bench.light(light(pattern), 0.0)
+def test_a_lamp_is_as_wrong_as_it_is_said_to_be(rig_scene: RigScene, pattern: np.ndarray, image_with: Images) -> None:
+    right = rig_scene.light(light(pattern), 0.0)
     assert np.allclose(image_with("lamp.scale=1.1"), 1.1 * right, rtol=1e-4)
     assert image_with("lamp.dead=0.5").sum() / right.sum() == pytest.approx(0.5, abs=0.1)
     dark = light(0 * pattern)
-    glowing = LitBench(scenario_of(), faults_of("lamp.stuck=0.1")).light(dark, 0.0)
-    full = bench.light(light(np.full_like(pattern, 255)), 0.0)
-    assert glowing.sum() / full.sum() == pytest.approx(0.1, abs=0.03) and not bench.light(dark, 0.0).any()
+    glowing = RigScene(scenario_of(), faults_of("lamp.stuck=0.1")).light(dark, 0.0)
+    full = rig_scene.light(light(np.full_like(pattern, 255)), 0.0)
+    assert glowing.sum() / full.sum() == pytest.approx(0.1, abs=0.03) and not rig_scene.light(dark, 0.0).any()
     down, rows = image_with("lamp.pitch_deg=0.5"), np.arange(120)[:, None]
     assert (right * rows).sum() / right.sum() < (down * rows).sum() / down.sum()
     squared = light(np.uint16(np.rint(65535 * (pattern / 255.0) ** 2)))
-    assert np.allclose(image_with("light.gamma=2.0"), bench.light(squared, 0.0), atol=1e-3)
+    assert np.allclose(image_with("light.gamma=2.0"), rig_scene.light(squared, 0.0), atol=1e-3)
 
 
-def test_modules_are_turned_and_dimmed(bench: LitBench, pattern: np.ndarray) -> None:
-    right = bench.light(light(pattern), 0.0)
-    dimmed = bench.light(LightFrame(pattern, (1,), (WireCommand(intensity=0.25),)), 0.0)
+def test_modules_are_turned_and_dimmed(rig_scene: RigScene, pattern: np.ndarray) -> None:
+    right = rig_scene.light(light(pattern), 0.0)
+    dimmed = rig_scene.light(LightFrame(pattern, (1,), (WireCommand(intensity=0.25),)), 0.0)
     assert np.allclose(dimmed, right / 4, rtol=2e-2, atol=1e-3)
-    left = bench.light(LightFrame(pattern, (1,), (WireCommand(swivel_deg=2.0),)), 0.0)
+    left = rig_scene.light(LightFrame(pattern, (1,), (WireCommand(swivel_deg=2.0),)), 0.0)
     columns = np.arange(160)
     assert (left * columns).sum() / left.sum() < (right * columns).sum() / right.sum() - 3, "2 deg are 8 px, of which the border takes some"
-    assert np.allclose(bench.light(light(pattern), 0.0), right), "and go back"
+    assert np.allclose(rig_scene.light(light(pattern), 0.0), right), "and go back"
 
 
 def test_a_glossy_screen_shines_in_the_mirror_direction() -> None:
@@ -73,29 +73,20 @@ def test_a_glossy_screen_shines_in_the_mirror_direction() -> None:
     assert float(factor[0]) < 1.1 and torch.allclose(factor, factor.flip(0), rtol=1e-4)
 
 
-def test_a_bench_may_be_a_wall() -> None:
-    bench = LitBench(load(str(examples()["rig_wall.toml"]), ["camera.width_px=160", "camera.height_px=120"]), faults_of())
-    image = bench.light(light(np.full(bench.pixels, 255, np.uint8)), 0.0)
-    lit = image > 1
-    assert lit[58:62, 20:140].all() and not lit[:30].any() and not lit[90:].any() and not lit[:, [0, -1]].any()
-    nearest_m = 4.0  # 2000 cd on an albedo of 0.8
-    assert image.max() == pytest.approx(0.8 * 2000 / nearest_m**2 / np.pi, rel=0.01)
-
-
 def test_a_lamp_pixel_is_seen_where_the_truth_says() -> None:
     """The rig's matrix, coefficients and poses as OpenCV takes them, pixel centres at integer + 0.5."""
     keys = ["camera.width_px=320", "camera.height_px=240", "light.ambient_lx=0"]
     faults = faults_of(
         "lens.coefficients=[-0.3, 0.1, 0.002, -0.003, 0.05]", "lens.centre_px=[5, -8]", "lamp.yaw_deg=0.4", "camera.columns=4"
     )
-    bench = LitBench(load(str(examples()["rig_wall.toml"]), keys), faults)
-    (module,) = bench.modules
+    rig_scene = RigScene(load(str(examples()["rig_wall.toml"]), keys), faults)
+    (module,) = rig_scene.modules
     head, T = module.headlight, module.T_world_headlight
-    T_camera = bench.world.view.T_world_view.numpy()
+    T_camera = rig_scene.world.view.T_world_view.numpy()
     for row, column in ((20, 60), (166, 512), (300, 980)):
         codes = np.zeros((head.pixel_rows, head.pixel_cols), np.uint8)
         codes[row - 8 : row + 8, column - 8 : column + 8] = 255
-        image = bench.light(light(codes.ravel()), 0.0)
+        image = rig_scene.light(light(codes.ravel()), 0.0)
         v, u = np.mgrid[:240, :320] + 0.5
         seen = np.array([(image * u).sum(), (image * v).sum()]) / image.sum()
         y = head.left + (head.right - head.left) * column / head.pixel_cols
@@ -104,5 +95,5 @@ def test_a_lamp_pixel_is_seen_where_the_truth_says() -> None:
         on_wall = (T[:3, 3] + ray * ((4.0 - T[0, 3]) / ray[0])).numpy()
         in_camera = T_camera[:3, :3].T @ (on_wall - T_camera[:3, 3])
         k = np.array(faults.lens.coefficients)
-        expected = cv2.projectPoints(in_camera[None], np.zeros(3), np.zeros(3), bench.lens.matrix, k)[0].ravel()
+        expected = cv2.projectPoints(in_camera[None], np.zeros(3), np.zeros(3), rig_scene.lens.matrix, k)[0].ravel()
         assert abs(seen - expected).max() < 0.1, (row, column)  # px; with one sample over a pixel's width it can be 0.3

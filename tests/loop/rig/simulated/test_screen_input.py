@@ -9,8 +9,7 @@ import numpy as np
 from luxloop.loop.rig.light import Shine
 from luxloop.loop.rig.params import ScreenLightParams
 from luxloop.loop.rig.screen import ScreenLight
-from luxloop.loop.rig.simulated.screen_input import ScreenInput
-from luxloop.loop.rig.simulated.timeline import Timeline
+from luxloop.loop.rig.simulated.lamp import ScreenInput, Timeline
 from tests.loop.rig.conftest import eventually
 
 GRIDS = [(2, 3), (1, 4)]
@@ -28,7 +27,7 @@ def showing(timeout_s: float, grids: list[tuple[int, int]] = GRIDS) -> Iterator[
     light, timeline = ScreenLight(ScreenLightParams(kind="screen", port=0), GRIDS), Timeline(timeout_s)
     rig = ScreenInput(timeline, grids, ("127.0.0.1", light.port))
     try:
-        assert eventually(lambda: light.connected)
+        assert eventually(lambda: light.has_page)
         yield light, rig, timeline
     finally:
         rig.close()
@@ -47,7 +46,7 @@ def test_pixels_are_those_that_were_sent_in_their_order() -> None:
             assert np.array_equal(each.codes, np.rint(255 * sent))
         light.dark()
         assert eventually(lambda: not timeline.state().lit)
-        assert rig.counts().frames == 5
+        assert rig.counts()["frames"] == 5
 
 
 def test_it_is_dark_without_word_of_the_loop_and_says_so() -> None:
@@ -68,7 +67,7 @@ def test_it_is_dark_without_word_of_the_loop_and_says_so() -> None:
 def test_a_picture_of_another_size_is_not_shown() -> None:
     with showing(60.0, [(2, 3)]) as (light, rig, timeline):
         assert "has not shown it in time" in str(light.show(shine(1)))
-        assert rig.counts().refused == 1 and not timeline.state().lit
+        assert rig.counts()["refused"] == 1 and not timeline.state().lit
 
 
 def test_it_comes_back_to_a_loop_that_has_gone() -> None:
@@ -79,6 +78,6 @@ def test_it_comes_back_to_a_loop_that_has_gone() -> None:
         assert eventually(lambda: not timeline.state().lit)
         again = ScreenLight(ScreenLightParams(kind="screen", port=port), GRIDS)
         try:
-            assert eventually(lambda: again.connected) and again.show(shine(2)) is None
+            assert eventually(lambda: again.has_page) and again.show(shine(2)) is None
         finally:
             again.close()

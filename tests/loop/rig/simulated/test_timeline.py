@@ -1,14 +1,11 @@
 """What is lit when: without a gap, and never longer than its sender lives."""
 
-import threading
 import time
 from itertools import pairwise
 
 import numpy as np
 
-from luxloop.loop.rig.simulated.faults import LightInputParams
-from luxloop.loop.rig.simulated.light_input import DdpInput
-from luxloop.loop.rig.simulated.timeline import Timeline
+from luxloop.loop.rig.simulated.lamp import Timeline
 from tests.loop.rig.simulated.conftest import light
 
 ON, OFF = np.full(4, 255, np.uint8), np.zeros(4, np.uint8)
@@ -52,25 +49,3 @@ def test_light_is_as_late_as_its_lamp() -> None:
     time.sleep(0.025)
     dark, lit = timeline.between(asked_s, time.monotonic())
     assert dark.light is None and asked_s + 0.02 <= lit.from_s <= shown_s + 0.02
-
-
-def test_new_light_is_waited_for() -> None:
-    timeline = Timeline(1.0)
-    begun_s = time.monotonic()
-    assert timeline.newer(begun_s, 0.01) is None
-    threading.Timer(0.02, timeline.show, [light(ON, 1)]).start()
-    assert timeline.newer(begun_s, 1.0) >= begun_s + 0.02
-
-
-def test_it_keeps_no_more_than_an_exposure_needs() -> None:
-    timeline = Timeline(1.0)
-    for k in range(1000):
-        timeline.show(light(ON, k))
-    assert len(timeline.between(0, time.monotonic())) <= 129
-
-
-def test_a_lamp_with_a_long_time_out_ends_at_once() -> None:
-    light = DdpInput(Timeline(60.0), 4, LightInputParams(timeout_ms=60_000), ("127.0.0.1", 0), 0)
-    began_s = time.monotonic()
-    light.close()
-    assert time.monotonic() - began_s < 2

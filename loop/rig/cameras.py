@@ -1,15 +1,20 @@
-"""Pictures of V4L2 devices by OpenCV, of RTSP and other streams by PyAV, and of a folder that another program fills."""
+"""The cameras of a rig file: V4L2 devices by OpenCV, streams by PyAV, a folder that another program fills, or a class of one's own."""
 
 import os
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from luxloop.loop.rig.camera import CameraPicture
-from luxloop.loop.rig.params import DeviceCameraParams, FolderCameraParams, StreamCameraParams
+from luxloop.loop.rig.camera import KEY, CameraPicture, CameraSource
+from luxloop.loop.rig.http_camera import HttpCamera
+from luxloop.loop.rig.params import Cameras, DeviceCameraParams, FolderCameraParams, HttpCameraParams, OwnCameraParams, StreamCameraParams
+from luxloop.world import plugin
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import content
 
+METHODS: Final = ("read", "close")
 WAITED_S: Final = 0.001  # a read that takes less has found its picture in a buffer
 RATE_SHARE: Final = 0.02  # by which a driver's rate may differ: 29.97 Hz is asked for as 30
 LOCKED: Final = 1  # V4L2's word for an exposure that is not automatic
@@ -141,3 +146,24 @@ class FolderCamera:
 
     def _names(self) -> list[str]:
         return [name for name in os.listdir(self._folder) if name.lower().endswith(ENDINGS) and not name.startswith(".")]
+
+
+KINDS: Final[dict[type, Any]] = {
+    HttpCameraParams: HttpCamera,
+    DeviceCameraParams: DeviceCamera,
+    StreamCameraParams: StreamCamera,
+    FolderCameraParams: FolderCamera,
+}
+
+
+def opener(params: Cameras) -> Callable[[], CameraSource]:
+    """A function that connects to the camera of a rig file, and raises LuxloopError or OSError if it cannot.
+
+    Raises LuxloopError if a camera of the user's own cannot be loaded.
+    """
+    if (kind := KINDS.get(type(params))) is not None:
+        return partial(kind, params)
+    assert isinstance(params, OwnCameraParams)
+    methods = (*METHODS, "trigger") if params.triggered else METHODS
+    plugin.load(params.kind, KEY, methods)
+    return partial(plugin.make, params.kind, KEY, {}, params.options, methods)

@@ -1,5 +1,6 @@
 """From a camera's picture to the scenario's image: decode, convert to grey, rectify or crop, and scale to its digital numbers."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -19,6 +20,9 @@ AS_SENT: Final = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION  # a camera
 GREY: Final = cv2.IMREAD_GRAYSCALE | AS_SENT
 REMEDY: Final = "set camera.width_px and camera.height_px of the scenario, or camera.crop of the rig file"
 AGAIN: Final = "run `luxloop rig calibrate` again"
+
+
+Rectify = Callable[[bytes | NDArray[np.generic]], NDArray[np.float32]]  # raises WrongPicture where there is no image
 
 
 class WrongPicture(LuxloopError):

@@ -1,7 +1,11 @@
-"""Benches, which show a light and return frames of it, for calibration; here that of a scenario's simulated world."""
+"""Measuring setups, which show a light and return frames of it: that of a scenario's simulated world, and that of a rig."""
 
-from collections.abc import Callable, Sequence
+import itertools
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final, Protocol
 from zlib import crc32
 
@@ -10,13 +14,17 @@ import scipy.sparse as sp
 import torch
 from numpy.typing import NDArray
 
+from luxloop.loop.rig.light import Shine
+from luxloop.loop.rig.params import RigParams
+from luxloop.loop.rig.rectification import grey
+from luxloop.loop.rig.rig import CAMERA_S, Rig, open_rig
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.simulated import simulated_plant
 from luxloop.loop.simulation.truth import LampModule
 from luxloop.loop.simulation.world import World
 from luxloop.perception.camera import CameraParams, expose
 from luxloop.perception.noise import FrameNoise
-from luxloop.world.errors import LuxloopError
+from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.light.illumination import Transport
 
 Array = NDArray[np.floating[Any]]
@@ -28,7 +36,7 @@ BAND: Final = 256  # rows of the fine picture that are rendered at once
 SAMPLES: Final = 4  # a camera pixel's width and height, at which the fine picture is read
 
 
-class Bench(Protocol):
+class Setup(Protocol):
     """Shows light to a camera at rest.
 
     shape: height and width of a frame in px. levels: largest digital number. exposures_s: exposure times that the camera can be set to,
@@ -53,7 +61,7 @@ class Bench(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class SimulatedBench:
+class SimulatedSetup:
     """The simulated world of a scenario, with the light transport from lamp pixels to camera pixels in one sparse matrix per module.
 
     transports: `[height * width, n_p]`, cd/m^2 at full utilisation. base: `[height, width]` cd/m^2 of other light. optics: what the lens
@@ -87,8 +95,8 @@ class SimulatedBench:
         return np.stack([expose(image, camera, each).numpy().astype(np.uint16) for each in noise])
 
 
-def simulated_bench(scenario: Scenario, modules: Sequence[LampModule], lens: Lens | None = None, fine: int = 2) -> SimulatedBench:
-    """The bench of a scenario's world.
+def simulated_setup(scenario: Scenario, modules: Sequence[LampModule], lens: Lens | None = None, fine: int = 2) -> SimulatedSetup:
+    """The setup of a scenario's world.
 
     lens: from positions `[n]` px (u, v) in the camera to those in a pinhole camera's image of the same size; None for a pinhole camera.
     fine: rendered pixels per camera pixel along a side. Raises LuxloopError if something in the world moves.
@@ -109,7 +117,7 @@ def simulated_bench(scenario: Scenario, modules: Sequence[LampModule], lens: Len
     base = (resample @ np.concatenate(bases).ravel()).reshape(camera.height_px, camera.width_px)
     transports = tuple(sp.csr_array(resample @ sp.vstack(each, format="csr")).astype(np.float32) for each in zip(*columns, strict=True))
     exposures_s = tuple(camera.exposure_s * 2.0**k for k in (-4, -3, -2, -1, 0))
-    return SimulatedBench(transports, base.astype(np.float64), camera, scenario.seed, exposures_s)
+    return SimulatedSetup(transports, base.astype(np.float64), camera, scenario.seed, exposures_s)
 
 
 def _spread(transport: Any, n: int) -> sp.csr_matrix:
@@ -136,14 +144,78 @@ def _resample(camera: CameraParams, finer: CameraParams, lens: Lens | None) -> s
 
 
 def _bilinear(x: Array, y: Array, width: int, height: int) -> sp.csr_matrix:
-    x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
-    fx, fy = x - x0, y - y0
-    rows, columns, weights = [], [], []
-    for dx, wx in ((0, 1 - fx), (1, fx)):
-        for dy, wy in ((0, 1 - fy), (1, fy)):
-            inside = (x0 + dx >= 0) & (x0 + dx < width) & (y0 + dy >= 0) & (y0 + dy < height)
-            rows.append(np.flatnonzero(inside))
-            columns.append(((y0 + dy) * width + x0 + dx)[inside])
-            weights.append((wx * wy)[inside].astype(np.float32))
-    entries = np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))
-    return sp.csr_matrix(entries, shape=(len(x), width * height))
+    parts = [
+        (np.flatnonzero(inside), (row * width + col)[inside], weight[inside].astype(np.float32))
+        for col, row, weight, inside in neighbours(x, y, (width, height))
+    ]
+    rows, columns, weights = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return sp.csr_matrix((weights, (rows, columns)), shape=(len(x), width * height))
+
+
+def neighbours(row: Array, col: Array, shape: tuple[int, int]) -> Iterator[tuple[Indices, Indices, Array, np.ndarray]]:
+    """Row and column of each of the four neighbours of places `[n]` in a raster of rows x columns, its bilinear weight, and whether it lies
+    inside.
+    """
+    r0, c0 = np.floor(row).astype(int), np.floor(col).astype(int)
+    for i, j in itertools.product((0, 1), (0, 1)):
+        r, c = r0 + i, c0 + j
+        yield r, c, np.abs(1 - i - (row - r0)) * np.abs(1 - j - (col - c0)), (r >= 0) & (r < shape[0]) & (c >= 0) & (c < shape[1])
+
+
+TRIES: Final = 20  # of one frame, or of light that a limit slows down
+
+
+@dataclass(frozen=True, eq=False)
+class RigSetup:
+    """An open, armed rig. Its camera has one exposure time, which is unknown and set to 1 s, since it cancels out."""
+
+    rig: Rig
+    grids: tuple[tuple[int, int], ...]
+    shape: tuple[int, int]
+    levels: int
+    numbers: Iterator[int]
+    exposures_s: tuple[float, ...] = (1.0,)
+
+    def frames(self, lights: Sequence[Array], count: int, exposure_s: float, name: str = "") -> Image:
+        """As `Setup.frames`. Raises LuxloopError if a limit dims the light, or frames do not arrive."""
+        pictures = tuple(u.reshape(grid).astype(np.float32) for u, grid in zip(lights, self.grids, strict=True))
+        found: list[Image] = []
+        for _ in range(TRIES * count):
+            given, taken = self.rig.expose(Shine(next(self.numbers), pictures), 0.0)
+            if given.dimmed < 1:
+                raise LuxloopError(
+                    f"limits: dim this light to {given.dimmed:.0%}, which would falsify it; raise power, and dim the lamp itself"
+                )
+            if given.slowed < 1 or taken.image is None:
+                reason = taken.reason or "limits.change_per_s is too low for the light to get there"
+                continue
+            if taken.image.shape != self.shape:
+                raise LuxloopError("the camera's pictures have changed their size; let it run with one setting")
+            if taken.image.max() > self.levels:
+                raise LuxloopError(
+                    f"camera.bits: a picture has the number {taken.image.max():.0f}, more than the largest, {self.levels}; correct it, "
+                    "or leave it out"
+                )
+            found.append(taken.image.astype(np.uint16))
+            if len(found) == count:
+                return np.stack(found)
+        raise LuxloopError(f"{len(found)} of {count} frames came in {TRIES * count} tries: {reason}; see `luxloop rig check`")
+
+
+@contextmanager
+def rig_setup(file: Path, params: RigParams, grids: Sequence[tuple[int, int]], ready: Callable[[Rig], None]) -> Iterator[RigSetup]:
+    """Open an armed rig. ready: waits until it is ready. Raises LuxloopError if a device cannot be opened, or no picture arrives."""
+    if params.mark is not None:
+        raise LuxloopError(f"{file}: mark: lies in the light that is to be measured; take it out to calibrate")
+    with locate(str(file)), open_rig(params, grids, None, armed=True) as rig:
+        ready(rig)
+        if params.has_trigger:
+            rig.camera.trigger()
+        picture = rig.camera.next(time.monotonic() + CAMERA_S)
+        if picture is None:
+            raise LuxloopError("camera: sends no picture; see `luxloop rig check`")
+        first = grey(picture.data)
+        rig.rectify = lambda data: grey(data).astype(np.float32)
+        bits = params.camera.bits or 8 * first.dtype.itemsize
+        height, width = first.shape
+        yield RigSetup(rig, tuple(grids), (height, width), 2**bits - 1, itertools.count(1))

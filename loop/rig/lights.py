@@ -1,0 +1,139 @@
+"""The lights of a rig file: a lamp behind DDP over UDP, files for a player of the user's own, a page, or a class of one's own."""
+
+import json
+import os
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Final, cast
+
+import cv2
+import numpy as np
+
+from luxloop.loop.rig.light import KEY, Light, Shine, places
+from luxloop.loop.rig.params import DdpLightParams, FilesLightParams, Lights, ScreenLightParams
+from luxloop.loop.rig.screen import ScreenLight, stack_pictures
+from luxloop.loop.rig.wire.ddp import Codes, WireCommand, codes_of, packets, send, sequence
+from luxloop.loop.rig.wire.sockets import reason_of, udp_sender
+from luxloop.world import plugin
+from luxloop.world.errors import LuxloopError
+from luxloop.world.files import whole
+
+METHODS: Final = ("show", "dark", "close")
+FAREWELLS = 3  # times that darkness is sent, since a packet may be lost
+
+
+class DdpLight:
+    """A lamp on the network. The time code of an exposure is its number plus the number of times that the lamp was darkened before."""
+
+    def __init__(self, params: DdpLightParams, grids: Sequence[tuple[int, int]]) -> None:
+        """grids: rows and columns of the modules' pixels. Raises LuxloopError if the host has no address."""
+        self._params = params
+        self._order = [places(params.scan, *grid) for grid in grids]
+        self._pixels = sum(map(len, self._order))
+        self._socket = udp_sender("light.host", params.host, params.port)
+        self._number, self._timecode, self._darkened = -1, -1, 0
+        self._sequence = sequence()
+        self._frame: tuple[Codes, list[WireCommand] | None] | None = None
+
+    @property
+    def timecode(self) -> int:
+        """Time code of the last frame, -1 before the first."""
+        return self._timecode
+
+    def show(self, shine: Shine) -> str | None:
+        """Send a frame, new light `repeats` times. Returns the reason if it could not be sent, else None."""
+        fresh = self._frame is None or shine.number != self._number
+        if self._frame is None or fresh:
+            self._number, self._timecode = shine.number, shine.number + self._darkened
+            self._frame = self._codes(shine), self._commands(shine)
+        return self._sent(*self._frame, self._params.repeats if fresh else 1)
+
+    def dark(self) -> None:
+        """Send a dark frame, several times."""
+        self._darkened += 1
+        self._timecode += 1
+        self._frame = None
+        dark = codes_of(np.zeros(self._pixels), self._params.bits)
+        rest = [WireCommand()] * len(self._order) if self._params.commands else None
+        self._sent(dark, rest, FAREWELLS)
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def _codes(self, shine: Shine) -> Codes:
+        pictures = shine.pictures if self._params.commands else shine.net_pictures
+        ordered = [u.ravel()[order] for u, order in zip(pictures, self._order, strict=True)]
+        return codes_of(np.concatenate(ordered), self._params.bits, self._params.gamma)
+
+    def _commands(self, shine: Shine) -> list[WireCommand] | None:
+        if not self._params.commands:
+            return None
+        given = [WireCommand(each.swivel_deg, each.level_deg, each.intensity) for each in shine.commands]
+        return given or [WireCommand()] * len(self._order)
+
+    def _sent(self, codes: Codes, commands: list[WireCommand] | None, times: int) -> str | None:
+        where, reason = f"{self._params.host}:{self._params.port}", None
+        for _ in range(times):
+            try:
+                send(self._socket, packets(codes, self._timecode if self._params.timecode else None, commands, self._sequence))
+            except ConnectionRefusedError:  # word of an earlier packet
+                reason = f"light: nobody listens at {where}"
+            except OSError as error:  # a full buffer, say; the next time may go out
+                reason = f"light: sending to {where} fails ({reason_of(error)})"
+        return reason
+
+
+PICTURE, ABOUT = "light.png", "light.json"
+
+
+class FilesLight:
+    """Each light replaces `light.png`, and then `light.json` with number and commands, both atomically."""
+
+    def __init__(self, params: FilesLightParams) -> None:
+        """Raises LuxloopError if the folder does not exist or cannot be written."""
+        self._params, self._number, self._shape = params, -1, (1, 1)
+        if not params.folder.is_dir() or not os.access(params.folder, os.W_OK):
+            raise LuxloopError(f"light.folder: {params.folder} is no folder that can be written; make it")
+
+    def show(self, shine: Shine) -> str | None:
+        """Write new light; for current light touch `light.json`, which shows that the loop is alive. Returns the reason if it fails."""
+        try:
+            if shine.number == self._number:
+                os.utime(self._params.folder / ABOUT)
+            else:
+                codes = stack_pictures([codes_of(u, self._params.bits, self._params.gamma) for u in shine.pictures])
+                self._write(codes, {"number": shine.number, "modules": [vars(each) for each in shine.commands]})
+                self._number, self._shape = shine.number, codes.shape
+        except (LuxloopError, OSError) as error:
+            return f"light: {error}"
+        return None
+
+    def dark(self) -> None:
+        """Write a black picture."""
+        self._number = -1
+        with suppress(LuxloopError):
+            self._write(codes_of(np.zeros(self._shape), self._params.bits), {"number": None, "modules": []})
+
+    def close(self) -> None:
+        return None
+
+    def _write(self, codes: Codes, about: dict[str, object]) -> None:
+        done, coded = cv2.imencode(".png", codes, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        assert done
+        with whole(self._params.folder / PICTURE) as part:
+            part.write_bytes(coded.tobytes())
+        with whole(self._params.folder / ABOUT) as part:
+            part.write_text(json.dumps(about), "utf-8")
+
+
+def open_light(params: Lights, grids: Sequence[tuple[int, int]]) -> Light:
+    """The light of a rig file. grids: rows and columns of the modules' pixels. Raises LuxloopError if it cannot be opened."""
+
+    match params:
+        case DdpLightParams():
+            return DdpLight(params, grids)
+        case ScreenLightParams():
+            return ScreenLight(params, grids)
+        case FilesLightParams():
+            return FilesLight(params)
+    return cast(Light, plugin.make(params.kind, KEY, {"grids": tuple(grids)}, params.options, METHODS))
