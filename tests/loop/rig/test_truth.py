@@ -57,7 +57,7 @@ def run_on(rig_params: RigParams, steps: int = 40) -> tuple[Simulation, list[Any
         assert await_camera(rig, 20)
         judged = SymbolEvaluator(simulation.controlled, scenario.camera, rig_params.mark)
         taken, plant = watch_frames(rig), replace(RigPlant.of(rig, modules, 2 * steps), look=judged.look)
-        results = list(replace(simulation, plant=from_zero(plant, scenario, modules)).run())
+        results = list(replace(simulation, plant=from_zero(plant, scenario, modules)).evaluations())
         summary = {**rig.statistics.summary(2), "interruptions": rig.keeper.interruptions, "judged": judged.summary()}
     on, off = (each.lights for each in results[-1].exposures)
     judge = world.symbol.judge
