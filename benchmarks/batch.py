@@ -13,8 +13,7 @@ from bench import Goal, Laps, run, show
 
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.loop.studies.batch.copies import Copies
-from luxloop.loop.studies.batch.looking import Taken
+from luxloop.loop.studies.batch.copies import Copies, Taken
 
 SIZES, BATCHES, STEPS = ((640, 480), (1280, 720)), (1, 16, 64), 12
 SPREAD = (0.3, 0.1, 0.005, 0.003)  # m, m, rad, rad: standard deviation of the copies' poses
@@ -36,9 +35,9 @@ def compare(width: int, height: int, batches: tuple[int, ...], steps: int) -> di
             laps = Laps()
             light = copies.show(poses)
             laps.lap("show")
-            copies.measured(light, [Taken(seed, step) for seed in range(batch)])
+            copies.measure(light, [Taken(seed, step) for seed in range(batch)])
             laps.lap("measure")
-            copies.judged(light)
+            copies.evaluate(light)
             laps.lap("judge")
             taken.append({part: ms / batch for part, ms in laps.parts.items()})
     found = {"single run": {"step": median(single)}}

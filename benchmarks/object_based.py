@@ -18,7 +18,7 @@ from bench import Goal, run, show, study, study_options
 from numpy.typing import NDArray
 from object_based_jobs import COMES, DENSE, END, FULL, FULL_WELLS, LATE, LOW, LUMINANCE, NEWCOMER, OURS, RATE_HZ
 
-from luxloop.loop.studies.training.judge import SURE
+from luxloop.loop.studies.training.evaluate import SURE
 from luxloop.perception.detection.build import WEIGHTS
 
 NETWORK = Path(__file__).parents[1] / "perception" / "detection" / WEIGHTS

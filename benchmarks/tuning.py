@@ -23,7 +23,7 @@ from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies import objective, ranges
 from luxloop.loop.studies.batch.rollouts import rollouts
 from luxloop.loop.studies.jobs.executors import Executor, local
-from luxloop.loop.studies.tune import Task, Tuned, ran
+from luxloop.loop.studies.tune import Task, Tuning, run_all
 from luxloop.loop.studies.tune_report import do_tune
 
 SETTINGS = ("functions.symbol.controller.name=thesis_pid", "steps=30", "camera.width_px=640", "camera.height_px=360")
@@ -38,7 +38,7 @@ HELD_OUT = 1000  # seed of the first run that no tuning has seen
 BATCH, STEPS, REPEATS = 64, 12, 3
 
 
-def rollouts_of(tuned: Tuned, until: float = float("-inf")) -> int:
+def rollouts_of(tuned: Tuning, until: float = float("-inf")) -> int:
     """Rollouts of a study until a trial cost no more than that, or in all; of one given up, half. An iteration by gradient is a trial."""
     runs, count = len(tuned.task.runs({})), 0
     for trial in tuned.study.get_trials(deepcopy=False):
@@ -52,10 +52,10 @@ def held_out(task: Task, values: ranges.Values, seeds: int, execute: Executor) -
     """Mean cost over noise that no tuning has seen."""
     moved = tuple(scenario.model_copy(update={"seed": HELD_OUT}) for scenario in task.scenarios)
     there = replace(task, scenarios=moved, seeds=seeds)
-    return float(np.mean(ran(there, there.runs(values), execute)[0]))
+    return float(np.mean(run_all(there, there.runs(values), execute)[0]))
 
 
-def figures(tuned: Tuned, seeds: int, execute: Executor) -> dict[str, Any]:
+def figures(tuned: Tuning, seeds: int, execute: Executor) -> dict[str, Any]:
     """A way of tuning: costs over seeds held out with the thesis' gains and the best, and rollouts."""
     values, cost = tuned.best
     given, best = (held_out(tuned.task, each, seeds, execute) for each in ({}, values))

@@ -34,8 +34,8 @@ from .loop.studies.contracts.detector import check_detector as check_detector
 from .loop.studies.contracts.function import check_function as check_function
 from .loop.studies.contracts.plant import check_plant as check_plant
 from .loop.studies.contracts.tracker import check_tracker as check_tracker
-from .loop.studies.environment.making import make as make
-from .loop.studies.environment.making import make_vec as make_vec
+from .loop.studies.environment.make import make as make
+from .loop.studies.environment.make import make_vec as make_vec
 from .loop.studies.environment.randomised import Randomised as Randomised
 from .loop.studies.environment.randomised import RandomisedVector as RandomisedVector
 from .loop.studio.client import Client as Client

@@ -1,5 +1,5 @@
 """Importing this module registers luxloop's environments with Gymnasium: `gymnasium.make("luxloop/Snowflake-v0")`."""
 
-from luxloop.loop.studies.environment.registered import register
+from luxloop.loop.studies.environment.make import register
 
 IDS = register()

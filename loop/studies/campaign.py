@@ -146,7 +146,7 @@ def figures_of(scenario: Mapping[str, Any], inputs: dict[str, str], device: str)
     """
     from luxloop.loop.studies.metrics import figures
 
-    return figures(checked(scenario, inputs), device)
+    return figures(job_scenario(scenario, inputs), device)
 
 
 def kind_of(parameters: Mapping[str, Any]) -> str | None:
@@ -167,12 +167,12 @@ def runs_of_many(parameters: Sequence[Mapping[str, Any]]) -> "list[tuple[Row, Ro
     from luxloop.loop.studies.runs import runs
 
     try:
-        return list(runs([checked(each["scenario"], each["inputs"]) for each in parameters], parameters[0]["device"]))
+        return list(runs([job_scenario(each["scenario"], each["inputs"]) for each in parameters], parameters[0]["device"]))
     except Exception as error:  # each says its own
         return [error] if len(parameters) == 1 else [found for each in parameters for found in runs_of_many([each])]
 
 
-def checked(scenario: Mapping[str, Any], inputs: dict[str, str]) -> Scenario:
+def job_scenario(scenario: Mapping[str, Any], inputs: dict[str, str]) -> Scenario:
     """A job's scenario, ready to run with one thread, so that metrics do not depend on the machine.
 
     Raises LuxloopError if it is no scenario, or its files differ on this machine.

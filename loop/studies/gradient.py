@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,20 +11,88 @@ import torch
 from optuna.trial import create_trial
 from torch import Tensor
 
+from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
+from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
+from luxloop.loop.recording.summary import FINAL
 from luxloop.loop.report.progress import progress
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import only
 from luxloop.loop.simulation.result import Rollout
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.loop.studies.batch.rollouts import check
+from luxloop.loop.studies.batch.rollouts import check, rollouts_by
 from luxloop.loop.studies.jobs.executors import Executor
 from luxloop.loop.studies.ranges import Range
-from luxloop.loop.studies.study import STUDY, finished, keeping, study_in
-from luxloop.loop.studies.surrogate import Learned, near
-from luxloop.loop.studies.tune import FAILURES, SETTLED, TRACES, Task, Trace, Tuned, begun, failed, ran
-from luxloop.perception.extraction import ExtractionParams
+from luxloop.loop.studies.tune import (
+    FAILURES,
+    SETTLED,
+    STUDY,
+    TRACES,
+    Task,
+    Trace,
+    Tuning,
+    begin,
+    failure_reasons,
+    keeping,
+    run_all,
+    study_in,
+    trial_count,
+)
+from luxloop.perception.extraction import ExtractionParams, ExtractionStatus
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import turn
+
+NEAR = 0.02  # of the symbol's size: approximate error of a settled symbol
+
+
+def near(simulation: Simulation) -> Tensor:
+    """Errors `[4]` in x, y (m), roll and pitch (rad) of a symbol at the limit of being settled (`luxloop.loop.recording.summary`).
+
+    A rotation of the primitive by a share of the lamp's grazing angle at the road shears or stretches the symbol by that share.
+    """
+    symbol = simulation.scenario.symbol
+    grazing = simulation.scenario.headlight.height_m / symbol.x_m
+    return NEAR * torch.tensor([symbol.length_m, symbol.width_m, grazing, grazing], device=simulation.device)
+
+
+@dataclass(frozen=True)
+class Surrogate:
+    """The surrogate. poses, offsets: `[n, 4]`, poses shown, and the symbol's errors less these poses. Errors are divided by their plant
+    gains, so that offsets vary only with the road. noise: `[4]`, standard deviation of the errors.
+    """
+
+    poses: Tensor
+    offsets: Tensor
+    noise: Tensor
+
+    @classmethod
+    def of(cls, runs: Sequence[Rollout], late: int) -> "Surrogate":
+        """Learn from runs whose frames are `late` steps late; at least one must have seen the symbol."""
+        poses, offsets = [], []
+        for each in runs:
+            seen, shown = each.seen[0, late:], each.poses[0, : each.poses.shape[1] - late]
+            poses.append(shown[seen])
+            offsets.append((each.errors[0, late:] - shown)[seen])
+        most = max(len(each) for each in offsets)  # a run with few measurements does not show the noise
+        noise = torch.stack([each[-FINAL:].std(0, correction=0) for each in offsets if len(each) >= min(most, FINAL)]).amin(0)
+        return cls(torch.cat(poses), torch.cat(offsets), noise)
+
+    def predicted(self, simulation: Simulation, values: dict[str, Tensor], noise: Tensor) -> Rollout:
+        """Predicted runs. values: gains `[B]` by key. noise: `[steps, B, 4]`, standard normal. Differentiable in the gains; nothing is
+        rendered.
+        """
+        apart = near(simulation)
+
+        def look(projection: ProjectionCommand, step: int) -> Measurement:
+            poses = projection.pose
+            squares = ((poses[:, None] - self.poses) / apart).square().sum(-1)
+            weights = (squares + 1.0) ** -2
+            offsets = (weights / weights.sum(-1, keepdim=True)) @ self.offsets
+            return replace(
+                simulation.symbol.sensor.lost(poses, ExtractionStatus.SEEN), pose_error=poses + offsets + self.noise * noise[step]
+            )
+
+        return rollouts_by(look, simulation, values)
+
 
 STARTS, DRAWS = 24, 3  # parallel descents, and noise draws of each
 STEPS, RATE = 120, 0.15  # of Adam, in logits of the ranges
@@ -41,7 +109,7 @@ class Iteration:
     traces: list[Trace]
 
 
-def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) -> Tuned:
+def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) -> Tuning:
     """Continue the study in a folder up to a number of trials; the first has the given values, all others are found by descent.
 
     Raises what `luxloop.loop.studies.tune.tune` and `luxloop.loop.studies.batch.rollouts.check` raise, and LuxloopError if a symbol is
@@ -58,27 +126,27 @@ def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) 
             raise LuxloopError(f"{scenario.name}: {key}: no error model for an own extraction; leave it out, or tune without --gradient")
         simulations.append(prepare(scenario, task.device))
         check(simulations[-1], [each.key for each in task.ranges])
-    with study_in(out, task.digest) as study, keeping(out, lambda: f"{finished(study)} of {iterations} iterations"):
-        shown = finished(study)
+    with study_in(out, task.digest) as study, keeping(out, lambda: f"{trial_count(study)} of {iterations} iterations"):
+        shown = trial_count(study)
         with progress("iterations", iterations, min(shown, iterations)) as advance:
             while True:
                 with turn(out / STUDY):  # each iteration uses all earlier ones, so processes take turns
-                    space = begun(study, task, out, execute)
-                    if finished(study) >= iterations:
+                    space = begin(study, task, out, execute)
+                    if trial_count(study) >= iterations:
                         break
                     values = descend(task, simulations, _before(task, study))
-                    costs, traces, settled = ran(task, task.runs(values), execute)
-                    kept = {TRACES: traces, FAILURES: failed(traces), SETTLED: settled}
+                    costs, traces, settled = run_all(task, task.runs(values), execute)
+                    kept = {TRACES: traces, FAILURES: failure_reasons(traces), SETTLED: settled}
                     study.add_trial(create_trial(params=values, distributions=space, value=float(np.mean(costs)), user_attrs=kept))
-                done = finished(study)
+                done = trial_count(study)
                 advance(done - shown)
                 shown = done
-    return Tuned(task, study.user_attrs["given_cost"], study)
+    return Tuning(task, study.user_attrs["given_cost"], study)
 
 
 def descend(task: Task, simulations: Sequence[Simulation], before: Sequence[Iteration]) -> dict[str, float]:
     """The values of least `loss`, by descent from the best earlier ones and random ones around them."""
-    scenes = [_learned(simulations, k, before) for k in range(len(simulations))]
+    scenes = [_surrogate(simulations, k, before) for k in range(len(simulations))]
     generator = torch.Generator().manual_seed(task.seed * 1000 + len(before))
     best = _logits(task, min(before, key=lambda iteration: iteration.cost).values)
     around = torch.randn(STARTS, len(best), generator=generator, dtype=best.dtype)
@@ -115,10 +183,10 @@ def _before(task: Task, study: optuna.Study) -> list[Iteration]:
     """The given values first."""
     trials = [trial for trial in study.get_trials(deepcopy=False) if TRACES in trial.user_attrs]
     later = [Iteration(trial.params, trial.value or 0.0, trial.user_attrs[TRACES]) for trial in trials]
-    return [Iteration(task.given, study.user_attrs["given_cost"], study.user_attrs[TRACES]), *later]
+    return [Iteration(task.start_values, study.user_attrs["given_cost"], study.user_attrs[TRACES]), *later]
 
 
-def _learned(simulations: Sequence[Simulation], number: int, before: Sequence[Iteration]) -> Learned:
+def _surrogate(simulations: Sequence[Simulation], number: int, before: Sequence[Iteration]) -> Surrogate:
     """The surrogate of a scenario, by its number, from all its runs so far."""
     simulation = simulations[number]
     scenario = simulation.scenario
@@ -126,9 +194,9 @@ def _learned(simulations: Sequence[Simulation], number: int, before: Sequence[It
     whole = [trace for trace in traces if not isinstance(trace, str)]
     runs = [Rollout(*(torch.tensor(part, device=simulation.device)[None] for part in trace)) for trace in whole]
     if not any(run.seen.any() for run in runs):
-        why = next(iter(failed(traces)), "its symbol is never seen")
+        why = next(iter(failure_reasons(traces)), "its symbol is never seen")
         raise LuxloopError(f"{scenario.name}: {why}, so there is nothing to descend on; give other values, or tune without --gradient")
-    return Learned.of(runs, scenario.camera.latency_steps)
+    return Surrogate.of(runs, scenario.camera.latency_steps)
 
 
 def _values(task: Task, logits: Tensor) -> dict[str, float]:

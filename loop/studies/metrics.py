@@ -45,19 +45,19 @@ def figures(scenario: Scenario, device: str = "auto") -> Figures:
     sight at the end. Times are left out, so that the same scenario gives the same figures.
     Raises LuxloopError where the scenario cannot run.
     """
-    return traced(scenario, device)[0]
+    return figures_and_trace(scenario, device)[0]
 
 
-def traced(scenario: Scenario, device: str = "auto") -> tuple[Figures, Rollout | None]:
+def figures_and_trace(scenario: Scenario, device: str = "auto") -> tuple[Figures, Rollout | None]:
     """The figures of a run, and how its only symbol was held, as a batch of one; None where several are held, or none.
 
     Raises as `figures`.
     """
     simulation = ready(scenario, device)
-    return tabulated(simulation, ((result, _utilisation(result)) for result in simulation.evaluations()))
+    return tabulate(simulation, ((result, _utilisation(result)) for result in simulation.evaluations()))
 
 
-def tabulated(simulation: Simulation, steps: Iterable[tuple[Evaluation, float]]) -> tuple[Figures, Rollout | None]:
+def tabulate(simulation: Simulation, steps: Iterable[tuple[Evaluation, float]]) -> tuple[Figures, Rollout | None]:
     """The same from the steps of a run, each with the mean utilisation of all pixels."""
     rows, utilisations, trace = [], list[float](), []
     last = dict[str, Evaluation]()
@@ -67,7 +67,7 @@ def tabulated(simulation: Simulation, steps: Iterable[tuple[Evaluation, float]])
         utilisations.append(utilisation)
         last |= dict.fromkeys(result.held, result)
         if name is not None:
-            trace.append(_traced(result.held.get(name), simulation.symbol.projector.target))
+            trace.append(_trace(result.held.get(name), simulation.symbol.projector.target))
     table = table_of(rows, schema(simulation))
     told = summary_of(simulation, table, last)
     values = {
@@ -92,7 +92,7 @@ def _utilisation(result: Evaluation) -> float:
     return sum(float(u.sum()) for u in result.lights) / sum(u.numel() for u in result.lights)
 
 
-def _traced(held: SymbolStep | None, target: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _trace(held: SymbolStep | None, target: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Pose, error of the pose, and whether it was seen; the target, unseen, while it is not shown."""
     if held is None:
         return target, torch.zeros_like(target), torch.zeros_like(target[0], dtype=torch.bool)
@@ -106,12 +106,12 @@ def ready(scenario: Scenario, device: str) -> Simulation:
         return prepare(scenario, device)
     functions = {name: {"controller"} for name in scenario.symbols}
     decisive = scenario.model_dump_json(exclude={"seed": True, "functions": functions})
-    like = _prepared(_Shared(scenario, device, decisive, (*digests(scenario).items(),)))
+    like = _prepare(_WorldKey(scenario, device, decisive, (*digests(scenario).items(),)))
     assert isinstance(like.plant, SimulatedPlant)
-    return replace(controlled_as(like, scenario), plant=replace(like.plant, seed=scenario.seed))
+    return replace(with_controllers(like, scenario), plant=replace(like.plant, seed=scenario.seed))
 
 
-def controlled_as(simulation: Simulation, scenario: Scenario) -> Simulation:
+def with_controllers(simulation: Simulation, scenario: Scenario) -> Simulation:
     """The same world and plant with the controllers of another scenario, whose symbols are the same."""
     held = {}
     for name, symbol in simulation.controlled.items():
@@ -122,7 +122,7 @@ def controlled_as(simulation: Simulation, scenario: Scenario) -> Simulation:
 
 
 @dataclass(frozen=True)
-class _Shared:
+class _WorldKey:
     """What runs share whose scenarios differ by controller or seed alone. decisive: the rest as JSON. files: digests of the files read."""
 
     scenario: Scenario = field(compare=False)
@@ -132,7 +132,7 @@ class _Shared:
 
 
 @lru_cache(1)  # half a gigabyte; runs of a campaign that share one follow each other
-def _prepared(shared: _Shared) -> Simulation:
+def _prepare(shared: _WorldKey) -> Simulation:
     return prepare(shared.scenario, shared.device)
 
 

@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.scenario.overrides import INDEX, overridden, toml_key
@@ -22,6 +24,14 @@ class Range:
     high: float
     log: bool = False
     whole: bool = False
+
+    def draw(self, rng: np.random.Generator) -> float | int:
+        """A number between both ends, evenly distributed on its scale."""
+        if self.whole:
+            return int(rng.integers(int(self.low), int(self.high), endpoint=True))
+        low, high = np.log((self.low, self.high)) if self.log else (self.low, self.high)
+        value = float(rng.uniform(low, high))
+        return float(np.exp(value)) if self.log else value
 
 
 def parse(text: str, scenarios: Sequence[Scenario], given_as: str = "--key") -> Range:
@@ -49,7 +59,7 @@ def parse(text: str, scenarios: Sequence[Scenario], given_as: str = "--key") -> 
     with locate(where):
         found = [value_of(scenario, key) for scenario in scenarios]
         # A key without a value has no type; the validated lower end has one.
-        kinds = found if any(value is not None for value in found) else [value_of(changed(scenarios[0], {key: _number(low_text)}), key)]
+        kinds = found if any(value is not None for value in found) else [value_of(with_values(scenarios[0], {key: _number(low_text)}), key)]
         whole = any(isinstance(value, int) for value in kinds)
         if whole and not (low.is_integer() and high.is_integer()):
             fraction = f", or {key} a value with a point, such as 1.0" if ".options." in key else ""
@@ -57,7 +67,7 @@ def parse(text: str, scenarios: Sequence[Scenario], given_as: str = "--key") -> 
         made = Range(key, low, high, bool(scale), whole)
         for scenario in scenarios:
             for end in (low, high):
-                ready = changed(scenario, {key: int(end) if whole else end})
+                ready = with_values(scenario, {key: int(end) if whole else end})
             if ".options." in key and value_of(scenario, key) is None:  # only the class knows whether it has such an option
                 prepare(ready, "cpu")
     return made
@@ -87,7 +97,7 @@ def _hint(key: str, value: Any) -> str:
     return f"name one of its items, {key}[0] to [{len(value) - 1}]" if isinstance(value, list) and value else "give the key of one"
 
 
-def changed(scenario: Scenario, values: Values) -> Scenario:
+def with_values(scenario: Scenario, values: Values) -> Scenario:
     """The scenario with other values by key, as with `--set`. Raises LuxloopError if a value is invalid."""
     settings = [f"{key}={value!r}" for key, value in values.items()]
     data = overridden(scenario.model_dump(mode="json"), settings)

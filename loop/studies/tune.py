@@ -2,17 +2,21 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
-from contextlib import suppress
+import os
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import optuna
 from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState, create_trial
 
 from luxloop.loop.recording.manifest import digests
@@ -20,14 +24,86 @@ from luxloop.loop.recording.sources import digest_of_code
 from luxloop.loop.report.progress import progress
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.studies.campaign import kind_of, runs_of_many
-from luxloop.loop.studies.jobs.bundles import bundles
 from luxloop.loop.studies.jobs.executors import Executor
-from luxloop.loop.studies.jobs.runner import reason
+from luxloop.loop.studies.jobs.runner import bundles, reason
 from luxloop.loop.studies.objective import Objective
-from luxloop.loop.studies.ranges import Range, Values, changed, value_of
-from luxloop.loop.studies.study import FINISHED, STUDY, finished, keeping, study_in
+from luxloop.loop.studies.ranges import Range, Values, value_of, with_values
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import turn
+from luxloop.world.files import shared_folder, turn
+
+STUDY = "study.log"
+FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
+PRUNING_AFTER = 8  # trials
+_START: Final = b'{"op_code":'  # begins every line
+
+
+@contextmanager
+def study_in(out: Path, digest: str) -> Iterator[optuna.Study]:
+    """The study with a digest of settings in a folder; other processes may work on it at the same time.
+
+    Raises LuxloopError if the folder holds another study, another process has locked it, or it cannot be written.
+    """
+    file = out / STUDY
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)
+    try:
+        with shared_folder(out, file, partial(_mend, file, digest)):
+            with turn(file):
+                study = _open(file, digest)
+            yield study
+    except OSError as error:
+        raise LuxloopError(
+            f"{file}: cannot be written ({error.strerror}); check the folder, its permissions and the room left, or give another with --out"
+        ) from error
+
+
+@contextmanager
+def keeping(out: Path, what: Callable[[], str]) -> Iterator[None]:
+    """Add to an interrupt the message of what a study's folder keeps."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        raise KeyboardInterrupt(f"{what()} are kept in {out / STUDY}, the same command goes on from there") from error
+
+
+def trial_count(study: optuna.Study) -> int:
+    """Number of trials that are complete or pruned."""
+    return len(study.get_trials(deepcopy=False, states=FINISHED))
+
+
+def _mend(file: Path, digest: str) -> None:
+    """Clean up after a killed process: the journal's lock, an incomplete last line, trials that never end."""
+    file.with_name(f"{file.name}.lock").unlink(missing_ok=True)
+    content = file.read_bytes()
+    last = (content.splitlines(keepends=True) or [b""])[-1]
+    if content.startswith(_START) or _START.startswith(content):  # else it is no journal
+        try:
+            json.loads(last if last.endswith(b"\n") else b"")
+        except (ValueError, RecursionError):
+            os.truncate(file, len(content) - len(last))
+    study = _open(file, digest)
+    for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+        study.tell(trial.number, state=TrialState.FAIL)
+
+
+def _open(file: Path, digest: str) -> optuna.Study:
+    try:
+        storage = JournalStorage(JournalFileBackend(str(file)))
+        pruner = optuna.pruners.MedianPruner(n_startup_trials=PRUNING_AFTER)
+        study = optuna.create_study(storage=storage, study_name="tune", pruner=pruner, load_if_exists=True)
+    except OSError:
+        raise
+    except Exception as error:  # Optuna raises whatever a damaged journal provokes
+        raise LuxloopError(
+            f"{file}: is not a study's journal ({str(error) or type(error).__name__}); give another folder with --out"
+        ) from error
+    if study.user_attrs.setdefault("task", digest) != digest:
+        raise LuxloopError(
+            f"{file.parent}: holds a study of other settings or of another luxloop; give another folder with --out, or remove it"
+        )
+    study.set_user_attr("task", digest)
+    return study
+
 
 FAILURES = "failures"
 SETTLED = "settled"  # attribute with how many runs of a trial settled
@@ -36,8 +112,8 @@ APART = 1_000_003  # distance between the seeds of two searches, so that they sh
 STARTUP = 8  # random trials before the sampler uses results
 Run = tuple[dict[str, Any], dict[str, str], str]  # scenario, digests of its files, device
 Runs = list[Run]
-Trace = list[list[Any]] | str  # of a run: poses, errors and whether seen (`luxloop.loop.studies.metrics.traced`), or the reason of failure
-Ran = tuple[list[float], list[Trace], int]  # costs, traces, and how many runs settled
+Trace = list[list[Any]] | str  # of a run: poses, errors and whether seen, or the reason of failure
+PartResult = tuple[list[float], list[Trace], int]  # costs, traces, and how many runs settled
 
 
 @dataclass(frozen=True)
@@ -70,14 +146,14 @@ class Task:
         return [digests(each) for each in self.scenarios]
 
     @property
-    def given(self) -> dict[str, float | int | None]:
+    def start_values(self) -> dict[str, float | int | None]:
         """Values common to all scenarios, by key; None where they differ or have none."""
         found = {each.key: {value_of(scenario, each.key) for scenario in self.scenarios} for each in self.ranges}
         return {key: values.pop() if len(values) == 1 else None for key, values in found.items()}
 
     def runs(self, values: Values) -> Runs:
         """All runs of a trial, seed by seed."""
-        varied = [changed(scenario, values) for scenario in self.scenarios]
+        varied = [with_values(scenario, values) for scenario in self.scenarios]
         seeds = range(self.seeds)
         seeded = [
             (each.model_copy(update={"seed": each.seed + k}), files) for k in seeds for each, files in zip(varied, self.inputs, strict=True)
@@ -86,7 +162,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Tuned:
+class Tuning:
     """A study: cost of the scenarios as given, best values and their cost, and all trials."""
 
     task: Task
@@ -99,7 +175,7 @@ class Tuned:
         return [why for trial in self.study.get_trials(deepcopy=False, states=FINISHED) for why in trial.user_attrs.get(FAILURES, [])]
 
     @property
-    def unsettled(self) -> bool:
+    def never_settles(self) -> bool:
         """Whether the objective weighs settling, and no run of any trial settled."""
         trials = self.study.get_trials(deepcopy=False, states=FINISHED)
         attributes = [self.study.user_attrs, *(trial.user_attrs for trial in trials)]
@@ -112,18 +188,18 @@ class Tuned:
         return (values, cost) if cost < self.given_cost else ({}, self.given_cost)
 
 
-def tune(task: Task, out: Path, trials: int, execute: Executor) -> Tuned:
+def tune(task: Task, out: Path, trials: int, execute: Executor) -> Tuning:
     """Continue the study in a folder up to a number of trials. Finished trials are kept whatever happens.
 
     Several processes on one folder share the trials. Raises LuxloopError if the folder holds another study or cannot be written, and
     KeyboardInterrupt that says what is kept.
     """
-    with study_in(out, task.digest) as study, keeping(out, lambda: f"{finished(study)} of {trials} trials"):
-        shown = finished(study)
+    with study_in(out, task.digest) as study, keeping(out, lambda: f"{trial_count(study)} of {trials} trials"):
+        shown = trial_count(study)
         with progress("trials", trials, min(shown, trials)) as advance:
             with turn(out / STUDY):
-                space = begun(study, task, out, execute)
-            while asked := _asked(study, space, task, out, trials):
+                space = begin(study, task, out, execute)
+            while asked := _next_trials(study, space, task, out, trials):
                 try:
                     _try(study, asked, task, execute)
                 except BaseException:
@@ -131,13 +207,13 @@ def tune(task: Task, out: Path, trials: int, execute: Executor) -> Tuned:
                         with suppress(OSError):
                             study.tell(trial, state=TrialState.FAIL, skip_if_finished=True)  # another process will run it
                     raise
-                done = finished(study)  # other processes add trials, too
+                done = trial_count(study)  # other processes add trials, too
                 advance(done - shown)
                 shown = done
-    return Tuned(task, study.user_attrs["given_cost"], study)
+    return Tuning(task, study.user_attrs["given_cost"], study)
 
 
-def _asked(study: optuna.Study, space: dict[str, BaseDistribution], task: Task, out: Path, trials: int) -> list[optuna.Trial]:
+def _next_trials(study: optuna.Study, space: dict[str, BaseDistribution], task: Task, out: Path, trials: int) -> list[optuna.Trial]:
     """The next trials up to a number of them: all random ones at once, which depend on no result, then one by one; none if all are
     finished or running.
     """
@@ -157,9 +233,9 @@ def _try(study: optuna.Study, trials: Sequence[optuna.Trial], task: Task, execut
     runs = [task.runs(trial.params) for trial in trials]
     half = -(-len(runs[0]) // 2)
     left = []
-    for trial, given, first in zip(trials, runs, ran_each(task, [each[:half] for each in runs], execute), strict=True):
+    for trial, given, first in zip(trials, runs, run_parts(task, [each[:half] for each in runs], execute), strict=True):
         costs, traces, settled = first
-        trial.set_user_attr(FAILURES, failed(traces))
+        trial.set_user_attr(FAILURES, failure_reasons(traces))
         trial.set_user_attr(SETTLED, settled)
         if len(given) == half:
             study.tell(trial, float(np.mean(costs)))
@@ -169,32 +245,34 @@ def _try(study: optuna.Study, trials: Sequence[optuna.Trial], task: Task, execut
             study.tell(trial, state=TrialState.PRUNED)
         else:
             left.append((trial, given[half:], first))
-    for (trial, _, first), more in zip(left, ran_each(task, [rest for _, rest, _ in left], execute), strict=True):
-        trial.set_user_attr(FAILURES, failed(first[1] + more[1]))
+    for (trial, _, first), more in zip(left, run_parts(task, [rest for _, rest, _ in left], execute), strict=True):
+        trial.set_user_attr(FAILURES, failure_reasons(first[1] + more[1]))
         trial.set_user_attr(SETTLED, first[2] + more[2])
         study.tell(trial, float(np.mean(first[0] + more[0])))
 
 
-def told_together(task: Task, workers: int, gradient: bool) -> str | None:
+def note_batches(task: Task, workers: int, gradient: bool) -> str | None:
     """Which runs of a study are done together, in words; None where all are alone."""
     runs = task.runs({})
     half = -(-len(runs) // 2)
-    random, later = (max(map(len, placed(some, workers))) for some in (runs[:half] * STARTUP, runs if gradient else runs[:half]))
+    random, later = (max(map(len, places_of(some, workers))) for some in (runs[:half] * STARTUP, runs if gradient else runs[:half]))
     found = [f"up to {random} in the first {STARTUP} trials"] if random > 1 and not gradient else []
     found += [f"up to {later} in {'the others' if found else 'all trials'}"] if later > 1 else []
     return f"runs in batches of {', of '.join(found)}" if found else None
 
 
-def ran(task: Task, runs: Runs, execute: Executor) -> Ran:
+def run_all(task: Task, runs: Runs, execute: Executor) -> PartResult:
     """Costs and traces in the order of the runs, whatever order they end in, so that sums round equally, and how many settled."""
-    return ran_each(task, [runs], execute)[0]
+    return run_parts(task, [runs], execute)[0]
 
 
-def ran_each(task: Task, parts: Sequence[Runs], execute: Executor) -> list[Ran]:
+def run_parts(task: Task, parts: Sequence[Runs], execute: Executor) -> list[PartResult]:
     """The same of several parts, whose runs are done together where that is faster."""
     runs = [run for part in parts for run in part]
-    places = placed(runs, execute.workers)
-    done = sorted((each for ended in execute(_traced, [[(k, runs[k]) for k in of] for of in places]) for each in ended), key=itemgetter(0))
+    places = places_of(runs, execute.workers)
+    done = sorted(
+        (each for ended in execute(_run_jobs, [[(k, runs[k]) for k in of] for of in places]) for each in ended), key=itemgetter(0)
+    )
     found, begin = [], 0
     for part in parts:
         mine = done[begin : begin + len(part)]
@@ -204,17 +282,17 @@ def ran_each(task: Task, parts: Sequence[Runs], execute: Executor) -> list[Ran]:
     return found
 
 
-def placed(runs: Runs, workers: int) -> list[list[int]]:
-    """Places of the runs that are done together (`luxloop.loop.studies.jobs.bundles`)."""
+def places_of(runs: Runs, workers: int) -> list[list[int]]:
+    """Places of the runs that are done together (`luxloop.loop.studies.jobs.runner`)."""
     return bundles([kind_of(_parameters(run)) if len(runs) > 1 else None for run in runs], workers)
 
 
-def failed(traces: list[Trace]) -> list[str]:
+def failure_reasons(traces: list[Trace]) -> list[str]:
     """Reasons of the failed runs."""
     return [trace for trace in traces if isinstance(trace, str)]
 
 
-def _traced(tasks: Sequence[tuple[int, Run]]) -> list[tuple[int, dict[str, Any], Trace]]:
+def _run_jobs(tasks: Sequence[tuple[int, Run]]) -> list[tuple[int, dict[str, Any], Trace]]:
     """Number, metrics and trace of runs that are done together; a run that fails does not stop the study."""
     found: list[tuple[int, dict[str, Any], Trace]] = []
     for (number, _), done in zip(tasks, runs_of_many([_parameters(run) for _, run in tasks]), strict=True):
@@ -236,23 +314,23 @@ def _distribution(each: Range) -> BaseDistribution:
     return FloatDistribution(each.low, each.high, each.log)
 
 
-def begun(study: optuna.Study, task: Task, out: Path, execute: Executor) -> dict[str, BaseDistribution]:
+def begin(study: optuna.Study, task: Task, out: Path, execute: Executor) -> dict[str, BaseDistribution]:
     """The study's search space, after a first run of the given values if the study has none.
 
     The given values are the first trial if all scenarios share them and they lie in the ranges, so that the search uses them. Raises
     LuxloopError if all runs with them fail.
     """
     if "given_cost" not in study.user_attrs:
-        costs, traces, settled = ran(task, task.runs({}), execute)
-        if len(reasons := failed(traces)) == len(costs):
+        costs, traces, settled = run_all(task, task.runs({}), execute)
+        if len(reasons := failure_reasons(traces)) == len(costs):
             (out / STUDY).unlink()  # it is empty, and other settings should not need another folder
             raise LuxloopError(f"every run with the given values fails, so there is nothing to tune; the first: {reasons[0]}")
         study.set_user_attr(TRACES, traces)
         study.set_user_attr(SETTLED, settled)
         study.set_user_attr("given_cost", float(np.mean(costs)))
     space = {each.key: _distribution(each) for each in task.ranges}
-    if not study.get_trials(deepcopy=False) and all(_within(each, task.given[each.key]) for each in task.ranges):
-        study.add_trial(create_trial(params=task.given, distributions=space, value=study.user_attrs["given_cost"]))
+    if not study.get_trials(deepcopy=False) and all(_within(each, task.start_values[each.key]) for each in task.ranges):
+        study.add_trial(create_trial(params=task.start_values, distributions=space, value=study.user_attrs["given_cost"]))
     return space
 
 

@@ -16,8 +16,7 @@ from luxloop.loop.report.terminal import number
 from luxloop.loop.studies import objective, ranges
 from luxloop.loop.studies.gradient import tune_by_gradient
 from luxloop.loop.studies.jobs.executors import local
-from luxloop.loop.studies.study import FINISHED, STUDY
-from luxloop.loop.studies.tune import Task, Tuned, told_together, tune
+from luxloop.loop.studies.tune import FINISHED, STUDY, Task, Tuning, note_batches, tune
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import turn, whole
 
@@ -25,7 +24,7 @@ BEST, REPORT, PICTURE = "best.toml", "report.md", "report.png"
 LEAST_FOR_IMPORTANCES = 10  # trials
 
 
-def do_tune(task: Task, folder: Path, trials: int, processes: int | None, gradient: bool, played_by: str) -> Tuned:
+def do_tune(task: Task, folder: Path, trials: int, processes: int | None, gradient: bool, played_by: str) -> Tuning:
     """Tune, and write and print best values and report. played_by: arguments of `luxloop run` before `--set`.
 
     Raises LuxloopError for invalid settings before anything runs.
@@ -36,12 +35,12 @@ def do_tune(task: Task, folder: Path, trials: int, processes: int | None, gradie
         if value < 1:
             raise LuxloopError(f"{name}: {value} is too few; give 1 or more")
     execute = local(processes)
-    if note := told_together(task, execute.workers, gradient):
+    if note := note_batches(task, execute.workers, gradient):
         tables.console(stderr=True).print(note, markup=False)
     tuned = (tune_by_gradient if gradient else tune)(task, folder, trials, execute)
     write(tuned, folder)
     values, cost = tuned.best
-    rows = [(f"[bold]{key}[/]", given, values.get(key, given)) for key, given in task.given.items()]
+    rows = [(f"[bold]{key}[/]", given, values.get(key, given)) for key, given in task.start_values.items()]
     rows.append(("cost", tuned.given_cost, cost))
     tables.show(tables.plain(("key", "given", "best"), ((name, number(given, ".4g"), number(best, ".4g")) for name, given, best in rows)))
     if notes := _notes(tuned):
@@ -53,7 +52,7 @@ def do_tune(task: Task, folder: Path, trials: int, processes: int | None, gradie
     return tuned
 
 
-def write(tuned: Tuned, out: Path) -> None:
+def write(tuned: Tuning, out: Path) -> None:
     """Write best values, page and picture into a folder. Raises LuxloopError if they cannot be written."""
     with turn(out / STUDY):  # of processes that share a study, the last to write then has all trials
         values, cost = tuned.best
@@ -70,7 +69,7 @@ def write(tuned: Tuned, out: Path) -> None:
             part.write_text(page(tuned), "utf-8")
 
 
-def page(tuned: Tuned) -> str:
+def page(tuned: Tuning) -> str:
     """The study as Markdown."""
     task, (values, cost) = tuned.task, tuned.best
     finished = tuned.study.get_trials(deepcopy=False, states=FINISHED)
@@ -81,8 +80,8 @@ def page(tuned: Tuned) -> str:
             [
                 f"`{each.key}`",
                 f"{each.low:g} to {each.high:g}",
-                number(task.given[each.key], ".4g"),
-                number(values.get(each.key, task.given[each.key]), ".4g"),
+                number(task.start_values[each.key], ".4g"),
+                number(values.get(each.key, task.start_values[each.key]), ".4g"),
                 number(importances.get(each.key), ".2f"),
             ]
             for each in task.ranges
@@ -96,13 +95,13 @@ def page(tuned: Tuned) -> str:
     return f"# Tuning\n\n{what} The cost is `{task.objective}`:\n\n{terms}\n{table}\n\n![History, and cost over each key]({PICTURE})\n"
 
 
-def _notes(tuned: Tuned) -> str:
+def _notes(tuned: Tuning) -> str:
     failures = tuned.failures
     failed = f" {len(failures)} {'runs' if len(failures) > 1 else 'run'} failed, the first: {failures[0]}." if failures else ""
-    return failed + (" No trial settled; raise steps." if tuned.unsettled else "")
+    return failed + (" No trial settled; raise steps." if tuned.never_settles else "")
 
 
-def _importances(tuned: Tuned) -> dict[str, float]:
+def _importances(tuned: Tuning) -> dict[str, float]:
     """Importance of each key, as shares; empty if there are too few trials."""
     complete = tuned.study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
     if len(complete) < LEAST_FOR_IMPORTANCES or len({trial.value for trial in complete}) < 2:
@@ -111,7 +110,7 @@ def _importances(tuned: Tuned) -> dict[str, float]:
 
 
 @rc_context(DEFAULTS)
-def _draw(tuned: Tuned, file: Path) -> None:
+def _draw(tuned: Tuning, file: Path) -> None:
     """Costs over trials, then over each key."""
     trials: list[optuna.trial.FrozenTrial] = tuned.study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
     values, cost = tuned.best
@@ -132,7 +131,7 @@ def _draw(tuned: Tuned, file: Path) -> None:
         axes.remove()
     for axes, each in zip(panels, tuned.task.ranges, strict=False):
         axes.scatter([trial.params[each.key] for trial in trials], costs, c=[trial.number for trial in trials], s=10, cmap="viridis")
-        if (given := tuned.task.given[each.key]) is not None:
+        if (given := tuned.task.start_values[each.key]) is not None:
             axes.plot(given, tuned.given_cost, "s", color="tab:red")
         if values:
             axes.plot(values[each.key], cost, "*", ms=11, color="tab:orange")

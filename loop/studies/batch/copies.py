@@ -1,34 +1,38 @@
-"""Copies of one symbol in one standing world: many poses are lit, measured and judged at once."""
+"""Copies of one symbol in one standing world: the light of many poses at once, each measured and evaluated as in a single run."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, cast
+from typing import cast
 
 import torch
 from torch import Tensor
 
-from luxloop.controllers.pixels.ssc import Ssc, Utilisation, serves
-from luxloop.controllers.pixels.windows import Window
+from luxloop.controllers.pixels.ssc import Ssc, Utilisation, WindowedSsc, serves
+from luxloop.controllers.pixels.windows import Window, union
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
+from luxloop.controllers.symbol.stages import SURE
+from luxloop.loop.scenario.disturbances import UNDISTURBED, DisturbanceParams
 from luxloop.loop.scenario.model import Scenario, only
 from luxloop.loop.scenario.plant import SimulatedPlantParams
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.loop.studies.batch.drawing import Reached, casting, utilisations
-from luxloop.loop.studies.batch.judging import judged
-from luxloop.loop.studies.batch.looking import Scene, Taken, joined, look, rendered
-from luxloop.loop.studies.batch.windows import EMPTY, Windows, hull
+from luxloop.loop.studies.batch.drawing import ModulePart, rays_at, utilisations
+from luxloop.perception.appearance import Appearance
+from luxloop.perception.camera import expose
 from luxloop.perception.extraction import Crop, ExtractionStatus
-from luxloop.perception.metrics import Metrics
+from luxloop.perception.metrics import Metrics, evaluate
+from luxloop.perception.noise import FrameNoise
 from luxloop.world.errors import LuxloopError
 from luxloop.world.light.illumination import Transport, added_light
 from luxloop.world.rendering.rasterise import check_process
 from luxloop.world.spmv import Csr, multiply
 
 Lights = tuple[Utilisation, ...]
-AROUND_PX = 16  # by which a crop that is kept reaches beyond what was asked for, since poses move on
-TOGETHER = 16  # copies whose images are computed at once: more do not fit into the processor's cache
+EMPTY = Crop(0, 0, 0, 0)
+MARGIN_PX, MARGIN_TEXELS = 16, 32  # of the parts that are prepared of image and light textures, since poses move on
+TOGETHER = 16  # images that are evaluated at once: more do not fit into the processor's cache
+TIMES = ("start_s", "stop_s", "indicated", "when", "unless")
 
 
 def check(simulation: Simulation, otherwise: str = "run it one by one") -> None:
@@ -45,55 +49,77 @@ def check(simulation: Simulation, otherwise: str = "run it one by one") -> None:
 
 def refuse_scenario(scenario: Scenario, otherwise: str = "run it one by one") -> None:
     """The part of `check` that needs only the scenario's keys. Raises LuxloopError as `check`."""
-    only(scenario.symbols)
-    if scenario.meters_light:
-        others = "other functions, the detector and objects' categories"
-        raise LuxloopError(f"{scenario.name}: batches are of a single symbol; take {others} out, or {otherwise}")
-    if scenario.lighting.painted:
-        raise LuxloopError(f"{scenario.name}: lighting.painted: batches show no painted pixels; leave it out, or {otherwise}")
-    if scenario.lighting.power_limit is not None:
-        raise LuxloopError(f"{scenario.name}: lighting.power_limit: batches have no limit; leave it out, or {otherwise}")
-    if timed := [key for key in ("start_s", "stop_s", "indicated", "when", "unless") if getattr(scenario.symbol, key) is not None]:
-        key = f"functions.{only(scenario.symbols)}.{timed[0]}"
-        raise LuxloopError(f"{scenario.name}: {key}: batches show the symbol in all steps; leave it out, or {otherwise}")
-    if scenario.symbol.weight != 1:
-        key = f"functions.{only(scenario.symbols)}.weight"
-        raise LuxloopError(f"{scenario.name}: {key}: batches draw with weight 1; leave it out, or {otherwise}")
-    if scenario.disturbances.oncoming:
-        raise LuxloopError(f"{scenario.name}: batches do not support disturbances.oncoming; leave it out, or {otherwise}")
-    if not isinstance(scenario.plant, SimulatedPlantParams):
-        raise LuxloopError(f"{scenario.name}: batches need the simulated plant, not {scenario.plant.kind}; {otherwise}")
-    if scenario.vehicle is not None:
-        raise LuxloopError(f"{scenario.name}: batches are for scenes in which nothing moves; {otherwise}")
+    key, lighting, symbol = f"functions.{only(scenario.symbols)}", scenario.lighting, scenario.symbol
+    timed = next((each for each in TIMES if getattr(symbol, each) is not None), None)
+    reasons = {
+        "batches are of a single symbol, without other functions, the detector and objects' categories": scenario.meters_light,
+        "lighting.painted: batches show no painted pixels": lighting.painted,
+        "lighting.power_limit: batches have no limit": lighting.power_limit is not None,
+        f"{key}.{timed}: batches show the symbol in all steps": timed,
+        f"{key}.weight: batches draw with weight 1": symbol.weight != 1,
+        "batches do not support disturbances.oncoming": scenario.disturbances.oncoming,
+        f"batches need the simulated plant, not {scenario.plant.kind}": not isinstance(scenario.plant, SimulatedPlantParams),
+        "batches are for scenes in which nothing moves": scenario.vehicle is not None,
+    }
+    for reason, applies in reasons.items():
+        if applies:
+            raise LuxloopError(f"{scenario.name}: {reason}; leave it out, or {otherwise}")
+
+
+@dataclass(frozen=True)
+class Taken:
+    """The frames of a copy: their seed, step and the scenario's disturbances."""
+
+    seed: int
+    step: int
+    disturbances: DisturbanceParams = UNDISTURBED
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """The part of the image that modules light, without the symbol `[h, w]`, and what they need to draw there.
+
+    resting: luminance in cd/m^2. base: that without the lamps. limit: threshold of extraction in cd/m^2. roads: of each module the matrices
+    from its pixels to the crop, on the world's road and on the flat one.
+    """
+
+    crop: Crop
+    resting: Tensor
+    base: Tensor
+    limit: Tensor
+    modules: tuple[ModulePart, ...]
+    roads: tuple[tuple[Csr, Csr], ...]
+
+    def within(self, crop: Crop) -> tuple[slice, slice]:
+        """Row and column slices of a crop of the image."""
+        return (
+            slice(crop.v_start - self.crop.v_start, crop.v_stop - self.crop.v_start),
+            slice(crop.u_start - self.crop.u_start, crop.u_stop - self.crop.u_start),
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Light:
     """Luminances in cd/m^2 that the camera sees of B projections, without noise.
 
-    projection: of poses `[B, 4]`, x, y in m, roll, pitch in rad. crop: the part of the image that has all light of the symbols. added:
-    `[B, h, w]` at it, by the symbols. scene: the same and more in each one's own footprint; None where the camera sees none of them.
-    sums: `[B, m, 2]`, flux in lm and sum of utilisations of each of the modules that draw. drawn: utilisations of each of them, of each
-    copy, all `[n_p]` or those of its pixels `[m]`.
+    part: of the image, with all light of the symbols. footprints: where each is looked for. added, flat: `[B, h, w]`, what the symbols add
+    there, in the world and on the flat road that the controller assumes. sums: `[B, m, 2]`, flux in lm and sum of utilisations of each of
+    the modules that draw. drawn: utilisations of each copy, `[m]` of the part of each module.
     """
 
     projection: ProjectionCommand
-    crop: Crop
+    part: Part
+    footprints: Sequence[Crop]
     added: Tensor
-    scene: Scene | None
+    flat: Tensor
     sums: Tensor
     drawn: Sequence[Sequence[Tensor]]
-    pixels: Sequence[Tensor | None]
-
-    @property
-    def poses(self) -> Tensor:
-        return self.projection.pose
 
 
 class Copies:
     """Projections of a scenario's only symbol in its standing world. Raises LuxloopError as `check`.
 
-    The parts of the matrices that one look needed are kept for the next.
+    The parts of matrices and image that one look needed are kept for the next, and grow.
     """
 
     def __init__(self, simulation: Simulation) -> None:
@@ -106,150 +132,132 @@ class Copies:
         self.resting = tuple(Utilisation(beam, None if bool(beam.any()) else slice(0, 0)) for beam in beams)
         primitive = self.projector.primitive(self.projector.target)
         self.windowed = all(serves(each.pixel_controller, primitive, each.T_world_headlight) for each in self.projector.modules)
-        self._kept: _Kept | None = None
-
-    @cached_property
-    def rest(self) -> Tensor:
-        """Luminance `[height, width]` in cd/m^2 of everything but the symbols."""
-        height, width = self.view.base.shape
-        return _luminance(self.view.transports, [self.resting], self.view.base, Crop(0, height, 0, width))[0]
+        self._part: Part | None = None
 
     def show(self, projection: ProjectionCommand | Tensor) -> Light:
         """The light of the symbol for B projections, or for poses `[B, 4]`: x, y in m, roll, pitch in rad."""
         check_process()
         if isinstance(projection, Tensor):
             projection = ProjectionCommand(projection)
-        crops = self.projector.footprints(projection, self.sensor.model.eye.view, self.sensor.params.footprint_margin_m)
-        windows = Windows.around(crops, (self.view.view.height, self.view.view.width))
-        return self._in_windows(projection, windows) if self.windowed else self._one_by_one(projection, windows)
+        footprints = self.projector.footprints(projection, self.sensor.model.eye.view, self.sensor.params.footprint_margin_m)
+        needed = hull([each for each in footprints if not _empty(each)])
+        drawn: list[tuple[Tensor, ...]]
+        if self.windowed:  # on the parts of light texture, lamp and image that the symbols touch
+            modules = self.projector.modules
+            rays = [
+                rays_at(cast(Ssc, module.pixel_controller), primitives, module.T_world_headlight)
+                for module, primitives in zip(modules, self.projector.primitives(projection), strict=True)
+            ]
+            part = self._reach(needed, [ray.window for ray in rays])
+            of_modules = (utilisations(cast(WindowedSsc, each.drawn), ray) for each, ray in zip(part.modules, rays, strict=True))
+            drawn = list(zip(*of_modules, strict=True))
+        else:  # each with all pixels of the lamps
+            part = self._reach(needed, [None] * len(self.projector.modules))
+            drawn = [tuple(each.u for each in self.projector.draw(single)) for single in projection.singles()]
+        added, flat, sums = [], [], []
+        fluxes = [self.simulation.modules[k].flux[each.pixels] for k, each in zip(self.symbol.drawn_by, part.modules, strict=True)]
+        for lights in drawn:
+            above = [u - module.rest for u, module in zip(lights, part.modules, strict=True)]
+            for images, k in ((added, 0), (flat, 1)):
+                seen = [multiply(roads[k], u).view(part.resting.shape) for roads, u in zip(part.roads, above, strict=True)]
+                images.append(sum(seen[1:], seen[0]))
+            sums.append(torch.stack([torch.stack([u @ flux, u.sum()]) for u, flux in zip(lights, fluxes, strict=True)]))
+        return Light(projection, part, footprints, torch.stack(added), torch.stack(flat), torch.stack(sums), drawn)
 
-    def measured(self, light: Light, frames: Sequence[Taken], *, quantise: bool = True) -> Measurement:
-        """Measurements `[B]` of the symbol's sensor, each in its own footprint. frames: of each copy. quantise: False leaves digital
-        numbers unrounded, for gradients.
+    def measure(self, light: Light, frames: Sequence[Taken], *, quantise: bool = True) -> list[Measurement]:
+        """What the symbol's sensor sees of each copy in its own footprint. frames: of each copy. quantise: False leaves digital numbers
+        unrounded, for gradients.
         """
-        if light.scene is None:
-            return self.sensor.lost(light.poses, ExtractionStatus.NOTHING)
-        camera = self.simulation.scenario.camera
-        return joined([look(self.sensor, light.scene[part], camera, frames[part], quantise) for part in _parts(len(frames))])
+        return [self._look(light, k, each, quantise) for k, each in enumerate(frames)]
 
-    def rendered(self, light: Light) -> Tensor:
-        """Features `[B, 4]` that a flat road would show, without noise; NaN if it would show nothing."""
-        if light.scene is None:
-            return torch.full_like(light.poses, torch.nan)
-        return torch.cat([rendered(self.sensor, light.scene[part]) for part in _parts(len(light.poses))])
-
-    def judged(self, light: Light) -> Metrics:
-        """Verdicts `[B]` of the judge."""
-        made = self.symbol.judge
-        assert made is not None
-        corner = light.crop.u_start, light.crop.v_start
-        found = [judged(light.added[part], made.plane, made.goal, *corner) for part in _parts(len(light.poses))]
+    def evaluate(self, light: Light) -> Metrics:
+        """Metrics `[B]` of the symbol on the road."""
+        judge, crop = self.symbol.judge, light.part.crop
+        assert judge is not None
+        found = [evaluate(each, judge.plane, judge.goal, crop.u_start, crop.v_start) for each in light.added.split(TOGETHER)]
         return Metrics(*(torch.cat(each) for each in zip(*(vars(each).values() for each in found), strict=True)))
 
-    def _one_by_one(self, projection: ProjectionCommand, windows: Windows) -> Light:
-        """Where more than a window of the light texture counts: each with all pixels of the lamps, in all footprints."""
-        lights = [self.projector.draw(each) for each in projection.singles()]
-        fluxes = [self.simulation.modules[k].flux for k in self.symbol.drawn_by]
-        sums = [
-            torch.stack([torch.stack([each.u @ flux, each.u.sum()]) for each, flux in zip(light, fluxes, strict=True)]) for light in lights
+    def finds_another_road(self, light: Light, k: int, taken: Taken) -> bool:
+        """Whether a single run finds another road than the plane z = 0 in the frames of the k-th copy, as `Lifting` decides."""
+        height, width = self.view.base.shape
+        on = self._resting.clone()
+        on[light.part.crop.slices] += light.added[k]
+        lights = [
+            Utilisation(module.pixel_controller.default.index_copy(0, part.pixels, u))
+            for module, part, u in zip(self.projector.modules, light.part.modules, light.drawn[k], strict=True)
         ]
-        place = _Place.of(self, windows.hull)
-        shown = [
-            tuple(dict(zip(self.symbol.drawn_by, light, strict=True)).get(k, each) for k, each in enumerate(self.resting))
-            for light in lights
-        ]
-        added = _luminance(self.view.transports, shown, self.view.base, place.crop) - place.resting
-        model = self.sensor.model
-        flat = _luminance(model.transports, lights, -model.beams, place.crop)
-        drawn = [[each.u for each in light] for light in lights]
-        return Light(projection, place.crop, added, place.scene(windows, added, flat), torch.stack(sums), drawn, [None] * len(fluxes))
+        found = self.sensor.relocalise(self._expose(on, self._resting, self.view.base, taken, Crop(0, height, 0, width)), lights)
+        risen = found.shape[0].abs() > self.sensor.params.footprint_margin_m
+        return bool(found.match > SURE) and bool(found.found) and bool(risen)
 
-    def _in_windows(self, projection: ProjectionCommand, windows: Windows) -> Light:
-        """On the parts of light texture, lamp and image that the symbols touch."""
-        modules = self.projector.modules
-        rays = [
-            casting(cast(Ssc, module.pixel_controller), primitives, module.T_world_headlight)
-            for module, primitives in zip(modules, self.projector.primitives(projection), strict=True)
-        ]
-        kept = self._reached([each.window for each in rays], windows)
-        place = kept.place
-        shape = place.resting.shape
-        images: list[list[Tensor]] = [[], []]  # on the world's road and on the flat one, of each copy
-        sums, drawn = [], []
-        for lights in zip(*(utilisations(each.drawn, cast_) for each, cast_ in zip(kept.modules, rays, strict=True)), strict=True):
-            for seen, roads in zip(images, kept.roads, strict=True):
-                parts = [multiply(road, u).view(shape) for road, u in zip(roads, lights, strict=True)]
-                seen.append(sum(parts[1:], parts[0]))
-            drawn.append(lights)
-            sums.append(torch.stack([u @ each.weights for each, u in zip(kept.modules, lights, strict=True)]))
-        added, flat = map(torch.stack, images)
-        scene, pixels = place.scene(windows, added, flat), [each.drawn.pixels for each in kept.modules]
-        return Light(projection, place.crop, added, scene, torch.stack(sums), drawn, pixels)
+    @cached_property
+    def _resting(self) -> Tensor:
+        """Luminance `[height, width]` in cd/m^2 of everything but the symbols."""
+        return added_light(self.view.transports, self.resting, self.view.base)
 
-    def _reached(self, windows: Sequence[Window], footprints: Windows) -> "_Kept":
-        """The products of all modules, for what they draw in windows of their light textures."""
-        kept = self._kept
-        if kept is None or not kept.serve(windows, footprints):
-            width, model = self.view.base.shape[1], self.sensor.model
-            modules, roads = [], []
-            for module, window, number in zip(self.projector.modules, windows, self.symbol.drawn_by, strict=True):
-                transport = cast(Transport, self.view.transports[number])
-                controller = cast(Ssc, module.pixel_controller)
-                modules.append(Reached.of(controller, window, transport, width, self.simulation.modules[number].flux))
-            crops = [each.crop for each in modules if each.crop != EMPTY] + ([footprints.hull] if footprints.height else [])
-            place = _Place.of(self, hull(crops) if crops else EMPTY)
-            for each, flat in zip(modules, model.transports, strict=True):
-                roads.append(tuple(each.onto(transport, place.crop) for transport in (each.transport, flat)))
-            world, flat_road = zip(*roads, strict=True)
-            self._kept = kept = _Kept(place, tuple(modules), (world, flat_road))
-        return kept
+    def _look(self, light: Light, k: int, taken: Taken, quantise: bool) -> Measurement:
+        crop, part = light.footprints[k], light.part
+        if _empty(crop):
+            return self.sensor.lost(light.projection.pose[k], ExtractionStatus.NOTHING)
+        at = part.within(crop)
+        frames = self._expose(part.resting[at] + light.added[k][at], part.resting[at], part.base[at], taken, crop, quantise)
+        return self.sensor.compare(*frames, (light.flat[k][at], part.limit[at]), crop)
 
+    def _expose(self, on: Tensor, off: Tensor, base: Tensor, taken: Taken, crop: Crop, quantise: bool = True) -> tuple[Tensor, Tensor]:
+        """On and off frame of luminances `[h, w]` at a crop of the image. base: that without the lamps."""
+        camera, noisy = self.simulation.scenario.camera, taken.disturbances.noise_factor(taken.step)
 
-@dataclass(frozen=True, eq=False)
-class _Place:
-    """A crop of the image with what is there without the symbols, `[h, w]` cd/m^2: resting light, light without the lamps, the threshold
-    of extraction.
-    """
+        def frame(number: int, luminance: Tensor) -> Tensor:
+            ambient = taken.disturbances.ambient_factor(taken.step, number)
+            luminance = luminance if ambient == 1 else luminance + (ambient - 1) * base
+            noise = FrameNoise.of(taken.seed, taken.step, number).part(crop.slices, luminance) if camera.noise else None
+            return expose(luminance, camera, noise if noise is None or noisy == 1 else noisy * noise, quantise=quantise)
 
-    crop: Crop
-    resting: Tensor
-    base: Tensor
-    limit: Tensor
+        return frame(0, on), frame(1, off)
 
-    @classmethod
-    def of(cls, copies: Copies, crop: Crop) -> "_Place":
-        """With some px around a crop."""
-        view = copies.view
-        crop = crop.widen(AROUND_PX, *view.base.shape)
-        resting = _luminance(view.transports, [copies.resting], view.base, crop)[0]
-        return cls(crop, resting, view.base[crop.slices], copies.sensor.model.limit[crop.slices])
-
-    def scene(self, windows: Windows, added: Tensor, flat: Tensor) -> Scene | None:
-        """Of light `[B, h, w]` that symbols add to the world and to the flat road; None where no window holds anything."""
-        if not windows.height:
-            return None
-        return Scene(windows, *(windows.cut(each, self.crop) for each in (added, self.resting, self.base, flat, self.limit)))
+    def _reach(self, needed: Crop, windows: Sequence[Window | None]) -> Part:
+        """A part of the image that holds a crop, and parts of the modules that hold windows of their light textures; None for the whole."""
+        old, width = self._part, self.view.base.shape[1]
+        if old is not None:
+            before = [each.window for each in old.modules]
+            if (needed == EMPTY or old.crop.holds(needed)) and all(
+                a is None or b is None or a.holds(b) for a, b in zip(before, windows, strict=True)
+            ):
+                return old
+            windows = [a and b and union([a, b]) for a, b in zip(before, windows, strict=True)]
+        controllers = [each.pixel_controller for each in self.projector.modules]
+        modules = tuple(
+            ModulePart.of(each, window and window.widen(MARGIN_TEXELS, each.headlight))
+            for each, window in zip(controllers, windows, strict=True)
+        )
+        transports = [cast(Transport, self.view.transports[number]) for number in self.symbol.drawn_by]
+        reached = [each.crop(transport, width) for each, transport in zip(modules, transports, strict=True)] if self.windowed else []
+        crops = [needed, *reached] if old is None else [needed, *reached, old.crop]
+        crop = hull([each for each in crops if each != EMPTY]).widen(MARGIN_PX, *self.view.base.shape)
+        roads = tuple(
+            (on_world.onto(crop.slices, width, each.pixels), on_flat.onto(crop.slices, width, each.pixels))
+            for each, on_world, on_flat in zip(modules, transports, self.sensor.model.transports, strict=True)
+        )
+        self._part = Part(
+            crop, self._resting[crop.slices], self.view.base[crop.slices], self.sensor.model.limit[crop.slices], modules, roads
+        )
+        return self._part
 
 
-@dataclass(frozen=True, eq=False)
-class _Kept:
-    """What modules reach. roads: of each module, from its pixels to the crop on the world's road, and on the flat road."""
-
-    place: _Place
-    modules: tuple[Reached, ...]
-    roads: tuple[tuple[Csr, ...], tuple[Csr, ...]]
-
-    def serve(self, windows: Sequence[Window], footprints: Windows) -> bool:
-        drawn = all(each.drawn.window.holds(window) for each, window in zip(self.modules, windows, strict=True))
-        return drawn and (not footprints.height or self.place.crop.holds(footprints.hull))
+def _empty(crop: Crop) -> bool:
+    return min(crop.v_stop - crop.v_start, crop.u_stop - crop.u_start) < 2
 
 
-def _luminance(transports: Any, lights: list[Lights], base: Tensor, crop: Crop) -> Tensor:
-    """Luminance `[B, h, w]` in cd/m^2 at a crop, of lights on top of a base `[height, width]`."""
-    rows, columns = crop.slices
-    return torch.stack([added_light(transports, light, base, rows)[:, columns] for light in lights])
+def hull(crops: Sequence[Crop]) -> Crop:
+    """The smallest crop that contains all, an empty one of none."""
+    if not crops:
+        return EMPTY
+    v, v_end, u, u_end = zip(*(vars(each).values() for each in crops), strict=True)
+    return Crop(min(v), max(v_end), min(u), max(u_end))
 
 
-def _parts(count: int) -> list[slice]:
-    """Groups of count copies that are computed at once."""
-    return [slice(k, k + TOGETHER) for k in range(0, count, TOGETHER)]
+def stack(seen: Sequence[Measurement]) -> Measurement:
+    """Measurements of B copies as one, without their symbol images, which differ in size."""
+    values = [torch.stack([getattr(each, name) for each in seen]) for name in ("code", "errors", "pose_error", "area_ratio")]
+    shapes = zip(*(vars(each.appearance).values() for each in seen), strict=True)
+    return Measurement(*values, Appearance(*map(torch.stack, shapes)), values[1].new_zeros(len(seen), 0, 0), EMPTY)

@@ -10,16 +10,14 @@ from torch.nn.functional import grid_sample
 from luxloop.controllers.pixels.mapping import stroke_light
 from luxloop.controllers.pixels.primitives import U_ABS, Primitives
 from luxloop.controllers.pixels.rthc import GRAZING, RayBatch
-from luxloop.controllers.pixels.ssc import Ssc, WindowedSsc
+from luxloop.controllers.pixels.ssc import PixelController, Ssc, WindowedSsc
 from luxloop.controllers.pixels.windows import Window, row_bands
 from luxloop.perception.extraction import Crop
 from luxloop.world.light.illumination import Transport
-from luxloop.world.spmv import Csr, multiply, numbers, row_of_entries
-
-AROUND_TEXELS = 32  # by which a window that is kept reaches beyond what was asked for, since poses move on
+from luxloop.world.spmv import multiply, numbers, row_of_entries
 
 
-def casting(controller: Ssc, primitives: Primitives, T_world_headlight: Tensor) -> RayBatch:
+def rays_at(controller: Ssc, primitives: Primitives, T_world_headlight: Tensor) -> RayBatch:
     """Rays to cast at one primitive in B places `[B, 1]`: at B primitives of one scene, painted apart so that none hides another."""
     count = len(primitives.origin)
     each = replace(
@@ -34,36 +32,38 @@ def casting(controller: Ssc, primitives: Primitives, T_world_headlight: Tensor) 
 
 
 @dataclass(frozen=True, eq=False)
-class Reached:
-    """What a module lights of an image from a window of its light texture.
+class ModulePart:
+    """Pixels `[m]` of a module that draws, and their utilisations `[m]` at rest.
 
-    drawn: from primitives to its pixels `[m]`. crop: what of the image these pixels reach on the world's road. weights: `[m, 2]`, flux in
-    lm, and 1.
+    drawn: from primitives in a window of the light texture to these pixels; None where all pixels count.
     """
 
-    drawn: WindowedSsc
-    transport: Transport
-    width: int
-    crop: Crop
-    weights: Tensor
+    pixels: Tensor
+    rest: Tensor
+    drawn: WindowedSsc | None
 
     @classmethod
-    def of(cls, controller: Ssc, window: Window, transport: Transport, width: int, flux: Tensor) -> "Reached":
-        """window: of what is drawn first. flux: `[n_p]` lm."""
-        drawn = WindowedSsc.of(controller, window.widen(AROUND_TEXELS, controller.headlight))
-        matrix = transport.matrix
-        lit = torch.unique_consecutive(row_of_entries(matrix)[numbers(drawn.pixels, matrix.n_cols)[matrix.indices] >= 0])
-        crop = Crop(0, 0, 0, 0)
-        if len(lit):
-            index = transport.index[lit]
-            (top, left), (bottom, right) = (each.tolist() for each in torch.stack([index // width, index % width]).aminmax(dim=1))
-            crop = Crop(top, bottom + 1, left, right + 1)
-        lm = flux[drawn.pixels]
-        return cls(drawn, transport, width, crop, torch.stack([lm, torch.ones_like(lm)], 1))
+    def of(cls, controller: PixelController, window: Window | None) -> "ModulePart":
+        """The pixels that light a window, over dark pixels; all where there is none."""
+        if window is None:
+            return cls(torch.arange(len(controller.default), device=controller.default.device), controller.default, None)
+        assert isinstance(controller, Ssc)
+        drawn = WindowedSsc.of(controller, window)
+        return cls(drawn.pixels, controller.default[drawn.pixels], drawn)
 
-    def onto(self, transport: Transport, crop: Crop) -> Csr:
-        """From its pixels to an image's crop `[h * w]`."""
-        return transport.onto(crop.slices, self.width, self.drawn.pixels)
+    @property
+    def window(self) -> Window | None:
+        return None if self.drawn is None else self.drawn.window
+
+    def crop(self, transport: Transport, width: int) -> Crop:
+        """What its pixels reach of an image of this width."""
+        matrix = transport.matrix
+        lit = torch.unique_consecutive(row_of_entries(matrix)[numbers(self.pixels, matrix.n_cols)[matrix.indices] >= 0])
+        if not len(lit):
+            return Crop(0, 0, 0, 0)
+        index = transport.index[lit]
+        (top, left), (bottom, right) = (each.tolist() for each in torch.stack([index // width, index % width]).aminmax(dim=1))
+        return Crop(top, bottom + 1, left, right + 1)
 
 
 def utilisations(drawn: WindowedSsc, rays: RayBatch) -> Iterator[Tensor]:

@@ -1,38 +1,42 @@
-"""Rollouts of many gain sets at once: one world and one camera crop for all, and differentiable from gains to errors."""
+"""One law for the loops of B copies, and rollouts of many sets of gains at once, differentiable from gains to errors."""
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields, replace
+from operator import attrgetter
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from luxloop.controllers.symbol.feedback import ThesisPid, ThesisPidParams
+from luxloop.controllers.pid import PidGains
+from luxloop.controllers.symbol.feedback import Feedback, ThesisPid, ThesisPidParams
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
+from luxloop.controllers.symbol.sensing.protocol import Observation, Projection, SymbolController
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.controllers.symbol.stages import Lifting
 from luxloop.loop.simulation.result import Rollout
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.batch import copies
-from luxloop.loop.studies.batch.copies import Copies
-from luxloop.loop.studies.batch.looking import Taken
+from luxloop.loop.studies.batch.copies import Copies, Taken, stack
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError, did_you_mean
+
+Look = Callable[[ProjectionCommand, int], Measurement]  # at B projections in a step
 
 # Keys of thesis_pid that are tensors in its law: the gains' field, which of the loops x, y, roll, pitch, and the key's unit in theirs.
 GAINS: dict[str, tuple[str, tuple[int, ...], float]] = {
     **{
-        f"controller.{kind}.{gain}": (gain, loops, 1.0)
+        f"controller.{kind}.{key}": (field, loops, 1.0)
         for kind, loops in (("position", (0, 1)), ("rotation", (2, 3)))
-        for gain in ("kp", "ki", "kd")
+        for key, field in (("kp", "kp"), ("ki", "ki"), ("kd", "kd"), ("tracking_steps", "tracking_time"))
     },
-    **{f"controller.{kind}.tracking_steps": ("tracking_time", loops, 1.0) for kind, loops in (("position", (0, 1)), ("rotation", (2, 3)))},
-    "controller.x_rate_m": ("rate_limit", (0,), 1.0),
-    "controller.y_rate_m": ("rate_limit", (1,), 1.0),
-    "controller.roll_rate_deg": ("rate_limit", (2,), math.pi / 180),
-    "controller.pitch_rate_deg": ("rate_limit", (3,), math.pi / 180),
+    **{
+        f"controller.{key}": ("rate_limit", (loop,), unit)
+        for loop, (key, unit) in enumerate(
+            (("x_rate_m", 1.0), ("y_rate_m", 1.0), ("roll_rate_deg", math.pi / 180), ("pitch_rate_deg", math.pi / 180))
+        )
+    },
 }
 
 
@@ -67,39 +71,74 @@ def rollouts(simulation: Simulation, values: dict[str, Tensor], *, quantise: boo
     """
     check(simulation, values)
     many, seed, disturbances = Copies(simulation), simulation.scenario.seed, simulation.scenario.disturbances
-    return loops(
-        simulation,
-        values,
-        lambda poses, step: many.measured(many.show(poses), [Taken(seed, step, disturbances)] * len(poses), quantise=quantise),
-    )
+
+    def look(projection: ProjectionCommand, step: int) -> Measurement:
+        frames = [Taken(seed, step, disturbances)] * len(projection.pose)
+        return stack(many.measure(many.show(projection), frames, quantise=quantise))
+
+    return rollouts_by(look, simulation, values)
 
 
-def loops(simulation: Simulation, values: dict[str, Tensor], look: Callable[[Tensor, int], Measurement]) -> Rollout:
-    """The same with another measurement: `look` measures poses `[B, 4]` that are shown in a step."""
+def rollouts_by(look: Look, simulation: Simulation, values: dict[str, Tensor]) -> Rollout:
+    """The same with another measurement."""
     assert isinstance(simulation.symbol.controller, Lifting)  # of which a batch needs nothing: nothing is searched for
-    controller = with_values(simulation.symbol.controller.inner, values)
+    law = with_gains(simulation.symbol.controller.inner, values)
     (batch,) = {len(value) for value in values.values()}
-    start = simulation.symbol.start().controller.inner.pid.output
-    state = controller.start(start.expand(batch, -1).to(next(iter(values.values()))))
-    late, looks, rows = simulation.scenario.camera.latency_steps, [], []
-    for step in range(simulation.scenario.steps):
-        pose = controller.projection(state, None).pose
-        looks.append(look(pose, step))
-        seen = looks[step - late] if step >= late else simulation.symbol.sensor.lost(pose, ExtractionStatus.NO_FRAME)
-        state = controller.step(state, Observation(seen, None, Projection(ProjectionCommand(pose), ())))
+    start = simulation.symbol.start().controller.inner.pid.output.expand(batch, -1).to(next(iter(values.values())))
+    rows = []
+    for projection, seen in loops(law, simulation, start, look):
         usable = (seen.code == ExtractionStatus.SEEN) & seen.pose_error.isfinite().all(-1)
-        rows.append((pose, torch.where(usable[:, None], seen.pose_error, 0.0), usable))
+        rows.append((projection.pose, torch.where(usable[:, None], seen.pose_error, 0.0), usable))
     return Rollout(*(torch.stack(column, 1) for column in zip(*rows, strict=True)))
 
 
-def with_values(controller: Any, values: dict[str, Tensor]) -> ThesisPid:
+def loops(law: SymbolController, simulation: Simulation, start: Tensor, look: Look) -> Iterator[tuple[ProjectionCommand, Measurement]]:
+    """What B copies show from start poses `[B, 4]` on in each step of a scenario, and the measurement that comes in it."""
+    state, late, looks = law.start(start), simulation.scenario.camera.latency_steps, list[Measurement]()
+    for step in range(simulation.scenario.steps):
+        projection = law.projection(state, None)
+        looks.append(look(projection, step))
+        lost = step < late
+        seen = simulation.symbol.sensor.lost(projection.pose, ExtractionStatus.NO_FRAME) if lost else looks[step - late]
+        state = law.step(state, Observation(seen, None, Projection(projection, ())))
+        yield projection, seen
+
+
+def with_gains(controller: Any, values: dict[str, Tensor]) -> ThesisPid:
     """thesis_pid with gains `[B, 4]`, of `values` where they have the key."""
     gains = controller.gains
     for key, value in values.items():
-        name, loops, unit = GAINS[_gain(key)]
+        name, axes, unit = GAINS[_gain(key)]
         columns = list(getattr(gains, name).to(value).expand(len(value), 4).unbind(-1))
-        for loop in loops:
-            columns[loop] = unit * value
+        for axis in axes:
+            columns[axis] = unit * value
         gains = replace(gains, **{name: torch.stack(columns, -1)})
-    made: ThesisPid = replace(controller, gains=gains)
-    return made
+    law: ThesisPid = replace(controller, gains=gains)
+    return law
+
+
+def stack_laws(controllers: Sequence[SymbolController]) -> SymbolController:
+    """One law of controllers of one kind, lifted or not, with the values of each in a row `[B, ...]`."""
+    laws: list[Any] = [each.inner if isinstance(each, Lifting) else each for each in controllers]
+    first = laws[0]
+
+    def rows(*names: str) -> dict[str, Any]:
+        found = ([torch.as_tensor(attrgetter(name)(each), device=first.target.device) for each in laws] for name in names)
+        return {name.split(".")[-1]: torch.stack(each) for name, each in zip(names, found, strict=True)}
+
+    if isinstance(first, ThesisPid):
+        gains = rows(*(f"gains.{each.name}" for each in fields(PidGains) if each.name != "form"))
+        return replace(first, gains=replace(first.gains, **gains), **rows("losses_to_reset"))
+    if isinstance(first, Feedback):
+        return replace(first, **rows("low", "high", "gain", "losses_to_reset"))
+    law: SymbolController = first
+    return law
+
+
+def choose(chosen: Tensor, new: Any, old: Any) -> Any:
+    """Rows of two values with tensors `[B, ...]`: those of `new` where chosen `[B]` is True, else those of `old`."""
+    if isinstance(new, Tensor):
+        return torch.where(chosen.view(-1, *[1] * (new.dim() - 1)), new, old)
+    if not hasattr(new, "__dataclass_fields__"):
+        return new
+    return replace(new, **{each.name: choose(chosen, getattr(new, each.name), getattr(old, each.name)) for each in fields(new)})

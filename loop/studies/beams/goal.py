@@ -36,7 +36,7 @@ class BeamGoal(Params):
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement:
+class Evaluation:
     """Effect of a light. scores: `[n]` of the objects; loss: total, with the scores' logarithm; share: flux as share of all pixels on."""
 
     scores: Tensor
@@ -46,7 +46,7 @@ class Judgement:
 
 
 @dataclass(frozen=True, eq=False)
-class BeamJudge:
+class BeamEvaluator:
     """A still scene in which beams are evaluated. detector: None for image metrics."""
 
     simulation: Simulation
@@ -55,12 +55,12 @@ class BeamJudge:
     scene: LitScene
 
     @classmethod
-    def prepare(cls, simulation: Simulation, goal: BeamGoal, detector: Detector | None) -> "BeamJudge":
+    def prepare(cls, simulation: Simulation, goal: BeamGoal, detector: Detector | None) -> "BeamEvaluator":
         """The scene at a simulation's start. Raises LuxloopError if no object that counts is in view."""
-        judge = cls(simulation, goal, detector, simulation.world.lit(0.0))
-        if not judge.masks:
+        evaluator = cls(simulation, goal, detector, simulation.world.lit(0.0))
+        if not evaluator.masks:
             raise LuxloopError("objects: none with a category that counts is in the camera's view at the start; put one there")
-        return judge
+        return evaluator
 
     @cached_property
     def masks(self) -> dict[str, Tensor]:
@@ -77,7 +77,7 @@ class BeamJudge:
         camera, seed = self.simulation.scenario.camera, self.simulation.scenario.seed
         return expose(luminance, camera, FrameNoise.of(seed, step, 0), quantise=quantise) / (2**camera.bits - 1)
 
-    def judged(self, lights: Sequence[Tensor], step: int = 0) -> Judgement:
+    def evaluate(self, lights: Sequence[Tensor], step: int = 0) -> Evaluation:
         """Differentiable in the utilisations `[n_p]`, one a module, if the metric is or the detector is the network."""
         illuminance, luminance = self.scene.light(lights)
         luminance = luminance + self.scene.base
@@ -88,7 +88,7 @@ class BeamJudge:
             loss = loss + self.goal.unevenness * torch.stack([unevenness(illuminance, mask, 1.0) for mask in self.masks.values()]).mean()
         if self.goal.glare and bool(self.scene.eyes.any()):
             loss = loss + self.goal.glare * (illuminance[self.scene.eyes] - DAZZLING_LX).clamp(min=0).mean()
-        return Judgement(scores, loss, torch.as_tensor(share), luminance)
+        return Evaluation(scores, loss, torch.as_tensor(share), luminance)
 
     def scores(self, luminance: Tensor, step: int) -> Tensor:
         """Of the objects, `[n]`."""

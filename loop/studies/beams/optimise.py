@@ -1,32 +1,169 @@
 """`luxloop optimise-beam`: optimise a beam for a scenario's start, and write utilisations to play, and figures."""
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import optuna
 import torch
+from matplotlib import rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 from pydantic import ValidationError
+from torch import Tensor
+from torch.nn.functional import interpolate
 
 from luxloop.loop.recording.manifest import write_json
 from luxloop.loop.recording.record import schema
 from luxloop.loop.report import terminal as tables
+from luxloop.loop.report.marks import Mark, readable
+from luxloop.loop.report.picture import WALL_DEG, wall_light
 from luxloop.loop.report.progress import progress
+from luxloop.loop.report.style import NIGHT, STYLE
 from luxloop.loop.run import torch_device
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.overrides import toml_key
 from luxloop.loop.simulation.lamps import flux_by_side
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.loop.studies.beams.goal import BeamGoal, BeamJudge, Metric
-from luxloop.loop.studies.beams.picture import write_picture
-from luxloop.loop.studies.beams.search import Found, Lights, alike, begin, descend, sample
+from luxloop.loop.studies.beams.goal import BeamEvaluator, BeamGoal, Metric
+from luxloop.perception.camera import luminance_of
 from luxloop.perception.detection.build import detector
 from luxloop.perception.detection.detector import Detector, NetworkParams, TruthParams
 from luxloop.perception.detection.network import NetworkDetector
 from luxloop.world.errors import LuxloopError, all_of, locate
 from luxloop.world.files import output_folder, whole
 from luxloop.world.validation import sentences
+
+RATE = 0.02  # of Adam, in utilisation a step at most or so
+START = 0.1  # utilisation of all pixels where the scenario has no base beam
+PATCHES = (3, 8)  # rows and columns of patches of light for sampling
+Lights = tuple[Tensor, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """Utilisations `[n_p]`, one a module, and the loss of every step or trial."""
+
+    lights: Lights
+    losses: tuple[float, ...]
+
+
+def begin(evaluator: BeamEvaluator) -> Lights:
+    """The scenario's base beam, or all pixels at START if it is off."""
+    simulation = evaluator.simulation
+    plan = simulation.planner.plan(simulation.situation(0.0))
+    base = tuple(module.base(plan).float() for module in simulation.modules)
+    return base if any(bool(u.any()) for u in base) else tuple(torch.full_like(u, START) for u in base)
+
+
+def descend(
+    evaluator: BeamEvaluator, start: Lights, steps: int, on_step: Callable[[int, float], None] = lambda step, loss: None
+) -> SearchResult:
+    """Adam on the utilisations of all pixels, held within 0..1; every step has a noise of its own."""
+    lights = [u.clone().requires_grad_(True) for u in start]
+    optimiser, losses = torch.optim.Adam(lights, RATE, betas=(0.9, 0.99)), []
+    for step in range(steps):
+        optimiser.zero_grad()
+        loss = evaluator.evaluate(lights, step).loss
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimiser.step()
+        with torch.no_grad():
+            for u in lights:
+                u.clamp_(0, 1)
+        losses.append(loss.item())
+        on_step(step, losses[-1])
+    return SearchResult(tuple(u.detach() for u in lights), tuple(losses))
+
+
+def sample(
+    evaluator: BeamEvaluator, start: Lights, trials: int, on_step: Callable[[int, float], None] = lambda step, loss: None
+) -> SearchResult:
+    """Optuna's tree-structured Parzen estimator on the levels of the start and of a few patches of light, for any detector."""
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=evaluator.simulation.scenario.seed, multivariate=True))
+    names = [f"patch {row} {column}" for row in range(PATCHES[0]) for column in range(PATCHES[1])]
+    study.enqueue_trial(dict.fromkeys(names, 0.0) | {"start": 1.0})
+    losses = []
+
+    def lights_of(levels: dict[str, float]) -> Lights:
+        patches = torch.tensor([levels[name] for name in names]).view(PATCHES)
+        return tuple(
+            (levels["start"] * u + _on_pixels(patches, module.headlight.pixel_rows, module.headlight.pixel_cols).to(u)).clamp(0, 1)
+            for u, module in zip(start, evaluator.simulation.modules, strict=True)
+        )
+
+    for number in range(trials):
+        trial = study.ask()
+        levels = {name: trial.suggest_float(name, 0.0, 1.0) for name in (*names, "start")}
+        with torch.no_grad():
+            losses.append(float(evaluator.evaluate(lights_of(levels), number).loss))
+        study.tell(trial, losses[-1])
+        on_step(number, losses[-1])
+    return SearchResult(lights_of(study.best_params), tuple(losses))
+
+
+def _on_pixels(patches: Tensor, rows: int, columns: int) -> Tensor:
+    return interpolate(patches[None, None], (rows, columns), mode="bilinear")[0, 0].flatten()
+
+
+def alike(lights: Sequence[Tensor], flux: Sequence[Tensor], lm: float) -> Lights:
+    """The beam scaled to a luminous flux in lm: utilisations `[n_p]` of each module, limited to 1."""
+    total = float(sum((u * f).sum() for u, f in zip(lights, flux, strict=True)))
+    return tuple((u * (lm / max(total, 1e-9))).clamp(max=1) for u in lights)
+
+
+WALL_COLUMNS = 360
+FAINTEST_LX = 0.1  # on the wall, that is shown as black
+CHARACTERS = 250  # of marks, side by side, that fill all pictures of the camera
+BRIGHT = 0.995  # quantile of the luminance found that is shown as white
+
+
+@torch.no_grad()
+def write_picture(
+    file: Path, evaluator: BeamEvaluator, beams: Mapping[str, Lights], losses: Sequence[float], summary: dict[str, Any]
+) -> None:
+    """Raises LuxloopError if it cannot be written."""
+    camera = evaluator.simulation.scenario.camera
+    images = [evaluator.frame(evaluator.evaluate(lights).luminance, 0, True) * (2**camera.bits - 1) for lights in beams.values()]
+    seen = [luminance_of(image, camera).cpu() for image in images]
+    walls = [wall_light(evaluator.simulation.modules, lights, WALL_COLUMNS).cpu() for lights in beams.values()]
+    white = float(torch.quantile(seen[-1].flatten()[::7], BRIGHT)) * 1.3
+    scale = LogNorm(FAINTEST_LX, max(1.0, *(float(wall.max()) for wall in walls)))  # one for all, so that they can be compared
+    side, down, up = WALL_DEG
+    with rc_context(STYLE):
+        figure = Figure((13.0, 6.4), 110, layout="constrained")
+        FigureCanvasAgg(figure)
+        grid = figure.add_gridspec(3, len(beams), height_ratios=(4.2, 2.4, 1.5))
+        for k, name in enumerate(beams):
+            figures = summary["beams"][name]
+            axes = figure.add_subplot(grid[0, k])
+            axes.imshow((seen[k].numpy() / white).clip(0, 1) ** 0.5, cmap=NIGHT, vmin=0, vmax=1)
+            named = []
+            for (each, score), (left, top, right, bottom) in zip(figures["scores"].items(), evaluator.boxes.tolist(), strict=True):
+                axes.plot([left, right, right, left, left], [top, top, bottom, bottom, top], color="#4fd17a", linewidth=0.7)
+                named.append(Mark((), text=f"{each} {score:.2f}", at=(round(left), round(top))))
+            for mark in readable(named, camera.width_px * len(beams) / CHARACTERS, camera.width_px):
+                axes.annotate(mark.text, mark.at, (0, 2), textcoords="offset points", color="#4fd17a", fontsize=6, clip_on=True)
+            axes.set(xticks=[], yticks=[], xlim=(-0.5, camera.width_px - 0.5), ylim=(camera.height_px - 0.5, -0.5))
+            axes.set_title(f"{name}: {figures['flux_lm']:.0f} lm, mean score {figures['score_mean']:.2f}")
+            axes.grid(False)
+            wall = figure.add_subplot(grid[1, k])
+            light = walls[k].clamp(min=FAINTEST_LX).numpy()
+            shown = wall.imshow(light, cmap="inferno", norm=scale, extent=(-side, side, -down, up), aspect="auto")
+            title = f"Both lamps on a wall at 25 m: {float(walls[k].max()):.3g} lx at most"
+            wall.set(title=title, xlabel="to the right in deg", ylabel="up in deg" if k == 0 else "")
+            wall.grid(False)
+            figure.colorbar(shown, ax=wall, label="lx", pad=0.01, format="{x:g}")
+        course = figure.add_subplot(grid[2, :])
+        course.plot(losses)
+        course.set(xlabel="step", title=f"Loss, {summary['method']}, {summary['metric']}")
+        with whole(file) as part:
+            figure.savefig(part, format="png")
+
 
 Method = Literal["auto", "gradient", "sampling"]
 STEPS: Mapping[str, int] = {"gradient": 80, "sampling": 150}
@@ -52,17 +189,17 @@ def optimise_beam(
     scenario = scenario.model_copy(update={"functions": {}})
     simulation = Simulation.prepare(scenario, torch_device(device))
     with locate(scenario.source):
-        judge = BeamJudge.prepare(simulation, goal, _detector(scenario, goal.metric, simulation.device))
-    method = _method(method, judge)
-    start, number = begin(judge), steps or STEPS[method]
+        evaluator = BeamEvaluator.prepare(simulation, goal, _detector(scenario, goal.metric, simulation.device))
+    method = _method(method, evaluator)
+    start, number = begin(evaluator), steps or STEPS[method]
     search = descend if method == "gradient" else sample
     with output_folder(out), progress("searching", number) as advance:
-        found = search(judge, start, number, lambda step, loss: advance())
+        found = search(evaluator, start, number, lambda step, loss: advance())
         lm = sum(flux_by_side(simulation.modules, found.lights).values())
         as_dim = alike(start, [module.flux for module in simulation.modules], lm)
         beams = {"before": start, "before, as much flux": as_dim, "found": found.lights}
-        summary = _summary(judge, method, found, beams)
-        _write(out, judge, found, beams, summary)
+        summary = _summary(evaluator, method, found, beams)
+        _write(out, evaluator, found, beams, summary)
     _tell(summary, f"{played_by} {shlex.quote(str(out / RAW))}")
     return summary
 
@@ -74,8 +211,8 @@ def _detector(scenario: Scenario, metric: Metric, device: torch.device) -> Detec
     return detector(NetworkParams() if given is None or isinstance(given, TruthParams) else given, device)
 
 
-def _method(asked: Method, judge: BeamJudge) -> Literal["gradient", "sampling"]:
-    smooth = judge.detector is None or isinstance(judge.detector, NetworkDetector)
+def _method(asked: Method, evaluator: BeamEvaluator) -> Literal["gradient", "sampling"]:
+    smooth = evaluator.detector is None or isinstance(evaluator.detector, NetworkDetector)
     if asked == "gradient" and not smooth:
         raise LuxloopError(
             "--method gradient: only luxloop's own network can be differentiated; take --method sampling for other detectors"
@@ -85,43 +222,43 @@ def _method(asked: Method, judge: BeamJudge) -> Literal["gradient", "sampling"]:
     return "gradient" if smooth else "sampling"
 
 
-def _summary(judge: BeamJudge, method: str, found: Found, beams: Mapping[str, Lights]) -> dict[str, Any]:
+def _summary(evaluator: BeamEvaluator, method: str, found: SearchResult, beams: Mapping[str, Lights]) -> dict[str, Any]:
     return {
-        "metric": judge.goal.metric,
+        "metric": evaluator.goal.metric,
         "method": method,
-        "weights": judge.goal.model_dump(exclude={"metric"}),
+        "weights": evaluator.goal.model_dump(exclude={"metric"}),
         "steps": len(found.losses),
         "loss_first": found.losses[0],
         "loss_last": min(found.losses) if method == "sampling" else found.losses[-1],
-        "beams": {name: _figures(judge, lights) for name, lights in beams.items()},
+        "beams": {name: _figures(evaluator, lights) for name, lights in beams.items()},
     }
 
 
 @torch.no_grad()
-def _figures(judge: BeamJudge, lights: Lights) -> dict[str, Any]:
-    seen = [judge.judged(lights, step) for step in range(FRAMES)]
+def _figures(evaluator: BeamEvaluator, lights: Lights) -> dict[str, Any]:
+    seen = [evaluator.evaluate(lights, step) for step in range(FRAMES)]
     scores = torch.stack([each.scores.double().cpu() for each in seen]).mean(0).tolist()
-    eyes = judge.scene.light(lights)[0][judge.scene.eyes]
+    eyes = evaluator.scene.light(lights)[0][evaluator.scene.eyes]
     return {
-        "flux_lm": sum(flux_by_side(judge.simulation.modules, lights).values()),
-        "scores": dict(zip(judge.masks, scores, strict=True)),
+        "flux_lm": sum(flux_by_side(evaluator.simulation.modules, lights).values()),
+        "scores": dict(zip(evaluator.masks, scores, strict=True)),
         "score_mean": sum(scores) / len(scores),
         "eyes_lx_max": float(eyes.max()) if len(eyes) else None,
     }
 
 
-def _write(out: Path, judge: BeamJudge, found: Found, beams: Mapping[str, Lights], summary: dict[str, Any]) -> None:
+def _write(out: Path, evaluator: BeamEvaluator, found: SearchResult, beams: Mapping[str, Lights], summary: dict[str, Any]) -> None:
     entries = []
-    for module, u in zip(judge.simulation.modules, found.lights, strict=True):
+    for module, u in zip(evaluator.simulation.modules, found.lights, strict=True):
         file = out / f"{module.name.replace(' ', '-')}.npz"
         with whole(file) as part, part.open("wb") as stream:
             np.savez_compressed(stream, u=u.cpu().numpy().reshape(module.headlight.pixel_rows, module.headlight.pixel_cols))
         entries.append(f'  {{ file = "./{file.name}", modules = ["{module.name}"] }},\n')
-    cleared = "".join(f"{toml_key(key)} = {{}}\n" for key in _gone(judge.simulation))
+    cleared = "".join(f"{toml_key(key)} = {{}}\n" for key in _gone(evaluator.simulation))
     with whole(out / RAW) as part:
         part.write_text(f"{cleared}\n[lighting]\nraw = [\n{''.join(entries)}]\n", "utf-8")
     write_json(out / SUMMARY, summary)
-    write_picture(out / PICTURE, judge, beams, found.losses, summary)
+    write_picture(out / PICTURE, evaluator, beams, found.losses, summary)
 
 
 def _gone(simulation: Simulation) -> list[str]:

@@ -42,7 +42,7 @@ class Acting(Protocol):
         """The state after an action `[..., size]` in -1..1."""
         ...
 
-    def observed(self, state: Any) -> Tensor:
+    def observation(self, state: Any) -> Tensor:
         """The observed part of a state, `[..., k]`: the pose shown (x, y in m, roll, pitch in rad), or the heights in m."""
         ...
 
@@ -75,7 +75,7 @@ class Moves:
     def act(self, state: Tensor, action: Tensor) -> Tensor:
         return (state + action * self.law.gains.rate_limit).clamp(*self.limits)
 
-    def observed(self, state: Tensor) -> Tensor:
+    def observation(self, state: Tensor) -> Tensor:
         return state
 
     def projection(self, state: Tensor, ego: Ego | None) -> ProjectionCommand:
@@ -114,7 +114,7 @@ class Gains:
         factors = (GAIN_SPAN ** action.unflatten(-1, (2, 3))).repeat_interleave(2, -2).mT  # [..., 3, 4]
         return replace(state, factors=factors)
 
-    def observed(self, state: GainsState) -> Tensor:
+    def observation(self, state: GainsState) -> Tensor:
         return state.law.pid.output
 
     def projection(self, state: GainsState, ego: Ego | None) -> ProjectionCommand:
@@ -152,7 +152,7 @@ class Heights:
     def act(self, state: Tensor, action: Tensor) -> Tensor:
         return (state + HEIGHT_RATE_M * action.view(HEIGHT_CELLS)).clamp(-HEIGHT_RANGE_M, HEIGHT_RANGE_M)
 
-    def observed(self, state: Tensor) -> Tensor:
+    def observation(self, state: Tensor) -> Tensor:
         return state.flatten()
 
     def projection(self, state: Tensor, ego: Ego | None) -> ProjectionCommand:

@@ -1,6 +1,5 @@
 """Domain randomisation: values of the scenario's keys, drawn within ranges for new episodes."""
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,7 +9,6 @@ import numpy as np
 from luxloop.loop.studies import ranges
 from luxloop.loop.studies.environment.single import SymbolEnv
 from luxloop.loop.studies.environment.vector import SymbolVectorEnv
-from luxloop.loop.studies.ranges import Range
 from luxloop.world.errors import LuxloopError
 
 
@@ -27,10 +25,10 @@ class Randomised(gymnasium.Wrapper[Any, Any, Any, Any]):
         Raises LuxloopError for a key or a value that the scenario does not accept.
         """
         super().__init__(env)
-        self._drawn = _Drawn(env.unwrapped, keys, every)
+        self._draw = _Draw(env.unwrapped, keys, every)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        values = self._drawn.next(seed)
+        values = self._draw.next(seed)
         observed, info = self.env.reset(seed=seed, options=options)
         return observed, {**info, "values": values}
 
@@ -40,15 +38,15 @@ class RandomisedVector(gymnasium.vector.VectorWrapper):
 
     def __init__(self, env: gymnasium.vector.VectorEnv[Any, Any, Any], keys: Sequence[str], every: int = 1) -> None:
         super().__init__(env)
-        self._drawn = _Drawn(env.unwrapped, keys, every)
+        self._draw = _Draw(env.unwrapped, keys, every)
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        values = self._drawn.next(seed if isinstance(seed, int) or seed is None else seed[0])
+        values = self._draw.next(seed if isinstance(seed, int) or seed is None else seed[0])
         observed, info = self.env.reset(seed=seed, options=options)
         return observed, {**info, "values": values}
 
 
-class _Drawn:
+class _Draw:
     """Values of keys, drawn anew after `every` episodes."""
 
     def __init__(self, env: Any, keys: Sequence[str], every: int) -> None:
@@ -65,16 +63,7 @@ class _Drawn:
         if seed is not None:
             self.generator, self.episode = np.random.default_rng(seed), 0
         if self.episode % self.every == 0:
-            self.values = {each.key: _value(each, self.generator) for each in self.ranges}
+            self.values = {each.key: each.draw(self.generator) for each in self.ranges}
             self.env.prepare(self.values)
         self.episode += 1
         return self.values
-
-
-def _value(wanted: Range, generator: np.random.Generator) -> float | int:
-    low, high = wanted.low, wanted.high
-    if wanted.whole:
-        return int(generator.integers(int(low), int(high), endpoint=True))
-    if wanted.log:
-        return math.exp(generator.uniform(math.log(low), math.log(high)))
-    return float(generator.uniform(low, high))

@@ -101,22 +101,25 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
         self.simulation = replace(prepared, controlled={only(prepared.controlled): held})
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        check_options(options, "start")
         super().reset(seed=seed)
-        drawn = int(self.np_random.integers(SEEDS)) if seed is None else seed
+        noise_seed = int(self.np_random.integers(SEEDS)) if seed is None else seed
         simulation = self.simulation
-        plant = replace(world_plant(simulation.plant, "an environment"), seed=drawn)
-        scenario = simulation.scenario.model_copy(update={"seed": drawn})
+        plant = replace(world_plant(simulation.plant, "an environment"), seed=noise_seed)
+        scenario = simulation.scenario.model_copy(update={"seed": noise_seed})
         self.simulation = replace(simulation, scenario=scenario, plant=plant)
         state, symbol = self.simulation.start(), self.simulation.symbol
         pose = start_of(options, symbol.function.start_pose.pose, (4,)).to(symbol.projector.target)
         ((name, held),) = state.symbols.items()
         self._state = replace(state, symbols={name: replace(held, controller=self.acting.start(pose))})
         self._result = None
-        return self._observed(None), {}
+        return self._observation(None), {}
 
     def step(self, action: Floats) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         if self._state is None:
             raise LuxloopError("step: there is no episode; call reset() first")
+        if self._state.step >= self.simulation.scenario.steps:
+            raise LuxloopError("step: the episode is over; call reset() first")
         ((name, held),) = self._state.symbols.items()
         taken = action_of(action, (self.acting.size,)).to(self.simulation.device)
         acted = replace(held, controller=self.acting.act(held.controller, taken))
@@ -132,7 +135,7 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
         truncated = self._state.step >= self.simulation.scenario.steps
         if self.render_mode == "human":
             self._show()
-        return self._observed(result.measurement), float(found.reward), False, truncated, info
+        return self._observation(result.measurement), float(found.reward), False, truncated, info
 
     def render(self) -> Any:
         """The camera's view as in a run's video, `[height, width, 3]` uint8, black before the first step; None with render_mode "human"."""
@@ -167,14 +170,14 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
         figure.add_axes((0, 0, 1, 1)).imshow(self._picture())
         pyplot.pause(1e-3)
 
-    def _observed(self, seen: Measurement | None) -> Any:
+    def _observation(self, seen: Measurement | None) -> Any:
         assert self._state is not None
         ((_, held),) = self._state.symbols.items()
         ego = self.simulation.ego(self._state.samples, self._state.arrivals.time_s)
         if seen is None:
             seen = self.simulation.symbol.sensor.lost(self.acting.projection(held.controller, ego).pose, ExtractionStatus.NO_FRAME)
         look = Look.of(seen, self.image)
-        return as_gymnasium(observation(self.acting.observed(held.controller), look, ego), look)
+        return as_gymnasium(observation(self.acting.observation(held.controller), look, ego), look)
 
 
 def known_action(action: str) -> str:
@@ -182,6 +185,12 @@ def known_action(action: str) -> str:
     if action not in ACTIONS:
         raise LuxloopError(f"action: there is no {action!r}; {did_you_mean(action, ACTIONS)}")
     return action
+
+
+def check_options(options: dict[str, Any] | None, *known: str) -> None:
+    """Raises LuxloopError for options of `reset` that there are not."""
+    if others := [key for key in options or {} if key not in known]:
+        raise LuxloopError(f"reset: options[{others[0]!r}]: there is no such option; {did_you_mean(others[0], known)}")
 
 
 def start_of(options: dict[str, Any] | None, pose: torch.Tensor, *shapes: tuple[int, ...]) -> torch.Tensor:

@@ -84,7 +84,7 @@ class Look:
         most = seen.pose_error.new_tensor(ERRORS)
         errors = torch.where(usable[..., None], seen.pose_error, 0.0).clamp(-most, most)
         area = torch.where(usable, seen.area_ratio, 0.0).nan_to_num(0.0).clamp(0, AREA)
-        return cls(seen.code, errors, area, None if size is None else _scaled(seen.symbol, size))
+        return cls(seen.code, errors, area, None if size is None else _scale(seen.symbol, size))
 
 
 def observation(state: Tensor, look: Look, ego: Ego | None) -> Tensor:
@@ -101,7 +101,7 @@ def as_gymnasium(vector: Tensor, look: Look) -> Any:
     return state if look.image is None else {"state": state, "image": look.image.cpu().numpy()}
 
 
-def _scaled(symbol: Tensor, size: tuple[int, int]) -> Tensor:
+def _scale(symbol: Tensor, size: tuple[int, int]) -> Tensor:
     """A symbol image `[..., h, w]` in 0..1 as `[..., *size]` uint8."""
     if not symbol.numel():
         return torch.zeros((*symbol.shape[:-2], *size), dtype=torch.uint8, device=symbol.device)

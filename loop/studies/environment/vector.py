@@ -19,10 +19,9 @@ from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.simulated import world_plant
-from luxloop.loop.studies.batch.copies import Copies
-from luxloop.loop.studies.batch.laws import rows
-from luxloop.loop.studies.batch.looking import Taken
-from luxloop.loop.studies.environment.single import SEEDS, SymbolEnv, start_of
+from luxloop.loop.studies.batch.copies import Copies, Taken
+from luxloop.loop.studies.batch.rollouts import choose
+from luxloop.loop.studies.environment.single import SEEDS, SymbolEnv, check_options, start_of
 from luxloop.loop.studies.environment.task import Floats, Look, Reward, action_of, as_gymnasium, observation, reward
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.perception.metrics import Metrics
@@ -70,6 +69,7 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
         if simulation.scenario.camera.latency_spread_steps:
             raise LuxloopError(f"{simulation.scenario.name}: camera.latency_spread_steps: all frames of a vector are as late; set it to 0")
         self.acting, self.copies = self.single.acting, Copies(simulation)
+        self.plant = world_plant(simulation.plant, "an environment")
         self.steps, self.late = simulation.scenario.steps, simulation.scenario.camera.latency_steps
         self._state: Any = None
 
@@ -83,6 +83,7 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
         super().reset(seed=given[0])
         drawn = self.np_random.integers(SEEDS, size=self.num_envs).tolist()
         seeds = [new if each is None else each for each, new in zip(given, drawn, strict=True)]
+        check_options(options, "start", "reset_mask")
         fresh = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, bool)), bool)
         if self._state is None and not fresh.all():
             raise LuxloopError("reset: options['reset_mask']: all copies must begin once first")
@@ -95,9 +96,9 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
         start = self.acting.start(pose)
         if self._state is None:
             self._state, self._age, self._seeds, self._looks = start, np.zeros(self.num_envs, int), seeds, list[Look]()
-            self._over, self._seen = np.zeros(self.num_envs, bool), self._nothing_seen()
+            self._over, self._look = np.zeros(self.num_envs, bool), self._blind()
         self._begin(fresh, start, seeds)
-        return self._observed(), {}
+        return self._observation(), {}
 
     def step(self, actions: Floats) -> tuple[Any, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
         if self._state is None:
@@ -108,50 +109,44 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
         taken = action_of(actions, (self.num_envs, self.acting.size)).to(self.copies.simulation.device)
         found: Reward | None = None
         if not over.all():
-            found, verdict = self._stepped(taken)
+            found, verdict = self._move(taken)
         if over.any():
             self._begin_anew(over)
         rewards = np.zeros(self.num_envs) if found is None else np.where(over, 0.0, found.reward.double().cpu().numpy())
         infos = {} if found is None else _infos(found, verdict, ~over)
         truncated = ~over & (self._age >= self.steps)
         self._over = truncated
-        observed = self._observed()
+        observed = self._observation()
         if self.mode == AutoresetMode.SAME_STEP and truncated.any():
             infos = {**infos, **_final(observed, infos, truncated)}
             self._begin_anew(truncated)
-            self._over, observed = np.zeros(self.num_envs, bool), self._observed()
+            self._over, observed = np.zeros(self.num_envs, bool), self._observation()
         return observed, rewards, np.zeros(self.num_envs, bool), truncated, infos
 
-    def _stepped(self, actions: Tensor) -> tuple[Reward, Metrics]:
+    def _move(self, actions: Tensor) -> tuple[Reward, Metrics]:
         """One step of all copies."""
         self._state = self.acting.act(self._state, actions)
         pose = self.acting.projection(self._state, None).pose
-        light = self.copies.show(pose)
-        disturbances = self.copies.simulation.scenario.disturbances
-        frames = [Taken(seed, step, disturbances) for seed, step in zip(self._seeds, self._age.tolist(), strict=True)]
-        self._looks.append(Look.of(self.copies.measured(light, frames), self.image))
+        light, ages = self.copies.show(pose), self._age.tolist()
+        frames = [Taken(seed, step, self.plant.disturbances) for seed, step in zip(self._seeds, ages, strict=True)]
+        seen = self.copies.measure(light, frames)
+        for k, taken in enumerate(frames):
+            if replace(self.plant, seed=taken.seed).loses(taken.step):
+                seen[k] = self.copies.sensor.lost(pose[k], ExtractionStatus.NO_FRAME)
+        looks = zip(*(vars(Look.of(each, self.image)).values() for each in seen), strict=True)
+        self._looks.append(Look(*(None if each[0] is None else torch.stack(each) for each in looks)))
         if len(self._looks) > self.late:
-            came = torch.from_numpy((self._age >= self.late) & ~self._lost()).to(pose.device)
-            self._seen = rows(came, self._looks.pop(0), self._nothing_seen())
-        seen = replace(self._unseen(pose), code=self._seen.code, pose_error=self._seen.pose_error)
-        self._state = self.acting.step(self._state, Observation(seen, None, Projection(ProjectionCommand(pose), ())))
+            self._look = choose(torch.from_numpy(self._age >= self.late).to(pose.device), self._looks.pop(0), self._blind())
+        newest = replace(self._no_frame(pose), code=self._look.code, pose_error=self._look.pose_error)
+        self._state = self.acting.step(self._state, Observation(newest, None, Projection(ProjectionCommand(pose), ())))
         self._age = self._age + 1
-        verdict = self.copies.judged(light)
-        return reward(verdict, actions), verdict
+        metrics = self.copies.evaluate(light)
+        return reward(metrics, actions), metrics
 
-    def _lost(self) -> Mask:
-        """Copies whose frame that would arrive in this step is lost, `[num_envs]`."""
-        scenario = self.copies.simulation.scenario
-        if not (scenario.camera.drop_probability or scenario.disturbances.drops):
-            return np.zeros(self.num_envs, bool)
-        plant = world_plant(self.copies.simulation.plant, "an environment")
-        taken = zip(self._seeds, (self._age - self.late).tolist(), strict=True)
-        return np.array([step >= 0 and replace(plant, seed=seed).loses(step) for seed, step in taken])
+    def _blind(self) -> Look:
+        return Look.of(self._no_frame(self.acting.projection(self._state, None).pose), self.image)
 
-    def _nothing_seen(self) -> Look:
-        return Look.of(self._unseen(self.acting.projection(self._state, None).pose), self.image)
-
-    def _unseen(self, pose: Tensor) -> Measurement:
+    def _no_frame(self, pose: Tensor) -> Measurement:
         return self.copies.symbol.sensor.lost(pose, ExtractionStatus.NO_FRAME)
 
     def _begin_anew(self, which: Mask) -> None:
@@ -162,13 +157,13 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
     def _begin(self, which: Mask, start: Any, seeds: Sequence[int]) -> None:
         """Reset the chosen copies to their rows of a state."""
         chosen = torch.from_numpy(which).to(self.copies.simulation.device)
-        self._state = rows(chosen, start, self._state)
+        self._state = choose(chosen, start, self._state)
         self._seeds = [new if anew else old for anew, new, old in zip(which.tolist(), seeds, self._seeds, strict=True)]
         self._age, self._over = np.where(which, 0, self._age), self._over & ~which
-        self._seen = rows(chosen, self._nothing_seen(), self._seen)
+        self._look = choose(chosen, self._blind(), self._look)
 
-    def _observed(self) -> Any:
-        return as_gymnasium(observation(self.acting.observed(self._state), self._seen, None), self._seen)
+    def _observation(self) -> Any:
+        return as_gymnasium(observation(self.acting.observation(self._state), self._look, None), self._look)
 
 
 def _infos(found: Reward, verdict: Metrics, there: Mask) -> dict[str, Any]:

@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from luxloop.loop.report.style import DEFAULTS
-from luxloop.loop.studies.evaluation.evaluate import FIXED_A_M, Evaluation, Row
-from luxloop.loop.studies.evaluation.jobs import headlight, light_of
+from luxloop.loop.studies.evaluation.evaluate import FIXED_A_M, Evaluation, Row, headlight, light_of
 from luxloop.world.files import whole
 from luxloop.world.lamps.patterns import SETPOINT_CD, Rectangle
 

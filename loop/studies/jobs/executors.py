@@ -98,13 +98,13 @@ class _Dask:
 
     @property
     def workers(self) -> int:
-        with self._connected() as client:
+        with self._connect() as client:
             return len(client.scheduler_info(n_workers=-1)["workers"])
 
     def __call__(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]:
         import distributed
 
-        with self._connected() as client:
+        with self._connect() as client:
             try:
                 for future in distributed.as_completed(client.map(function, tasks, pure=False), loop=client.loop):
                     yield future.result()
@@ -118,7 +118,7 @@ class _Dask:
     def _where(self) -> str:
         return f"--scheduler {self.scheduler}"
 
-    def _connected(self) -> Any:
+    def _connect(self) -> Any:
         """A client. Raises LuxloopError as `dask`."""
         import distributed
 

@@ -18,7 +18,6 @@ from typing import Any
 
 from luxloop.loop.report import terminal as tables
 from luxloop.loop.report.progress import progress
-from luxloop.loop.studies.jobs.bundles import bundles, told
 from luxloop.loop.studies.jobs.executors import ALL_CORES, Executor, WorkersLostError
 from luxloop.world.errors import LuxloopError
 from luxloop.world.validation import parsed_json
@@ -103,7 +102,7 @@ def run(
         with progress(title, total, total - len(left)) as advance:
             tasks = [(identity, {**job.parameters, **job.place}) for identity, job in left.items()]
             found = _bundles(how, [parameters for _, parameters in tasks], executor)
-            if note := told(found, title):
+            if note := note_of(found, title):
                 tables.console(stderr=True).print(note, markup=False)
             for ended in executor(partial(_call, how), [[tasks[k] for k in places] for places in found]):
                 for identity, result, error in ended:
@@ -218,3 +217,27 @@ def _writing(file: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise LuxloopError(f"{file}: cannot be written ({error.strerror}); give another folder") from error
+
+
+MOST = 16  # jobs at once: more are no faster, and a job that ends is kept on disk sooner
+
+
+def bundles(kinds: Sequence[str | None], workers: int) -> list[list[int]]:
+    """Places of jobs that are done together: those of one kind, in so many parts that no worker is idle. Jobs of kind None are alone."""
+    alike: dict[str, list[int]] = {}
+    found = []
+    for place, kind in enumerate(kinds):
+        if kind is None:
+            found.append([place])
+        else:
+            alike.setdefault(kind, []).append(place)
+    for places in alike.values():
+        size = min(-(-len(places) // workers), MOST)
+        found += [places[k : k + size] for k in range(0, len(places), size)]
+    return sorted(found)
+
+
+def note_of(found: Sequence[Sequence[int]], title: str) -> str | None:
+    """How many jobs are done together, in words; None where none are."""
+    together = [len(each) for each in found if len(each) > 1]
+    return f"{sum(together)} of {sum(map(len, found))} {title} in batches of up to {max(together)}" if together else None

@@ -38,7 +38,7 @@ class Examples:
     share: Tensor
 
     @classmethod
-    def drawn(cls, rows: Sequence[dict[str, Any]], number: int, rng: np.random.Generator) -> "Examples":
+    def draw(cls, rows: Sequence[dict[str, Any]], number: int, rng: np.random.Generator) -> "Examples":
         """Examples of a number of scenes, each from one or two of the scenes that `draw` returned as rows."""
         full, alone = zip(*(_pair(rows, rng) for _ in range(number)), strict=True)
         return cls(*(torch.stack(each) for each in zip(*full + alone, strict=True)))
@@ -79,7 +79,7 @@ def _scene(rows: Sequence[dict[str, Any]], rng: np.random.Generator) -> DarkScen
             middle = (box[0] + box[2]) / 2 + float(rng.normal(0, 0.25 * width))
         left = int(np.clip(middle - width / 2, 0, CAMERA.width_px - width))
         scene = read(row, slice(top, top + height), slice(left, left + width))
-        return scene.mirrored() if rng.random() < 0.5 else scene
+        return scene.mirror() if rng.random() < 0.5 else scene
 
     scene = part()
     return scene.behind(part()) if rng.random() < 0.5 else scene

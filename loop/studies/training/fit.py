@@ -34,9 +34,9 @@ def fit(rows: Sequence[dict[str, Any]], steps: int, seed: int, on_step: Callable
     optimiser = torch.optim.AdamW(network.parameters(), RATE, weight_decay=1e-3)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=steps, pct_start=0.15)
     with ThreadPoolExecutor(1) as ahead:  # a second core draws the next examples meanwhile
-        coming = ahead.submit(Examples.drawn, rows, BATCH, rng)
+        coming = ahead.submit(Examples.draw, rows, BATCH, rng)
         for _ in range(steps):
-            examples, coming = coming.result(), ahead.submit(Examples.drawn, rows, BATCH, rng)
+            examples, coming = coming.result(), ahead.submit(Examples.draw, rows, BATCH, rng)
             # half the precision and twice the speed on processors that support it
             with torch.autocast("cpu", torch.bfloat16):
                 logits, sides = network(network_input(examples.frames))

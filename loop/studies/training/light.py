@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from luxloop.loop.studies.training.scenes import CLASSES, DarkScene, Labelled
+from luxloop.loop.studies.training.scenes import CLASSES, DarkScene, SceneObject
 from luxloop.world.traffic.tracked import Category
 
 WELL_LIT_LX = 5.0  # least illuminance on objects in training
@@ -27,12 +27,12 @@ def luminance(scene: DarkScene, lx: Tensor | float) -> Tensor:
 
 def full_light(scene: DarkScene, rng: np.random.Generator) -> Tensor:
     """Illuminance `[height, width]` in lx of surfaces that face the lamps, as by day or as a beam gives it."""
-    return (_even if rng.random() < 0.6 else _beam)(scene, _between(rng, FULL_LX), rng)
+    return (_uniform if rng.random() < 0.6 else _beam)(scene, _between(rng, FULL_LX), rng)
 
 
 def object_light(scene: DarkScene, rng: np.random.Generator) -> Tensor:
     """Illuminance `[height, width]` in lx of object-based light on most objects, most with dark tops, and on places without objects."""
-    light, (height, width) = (_even if rng.random() < 0.5 else _beam)(scene, _between(rng, DARK_LX), rng), scene.shape
+    light, (height, width) = (_uniform if rng.random() < 0.5 else _beam)(scene, _between(rng, DARK_LX), rng), scene.shape
     lit = [each for each in scene.objects if rng.random() < 0.9] if rng.random() < 0.85 else []
     for _ in range(int(rng.integers(4))):
         w, h = float(rng.uniform(10, 0.4 * width)), float(rng.uniform(10, 0.5 * height))
@@ -44,11 +44,11 @@ def object_light(scene: DarkScene, rng: np.random.Generator) -> Tensor:
     for each in lit:
         share = TOP.get(CLASSES[each.label])
         if share and rng.random() < 0.9:
-            light = darkened(scene, light, each, float(rng.uniform(*share)), float(rng.uniform(*TOP_LX)), float(rng.uniform(0.7, 2)))
+            light = darken(scene, light, each, float(rng.uniform(*share)), float(rng.uniform(*TOP_LX)), float(rng.uniform(0.7, 2)))
     return light
 
 
-def darkened(scene: DarkScene, light: Tensor, each: Labelled, share: float, lx: float, soft: float) -> Tensor:
+def darken(scene: DarkScene, light: Tensor, each: SceneObject, share: float, lx: float, soft: float) -> Tensor:
     """Light of which a share of an object's box, from the top, and as much above it, gets only so many lx; soft: px of the edge's scale."""
     u0, v0, u1, _ = _wider(each, 0.15, share)
     dark = _patch(scene, (u0, v0, u1, each.box[1] + share * each.height), soft)
@@ -62,7 +62,7 @@ def lit_alone(scene: DarkScene, lx: float, around_lx: float, top: Mapping[Catego
         light = torch.maximum(light, lx * _patch(scene, _wider(each, 0.1, 0.05), soft))
     for each in scene.objects:
         if share := top.get(CLASSES[each.label]):
-            light = darkened(scene, light, each, share, top_lx, soft)
+            light = darken(scene, light, each, share, top_lx, soft)
     return light
 
 
@@ -70,7 +70,7 @@ def _between(rng: np.random.Generator, limits: tuple[float, float]) -> float:
     return float(np.exp(rng.uniform(*np.log(limits))))
 
 
-def _even(scene: DarkScene, lx: float, rng: np.random.Generator) -> Tensor:
+def _uniform(scene: DarkScene, lx: float, rng: np.random.Generator) -> Tensor:
     """Even light with a gradient from side to side."""
     slope = torch.linspace(-1, 1, scene.shape[1]) * float(rng.normal(0, 0.3))
     return (lx * slope.exp()).expand(scene.shape)
@@ -86,7 +86,7 @@ def _beam(scene: DarkScene, lx: float, rng: np.random.Generator) -> Tensor:
     return lx * (down[:, None] * across) * (25 / scene.distance.clamp(3, 200)) ** 2
 
 
-def _wider(each: Labelled, across: float, down: float) -> tuple[float, float, float, float]:
+def _wider(each: SceneObject, across: float, down: float) -> tuple[float, float, float, float]:
     """Its box and so large a share of its width and height to both sides."""
     u0, v0, u1, v1 = each.box
     dx, dy = across * (u1 - u0), down * (v1 - v0)

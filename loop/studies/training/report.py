@@ -14,7 +14,7 @@ from rich.table import Table
 from luxloop.loop.report import terminal as tables
 from luxloop.loop.report.style import DEFAULTS, FOUR, STYLE
 from luxloop.loop.report.terminal import number
-from luxloop.loop.studies.training.judge import AGREE, ALONE_LX, AROUND_LX, FOUND_IOU, HEIGHT_PX, JUDGED_LX, VISIBLE
+from luxloop.loop.studies.training.evaluate import AGREE, ALONE_LX, AROUND_LX, FOUND_IOU, HEIGHT_PX, JUDGED_LX, VISIBLE
 from luxloop.loop.studies.training.scenes import CLASSES
 from luxloop.world.files import whole
 

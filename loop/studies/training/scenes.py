@@ -39,7 +39,7 @@ LAYERS = ("lamps", "distance", "own", "sky", "object_id")
 
 
 @dataclass(frozen=True)
-class Labelled:
+class SceneObject:
     """An object of one of the classes. box: `[4]` px, left, top, right, bottom of what is seen and what is hidden, within the image.
 
     visible: share that nothing hides. inside: share of its whole box that lies in the image.
@@ -55,7 +55,7 @@ class Labelled:
     def height(self) -> float:
         return self.box[3] - self.box[1]
 
-    def within(self, left: int, top: int, width: int, height: int) -> "Labelled | None":
+    def within(self, left: int, top: int, width: int, height: int) -> "SceneObject | None":
         """What lies in a part of the image, counted from there; None where nothing does."""
         u0, v0, u1, v1 = self.box
         box = (max(u0 - left, 0.0), max(v0 - top, 0.0), min(u1 - left, float(width)), min(v1 - top, float(height)))
@@ -78,18 +78,18 @@ class DarkScene:
     sky: Tensor
     object_id: Tensor
     ambient_lx: float
-    objects: tuple[Labelled, ...]
+    objects: tuple[SceneObject, ...]
 
     @property
     def shape(self) -> tuple[int, int]:
         height, width = self.lamps.shape
         return height, width
 
-    def shifted(self, left: int, top: int) -> "DarkScene":
+    def shift(self, left: int, top: int) -> "DarkScene":
         """The scene with the image origin at a column and row; boxes are clipped to the image."""
         return replace(self, objects=tuple(found for each in self.objects if (found := each.within(left, top, *self.shape[::-1]))))
 
-    def mirrored(self) -> "DarkScene":
+    def mirror(self) -> "DarkScene":
         """Left and right exchanged."""
         layers = {name: getattr(self, name).flip(-1) for name in LAYERS}
         width = self.shape[1]
@@ -106,11 +106,11 @@ class DarkScene:
             objects=tuple(replace(each, object_id=each.object_id + first) for each in other.objects),
         )
         layers = {name: torch.where(nearer, getattr(moved, name), getattr(self, name)) for name in LAYERS}
-        objects = (*_still_seen(self, layers["object_id"]), *_still_seen(moved, layers["object_id"]))
+        objects = (*_in_sight(self, layers["object_id"]), *_in_sight(moved, layers["object_id"]))
         return replace(self, **layers, objects=objects)  # type: ignore[arg-type]
 
 
-def _still_seen(scene: DarkScene, object_id: Tensor) -> tuple[Labelled, ...]:
+def _in_sight(scene: DarkScene, object_id: Tensor) -> tuple[SceneObject, ...]:
     """Objects of a scene that remain visible in an image where others may hide them."""
     before, after = (torch.bincount(ids.flatten() + 1, minlength=256) for ids in (scene.object_id, object_id))
     share = (after / before.clamp(min=1)).tolist()
@@ -154,9 +154,9 @@ def read(row: Mapping[str, Any], rows: slice = slice(None), columns: slice = sli
     """The scene of a row that `draw` gave, or a part of the image, from which boxes then count. Raises OSError where the file is gone."""
     layers = np.load(_file(row["folder"], row["seed"]), mmap_mode="r")[:, rows, columns]
     lamps, distance, own, sky, object_id = torch.from_numpy(layers.astype(np.float32))
-    objects = tuple(Labelled(**{**each, "box": tuple(each["box"])}) for each in row["objects"])
+    objects = tuple(SceneObject(**{**each, "box": tuple(each["box"])}) for each in row["objects"])
     scene = DarkScene(lamps, distance, own, sky, object_id.int(), row["ambient_lx"], objects)
-    return scene.shifted(columns.start or 0, rows.start or 0)
+    return scene.shift(columns.start or 0, rows.start or 0)
 
 
 def _file(folder: str, seed: int) -> Path:

@@ -2,20 +2,26 @@
 
 import datetime
 import json
+import math
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
+
+import torch
+from scipy.optimize import minimize
+from torch import Tensor
+from torch.nn.functional import binary_cross_entropy_with_logits
 
 from luxloop.loop.report import terminal as tables
 from luxloop.loop.report.progress import progress
 from luxloop.loop.studies.jobs.executors import Executor, local
 from luxloop.loop.studies.jobs.runner import Job, Results, digest_of, run
 from luxloop.loop.studies.training import scenes
-from luxloop.loop.studies.training.calibrate import calibrate
+from luxloop.loop.studies.training.evaluate import JUDGED_LX, boxes_right, evaluate, expose_scene, light_on_objects
 from luxloop.loop.studies.training.fit import BATCH, fit
-from luxloop.loop.studies.training.judge import judge
 from luxloop.loop.studies.training.report import overview, write_report
+from luxloop.loop.studies.training.scenes import CLASSES, read
 from luxloop.perception.detection.detector import NetworkParams
 from luxloop.perception.detection.network import NetworkDetector, save
 from luxloop.world.errors import LuxloopError
@@ -23,6 +29,7 @@ from luxloop.world.files import output_folder, whole
 
 JOBS, FOLDER, WEIGHTS = "scenes.jsonl", "scenes", "detector.pt"
 LEAST_SCORE = 0.01  # of what is asked and judged
+SUREST = 1e-6  # least distance of a score to 1, where the logit diverges
 CALIBRATING = 10  # one in so many scenes is kept for calibration
 VERSION: Final = digest_of(scenes)
 
@@ -41,13 +48,13 @@ def train(out: Path, number: int, held_out: int, epochs: int, seed: int, process
     executor = local(processes)
     with output_folder(out), output_folder(out / FOLDER):
         started = time.monotonic()
-        seen = drawn(out, scenes.TRAINING, number, executor, "scenes to train on")
-        others = drawn(out, scenes.HELD_OUT, held_out, executor, "scenes held out")
+        seen = draw_scenes(out, scenes.TRAINING, number, executor, "scenes to train on")
+        others = draw_scenes(out, scenes.HELD_OUT, held_out, executor, "scenes held out")
         drew = time.monotonic()
         try:
             detector, training = _learnt(seen, epochs, seed)
             training["minutes"] = {"drawing": round((drew - started) / 60, 1), "training": round((time.monotonic() - drew) / 60, 1)}
-            found = judge(detector, others)
+            found = evaluate(detector, others)
         except OSError as error:
             raise LuxloopError(f"{out}: a scene cannot be read ({error}); remove {out / JOBS}, so that all are drawn again") from error
         except KeyboardInterrupt as error:
@@ -88,7 +95,7 @@ def _learnt(rows: Sequence[dict[str, Any]], epochs: int, seed: int) -> tuple[Net
     }
 
 
-def drawn(out: Path, first: int, number: int, executor: Executor, title: str) -> list[dict[str, Any]]:
+def draw_scenes(out: Path, first: int, number: int, executor: Executor, title: str) -> list[dict[str, Any]]:
     """Rows of so many scenes from a first seed on, drawn unless they are in the folder. Raises LuxloopError where some cannot be."""
     folder = str(out / FOLDER)
     seeds = sorted(range(first, first + number), key=scenes.road_seed)  # those on one road follow each other
@@ -105,3 +112,42 @@ def train_detector(out: Path, number: int, held_out: int, epochs: int, seed: int
     report = train(out, number, held_out, epochs, seed, processes)
     tables.show(overview(report))
     print(f"{out / WEIGHTS} and {out / 'report.md'} written")
+
+
+def calibrate(detector: NetworkDetector, rows: Sequence[Mapping[str, Any]]) -> tuple[float, float]:
+    """Calibrate the logits of the detector's network so that scores are shares of correct boxes; returns slope and shift.
+
+    rows: from `luxloop.loop.studies.training.scenes.draw`, of scenes not used in training; each is seen in full and in object-based light.
+    Raises LuxloopError if the scores do not separate correct boxes from wrong ones.
+    """
+    asked: list[tuple[float, bool]] = []
+    for row in rows:
+        scene = read(row)
+        full, alone = expose_scene(scene, JUDGED_LX, int(row["seed"]), 0), expose_scene(scene, light_on_objects(scene), int(row["seed"]), 1)
+        for found in detector.detect(torch.stack([full, alone])):
+            asked += boxes_right(found, scene.objects, range(len(CLASSES)))
+    scores, right = torch.tensor(asked, dtype=torch.float64).view(-1, 2).T
+    slope, shift = logistic(scores.logit(eps=SUREST), right)
+    if not right.any() or not (math.isfinite(slope) and math.isfinite(shift)) or slope <= 0:
+        raise LuxloopError("the network's scores do not separate correct boxes from wrong ones; give more --scenes or --epochs")
+    detector.network.calibrate(slope, shift)
+    return slope, shift
+
+
+def logistic(x: Tensor, right: Tensor) -> tuple[float, float]:
+    """Slope and shift of the logistic curve that fits best the probability of right (`[n]`, 0 or 1) over x, `[n]`.
+
+    Targets are slightly inside 0..1, so that a best curve exists (Platt 1999).
+    """
+    hits, misses = float(right.sum()), float((1 - right).sum())
+    targets = torch.where(right > 0, (hits + 1) / (hits + 2), 1 / (misses + 2))
+
+    def loss(parameters: list[float]) -> tuple[float, list[float]]:
+        given = torch.tensor(parameters, dtype=torch.float64, requires_grad=True)
+        value = binary_cross_entropy_with_logits(given[0] * x + given[1], targets, reduction="sum")
+        value.backward()
+        assert given.grad is not None
+        return float(value.detach()), given.grad.tolist()
+
+    slope, shift = minimize(loss, [1.0, 0.0], jac=True, method="BFGS").x
+    return float(slope), float(shift)

@@ -22,7 +22,7 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
 from luxloop.loop.commands import cli
-from luxloop.loop.studies.study import FINISHED, STUDY
+from luxloop.loop.studies.tune import FINISHED, STUDY
 
 ROOT = Path(__file__).parents[3]
 SMALL = """

@@ -14,8 +14,8 @@ from luxloop.loop.simulation.build_lamps import shining_modules
 from luxloop.loop.simulation.lamps import MountedModule, ShiningModule
 from luxloop.loop.simulation.part_cache import PartCache
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.loop.studies.batch.rollouts import GAINS, check, rollouts, with_values
-from luxloop.loop.studies.ranges import changed, value_of
+from luxloop.loop.studies.batch.rollouts import GAINS, check, rollouts, with_gains
+from luxloop.loop.studies.ranges import value_of, with_values
 from luxloop.world.errors import LuxloopError
 from luxloop.world.symbols import load_still
 
@@ -58,9 +58,9 @@ def test_each_rollout_is_the_run_with_its_gains(simulation: Simulation) -> None:
 def test_every_gain_arrives_where_parameters_would_put_it(simulation: Simulation) -> None:
     for key in GAINS:
         expected = ThesisPid.prepare(
-            changed(simulation.scenario, {f"functions.symbol.{key}": 0.37}).symbol.controller, simulation.symbol.projector.target
+            with_values(simulation.scenario, {f"functions.symbol.{key}": 0.37}).symbol.controller, simulation.symbol.projector.target
         ).gains
-        made = with_values(simulation.symbol.controller.inner, {key: torch.tensor([0.1, 0.37])}).gains
+        made = with_gains(simulation.symbol.controller.inner, {key: torch.tensor([0.1, 0.37])}).gains
         for name in ("kp", "ki", "kd", "rate_limit", "tracking_time"):
             torch.testing.assert_close(getattr(made, name).expand(2, 4)[1], getattr(expected, name))
 

@@ -13,9 +13,8 @@ from luxloop.loop.commands import cli
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load, validate
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.loop.studies.beams.goal import BeamGoal, BeamJudge
-from luxloop.loop.studies.beams.optimise import _method
-from luxloop.loop.studies.beams.search import alike, begin, descend, sample
+from luxloop.loop.studies.beams.goal import BeamEvaluator, BeamGoal
+from luxloop.loop.studies.beams.optimise import _method, alike, begin, descend, sample
 from luxloop.perception.detection.build import detector
 from luxloop.perception.detection.detector import HogParams, NetworkParams
 from luxloop.world.errors import LuxloopError
@@ -32,17 +31,17 @@ SCENE: dict[str, Any] = {
 }
 
 
-def judge(goal: BeamGoal, params: NetworkParams | HogParams | None = None, **changes: Any) -> BeamJudge:
+def judge(goal: BeamGoal, params: NetworkParams | HogParams | None = None, **changes: Any) -> BeamEvaluator:
     scenario = validate(SCENE | changes, "beam")
     simulation = Simulation.prepare(scenario)
-    return BeamJudge.prepare(simulation, goal, None if params is None else detector(params, simulation.device))
+    return BeamEvaluator.prepare(simulation, goal, None if params is None else detector(params, simulation.device))
 
 
 def test_the_gradient_goes_through_lamps_scene_camera_and_network() -> None:
     found = judge(BeamGoal(), NetworkParams())
     lights = tuple(torch.full_like(u, 0.1).requires_grad_(True) for u in begin(found))
     with torch.enable_grad():
-        loss = found.judged(lights).loss
+        loss = found.evaluate(lights).loss
         loss.backward()
     slopes = torch.cat([u.grad for u in lights])
     assert bool(slopes.isfinite().all()) and bool((slopes != 0).any())
@@ -51,14 +50,14 @@ def test_the_gradient_goes_through_lamps_scene_camera_and_network() -> None:
     losses = []
     for sign in (1, -1):
         moved = tuple((u + sign * step * u.grad).detach().requires_grad_(True) for u in lights)
-        losses.append(float(found.judged(moved).loss.detach()))
+        losses.append(float(found.evaluate(moved).loss.detach()))
     assert losses[0] - losses[1] == pytest.approx(2 * step * float(slopes.square().sum()), rel=0.1)
 
 
 def test_descent_raises_a_metric_or_saves_energy() -> None:
     found = judge(BeamGoal(metric="weber_contrast"))
     start = begin(found)
-    first, last = found.judged(start), found.judged(descend(found, start, 8).lights)
+    first, last = found.evaluate(start), found.evaluate(descend(found, start, 8).lights)
     assert float(last.loss) < float(first.loss) - 0.05
     assert float(last.share) < float(first.share) or float(last.scores.mean()) > float(first.scores.mean())
 

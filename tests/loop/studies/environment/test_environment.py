@@ -19,8 +19,8 @@ from gymnasium.vector import AutoresetMode
 
 import luxloop
 from luxloop.loop.studies.environment.acting import HEIGHT_RATE_M
+from luxloop.loop.studies.environment.make import register
 from luxloop.loop.studies.environment.randomised import Randomised, RandomisedVector
-from luxloop.loop.studies.environment.registered import register
 from luxloop.loop.studies.environment.single import SymbolEnv
 from luxloop.loop.studies.environment.task import reward
 from luxloop.perception.extraction import ExtractionStatus

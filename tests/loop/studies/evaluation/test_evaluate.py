@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 
 from luxloop.controllers.pixels.mrpc_tuning import part
 from luxloop.loop.studies.evaluation import evaluate as evaluation
-from luxloop.loop.studies.evaluation import jobs, report
+from luxloop.loop.studies.evaluation import report
 from luxloop.loop.studies.evaluation.evaluate import JOBS, ROWS, SETPOINTS, Evaluation, evaluate, summary
 from luxloop.loop.studies.jobs import runner
 from luxloop.loop.studies.jobs.executors import local
@@ -40,7 +40,7 @@ def small() -> Iterator[Headlight]:
     )
     light = headlight("small", pixels, TexelGrid.from_degrees(24, 64, 14, -14, -5, 5))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(jobs, "headlight", lambda name: light)
+        patch.setattr(evaluation, "headlight", lambda name: light)
         patch.setattr("luxloop.loop.studies.evaluation.figures.headlight", lambda name: light)
         patch.setattr("luxloop.controllers.pixels.mrpc_tuning.POPULATION", 4)
         patch.setattr("luxloop.controllers.pixels.mrpc_tuning.GENERATIONS", 5)
@@ -60,7 +60,7 @@ def found(folder: Path) -> Evaluation:
 def test_joint_optimum_is_that_of_a_linear_programme(small: Headlight) -> None:
     for rectangle in RECTANGLES:
         some = part(small, rectangle.texture(small))
-        u, gap = jobs.joint_optimum(some)
+        u, gap = evaluation.joint_optimum(some)
         A = some.headlight.matrix.to_scipy().astype(np.float64) / 1e4
         s = some.wanted.flatten().double().numpy() / 1e4
         one = sp.identity(len(s))
@@ -69,14 +69,14 @@ def test_joint_optimum_is_that_of_a_linear_programme(small: Headlight) -> None:
         found = linprog(cost, sp.vstack([sp.hstack([A, -one]), sp.hstack([-A, -one])]), np.concatenate([s, -s]), bounds=bounds)
         least = found.fun / (s > 0).sum()
         reached = float(mae(some.headlight.light_texture(u), some.wanted))
-        assert gap <= jobs.GAP
-        assert least - 1e-5 <= reached <= least * (1 + jobs.GAP) + 1e-5  # u is rounded to float32
+        assert gap <= evaluation.GAP
+        assert least - 1e-5 <= reached <= least * (1 + evaluation.GAP) + 1e-5  # u is rounded to float32
 
 
 def test_mrpc_is_never_better_than_the_joint_optimum(found: Evaluation) -> None:
     assert found.failures == {}
     for row in found.setpoints:
-        assert row["jpo_mae"] <= row["mrpc_mae"] * (1 + jobs.GAP)
+        assert row["jpo_mae"] <= row["mrpc_mae"] * (1 + evaluation.GAP)
         assert row["options_mae"] <= row["mrpc_mae"] + 1e-9
         assert row["mrpc_mae"] <= min(row["median_mae"], row["default_mae"]) * 1.1  # a short search of the three
     values = summary(found.setpoints)
@@ -88,7 +88,7 @@ def test_mrpc_is_never_better_than_the_joint_optimum(found: Evaluation) -> None:
 def test_stored_utilisations_give_the_error(found: Evaluation, small: Headlight) -> None:
     for row, rectangle in zip(found.setpoints, RECTANGLES, strict=True):
         for control in ("mrpc", "jpo"):
-            light = torch.from_numpy(jobs.light_of("hd84", row["pixels"], row[f"{control}_u"]))
+            light = torch.from_numpy(evaluation.light_of("hd84", row["pixels"], row[f"{control}_u"]))
             assert float(mae(light, rectangle.texture(small))) == pytest.approx(row[f"{control}_mae"], abs=1e-3)  # stored with 5 digits
 
 
@@ -117,7 +117,7 @@ def test_a_part_that_fails_leaves_no_older_table(tmp_path: Path, monkeypatch: py
     tables = ("setpoints", "tables", "sensitivity")
     for table, function in zip(tables, ("setpoint", "table_row", "sensitivity_row"), strict=True):
         (tmp_path / f"{table}.parquet").write_text("older")
-        monkeypatch.setattr(jobs, function, failing)
+        monkeypatch.setattr(evaluation, function, failing)
     assert evaluate(tmp_path, ["hd84"], executor=local(1), setpoints=RECTANGLES, grid=1).failures
     assert not list(tmp_path.glob("*.parquet"))
 

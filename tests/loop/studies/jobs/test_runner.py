@@ -1,6 +1,5 @@
 """The job runner: parallel, resumable wherever it is stopped, honest about failures."""
 
-import json
 import os
 import signal
 import subprocess
@@ -13,7 +12,6 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from luxloop.loop.studies.jobs import runner
 from luxloop.loop.studies.jobs.executors import local
 from luxloop.loop.studies.jobs.runner import Job, Results, run
 from luxloop.world.errors import LuxloopError
@@ -119,8 +117,6 @@ def test_processes_have_one_thread_and_their_failures_come_back(tmp_path: Path, 
         (signal.SIGINT, True),
         (signal.SIGTERM, False),
         (signal.SIGKILL, False),
-        pytest.param(signal.SIGINT, False, marks=pytest.mark.slow),
-        pytest.param(signal.SIGTERM, True, marks=pytest.mark.slow),
         pytest.param(signal.SIGKILL, True, marks=pytest.mark.slow),
     ],
 )
@@ -209,8 +205,3 @@ def test_parquet(tmp_path: Path) -> None:
         Results([{"a": 1}], {}).write(file / "r.parquet")
     with pytest.raises(LuxloopError, match="results make no table"):
         Results([{"a": 1}, {"a": "one"}], {}).write(file)
-
-
-def test_versions_follow_the_source() -> None:
-    assert runner.digest_of(runner) != runner.digest_of(runner, json)
-    assert runner.digest_of(runner) == runner.digest_of(runner)

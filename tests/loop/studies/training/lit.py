@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from luxloop.loop.studies.training.light import luminance
-from luxloop.loop.studies.training.scenes import CAMERA, DarkScene, Labelled
+from luxloop.loop.studies.training.scenes import CAMERA, DarkScene, SceneObject
 from luxloop.perception.camera import expose
 from luxloop.perception.noise import FrameNoise
 
@@ -22,7 +22,7 @@ class Lit:
         return expose(luminance(self.scene, lx), CAMERA, FrameNoise(1))[None] / (2**CAMERA.bits - 1)
 
     @property
-    def clear(self) -> list[Labelled]:
+    def clear(self) -> list[SceneObject]:
         """Those that are easily seen."""
         return [each for each in self.scene.objects if each.visible > 0.9 and each.inside > 0.9 and each.height > 40]
 

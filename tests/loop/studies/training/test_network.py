@@ -89,19 +89,6 @@ def test_weights_are_stored_in_half_precision(tmp_path: Path, device: torch.devi
     torch.testing.assert_close(again(frames.to(device))[0].cpu(), network(frames)[0], atol=0.02, rtol=0.02)
 
 
-def test_other_files_are_refused(tmp_path: Path) -> None:
-    other = tmp_path / "other.pt"
-    with pytest.raises(LuxloopError, match=r"detector.weights: .*other.pt: cannot be read"):
-        detector(NetworkParams(weights=str(other)), torch.device("cpu"))
-    for content in (b"", b"no weights", b"PK\x03\x04"):
-        other.write_bytes(content)
-        with pytest.raises(LuxloopError, match=r"other.pt: holds no weights .*luxloop train-detector"):
-            detector(NetworkParams(weights=str(other)), torch.device("cpu"))
-    torch.save({"classes": ["car"], "weights": {"head": torch.zeros(1)}}, other)
-    with pytest.raises(LuxloopError, match="holds no weights"):
-        detector(NetworkParams(weights=str(other)), torch.device("cpu"))
-
-
 def stored(value: Any) -> bytes:
     buffer = io.BytesIO()
     torch.save(value, buffer)
@@ -124,7 +111,7 @@ def unpacking(value: bytes) -> bytes:
         (lambda: stored({"classes": ["martian"], "weights": {}}), "its classes are not some of"),
         (lambda: stored({"classes": [], "weights": {}}), "its classes are not some of"),
         (lambda: stored({"classes": 5, "weights": {}}), "holds no weights"),
-        (lambda: b"no archive", "holds no weights"),
+        (lambda: b"no archive", r"holds no weights .*luxloop train-detector"),
         (lambda: unpacking(stored({})), "its weights would take"),
     ],
 )

@@ -8,7 +8,6 @@ import onnx
 import pytest
 import torch
 from onnx import helper, numpy_helper
-from pydantic import ValidationError
 from torch import Tensor, nn
 
 from luxloop.perception.detection.build import detector
@@ -133,13 +132,6 @@ def test_one_class_that_is_always_sure_is_no_class_number(tmp_path: Path) -> Non
     assert found.boxes.tolist() == [[270, 220, 370, 420]] and found.scores.tolist() == [[pytest.approx(0.9)]]
 
 
-def test_numbers_of_one_class_are_taken_together(tmp_path: Path) -> None:
-    file = says(LAYOUTS["yolov8"], (640, 640), tmp_path / "says.onnx")
-    found = OnnxDetector(OnnxParams(file=file, classes={0: "animal", 1: "animal"}))
-    assert found.classes == ("animal",)
-    assert found.detect(torch.rand(1, 320, 320))[0].scores.tolist() == [[pytest.approx(0.9)], [pytest.approx(0.7)]]
-
-
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 @pytest.mark.parametrize("number", [0, 2, 4])  # of what it says: the middle, the width, a score
 def test_what_is_not_finite_is_left_out(number: int, wrong: float, tmp_path: Path) -> None:
@@ -157,9 +149,3 @@ def test_what_is_no_network_is_said_in_a_sentence(tmp_path: Path) -> None:
     broken.write_bytes(b"no network")
     with pytest.raises(LuxloopError, match=r"broken.onnx: is not a valid ONNX file"):
         OnnxDetector(OnnxParams(file=str(broken)))
-
-
-@pytest.mark.parametrize("wrong", [{"input_px": (0, 640)}, {"input_px": (640, -1)}, {"classes": {-1: "car"}}])
-def test_sizes_and_numbers_that_cannot_be_are_refused(wrong: dict[str, Any]) -> None:
-    with pytest.raises(ValidationError, match="greater than or equal to"):
-        OnnxParams(file="any.onnx", **wrong)

@@ -12,16 +12,15 @@ import torch
 from luxloop.loop.commands import cli
 from luxloop.loop.studies.jobs.executors import local
 from luxloop.loop.studies.training import examples, fit
-from luxloop.loop.studies.training.calibrate import calibrate, logistic
+from luxloop.loop.studies.training.evaluate import boxes_right, evaluate, score_frame
 from luxloop.loop.studies.training.examples import SIZE, Examples, targets
-from luxloop.loop.studies.training.judge import boxes_right, judge, verdict
-from luxloop.loop.studies.training.light import WELL_LIT_LX, darkened, full_light, lit_alone, lit_share, luminance, object_light
-from luxloop.loop.studies.training.report import overview, page
-from luxloop.loop.studies.training.scenes import CAMERA, CLASSES, HELD_OUT, TRAINING, DarkScene, Labelled, draw, read
-from luxloop.loop.studies.training.train import LEAST_SCORE, drawn, store
+from luxloop.loop.studies.training.light import WELL_LIT_LX, darken, full_light, lit_alone, lit_share, luminance, object_light
+from luxloop.loop.studies.training.report import page
+from luxloop.loop.studies.training.scenes import CAMERA, CLASSES, HELD_OUT, TRAINING, DarkScene, SceneObject, draw, read
+from luxloop.loop.studies.training.train import LEAST_SCORE, calibrate, draw_scenes, logistic, store
 from luxloop.perception.detection.build import WEIGHTS, detector
 from luxloop.perception.detection.detector import Detections, NetworkParams
-from luxloop.perception.detection.network import STRIDE, Network, NetworkDetector
+from luxloop.perception.detection.network import STRIDE, NetworkDetector
 from luxloop.world.errors import LuxloopError
 
 CPU = torch.device("cpu")
@@ -39,12 +38,12 @@ def plain(distance: float, box: tuple[float, float, float, float] | None = None)
     """A white wall at 30 m, with a white pedestrian before it where there is a box."""
     shape, wall = (120, 200), torch.full((120, 200), 30.0)
     object_id = torch.zeros(shape, dtype=torch.int32)
-    objects: tuple[Labelled, ...] = ()
+    objects: tuple[SceneObject, ...] = ()
     if box is not None:
         u0, v0, u1, v1 = map(int, box)
         object_id[v0:v1, u0:u1] = 1
         wall[v0:v1, u0:u1] = distance
-        objects = (Labelled(1, 0, box, 1.0, 1.0),)
+        objects = (SceneObject(1, 0, box, 1.0, 1.0),)
     return DarkScene(torch.full(shape, 1 / math.pi), wall, torch.zeros(shape), torch.zeros(shape), object_id, 0.0, objects)
 
 
@@ -60,7 +59,7 @@ def test_a_scene_reflects_what_its_materials_let_it(row: dict[str, object]) -> N
 
 
 def test_parts_and_mirror_images_keep_boxes_on_their_objects(row: dict[str, object]) -> None:
-    whole, part = read(row), read(row, slice(60, 300), slice(100, 500)).mirrored()
+    whole, part = read(row), read(row, slice(60, 300), slice(100, 500)).mirror()
     for each in part.objects:
         (same,) = (other for other in whole.objects if other.object_id == each.object_id)
         u0, v0, u1, v1 = same.box
@@ -101,7 +100,7 @@ def test_object_based_light_leaves_heads_dark_and_lights_bodies() -> None:
     assert torch.allclose(light[:, :35], torch.tensor(0.1)) and torch.allclose(light[:, 110:], torch.tensor(0.1))
     assert float(lit_share(scene, light, WELL_LIT_LX)) == pytest.approx(0.75, abs=2 / 80)  # a row of 80 to both sides
     whole = lit_alone(scene, 20.0, 0.1, {}, 0.5, 0.5)
-    assert torch.allclose(darkened(scene, whole, scene.objects[0], 0.25, 0.5, 0.5), light)
+    assert torch.allclose(darken(scene, whole, scene.objects[0], 0.25, 0.5, 0.5), light)
 
 
 def test_targets_are_the_middles_and_boxes_of_what_must_be_found() -> None:
@@ -145,7 +144,7 @@ def test_what_object_based_light_takes_from_a_logit_is_a_loss_of_that_light_alon
 
 
 def test_examples_come_from_a_seed(row: dict[str, object]) -> None:
-    first, again, other = (Examples.drawn([row], 3, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    first, again, other = (Examples.draw([row], 3, np.random.default_rng(seed)) for seed in (1, 1, 2))
     assert torch.equal(first.frames, again.frames) and torch.equal(first.heat, again.heat)
     assert not torch.equal(first.frames, other.frames)
     assert first.frames.shape == (6, *SIZE) and first.frames.min() >= 0 and first.frames.max() <= 1
@@ -171,21 +170,21 @@ def test_what_is_too_dark_is_not_there_and_what_is_dim_does_not_count() -> None:
 
 
 def test_verdicts_count_what_is_found_missed_and_false() -> None:
-    seen = Labelled(1, 0, (10.0, 10.0, 30.0, 60.0), 1.0, 1.0)
+    seen = SceneObject(1, 0, (10.0, 10.0, 30.0, 60.0), 1.0, 1.0)
     objects = [seen, replace(seen, label=2, box=(100.0, 10.0, 160.0, 50.0)), replace(seen, box=(200.0, 0.0, 210.0, 20.0))]
     boxes = torch.tensor([[10.0, 10, 30, 58], [11, 10, 30, 60], [101, 10, 160, 50], [200, 0, 210, 20], [300, 300, 340, 380]])
     scores = torch.tensor([[0.9, 0, 0, 0], [0.2, 0, 0, 0], [0.1, 0.6, 0.4, 0], [0.5, 0, 0, 0], [0, 0, 0, 0.7]])
-    found = verdict(Detections(boxes, scores), objects, range(4))
+    found = score_frame(Detections(boxes, scores), objects, range(4))
     assert found.labels == (0, 2) and found.found == (True, True) and found.right == (True, False)
     assert found.confidences == pytest.approx((0.9, 0.4))
     assert found.false == 1  # the third object is too small to be asked for, but it is one
-    nothing = verdict(Detections(boxes[:0], scores[:0]), objects, range(4))
+    nothing = score_frame(Detections(boxes[:0], scores[:0]), objects, range(4))
     assert nothing.found == (False, False) and nothing.confidences == (0.0, 0.0) and nothing.false == 0
 
 
 def test_the_shipped_weights_are_as_good_as_their_report_says_on_one_scene(row: dict[str, object]) -> None:
     report = json.loads(REPORT.read_text("utf-8"))
-    found = judge(detector(NetworkParams(threshold=0.01), CPU), [row])
+    found = evaluate(detector(NetworkParams(threshold=0.01), CPU), [row])
     assert found["alone"]["objects"] >= 2 and abs(found["alone"]["median_change"]) < 0.1
     median = dict(zip(found["confidence"]["lx"], found["confidence"]["all"]["median"], strict=True))
     assert found["well_lit"]["recall"] >= report["well_lit"]["recall"] - 0.3  # of the few objects of one scene
@@ -198,17 +197,9 @@ def test_the_page_says_what_the_report_says() -> None:
     assert REPORT.with_suffix(".md").read_text("utf-8").endswith(text)
 
 
-def test_the_page_tells_how_long_it_took_and_what_it_was_calibrated_on() -> None:
-    report = json.loads(REPORT.read_text("utf-8"))
-    few = report["training"] | {"scenes": 3, "calibrated_on": 3, "minutes": {"drawing": 0.5, "training": 9.5}}
-    text = page(report | {"training": few})
-    assert "on 3 scenes" in text and "(drawing 0.5 min, training 9.5 min); calibrated on the same" in text
-    assert overview(report).row_count == 6
-
-
 def test_a_network_that_has_learnt_nothing_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """From a scene with nobody in it nothing can be learnt."""
-    drawn(tmp_path, TRAINING, 1, local(1), "scene")
+    draw_scenes(tmp_path, TRAINING, 1, local(1), "scene")
     jobs = [json.loads(line) for line in (tmp_path / "scenes.jsonl").read_text("utf-8").splitlines()]
     jobs[0]["result"]["objects"] = []
     (tmp_path / "scenes.jsonl").write_text(json.dumps(jobs[0]) + "\n", "utf-8")
@@ -269,16 +260,8 @@ def test_a_logistic_curve_is_found_again() -> None:
     assert np.isfinite(logistic(x, (x > 0).double())).all() and np.isfinite(logistic(x[:0], x[:0])).all()
 
 
-def test_calibration_is_part_of_the_network() -> None:
-    network, frames = Network(4).eval(), torch.rand(1, 1, 64, 96)
-    logits, sides = network(frames)
-    network.calibrate(3.0, -0.5)
-    calibrated, same = network(frames)
-    assert torch.allclose(calibrated, 3 * logits - 0.5, atol=1e-4) and torch.equal(sides, same)  # sums of 64 products in single precision
-
-
 def test_boxes_are_right_once_an_object() -> None:
-    one = Labelled(1, 0, (10.0, 10.0, 30.0, 60.0), 1.0, 1.0)
+    one = SceneObject(1, 0, (10.0, 10.0, 30.0, 60.0), 1.0, 1.0)
     small = replace(one, box=(200.0, 0.0, 210.0, 20.0))
     boxes = torch.tensor([[10.0, 10, 30, 58], [11, 10, 30, 60], [10, 10, 30, 60], [200, 10, 210, 20], [300, 300, 340, 380]])
     scores = torch.tensor([[0.8, 0], [0.9, 0], [0, 0.7], [0.6, 0], [0.5, 0]])
@@ -289,11 +272,8 @@ def test_boxes_are_right_once_an_object() -> None:
 
 
 def test_numbers_that_make_no_sense_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for key in ("scenes", "held-out", "epochs"):
-        assert cli.main(["train-detector", "--out", str(tmp_path), f"--{key}", "0"]) == cli.WRONG
-        assert f"--{key} 0: too few" in capsys.readouterr().err
-    assert cli.main(["train-detector", "--out", str(tmp_path), "--jobs", "0"]) == cli.WRONG
-    assert "--jobs: 0 is too few processes" in capsys.readouterr().err
-    assert cli.main(["train-detector", "--out", str(tmp_path), "--seed", "-1"]) == cli.WRONG
-    assert "--seed -1: a seed is 0 or more" in capsys.readouterr().err
+    wrong = {("epochs", "0"): "--epochs 0: too few", ("jobs", "0"): "--jobs: 0 is too few", ("seed", "-1"): "--seed -1: a seed"}
+    for (key, value), said in wrong.items():
+        assert cli.main(["train-detector", "--out", str(tmp_path), f"--{key}", value]) == cli.WRONG
+        assert said in capsys.readouterr().err
     assert not any(tmp_path.iterdir())

@@ -11,7 +11,7 @@ from pydantic import Field
 from luxloop.loop.recording.labels import Labels, Layout
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.scenario.overrides import overridden, resolve_paths
-from luxloop.loop.studies.ranges import Range, changed, parse
+from luxloop.loop.studies.ranges import Range, parse, with_values
 from luxloop.loop.studies.training.scenes import tables
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.params import Params
@@ -41,7 +41,7 @@ class DatasetParams(Params):
 
 
 @dataclass(frozen=True)
-class DrawnScene:
+class DatasetScene:
     """A scene of a data set. variant: its name, empty for none. drawn: numbers from ranges, by key."""
 
     seed: int
@@ -59,7 +59,7 @@ class Dataset:
     """What a file says of a data set, and its scenes."""
 
     labels: Labels
-    scenes: tuple[DrawnScene, ...]
+    scenes: tuple[DatasetScene, ...]
 
 
 def read(file: Path, number: int, *, allow_code: bool = False) -> Dataset:
@@ -83,20 +83,12 @@ def read(file: Path, number: int, *, allow_code: bool = False) -> Dataset:
         return Dataset(labels, tuple(_scene(params, ranges, params.seed + k) for k in range(number)))
 
 
-def _scene(params: DatasetParams, ranges: tuple[Range, ...], seed: int) -> DrawnScene:
+def _scene(params: DatasetParams, ranges: tuple[Range, ...], seed: int) -> DatasetScene:
     rng, names = np.random.default_rng([seed, DRAWING]), [*params.variants] or [""]
     variant = names[int(rng.integers(len(names)))]
-    drawn = {each.key: _number(each, rng) for each in ranges}
+    drawn = {each.key: each.draw(rng) for each in ranges}
     scenario = _scenario(params, seed, variant)
-    return DrawnScene(seed, variant, drawn, changed(scenario, drawn) if drawn else scenario)
-
-
-def _number(of: Range, rng: np.random.Generator) -> float | int:
-    if of.whole:
-        return int(rng.integers(int(of.low), int(of.high), endpoint=True))
-    low, high = np.log((of.low, of.high)) if of.log else (of.low, of.high)
-    value = float(rng.uniform(low, high))
-    return float(np.exp(value)) if of.log else value
+    return DatasetScene(seed, variant, drawn, with_values(scenario, drawn) if drawn else scenario)
 
 
 def _scenario(params: DatasetParams, seed: int, variant: str) -> Scenario:
@@ -107,6 +99,6 @@ def _scenario(params: DatasetParams, seed: int, variant: str) -> Scenario:
         return validate(overridden(data, [params.set, params.variants[variant] if variant else {}]), name)
 
 
-def facts(scene: DrawnScene) -> dict[str, Any]:
+def facts(scene: DatasetScene) -> dict[str, Any]:
     """What a data set says of a scene."""
     return {"seed": scene.seed, "variant": scene.variant, "drawn": dict(scene.drawn)}

@@ -1,14 +1,21 @@
-"""Functions that make environments: `make` and `make_vec`."""
+"""Functions that make environments, `make` and `make_vec`, and the shipped scenarios with one symbol registered with Gymnasium."""
 
+import tomllib
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from luxloop.loop.scenario.model import Scenario
+from luxloop.loop.scenario.shipped import scenario_files
 from luxloop.world.errors import LuxloopError
 
 if TYPE_CHECKING:
     from luxloop.loop.studies.environment.single import SymbolEnv
     from luxloop.loop.studies.environment.vector import SymbolVectorEnv
+
+IDS: Final[Mapping[str, str]] = {"": "moves", "Gains": "gains", "Heights": "heights"}
+SINGLE: Final = "luxloop.loop.studies.environment.single:SymbolEnv"
+VECTOR: Final = "luxloop.loop.studies.environment.vector:SymbolVectorEnv"
 
 
 def make(
@@ -58,3 +65,26 @@ def _needs_gymnasium() -> None:
         import gymnasium  # noqa: F401
     except ImportError as error:
         raise LuxloopError("make: needs Gymnasium, which is not installed; get it with pip install 'luxloop[gym]'") from error
+
+
+def register() -> tuple[str, ...]:
+    """Register `luxloop/Snowflake-v0`, `luxloop/SnowflakeGains-v0`, `luxloop/SnowflakeHeights-v0` and so on; returns all ids."""
+    import gymnasium
+
+    ids = []
+    for name in symbols():
+        camel = "".join(part.capitalize() for part in name.split("_"))
+        for ending, action in IDS.items():
+            ids.append(f"luxloop/{camel}{ending}-v0")
+            if ids[-1] not in gymnasium.registry:
+                vector = None if action == "heights" else VECTOR
+                gymnasium.register(ids[-1], SINGLE, vector_entry_point=vector, kwargs={"scenario": name, "action": action})
+    return tuple(ids)
+
+
+def symbols() -> Iterator[str]:
+    """Names of the shipped scenarios with exactly one held symbol."""
+    for name, path in scenario_files().items():
+        functions = tomllib.loads(path.read_text("utf-8")).get("functions", {})
+        if sum("controller" in each for each in functions.values()) == 1:
+            yield name

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from luxloop.controllers.functions.object_based import ObjectLightParams
 from luxloop.loop.studies.training.light import lit_alone, luminance
-from luxloop.loop.studies.training.scenes import CAMERA, CLASSES, DarkScene, Labelled, read
+from luxloop.loop.studies.training.scenes import CAMERA, CLASSES, DarkScene, SceneObject, read
 from luxloop.perception.camera import expose
 from luxloop.perception.detection.detector import Detections, Detector, overlaps
 from luxloop.perception.noise import FrameNoise
@@ -30,8 +30,8 @@ HEIGHT_PX, VISIBLE, INSIDE = 24, 0.5, 0.5  # least of what must be found; what h
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """Verdict on one frame. confidences: of each object that must be detected, the best score of its class, 0 without a box on it.
+class FrameScores:
+    """FrameScores on one frame. confidences: of each object that must be detected, the best score of its class, 0 without a box on it.
 
     found: which objects a sure box detects. right: which of these in their class. false: number of sure boxes without an object.
     """
@@ -43,16 +43,16 @@ class Verdict:
     false: int
 
 
-def judge(detector: Detector, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def evaluate(detector: Detector, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Metrics of a detector on the scenes that `luxloop.loop.studies.training.scenes.draw` returned as rows.
 
     At x lx every surface facing the lamps gets x lx at any distance: the intensity grows with the square of the distance. Confidence
     against illuminance is computed without any other light, and with the scene's night light, as are all other metrics.
     """
     labels_of = [CLASSES.index(name) for name in detector.classes]
-    in_darkness: dict[float, list[Verdict]] = {lx: [] for lx in ILLUMINANCES_LX}
-    at_night: dict[float, list[Verdict]] = {lx: [] for lx in ILLUMINANCES_LX}
-    by_score: dict[float, list[Verdict]] = {score: [] for score in SCORES}
+    in_darkness: dict[float, list[FrameScores]] = {lx: [] for lx in ILLUMINANCES_LX}
+    at_night: dict[float, list[FrameScores]] = {lx: [] for lx in ILLUMINANCES_LX}
+    by_score: dict[float, list[FrameScores]] = {score: [] for score in SCORES}
     agreements: list[tuple[int, float, float]] = []
     asked: list[tuple[float, bool]] = []
     times_ms = []
@@ -60,16 +60,16 @@ def judge(detector: Detector, rows: Sequence[Mapping[str, Any]]) -> dict[str, An
         scene, seed = read(row), int(row["seed"])
         dark = replace(scene, own=torch.zeros_like(scene.own), sky=torch.zeros_like(scene.sky))
         for number, lx in enumerate(ILLUMINANCES_LX):
-            frames = torch.stack([seen(each, lx, seed, number) for each in (dark, scene)])
+            frames = torch.stack([expose_scene(each, lx, seed, number) for each in (dark, scene)])
             start = time.process_time()
             alone, found = detector.detect(frames)
             times_ms.append(1e3 * (time.process_time() - start) / len(frames))
-            in_darkness[lx].append(verdict(alone, scene.objects, labels_of))
-            at_night[lx].append(verdict(found, scene.objects, labels_of))
+            in_darkness[lx].append(score_frame(alone, scene.objects, labels_of))
+            at_night[lx].append(score_frame(found, scene.objects, labels_of))
             if lx == JUDGED_LX:
                 asked += boxes_right(found, scene.objects, labels_of)
                 for score, of in by_score.items():
-                    of.append(verdict(found, scene.objects, labels_of, score))
+                    of.append(score_frame(found, scene.objects, labels_of, score))
         agreements += agreement(detector, scene, seed)
     return {
         "scenes": len(rows),
@@ -84,7 +84,7 @@ def judge(detector: Detector, rows: Sequence[Mapping[str, Any]]) -> dict[str, An
     }
 
 
-def verdict(found: Detections, objects: Sequence[Labelled], labels_of: Sequence[int], sure: float = SURE) -> Verdict:
+def score_frame(found: Detections, objects: Sequence[SceneObject], labels_of: Sequence[int], sure: float = SURE) -> FrameScores:
     """The verdict on one frame. labels_of: luxloop's class for each of the detector's."""
     must = [_must(each) for each in objects]
     boxes, scores = found.boxes.cpu(), found.scores.cpu()
@@ -108,10 +108,10 @@ def verdict(found: Detections, objects: Sequence[Labelled], labels_of: Sequence[
         confidences.append(float(on_it.max()) if on_it.numel() else 0.0)
         hits.append(owner[number] >= 0)
         right.append(owner[number] >= 0 and labels_of[int(scores[owner[number]].argmax())] == each.label)
-    return Verdict(tuple(labels), tuple(confidences), tuple(hits), tuple(right), false)
+    return FrameScores(tuple(labels), tuple(confidences), tuple(hits), tuple(right), false)
 
 
-def boxes_right(found: Detections, objects: Sequence[Labelled], labels_of: Sequence[int]) -> list[tuple[float, bool]]:
+def boxes_right(found: Detections, objects: Sequence[SceneObject], labels_of: Sequence[int]) -> list[tuple[float, bool]]:
     """Score of each box, and whether it is the one of highest score on an object of its class that must or may be detected.
 
     Other boxes on objects that may be detected are left out.
@@ -136,31 +136,31 @@ def agreement(detector: Detector, scene: DarkScene, seed: int) -> list[tuple[int
     labels_of = [CLASSES.index(name) for name in detector.classes]
 
     def means(light: Tensor | float, first: int) -> tuple[tuple[int, ...], list[float]]:
-        frames = torch.stack([seen(scene, light, seed, first + k) for k in range(FRAMES)])
-        verdicts = [verdict(found, scene.objects, labels_of) for found in detector.detect(frames)]
+        frames = torch.stack([expose_scene(scene, light, seed, first + k) for k in range(FRAMES)])
+        verdicts = [score_frame(found, scene.objects, labels_of) for found in detector.detect(frames)]
         return verdicts[0].labels, np.mean([each.confidences for each in verdicts], 0).tolist()
 
     first = len(ILLUMINANCES_LX)
-    (labels, full), (_, dark) = means(ALONE_LX, first), means(object_based(scene), first + FRAMES)
+    (labels, full), (_, dark) = means(ALONE_LX, first), means(light_on_objects(scene), first + FRAMES)
     return [each for each in zip(labels, full, dark, strict=True) if each[1] >= SURE]
 
 
-def seen(scene: DarkScene, light: Tensor | float, seed: int, number: int) -> Tensor:
+def expose_scene(scene: DarkScene, light: Tensor | float, seed: int, number: int) -> Tensor:
     """A frame of the scene in a light for a detector, with noise of this seed and number."""
     return expose(luminance(scene, light), CAMERA, FrameNoise.of(seed, number, 0)) / (2**CAMERA.bits - 1)
 
 
-def object_based(scene: DarkScene) -> Tensor:
+def light_on_objects(scene: DarkScene) -> Tensor:
     """Light on objects alone, approximately as object-based lighting gives it by default, but without its handling of nearer objects."""
     params = ObjectLightParams()
     return lit_alone(scene, ALONE_LX, AROUND_LX, params.dark, params.dark_lx, EDGE_PX)
 
 
-def _must(each: Labelled) -> bool:
+def _must(each: SceneObject) -> bool:
     return each.height >= HEIGHT_PX and each.visible >= VISIBLE and each.inside >= INSIDE
 
 
-def _on_any(box: Tensor, objects: Sequence[Labelled]) -> bool:
+def _on_any(box: Tensor, objects: Sequence[SceneObject]) -> bool:
     """Whether most of a box lies on one of the objects."""
     for each in objects:
         other = torch.tensor(each.box)
@@ -170,7 +170,7 @@ def _on_any(box: Tensor, objects: Sequence[Labelled]) -> bool:
     return False
 
 
-def _found(verdicts: Sequence[Verdict]) -> dict[str, Any]:
+def _found(verdicts: Sequence[FrameScores]) -> dict[str, Any]:
     def share(hits: Sequence[bool]) -> float | None:
         return round(float(np.mean(hits)), 3) if hits else None
 
@@ -196,7 +196,7 @@ def _right(asked: Sequence[tuple[float, bool]]) -> list[dict[str, Any]]:
     return rows
 
 
-def _confidence(verdicts: Mapping[float, Sequence[Verdict]]) -> dict[str, Any]:
+def _confidence(verdicts: Mapping[float, Sequence[FrameScores]]) -> dict[str, Any]:
     """Quartiles over the illuminances, of all objects and of each class."""
     curves: dict[str, Any] = {"lx": list(ILLUMINANCES_LX)}
     for name, labels in {"all": range(len(CLASSES)), **{name: [k] for k, name in enumerate(CLASSES)}}.items():
@@ -212,13 +212,13 @@ def _confidence(verdicts: Mapping[float, Sequence[Verdict]]) -> dict[str, Any]:
 def _alone(agreements: Sequence[tuple[int, float, float]]) -> dict[str, Any]:
     """Share of objects whose confidence object-based light keeps within AGREE, and the median change."""
 
-    def kept(found: Sequence[tuple[int, float, float]]) -> float | None:
+    def share_within(found: Sequence[tuple[int, float, float]]) -> float | None:
         return round(float(np.mean([dark >= full - AGREE for _, full, dark in found])), 3) if found else None
 
     changes = [dark - full for _, full, dark in agreements]
     return {
         "objects": len(agreements),
-        "kept": kept(agreements),
-        "kept_by_class": {name: kept([each for each in agreements if each[0] == k]) for k, name in enumerate(CLASSES)},
+        "kept": share_within(agreements),
+        "kept_by_class": {name: share_within([each for each in agreements if each[0] == k]) for k, name in enumerate(CLASSES)},
         "median_change": round(float(np.median(changes)), 3) if changes else None,
     }
