@@ -59,8 +59,9 @@ def ssim(a: Tensor, b: Tensor, radius: float, data_range: float) -> Tensor:
     """
     if radius <= 0 or data_range <= 0:
         raise LuxloopError(f"SSIM needs a positive radius and data_range, got {radius} and {data_range}")
-    a, b = torch.broadcast_tensors(a, b)
-    mean_a, mean_b, mean_aa, mean_bb, mean_ab = gaussian(torch.stack([a, b, a * a, b * b, a * b]), radius)
+    a = a.expand(torch.broadcast_shapes(a.shape, b.shape))
+    mean_a, mean_aa, mean_ab = gaussian(torch.stack([a, a * a, a * b]), radius)
+    mean_b, mean_bb = gaussian(torch.stack([b, b * b]), radius)
     covariance = mean_ab - mean_a * mean_b
     variances = (mean_aa - mean_a**2) + (mean_bb - mean_b**2)
     c1, c2 = (0.01 * data_range) ** 2, (0.03 * data_range) ** 2
@@ -196,7 +197,7 @@ def evaluate(luminance: Tensor, view: BirdsEye, goal: Target, u_start: int = 0, 
     return Metrics(
         -100 * offset.flip(-1) / size,
         iou(mask, wanted.expand_as(mask)),
-        1 - share * (1 - ssim(grey, goal_grey.expand_as(grey), SSIM_RADIUS, 1.0)),
+        1 - share * (1 - ssim(grey, goal_grey, SSIM_RADIUS, 1.0)),
         shape.length / goal.shape.length,
         shape.shear,
     )

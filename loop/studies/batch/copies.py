@@ -1,7 +1,7 @@
 """Copies of one symbol in one standing world: the light of many poses at once, each measured and evaluated as in a single run."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import cast
 
@@ -102,7 +102,8 @@ class Part:
 class Light:
     """Luminances in cd/m^2 that the camera sees of B projections, without noise.
 
-    part: of the image, with all light of the symbols. footprints: where each is looked for. added, flat: `[B, h, w]`, what the symbols add
+    part: of the image, with all light of the symbols. footprints: where each is looked for; windows: as large
+    for all, around them, empty for what the camera does not see. added, flat: `[B, h, w]`, what the symbols add
     there, in the world and on the flat road that the controller assumes. sums: `[B, m, 2]`, flux in lm and sum of utilisations of each of
     the modules that draw. drawn: utilisations of each copy, `[m]` of the part of each module.
     """
@@ -110,6 +111,7 @@ class Light:
     projection: ProjectionCommand
     part: Part
     footprints: Sequence[Crop]
+    windows: Sequence[Crop]
     added: Tensor
     flat: Tensor
     sums: Tensor
@@ -140,7 +142,8 @@ class Copies:
         if isinstance(projection, Tensor):
             projection = ProjectionCommand(projection)
         footprints = self.projector.footprints(projection, self.sensor.model.eye.view, self.sensor.params.footprint_margin_m)
-        needed = hull([each for each in footprints if not _empty(each)])
+        windows = same_size([EMPTY if _empty(each) else each for each in footprints], self.view.base.shape)
+        needed = hull([each for each in windows if each != EMPTY])
         drawn: list[tuple[Tensor, ...]]
         if self.windowed:  # on the parts of light texture, lamp and image that the symbols touch
             modules = self.projector.modules
@@ -156,19 +159,27 @@ class Copies:
             drawn = [tuple(each.u for each in self.projector.draw(single)) for single in projection.singles()]
         added, flat, sums = [], [], []
         fluxes = [self.simulation.modules[k].flux[each.pixels] for k, each in zip(self.symbol.drawn_by, part.modules, strict=True)]
+        weights = [torch.stack([flux, torch.ones_like(flux)], 1) for flux in fluxes]
         for lights in drawn:
             above = [u - module.rest for u, module in zip(lights, part.modules, strict=True)]
             for images, k in ((added, 0), (flat, 1)):
                 seen = [multiply(roads[k], u).view(part.resting.shape) for roads, u in zip(part.roads, above, strict=True)]
                 images.append(sum(seen[1:], seen[0]))
-            sums.append(torch.stack([torch.stack([u @ flux, u.sum()]) for u, flux in zip(lights, fluxes, strict=True)]))
-        return Light(projection, part, footprints, torch.stack(added), torch.stack(flat), torch.stack(sums), drawn)
+            sums.append(torch.stack([u @ each for u, each in zip(lights, weights, strict=True)]))
+        return Light(projection, part, footprints, windows, torch.stack(added), torch.stack(flat), torch.stack(sums), drawn)
 
     def measure(self, light: Light, frames: Sequence[Taken], *, quantise: bool = True) -> list[Measurement]:
         """What the symbol's sensor sees of each copy in its own footprint. frames: of each copy. quantise: False leaves digital numbers
         unrounded, for gradients.
         """
-        return [self._look(light, k, each, quantise) for k, each in enumerate(frames)]
+        seen = [self.sensor.lost(pose, ExtractionStatus.NOTHING) for pose in light.projection.pose]
+        in_view = [k for k, window in enumerate(light.windows) if window != EMPTY]
+        together = 1 if self.sensor.model.eye.plane is not None else TOGETHER  # places on the plane are of one window
+        for first in range(0, len(in_view), together):
+            some = in_view[first : first + together]
+            for k, each in zip(some, self._look(light, some, [frames[k] for k in some], quantise), strict=True):
+                seen[k] = each
+        return seen
 
     def evaluate(self, light: Light) -> Metrics:
         """Metrics `[B]` of the symbol on the road."""
@@ -195,13 +206,40 @@ class Copies:
         """Luminance `[height, width]` in cd/m^2 of everything but the symbols."""
         return added_light(self.view.transports, self.resting, self.view.base)
 
-    def _look(self, light: Light, k: int, taken: Taken, quantise: bool) -> Measurement:
-        crop, part = light.footprints[k], light.part
-        if _empty(crop):
-            return self.sensor.lost(light.projection.pose[k], ExtractionStatus.NOTHING)
-        at = part.within(crop)
-        frames = self._expose(part.resting[at] + light.added[k][at], part.resting[at], part.base[at], taken, crop, quantise)
-        return self.sensor.compare(*frames, (light.flat[k][at], part.limit[at]), crop)
+    def _look(self, light: Light, chosen: Sequence[int], frames: Sequence[Taken], quantise: bool) -> list[Measurement]:
+        """Measurements of some copies at once: the sensor sees their windows as crops at the place of the first."""
+        part, windows = light.part, [light.windows[k] for k in chosen]
+        parts, own = [], []  # of each copy: on and off frame, light and threshold of the flat road; its footprint in the window
+        for k, window, taken in zip(chosen, windows, frames, strict=True):
+            at, footprint = part.within(window), light.footprints[k].slices
+            inside = [
+                slice(each.start - start, each.stop - start)
+                for each, start in zip(footprint, (window.v_start, window.u_start), strict=True)
+            ]
+            on, off = self._expose(part.resting[at] + light.added[k][at], part.resting[at], part.base[at], taken, window, quantise)
+            beside = torch.ones_like(on, dtype=torch.bool)
+            beside[*inside] = False
+            parts.append((torch.where(beside, off, on), off, light.flat[k][at].masked_fill(beside, 0.0), part.limit[at]))
+            own.append(inside)
+        on, off, flat, limit = map(torch.stack, zip(*parts, strict=True))
+        seen = self.sensor.compare(on, off, (flat, limit), windows[0])
+        moved = on.new_tensor([(each.u_start - windows[0].u_start, each.v_start - windows[0].v_start) for each in windows])
+        errors = torch.cat([seen.errors[:, :2] + moved, seen.errors[:, 2:]], 1)
+        pose_error, centroids = self.sensor.pose_error(errors), seen.appearance.centroids + moved[:, None]
+        return [
+            replace(
+                seen,
+                **{"code": seen.code[n], "errors": errors[n], "pose_error": pose_error[n], "area_ratio": seen.area_ratio[n]},
+                appearance=replace(
+                    seen.appearance,
+                    centroids=centroids[n],
+                    **{name: getattr(seen.appearance, name)[n] for name in ("area", "shear", "length")},
+                ),
+                symbol=seen.symbol[n][*inside],
+                crop=light.footprints[chosen[n]],
+            )
+            for n, inside in enumerate(own)
+        ]
 
     def _expose(self, on: Tensor, off: Tensor, base: Tensor, taken: Taken, crop: Crop, quantise: bool = True) -> tuple[Tensor, Tensor]:
         """On and off frame of luminances `[h, w]` at a crop of the image. base: that without the lamps."""
@@ -224,16 +262,15 @@ class Copies:
                 a is None or b is None or a.holds(b) for a, b in zip(before, windows, strict=True)
             ):
                 return old
-            windows = [a and b and union([a, b]) for a, b in zip(before, windows, strict=True)]
         controllers = [each.pixel_controller for each in self.projector.modules]
-        modules = tuple(
-            ModulePart.of(each, window and window.widen(MARGIN_TEXELS, each.headlight))
-            for each, window in zip(controllers, windows, strict=True)
-        )
+        around = [window and window.widen(MARGIN_TEXELS, each.headlight) for window, each in zip(windows, controllers, strict=True)]
+        if old is not None:
+            around = [a and b and union([a, b]) for a, b in zip(before, around, strict=True)]
+        modules = tuple(map(ModulePart.of, controllers, around))
         transports = [cast(Transport, self.view.transports[number]) for number in self.symbol.drawn_by]
         reached = [each.crop(transport, width) for each, transport in zip(modules, transports, strict=True)] if self.windowed else []
-        crops = [needed, *reached] if old is None else [needed, *reached, old.crop]
-        crop = hull([each for each in crops if each != EMPTY]).widen(MARGIN_PX, *self.view.base.shape)
+        crop = hull([each for each in (needed, *reached) if each != EMPTY]).widen(MARGIN_PX, *self.view.base.shape)
+        crop = crop if old is None else hull([crop, old.crop])
         roads = tuple(
             (on_world.onto(crop.slices, width, each.pixels), on_flat.onto(crop.slices, width, each.pixels))
             for each, on_world, on_flat in zip(modules, transports, self.sensor.model.transports, strict=True)
@@ -246,6 +283,13 @@ class Copies:
 
 def _empty(crop: Crop) -> bool:
     return min(crop.v_stop - crop.v_start, crop.u_stop - crop.u_start) < 2
+
+
+def same_size(crops: Sequence[Crop], shape: Sequence[int]) -> list[Crop]:
+    """Crops as large for all, around others in an image of a shape; empty ones stay empty."""
+    rows, columns = (max((each.stop - each.start for each in (crop.slices[n] for crop in crops)), default=0) for n in (0, 1))
+    places = ((min(each.v_start, shape[0] - rows), min(each.u_start, shape[1] - columns)) for each in crops)
+    return [each if each == EMPTY else Crop(v, v + rows, u, u + columns) for each, (v, u) in zip(crops, places, strict=True)]
 
 
 def hull(crops: Sequence[Crop]) -> Crop:
