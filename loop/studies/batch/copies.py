@@ -157,7 +157,7 @@ class Copies:
         else:  # each with all pixels of the lamps
             part = self._reach(needed, [None] * len(self.projector.modules))
             drawn = [tuple(each.u for each in self.projector.draw(single)) for single in projection.singles()]
-        added, flat, sums = [], [], []
+        added, flat, sums = list[Tensor](), list[Tensor](), list[Tensor]()
         fluxes = [self.simulation.modules[k].flux[each.pixels] for k, each in zip(self.symbol.drawn_by, part.modules, strict=True)]
         weights = [torch.stack([flux, torch.ones_like(flux)], 1) for flux in fluxes]
         for lights in drawn:
@@ -229,7 +229,10 @@ class Copies:
         return [
             replace(
                 seen,
-                **{"code": seen.code[n], "errors": errors[n], "pose_error": pose_error[n], "area_ratio": seen.area_ratio[n]},
+                code=seen.code[n],
+                errors=errors[n],
+                pose_error=pose_error[n],
+                area_ratio=seen.area_ratio[n],
                 appearance=replace(
                     seen.appearance,
                     centroids=centroids[n],

@@ -134,7 +134,8 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
             if replace(self.plant, seed=taken.seed).loses(taken.step):
                 seen[k] = self.copies.sensor.lost(pose[k], ExtractionStatus.NO_FRAME)
         looks = zip(*(vars(Look.of(each, self.image)).values() for each in seen), strict=True)
-        self._looks.append(Look(*(None if each[0] is None else torch.stack(each) for each in looks)))
+        columns: list[Any] = [None if each[0] is None else torch.stack(each) for each in looks]
+        self._looks.append(Look(*columns))
         if len(self._looks) > self.late:
             self._look = choose(torch.from_numpy(self._age >= self.late).to(pose.device), self._looks.pop(0), self._blind())
         newest = replace(self._no_frame(pose), code=self._look.code, pose_error=self._look.pose_error)
