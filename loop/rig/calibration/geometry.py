@@ -161,7 +161,7 @@ def adjust(camera: CameraModel, screen: Pose, lamp: Pose, seen: Observation, fix
     """
     seen = _thin(seen)
     root = None if fix_camera or camera.covariance is None else np.linalg.pinv(_root(camera.covariance))
-    start = {} if root is None else {"camera": np.zeros(9)}
+    start: dict[str, Array] = {} if root is None else {"camera": np.zeros(9)}
     start |= {"lamp": lamp.values} | ({"screen": screen.values} if len(seen.board) else {})
     ends = np.cumsum([len(each) for each in start.values()])[:-1]
 

@@ -305,6 +305,9 @@ def hull(crops: Sequence[Crop]) -> Crop:
 
 def stack(seen: Sequence[Measurement]) -> Measurement:
     """Measurements of B copies as one, without their symbol images, which differ in size."""
-    values = [torch.stack([getattr(each, name) for each in seen]) for name in ("code", "errors", "pose_error", "area_ratio")]
+    code, errors, pose_error, area_ratio = (
+        torch.stack([getattr(each, name) for each in seen]) for name in ("code", "errors", "pose_error", "area_ratio")
+    )
     shapes = zip(*(vars(each.appearance).values() for each in seen), strict=True)
-    return Measurement(*values, Appearance(*map(torch.stack, shapes)), values[1].new_zeros(len(seen), 0, 0), EMPTY)
+    appearance = Appearance(*map(torch.stack, shapes))
+    return Measurement(code, errors, pose_error, area_ratio, appearance, errors.new_zeros(len(seen), 0, 0), EMPTY)
