@@ -248,7 +248,8 @@ def test_csv_has_every_value(recording: Path, tmp_path: Path, table: pa.Table) -
 
 def test_a_table_that_unpacks_to_more_than_the_budget_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "a.parquet"
-    pq.write_table(pa.table({f"c{k}": pa.repeat(0.0, 1_000_000) for k in range(200)}), file)
+    zeros = pa.repeat(0.0, 1_000_000)
+    pq.write_table(pa.table({f"c{k}": zeros for k in range(200)}), file)
     assert file.stat().st_size < 1e6
     with pytest.raises(LuxloopError, match=r"its table would take at least 3.2 GB"):
         read_parquet(file)

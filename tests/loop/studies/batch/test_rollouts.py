@@ -1,18 +1,15 @@
 """Batched rollouts: each is the single run, and errors are differentiable in gains."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
 import torch
 from torch import Tensor
 
-from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.controllers.symbol.feedback import ThesisPid
-from luxloop.loop.scenario.model import Scenario, load
-from luxloop.loop.simulation.build_lamps import shining_modules
-from luxloop.loop.simulation.lamps import MountedModule, ShiningModule
-from luxloop.loop.simulation.part_cache import PartCache
+from luxloop.loop.scenario.model import HeadlightParams, Scenario, load
+from luxloop.loop.simulation.build_lamps import mount
+from luxloop.loop.simulation.lamps import MountedModule
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.batch.rollouts import GAINS, check, rollouts, with_gains
 from luxloop.loop.studies.ranges import value_of, with_values
@@ -65,18 +62,13 @@ def test_every_gain_arrives_where_parameters_would_put_it(simulation: Simulation
             torch.testing.assert_close(getattr(made, name).expand(2, 4)[1], getattr(expected, name))
 
 
-def in_float64(scenario: Scenario, mounts: Sequence[MountedModule], cache: PartCache) -> tuple[ShiningModule, ...]:
-    def precise(module: ShiningModule) -> ShiningModule:
-        lamp = replace(module.headlight, matrix=module.headlight.matrix.to(torch.float64))
-        beams = {name: replace(beam, beam=beam.beam.double()) for name, beam in module.beams.items()}
-        controller = Ssc.prepare(lamp, module.controller.params)
-        return replace(module, headlight=lamp, controller=controller, flux=module.flux.double(), beams=beams)
-
-    return tuple(map(precise, shining_modules(scenario, mounts, cache)))
+def in_float64(params: HeadlightParams, device: str) -> tuple[MountedModule, ...]:
+    lights = ((each, each.headlight.matrix.to(torch.float64)) for each in mount(params, device))
+    return tuple(replace(each, headlight=replace(each.headlight, matrix=matrix)) for each, matrix in lights)
 
 
 def test_errors_are_differentiable_in_gains(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("luxloop.loop.simulation.build.shining_modules", in_float64)
+    monkeypatch.setattr("luxloop.loop.simulation.build.mount", in_float64)
     monkeypatch.setattr("luxloop.loop.simulation.build_symbols.load_still", lambda file: load_still(file).double())
     loop = Simulation.prepare(scenario("functions.symbol.extraction.edges=soft", "seed=2", steps=4))
     keys = ("functions.symbol.controller.position.kp", "functions.symbol.controller.position.kd", "functions.symbol.controller.rotation.kp")
