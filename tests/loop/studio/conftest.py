@@ -50,7 +50,7 @@ def served(page_folder: Path) -> Iterator[Served]:
     yield from serving(Source("snowflake", SMALL), page_folder)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")  # an open page draws for ever, beside all later tests
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator["Chrome"]:
     from tests.loop.studio.pages import chromium  # Selenium, for which other tests do not wait
 
