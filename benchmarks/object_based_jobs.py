@@ -14,8 +14,8 @@ from luxloop.controllers.functions.object_based import ObjectBasedState
 from luxloop.loop.scenario.model import Scenario, load, validate
 from luxloop.loop.scenario.overrides import Override
 from luxloop.loop.simulation.detection import pairs
+from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.lamps import flux_by_side
-from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.simulation.world import LitScene
 from luxloop.perception.camera import expose
@@ -170,7 +170,7 @@ class Run:
         self.tracked: dict[str, list[int]] = defaultdict(list)
         self.searches: dict[str, list[int | None]] = {}
 
-    def add(self, result: StepResult, shared: Simulation) -> None:
+    def add(self, result: Evaluation, shared: Simulation) -> None:
         assert result.look is not None
         own, eyes_lx = self.series, result.look.eyes_lx_max
         own["flux_lm"].append(round(sum(power.flux_lm for power in result.powers.values()), 2))
@@ -202,7 +202,7 @@ class Run:
         }
 
 
-def dazzled(result: StepResult, view: LitScene) -> Iterator[tuple[int, bool]]:
+def dazzled(result: Evaluation, view: LitScene) -> Iterator[tuple[int, bool]]:
     """Of each whose head or windscreen gets more than DAZZLING_LX the step, and whether a track shows it."""
     assert result.look is not None
     for each in view.objects:
