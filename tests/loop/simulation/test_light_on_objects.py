@@ -41,6 +41,6 @@ def test_a_module_is_driven_once_where_both_exposures_draw_the_same(driven: tupl
     result = simulation.step(simulation.start())[1]
     on, off = (each.lights for each in result.exposures)
     assert [k for k, each in enumerate(on) if each is not off[k]] == list(simulation.controlled["way"].drawn_by)
-    drawn = simulation.planner.draw(result.now, result.functions)
+    drawn = simulation.planner.draw(result.now, result.planning.functions)
     alone = simulation.lights_of(result, {name: each for name, each in drawn.items() if name != "way"})
     assert all(one.u.equal(other.u) for one, other in zip(off, alone, strict=True))
