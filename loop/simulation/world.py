@@ -42,7 +42,7 @@ def categories(objects: Sequence[ObjectParams]) -> tuple[Category | None, ...]:
     return tuple("car" if each.category is None and each.kind == "car" else each.category for each in objects)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class LitScene:
     """A scene in a view at one time, and what the lamps do to it.
 
