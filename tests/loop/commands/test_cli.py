@@ -250,7 +250,7 @@ def test_list_names_missing_data_and_how_to_get_it(lux: Lux, tmp_path: Path, mon
     paved = tmp_path / "paved.toml"
     symbol = 'functions.symbol = {kind = "symbol", image = "snowflake", controller = "open"}\n'
     paved.write_text('name = "paved"\ndescription = "On stones."\nroad = {file = "belgian_block"}\n' + symbol)
-    monkeypatch.setattr(listing, "shipped", lambda: {"paved": paved})
+    monkeypatch.setattr(listing, "scenario_files", lambda: {"paved": paved})
     monkeypatch.setenv("LUXLOOP_DATA", str(tmp_path))
     monkeypatch.setattr(data, "cache_folder", lambda: tmp_path / "cache")
     code, out, _ = lux("list")

@@ -6,11 +6,12 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image as Picture
-from rig_bench import _lens, _views
+from rig_bench import BROWN, _views
 
 from luxloop.loop.rig.calibration.geometry import CameraModel
 from luxloop.loop.rig.calibration.intrinsics import BoardParams, Corners, brightness, corners, lens, picture, print_board, vignetting
 from luxloop.loop.rig.calibration.shots import response_curve
+from luxloop.loop.rig.simulated.faults import LensParams
 from luxloop.world.errors import LuxloopError
 
 
@@ -77,7 +78,9 @@ def test_too_large_a_board_and_another_format_are_refused(tmp_path: Path) -> Non
 
 def test_lens_is_found_within_its_uncertainty() -> None:
     camera = CameraModel(640, 480, np.array([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]]))
-    found = lens(_views(camera, _lens(camera, False), np.random.default_rng(3)), 640, 480)
+    scale = (900 / 320) ** 2
+    params = LensParams(model="opencv", coefficients=tuple(each * scale**k for k, each in enumerate(BROWN, 1)))
+    found = lens(_views(camera, params, np.random.default_rng(3)), 640, 480)
     assert found.camera.covariance is not None
     std = np.sqrt(np.diag(found.camera.covariance))[:4]
     # Four standard deviations; the noise of the corners is all that differs.
