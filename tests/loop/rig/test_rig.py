@@ -66,8 +66,10 @@ def test_each_frame_shows_its_own_exposure_alone(steady: Process) -> None:
         assert taken.image is not None and said(taken.image) == {21}
 
 
-def test_a_loop_that_says_nothing_leaves_the_lamp_dark_and_light_comes_back_slowly(steady: Process) -> None:
-    with rig_of(steady, limits={"loop_s": 0.2}) as rig:
+def test_a_loop_that_says_nothing_leaves_the_lamp_dark_and_light_comes_back_slowly(
+    steady: Process, small_rig: Callable[..., Process]
+) -> None:
+    with rig_of(small_rig(dark_s=PATIENT_S), limits={"loop_s": 0.2}) as rig:
         rig.expose(shine(0), 0.001)
         assert eventually(lambda: rig.keeper.darkened == 1, 2)
         assert eventually(lambda: camera_sees(rig, 20), 1.0)  # of a picture in the dark
