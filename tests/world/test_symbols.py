@@ -226,3 +226,11 @@ def test_an_svgz_is_unpacked_no_further_than_it_may_be_long(tmp_path: Path) -> N
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 3 * LONGEST  # the text, and the pieces that it is joined from
+
+
+def test_a_picture_with_damaged_exif_stays_as_it_is(tmp_path: Path) -> None:
+    file = write(tmp_path, np.full((2, 3), 255, np.uint8), "a.jpg")
+    data = file.read_bytes()
+    exif = b"Exif\0\0MM\0*\xff\xff\xff\xff"
+    file.write_bytes(data[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + data[2:])
+    assert load_still(file).shape == (2, 3)

@@ -51,7 +51,7 @@ def test_a_scenario_runs_on_a_rig_and_is_recorded_with_its_twin(small_rig: Calla
         assert words in out
     told = json.loads((folder / "rig.json").read_text())
     assert told["armed"] and not told["lost"] and told["rig"]["light"]["kind"] == "ddp"
-    assert 20 < told["light_to_frame_ms"]["median"] < 150 and 0 < told["control_rate_hz"] < 20  # a busy machine is slow
+    assert 20 < told["light_to_frame_ms"]["median"] < 150 and 1 < told["control_rate_hz"] < 20
     assert told["rig"]["camera"]["url"] == f"http://***@127.0.0.1:{process.camera}/camera?pwd=***"
     assert not [file for file in folder.rglob("*") if file.is_file() and PASSWORD.encode() in file.read_bytes()]
     assert json.loads((folder / "summary.json").read_text())["frames"] == {"asked": 6, "came": 6, "unknown": 0}

@@ -245,3 +245,15 @@ def test_dead_pixels_that_are_named_are_dead(plain: Simulation) -> None:
 def test_what_cannot_be_is_told(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(LuxloopError, match=words):
         validate({**AT_TARGET, "disturbances": changes}, "disturbed")
+
+
+def test_a_box_hides_the_road_and_shades_what_lies_behind(plain: Simulation) -> None:
+    box = {"kind": "box", "name": "box", "size_m": (0.3, 3.0, 0.4), "appears_s": 0.1, "vanishes_s": 0.2}
+    track = [{"time_s": 0.1, "position_m": (13.0, 0.0, 0.0)}, {"time_s": 0.2, "position_m": (13.0, 10.0, 0.0)}]
+    simulation = prepared(objects=[box | {"track": track}])
+    symbol = simulation.symbol
+    lights = simulation.of_all(symbol, symbol.projector.light(symbol.projector.target))
+    free, hidden, gone = (symbol.judge.verdict(lights, t) for t in (0.0, 0.1, 0.19))
+    assert float(free.iou) > 0.97 and float(gone.iou) == pytest.approx(float(free.iou), abs=0.01)
+    # from 0.75 m a box of 0.4 m at 13 m shades to 28 m: all of the symbol, and its own face is no part of it
+    assert float(hidden.iou) < 0.1

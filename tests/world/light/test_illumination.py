@@ -214,3 +214,9 @@ def test_the_direct_way_gives_what_the_matrix_gives(device, oversampling):
     assert torch.allclose(image, expected, rtol=1e-5, atol=1e-6 * float(expected.max()))  # sums of float32 in another order
     dark = direct.luminance(torch.zeros_like(u), slice(0, 0))
     assert dark[0].shape == (3, 0) and len(dark[1]) == 0
+
+
+def test_a_lambertian_road_shows_albedo_times_illuminance_over_pi() -> None:
+    lit = reach(flat_road(camera(), 0.2), LAMP, T_LEFT)
+    texture = LAMP.light_texture(torch.ones(LAMP.n_pixels))
+    torch.testing.assert_close(luminance(lit, texture), illuminance(lit, texture) * 0.2 / math.pi)

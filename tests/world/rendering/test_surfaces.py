@@ -6,7 +6,7 @@ from functools import cache
 import pytest
 import torch
 
-from luxloop.world.frames import pose_from_degrees
+from luxloop.world.frames import inverse, pose_from_degrees, transform
 from luxloop.world.materials.library import RoadSurfaceParams
 from luxloop.world.rendering.deferred import DeferredRenderer
 from luxloop.world.rendering.rasterise import NoOpenGL
@@ -102,3 +102,29 @@ def test_a_thin_wall_shades_what_stands_close_behind_it():
     wall = BoxParams(name="wall", size_m=(0.02, 1, 1), track=[{"position_m": (9.95, 0, 0)}]).build()
     points = torch.tensor([[10.0, 10.0], [0.0, 2.0], [0.3, 0.3]])  # behind it and beside it
     assert sees(Scene((wall,)).at(0.0), torch.tensor([0.0, 0, 0.6]).double(), points).tolist() == [False, True]
+
+
+def test_the_quick_way_finds_the_same_points_in_shadow():
+    triangles, view, lamp_m = scene().at(0.0), camera(), lamp().origin
+    exact, fast = ExactSurfaces(RayCaster()).gbuffer(triangles, view), quick().gbuffer(triangles, view)
+    road = (exact.object_id == 0) & (fast.object_id == 0) & (exact.position[0] > 3)
+    in_light, found = (sees(triangles, lamp_m, each.position[:, road]) for each in (exact, fast))
+    assert 0.01 < (~in_light).float().mean() < 0.9  # there are shadows
+    # where bumps hide each other a ray may meet the next one, as above
+    assert (in_light == found).float().mean() > 0.998
+
+
+def test_a_view_that_moves_sees_what_a_standing_one_sees_of_a_world_that_moves_the_other_way(surfaces):
+    T = pose_from_degrees((3.0, -0.4, 0.05), 1.0, 0.7, 4.0)
+    view = camera()
+    moved = surfaces.gbuffer(scene().at(0.0), replace(view, T_world_view=T @ view.T_world_view))
+    standing = surfaces.gbuffer(scene(inverse(T)).at(0.0), view)
+    same = moved.object_id == standing.object_id
+    assert same.float().mean() > 0.999  # rays that pass an edge within rounding
+    seen = (same & (moved.object_id >= 0)).flatten()
+    back = transform(inverse(T).float(), moved.position.flatten(1))[:, seen]
+    away = (back - standing.position.flatten(1)[:, seen]).norm(dim=0)
+    assert away.quantile(0.999) < 1e-3  # of 60 m, seen at a grazing angle in float32
+    turned = inverse(T).float()[:3, :3] @ moved.normal.flatten(1)[:, seen]
+    assert (turned - standing.normal.flatten(1)[:, seen]).norm(dim=0).quantile(0.999) < 1e-3
+    assert (moved.albedo - standing.albedo).flatten()[seen].abs().quantile(0.99) < 1e-3
