@@ -47,7 +47,7 @@ def measures(key: str, result: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def lit(run: Mapping[str, Any], full: Mapping[str, float], low_lm: float) -> Row:
-    """What a run saves, when it settles, whom it loses, dazzles and lights late. full: confidence in full light."""
+    """Metrics of a run: energy saved, settling time, objects lost, dazzled or lit late. full: confidence in full light."""
     flux, eyes = np.array(run["flux_lm"]), [lx for lx in run["eyes_lx"][SECOND:] if lx is not None]
     seen = [name for name in full if name != NEWCOMER and full[name] >= FOUND]
     late = [(step, is_tracked) for step, is_tracked in run["dazzled"] if step >= SECOND]

@@ -96,7 +96,7 @@ def scene_jobs(scenes: int, seeds: int) -> Jobs:
 
 
 def illuminate(scenario: Mapping[str, Any], variants: Mapping[str, Mapping[str, Any]], seeds: Mapping[str, int]) -> dict[str, Any]:
-    """A job: every variant with so many seeds, step by step side by side, so that each view is rendered once; frames have the same noise.
+    """A job: all variants and seeds step by step in one world, so that each view is rendered once; frames have the same noise.
 
     Variants beside the default end where the newcomer comes.
     The result: `objects` that count; `flux_lm` of BEAMS; `scores` by beam, of each seed, what the detector says of objects in their light;

@@ -30,7 +30,7 @@ from luxloop.world.rendering.raycast import depths, first_hits
 from luxloop.world.scene.triangles import Triangles
 
 DARK = 100.0  # %: the centroid's error where nothing is lit
-COARSE = 4  # along and across, one of so many texels tells where the symbol's light goes
+COARSE = 4  # every fourth texel along both axes locates the symbol's light
 OUTSIDE = 9.0  # a place that is not on the symbol, which lies from -1 to 1
 
 

@@ -26,7 +26,7 @@ START_UP_S = 1.0  # in which functions that learn begin with more light than the
 SETTLED = 0.05  # greatest deviation of a zone from its target, as a share of it
 LAST_STEPS = 10  # that a confidence at the end is the mean of
 UNITS: Mapping[Quantity, str] = {"luminance": "cd/m^2", "lx": "lx"}
-LOOKING = ("detections", "false_positives")  # whose means are told
+LOOKING = ("detections", "false_positives")  # columns that are summarised by their means
 NAMED = 8  # objects that charts and the closing table tell one by one
 
 
@@ -131,7 +131,7 @@ def of_modules(table: pa.Table, modules: Sequence[Movable]) -> dict[str, dict[st
 
 
 def brightest(objects: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Names of the objects of a summary that are told one by one: all in sight, of more than `NAMED` the brightest that were lit."""
+    """Names of the objects that a summary lists: all in sight, or the `NAMED` brightest of more."""
     most = {name: each["lx_max"] for name, each in objects.items() if each["lx_max"] is not None}
     if len(most) <= NAMED:
         return [*most]

@@ -141,7 +141,7 @@ class Evaluator:
 
     @cached_property
     def recorded_ids(self) -> Mapping[str, int]:
-        """Objects that are recorded, by name, and their ids: those that a tracker is told of, with a detector all that it ought to find."""
+        """Ids of the recorded objects by name: the tracked ones, or with a detector all that it should find."""
         if self.world is None:
             return {}
         told = [item.category for item in self.scenario.all_objects]

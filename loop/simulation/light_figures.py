@@ -49,7 +49,7 @@ def light_on_objects(world: World, exposures: Sequence[Exposure]) -> list[Object
 
 
 def ids_in_situation(watched: Mapping[str, int], recognised: Mapping[str, Recognition] | None) -> Mapping[str, int]:
-    """Ids of objects by the names under which functions are told of them: their own, with a detector those of their tracks."""
+    """Ids of objects by the names that functions use: their own, or with a detector those of their tracks."""
     if recognised is None:
         return watched
     tracks = {name: each.track for name, each in recognised.items()}

@@ -186,7 +186,7 @@ class RemoteState:
 class RemotePlant:
     """A simulator behind a link. It holds the world, so that an earlier state cannot be shown again.
 
-    welcome: what the simulator is told first. like: in whose dtype and on whose device frames and samples are.
+    welcome: the first message to the simulator. like: a tensor with the dtype and device of frames and samples.
     """
 
     link: Link
@@ -246,7 +246,7 @@ class RemotePlant:
 
 
 def remote_plant(scenario: Scenario, params: RemotePlantParams, modules: Sequence[LampModule]) -> RemotePlant:
-    """The plant of a scenario; nothing is opened before its start. When the plant is collected, its simulator is told that it is over."""
+    """The plant of a scenario; `start` opens the connection. When the plant is garbage-collected, it sends its simulator the end."""
     camera = scenario.camera
     link = Link(params.address, params.timeout_s, (camera.height_px, camera.width_px))
     plant = RemotePlant(link, _welcome(scenario, params, modules), tuple(modules), params.sends, modules[0].headlight.matrix.values)

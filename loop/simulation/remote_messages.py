@@ -137,7 +137,7 @@ ROWS: Final = TypeAdapter(tuple[ObjectRow, ...])
 
 
 def track_objects(before: Iterable[TrackedObject], told: Iterable[TrackedObject], time_s: float) -> Objects:
-    """The objects that are told of at a time, and those of before that are gone and linger. One that comes again is a new one."""
+    """Objects reported at a time, and earlier ones that linger after their last report. One that is reported again is a new object."""
     known = {each.name: each for each in before}
     there = [replace(each, since_s=_since(known.get(each.name), time_s)) for each in told]
     gone = [replace(known[name], until_s=min(known[name].until_s, time_s)) for name in known.keys() - {each.name for each in there}]

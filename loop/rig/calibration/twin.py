@@ -143,7 +143,7 @@ def fit(
 
 
 def _pictures(scenario: Scenario, shown: Sequence[RecordedExposure], cache: PartCache, blur: float) -> list[Array]:
-    """Digital numbers before rounding of what a scenario's camera would see, blurred by so many px."""
+    """Unrounded digital numbers of a scenario's camera, blurred by a number of px."""
     modules = cache("modules", lambda headlight: lamp_modules(mount(headlight)), scenario.headlight)
     world = simulated_plant(scenario, modules, cache).world
     found = [world.luminance(each.time_s, each.lights, each.commands)[0].double().numpy() for each in shown]

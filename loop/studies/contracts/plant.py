@@ -61,7 +61,7 @@ def check_in(worlds: tuple[Simulation, Simulation], plant: type, options: Mappin
 
 
 def _check_shows(own: Guard, simulation: Simulation, exposures: int) -> None:
-    """Raises LuxloopError as `check_plant`, of one in a world and so many exposures."""
+    """Raises LuxloopError as `check_plant`, for a plant in one world and a number of exposures."""
     shown: list[Show] = []
     projector, scenario = simulation.symbol.projector, simulation.scenario
     state, arrivals = _give(own, "start", {}, shown, simulation)
