@@ -78,7 +78,7 @@ def test_a_lost_one_is_kept_for_a_while_then_lost_then_forgotten() -> None:
 def test_a_miss_lasts_twice_as_long_as_the_track_and_no_longer_than_keep_s(rate_hz: float) -> None:
     for frames, keep_s in ((3, 1.0), (4, 10.0), (10, 0.4)):
         kept, params = min(2 * frames, round(keep_s * rate_hz)), TrackerParams(keep_s=keep_s)
-        assert [len(shown(frames, params, then, rate_hz).confirmed_tracks) for then in (kept, kept + 1)] == [1, 0]
+        assert [len(shown(frames, params, then, rate_hz).present) for then in (kept, kept + 1)] == [1, 0]
 
 
 @pytest.mark.parametrize("time_constant_s", [0.0, 0.15])
@@ -217,9 +217,9 @@ def test_whoever_walks_out_of_the_image_is_followed_to_its_border_and_no_longer(
         if k > 2 and share > 0.3:
             found += share < 0.9
             whole = torch.tensor([left, top, right, bottom]).double()
-            assert (TRACKER.whole(tracks.confirmed_tracks)[0] - whole).abs().max() < 2  # px; exact boxes, a filter that knows no size yet
+            assert (TRACKER.whole(tracks.present)[0] - whole).abs().max() < 2  # px; exact boxes, a filter that knows no size yet
         if share < 0:
-            assert len(tracks.confirmed_tracks) == 0
+            assert len(tracks.present) == 0
     assert found > 3
 
 
@@ -240,7 +240,7 @@ def test_whoever_leaves_the_image_keeps_its_number_where_frames_miss_it(side: in
 def test_a_car_around_a_car_that_is_seen_whole_is_none() -> None:
     far, near = (detections(plate(*each), scores=[CAR]) for each in ((40.0, 2.0, *SIZES["car"]), (20.0, 1.0, 3.0, 2.1)))
     both = Detections(torch.cat([far.boxes, near.boxes]), torch.cat([far.scores, near.scores]))
-    assert [len(tracked([far] * 5 + [then] * 5).confirmed_tracks) for then in (both, near)] == [1, 2]
+    assert [len(tracked([far] * 5 + [then] * 5).present) for then in (both, near)] == [1, 2]
 
 
 def test_what_is_expected_too_low_comes_back_to_where_it_is_seen() -> None:
@@ -263,5 +263,5 @@ def test_a_child_before_an_adult_is_followed_too() -> None:
     adult, child, behind = plate(15.0, 0.0, *SIZES["pedestrian"]), plate(14.7, 0.05, *CHILD), plate(17.0, 0.05, *CHILD)
     assert adult[0] < child[0] and adult[1] < child[1] and child[2] < adult[2] and adult[1] < behind[1] and behind[3] < adult[3]
     two, one = (tracked([detections(adult)] * 5 + [detections(adult, other)] * 15) for other in (child, behind))
-    assert len(one.confirmed_tracks) == 1
+    assert len(one.present) == 1
     assert sorted(two.size_m[:, 1].tolist()) == pytest.approx([CHILD[1], SIZES["pedestrian"][1]], rel=0.05)

@@ -151,7 +151,7 @@ def test_a_campaign_names_code_as_a_scenario_does(mine: Path) -> None:
         with pytest.raises(LuxloopError, match=r"the module mine;.*--allow-code"):
             campaign.read(file)
         (one,) = campaign.read(file, allow_code=True)
-        job = campaign.checked(one.scenario.model_dump(mode="json"), digests(one.scenario))
+        job = campaign.job_scenario(one.scenario.model_dump(mode="json"), digests(one.scenario))
         assert [name.folder for _, name in plugin.own_names(job)] == [mine], "workers have the decision with the name"
     (mine / "plain.toml").write_text(NAMING["road.kind"])
     file.write_text('scenarios = ["plain.toml"]\n')

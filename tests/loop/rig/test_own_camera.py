@@ -23,7 +23,7 @@ OWN = """
 import threading
 import time
 import numpy as np
-from luxloop.loop.rig.camera import CameraPicture, check_picture
+from luxloop.loop.rig.camera import CameraPicture
 
 PICTURE = np.full((48, 64), 200, np.uint16)
 
