@@ -126,6 +126,19 @@ class Stroke:
 
 
 @dataclass(frozen=True)
+class _Product:
+    """Dot products of rays [1, y, z] with vectors of primitives, as a term of the row plus a term of the column."""
+
+    rows: tuple[Tensor, ...]
+    cols: tuple[Tensor, ...]
+
+    def on(self, p: int, w: Window) -> Tensor:
+        """Products with the p-th primitive's vectors on a window: `[..., rows, cols]`, for pairs of vectors `[..., 2, rows, cols]`."""
+        rows = self.rows[p].narrow(-1, w.row_start, w.row_stop - w.row_start)
+        return rows.unsqueeze(-1) + self.cols[p].narrow(-1, w.col_start, w.col_stop - w.col_start).unsqueeze(-2)
+
+
+@dataclass(frozen=True)
 class RayBatch:
     """Rays to cast. windows: of each primitive, empty if it is not visible. window: their union.
 
@@ -206,7 +219,6 @@ class RayBatch:
         if not (self.unit and self.finite):
             infinite = weight.isinf()
             finite, forced = torch.where(infinite, 0.0, weight.clamp(max=HEAVIEST)), infinite.to(weight)
-        rays = _Rays(self.seen, *self.grid.tangents(weight.dtype, weight.device), any(mask is not False for mask in self.is_mask))
         nearest: Tensor | None = None  # 1/x of a class's nearest hits, rounded down, [..., rows, cols]
         for painted in paint_classes(self.primitives):
             rivals = {p: any(windows[p].meets(windows[k]) for k in painted if k != p) for p in painted}
@@ -220,15 +232,14 @@ class RayBatch:
                 if windows[p].empty:
                     continue
                 for window in self._parts(p) if in_parts else [windows[p]]:
-                    hit = _hit(rays, self.seen, p, self.is_mask[p], self.front[p], window)
-                    read = _read(p, rays, self.primitives, window)
+                    hit, read = self._hit(p, window), self._read(p, window)
                     if not self.is_mask[p] and len(read) == 2:
                         hit = hit * torch.maximum(_step(read[1].detach() - OPAQUE), self.seen.mask[..., p, None, None].to(hit))
                     if rivals[p] and nearest is not None:
-                        hit = _won(hit, rays, self.seen, p, self.is_mask[p], window, nearest[(..., *window.within(self.window))])
-                    value = _setpoint(p, hit, read[0], rays, self.primitives, window)
+                        hit = self._won(p, window, hit, nearest[(..., *window.within(self.window))])
+                    value = self._setpoint(p, window, hit, read[0])
                     if self.secondary is not None and not self.is_mask[p] and self.secondary.ask(self.primitives, p):
-                        points = _points(rays, self.seen, p, window, self.T_world_headlight)
+                        points = self._points(p, window)
                         value = self.secondary.adjust(expand(value, hit), points, hit > 0, self.primitives, p)
                     yield Stroke(window, hit, value, finite[..., p, :, :], forced[..., p, :, :], int(self.primitives.quantity[p]), p)
 
@@ -256,70 +267,125 @@ class RayBatch:
                     canvas[cut].lerp_(expand(new, stroke.hit), stroke.hit)  # the new value where the stroke wins, [..., rows, cols]
         return Setpoints(value, cover, self.window, codes, finite, forced, self.masking, in_cd, relative)
 
-
-def expand(new: Tensor | float, hit: Tensor) -> Tensor:
-    """An image or a number, expanded to the shape of a hit."""
-    return (new if isinstance(new, Tensor) else hit.new_full((), new)).expand_as(hit)
-
-
-@dataclass(frozen=True)
-class _Product:
-    """Dot products of rays [1, y, z] with vectors of primitives, as a term of the row plus a term of the column."""
-
-    rows: tuple[Tensor, ...]
-    cols: tuple[Tensor, ...]
-
-    def on(self, p: int, w: Window) -> Tensor:
-        """Products with the p-th primitive's vectors on a window: `[..., rows, cols]`, for pairs of vectors `[..., 2, rows, cols]`."""
-        rows = self.rows[p].narrow(-1, w.row_start, w.row_stop - w.row_start)
-        return rows.unsqueeze(-1) + self.cols[p].narrow(-1, w.col_start, w.col_stop - w.col_start).unsqueeze(-2)
-
-
-@dataclass(frozen=True)
-class _Rays:
-    """All rays [1, y, z] of a grid, by tangents y `[cols]` and z `[rows]`. masking: whether a primitive may be a mask."""
-
-    seen: Homographies
-    y: Tensor
-    z: Tensor
-    masking: bool
+    @cached_property
+    def _tangents(self) -> tuple[Tensor, Tensor]:
+        """y `[cols]` and z `[rows]` of all rays [1, y, z]."""
+        return self.grid.tangents(self.primitives.weight.dtype, self.primitives.weight.device)
 
     @cached_property
-    def n(self) -> _Product:
+    def _n(self) -> _Product:
         return self._times(self.seen.n)
 
     @cached_property
-    def uv(self) -> _Product:
+    def _uv(self) -> _Product:
         """uv, shifted by `aside` for masks, whose images are not sampled."""
-        return self._times(self.seen.uv, self.seen.margin[0] if self.masking else None)
+        return self._times(self.seen.uv, self.seen.margin[0] if any(mask is not False for mask in self.is_mask) else None)
 
     @cached_property
-    def at(self) -> Callable[[int, Window], tuple[Tensor, Tensor]]:
+    def _at(self) -> Callable[[int, Window], tuple[Tensor, Tensor]]:
         """n and uv on a window, for one primitive after the other: `[..., rows, cols]`, `[..., 2, rows, cols]`."""
-        return keeping(1, self._at)
+        return keeping(1, self._on)
 
-    def _at(self, p: int, window: Window) -> tuple[Tensor, Tensor]:
-        return self.n.on(p, window), self.uv.on(p, window)
+    def _on(self, p: int, window: Window) -> tuple[Tensor, Tensor]:
+        return self._n.on(p, window), self._uv.on(p, window)
 
     @cached_property
-    def sight(self) -> tuple[_Product, _Product] | None:
+    def _sight(self) -> tuple[_Product, _Product] | None:
         """As n and uv, for the flying symbols of observers."""
         return None if self.seen.sight is None else (self._times(self.seen.sight[0]), self._times(self.seen.sight[1]))
 
     @cached_property
-    def facing(self) -> _Product:
+    def _facing(self) -> _Product:
         return self._times(-self.seen.normal)
 
     @cached_property
-    def closeness(self) -> _Product:
+    def _closeness(self) -> _Product:
         """1/x of the hit: d.n / q.n (T eq. 7.3.3)."""
         return self._times(self.seen.n / self.seen.qn[..., None])
 
     def _times(self, a: Tensor, aside: Tensor | None = None) -> _Product:
+        y, z = self._tangents
         constant = a[..., 0] if aside is None else a[..., 0] - aside
-        rows, cols = constant[..., None] + a[..., 2:] * self.z, a[..., 1:2] * self.y  # a_0 + a_2 z [..., rows], a_1 y [..., cols]
+        rows, cols = constant[..., None] + a[..., 2:] * z, a[..., 1:2] * y  # a_0 + a_2 z [..., rows], a_1 y [..., cols]
         of_primitives = self.seen.n.ndim - 2
         return _Product(rows.unbind(of_primitives), cols.unbind(of_primitives))
+
+    def _hit(self, p: int, window: Window) -> Tensor:
+        """1 where a ray hits the p-th primitive, `[..., rows, cols]` (T eq. 7.3.3)."""
+        seen, mask = self.seen, self.is_mask[p]
+        n, uv = self._at(p, window)
+        if mask is False:
+            hit = _inside(n, uv)
+            return hit if self.front[p] else hit * _step(self._facing.on(p, window).detach())
+        hit = _inside(n, uv, seen.margin[1][..., p, :])
+        if mask:
+            return hit  # the window limits how far it reaches beyond its outline
+        wide = seen.mask[..., p, None, None]
+        hit *= _step(torch.where(wide, seen.toward[..., p, None, None], self._facing.on(p, window).detach()))
+        low, high = seen.outline
+        return hit * torch.where(wide, _near_outline(window, low[..., p, :], high[..., p, :]), 1.0)
+
+    def _won(self, p: int, window: Window, hit: Tensor, nearest: Tensor) -> Tensor:
+        """The part of a hit without a nearer one of its class. nearest: lower bound of the class's 1/x, updated in place."""
+        closeness = self._closeness.on(p, window).detach()  # 1/x, [..., rows, cols]
+        if self.is_mask[p] is not False:  # a mask's hit beyond its outline is limited to the distances of its corners
+            closeness = self._between_corners(p, closeness)
+        rounding = self.seen.rounding[..., p, None, None]
+        hit = hit * _step(closeness * (1 + rounding) - nearest)  # 1/x >= the nearest so far, within rounding
+        torch.maximum(nearest, closeness.mul_(hit * (1 - rounding)), out=nearest)
+        return hit
+
+    def _between_corners(self, p: int, closeness: Tensor) -> Tensor:
+        far, near = self.seen.range
+        return closeness.maximum(far[..., p, None, None]).minimum(near[..., p, None, None])
+
+    def _points(self, p: int, window: Window) -> Tensor:
+        """Points `[..., 3, rows, cols]` m in the world where rays hit the p-th primitive (T eq. 3.1.1); misses end at its corners'
+        distances.
+        """
+        x, (y, z) = 1 / self._between_corners(p, self._closeness.on(p, window)), self._tangents
+        rows, cols = window.slices
+        forward, left, up, position = self.T_world_headlight[:3, :, None, None].to(x).unbind(1)
+        ray = (forward + up * z[rows, None]) + left * y[cols]  # R [1, y, z], [3, rows, cols]
+        return position + x[..., None, :, :] * ray  # p = o + x d (T eq. 3.1.1), [..., 3, rows, cols]
+
+    def _setpoint(self, p: int, window: Window, hit: Tensor, read: Tensor) -> Tensor:
+        """Setpoint of the p-th primitive for rays that hit it, elsewhere arbitrary but finite; broadcastable to `[..., rows, cols]`.
+
+        read: samples of its symbol, as `_read`. An illuminance becomes the intensity `E d^2 / cos` (T eq. 7.2.1); the hit lies x = qn / d.n
+        ahead, at the distance x |ray|.
+        """
+        value = self.primitives.value[..., p, None, None]
+        if self.primitives.has_observer(p) and self._sight is not None:
+            value = value * _inside(*(product.on(p, window) for product in self._sight))
+        value = value * read
+        if int(self.primitives.quantity[p]) != E_V:
+            return value
+        # d.n and -d.normal, 1 beside hits, [..., rows, cols] each.
+        across, facing = (hit.new_ones(()).lerp(product.on(p, window), hit) for product in (self._n, self._facing))
+        (rows, cols), (y, z) = window.slices, self._tangents
+        d2 = (1 + z[rows, None] ** 2) + y[cols] ** 2  # |ray|^2 [rows, cols]
+        return (
+            value * self.seen.qn[..., p, None, None] ** 2 * (d2 * d2.sqrt()) / (across * across * facing)
+        )  # E (qn / d.n)^2 |ray|^3 / facing
+
+    def _read(self, p: int, window: Window) -> tuple[Tensor, ...]:
+        """Samples `[..., rows, cols]` of the p-th primitive's symbol, and of its opacity if it has one, on it or its observer's flying
+        symbol.
+
+        Those of a homogeneous symbol that has no opacity are its one pixel `[1, 1]`.
+        """
+        image, watching = self.primitives.image_of(p), self._sight if self.primitives.has_observer(p) else None
+        if image.numel() == 1 and not self.primitives.has_observer(p):
+            return (image,)
+        n, uv = self._at(p, window) if watching is None else (product.on(p, window) for product in watching)
+        at = uv / n.clamp(min=GRAZING).unsqueeze(-3)  # 2 u, 2 v of T eq. 7.3.3, [..., 2, rows, cols]
+        return _sample(image.reshape(-1, *image.shape[-2:]), at, bool(self.primitives.nearest[p])).unbind(-3)
+
+
+def expand(new: Tensor | float, hit: Tensor) -> Tensor:
+    """An image or a number, expanded to the shape of a hit."""
+    return (new if isinstance(new, Tensor) else hit.new_full((), new)).expand_as(hit)
 
 
 def _from_the_front(seen: Homographies) -> list[bool | None]:
@@ -344,51 +410,6 @@ def _inside(n: Tensor, uv: Tensor, wider: Tensor | None = None) -> Tensor:
     return _step(n.detach() - torch.maximum(*uv.unbind(-3)))  # |2 u d.n| <= d.n and |2 v d.n| <= d.n (T eq. 7.3.3)
 
 
-def _hit(rays: _Rays, seen: Homographies, p: int, mask: bool | None, front: bool | None, window: Window) -> Tensor:
-    """1 where a ray hits the p-th primitive, `[..., rows, cols]` (T eq. 7.3.3).
-
-    mask, front: whether it is a mask and whether the lamp sees its front, None if unknown on the host.
-    """
-    n, uv = rays.at(p, window)
-    if mask is False:
-        hit = _inside(n, uv)
-        return hit if front else hit * _step(rays.facing.on(p, window).detach())
-    hit = _inside(n, uv, seen.margin[1][..., p, :])
-    if mask:
-        return hit  # the window limits how far it reaches beyond its outline
-    wide = seen.mask[..., p, None, None]
-    hit *= _step(torch.where(wide, seen.toward[..., p, None, None], rays.facing.on(p, window).detach()))
-    low, high = seen.outline
-    return hit * torch.where(wide, _near_outline(window, low[..., p, :], high[..., p, :]), 1.0)
-
-
-def _won(hit: Tensor, rays: _Rays, seen: Homographies, p: int, mask: bool | None, window: Window, nearest: Tensor) -> Tensor:
-    """The part of a hit without a nearer one of its class. nearest: lower bound of the class's 1/x, updated in place."""
-    closeness = rays.closeness.on(p, window).detach()  # 1/x, [..., rows, cols]
-    if mask is not False:  # a mask's hit beyond its outline is limited to the distances of its corners
-        closeness = _between_corners(closeness, seen, p)
-    rounding = seen.rounding[..., p, None, None]
-    hit = hit * _step(closeness * (1 + rounding) - nearest)  # 1/x >= the nearest so far, within rounding
-    torch.maximum(nearest, closeness.mul_(hit * (1 - rounding)), out=nearest)
-    return hit
-
-
-def _between_corners(closeness: Tensor, seen: Homographies, p: int) -> Tensor:
-    far, near = seen.range
-    return closeness.maximum(far[..., p, None, None]).minimum(near[..., p, None, None])
-
-
-def _points(rays: _Rays, seen: Homographies, p: int, window: Window, T_world_headlight: Tensor) -> Tensor:
-    """Points `[..., 3, rows, cols]` m in the world where rays hit the p-th primitive (T eq. 3.1.1); misses end at its corners'
-    distances.
-    """
-    x = 1 / _between_corners(rays.closeness.on(p, window), seen, p)
-    rows, cols = window.slices
-    forward, left, up, position = T_world_headlight[:3, :, None, None].to(x).unbind(1)
-    ray = (forward + up * rays.z[rows, None]) + left * rays.y[cols]  # R [1, y, z], [3, rows, cols]
-    return position + x[..., None, :, :] * ray  # p = o + x d (T eq. 3.1.1), [..., 3, rows, cols]
-
-
 def _near_outline(window: Window, low: Tensor, high: Tensor) -> Tensor:
     """1 for texels at most one beyond the rectangle around an outline; at acute corners, widening alone would reach farther."""
     within = []
@@ -396,38 +417,6 @@ def _near_outline(window: Window, low: Tensor, high: Tensor) -> Tensor:
         centre = torch.arange(start, stop, dtype=low.dtype, device=low.device) + 0.5
         within.append((centre >= low[..., axis, None] - 1 - SLACK) & (centre <= high[..., axis, None] + 1 + SLACK))
     return (within[0][..., :, None] & within[1][..., None, :]).to(low)
-
-
-def _setpoint(p: int, hit: Tensor, read: Tensor, rays: _Rays, primitives: Primitives, window: Window) -> Tensor:
-    """Setpoint of the p-th primitive for rays that hit it, elsewhere arbitrary but finite; broadcastable to `[..., rows, cols]`.
-
-    read: samples of its symbol, as `_read`. An illuminance becomes the intensity `E d^2 / cos` (T eq. 7.2.1); the hit lies x = qn / d.n
-    ahead, at the distance x |ray|.
-    """
-    value, illuminance = primitives.value[..., p, None, None], int(primitives.quantity[p]) == E_V
-    if primitives.has_observer(p) and rays.sight is not None:
-        value = value * _inside(*(product.on(p, window) for product in rays.sight))
-    value = value * read
-    if not illuminance:
-        return value
-    # d.n and -d.normal, 1 beside hits, [..., rows, cols] each.
-    across, facing = (hit.new_ones(()).lerp(product.on(p, window), hit) for product in (rays.n, rays.facing))
-    rows, cols = window.slices
-    d2 = (1 + rays.z[rows, None] ** 2) + rays.y[cols] ** 2  # |ray|^2 [rows, cols]
-    return value * rays.seen.qn[..., p, None, None] ** 2 * (d2 * d2.sqrt()) / (across * across * facing)  # E (qn / d.n)^2 |ray|^3 / facing
-
-
-def _read(p: int, rays: _Rays, primitives: Primitives, window: Window) -> tuple[Tensor, ...]:
-    """Samples `[..., rows, cols]` of the p-th primitive's symbol, and of its opacity if it has one, on it or its observer's flying symbol.
-
-    Those of a homogeneous symbol that has no opacity are its one pixel `[1, 1]`.
-    """
-    image, watching = primitives.image_of(p), rays.sight if primitives.has_observer(p) else None
-    if image.numel() == 1 and not primitives.has_observer(p):
-        return (image,)
-    n, uv = rays.at(p, window) if watching is None else (product.on(p, window) for product in watching)
-    at = uv / n.clamp(min=GRAZING).unsqueeze(-3)  # 2 u, 2 v of T eq. 7.3.3, [..., 2, rows, cols]
-    return _sample(image.reshape(-1, *image.shape[-2:]), at, bool(primitives.nearest[p])).unbind(-3)
 
 
 def _sample(images: Tensor, uv: Tensor, nearest: bool) -> Tensor:

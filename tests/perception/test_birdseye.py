@@ -114,13 +114,3 @@ def test_outside_of_the_image_it_is_dark() -> None:
     assert not seen[beside].any(), "beside the field of view, and behind the camera"
     within = (x > 12) & (y.abs() < 0.95 * (x + 1.6) * np.tan(np.radians(15)) - 0.5)
     torch.testing.assert_close(seen[within], torch.ones(int(within.sum())))
-
-
-def test_batches_keep_dtype_and_device(device: torch.device) -> None:
-    plane = birds_eye(Region(12, 20, 2, -2, cell_m=0.1), VIEW)
-    images = torch.rand(2, 3, VIEW.height, VIEW.width, device=device)
-    seen = rectify(plane, images)
-    assert seen.shape == (2, 3, 80, 40)
-    assert (seen.dtype, seen.device.type) == (torch.float32, device.type)
-    torch.testing.assert_close(seen[1, 2], rectify(plane, images[1, 2]))
-    assert rectify(plane, images[0, 0].double()).dtype == torch.float64

@@ -99,12 +99,3 @@ def test_nothing_lit_has_no_centre(goal: Target) -> None:
     assert verdict.iou == 0
     for value in (verdict.centroid_percent, verdict.length, verdict.shear):
         assert value.isnan().all()
-
-
-def test_batches(goal: Target) -> None:
-    images = torch.stack([symbol(), symbol(0.4, 0.1), torch.zeros_like(symbol())])
-    batch = evaluate(images, PLANE, goal)
-    assert batch.centroid_percent.shape == (3, 2)
-    for k, image in enumerate(images):
-        for name, value in vars(evaluate(image, PLANE, goal)).items():
-            torch.testing.assert_close(getattr(batch, name)[k], value, equal_nan=True, rtol=1e-4, atol=1e-4)

@@ -13,7 +13,7 @@ from torch.nn.functional import avg_pool1d
 
 from luxloop.perception.appearance import appearance, image_axes
 from luxloop.perception.camera import CameraParams, expose, luminance_of
-from luxloop.perception.extraction import Crop, ExtractionParams, ExtractionStatus, difference, gate, symbol_image, threshold
+from luxloop.perception.extraction import ExtractionParams, ExtractionStatus, difference, gate, symbol_image, threshold
 from luxloop.perception.noise import FrameNoise
 
 PARAMS = ExtractionParams()
@@ -106,15 +106,6 @@ def test_the_brightest_is_looked_for_three_rows_high_and_seven_columns_wide(shap
     torch.testing.assert_close(symbol_image(contrast, limit, GREY), expected)
 
 
-def test_bright_faces_do_not_outweigh_dark_ones() -> None:
-    contrast = torch.zeros(30, 60)
-    contrast[5:25, 10:30], contrast[5:25, 30:50] = 2.0, 14.0  # as the near face of a speed bump beside its top
-    symbol = symbol_image(contrast, torch.tensor(0.2), GREY)
-    assert (symbol[5:25, 30:50] == 1).all()
-    assert (symbol[5:25, 10:27] == 1).all(), "except for three columns that a brighter face is near to"
-    assert symbol.sum() < (contrast > 0).sum() + 1e-3
-
-
 def rectangle(u: float, v: float, blur: int, samples: int = 40) -> Tensor:
     """Contrast `[24, 44]` of a rectangle 20.3 x 9.7 px whose centre is (u, v), integrated over pixels; edges `blur` samples wide."""
 
@@ -184,8 +175,3 @@ def test_the_gate_without_expectation() -> None:
     assert gate(zero, zero, PARAMS) == ExtractionStatus.NOTHING
     assert gate(torch.tensor(5.0), zero, PARAMS) == ExtractionStatus.TOO_LARGE
     assert gate(torch.tensor(math.nan), torch.tensor(5.0), PARAMS) == ExtractionStatus.NOTHING
-
-
-def test_a_crop_cuts_rows_and_columns() -> None:
-    image = torch.arange(3 * 5 * 7).view(3, 5, 7)
-    assert torch.equal(image[..., *Crop(1, 3, 2, 6).slices], image[:, 1:3, 2:6])

@@ -6,9 +6,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
-import torch.nn.functional as F
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
 from luxloop.perception.metrics import dssim, iou, mae, mare, rmse, ssim
@@ -33,16 +30,6 @@ def test_ssim_agrees_with_scipy(radius: float, device: torch.device) -> None:
     ours = ssim(torch.from_numpy(a).to(device), torch.from_numpy(b).to(device), radius, 4.0).cpu()
     expected = [[scipy_ssim(a[i, j], b[i, j], radius, 4.0) for j in range(3)] for i in range(2)]
     np.testing.assert_allclose(ours, expected, rtol=1e-10)
-
-
-def test_ssim_limits(device: torch.device) -> None:
-    a = torch.rand(30, 40, generator=torch.Generator().manual_seed(0), dtype=torch.float64).to(device)
-    assert ssim(a, a, 2.0, 1.0).item() == pytest.approx(1.0, abs=1e-12)
-    assert dssim(a, a, 2.0, 1.0).item() == pytest.approx(0.0, abs=1e-12)
-    checks = torch.tensor([[1.0, 0.0], [0.0, 1.0]], dtype=torch.float64, device=device).repeat(15, 20)
-    assert ssim(checks, 1 - checks, 3.0, 1.0).item() < -0.95
-    torch.testing.assert_close(ssim(a, checks, 2.0, 1.0), ssim(checks, a, 2.0, 1.0))
-    assert ssim(a.expand(4, -1, -1), checks, 2.0, 1.0).shape == (4,)
 
 
 def test_ssim_gradient() -> None:
@@ -86,17 +73,6 @@ def test_errors_by_hand(device: torch.device) -> None:
     torch.testing.assert_close(mae(actual, wanted).cpu(), torch.tensor([3 / (2 * 4), 0.0]))
     torch.testing.assert_close(rmse(actual, wanted).cpu(), torch.tensor([math.sqrt(5 / 2) / 4, 0.0]))
     torch.testing.assert_close(mare(actual, wanted).cpu(), torch.tensor([(1e12 + 0.5) / 2, 0.0]))
-
-
-@given(st.integers(0, 2**32 - 1), st.floats(0.01, 100.0))
-def test_errors_do_not_depend_on_the_texture_around_nor_on_the_unit(seed: int, unit: float) -> None:
-    generator = torch.Generator().manual_seed(seed)
-    actual, wanted = (torch.rand(2, 5, 6, generator=generator, dtype=torch.float64) + 0.1 for _ in range(2))
-    for error in (mae, rmse):
-        value = error(actual, wanted)
-        torch.testing.assert_close(error(F.pad(actual, (1, 2, 3, 4)), F.pad(wanted, (1, 2, 3, 4))), value)
-        torch.testing.assert_close(error(unit * actual, unit * wanted), value)
-    assert (mae(actual, wanted) <= rmse(actual, wanted) + 1e-12).all()  # where all texels are wanted lit, the mean is below the root
 
 
 @pytest.mark.parametrize("error", [mae, rmse, mare])

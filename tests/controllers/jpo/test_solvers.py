@@ -10,17 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog, lsq_linear
 
-from luxloop.controllers.pixels.jpo_part import PixelGoal, every_nth_column, pixel_goal, submatrix
+from luxloop.controllers.pixels.jpo_part import PixelGoal, pixel_goal
 from luxloop.controllers.pixels.jpo_solvers import MoorePenrose, least_error, least_squares
 from luxloop.perception.metrics import mae, rmse
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
-from luxloop.world.lamps.patterns import RECTANGLES, Rectangle
+from luxloop.world.lamps.patterns import RECTANGLES
 from luxloop.world.lamps.presets import lamp
 from luxloop.world.spmv import Csr, multiply
 from luxloop.world.texels import TexelGrid
-
-EVERY = 135  # of the 1,215 rectangles, from the middle one of each: nine, of all sizes and turns
 
 
 def headlight_of(A: np.ndarray, rows: int = 1) -> Headlight:
@@ -76,26 +74,6 @@ def test_the_least_error_of_any_lamp_is_that_of_a_linear_programme(seed: int) ->
     direct = (goal.weight * (multiply(light.matrix, found.u) - goal.target).abs()).sum()
     assert float(found.error) == pytest.approx(float(direct), rel=1e-9)
     assert ((found.u >= 0) & (found.u <= 1)).all()
-
-
-@pytest.mark.parametrize("rectangle", RECTANGLES[EVERY // 2 :: EVERY], ids=str)
-def test_hd84_draws_rectangles_as_the_linear_programme_does(rectangle: Rectangle) -> None:
-    light = lamp("hd84").modules[0].headlight
-    texture = rectangle.texture(light)
-    found = least_error(light.matrix, pixel_goal(light, texture), gap=1e-4)
-    # Rows of texels that are wanted dark would only make the programme slow: there |A u| is A u.
-    A = light.matrix.to_scipy().astype(np.float64) / 1e4
-    bright = (texture > 0).flatten().numpy()
-    n = int(bright.sum())
-    K, slack = A[bright], sp.eye_array(n)
-    best = linprog(
-        np.r_[np.asarray(A[~bright].sum(axis=0)).ravel(), np.ones(n)],
-        A_ub=sp.vstack([sp.hstack([K, -slack]), sp.hstack([-K, -slack])]).tocsr(),
-        b_ub=np.repeat([1.0, -1.0], n),
-        bounds=[(0, 1)] * light.n_pixels + [(0, None)] * n,
-        method="highs",
-    )
-    assert float(mae(light.light_texture(found.u), texture)) == pytest.approx(best.fun / n, rel=1e-4)
 
 
 def test_the_proof_holds_for_16_k_pixels() -> None:
@@ -180,20 +158,6 @@ def test_a_masked_texel_stays_dark_whatever_it_costs() -> None:
     for u in (least_error(light.matrix, masked).u, least_squares(light.matrix, masked)):
         assert multiply(light.matrix, u)[at] == 0
         assert u.sum() > 0
-
-
-def test_parts_of_a_matrix(device: torch.device) -> None:
-    light, _ = random_problem(6)
-    rows, cols = torch.tensor([3, 0, 39, 4]), torch.tensor([1, 2, 6, 7, 11])
-    expected = light.matrix.to_scipy().toarray()[rows][:, cols]
-    part = submatrix(light.matrix.to(device), rows.to(device), cols.to(device))
-    np.testing.assert_array_equal(part.to_scipy().toarray(), expected)
-    for n in (1, 2, 8):
-        pieces = every_nth_column(part, n)
-        assert len(pieces) == min(n, len(cols))
-        for k, piece in enumerate(pieces):
-            np.testing.assert_array_equal(piece.to_scipy().toarray(), expected[:, k::n])
-            assert piece.to_scipy().has_sorted_indices, "torch.sparse_csr_tensor asks for that"
 
 
 def test_the_pseudo_inverse_is_least_squares_where_nothing_is_clamped() -> None:

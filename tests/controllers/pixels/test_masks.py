@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from luxloop.controllers.pixels.mrpc import MrpcParams
 from luxloop.controllers.pixels.primitives import Primitives, concatenate, rectangle
-from luxloop.controllers.pixels.rthc import masks, trace
+from luxloop.controllers.pixels.rthc import trace
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.lamps.presets import idealised, lamp
@@ -109,14 +109,6 @@ def test_infinite_beats_finite_and_forced_beats_near() -> None:
     torch.testing.assert_close(u, torch.full_like(u, 0.7))
 
 
-def test_weight_0_occludes_but_does_not_count() -> None:
-    hidden = board(0.0, 0.0, 100.0, 100.0, x=30.0, value=0.3)
-    clear = board(0.0, 0.0, 100.0, 100.0, x=10.0, value=1.0, weight=0.0)
-    default = torch.rand(LAMP.n_pixels, generator=torch.Generator().manual_seed(1))
-    u = Ssc.prepare(LAMP, default=default).utilisation(concatenate(hidden, clear), T).u
-    torch.testing.assert_close(u, default, rtol=0, atol=1e-6)
-
-
 def test_coplanar_ties_go_by_priority_and_then_to_the_later() -> None:
     first, second = (board(0.0, 0.0, 100.0, 100.0, value=v) for v in (0.2, 0.6))
     ssc = Ssc.prepare(LAMP)
@@ -136,9 +128,3 @@ def test_bright_setpoints_of_infinite_weight_beat_exclusion_and_activation() -> 
     bright = board(0.3, -0.2, 0.4, 0.3, value=0.5, weight=math.inf)
     u = Ssc.prepare(LAMP, MrpcParams(a_x=1.0, a_ac=1.0), default=FULL).utilisation(bright, T).u
     assert sorted(u.unique().tolist()) == pytest.approx([0.5, 1.0])
-
-
-def test_only_darkness_of_infinite_weight_is_a_mask() -> None:
-    place = (20.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0)
-    parts = [rectangle(*place, value, weight=weight) for value, weight in ((0.0, math.inf), (0.0, 1.0), (5.0, math.inf))]
-    assert masks(concatenate(*parts)) == [True, False, False]

@@ -91,9 +91,3 @@ def test_primitives_lie_over_the_morphed_beam() -> None:
     inside = (slice(9, 12), slice(18, 22))
     torch.testing.assert_close(u.view(20, 40)[inside], moved.view(20, 40)[inside] / 2, rtol=1e-4, atol=1e-5)
     assert torch.equal(u.view(20, 40)[:, :10], moved.view(20, 40)[:, :10])
-
-
-def test_on_every_device(device: torch.device) -> None:
-    u = Morphing(LAMP.to(device), BEAM.to(device)).utilisation(bend(0.03))
-    assert u.device.type == device.type
-    torch.testing.assert_close(u.cpu(), Morphing(LAMP, BEAM).utilisation(bend(0.03)), rtol=0, atol=1e-4)

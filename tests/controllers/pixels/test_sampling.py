@@ -7,12 +7,11 @@ import pytest
 import scipy.sparse as sp
 import torch
 
-from luxloop.controllers.pixels.mrpc import MrpcParams, pixel_major
+from luxloop.controllers.pixels.mrpc import MrpcParams
 from luxloop.controllers.pixels.primitives import rectangle
 from luxloop.controllers.pixels.sampling import Sampling, rectangular, sample_weights
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.world.frames import pose_from_degrees
-from luxloop.world.headlight import Headlight
 from luxloop.world.lamps.presets import idealised, lamp
 from luxloop.world.spmv import Csr, row_of_entries
 from tests.reference import ssc as reference
@@ -40,16 +39,6 @@ def test_samples_are_those_of_the_reference(sampling: str) -> None:
         dense[texels] = entries.values[mine].numpy()
         expected = reference.sample_weights(texels, dense, sampling, light.cols)
         assert dict(zip(texels, weights[mine].tolist(), strict=True)) == pytest.approx(expected)
-
-
-@pytest.mark.parametrize(("sampling", "samples", "total"), [("brightest", 1, 1), ("centroid", 1, 1), ("uniform", 4, 4), ("quincunx", 5, 1)])
-def test_every_pixel_has_its_samples(sampling: str, samples: int, total: float) -> None:
-    light = idealised(8, 20, texels_per_pixel=(6, 6))
-    entries = light.matrix.transpose
-    weights = sample_weights(entries, light, sampling)
-    pixel = row_of_entries(entries)
-    assert torch.bincount(pixel, weights=(weights > 0).double(), minlength=160).eq(samples).all()
-    assert torch.bincount(pixel, weights=weights.double(), minlength=160).allclose(torch.full((160,), total, dtype=torch.float64))
 
 
 def test_rendering_is_free_of_anti_aliasing() -> None:
@@ -95,12 +84,3 @@ def test_every_earlier_way_draws_a_homogeneous_wall(params: MrpcParams) -> None:
     light = lamp("hd84").modules[0].headlight
     u = Ssc.prepare(light, params).utilisation(wall(0.5, half=100.0), T).u
     torch.testing.assert_close(u, torch.full_like(u, 0.5), rtol=0, atol=1e-5)
-
-
-def test_maximal_influence_asks_the_strongest_for_all() -> None:
-    A = np.array([[3.0, 1.0], [1.0, 2.0]])
-    light = Headlight(
-        name="two", matrix=Csr.from_scipy(sp.csr_array(A), torch.float64), rows=1, cols=2, left=0.1, right=-0.1, bottom=-0.1, top=0.1,
-        pixel_rows=1, pixel_cols=2,
-    )  # fmt: skip
-    assert pixel_major(light, MrpcParams(mapping="maximal")).share.tolist() == [1 / 3, 1 / 2]
