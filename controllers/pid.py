@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from torch import Tensor
 
 from luxloop.world.errors import LuxloopError
-from luxloop.world.params import Params
+from luxloop.world.params import NotNegative, Params, Real
 
 Form = Literal["position", "incremental"]
 
@@ -23,10 +23,10 @@ Form = Literal["position", "incremental"]
 class PidParams(Params):
     """One loop as in a scenario file; a parameter that is left out is unlimited or off."""
 
-    kp: float = Field(0.0, ge=-1e6, le=1e6, description="proportional gain")
-    ki: float = Field(0.0, ge=-1e6, le=1e6, description="integral gain, per unit of time")
-    kd: float = Field(0.0, ge=-1e6, le=1e6, description="derivative gain, in units of time")
-    derivative_time: float = Field(0.0, ge=0, le=1e6, description="time constant of the derivative's low-pass filter, 0 for none")
+    kp: Real = Field(0.0, description="proportional gain")
+    ki: Real = Field(0.0, description="integral gain, per unit of time")
+    kd: Real = Field(0.0, description="derivative gain, in units of time")
+    derivative_time: NotNegative = Field(0.0, description="time constant of the derivative's low-pass filter, 0 for none")
     lower: float | None = Field(None, ge=-1e9, le=1e9, description="smallest output")
     upper: float | None = Field(None, ge=-1e9, le=1e9, description="largest output")
     rate_limit: float | None = Field(None, gt=0, le=1e6, description="largest change of the output per unit of time")

@@ -13,7 +13,7 @@ from luxloop.controllers.pixels.primitives import Primitives, rectangle
 from luxloop.controllers.pixels.secondary import Light
 from luxloop.world.frames import View, inverse, transform
 from luxloop.world.headlight.lamp import Commands
-from luxloop.world.params import Params
+from luxloop.world.params import Distance, Length, NotNegative, Params, Real
 from luxloop.world.scene.body import Body, Figure
 from luxloop.world.symbols import SymbolSource
 from luxloop.world.traffic.tracked import Category
@@ -139,8 +139,8 @@ class SelectionParams(Params):
         ("car", "truck", "motorcycle", "cyclist"), min_length=1, description="classes of objects selected"
     )
     names: tuple[str, ...] | None = Field(None, description="select only objects of these names; left out: all names")
-    nearer_than_m: float = Field(200.0, gt=0, le=10_000, description="select only objects nearer than this")
-    farther_than_m: float = Field(0.0, ge=0, le=10_000, description="select only objects at least this far away")
+    nearer_than_m: Length = Field(200.0, description="select only objects nearer than this")
+    farther_than_m: Distance = Field(0.0, description="select only objects at least this far away")
 
     @model_validator(mode="after")
     def _some_distance_is_meant(self) -> Self:
@@ -194,8 +194,8 @@ class AdaptiveFunction(Protocol):
 class ScheduleParams(Params):
     """When a function is active."""
 
-    start_s: float | None = Field(None, ge=-1e6, le=1e6, description="time from which it is active; left out: from the start")
-    stop_s: float | None = Field(None, ge=-1e6, le=1e6, description="time until which it is active; left out: to the end")
+    start_s: Real | None = Field(None, description="time from which it is active; left out: from the start")
+    stop_s: Real | None = Field(None, description="time until which it is active; left out: to the end")
     indicated: Side | None = Field(None, description="active only while the indicator shows this side; left out: whatever it shows")
 
     @model_validator(mode="after")
@@ -221,7 +221,7 @@ class DrawingParams(ScheduleParams):
         "u_abs", description="unit of the setpoint: I_v in cd, E_v in lx, u_abs as utilisation, u_rel as share of the base beam"
     )
     value: float = Field(1.0, ge=0, le=1e9, description="setpoint of a white image; black is 0, or 1 for u_rel, which keeps the base beam")
-    weight: float = Field(1.0, ge=0, le=1e6, description="weight against other light where a pixel lights more than this")
+    weight: NotNegative = Field(1.0, description="weight against other light where a pixel lights more than this")
     priority: int = Field(0, ge=0, le=100, description="where functions overlap, the higher priority is drawn")
     forced: bool = Field(False, description="drawn even behind other primitives, masks excepted")
     modules: tuple[str, ...] = Field((), description="lamps or modules that draw it; left out: all")

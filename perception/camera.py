@@ -19,7 +19,7 @@ from torch import Tensor
 from luxloop.perception.noise import FrameNoise
 from luxloop.world.files import afford
 from luxloop.world.frames import R_ISO_OPENCV, View, pose, pose_from_degrees
-from luxloop.world.params import Metres, Params
+from luxloop.world.params import Degrees, Distance, Metres, Params, Positive, Slope
 
 BYTES_A_SAMPLE: Final = 350  # of a frame with G-buffer and shading, measured
 
@@ -27,12 +27,12 @@ BYTES_A_SAMPLE: Final = 350  # of a frame with G-buffer and shading, measured
 class CameraParams(Params):
     """Pose in the vehicle frame (x forward, y left, z up), optics, sensor, and delay and loss of frames."""
 
-    x_m: float = Field(-1.6, ge=-10_000, le=10_000, description="position ahead of the lamps, negative behind")
-    y_m: float = Field(0.0, ge=-10_000, le=10_000, description="position to the left of the middle line")
-    z_m: float = Field(1.35, ge=0, le=10_000, description="height above the assumed road plane")
-    roll_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the forward axis, right side down")
-    pitch_deg: float = Field(3.0, ge=-90, le=90, description="rotation about the left axis, nose down")
-    yaw_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the upward axis, to the left")
+    x_m: Metres = Field(-1.6, description="position ahead of the lamps, negative behind")
+    y_m: Metres = Field(0.0, description="position to the left of the middle line")
+    z_m: Distance = Field(1.35, description="height above the assumed road plane")
+    roll_deg: Degrees = Field(0.0, description="rotation about the forward axis, right side down")
+    pitch_deg: Slope = Field(3.0, description="rotation about the left axis, nose down")
+    yaw_deg: Degrees = Field(0.0, description="rotation about the upward axis, to the left")
 
     width_px: int = Field(1280, ge=16, le=8192, description="image width")
     height_px: int = Field(720, ge=16, le=8192, description="image height")
@@ -50,9 +50,9 @@ class CameraParams(Params):
     exposure_s: float = Field(
         0.015, ge=1e-6, le=1, description="exposure time of a frame; on and off frames must fit into one control step"
     )
-    sensitivity_e_per_cd_s_m2: float = Field(50_000.0, gt=0, le=1e6, description="electrons per cd/m^2 and second of exposure")
-    saturation_e: float = Field(1_000.0, gt=0, le=1e6, description="electrons at the largest digital number")
-    read_noise_e: float = Field(2.0, gt=0, le=1e6, description="standard deviation of the read noise in electrons")
+    sensitivity_e_per_cd_s_m2: Positive = Field(50_000.0, description="electrons per cd/m^2 and second of exposure")
+    saturation_e: Positive = Field(1_000.0, description="electrons at the largest digital number")
+    read_noise_e: Positive = Field(2.0, description="standard deviation of the read noise in electrons")
     bits: Literal[8, 10, 12] = Field(12, description="bits of a digital number")
     gamma: float = Field(1.0, ge=1, le=3, description="digital numbers are the 1/gamma-th power of the light; 1 is linear")
     noise: bool = Field(True, description="whether frames have shot and read noise")

@@ -6,14 +6,14 @@ from functools import cached_property
 from typing import Annotated, Any, Literal
 
 import torch
-from pydantic import Field, Tag
+from pydantic import Field
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, pad
 
 from luxloop.perception.camera import CameraParams, luminance_of, noise_std
 from luxloop.world import plugin
 from luxloop.world.errors import LuxloopError
-from luxloop.world.params import Params
+from luxloop.world.params import Distance, Params, Positive
 
 NEIGHBOURHOOD = (3, 7)  # rows, columns in px: wider than an edge, narrower than the change of light over a symbol
 WHOLLY_LIT = 0.6  # share of the brightest contrast nearby above which a pixel counts fully, so that noise inside the symbol has no effect
@@ -33,17 +33,11 @@ class ExtractionStatus(IntEnum):
 class SearchParams(Params):
     """Detection thresholds and search window."""
 
-    threshold_sigma: float = Field(
-        5.0,
-        gt=0,
-        le=1e6,
-        description="detection threshold of the difference on - off, in standard deviations of the noise without a symbol",
+    threshold_sigma: Positive = Field(
+        5.0, description="detection threshold of the difference on - off, in standard deviations of the noise without a symbol"
     )
-    footprint_margin_m: float = Field(
-        0.15,
-        ge=0,
-        le=10_000,
-        description="unevenness of the road, up and down, that widens the search window around the predicted footprint",
+    footprint_margin_m: Distance = Field(
+        0.15, description="unevenness of the road, up and down, that widens the search window around the predicted footprint"
     )
     nothing_below: float = Field(0.08, ge=0, lt=1, description="share of the expected area below which no symbol is present")
     area_low: float = Field(0.45, ge=0, lt=1, description="least share of the expected area that is accepted as the symbol")
@@ -84,8 +78,8 @@ def _like(image: Tensor) -> str:
 
 
 Extraction = Annotated[
-    Annotated[ExtractionParams, Tag("differential")] | Annotated[OwnExtractionParams, Tag(plugin.OWN)],
-    plugin.known_or_own("kind", "differential"),
+    ExtractionParams | OwnExtractionParams,
+    plugin.KnownOrOwn("kind", "differential"),
 ]
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import torch
-from pydantic import Field, Tag
+from pydantic import Field
 from torch import Tensor
 
 from luxloop.perception.detection.detector import Detections
@@ -12,8 +12,8 @@ from luxloop.perception.tracking import ObjectTracker, TrackedBoxes, Tracker, Tr
 from luxloop.world import plugin
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import View
-from luxloop.world.params import Params
-from luxloop.world.plugin import OWN, known_or_own
+from luxloop.world.params import Params, PositiveShare
+from luxloop.world.plugin import KnownOrOwn
 from luxloop.world.traffic.tracked import Category
 
 KEY = "tracker.kind"
@@ -27,14 +27,14 @@ class OwnTracker(Params):
     options: dict[str, Any] = Field(
         {}, description="keyword arguments of Name, in addition to the detector's classes and the camera's view"
     )
-    start_score: float = Field(
-        0.5, gt=0, le=1, description="score from which a detection without an object counts as false positive in reports"
+    start_score: PositiveShare = Field(
+        0.5, description="score from which a detection without an object counts as false positive in reports"
     )
 
 
 AnyTracker = Annotated[
-    Annotated[TrackerParams, Tag("kalman")] | Annotated[OwnTracker, Tag(OWN)],
-    known_or_own("kind", "kalman"),
+    TrackerParams | OwnTracker,
+    KnownOrOwn("kind", "kalman"),
 ]
 
 

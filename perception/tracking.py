@@ -33,7 +33,7 @@ from luxloop.perception.boxes import (
 )
 from luxloop.perception.detection.detector import SAME, Detections, overlaps
 from luxloop.world.frames import View
-from luxloop.world.params import Params
+from luxloop.world.params import Params, PositiveShare
 from luxloop.world.traffic.tracked import Category
 
 
@@ -148,7 +148,7 @@ class TrackerParams(Params):
     """Parameters of luxloop's tracker."""
 
     kind: Literal["kalman"] = "kalman"
-    start_score: float = Field(0.5, gt=0, le=1, description="least score of a detection that starts a track; half of it continues one")
+    start_score: PositiveShare = Field(0.5, description="least score of a detection that starts a track; half of it continues one")
     confirm_frames: int = Field(3, ge=1, le=30, description="consecutive frames with at least that score before a new object is reported")
     keep_s: float = Field(
         1.0,

@@ -7,8 +7,17 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInf
 
 SMALLEST: Final = 1e-12  # least value of a number that has to be positive: what is divided by its square stays finite in single precision
 
+Share = Annotated[float, Field(ge=0, le=1)]
+PositiveShare = Annotated[float, Field(gt=0, le=1)]
 Metres = Annotated[float, Field(ge=-10_000, le=10_000)]
+Distance = Annotated[float, Field(ge=0, le=10_000)]  # m
+Length = Annotated[float, Field(gt=0, le=10_000)]  # m
 Degrees = Annotated[float, Field(ge=-180, le=180)]
+Slope = Annotated[float, Field(ge=-90, le=90)]  # deg
+Real = Annotated[float, Field(ge=-1e6, le=1e6)]
+NotNegative = Annotated[float, Field(ge=0, le=1e6)]
+Positive = Annotated[float, Field(gt=0, le=1e6)]
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
 ModuleName = Annotated[str, Field(min_length=1, max_length=80, pattern=r"^[^/]+$")]  # a part of names of files
 PLAIN = "[a-z][a-z0-9_]*"
 

@@ -14,8 +14,8 @@ from pathlib import Path
 from traceback import walk_tb
 from typing import Annotated, Any, Final, get_args
 
-from pydantic import BaseModel, Discriminator, Field, GetCoreSchemaHandler, ValidationError
-from pydantic_core.core_schema import CoreSchema, no_info_after_validator_function, str_schema
+from pydantic import BaseModel, Field, GetCoreSchemaHandler, ValidationError
+from pydantic_core.core_schema import CoreSchema, no_info_after_validator_function, str_schema, tagged_union_schema
 
 from luxloop.world.errors import MOST_ERRORS, LuxloopError, all_of, did_you_mean, near
 
@@ -52,15 +52,31 @@ class Name(str):
 OwnName = Annotated[Name, Field(description="module and class, as package.module:Name")]
 
 
-def known_or_own(key: str, default: str | None = None) -> Discriminator:
+@dataclass(frozen=True)
+class KnownOrOwn:
     """Tells the variants of a table apart by a key of it; all of `package.module:Name` are one, with the tag `OWN`."""
 
-    def tag(table: Any) -> Any:
-        given = table.get(key, default) if isinstance(table, dict) else getattr(table, key, None)
-        return OWN if isinstance(given, str) and ":" in given else given
+    key: str
+    default: str | None = None
 
-    tag.__name__ = key  # which is what an error calls it
-    return Discriminator(tag)
+    def __get_pydantic_core_schema__(self, union: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        def tag(table: Any) -> Any:
+            given = table.get(self.key, self.default) if isinstance(table, dict) else getattr(table, self.key, None)
+            return OWN if isinstance(given, str) and ":" in given else given
+
+        tag.__name__ = self.key  # which is what an error calls it
+        return tagged_union_schema({name: handler.generate_schema(model) for name, model in by_tag(union).items()}, tag)
+
+
+def by_tag(union: Any) -> dict[str, Any]:
+    """The models of a union by the name that tells each apart, its `kind` or `name`; one of the user's own has the tag `OWN`."""
+    return {name: model for model in get_args(union) for name in tags(model)}
+
+
+def tags(model: type[BaseModel]) -> tuple[Any, ...]:
+    """The names by which a union tells a model apart, none where it has neither `kind` nor `name`."""
+    field = model.model_fields.get("kind") or model.model_fields.get("name")
+    return () if field is None else get_args(field.annotation) or (OWN,)
 
 
 def colon_remedy(text: str) -> str | None:

@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 
 from luxloop.world.errors import LuxloopError, all_of, did_you_mean, near, redact
 from luxloop.world.files import content, reading
-from luxloop.world.plugin import OWN, colon_remedy
+from luxloop.world.plugin import OWN, colon_remedy, tags
 
 WANTED = {
     "int_type": "a whole number",
@@ -156,7 +156,7 @@ def _is_missing(detail: Any) -> bool:
 def _remedy(detail: Any, fields: Mapping[str, FieldInfo], variants: Iterable[type[BaseModel]]) -> str:
     """What to write where a key is missing, or the one that tells the variants of a table apart."""
     if detail["type"] != "missing":
-        first, *others = (tag for variant in variants for tag in _tags(variant))
+        first, *others = (tag for variant in variants for tag in tags(variant))
         return f"write {_discriminator(detail)} = {toml(first)}, or one of {', '.join(others)}"
     key = [part for part in detail["loc"] if isinstance(part, str)][-1]
     field = fields.get(key)
@@ -227,7 +227,7 @@ def _place(model: type[BaseModel], location: tuple[int | str, ...]) -> tuple[str
     candidates, named = [model], False
     fields: dict[str, FieldInfo] = {}
     for part in (part for part in location if part != KEY_ITSELF):
-        chosen = [candidate for candidate in candidates if len(candidates) > 1 and part in _tags(candidate)]
+        chosen = [candidate for candidate in candidates if len(candidates) > 1 and part in tags(candidate)]
         if isinstance(part, int):
             key += f"[{part}]"
         elif named:  # a table by a name that the file chooses
@@ -248,9 +248,3 @@ def _models(annotation: Any) -> Iterable[type[BaseModel]]:
         yield annotation
     for argument in get_args(annotation):
         yield from _models(argument)
-
-
-def _tags(model: type[BaseModel]) -> tuple[Any, ...]:
-    """The names by which a union tells its variants apart; one of the user's own bears any."""
-    field = model.model_fields.get("kind") or model.model_fields.get("name")
-    return (get_args(field.annotation) or (OWN,)) if field is not None else ()

@@ -8,7 +8,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from luxloop.world.params import Params
+from luxloop.world.params import NotNegative, Params, Positive, PositiveShare, Share
 from luxloop.world.symbols import SymbolSource
 
 Direction = Literal["away", "towards", "left", "right"]
@@ -33,9 +33,9 @@ class RunningLightParams(Params):
     """A bright band runs over the symbol repeatedly."""
 
     kind: Literal["running_light"] = "running_light"
-    period_s: float = Field(1.0, gt=0, le=1e6, description="time from one end to the other")
-    length: float = Field(0.3, gt=0, le=1, description="length of the band, as a share of the symbol's length")
-    rest: float = Field(0.0, ge=0, le=1, description="brightness of the symbol outside the band, as a share")
+    period_s: Positive = Field(1.0, description="time from one end to the other")
+    length: PositiveShare = Field(0.3, description="length of the band, as a share of the symbol's length")
+    rest: Share = Field(0.0, description="brightness of the symbol outside the band, as a share")
     direction: Direction = Field(
         "away", description="direction of the band: `away` from the driver, `towards` the driver, `left` or `right`"
     )
@@ -51,9 +51,9 @@ class WipeParams(Params):
     """The symbol is drawn from one end to the other and held, repeatedly."""
 
     kind: Literal["wipe"] = "wipe"
-    draw_s: float = Field(0.8, gt=0, le=1e6, description="time to draw it")
-    hold_s: float = Field(0.7, ge=0, le=1e6, description="time to hold it")
-    softness: float = Field(0.05, gt=0, le=1, description="length of the soft front, as a share of the symbol's length")
+    draw_s: Positive = Field(0.8, description="time to draw it")
+    hold_s: NotNegative = Field(0.7, description="time to hold it")
+    softness: PositiveShare = Field(0.05, description="length of the soft front, as a share of the symbol's length")
     direction: Direction = Field(
         "away", description="direction of the front: `away` from the driver, `towards` the driver, `left` or `right`"
     )

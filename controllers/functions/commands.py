@@ -14,7 +14,7 @@ from luxloop.controllers.functions.base_beams import bend_of_course
 from luxloop.controllers.pixels.primitives import Primitives, meant
 from luxloop.controllers.situation import ScheduleParams, Situation
 from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand, Range
-from luxloop.world.params import Params
+from luxloop.world.params import Degrees, NotNegative, Params, Share, Slope
 
 Movement = Literal["swivel_deg", "level_deg", "intensity"]
 MOVEMENTS: Final[Mapping[Movement, str]] = {"swivel_deg": "swivelled", "level_deg": "levelled", "intensity": "dimmed"}
@@ -111,7 +111,7 @@ class BendingParams(TurningParams):
 class LevelAtParams(Params):
     """A levelling angle at a time."""
 
-    time_s: float = Field(0.0, ge=0, le=1e6, description="time of this entry")
+    time_s: NotNegative = Field(0.0, description="time of this entry")
     level_deg: float = Field(0.0, ge=-10, le=10, description="turned down")
 
 
@@ -138,8 +138,8 @@ class LevellingParams(TurningParams):
 class IntensityAtParams(Params):
     """A maximum intensity at a time."""
 
-    time_s: float = Field(0.0, ge=0, le=1e6, description="time of this entry")
-    share: float = Field(ge=0, le=1, examples=[0.5], description="share of a module's maximum intensity")
+    time_s: NotNegative = Field(0.0, description="time of this entry")
+    share: Share = Field(examples=[0.5], description="share of a module's maximum intensity")
 
 
 class DimmingParams(CommandParams):
@@ -164,9 +164,9 @@ class DirectParams(ScheduleParams):
 
     kind: Literal["command"] = "command"
     modules: tuple[str, ...] = Field((), description="lamps or modules that it commands; left out: all")
-    swivel_deg: float = Field(0.0, ge=-180, le=180, description="turned to the left; limited by each module's own range")
-    level_deg: float = Field(0.0, ge=-90, le=90, description="turned down; limited by each module's own range")
-    intensity: float = Field(1.0, ge=0, le=1, description="share of the maximum intensity")
+    swivel_deg: Degrees = Field(0.0, description="turned to the left; limited by each module's own range")
+    level_deg: Slope = Field(0.0, description="turned down; limited by each module's own range")
+    intensity: Share = Field(1.0, description="share of the maximum intensity")
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """No primitives: the function draws nothing."""

@@ -6,7 +6,7 @@ hits one of them reads the setpoint at the camera pixel that sees the hit.
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal, Self, get_args
+from typing import Literal, Self, get_args
 
 import torch
 from pydantic import Field, model_validator
@@ -18,11 +18,10 @@ from luxloop.controllers.situation import LAYERS, Category, SelectionParams, Sit
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import View
 from luxloop.world.materials.library import MaterialName
-from luxloop.world.params import Metres, Params
+from luxloop.world.params import Distance, Length, Metres, NotNegative, Params, Share
 
 GROUND = frozenset({"asphalt", "wet_asphalt", "lane_paint"})  # materials in the road's plane; all others stand on it
 Quantity = Literal["lx", "luminance"]
-Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class MaterialLightParams(Params):
@@ -30,7 +29,7 @@ class MaterialLightParams(Params):
 
     materials: tuple[MaterialName, ...] = Field((), description="names of materials; left out: any material")
     albedo: tuple[Share, Share] = Field((0.0, 1.0), description="range of albedo, least and greatest")
-    lx: float | None = Field(None, ge=0, le=1e6, description="wanted illuminance; give this or luminance_cd_m2")
+    lx: NotNegative | None = Field(None, description="wanted illuminance; give this or luminance_cd_m2")
     luminance_cd_m2: float | None = Field(None, ge=0, le=1e9, description="wanted luminance, of a diffuse surface with the albedo seen")
 
     @model_validator(mode="after")
@@ -83,8 +82,8 @@ class MaterialParams(SelectionParams):
     road_m: tuple[Metres, Metres] | None = Field(
         (5.0, 60.0), description="range ahead in which the road is lit by material; none: the road is not"
     )
-    road_width_m: float = Field(16.0, gt=0, le=10_000, description="width of that part of the road, about the car's centre line")
-    margin_m: float = Field(0.2, ge=0, le=10_000, description="margin of an object's rectangle beyond its box on all sides but the foot")
+    road_width_m: Length = Field(16.0, description="width of that part of the road, about the car's centre line")
+    margin_m: Distance = Field(0.2, description="margin of an object's rectangle beyond its box on all sides but the foot")
     priority: int = Field(0, ge=0, le=100, description="where functions overlap, the higher priority is drawn")
     modules: tuple[str, ...] = Field((), description="lamps or modules that draw it; left out: all")
 

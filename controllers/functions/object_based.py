@@ -15,7 +15,7 @@ from luxloop.controllers.pixels.primitives import Primitives, rectangle
 from luxloop.controllers.situation import LAYERS, MASK, SelectionParams, Situation, TrackedObject, fade
 from luxloop.perception.tracking import LINGER_S
 from luxloop.world.frames import transform
-from luxloop.world.params import Params
+from luxloop.world.params import Distance, NotNegative, Params, Share
 from luxloop.world.traffic.tracked import ROAD_USERS, Category
 
 NEAREST_M = 1.0  # objects nearer to a lamp are not lit; no lamp's light falls on heads there
@@ -33,21 +33,15 @@ class ObjectLightParams(Params):
         "homogeneous", description="`homogeneous` or structured light: `stripes` (vertical) or `checks` show edges with less flux"
     )
     period_m: float = Field(0.5, ge=0.05, le=5, description="period of the structure on the object")
-    margin_m: float = Field(
-        0.1,
-        ge=0,
-        le=10_000,
-        description="margin of the light beyond the box on all sides; below the foot it shows the contact with the road",
+    margin_m: Distance = Field(
+        0.1, description="margin of the light beyond the box on all sides; below the foot it shows the contact with the road"
     )
     dark: dict[Category, Annotated[float, Field(ge=0, le=1)]] = Field(
         {"pedestrian": 0.25, "cyclist": 0.25, "motorcycle": 0.3, "car": 0.45, "truck": 0.6},
         description="share of the box's height, from the top, that stays dark with all behind it: heads and windscreens",
     )
-    dark_lx: float = Field(
-        0.6,
-        ge=0,
-        le=1e6,
-        description="illuminance of the dark part, whatever the rest gets, with `ssc.a_d` = 1; detectors need heads",
+    dark_lx: NotNegative = Field(
+        0.6, description="illuminance of the dark part, whatever the rest gets, with `ssc.a_d` = 1; detectors need heads"
     )
 
     def on(
@@ -176,10 +170,8 @@ class ObjectBasedParams(SelectionParams):
     )
     ambient: AmbientLoopParams = Field(AmbientLoopParams(), description="loop of the base beam, for `confidence`")
     loop: ObjectLoopParams = Field(ObjectLoopParams(), description="loop of each object, for `confidence`")
-    share: float = Field(0.2, ge=0, le=1, description="share of the base beam, for `class` and `constant`")
-    setpoint_lx: float = Field(
-        10.0, ge=0, le=1e6, description="setpoint on each object, for `constant`, and for classes without one of their own"
-    )
+    share: Share = Field(0.2, description="share of the base beam, for `class` and `constant`")
+    setpoint_lx: NotNegative = Field(10.0, description="setpoint on each object, for `constant`, and for classes without one of their own")
     setpoints_lx: dict[Category, Annotated[float, Field(ge=0, le=1e6)]] = Field(
         {"pedestrian": 10.0, "cyclist": 10.0, "animal": 15.0, "car": 3.0, "truck": 3.0, "motorcycle": 5.0},
         description="setpoints on objects by their class, for `class`",

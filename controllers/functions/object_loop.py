@@ -12,7 +12,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from luxloop.controllers.situation import TrackedObject
-from luxloop.world.params import Params
+from luxloop.world.params import Params, Positive, PositiveShare, Share
 from luxloop.world.traffic.tracked import Category
 
 
@@ -36,15 +36,15 @@ class LowerParams(Params):
     """Starts bright, then bisects downwards as long as the confidence stays."""
 
     kind: Literal["lower"] = "lower"
-    bright_lx: float = Field(20.0, gt=0, le=1e6, description="first illuminance on a new object; it gives the confidence in full light")
-    least_lx: float = Field(2.0, gt=0, le=1e6, description="approximate lower limit of the illuminance")
+    bright_lx: Positive = Field(20.0, description="first illuminance on a new object; it gives the confidence in full light")
+    least_lx: Positive = Field(2.0, description="approximate lower limit of the illuminance")
     ratio: float = Field(
         1.5,
         gt=1,
         le=1e6,
         description="the search ends when the ratio of least sufficient to greatest insufficient illuminance is below this",
     )
-    tolerance: float = Field(0.02, ge=0, le=1, description="loss of confidence against the best that is accepted")
+    tolerance: Share = Field(0.02, description="loss of confidence against the best that is accepted")
     confirm: int = Field(2, ge=1, le=10, description="trials that must find an illuminance sufficient before it is kept")
 
     @model_validator(mode="after")
@@ -77,10 +77,10 @@ class RaiseParams(Params):
     """Raises the light step by step until the confidence stays or falls (T 9.3)."""
 
     kind: Literal["raise"] = "raise"
-    first_lx: float = Field(1.0, gt=0, le=1e6, description="first illuminance on a new object")
+    first_lx: Positive = Field(1.0, description="first illuminance on a new object")
     factor: float = Field(2.0, gt=1, le=1e6, description="factor of a step")
-    most_lx: float = Field(40.0, gt=0, le=1e6, description="upper limit of the illuminance")
-    gain: float = Field(0.04, ge=0, le=1, description="a step that gains less confidence than this counts as plateau")
+    most_lx: Positive = Field(40.0, description="upper limit of the illuminance")
+    gain: Share = Field(0.04, description="a step that gains less confidence than this counts as plateau")
     patience: int = Field(2, ge=1, le=10, description="number of such steps that ends the search")
 
     @model_validator(mode="after")
@@ -148,9 +148,7 @@ class ObjectLoopParams(Params):
     )
     frames: int = Field(6, ge=1, le=100, description="frames averaged per trial of the search")
     watch_frames: int = Field(15, ge=1, le=300, description="frames averaged once settled")
-    drop: float = Field(
-        0.1, gt=0, le=1, description="deviation from the expected confidence that starts a search up to the brightest light"
-    )
+    drop: PositiveShare = Field(0.1, description="deviation from the expected confidence that starts a search up to the brightest light")
     change: float = Field(
         1.5,
         gt=1,
@@ -216,16 +214,16 @@ class Ambient:
 class AmbientLoopParams(Params):
     """Dims the base beam in steps, raises it at once if needed, and then waits long before it dims again, so that it does not hunt."""
 
-    first: float = Field(1.0, ge=0, le=1, description="share of the base beam at the start, which should show everything present")
-    least: float = Field(0.05, gt=0, le=1, description="lower limit of the share, for objects not yet detected")
+    first: Share = Field(1.0, description="share of the base beam at the start, which should show everything present")
+    least: PositiveShare = Field(0.05, description="lower limit of the share, for objects not yet detected")
     fall: float = Field(0.5, gt=0, lt=1, description="factor of a step down, taken when every object is detected surely")
     fall_frames: int = Field(4, ge=1, le=300, description="frames before a step down")
     rise: float = Field(
         2.0, gt=1, le=1e6, description="factor of a step up, taken when an object is doubtful and more light on it does not help"
     )
     patience: int = Field(60, ge=1, le=1_000_000, description="frames without another step after a step up")
-    doubtful: float = Field(0.2, ge=0, le=1, description="confidence below which an object that had more is doubtful")
-    margin: float = Field(0.1, ge=0, le=1, description="confidence above `doubtful` from which on an object is detected surely")
+    doubtful: Share = Field(0.2, description="confidence below which an object that had more is doubtful")
+    margin: Share = Field(0.1, description="confidence above `doubtful` from which on an object is detected surely")
 
     @model_validator(mode="after")
     def _begins_above(self) -> Self:

@@ -24,7 +24,7 @@ from luxloop.controllers.situation import (
 )
 from luxloop.perception.tracking import LINGER_S
 from luxloop.world.frames import inverse, transform
-from luxloop.world.params import Params
+from luxloop.world.params import Distance, Length, NotNegative, Params, PositiveShare, Share
 from luxloop.world.symbols import Still
 
 FADING = 1e6  # weight of a fading mask: above all others but the infinite weight of full masks, with which it must not be averaged
@@ -34,17 +34,17 @@ CLEARANCE = 0.8  # share of the gap between a box and a nearby lamp that a margi
 class SoftZoneParams(Params):
     """A larger box around the mask in which the base beam is dimmed."""
 
-    margin_m: float = Field(gt=0, le=10_000, examples=[0.5], description="margin beyond the mask on each side")
-    u_rel: float = Field(ge=0, le=1, examples=[0.3], description="share of the base beam that remains in it")
+    margin_m: Length = Field(examples=[0.5], description="margin beyond the mask on each side")
+    u_rel: Share = Field(examples=[0.3], description="share of the base beam that remains in it")
 
 
 class GlareFreeParams(SelectionParams):
     """Keeps light off other road users."""
 
     kind: Literal["glare_free"] = "glare_free"
-    margin_m: float = Field(0.2, ge=0, le=10_000, description="safety margin around the box, except below its foot")
+    margin_m: Distance = Field(0.2, description="safety margin around the box, except below its foot")
     margin_deg: float = Field(0.2, ge=0, le=5, description="additional margin as an angle seen from the lamps")
-    fade_in_s: float = Field(0.0, ge=0, le=1e6, description="time until a new object is dark; 0 is immediate and safe")
+    fade_in_s: NotNegative = Field(0.0, description="time until a new object is dark; 0 is immediate and safe")
     fade_out_s: float = Field(0.6, ge=0, le=LINGER_S, description="time until full light returns where an object has vanished")
     soft_zones: tuple[SoftZoneParams, ...] = Field((), max_length=LAYERS - 1, description="dimmed boxes around the mask, inner ones first")
 
@@ -107,9 +107,9 @@ class SignParams(SelectionParams):
         "u_rel", description="unit of the setpoint: u_rel, share of the base beam; u_abs, utilisation; E_v, lx on the sign"
     )
     value: float = Field(0.2, ge=0, le=1e9, description="setpoint")
-    weight: float = Field(1.0, ge=0, le=1e6, description="weight against other light where a pixel lights more than the sign")
+    weight: NotNegative = Field(1.0, description="weight against other light where a pixel lights more than the sign")
     priority: int = Field(50, ge=0, le=100, description="where functions overlap, the higher priority is drawn")
-    margin_m: float = Field(0.1, ge=0, le=10_000, description="margin of the primitive beyond the sign on each side")
+    margin_m: Distance = Field(0.1, description="margin of the primitive beyond the sign on each side")
 
     @model_validator(mode="after")
     def _share_of_a_pixel(self) -> Self:
@@ -144,12 +144,12 @@ class MarkerParams(DrawingParams, SelectionParams):
     kind: Literal["marker"] = "marker"
     categories: tuple[Category, ...] = Field(("pedestrian", "animal"), min_length=1, description="classes of objects that it marks")
     target: Literal["road", "body"] = Field("road", description="`road`: a line towards the object; `body`: light on the object")
-    width_m: float = Field(0.25, gt=0, le=10_000, description="width of the line")
-    near_m: float = Field(8.0, gt=0, le=10_000, description="where the line starts, ahead of the lamps")
-    gap_m: float = Field(0.5, ge=0, le=10_000, description="distance from the end of the line to the object")
-    up_to: float = Field(0.6, gt=0, le=1, description="share of the body's height that is lit, from the feet up, to avoid dazzling")
-    surround_m: float = Field(0.0, ge=0, le=10_000, description="width of the dimmed surround on each side of the line, for contrast")
-    surround_u_rel: float = Field(0.3, ge=0, le=1, description="share of the base beam that remains in the surround")
+    width_m: Length = Field(0.25, description="width of the line")
+    near_m: Length = Field(8.0, description="where the line starts, ahead of the lamps")
+    gap_m: Distance = Field(0.5, description="distance from the end of the line to the object")
+    up_to: PositiveShare = Field(0.6, description="share of the body's height that is lit, from the feet up, to avoid dazzling")
+    surround_m: Distance = Field(0.0, description="width of the dimmed surround on each side of the line, for contrast")
+    surround_u_rel: Share = Field(0.3, description="share of the base beam that remains in the surround")
     animation: AnimationParams | None = Field(None, description="animation; left out: none")
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:

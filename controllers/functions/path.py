@@ -14,7 +14,7 @@ from torch import Tensor
 from luxloop.controllers.geometry import Place, on_road, strip
 from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.situation import DrawingParams, Situation
-from luxloop.world.params import Metres
+from luxloop.world.params import Length, Metres
 
 HALLEY_STEPS = 6  # from the best sample, Halley's cubic convergence needs three or four
 SAMPLES_PER_DEGREE = (
@@ -102,10 +102,10 @@ class PathParams(DrawingParams):
         examples=[[[6.0, 0.0], [40.0, 3.0]]],
         description="control points, x ahead and y left, from the car outward",
     )
-    width_m: float = Field(1.0, gt=0, le=10_000, description="width of the band")
+    width_m: Length = Field(1.0, description="width of the band")
     image: str | None = Field(None, description="symbol bent along the curve, its far end ahead; left out: an even band")
-    image_length_m: float = Field(3.0, gt=0, le=10_000, description="length of one symbol along the curve")
-    image_pitch_m: float = Field(4.0, gt=0, le=10_000, description="spacing from one symbol to the next")
+    image_length_m: Length = Field(3.0, description="length of one symbol along the curve")
+    image_pitch_m: Length = Field(4.0, description="spacing from one symbol to the next")
     speed_m_s: float = Field(0.0, ge=-200, le=200, description="speed of the symbols along the curve")
     texel_m: float = Field(0.05, gt=0, le=1, description="resolution of the drawing")
 
@@ -209,8 +209,8 @@ STRAIGHT_1_M = 1e-5  # a curve of less curvature leaves its tangent by 2 cm in 6
 class Stretch(DrawingParams):
     """A drawing on the road between two distances."""
 
-    near_m: float = Field(ge=-10_000, le=10_000)
-    far_m: float = Field(ge=-10_000, le=10_000)
+    near_m: Metres = Field()
+    far_m: Metres = Field()
 
     @model_validator(mode="after")
     def _far_is_beyond_near(self) -> Self:
@@ -224,11 +224,11 @@ class LaneParams(Stretch):
 
     kind: Literal["lane"] = "lane"
     style: Literal["carpet", "lines"] = Field("carpet", description="`carpet` fills the lane, `lines` marks its borders")
-    lane_width_m: float = Field(2.6, gt=0, le=10_000, description="width of the carpet, or distance between the centres of the lines")
-    line_width_m: float = Field(0.2, gt=0, le=10_000, description="width of a line")
-    near_m: float = Field(6.0, gt=0, le=10_000, description="where it starts, ahead of the car")
-    far_m: float = Field(40.0, gt=0, le=10_000, description="where it ends; in a tight bend it ends after a quarter turn")
-    y_m: float = Field(0.0, ge=-10_000, le=10_000, description="lateral position of the lane's centre at the car, left positive")
+    lane_width_m: Length = Field(2.6, description="width of the carpet, or distance between the centres of the lines")
+    line_width_m: Length = Field(0.2, description="width of a line")
+    near_m: Length = Field(6.0, description="where it starts, ahead of the car")
+    far_m: Length = Field(40.0, description="where it ends; in a tight bend it ends after a quarter turn")
+    y_m: Metres = Field(0.0, description="lateral position of the lane's centre at the car, left positive")
     texel_m: float = Field(0.1, gt=0, le=1, description="resolution of the drawing in a bend")
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
@@ -249,12 +249,10 @@ class WidthParams(Stretch):
     """Two lines that show the car's width, for narrow passages."""
 
     kind: Literal["width"] = "width"
-    vehicle_width_m: float = Field(
-        2.1, gt=0, le=10_000, description="distance between the outer edges of the lines: the car's width with mirrors"
-    )
-    line_width_m: float = Field(0.15, gt=0, le=10_000, description="width of a line")
-    near_m: float = Field(5.0, gt=0, le=10_000, description="where the lines begin, ahead of the car")
-    far_m: float = Field(25.0, gt=0, le=10_000, description="where they end")
+    vehicle_width_m: Length = Field(2.1, description="distance between the outer edges of the lines: the car's width with mirrors")
+    line_width_m: Length = Field(0.15, description="width of a line")
+    near_m: Length = Field(5.0, description="where the lines begin, ahead of the car")
+    far_m: Length = Field(25.0, description="where they end")
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         if not self.active(now):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, cast
 
 import torch
-from pydantic import AfterValidator, Field, Tag, TypeAdapter
+from pydantic import AfterValidator, Field, TypeAdapter
 
 from luxloop.controllers.functions.base_beams import BaseBeam, BaseBeamParams, PaintedParams, PaintLayer, RawParams, paint_layers
 from luxloop.controllers.functions.commands import (
@@ -31,27 +31,27 @@ from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.situation import AdaptiveFunction, Indicator, LightingFunction, Situation
 from luxloop.world.errors import locate
 from luxloop.world.params import Params, PlainName
-from luxloop.world.plugin import OWN, known_or_own
+from luxloop.world.plugin import OWN, KnownOrOwn
 from luxloop.world.symbols import SymbolSource, load
 
 FunctionParams = Annotated[
-    Annotated[GlareFreeParams, Tag("glare_free")]
-    | Annotated[MarkerParams, Tag("marker")]
-    | Annotated[SignParams, Tag("sign")]
-    | Annotated[SymbolFunctionParams, Tag("symbol")]
-    | Annotated[PrimitiveParams, Tag("primitive")]
-    | Annotated[PathParams, Tag("path")]
-    | Annotated[LaneParams, Tag("lane")]
-    | Annotated[WidthParams, Tag("width")]
-    | Annotated[ObjectBasedParams, Tag("object_based")]
-    | Annotated[MaterialParams, Tag("material")]
-    | Annotated[ZoneParams, Tag("zone")]
-    | Annotated[BendingParams, Tag("bending")]
-    | Annotated[LevellingParams, Tag("levelling")]
-    | Annotated[DimmingParams, Tag("dimming")]
-    | Annotated[DirectParams, Tag("command")]
-    | Annotated[OwnFunction, Tag(OWN)],
-    known_or_own("kind"),
+    GlareFreeParams
+    | MarkerParams
+    | SignParams
+    | SymbolFunctionParams
+    | PrimitiveParams
+    | PathParams
+    | LaneParams
+    | WidthParams
+    | ObjectBasedParams
+    | MaterialParams
+    | ZoneParams
+    | BendingParams
+    | LevellingParams
+    | DimmingParams
+    | DirectParams
+    | OwnFunction,
+    KnownOrOwn("kind"),
 ]
 ORDER: Final = (  # from top to bottom, for functions of equal priority that overlap
     ("glare_free",),

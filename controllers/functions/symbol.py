@@ -18,7 +18,7 @@ from luxloop.controllers.symbol.sensing.projector import StartParams, SymbolPara
 from luxloop.perception.extraction import Extraction, ExtractionParams
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees, transform
-from luxloop.world.params import Metres, Params
+from luxloop.world.params import Degrees, Length, Metres, Params, Slope
 from luxloop.world.symbols import Still
 from luxloop.world.validation import sentences
 
@@ -47,10 +47,10 @@ class ObserverParams(Params):
         DRIVER_M, description="eye position in the vehicle frame (x forward, y left, z up); by default the driver's"
     )
     name: str | None = Field(None, description="name of a tracked object as observer, instead of eye_m")
-    eye_height_m: float = Field(1.5, gt=0, le=10_000, description="height of the tracked observer's eye above its foot")
+    eye_height_m: Length = Field(1.5, description="height of the tracked observer's eye above its foot")
     centre_m: tuple[Metres, Metres, Metres] = Field((12.0, 0.0, 0.5), description="centre of the picture in the vehicle frame")
-    width_m: float = Field(2.0, gt=0, le=10_000, description="width of the picture")
-    height_m: float = Field(0.6, gt=0, le=10_000, description="height of the picture")
+    width_m: Length = Field(2.0, description="width of the picture")
+    height_m: Length = Field(0.6, description="height of the picture")
 
     @model_validator(mode="after")
     def _one_observer(self) -> Self:
@@ -83,11 +83,11 @@ class SymbolFunctionParams(DrawingParams):
     image: str = Field(
         examples=["snowflake"], description="name of a shipped symbol, or path of a picture, SVG, video or folder of pictures"
     )
-    x_m: float = Field(17.0, gt=0, le=10_000, description="position of the centre ahead of the car")
-    y_m: float = Field(0.0, ge=-10_000, le=10_000, description="lateral position of the centre, left positive")
-    yaw_deg: float = Field(0.0, ge=-180, le=180, description="rotation to the left")
-    width_m: float = Field(2.0, gt=0, le=10_000, description="extent across")
-    length_m: float = Field(4.0, gt=0, le=10_000, description="extent along")
+    x_m: Length = Field(17.0, description="position of the centre ahead of the car")
+    y_m: Metres = Field(0.0, description="lateral position of the centre, left positive")
+    yaw_deg: Degrees = Field(0.0, description="rotation to the left")
+    width_m: Length = Field(2.0, description="extent across")
+    length_m: Length = Field(4.0, description="extent along")
     animation: AnimationParams | None = Field(None, description="animation; left out: none but that of a video itself")
     when: ConditionParams | None = Field(None, description="draw only while such an object is present")
     unless: ConditionParams | None = Field(None, description="do not draw while such an object is present")
@@ -189,14 +189,14 @@ class PrimitiveParams(DrawingParams):
     image: str | None = Field(
         None, description="name of a shipped symbol, or path of a picture, SVG, video or folder of pictures; left out: even light"
     )
-    x_m: float = Field(17.0, ge=-10_000, le=10_000, description="position of the centre ahead of the car")
-    y_m: float = Field(0.0, ge=-10_000, le=10_000, description="lateral position of the centre, left positive")
-    z_m: float = Field(0.0, ge=-10_000, le=10_000, description="height of the centre above the road's plane")
-    roll_deg: float = Field(0.0, ge=-180, le=180, description="rotation about its length, right side down")
-    pitch_deg: float = Field(0.0, ge=-90, le=90, description="rotation about its width: 0 on the road, -90 upright and facing the car")
-    yaw_deg: float = Field(0.0, ge=-180, le=180, description="rotation to the left")
-    width_m: float = Field(2.0, gt=0, le=10_000, description="extent across")
-    length_m: float = Field(4.0, gt=0, le=10_000, description="extent along")
+    x_m: Metres = Field(17.0, description="position of the centre ahead of the car")
+    y_m: Metres = Field(0.0, description="lateral position of the centre, left positive")
+    z_m: Metres = Field(0.0, description="height of the centre above the road's plane")
+    roll_deg: Degrees = Field(0.0, description="rotation about its length, right side down")
+    pitch_deg: Slope = Field(0.0, description="rotation about its width: 0 on the road, -90 upright and facing the car")
+    yaw_deg: Degrees = Field(0.0, description="rotation to the left")
+    width_m: Length = Field(2.0, description="extent across")
+    length_m: Length = Field(4.0, description="extent along")
     animation: AnimationParams | None = Field(None, description="animation; left out: none but that of a video itself")
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:

@@ -19,7 +19,7 @@ from luxloop.controllers.pid import PidGains, PidParams, PidState, pid_gains, pi
 from luxloop.controllers.pixels.primitives import Primitives, meant, rectangle
 from luxloop.controllers.situation import LAYERS, Situation
 from luxloop.world.frames import View, inverse, pose_from_degrees
-from luxloop.world.params import Metres, Params
+from luxloop.world.params import Degrees, Metres, NotNegative, Params, Positive, Slope
 
 
 def box_region(view: View, T_world_box: Tensor, low: Tensor, high: Tensor) -> Tensor:
@@ -65,18 +65,16 @@ class ZoneParams(Params):
     size_m: tuple[Metres, Metres, Metres] = Field(
         examples=[[4.0, 2.0, 0.0]], description="length, width and height of a box; a rectangle where one of them is 0"
     )
-    roll_deg: float = Field(0.0, ge=-180, le=180, description="rotation about its length axis, right side down positive")
-    pitch_deg: float = Field(0.0, ge=-90, le=90, description="rotation about its width axis, nose down positive")
-    yaw_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the upward axis, to the left positive")
+    roll_deg: Degrees = Field(0.0, description="rotation about its length axis, right side down positive")
+    pitch_deg: Slope = Field(0.0, description="rotation about its width axis, nose down positive")
+    yaw_deg: Degrees = Field(0.0, description="rotation about the upward axis, to the left positive")
     luminance_cd_m2: float = Field(gt=0, le=1e9, examples=[1.0], description="setpoint: mean luminance of the zone in the camera image")
-    start_lx: float = Field(1.0, gt=0, le=1e6, description="illuminance before the first measurement")
+    start_lx: Positive = Field(1.0, description="illuminance before the first measurement")
     pid: PidParams = Field(
         PidParams(kp=0.7, form="incremental", lower=-5.0, rate_limit=2.0),
         description="PID from the logarithm of luminance to the logarithm of illuminance; its time is in steps",
     )
-    weight: float = Field(
-        20.0, ge=0, le=1e6, description="weight against other light where a pixel lights more than the zone; the base beam has 1"
-    )
+    weight: NotNegative = Field(20.0, description="weight against other light where a pixel lights more than the zone; the base beam has 1")
     priority: int = Field(0, ge=0, le=100, description="where functions overlap, the higher priority is drawn")
     modules: tuple[str, ...] = Field((), description="lamps or modules that light it; left out: all")
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from luxloop.controllers.pixels.sampling import Sampling, pixel_spread, rectangular, sample_weights
 from luxloop.world.headlight import Headlight
-from luxloop.world.params import Params
+from luxloop.world.params import Params, Share
 from luxloop.world.spmv import Csr, row_of_entries, segment_bounds
 
 
@@ -25,11 +25,11 @@ class MrpcParams(Params):
     a_r: float = Field(
         1.0, ge=0, le=8, description="reduction: 0 averages utilisations, 1 conserves light, 2 is the least-squares solution"
     )
-    a_x: float = Field(0.0, ge=0, le=1, description="exclusion: texels below this share of a pixel's maximum are ignored; 0: none")
+    a_x: Share = Field(0.0, description="exclusion: texels below this share of a pixel's maximum are ignored; 0: none")
     exclusion: Literal["capability", "printed"] = Field(
         "capability", description="a_x applies to a pixel's intensity at a texel (capability), or to the setpoint as printed in T eq. 7.4.3"
     )
-    a_ac: float = Field(0.0, ge=0, le=1, description="activation threshold: a pixel with a smaller share of lit setpoints is off")
+    a_ac: Share = Field(0.0, description="activation threshold: a pixel with a smaller share of lit setpoints is off")
     a_d: float | None = Field(
         None, gt=0, le=1e6, description="edge darkening: dims setpoints where the lamp gives less than a_d times its mean intensity"
     )

@@ -2,8 +2,6 @@
 
 from typing import Annotated
 
-from pydantic import Tag
-
 from luxloop.controllers.symbol.feedback import Feedback, GaussNewtonParams, ModelReferenceParams, ThesisPid, ThesisPidParams
 from luxloop.controllers.symbol.heights.feedforward import Feedforward, FeedforwardParams, MeasuringFeedforward, OpenLoop, OpenLoopParams
 from luxloop.controllers.symbol.heights.height_controller import HeightController, HeightControllerParams
@@ -11,20 +9,11 @@ from luxloop.controllers.symbol.sensing.projector import StartParams
 from luxloop.controllers.symbol.sensing.protocol import SymbolController
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from luxloop.controllers.symbol.stages import OwnParams, StagedParams, own_controller, with_stages
-from luxloop.world.plugin import OWN, known_or_own
+from luxloop.world.plugin import KnownOrOwn
 
 NamedParams = HeightControllerParams | OpenLoopParams | FeedforwardParams | ThesisPidParams | GaussNewtonParams | ModelReferenceParams
 AnyParams = NamedParams | OwnParams
-ControllerParams = Annotated[
-    Annotated[HeightControllerParams, Tag("luxloop")]
-    | Annotated[OpenLoopParams, Tag("open")]
-    | Annotated[FeedforwardParams, Tag("feedforward")]
-    | Annotated[ThesisPidParams, Tag("thesis_pid")]
-    | Annotated[GaussNewtonParams, Tag("gauss_newton")]
-    | Annotated[ModelReferenceParams, Tag("model_reference")]
-    | Annotated[OwnParams, Tag(OWN)],
-    known_or_own("name"),
-]
+ControllerParams = Annotated[AnyParams, KnownOrOwn("name")]
 CONTROLLERS: dict[str, type[NamedParams]] = {
     "luxloop": HeightControllerParams,
     "open": OpenLoopParams,

@@ -24,14 +24,14 @@ from luxloop.controllers.symbol.stages import StagedParams
 from luxloop.perception import appearance
 from luxloop.perception.egomotion import Ego
 from luxloop.perception.extraction import ExtractionStatus
-from luxloop.world.params import Degrees, Metres, Params
+from luxloop.world.params import Degrees, Length, Metres, Params, PositiveShare, Real
 
 
 class FeedbackParams(StagedParams):
     """What both laws have in common."""
 
     dof: Literal["z", "x"] = Field("z", description="what shifts the symbol along the road: height or place of its rectangle")
-    gain: float = Field(0.7, gt=0, le=1, description="share of a correction that a step makes")
+    gain: PositiveShare = Field(0.7, description="share of a correction that a step makes")
     shift_range_m: tuple[Metres, Metres] = Field(
         (-9.0, 23.0), description="limits of the correction along x, or of what a height amounts to"
     )
@@ -158,9 +158,9 @@ def _command(params: FeedbackParams, target: Tensor, correction: Tensor) -> Proj
 class PidTuning(Params):
     """Gains of one kind of loop (T 9.4.3)."""
 
-    kp: float = Field(ge=-1e6, le=1e6, examples=[0.3], description="proportional gain")
-    ki: float = Field(ge=-1e6, le=1e6, examples=[0.1], description="integral gain a step")
-    kd: float = Field(ge=-1e6, le=1e6, examples=[0.0], description="derivative gain in steps")
+    kp: Real = Field(examples=[0.3], description="proportional gain")
+    ki: Real = Field(examples=[0.1], description="integral gain a step")
+    kd: Real = Field(examples=[0.0], description="derivative gain in steps")
     tracking_steps: float | None = Field(
         None, gt=0, le=1e6, description="time constant of the anti-windup's back-calculation, none if left out"
     )
@@ -176,8 +176,8 @@ class ThesisPidParams(StagedParams):
     y_range_m: tuple[Metres, Metres] = Field((-6.0, 6.0), description="limits of the primitive's y")
     roll_range_deg: tuple[Degrees, Degrees] = Field((-7.0, 7.0), description="limits of the primitive's roll")
     pitch_range_deg: tuple[Degrees, Degrees] = Field((-4.0, 2.2), description="limits of the primitive's pitch, nose down positive")
-    x_rate_m: float = Field(1.5, gt=0, le=10_000, description="largest move along x a step")
-    y_rate_m: float = Field(0.9, gt=0, le=10_000, description="largest move along y a step")
+    x_rate_m: Length = Field(1.5, description="largest move along x a step")
+    y_rate_m: Length = Field(0.9, description="largest move along y a step")
     roll_rate_deg: float = Field(2.4, gt=0, le=180, description="largest turn in roll a step")
     pitch_rate_deg: float = Field(1.35, gt=0, le=180, description="largest turn in pitch a step")
     losses_to_reset: int = Field(

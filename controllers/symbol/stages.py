@@ -17,7 +17,7 @@ from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from luxloop.perception.egomotion import Ego
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world import plugin
-from luxloop.world.params import Params
+from luxloop.world.params import Params, PositiveShare, Share
 
 BEYOND = (0.4, 0.15)  # of the symbol's length and width, by which a warp's rectangle is larger on every side
 LEAST_SHARE = 0.2  # of a placement: after a few that did not help there is nothing more to be had
@@ -27,7 +27,7 @@ class WarpParams(Params):
     """How the symbol is warped once the controller has brought it near its place."""
 
     kind: Kind = Field("homography+mesh", description="a homography, and heights of a mesh, which move the symbol along epipolar lines")
-    takes_over: float = Field(0.3, gt=0, le=1, description="largest residual, 1 minus IoU, that the first registration may leave")
+    takes_over: PositiveShare = Field(0.3, description="largest residual, 1 minus IoU, that the first registration may leave")
     least_drop: float = Field(0.005, ge=0, lt=1, description="drop of the residual below which nothing is changed")
 
 
@@ -117,10 +117,8 @@ class SupervisorParams(Params):
     grace_steps: int = Field(
         8, ge=1, le=1_000_000, description="observations of the controller's symbol, after which it has to lie better than the open loop's"
     )
-    explained: float = Field(
-        0.3, ge=0, le=1, description="share of the residual that registration explains at least; of obstacles it is less"
-    )
-    changed: float = Field(0.05, gt=0, le=1, description="change of the open loop's residual, 1 minus IoU, that is worth another try")
+    explained: Share = Field(0.3, description="share of the residual that registration explains at least; of obstacles it is less")
+    changed: PositiveShare = Field(0.05, description="change of the open loop's residual, 1 minus IoU, that is worth another try")
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,11 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import Field, Tag, model_validator
+from pydantic import Field, model_validator
 
 from luxloop.world.errors import LuxloopError, locate
-from luxloop.world.params import Params
-from luxloop.world.plugin import OWN, OwnName, beside, known_or_own, refuse_code
+from luxloop.world.params import Params, Positive, PositiveShare
+from luxloop.world.plugin import KnownOrOwn, OwnName, beside, refuse_code
 from luxloop.world.validation import read_toml, validate_model
 
 Port = Annotated[int, Field(ge=1, le=65535)]
@@ -81,11 +81,7 @@ class OwnLightParams(LightParams):
     options: dict[str, Any] = Field({}, description="keyword arguments of Name")
 
 
-Lights = Annotated[
-    Annotated[DdpLightParams, Tag("ddp")] | Annotated[ScreenLightParams, Tag("screen")] | Annotated[FilesLightParams, Tag("files")]
-    | Annotated[OwnLightParams, Tag(OWN)],
-    known_or_own("kind"),
-]  # fmt: skip
+Lights = Annotated[DdpLightParams | ScreenLightParams | FilesLightParams | OwnLightParams, KnownOrOwn("kind")]
 
 
 class CropParams(Params):
@@ -163,10 +159,9 @@ class OwnCameraParams(CameraSourceParams):
 
 
 Cameras = Annotated[
-    Annotated[HttpCameraParams, Tag("http")] | Annotated[DeviceCameraParams, Tag("device")] | Annotated[StreamCameraParams, Tag("stream")]
-    | Annotated[FolderCameraParams, Tag("folder")] | Annotated[OwnCameraParams, Tag(OWN)],
-    known_or_own("kind"),
-]  # fmt: skip
+    HttpCameraParams | DeviceCameraParams | StreamCameraParams | FolderCameraParams | OwnCameraParams,
+    KnownOrOwn("kind"),
+]
 
 
 class NoEgoParams(Params):
@@ -191,20 +186,17 @@ class OwnEgoParams(Params):
     options: dict[str, Any] = Field({}, description="keyword arguments of Name")
 
 
-Egos = Annotated[
-    Annotated[NoEgoParams, Tag("none")] | Annotated[UdpEgoParams, Tag("udp")] | Annotated[OwnEgoParams, Tag(OWN)],
-    known_or_own("kind", "none"),
-]
+Egos = Annotated[NoEgoParams | UdpEgoParams | OwnEgoParams, KnownOrOwn("kind", "none")]
 
 
 class LimitParams(Params):
     """Limits of all light that the lamp gets."""
 
-    power: float = Field(1.0, gt=0, le=1, description="largest mean utilisation of all pixels; light above it is dimmed")
+    power: PositiveShare = Field(1.0, description="largest mean utilisation of all pixels; light above it is dimmed")
     power_w: float | None = Field(None, gt=0, le=1e6, description="largest power in W; needs full_w")
     full_w: float | None = Field(None, gt=0, le=1e6, description="power in W with all pixels on")
-    change_per_s: float = Field(
-        1000.0, gt=0, le=1e6, description="largest change of the mean utilisation per second; faster changes are made in steps"
+    change_per_s: Positive = Field(
+        1000.0, description="largest change of the mean utilisation per second; faster changes are made in steps"
     )
     loop_s: float = Field(1.0, ge=0.1, le=60, description="time without a call of the loop after which the lamp is darkened")
 

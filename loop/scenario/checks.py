@@ -4,7 +4,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from luxloop.world.params import Params
+from luxloop.world.params import NotNegative, Params
 
 Light = Literal["open_loop", "full_light", "low_beam"]
 By = Literal["ratio", "difference", "recall"]
@@ -18,8 +18,8 @@ class CheckParams(Params):
         examples=["lamp.left.flux_lm"],
         description="column of the recording, such as `functions.symbol.iou` or `lamp.left.flux_lm`",
     )
-    from_s: float = Field(0.0, ge=0, le=1e6, description="start of the window")
-    until_s: float | None = Field(None, ge=0, le=1e6, description="end of the window, which belongs to it; left out: the end of the run")
+    from_s: NotNegative = Field(0.0, description="start of the window")
+    until_s: NotNegative | None = Field(None, description="end of the window, which belongs to it; left out: the end of the run")
     take: Literal["mean", "min", "max", "last", "p50", "p90", "p99"] = Field(
         "mean", description="what is taken of the values in the window; `p99`: the least value that 99 % of them do not exceed"
     )

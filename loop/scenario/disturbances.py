@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from luxloop.perception.camera import OncomingParams
-from luxloop.world.params import Params
+from luxloop.world.params import Params, Seed, Share
 
 FRAMES = ("on", "off")
 
@@ -61,7 +61,7 @@ class NoiseParams(Spell):
 class DropsParams(Spell):
     """Frames that are lost, beside camera.drop_probability."""
 
-    probability: float = Field(1.0, ge=0, le=1, description="probability that a step's frames are lost")
+    probability: Share = Field(1.0, description="probability that a step's frames are lost")
 
 
 class PoseErrorParams(Params):
@@ -90,13 +90,13 @@ class AimParams(PoseErrorParams):
 class WearParams(Params):
     """Pixels of the modules that shine which are dead or have aged; each module has its own."""
 
-    dead: float = Field(0.0, ge=0, le=1, description="share of pixels that are dead")
-    aged: float = Field(0.0, ge=0, le=1, description="share of pixels that have aged")
-    aged_factor: float = Field(0.5, ge=0, le=1, description="light that an aged pixel has left")
+    dead: Share = Field(0.0, description="share of pixels that are dead")
+    aged: Share = Field(0.0, description="share of pixels that have aged")
+    aged_factor: Share = Field(0.5, description="light that an aged pixel has left")
     dead_pixels: tuple[Annotated[int, Field(ge=0, lt=2**31)], ...] = Field(
         (), description="numbers of pixels that are dead in each module, row by row from the upper left"
     )
-    seed: int = Field(0, ge=0, lt=2**63, description="seed of which pixels these are")
+    seed: Seed = Field(0, description="seed of which pixels these are")
 
     @model_validator(mode="after")
     def _at_most_all(self) -> Self:

@@ -97,9 +97,9 @@ def _first_line(text: str) -> str:
 
 def _variants(union: Any) -> list[dict[str, Any]]:
     """The variants of a table that luxloop has, each by its tag and the first sentence of its docstring; own parts have no name to list."""
-    from luxloop.world.plugin import OWN
+    from luxloop.world.plugin import OWN, by_tag
 
-    models = {get_args(each)[1].tag: get_args(each)[0] for each in get_args(get_args(union)[0])}
+    models = by_tag(get_args(union)[0])
     return [{"name": tag, "description": _first_sentence(model.__doc__)} for tag, model in models.items() if tag != OWN]
 
 

@@ -28,7 +28,7 @@ from luxloop.perception.trackers import AnyTracker
 from luxloop.perception.tracking import TrackerParams
 from luxloop.world.errors import LuxloopError, did_you_mean, locate
 from luxloop.world.materials.library import RoadSurfaceParams, SpotParams
-from luxloop.world.params import Params, PlainName
+from luxloop.world.params import NotNegative, Params, PlainName, Seed
 from luxloop.world.plugin import PATTERN, Name, colon_remedy, refuse_code
 from luxloop.world.roads.shapes import Flat, RoadParams
 from luxloop.world.scene.scene import StreetLamp
@@ -54,7 +54,7 @@ class HeadlightParams(Params):
     modules: tuple[str, ...] | None = Field(None, min_length=1, description="their modules that shine; left out: all")
     swivel_deg: float = Field(0.0, ge=-30, le=30, description="swivel at rest of modules that can be swivelled, to the left")
     level_deg: float = Field(0.0, ge=-10, le=10, description="level at rest of modules that can be levelled, down")
-    standby_w: float = Field(5.0, ge=0, le=1e6, description="electrical power of a lamp that is dark: its electronics and fan")
+    standby_w: NotNegative = Field(5.0, description="electrical power of a lamp that is dark: its electronics and fan")
     efficacy_lm_w: float = Field(
         40.0, gt=0, le=1000, description="luminous flux that leaves a lamp for each watt that its light sources take"
     )
@@ -81,7 +81,7 @@ class LightParams(Params):
 class RoadConditionParams(Params):
     """Rain and street lighting from one time on, as lighting functions know them."""
 
-    time_s: float = Field(0.0, ge=0, le=1e6, description="time from which on this holds, until the next entry")
+    time_s: NotNegative = Field(0.0, description="time from which on this holds, until the next entry")
     wet: bool = Field(False, description="whether it rains")
     street_lit: bool = Field(False, description="whether street lamps light the road")
 
@@ -94,7 +94,7 @@ class Scenario(Params):
     description: str = Field("", description="what is to be seen, in a sentence")
     steps: int = Field(40, ge=1, le=100_000, description="control steps")
     rate_hz: float = Field(30.0, ge=0.1, le=1000, description="control rate")
-    seed: int = Field(0, ge=0, lt=2**63, description="seed of all noise")
+    seed: Seed = Field(0, description="seed of all noise")
     road: RoadParams = Field(Flat(), description="the road's shape")
     surface: RoadSurfaceParams = Field(RoadSurfaceParams(), description="the road's albedo")
     spots: tuple[SpotParams, ...] = Field((), description="spots on the road, unknown to the controller")

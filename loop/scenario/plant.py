@@ -2,10 +2,10 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, Tag
+from pydantic import Field
 
 from luxloop.world.params import Params
-from luxloop.world.plugin import OWN, OwnName, known_or_own
+from luxloop.world.plugin import KnownOrOwn, OwnName
 
 
 class SimulatedPlantParams(Params):
@@ -73,10 +73,6 @@ class ModuleSourceParams(Params):
 
 
 PlantParams = Annotated[
-    Annotated[SimulatedPlantParams, Tag("simulated")]
-    | Annotated[RecordedPlantParams, Tag("recording")]
-    | Annotated[RemotePlantParams, Tag("remote")]
-    | Annotated[RigPlantParams, Tag("rig")]
-    | Annotated[OwnPlantParams, Tag(OWN)],
-    known_or_own("kind", "simulated"),
+    SimulatedPlantParams | RecordedPlantParams | RemotePlantParams | RigPlantParams | OwnPlantParams,
+    KnownOrOwn("kind", "simulated"),
 ]

@@ -19,7 +19,7 @@ from luxloop.loop.studies.jobs.executors import ALL_CORES, Executor
 from luxloop.loop.studies.jobs.runner import Job, Results, Together, run
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import output_folder
-from luxloop.world.params import Params
+from luxloop.world.params import Params, Seed
 from luxloop.world.plugin import refuse_code
 from luxloop.world.validation import read_toml, validate_model
 
@@ -37,7 +37,7 @@ class RunParams(Params):
     scenario: str = Field(min_length=1, examples=["snowflake"], description="shipped scenario, or file relative to the campaign's file")
     controller: str | None = Field(None, description="controller; left out: the scenario's own")
     variant: str | None = Field(None, description="name of a variant; left out: none")
-    seed: int = Field(0, ge=0, lt=2**63, description="seed of all noise")
+    seed: Seed = Field(0, description="seed of all noise")
 
 
 class CampaignParams(Params):

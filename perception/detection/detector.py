@@ -6,12 +6,12 @@ from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 import torch
-from pydantic import Field, Tag
+from pydantic import Field
 from torch import Tensor
 
 from luxloop.world import plugin
-from luxloop.world.params import Params
-from luxloop.world.plugin import OWN, known_or_own
+from luxloop.world.params import NotNegative, Params, PositiveShare, Share
+from luxloop.world.plugin import KnownOrOwn
 from luxloop.world.traffic.tracked import Category
 
 Layout = Literal["yolov5", "yolov8", "yolov10"]
@@ -90,7 +90,7 @@ class FoundParams(Params):
     """Common parameters of the detectors that luxloop runs itself."""
 
     threshold: float = Field(0.1, gt=0, lt=1, description="least score of reported detections")
-    overlap: float = Field(0.5, gt=0, le=1, description="IoU above which the box of lower score is suppressed")
+    overlap: PositiveShare = Field(0.5, description="IoU above which the box of lower score is suppressed")
 
 
 class NetworkParams(FoundParams):
@@ -141,17 +141,10 @@ class TruthParams(Params):
     """Ground truth: every object of the scene, however dark. Classes are those of the objects, parked cars included."""
 
     kind: Literal["truth"] = "truth"
-    least_height_px: float = Field(12.0, ge=0, le=1e6, description="least height of a detected object")
-    least_visible: float = Field(0.3, ge=0, le=1, description="least visible share of a detected object")
+    least_height_px: NotNegative = Field(12.0, description="least height of a detected object")
+    least_visible: Share = Field(0.3, description="least visible share of a detected object")
 
 
 RunParams = NetworkParams | HogParams | OnnxParams | OwnDetector
-AnyParams = RunParams | TruthParams
-DetectorParams = Annotated[
-    Annotated[NetworkParams, Tag("network")]
-    | Annotated[HogParams, Tag("hog")]
-    | Annotated[OnnxParams, Tag("onnx")]
-    | Annotated[TruthParams, Tag("truth")]
-    | Annotated[OwnDetector, Tag(OWN)],
-    known_or_own("kind"),
-]
+AnyParams = NetworkParams | HogParams | OnnxParams | TruthParams | OwnDetector
+DetectorParams = Annotated[AnyParams, KnownOrOwn("kind")]

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import pytest
-from pydantic import Field, Tag
+from pydantic import Field
 
 from luxloop.world.errors import LuxloopError, all_of, did_you_mean, redact
 from luxloop.world.params import Params
-from luxloop.world.plugin import OWN, OwnName, known_or_own
+from luxloop.world.plugin import KnownOrOwn, OwnName
 from luxloop.world.rendering.rasterise import NoOpenGL
 from luxloop.world.rendering.surfaces import face_source
 from luxloop.world.validation import validate_model
@@ -75,12 +75,12 @@ class Own(Params):
     options: tuple[int, ...] = ()
 
 
-Shape = Annotated[Disc, Tag("disc")] | Annotated[Slab, Tag("slab")] | Annotated[Own, Tag(OWN)]
+Shape = Disc | Slab | Own
 
 
 class Sheet(Params):
     name: str
-    shapes: tuple[Annotated[Shape, known_or_own("kind")], ...] = ()
+    shapes: tuple[Annotated[Shape, KnownOrOwn("kind")], ...] = ()
     low: int = 1
     high: int = Field(default_factory=lambda values: values["low"] + 1)
 

@@ -30,7 +30,7 @@ from luxloop.world.headlight.pixels import (
 )
 from luxloop.world.headlight.sources import FileSource, FolderSource, TableSource
 from luxloop.world.lamps import presets
-from luxloop.world.params import Degrees, ModuleName, Params
+from luxloop.world.params import Degrees, ModuleName, Params, Slope
 from luxloop.world.photometry.distribution import Array
 from luxloop.world.spmv import Csr
 from luxloop.world.texels import LARGEST_ANGLE_DEG, TexelGrid
@@ -119,9 +119,9 @@ class MountParams(Params):
     x_m: float = Field(0.0, ge=-2, le=2, description="position of the photometric centre ahead of the lamp's origin")
     y_m: float = Field(0.0, ge=-2, le=2, description="position to the left of it")
     z_m: float = Field(0.0, ge=-2, le=2, description="height above it")
-    roll_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the forward axis, right side down positive")
-    pitch_deg: float = Field(0.0, ge=-90, le=90, description="rotation about the left axis, nose down positive: the light moves down")
-    yaw_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the upward axis, to the left positive")
+    roll_deg: Degrees = Field(0.0, description="rotation about the forward axis, right side down positive")
+    pitch_deg: Slope = Field(0.0, description="rotation about the left axis, nose down positive: the light moves down")
+    yaw_deg: Degrees = Field(0.0, description="rotation about the upward axis, to the left positive")
 
 
 class ModuleParams(Params):

@@ -14,7 +14,7 @@ from torch.nn.functional import pad
 
 from luxloop.world.caches import keeping
 from luxloop.world.materials.brdf import LAMBERTIAN, Material
-from luxloop.world.params import Params
+from luxloop.world.params import Degrees, Metres, Params, PositiveShare, Seed, Share
 
 MaterialName = Literal[
     "matt",
@@ -97,14 +97,14 @@ class Texture:
 class RoadSurfaceParams(Params):
     """Asphalt: grain, mottling, repair patches and lane markings."""
 
-    albedo: float = Field(0.2, gt=0, le=1, description="mean albedo of the dry asphalt without markings")
+    albedo: PositiveShare = Field(0.2, description="mean albedo of the dry asphalt without markings")
     grain: float = Field(0.12, ge=0, le=0.5, description="standard deviation of the asphalt's albedo, relative to its mean; 0: uniform")
     patches: int = Field(3, ge=0, le=50, description="repair patches per 36 m of road")
     markings: bool = Field(False, description="paint a solid line on the right of the lane and a broken line on its left")
     beads: bool = Field(False, description="glass beads make the markings retroreflective")
-    wet: float = Field(0.0, ge=0, le=1, description="share of the road under a film of water: darker, glossy, beads without effect")
+    wet: Share = Field(0.0, description="share of the road under a film of water: darker, glossy, beads without effect")
     lane_width_m: float = Field(3.5, gt=1, le=10, description="distance between the two lines; the lane's centre is y = 0")
-    seed: int = Field(0, ge=0, lt=2**63, description="seed of grain and patches")
+    seed: Seed = Field(0, description="seed of grain and patches")
 
     @property
     def ground(self) -> Material:
@@ -175,11 +175,11 @@ class SpotParams(Params):
     """A region of the road with a different albedo or material; where spots overlap, the last one is on top."""
 
     shape: Literal["ellipse", "rectangle"] = Field("ellipse", description="outline")
-    x_m: float = Field(ge=-10_000, le=10_000, examples=[17.0], description="centre ahead in the world")
-    y_m: float = Field(0.0, ge=-10_000, le=10_000, description="centre to the left")
+    x_m: Metres = Field(examples=[17.0], description="centre ahead in the world")
+    y_m: Metres = Field(0.0, description="centre to the left")
     length_m: float = Field(1.0, gt=0, le=200, description="extent along x before rotation")
     width_m: float = Field(1.0, gt=0, le=200, description="extent along y before rotation")
-    yaw_deg: float = Field(0.0, ge=-180, le=180, description="rotation to the left")
+    yaw_deg: Degrees = Field(0.0, description="rotation to the left")
     albedo_factor: float = Field(1.0, ge=0, le=10, description="dry albedo as a multiple of that of the dry road there")
     material: MaterialName | None = Field(None, description="material by name; left out: that of the road around it")
 

@@ -7,12 +7,12 @@ from typing import Annotated, Any, Literal, Self, cast
 import numpy as np
 import scipy  # whose parts are loaded when they are first named
 from numpy.typing import ArrayLike
-from pydantic import Field, Tag, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from luxloop.world import plugin
 from luxloop.world.errors import LuxloopError
-from luxloop.world.params import Metres, Params
-from luxloop.world.plugin import OWN, known_or_own
+from luxloop.world.params import Length, Metres, Params, Seed
+from luxloop.world.plugin import KnownOrOwn
 from luxloop.world.roads.base import Floats, MeshGrid, Road, RoadModel, ahead, smoothstep
 from luxloop.world.roads.scan import OpenCrgRoad
 
@@ -115,8 +115,8 @@ class Grade(RoadModel):
     crossfall_percent: float = Field(
         default=2.0, ge=-10.0, le=10.0, description="crossfall about the vehicle's centre line, rising to the left"
     )
-    start_x_m: float = Field(default=13.0, ge=-10_000, le=10_000, description="start of the vertical curve to the grade")
-    curve_m: float = Field(default=4.0, gt=0.0, le=10_000, description="length of that vertical curve")
+    start_x_m: Metres = Field(default=13.0, description="start of the vertical curve to the grade")
+    curve_m: Length = Field(default=4.0, description="length of that vertical curve")
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
         x, y = _plane(x, y)
@@ -136,7 +136,7 @@ class GradeParams(Params):
 
     x_m: float = Field(ge=0.0, le=100_000, examples=[20.0], description="start of the vertical curve to this grade")
     percent: float = Field(ge=-20.0, le=20.0, examples=[5.0], description="grade beyond the curve, uphill positive")
-    curve_m: float = Field(default=40.0, gt=0.0, le=10_000, description="length of the parabolic vertical curve")
+    curve_m: Length = Field(default=40.0, description="length of the parabolic vertical curve")
 
 
 class Profile(RoadModel):
@@ -147,7 +147,7 @@ class Profile(RoadModel):
         min_length=1, examples=[[{"x_m": 20.0, "percent": 5.0}]], description="grades in ascending x_m; their curves must not overlap"
     )
     roughness_class: RoughnessClass | None = Field(default=None, description="ISO 8608 class of added roughness; left out: none")
-    seed: int = Field(default=1, ge=0, lt=2**63, description="seed of the roughness")
+    seed: Seed = Field(default=1, description="seed of the roughness")
 
     @model_validator(mode="after")
     def _one_after_the_other(self) -> Self:
@@ -172,7 +172,7 @@ class Bumps(RoadModel):
     kind: Literal["bumps"] = "bumps"
     lowest_m: float = Field(default=-0.02, ge=-0.5, le=0.0, description="lowest height in the symbol's area (x 12 to 22 m, y -2 to 2 m)")
     highest_m: float = Field(default=0.05, ge=0.0, le=0.5, description="highest height in that area")
-    seed: int = Field(default=1, ge=0, lt=2**63, description="seed of the bumps")
+    seed: Seed = Field(default=1, description="seed of the bumps")
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
         x, y = _plane(x, y)
@@ -216,12 +216,7 @@ class Curb(RoadModel):
     """A kerb along the left of the road, from 6 m ahead on."""
 
     kind: Literal["curb"] = "curb"
-    y_m: float = Field(
-        default=0.5,
-        ge=-10_000,
-        le=10_000,
-        description="lateral position of the step, left positive; at 0.5 m a symbol 2 m wide straddles it",
-    )
+    y_m: Metres = Field(default=0.5, description="lateral position of the step, left positive; at 0.5 m a symbol 2 m wide straddles it")
     height_m: float = Field(default=0.10, ge=-0.5, le=0.5, description="height of the kerb; negative: a road edge that drops")
     ramp_m: float = Field(default=0.03, gt=0.0, le=1.0, description="width of the step's face, since a height field has no vertical faces")
 
@@ -254,10 +249,10 @@ class Pothole(RoadModel):
 
     kind: Literal["pothole"] = "pothole"
     x_m: float = Field(default=17.0, ge=3.0, le=10_000, description="distance of its centre")
-    y_m: float = Field(default=0.3, ge=-10_000, le=10_000, description="lateral position of its centre, left positive")
+    y_m: Metres = Field(default=0.3, description="lateral position of its centre, left positive")
     diameter_m: float = Field(default=0.9, gt=0.1, le=3.0, description="diameter at the road surface")
     depth_m: float = Field(default=0.06, gt=0.0, le=0.5, description="depth")
-    edge_m: float = Field(default=0.15, gt=0.0, le=10_000, description="width of the edge")
+    edge_m: Length = Field(default=0.15, description="width of the edge")
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
         x, y = _plane(x, y)
@@ -270,7 +265,7 @@ class Iso8608(RoadModel):
 
     kind: Literal["iso8608"] = "iso8608"
     roughness_class: RoughnessClass = Field(default="B", description="A (very good) to E (very poor)")
-    seed: int = Field(default=1, ge=0, lt=2**63, description="seed of the surface")
+    seed: Seed = Field(default=1, description="seed of the surface")
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
         return ahead(x) * roughness(self.roughness_class, self.seed, x, y)
@@ -293,9 +288,7 @@ class Mixed(RoadModel):
     curb_height_m: float = Field(default=0.10, ge=0.0, le=0.3, description="height of the kerbs")
     table_x_m: float = Field(default=45.0, ge=25.0, le=10_000, description="start of the speed table")
     table_height_m: float = Field(default=0.08, ge=0.0, le=0.3, description="height of the speed table")
-    seed: int = Field(
-        default=12, ge=0, lt=2**63, description="seed of bumps and roughness; the default keeps the symbol within the lamp's field"
-    )
+    seed: Seed = Field(default=12, description="seed of bumps and roughness; the default keeps the symbol within the lamp's field")
 
     @field_validator("bumps_m")
     @classmethod
@@ -332,17 +325,6 @@ class Mixed(RoadModel):
 
 
 RoadParams = Annotated[
-    Annotated[Flat, Tag("flat")]
-    | Annotated[Grade, Tag("grade")]
-    | Annotated[Bumps, Tag("bumps")]
-    | Annotated[SpeedBump, Tag("speed_bump")]
-    | Annotated[Curb, Tag("curb")]
-    | Annotated[Step, Tag("step")]
-    | Annotated[Pothole, Tag("pothole")]
-    | Annotated[Iso8608, Tag("iso8608")]
-    | Annotated[Mixed, Tag("mixed")]
-    | Annotated[Profile, Tag("profile")]
-    | Annotated[OpenCrgRoad, Tag("opencrg")]
-    | Annotated[OwnRoad, Tag(OWN)],
-    known_or_own("kind"),
+    Flat | Grade | Bumps | SpeedBump | Curb | Step | Pothole | Iso8608 | Mixed | Profile | OpenCrgRoad | OwnRoad,
+    KnownOrOwn("kind"),
 ]

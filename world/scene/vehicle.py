@@ -21,7 +21,7 @@ from torch import Tensor
 from luxloop.world.caches import keeping
 from luxloop.world.files import afford
 from luxloop.world.frames import pose, rotation
-from luxloop.world.params import Params
+from luxloop.world.params import NotNegative, Params
 from luxloop.world.roads.base import Floats, Road, smoothstep
 
 BYTES_A_MOMENT: Final = 900  # of the integrated motion: all columns, and as many while they are made
@@ -33,7 +33,7 @@ PROFILE_M: Final = 0.05  # spacing of the road's heights along the way
 class CourseParams(Params):
     """Speed and curvature at a time; linear between entries, constant outside."""
 
-    time_s: float = Field(0.0, ge=0, le=1e6, description="time of this entry")
+    time_s: NotNegative = Field(0.0, description="time of this entry")
     speed_m_s: float = Field(ge=0, le=100, examples=[20.0], description="speed of the rear axle")
     curvature_1_m: float = Field(
         0.0, ge=-0.2, le=0.2, description="curvature of the rear axle's path, to the left positive: tan(steering angle) / wheelbase"

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from luxloop.world.files import afford
-from luxloop.world.params import Params
+from luxloop.world.params import Params, Positive, Seed
 from luxloop.world.scene.vehicle import Course, VehicleParams
 from luxloop.world.traffic.animal import AnimalParams
 from luxloop.world.traffic.car import CarParams
@@ -32,13 +32,13 @@ class DriveParams(Params):
     """A drive that meets the traffic."""
 
     course: Course = Field(min_length=1, examples=[[{"speed_m_s": 20.0}]], description="speed and curvature over ascending time")
-    lasts_s: float = Field(gt=0, le=1e6, examples=[60.0], description="how long it lasts")
+    lasts_s: Positive = Field(examples=[60.0], description="how long it lasts")
 
 
 class TrafficParams(Params):
     """Random road users and roadside objects, in addition to single objects."""
 
-    seed: int = Field(0, ge=0, lt=2**63, description="seed of the random scene")
+    seed: Seed = Field(0, description="seed of the random scene")
     pedestrians: int = Field(2, ge=0, le=30, description="on pavements, crossing or waiting")
     cyclists: int = Field(1, ge=0, le=20, description="ahead or oncoming")
     cars: int = Field(1, ge=0, le=10, description="ahead or oncoming, with their lamps on")

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from luxloop.world.errors import LuxloopError
 from luxloop.world.materials.library import MATERIALS, MaterialName
+from luxloop.world.params import Positive, Share
 from luxloop.world.scene.body import Body, Part
 from luxloop.world.traffic.animal import AnimalParams
 from luxloop.world.traffic.car import CarParams
@@ -107,7 +108,7 @@ Side = Annotated[float, Field(gt=0, le=1000)]
 class SolidParams(TrackedParams):
     """An object of one surface."""
 
-    albedo: float = Field(0.2, ge=0, le=1, description="diffuse albedo, when dry")
+    albedo: Share = Field(0.2, description="diffuse albedo, when dry")
     material: MaterialName | None = Field(None, description="material by name; left out: matt")
 
     def part(self, name: str, given: SurfaceParams | None = None) -> Part:
@@ -137,7 +138,7 @@ class MeshParams(SolidParams):
 
     kind: Literal["mesh"] = "mesh"
     file: Path = Field(examples=["rock.obj"], description="mesh file: .obj, .ply, .stl, .off, .glb or .gltf")
-    scale: float = Field(1.0, gt=0, le=1e6, description="metres per unit of the file")
+    scale: Positive = Field(1.0, description="metres per unit of the file")
     forward: Axis = Field("x", description="axis of the file that points forward")
     up: Axis = Field("z", description="axis of the file that points up; y in .glb and most .obj files")
     smooth: bool = Field(False, description="interpolate normals over faces, for rounded bodies")

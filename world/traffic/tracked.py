@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from luxloop.world.errors import LuxloopError, did_you_mean
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.materials.library import MaterialName
-from luxloop.world.params import Metres, Params, PlainName
+from luxloop.world.params import Degrees, Metres, Params, PlainName, Real, Seed, Share, Slope
 from luxloop.world.scene.body import Body, Part, PoseTrack, Spotlight
 from luxloop.world.traffic.shapes import Piece, join
 
@@ -25,13 +25,13 @@ ROAD_USERS: frozenset[Category] = frozenset({"pedestrian", "cyclist", "motorcycl
 class KeyframeParams(Params):
     """Pose of an object at one time."""
 
-    time_s: float = Field(0.0, ge=-1e6, le=1e6, description="time since the scenario's start")
+    time_s: Real = Field(0.0, description="time since the scenario's start")
     position_m: tuple[Metres, Metres, Metres] = Field(
         examples=[[20.0, 2.0, 0.0]], description="position of the object's origin in the world (x forward, y left, z up)"
     )
-    roll_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the x axis, right side down positive")
-    pitch_deg: float = Field(0.0, ge=-90, le=90, description="rotation about the y axis, nose down positive")
-    yaw_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the z axis, to the left positive")
+    roll_deg: Degrees = Field(0.0, description="rotation about the x axis, right side down positive")
+    pitch_deg: Slope = Field(0.0, description="rotation about the y axis, nose down positive")
+    yaw_deg: Degrees = Field(0.0, description="rotation about the z axis, to the left positive")
 
 
 class WayParams(Params):
@@ -43,9 +43,7 @@ class WayParams(Params):
         description="points of the path in the world, joined by a smooth curve",
     )
     speed_m_s: float = Field(gt=0, le=70, examples=[14.0], description="speed along the path")
-    start_s: float = Field(
-        0.0, ge=-1e6, le=1e6, description="time at the first point; before it, and after the last point, the object stands still"
-    )
+    start_s: Real = Field(0.0, description="time at the first point; before it, and after the last point, the object stands still")
 
     @model_validator(mode="after")
     def _leads_on(self) -> Self:
@@ -79,8 +77,8 @@ class TrackedParams(Params):
     track: tuple[KeyframeParams, ...] = Field((), description="keyframes in ascending time; with one, the object stands still")
     path: WayParams | None = Field(None, description="path at constant speed, instead of a track")
     on_road: bool = Field(False, description="measure heights from the road's surface under the object's origin instead of z = 0")
-    appears_s: float | None = Field(None, ge=-1e6, le=1e6, description="time at which it appears; left out: at the start")
-    vanishes_s: float | None = Field(None, ge=-1e6, le=1e6, description="time at which it vanishes; left out: never")
+    appears_s: Real | None = Field(None, description="time at which it appears; left out: at the start")
+    vanishes_s: Real | None = Field(None, description="time at which it vanishes; left out: never")
 
     @model_validator(mode="after")
     def _somewhere_in_order(self) -> Self:
@@ -112,7 +110,7 @@ EYES = frozenset({"head", "hair", "helmet", "windscreen"})
 class SurfaceParams(Params):
     """Albedo and material of a part; by default from the seed."""
 
-    albedo: float | None = Field(None, ge=0, le=1, description="diffuse albedo")
+    albedo: Share | None = Field(None, description="diffuse albedo")
     material: MaterialName | None = Field(None, description="material by name")
 
 
@@ -126,7 +124,7 @@ def check_parts(owner: str, given: Iterable[str], names: Sequence[str]) -> None:
 class RandomParams(TrackedParams):
     """An object made from a seed."""
 
-    seed: int = Field(0, ge=0, lt=2**63, description="seed of proportions, clothes and colours")
+    seed: Seed = Field(0, description="seed of proportions, clothes and colours")
     parts: dict[str, SurfaceParams] = Field({}, description="albedo and material of parts by name, instead of those from the seed")
 
     def random(self) -> np.random.Generator:

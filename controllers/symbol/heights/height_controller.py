@@ -27,7 +27,7 @@ from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.caches import keeping
 from luxloop.world.frames import inverse, transform
 from luxloop.world.frames import pose as pose_of
-from luxloop.world.params import Params
+from luxloop.world.params import NotNegative, Params
 from luxloop.world.scene.vehicle import LEARNT_M
 
 LEAST_LIT_PX = 20.0  # fewer lit pixels are no symbol
@@ -55,12 +55,8 @@ class HeightControllerParams(Params):
     beyond_m: tuple[Reach, Reach, Reach] = Field((1.2, 1.5, 0.6), description="how far heights go beyond the symbol: near, far, sides")
     highest_m: float = Field(0.14, gt=0, le=0.3, description="largest height, up or down, that is looked for")
     memory: float = Field(0.6, ge=0, lt=1, description="share of what is known that a step on the move keeps; the rest may have changed")
-    evidence: float = Field(
-        0.0025, ge=0, le=1e6, description="share of the symbol that heights have to explain beyond what the flat road does"
-    )
-    sweep_above: float = Field(
-        0.01, ge=0, le=1e6, description="share of the symbol that may stay unexplained before all heights are tried anew"
-    )
+    evidence: NotNegative = Field(0.0025, description="share of the symbol that heights have to explain beyond what the flat road does")
+    sweep_above: NotNegative = Field(0.01, description="share of the symbol that may stay unexplained before all heights are tried anew")
     start_height_m: float = Field(
         0.0, ge=-0.3, le=0.3, description="height that the whole road is taken to have at first; 0: nothing is known"
     )

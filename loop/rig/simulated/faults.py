@@ -10,7 +10,7 @@ from luxloop.loop.rig.calibration.intrinsics import BoardParams
 from luxloop.loop.scenario.disturbances import PoseErrorParams
 from luxloop.loop.scenario.overrides import overridden
 from luxloop.world.errors import locate
-from luxloop.world.params import Params
+from luxloop.world.params import Params, Seed, Share
 from luxloop.world.validation import read_toml, validate_model
 
 PREFIX: Final = "faults"
@@ -21,7 +21,7 @@ class LightInputParams(Params):
 
     gamma: float = Field(1.0, ge=0.2, le=5, description="utilisation is the code, as a share of the largest, to this power; 1 is linear")
     latency_s: float = Field(0.0, ge=0, le=1, description="delay from the last packet of a frame to its light")
-    packet_loss: float = Field(0.0, ge=0, le=1, description="probability that a packet is lost")
+    packet_loss: Share = Field(0.0, description="probability that a packet is lost")
     mixed: bool = Field(False, description="whether an incomplete frame is lit, with older light in its gaps; else the lamp waits")
     timeout_ms: float = Field(100.0, ge=1, le=60_000, description="time without a complete frame after which the lamp darkens")
 
@@ -30,8 +30,8 @@ class LampErrorParams(PoseErrorParams):
     """Differences of the lamp from the scenario: its pose, its intensity, its pixels."""
 
     scale: float = Field(1.0, gt=0, le=10, description="intensity as a multiple of the scenario's")
-    dead: float = Field(0.0, ge=0, le=1, description="share of pixels that never shine, in each module")
-    stuck: float = Field(0.0, ge=0, le=1, description="share of pixels that are always fully on while the lamp is powered, in each module")
+    dead: Share = Field(0.0, description="share of pixels that never shine, in each module")
+    stuck: Share = Field(0.0, description="share of pixels that are always fully on while the lamp is powered, in each module")
 
 
 class ScreenParams(Params):
@@ -58,9 +58,7 @@ class LensParams(Params):
     blur_px: float = Field(0.0, ge=0, le=20, description="standard deviation of the image of a point")
     veil: float = Field(0.0, ge=0, le=0.5, description="share of the light that is scattered widely over the image (veiling glare)")
     veil_px: float = Field(60.0, ge=10, le=2000, description="standard deviation of the scattered light")
-    vignetting: float = Field(
-        0.0, ge=0, le=1, description="share of the light that is lost in the corners; it grows with the radius' square"
-    )
+    vignetting: Share = Field(0.0, description="share of the light that is lost in the corners; it grows with the radius' square")
 
     @model_validator(mode="after")
     def _as_many_as_the_model_has(self) -> Self:
@@ -83,7 +81,7 @@ class CameraErrorParams(Params):
     jitter_s: float = Field(
         0.0, ge=0, le=1, description="largest additional delay, drawn uniformly for each frame; frames keep their order"
     )
-    loss: float = Field(0.0, ge=0, le=1, description="probability that a frame is not sent")
+    loss: Share = Field(0.0, description="probability that a frame is not sent")
     gamma: float | None = Field(None, ge=1, le=3, description="true gamma of the response; left out: that of [camera]")
     black_level: float = Field(0.0, ge=0, le=0.5, description="digital number without light, as a share of the largest")
     columns: int = Field(
@@ -96,7 +94,7 @@ class CameraErrorParams(Params):
 class FlickerParams(Params):
     """Flicker of the ambient light."""
 
-    depth: float = Field(0.0, ge=0, le=1, description="amplitude as a share of the mean")
+    depth: Share = Field(0.0, description="amplitude as a share of the mean")
     rate_hz: float = Field(100.0, gt=0, le=1000, description="frequency, twice that of the mains")
 
 
@@ -116,7 +114,7 @@ class FaultParams(Params):
     camera: CameraErrorParams = Field(CameraErrorParams(), description="shutter, response, delay and loss")
     flicker: FlickerParams = Field(FlickerParams(), description="flicker of the ambient light")
     board: BoardFaultParams = Field(BoardFaultParams(), description="no fault: a board to calibrate the lens with")
-    seed: int = Field(0, ge=0, lt=2**63, description="seed of losses, jitter and faulty pixels")
+    seed: Seed = Field(0, description="seed of losses, jitter and faulty pixels")
 
 
 def read(file: Path | None, changes: Sequence[str] = ()) -> FaultParams:

@@ -17,6 +17,7 @@ from luxloop.loop.scenario.plant import SimulatedPlantParams
 from luxloop.loop.scenario.shipped import TEMPLATE, shipped_files
 from luxloop.perception.extraction import ExtractionParams
 from luxloop.perception.tracking import TrackerParams
+from luxloop.world.plugin import by_tag
 from luxloop.world.roads.shapes import Mixed, RoadParams
 from luxloop.world.validation import toml
 
@@ -91,7 +92,7 @@ def _table(key: str, field: FieldInfo, within: str = "", chosen: dict[str, Any] 
     model = VARIANTS.get(key) or cast(type[BaseModel], field.annotation)
     lines = [f"[{within}{key}]  # {field.description}"]
     if key == "road":
-        kinds = [get_args(kind)[1].tag for kind in get_args(get_args(RoadParams)[0])]
+        kinds = by_tag(get_args(RoadParams)[0])
         lines.append(f"# kinds: {', '.join(kinds)}; `luxloop schema` has the keys of each")
     if key == "controller":
         lines.append(f"# controllers: {', '.join(CONTROLLERS)}")
