@@ -279,7 +279,7 @@ def blink(
         found = measure(rig, grids, blinks, level, advance)
     tables.show(tables.facts(_delays(found)))
     if found.warning:
-        tables.console().print(found.warning, markup=False)
+        tables.say(found.warning)
     text = "[timing]\n" + "".join(f"{name} = {value:g}\n" for name, value in found.timing.items())
     if write:
         write_timing(file, found.timing)

@@ -386,7 +386,7 @@ def _views(path: Path, printed: Any) -> tuple[list["Corners"], tuple[int, int]]:
     if len(why) == len(found):
         raise LuxloopError(f"{path}: no picture shows the board", *why) if len(why) > 1 else LuxloopError(*why)
     for each in why:
-        tables.console().print(f"left out: {each}", markup=False)
+        tables.say(f"left out: {each}")
     height, width = next(iter(pictures.values())).shape
     return [each for each in found.values() if isinstance(each, Corners)], (width, height)
 

@@ -41,12 +41,12 @@ def run_on_rig(
     params = load_rig(file, allow_code=allow_code)
     scenario, left_out = _without_truth(scenario)
     if left_out:
-        tables.console().print(f"checks that need the truth are left out: {', '.join(left_out)}", markup=False)
+        tables.say(f"checks that need the truth are left out: {', '.join(left_out)}")
     with locate(str(file)), open_rig(params, pixel_grids(scenario), scenario.camera, armed=armed) as rig:
         await_rig(rig)
         rig.refuse_misfit()
         if not armed:
-            tables.console().print("dry run: the lamp stays dark; give --arm to light it", markup=False)
+            tables.say("dry run: the lamp stays dark; give --arm to light it")
 
         judged: SymbolEvaluator | None = None
         simulated: SimulatedPlant | None = None
@@ -114,7 +114,7 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
     with locate(str(file)), open_rig(params, grids_of([modules[number]]), None, armed=armed) as rig, ExitStack() as stack:
         await_rig(rig)
         if not armed:
-            tables.console().print("dry run: the lamp stays dark, and so does its module; give --arm to light it", markup=False)
+            tables.say("dry run: the lamp stays dark, and so does its module; give --arm to light it")
         live: LivePlant | None = None
 
         def plant(simulation: Any) -> Any:

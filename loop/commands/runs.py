@@ -53,9 +53,9 @@ def run_scenario(scenario: Scenario, out: Path, device: str, checks: bool, kept:
     left_out = sum(check.compare is not None for check in scenario.checks.values())
     if left_out and not checks:
         word = "compares" if left_out == 1 else "compare"
-        tables.console().print(f"{tables.plural(left_out, 'more check')} {word} with another light: --checks", markup=False)
+        tables.say(f"{tables.plural(left_out, 'more check')} {word} with another light: --checks")
     if checks and not scenario.checks:
-        tables.console().print(f"{scenario.name} has no [checks.NAME]", markup=False)
+        tables.say(f"{scenario.name} has no [checks.NAME]")
     return success(result.summary)
 
 
@@ -65,19 +65,18 @@ def compare_recording(directory: Path, allow_code: bool) -> bool:
     _one_thread()
     with progress(str(manifest.scenario.get("name")), read_parquet(directory / TRAJECTORY).num_rows) as advance:
         comparison = replay(directory, on_step=lambda result: advance(), allow_code=allow_code)
-    console = tables.console()
     for note in comparison.notes:
-        console.print(f"note: {note}", markup=False)
+        tables.say(f"note: {note}")
     if comparison.agrees:
-        console.print(f"{directory}: {comparison.steps} steps agree with the recording", markup=False)
+        tables.say(f"{directory}: {comparison.steps} steps agree with the recording")
     else:
-        console.print(f"{directory}: {len(comparison.differences)} columns differ from the recording", markup=False)
+        tables.say(f"{directory}: {len(comparison.differences)} columns differ from the recording")
         rows = (
             [f"[bold]{d.column}[/]", *map(_cell, (d.first_step, d.recorded, d.replayed, d.largest, d.largest_step, d.tolerance))]
             for d in comparison.differences
         )
         columns = ("column", "first at step", "recorded", "replayed", "largest difference", "at step", "tolerance")
-        console.print(tables.plain(columns, rows))
+        tables.show(tables.plain(columns, rows))
     return comparison.agrees
 
 

@@ -93,7 +93,7 @@ def dataset(
 
     counts, failures = make_dataset(read(file, scenes, allow_code=allow_code), out or Path("runs") / file.stem, jobs)
     for key, reason in failures.items():
-        tables.console(stderr=True).print(f"failed: scene {key}: {reason}", markup=False)
+        tables.say(f"failed: scene {key}: {reason}", stderr=True)
     objects = ", ".join(f"{number:,} {name}" for name, number in counts.objects.most_common(CLASSES))
     found = f"{tables.plural(counts.scenes, 'scene')}, {tables.plural(counts.frames, 'frame')}, objects: {objects or 'none'}"
     print(f"{counts.file} written: {found}")

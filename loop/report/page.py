@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import torch
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import SubFigure
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
@@ -23,7 +22,7 @@ from luxloop.loop.report.highlights import Highlights
 from luxloop.loop.report.marks import marks, readable
 from luxloop.loop.report.picture import WALL_DEG, camera_luminance, wall_light, white_of
 from luxloop.loop.report.run_table import processing
-from luxloop.loop.report.style import SHARES, STYLE, field, page_title, write
+from luxloop.loop.report.style import SHARES, drawing, field, page_title
 from luxloop.loop.report.symbol import HIGH_IN, draw_symbol
 from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
 from luxloop.loop.scenario.plant import shadow_of
@@ -63,12 +62,10 @@ def write_report(file: Path, simulation: Simulation, highlights: Highlights, tab
     for each in shown:
         draw = partial(draw_symbol, simulation=simulation, gathered=each, table=of_one(table, each.name))
         parts.append((HIGH_IN, partial(draw, summary=summary["functions"][each.name])))
-    with rc_context(STYLE):
-        figure = Figure((WIDE_IN, sum(high for high, _ in parts)), DPI, layout="constrained")
-        ratios = [high for high, _ in parts]
+    ratios = [high for high, _ in parts]
+    with drawing(file, (WIDE_IN, sum(ratios)), dpi=DPI) as figure:
         for place, (_, draw_part) in zip(figure.subfigures(len(parts), 1, squeeze=False, height_ratios=ratios)[:, 0], parts, strict=True):
             draw_part(place)
-        write(figure, file)
 
 
 def symbols_alone(simulation: Simulation) -> bool:

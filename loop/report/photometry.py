@@ -3,14 +3,13 @@
 from pathlib import Path
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import SubFigure
 from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from luxloop.loop.report import charts
-from luxloop.loop.report.style import FOUR, STYLE, page_title, write
+from luxloop.loop.report.style import FOUR, drawing, page_title
 from luxloop.loop.report.styles import check_out
 from luxloop.loop.report.views import Image
 from luxloop.world.photometry import Distribution, Photometry
@@ -24,15 +23,13 @@ def show_distribution(photometry: Photometry, out: Path) -> Path:
     """Draw a photometric file; returns the picture's file. Raises LuxloopError where that cannot be written."""
     check_out(out)
     distribution = photometry.distribution
-    with rc_context(STYLE):
-        figure = Figure((12.0, 5.3), 110, layout="constrained")
+    with drawing(out, (12.0, 5.3)) as figure:
         peak, flux = _number(distribution.candela.max()), _number(distribution.luminous_flux)
         kind = f"{photometry.format}, type {distribution.type}"
         page_title(figure, photometry.path.name, kind, f"peak {peak} cd", f"{flux} lm")
         left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(7.2, 4.8))[0]
         _map(left.subplots(), distribution)
         _curves(right, distribution)
-        write(figure, out)
     return out
 
 

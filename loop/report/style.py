@@ -1,9 +1,11 @@
 """How charts and pictures of light look: type, colours, legends that hide nothing, and what all figures draw alike."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from matplotlib import rcParamsDefault
+from matplotlib import rc_context, rcParamsDefault
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
@@ -84,6 +86,15 @@ def no_frame(axes: Axes) -> None:
 def page_title(figure: Figure | SubFigure, *parts: str, size: float = 11.5) -> None:
     """What a page shows, on its upper left."""
     figure.suptitle("  ·  ".join(filter(None, parts)), x=0.012, ha="left", fontsize=size, weight="bold")
+
+
+@contextmanager
+def drawing(out: Path, inches: tuple[float, float], style: Any = STYLE, dpi: int = 110) -> Iterator[Figure]:
+    """A figure to draw into in a block, at whose end it is saved as by `write`."""
+    with rc_context(style):
+        figure = Figure(inches, dpi, layout="constrained")
+        yield figure
+        write(figure, out)
 
 
 def write(figure: Figure, out: Path) -> None:

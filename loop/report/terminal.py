@@ -22,6 +22,11 @@ def console(stderr: bool = False) -> Console:
     return Console(stderr=stderr, highlight=False, width=None if stream.isatty() else WIDE)
 
 
+def say(text: str, stderr: bool = False) -> None:
+    """Print a text as it is, on lines as wide as the terminal."""
+    console(stderr).print(text, markup=False)
+
+
 def show(table: Table) -> None:
     """Print a table."""
     console().print(table)

@@ -16,7 +16,7 @@ from luxloop.loop.recording.sources import digest_of_code
 from luxloop.loop.scenario.model import Scenario, load, only, validate
 from luxloop.loop.scenario.overrides import resolve_paths
 from luxloop.loop.studies.jobs.executors import ALL_CORES, Executor
-from luxloop.loop.studies.jobs.runner import Job, Results, Together, run
+from luxloop.loop.studies.jobs.runner import Job, Results, run
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import output_folder
 from luxloop.world.params import Params, Seed
@@ -125,9 +125,7 @@ def run_campaign(file: Path, out: Path, *, device: str = "cpu", executor: Execut
         for each in runs
     ]
     with output_folder(out):
-        results = run(
-            Together(figures_of, kind_of, figures_of_many), jobs, out / JOBS, version=digest_of_code(), executor=executor, title="runs"
-        )
+        results = run(figures_of, jobs, out / JOBS, version=digest_of_code(), executor=executor, title="runs", kind=kind_of)
         found = {row.pop("key"): row for row in results.rows}
         rows = [
             {"key": each.key, **each.row, **_figures(found.get(each.key, {})), "error": results.failures.get(each.key, "")} for each in runs
@@ -138,17 +136,6 @@ def run_campaign(file: Path, out: Path, *, device: str = "cpu", executor: Execut
     return Campaign(file.stem, results.rows)
 
 
-def figures_of(scenario: Mapping[str, Any], inputs: dict[str, str], device: str) -> Row:
-    """A job: run a scenario and return its metrics. inputs: `luxloop.loop.recording.manifest.digests` of its files, part of the job's
-    identity.
-
-    Raises LuxloopError if the scenario cannot run, or its files differ on this machine.
-    """
-    from luxloop.loop.studies.metrics import figures
-
-    return figures(job_scenario(scenario, inputs), device)
-
-
 def kind_of(parameters: Mapping[str, Any]) -> str | None:
     """Jobs of one kind are done together (`luxloop.loop.studies.runs.kind`): they have the same files on the same device, too."""
     from luxloop.loop.studies.runs import kind
@@ -157,13 +144,16 @@ def kind_of(parameters: Mapping[str, Any]) -> str | None:
     return found and json.dumps([found, parameters["inputs"], parameters["device"]])
 
 
-def figures_of_many(parameters: Sequence[Mapping[str, Any]]) -> list[Row | Exception]:
-    """`figures_of` of several jobs of one kind, or the error of each."""
+def figures_of(parameters: Sequence[Mapping[str, Any]]) -> list[Row | Exception]:
+    """Jobs of one kind: run their scenarios and return the metrics of each, or the error that it raised."""
     return [each if isinstance(each, Exception) else each[0] for each in runs_of_many(parameters)]
 
 
 def runs_of_many(parameters: Sequence[Mapping[str, Any]]) -> "list[tuple[Row, Rollout | None] | Exception]":
-    """Figures and trace of each run of one kind, or the error that it raised."""
+    """Figures and trace of each run of one kind, or the error that it raised.
+
+    parameters: of each run scenario, inputs (`luxloop.loop.recording.manifest.digests` of its files, part of a job's identity) and device.
+    """
     from luxloop.loop.studies.runs import runs
 
     try:

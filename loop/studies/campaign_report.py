@@ -2,15 +2,12 @@
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib import rc_context
 from rich.table import Table
 
 from luxloop.loop.report import terminal as tables
-from luxloop.loop.report.style import DEFAULTS
+from luxloop.loop.report.style import DEFAULTS, drawing
 from luxloop.loop.run import torch_device
 from luxloop.loop.studies.campaign import TABLE, Campaign, Row, run_campaign
 from luxloop.loop.studies.jobs.executors import dask, local
@@ -44,7 +41,7 @@ def do_campaign(file: Path, out: Path | None, processes: int | None, scheduler: 
     executor = local(processes) if scheduler is None else dask(scheduler)
     campaign = run_campaign(file, folder, device=str(torch_device(device)), executor=executor, allow_code=allow_code)
     for key, reason in campaign.failures.items():
-        tables.console(stderr=True).print(f"failed: {key}: {reason}", markup=False)
+        tables.say(f"failed: {key}: {reason}", stderr=True)
     write_report(campaign, folder)
     tables.show(overview(campaign))
     print(f"{folder / TABLE} and {folder / REPORT} written")
@@ -74,12 +71,17 @@ def page(campaign: Campaign) -> str:
 
 def _figures(campaign: Campaign) -> tuple[list[str], list[list[str]]]:
     """Columns, and a row for each scenario, controller and variant."""
-    kinds = [kind for kind in SHOWN if any(row.get(kind) is not None for row in campaign.rows)]
+    kinds = _kinds(campaign)
     body = [
         [*names, str(len(some)), *(_over(some, kind) for kind in kinds)]
         for names, some in _groups(campaign.rows, ("scenario", "controller", "variant"))
     ]
     return ["scenario", "controller", "variant", "seeds", *(SHOWN[kind][0] for kind in kinds)], body
+
+
+def _kinds(campaign: Campaign) -> list[str]:
+    """The metrics of which a run has one."""
+    return [kind for kind in SHOWN if any(row.get(kind) is not None for row in campaign.rows)]
 
 
 def _over(rows: Sequence[Row], kind: str) -> str:
@@ -98,26 +100,19 @@ def _groups(rows: Iterable[Row], names: Sequence[str]) -> list[tuple[tuple[str, 
     return list(groups.items())
 
 
-@rc_context(DEFAULTS)
 def _draw(campaign: Campaign, file: Path) -> None:
     """One panel per metric: scenarios along x, a colour for each controller and variant, a dot for each seed."""
-    kinds = [kind for kind in SHOWN if any(row.get(kind) is not None for row in campaign.rows)] or ["settle_step"]
+    kinds = _kinds(campaign) or ["settle_step"]
     scenarios = list(dict.fromkeys(row["scenario"] for row in campaign.rows))
     series = _groups(campaign.rows, ("controller", "variant"))
-    figure, panels = plt.subplots(
-        len(kinds), figsize=(max(6.0, 1.2 * len(scenarios) + 3), 0.6 + 1.9 * len(kinds)), sharex=True, layout="constrained", squeeze=False
-    )
-    for axes, kind in zip(panels[:, 0], kinds, strict=True):
-        for number, (names, rows) in enumerate(series):
-            offset = 0.6 * ((number + 0.5) / len(series) - 0.5)
-            points: list[tuple[float, Any]] = [
-                (scenarios.index(row["scenario"]) + offset, row[kind]) for row in rows if row.get(kind) is not None
-            ]
-            axes.plot(*np.array(points).reshape(-1, 2).T, "o", ms=4, alpha=0.7, label=", ".join(filter(None, names)) or "all")
-        axes.set_ylabel(SHOWN[kind][0].replace(", ", ",\n"), fontsize=8)
-        axes.grid(alpha=0.3)
-    panels[0, 0].legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    panels[-1, 0].set_xticks(range(len(scenarios)), scenarios, rotation=30, ha="right", fontsize=8)
-    with whole(file) as part:
-        figure.savefig(part, dpi=110, format="png")
-    plt.close(figure)
+    with drawing(file, (max(6.0, 1.2 * len(scenarios) + 3), 0.6 + 1.9 * len(kinds)), DEFAULTS) as figure:
+        panels = figure.subplots(len(kinds), sharex=True, squeeze=False)[:, 0]
+        for axes, kind in zip(panels, kinds, strict=True):
+            for number, (names, rows) in enumerate(series):
+                offset = 0.6 * ((number + 0.5) / len(series) - 0.5)
+                points = [(scenarios.index(row["scenario"]) + offset, row[kind]) for row in rows if row.get(kind) is not None]
+                axes.plot(*np.array(points).reshape(-1, 2).T, "o", ms=4, alpha=0.7, label=", ".join(filter(None, names)) or "all")
+            axes.set_ylabel(SHOWN[kind][0].replace(", ", ",\n"), fontsize=8)
+            axes.grid(alpha=0.3)
+        panels[0].legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        panels[-1].set_xticks(range(len(scenarios)), scenarios, rotation=30, ha="right", fontsize=8)

@@ -110,8 +110,7 @@ SETTLED = "settled"  # attribute with how many runs of a trial settled
 TRACES = "traces"  # attribute with the traces of a trial's runs
 APART = 1_000_003  # distance between the seeds of two searches, so that they share no trial's seed
 STARTUP = 8  # random trials before the sampler uses results
-Run = tuple[dict[str, Any], dict[str, str], str]  # scenario, digests of its files, device
-Runs = list[Run]
+Runs = list[dict[str, Any]]  # of each its scenario, the digests of its files (inputs) and the device
 Trace = list[list[Any]] | str  # of a run: poses, errors and whether seen, or the reason of failure
 PartResult = tuple[list[float], list[Trace], int]  # costs, traces, and how many runs settled
 
@@ -154,11 +153,11 @@ class Task:
     def runs(self, values: Values) -> Runs:
         """All runs of a trial, seed by seed."""
         varied = [with_values(scenario, values) for scenario in self.scenarios]
-        seeds = range(self.seeds)
-        seeded = [
-            (each.model_copy(update={"seed": each.seed + k}), files) for k in seeds for each, files in zip(varied, self.inputs, strict=True)
+        return [
+            {"scenario": {**each.model_dump(mode="json"), "seed": each.seed + k}, "inputs": files, "device": self.device}
+            for k in range(self.seeds)
+            for each, files in zip(varied, self.inputs, strict=True)
         ]
-        return [(each.model_dump(mode="json"), files, self.device) for each, files in seeded]
 
 
 @dataclass(frozen=True)
@@ -170,15 +169,19 @@ class Tuning:
     study: optuna.Study
 
     @property
+    def finished(self) -> list[optuna.trial.FrozenTrial]:
+        """Trials that are complete or pruned."""
+        return self.study.get_trials(deepcopy=False, states=FINISHED)
+
+    @property
     def failures(self) -> list[str]:
         """Reasons of failed runs; a failed run costs `luxloop.loop.studies.objective.FAILED` in all terms."""
-        return [why for trial in self.study.get_trials(deepcopy=False, states=FINISHED) for why in trial.user_attrs.get(FAILURES, [])]
+        return [why for trial in self.finished for why in trial.user_attrs.get(FAILURES, [])]
 
     @property
     def never_settles(self) -> bool:
         """Whether the objective weighs settling, and no run of any trial settled."""
-        trials = self.study.get_trials(deepcopy=False, states=FINISHED)
-        attributes = [self.study.user_attrs, *(trial.user_attrs for trial in trials)]
+        attributes = [self.study.user_attrs, *(trial.user_attrs for trial in self.finished)]
         return "settling" in self.task.objective.weights and not any(each.get(SETTLED) for each in attributes)
 
     @property
@@ -284,7 +287,7 @@ def run_parts(task: Task, parts: Sequence[Runs], execute: Executor) -> list[Part
 
 def places_of(runs: Runs, workers: int) -> list[list[int]]:
     """Places of the runs that are done together (`luxloop.loop.studies.jobs.runner`)."""
-    return bundles([kind_of(_parameters(run)) if len(runs) > 1 else None for run in runs], workers)
+    return bundles([kind_of(run) if len(runs) > 1 else None for run in runs], workers)
 
 
 def failure_reasons(traces: list[Trace]) -> list[str]:
@@ -292,26 +295,16 @@ def failure_reasons(traces: list[Trace]) -> list[str]:
     return [trace for trace in traces if isinstance(trace, str)]
 
 
-def _run_jobs(tasks: Sequence[tuple[int, Run]]) -> list[tuple[int, dict[str, Any], Trace]]:
+def _run_jobs(tasks: Sequence[tuple[int, dict[str, Any]]]) -> list[tuple[int, dict[str, Any], Trace]]:
     """Number, metrics and trace of runs that are done together; a run that fails does not stop the study."""
     found: list[tuple[int, dict[str, Any], Trace]] = []
-    for (number, _), done in zip(tasks, runs_of_many([_parameters(run) for _, run in tasks]), strict=True):
+    for (number, _), done in zip(tasks, runs_of_many([run for _, run in tasks]), strict=True):
         if isinstance(done, Exception):
             found.append((number, {}, reason(done)))
         else:
             figures, run = done
             found.append((number, figures, [] if run is None else [part[0].tolist() for part in vars(run).values()]))
     return found
-
-
-def _parameters(run: Run) -> dict[str, Any]:
-    return dict(zip(("scenario", "inputs", "device"), run, strict=True))
-
-
-def _distribution(each: Range) -> BaseDistribution:
-    if each.whole:
-        return IntDistribution(int(each.low), int(each.high), each.log)
-    return FloatDistribution(each.low, each.high, each.log)
 
 
 def begin(study: optuna.Study, task: Task, out: Path, execute: Executor) -> dict[str, BaseDistribution]:
@@ -328,11 +321,15 @@ def begin(study: optuna.Study, task: Task, out: Path, execute: Executor) -> dict
         study.set_user_attr(TRACES, traces)
         study.set_user_attr(SETTLED, settled)
         study.set_user_attr("given_cost", float(np.mean(costs)))
-    space = {each.key: _distribution(each) for each in task.ranges}
-    if not study.get_trials(deepcopy=False) and all(_within(each, task.start_values[each.key]) for each in task.ranges):
-        study.add_trial(create_trial(params=task.start_values, distributions=space, value=study.user_attrs["given_cost"]))
+    space: dict[str, BaseDistribution] = {
+        each.key: IntDistribution(int(each.low), int(each.high), each.log)
+        if each.whole
+        else FloatDistribution(each.low, each.high, each.log)
+        for each in task.ranges
+    }
+    start = task.start_values
+    if not study.get_trials(deepcopy=False) and all(
+        (value := start[each.key]) is not None and each.low <= value <= each.high for each in task.ranges
+    ):
+        study.add_trial(create_trial(params=start, distributions=space, value=study.user_attrs["given_cost"]))
     return space
-
-
-def _within(each: Range, value: float | int | None) -> bool:
-    return value is not None and each.low <= value <= each.high

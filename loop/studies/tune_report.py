@@ -3,20 +3,18 @@
 from pathlib import Path
 from shlex import quote
 
-import matplotlib.pyplot as plt
 import numpy as np
 import optuna
-from matplotlib import rc_context
 from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
 from optuna.trial import TrialState
 
 from luxloop.loop.report import terminal as tables
-from luxloop.loop.report.style import DEFAULTS
+from luxloop.loop.report.style import DEFAULTS, drawing
 from luxloop.loop.report.terminal import number
 from luxloop.loop.studies import objective, ranges
 from luxloop.loop.studies.gradient import tune_by_gradient
 from luxloop.loop.studies.jobs.executors import local
-from luxloop.loop.studies.tune import FINISHED, STUDY, Task, Tuning, note_batches, tune
+from luxloop.loop.studies.tune import STUDY, Task, Tuning, note_batches, tune
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import turn, whole
 
@@ -36,16 +34,13 @@ def do_tune(task: Task, folder: Path, trials: int, processes: int | None, gradie
             raise LuxloopError(f"{name}: {value} is too few; give 1 or more")
     execute = local(processes)
     if note := note_batches(task, execute.workers, gradient):
-        tables.console(stderr=True).print(note, markup=False)
+        tables.say(note, stderr=True)
     tuned = (tune_by_gradient if gradient else tune)(task, folder, trials, execute)
     write(tuned, folder)
-    values, cost = tuned.best
-    rows = [(f"[bold]{key}[/]", given, values.get(key, given)) for key, given in task.start_values.items()]
-    rows.append(("cost", tuned.given_cost, cost))
-    tables.show(tables.plain(("key", "given", "best"), ((name, number(given, ".4g"), number(best, ".4g")) for name, given, best in rows)))
+    tables.show(tables.plain(("key", "given", "best"), ((f"[bold]{key}[/]", *told) for key, *told in _rows(tuned))))
     if notes := _notes(tuned):
         print(notes.strip())
-    if values:
+    if tuned.best[0]:
         print(f"{folder / BEST} and {folder / REPORT} written; run it with: luxloop run {played_by} --set {quote(str(folder / BEST))}")
     else:
         print(f"no trial is better than the given values; {folder / REPORT} written")
@@ -71,28 +66,26 @@ def write(tuned: Tuning, out: Path) -> None:
 
 def page(tuned: Tuning) -> str:
     """The study as Markdown."""
-    task, (values, cost) = tuned.task, tuned.best
-    finished = tuned.study.get_trials(deepcopy=False, states=FINISHED)
-    pruned = sum(trial.state == TrialState.PRUNED for trial in finished)
+    task = tuned.task
+    pruned = sum(trial.state == TrialState.PRUNED for trial in tuned.finished)
     importances = _importances(tuned)
+    *of_keys, (_, *costs) = _rows(tuned)
     rows = [
-        *(
-            [
-                f"`{each.key}`",
-                f"{each.low:g} to {each.high:g}",
-                number(task.start_values[each.key], ".4g"),
-                number(values.get(each.key, task.start_values[each.key]), ".4g"),
-                number(importances.get(each.key), ".2f"),
-            ]
-            for each in task.ranges
-        ),
-        ["cost", "", number(tuned.given_cost, ".4g"), number(cost, ".4g"), ""],
+        [f"`{key}`", f"{each.low:g} to {each.high:g}", *told, number(importances.get(key), ".2f")]
+        for each, (key, *told) in zip(task.ranges, of_keys, strict=True)
     ]
     terms = "".join(f"- `{name}`: {objective.TERMS[name][2]}\n" for name in task.objective.weights)
     names = ", ".join(each.name for each in task.scenarios)
-    what = f"{len(finished)} trials ({pruned} pruned halfway) of {names} with {task.seeds} seeds each.{_notes(tuned)}"
-    table = tables.markdown_table(("key", "range", "given", "best", "importance"), rows, "llr")
+    what = f"{len(tuned.finished)} trials ({pruned} pruned halfway) of {names} with {task.seeds} seeds each.{_notes(tuned)}"
+    table = tables.markdown_table(("key", "range", "given", "best", "importance"), [*rows, ["cost", "", *costs, ""]], "llr")
     return f"# Tuning\n\n{what} The cost is `{task.objective}`:\n\n{terms}\n{table}\n\n![History, and cost over each key]({PICTURE})\n"
+
+
+def _rows(tuned: Tuning) -> list[tuple[str, str, str]]:
+    """Each key, its given value and the best, and at last what they cost."""
+    start, (values, cost) = tuned.task.start_values, tuned.best
+    told = [(each.key, start[each.key], values.get(each.key, start[each.key])) for each in tuned.task.ranges]
+    return [(key, number(given, ".4g"), number(best, ".4g")) for key, given, best in (*told, ("cost", tuned.given_cost, cost))]
 
 
 def _notes(tuned: Tuning) -> str:
@@ -109,7 +102,6 @@ def _importances(tuned: Tuning) -> dict[str, float]:
     return dict(get_param_importances(tuned.study, evaluator=PedAnovaImportanceEvaluator()))
 
 
-@rc_context(DEFAULTS)
 def _draw(tuned: Tuning, file: Path) -> None:
     """Costs over trials, then over each key."""
     trials: list[optuna.trial.FrozenTrial] = tuned.study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
@@ -117,26 +109,22 @@ def _draw(tuned: Tuning, file: Path) -> None:
     costs = np.array([trial.value for trial in trials], dtype=float)
     count = 1 + len(tuned.task.ranges)
     columns = min(count, 3)
-    figure, grid = plt.subplots(
-        -(-count // columns), columns, figsize=(3.6 * columns, 2.8 * -(-count // columns)), layout="constrained", squeeze=False
-    )
-    history, *panels = grid.flat
-    history.plot([trial.number for trial in trials], costs, "o", ms=3, alpha=0.6)
-    history.plot([trial.number for trial in trials], np.minimum.accumulate(costs), label="best so far")
-    history.axhline(tuned.given_cost, color="tab:red", lw=1, label="given")
-    history.set_xlabel("trial")
-    history.set_ylabel(f"cost: {tuned.task.objective}", fontsize=8)
-    history.legend(fontsize=7)
-    for axes in panels[len(tuned.task.ranges) :]:
-        axes.remove()
-    for axes, each in zip(panels, tuned.task.ranges, strict=False):
-        axes.scatter([trial.params[each.key] for trial in trials], costs, c=[trial.number for trial in trials], s=10, cmap="viridis")
-        if (given := tuned.task.start_values[each.key]) is not None:
-            axes.plot(given, tuned.given_cost, "s", color="tab:red")
-        if values:
-            axes.plot(values[each.key], cost, "*", ms=11, color="tab:orange")
-        axes.set_xscale("log" if each.log else "linear")
-        axes.set_xlabel(each.key, fontsize=8)
-    with whole(file) as part:
-        figure.savefig(part, dpi=110, format="png")
-    plt.close(figure)
+    rows = -(-count // columns)
+    with drawing(file, (3.6 * columns, 2.8 * rows), DEFAULTS) as figure:
+        history, *panels = figure.subplots(rows, columns, squeeze=False).flat
+        history.plot([trial.number for trial in trials], costs, "o", ms=3, alpha=0.6)
+        history.plot([trial.number for trial in trials], np.minimum.accumulate(costs), label="best so far")
+        history.axhline(tuned.given_cost, color="tab:red", lw=1, label="given")
+        history.set_xlabel("trial")
+        history.set_ylabel(f"cost: {tuned.task.objective}", fontsize=8)
+        history.legend(fontsize=7)
+        for axes in panels[len(tuned.task.ranges) :]:
+            axes.remove()
+        for axes, each in zip(panels, tuned.task.ranges, strict=False):
+            axes.scatter([trial.params[each.key] for trial in trials], costs, c=[trial.number for trial in trials], s=10, cmap="viridis")
+            if (given := tuned.task.start_values[each.key]) is not None:
+                axes.plot(given, tuned.given_cost, "s", color="tab:red")
+            if values:
+                axes.plot(values[each.key], cost, "*", ms=11, color="tab:orange")
+            axes.set_xscale("log" if each.log else "linear")
+            axes.set_xlabel(each.key, fontsize=8)

@@ -11,13 +11,7 @@ from torch import Tensor
 import luxloop
 from luxloop import ExtractionStatus, LuxloopError, Observation, ProjectionCommand, SymbolSensor, check_controller
 from luxloop.controllers.symbol.sensing.projection import Warp
-from luxloop.loop.studies.contracts.controller import check_in, world
 from tests.luxloop.variants import assert_refused, variant
-
-
-@pytest.fixture(scope="module")
-def shared() -> Any:
-    return world("auto")
 
 
 @dataclass(frozen=True)
@@ -160,12 +154,12 @@ BROKEN: dict[type, list[str]] = {
 
 
 @pytest.mark.parametrize("broken", BROKEN, ids=lambda each: each.__name__)
-def test_each_way_to_break_the_contract_is_told_in_a_sentence(broken: type, shared: Any) -> None:
-    assert_refused(lambda each: check_in(shared, each, {}), broken, "controller.name", BROKEN[broken])
+def test_each_way_to_break_the_contract_is_told_in_a_sentence(broken: type) -> None:
+    assert_refused(check_controller, broken, "controller.name", BROKEN[broken])
 
 
 @pytest.mark.parametrize("name", ["thesis_pid", "gauss_newton"])
-def test_controllers_that_are_shipped_keep_the_contract(name: str, shared: Any) -> None:
+def test_controllers_that_are_shipped_keep_the_contract(name: str) -> None:
     params = luxloop.load("flat", [f"functions.symbol.controller.name={name}"]).symbol.controller
     assert params is not None
 
@@ -182,7 +176,7 @@ def test_controllers_that_are_shipped_keep_the_contract(name: str, shared: Any) 
         def step(self, state: Any, observation: Observation) -> Any:
             return self.law.step(state, observation)
 
-    check_in(shared, Shipped, {})
+    check_controller(Shipped)
 
 
 def test_options_are_those_of_the_scenario(device: torch.device) -> None:

@@ -8,13 +8,7 @@ import pytest
 import torch
 
 from luxloop import LuxloopError, ModuleCommand, Situation, check_function, rectangle
-from luxloop.loop.studies.contracts.function import check_in, world
 from tests.luxloop.variants import assert_refused, variant
-
-
-@pytest.fixture(scope="module")
-def shared() -> Any:
-    return world("auto")
 
 
 class Line:
@@ -131,13 +125,13 @@ BROKEN: dict[type, list[str]] = {
 
 
 @pytest.mark.parametrize("broken", BROKEN, ids=lambda each: each.__name__)
-def test_each_way_to_break_the_contract_is_told_in_a_sentence(broken: type, shared: Any) -> None:
-    assert_refused(lambda each: check_in(shared, each, {}), broken, "kind", ["check_function: ", *BROKEN[broken]])
+def test_each_way_to_break_the_contract_is_told_in_a_sentence(broken: type) -> None:
+    assert_refused(check_function, broken, "kind", ["check_function: ", *BROKEN[broken]])
 
 
 @pytest.mark.parametrize("function", [variant(Line, "Nothing", primitives=lambda self, now: ()), Learning, Levels])
-def test_what_keeps_the_contract_passes(function: type, shared: Any) -> None:
-    check_in(shared, function, {})
+def test_what_keeps_the_contract_passes(function: type) -> None:
+    check_function(function)
 
 
 def test_options_are_those_of_the_scenario(device: torch.device) -> None:

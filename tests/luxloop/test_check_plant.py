@@ -10,13 +10,7 @@ import pytest
 import torch
 
 from luxloop import Arrivals, Exposure, Frame, LuxloopError, Sample, Utilisation, check_plant, simulated_plant
-from luxloop.loop.studies.contracts.plant import check_in, worlds
 from tests.luxloop.variants import assert_refused, variant
-
-
-@pytest.fixture(scope="module")
-def shared() -> Any:
-    return worlds("auto")
 
 
 class Good:
@@ -85,8 +79,8 @@ class Sampling(Good):
 
 
 @pytest.mark.parametrize(("plant", "options"), [(Warming, {}), (Losing, {}), (Slow, {}), (Sampling, {}), (Good, {"late": 5})])
-def test_what_keeps_the_contract_passes(plant: Any, options: dict[str, int], shared: Any) -> None:
-    check_in(shared, plant, options)
+def test_what_keeps_the_contract_passes(plant: Any, options: dict[str, int]) -> None:
+    check_plant(plant, options)
 
 
 class NoShow:
@@ -216,8 +210,8 @@ BROKEN: dict[type, list[str]] = {
 
 
 @pytest.mark.parametrize("broken", BROKEN, ids=lambda each: each.__name__)
-def test_each_way_to_break_the_contract_is_told_in_a_sentence(broken: type, shared: Any) -> None:
-    assert_refused(lambda each: check_in(shared, each, {}), broken, "plant.kind", BROKEN[broken])
+def test_each_way_to_break_the_contract_is_told_in_a_sentence(broken: type) -> None:
+    assert_refused(check_plant, broken, "plant.kind", BROKEN[broken])
 
 
 class Dimmed:

@@ -9,10 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import optuna
 import torch
-from matplotlib import rc_context
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm
-from matplotlib.figure import Figure
 from pydantic import ValidationError
 from torch import Tensor
 from torch.nn.functional import interpolate
@@ -23,7 +20,7 @@ from luxloop.loop.report import terminal as tables
 from luxloop.loop.report.marks import Mark, readable
 from luxloop.loop.report.picture import WALL_DEG, wall_light
 from luxloop.loop.report.progress import progress
-from luxloop.loop.report.style import NIGHT, STYLE
+from luxloop.loop.report.style import NIGHT, drawing
 from luxloop.loop.run import torch_device
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.overrides import toml_key
@@ -134,9 +131,7 @@ def write_picture(
     white = float(torch.quantile(seen[-1].flatten()[::7], BRIGHT)) * 1.3
     scale = LogNorm(FAINTEST_LX, max(1.0, *(float(wall.max()) for wall in walls)))  # one for all, so that they can be compared
     side, down, up = WALL_DEG
-    with rc_context(STYLE):
-        figure = Figure((13.0, 6.4), 110, layout="constrained")
-        FigureCanvasAgg(figure)
+    with drawing(file, (13.0, 6.4)) as figure:
         grid = figure.add_gridspec(3, len(beams), height_ratios=(4.2, 2.4, 1.5))
         for k, name in enumerate(beams):
             figures = summary["beams"][name]
@@ -161,8 +156,6 @@ def write_picture(
         course = figure.add_subplot(grid[2, :])
         course.plot(losses)
         course.set(xlabel="step", title=f"Loss, {summary['method']}, {summary['metric']}")
-        with whole(file) as part:
-            figure.savefig(part, format="png")
 
 
 Method = Literal["auto", "gradient", "sampling"]

@@ -11,33 +11,27 @@ from torch import Tensor
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from luxloop.controllers.symbol.sensing.protocol import Observation
 from luxloop.controllers.symbol.stages import KEY
-from luxloop.loop.run import prepare
-from luxloop.loop.scenario.model import validate
 from luxloop.loop.simulation.controlled import ControlledSymbol
 from luxloop.loop.simulation.protocol import Images
-from luxloop.loop.simulation.simulation import Simulation
-from luxloop.loop.studies.contracts.values import build_part, check_tensor, pure, pure_state
+from luxloop.loop.studies.contracts.values import build_part, check_tensor, pure, pure_state, world
 from luxloop.perception.egomotion import Ego, Sample, Samples, Sensor, ego_of
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.plugin import Guard, construct
 
 CALLS = {"start": ("pose",), "projection": ("state", "ego"), "step": ("state", "observation")}
-SCENARIO: dict[str, Any] = {
-    "name": "check_controller",
-    "steps": 8,
-    "camera": {"width_px": 320, "height_px": 180, "oversampling": 1},
-    "headlight": {"model": "idealised-332x1024", "lamps": ["left"]},
-    "renderer": "raycast",
-    "functions": {
-        "symbol": {
-            "kind": "symbol",
-            "image": "snowflake",
-            "start": {"x_m": 17.4, "y_m": 0.3, "roll_deg": 2.0, "pitch_deg": -1.0},
-            "controller": "open",
-        }
-    },
-}
+SCENARIO = """
+name = "check_controller"
+steps = 8
+camera = { width_px = 320, height_px = 180, oversampling = 1 }
+headlight = { model = "idealised-332x1024", lamps = ["left"] }
+renderer = "raycast"
+[functions.symbol]
+kind = "symbol"
+image = "snowflake"
+start = { x_m = 17.4, y_m = 0.3, roll_deg = 2.0, pitch_deg = -1.0 }
+controller = "open"
+"""
 FARTHEST_M = (100.0, 20.0)  # ahead and to each side: what a scenario's start may be
 STEEPEST = math.radians(45)
 REMEDY = (
@@ -67,13 +61,9 @@ def check_controller(controller: type, options: Mapping[str, Any] | None = None,
     input; where a state is no data; where a projection has another shape, dtype or device than the pose `[4]` that `start` is given, is not
     finite, or not in m and rad; and where the symbol is moved away from its target.
     """
-    check_in(world(device), controller, options or {})
-
-
-def check_in(simulation: Simulation, controller: type, options: Mapping[str, Any]) -> None:
-    """Raises LuxloopError as `check_controller`, of a controller in a world that others can share."""
+    simulation = world(SCENARIO, device)
     symbol = simulation.symbol
-    own = build_part(controller, KEY, CALLS, lambda name: construct(controller, name, KEY, {"sensor": symbol.sensor}, options))
+    own = build_part(controller, KEY, CALLS, lambda name: construct(controller, name, KEY, {"sensor": symbol.sensor}, options or {}))
     checked = replace(simulation, controlled={"symbol": replace(symbol, controller=CheckController(own, symbol))})
     seen = [result.measurement for result in checked.run()]
     first, last = (math.hypot(*each.pose_error[:2].tolist()) for each in (seen[0], seen[-1]))
@@ -83,10 +73,6 @@ def check_in(simulation: Simulation, controller: type, options: Mapping[str, Any
             f"{KEY}: {own.name}: step moves the symbol away from its target: at first it was {first:.2g} m away, after {len(seen)} steps "
             f"{end}; {REMEDY}"
         )
-
-
-def world(device: str) -> Simulation:
-    return prepare(validate(SCENARIO, "check_controller"), device)
 
 
 @dataclass(frozen=True)

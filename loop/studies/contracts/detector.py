@@ -8,27 +8,31 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from luxloop.loop.run import prepare, torch_device
-from luxloop.loop.scenario.model import validate
-from luxloop.loop.studies.contracts.values import build_part, pure
+from luxloop.loop.run import torch_device
+from luxloop.loop.studies.contracts.values import build_part, pure, world
 from luxloop.perception.detection.build import KEY, CheckedDetector, own_detector
 from luxloop.perception.detection.detector import Detections, OwnDetector
 from luxloop.world.errors import LuxloopError
 
-SIZE_PX = (640, 360)
-SCENARIO: dict[str, Any] = {
-    "name": "check_detector",
-    "steps": 2,
-    "rate_hz": 10.0,
-    "camera": {"width_px": SIZE_PX[0], "height_px": SIZE_PX[1], "oversampling": 1},
-    "headlight": {"model": "hd84"},
-    "light": {"ambient_lx": 0.02},
-    "renderer": "raycast",
-    "objects": [
-        {"kind": "pedestrian", "name": "walker", "appears_s": 0.05, "track": [{"position_m": [20.0, 2.0, 0.0]}]},
-        {"kind": "car", "name": "car", "appears_s": 0.05, "track": [{"position_m": [28.0, -2.0, 0.0], "yaw_deg": 180.0}]},
-    ],
-}
+SCENARIO = """
+name = "check_detector"
+steps = 2
+rate_hz = 10.0
+camera = { width_px = 640, height_px = 360, oversampling = 1 }
+headlight.model = "hd84"
+light.ambient_lx = 0.02
+renderer = "raycast"
+[[objects]]
+kind = "pedestrian"
+name = "walker"
+appears_s = 0.05
+track = [{ position_m = [20.0, 2.0, 0.0] }]
+[[objects]]
+kind = "car"
+name = "car"
+appears_s = 0.05
+track = [{ position_m = [28.0, -2.0, 0.0], yaw_deg = 180.0 }]
+"""
 ROUNDING = 0.02  # px and score by which what is found may differ in another batch: kernels add in another order
 
 
@@ -72,7 +76,7 @@ def _frames(device: str) -> Tensor:
     """`[3, height, width]` as a detector gets them: a dark road, the same in the high beam, and with objects on it."""
     found = []
     for beam, steps in (("off", [0]), ("high", [0, 1])):
-        simulation = prepare(validate({**SCENARIO, "lighting": {"base": {"beam": beam}}}, SCENARIO["name"]), device)
+        simulation = world(SCENARIO, device, f"lighting.base.beam={beam}")
         found += [frame for step in steps if (frame := simulation.at(step).frame) is not None]
     return torch.stack(found) / (2**simulation.scenario.camera.bits - 1)
 

@@ -7,11 +7,9 @@ from typing import Any, TypeVar
 from luxloop.controllers.functions.own import KEY, CheckedAdaptive, CheckedFunction, OwnFunction, check_primitives, function_of
 from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.situation import Situation
-from luxloop.loop.run import prepare
-from luxloop.loop.scenario.model import validate
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.loop.studies.contracts.values import check_calls, name_of, pure, pure_state
+from luxloop.loop.studies.contracts.values import check_calls, name_of, pure, pure_state, world
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.plugin import Guard
 
@@ -19,23 +17,30 @@ Result = TypeVar("Result")
 CALLS = {"primitives": ("now",)}
 ADAPTIVE_CALLS = {"start": (), "step": ("state", "now"), "adapted": ("state", "now"), "base_share": ("state",)}
 NAME = "checked"
-THERE = {"appears_s": 0.05, "vanishes_s": 0.35}
-SCENARIO = {
-    "name": "check_function",
-    "steps": 5,
-    "rate_hz": 10.0,
-    "camera": {"width_px": 320, "height_px": 180, "oversampling": 1},
-    "headlight": {"model": "hd84"},
-    "light": {"ambient_lx": 0.02},
-    "renderer": "raycast",
-    "lighting": {"base": {"beam": "low"}},
-    "vehicle": {"course": [{"speed_m_s": 0.0}, {"time_s": 0.5, "speed_m_s": 1.5, "curvature_1_m": 0.01}]},
-    "conditions": [{}, {"time_s": 0.2, "wet": True, "street_lit": True}],
-    "objects": [
-        {"kind": "pedestrian", "name": "walker", **THERE, "track": [{"position_m": [20.0, 2.0, 0.0]}]},
-        {"kind": "car", "name": "car", **THERE, "track": [{"position_m": [28.0, -2.0, 0.0], "yaw_deg": 180.0}]},
-    ],
-}
+SCENARIO = """
+name = "check_function"
+steps = 5
+rate_hz = 10.0
+camera = { width_px = 320, height_px = 180, oversampling = 1 }
+headlight.model = "hd84"
+light.ambient_lx = 0.02
+renderer = "raycast"
+lighting.base.beam = "low"
+vehicle.course = [{ speed_m_s = 0.0 }, { time_s = 0.5, speed_m_s = 1.5, curvature_1_m = 0.01 }]
+conditions = [{}, { time_s = 0.2, wet = true, street_lit = true }]
+[[objects]]
+kind = "pedestrian"
+name = "walker"
+appears_s = 0.05
+vanishes_s = 0.35
+track = [{ position_m = [20.0, 2.0, 0.0] }]
+[[objects]]
+kind = "car"
+name = "car"
+appears_s = 0.05
+vanishes_s = 0.35
+track = [{ position_m = [28.0, -2.0, 0.0], yaw_deg = 180.0 }]
+"""
 
 
 def check_function(function: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
@@ -51,14 +56,9 @@ def check_function(function: type, options: Mapping[str, Any] | None = None, dev
     for the same input; where a state is no data, or a share of the base beam is not within 0..1; where it does not give a list of what
     `rectangle` makes, finite and with possible setpoints; and where nothing that it draws changes the light.
     """
-    check_in(world(device), function, options or {})
-
-
-def check_in(world: tuple[Simulation, list[StepResult]], function: type, options: Mapping[str, Any]) -> None:
-    """Raises LuxloopError as `check_function`, of a function in a world that others can share."""
-    name, (simulation, bare) = name_of(function), world
+    name, simulation = name_of(function), world(SCENARIO, device)
     with locate("check_function"):
-        made = function_of(function, OwnFunction(kind=name, options=dict(options)))
+        made = function_of(function, OwnFunction(kind=name, options=dict(options or {})))
         calls = ADAPTIVE_CALLS if isinstance(made, CheckedAdaptive) else CALLS
         check_calls(made.own, calls | ({"commands": ("now",)} if hasattr(function, "commands") else {}))
         watched = WatchedFunction(made.own) if isinstance(made, CheckedFunction) else WatchedAdaptive(made)
@@ -67,6 +67,7 @@ def check_in(world: tuple[Simulation, list[StepResult]], function: type, options
             for each in results:
                 _twice(lambda now: pure(made.own, "commands", {"now": now}, "commands"), each.now)
         drawn = {k: each.plan.primitives.origin[0] for k, each in enumerate(results) if each.plan.primitives}
+        bare = _steps(simulation) if drawn else []
         if drawn and all(one.equal(other) for k in drawn for one, other in zip(results[k].lights, bare[k].lights, strict=True)):
             corner = [round(value, 3) for value in next(iter(drawn.values())).tolist()]
             raise LuxloopError(
@@ -74,12 +75,6 @@ def check_in(world: tuple[Simulation, list[StepResult]], function: type, options
                 "places are in m in the world, from the car's frame (x ahead, y left, z up) by now.T_world_vehicle; normals, by default "
                 "d1 x d2, point to the lamps; primitives thinner than the spacing of the lamps' rays are missed"
             )
-
-
-def world(device: str) -> tuple[Simulation, list[StepResult]]:
-    """With what the lamps do there without a function."""
-    simulation = prepare(validate(SCENARIO, "check_function"), device)
-    return simulation, _steps(simulation)
 
 
 def _steps(simulation: Simulation) -> list[StepResult]:

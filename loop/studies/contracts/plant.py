@@ -6,15 +6,13 @@ from typing import Any
 
 from torch import Tensor
 
-from luxloop.loop.run import prepare
-from luxloop.loop.scenario.model import validate
 from luxloop.loop.simulation.build_plant import KEY
 from luxloop.loop.simulation.checked import check_arrivals, check_frame
 from luxloop.loop.simulation.lamps import lamp_modules
 from luxloop.loop.simulation.protocol import Arrivals, Exposure
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.simulation.world import World
-from luxloop.loop.studies.contracts.values import Parts, build_part, check_state, copy_parts, difference, pure
+from luxloop.loop.studies.contracts.values import Parts, build_part, check_state, copy_parts, difference, pure, world
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.plugin import Guard, construct
 
@@ -22,13 +20,13 @@ CALLS = {"start": (), "show": ("state", "exposure")}
 GIVES = "(state, arrivals)"
 EXPOSURES = 24  # more than those of the 10 steps by which the frames of a scenario's camera may be late
 UNDER_WAY = 4  # more than those of a step by which they are late, so that some come that a state must have held
-SCENARIO: dict[str, Any] = {
-    "name": "check_plant",
-    "camera": {"width_px": 320, "height_px": 180, "oversampling": 1},
-    "headlight": {"model": "ssl-hd-lores", "lamps": ["left"]},
-    "renderer": "raycast",
-    "functions": {"symbol": {"kind": "symbol", "image": "snowflake", "controller": "open"}},
-}
+SCENARIO = """
+name = "check_plant"
+camera = { width_px = 320, height_px = 180, oversampling = 1 }
+headlight = { model = "ssl-hd-lores", lamps = ["left"] }
+renderer = "raycast"
+functions.symbol = { kind = "symbol", image = "snowflake", controller = "open" }
+"""
 
 
 def check_plant(plant: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
@@ -45,14 +43,10 @@ def check_plant(plant: type, options: Mapping[str, Any] | None = None, device: s
     is no tensor `[height, width]` of whole digital numbers within `camera.bits`; where a sample is of no sensor that there is, or has other
     values than that; and where no frame comes at all.
     """
-    check_in(worlds(device), plant, options or {})
-
-
-def check_in(worlds: tuple[Simulation, Simulation], plant: type, options: Mapping[str, Any]) -> None:
-    """Raises LuxloopError as `check_plant`, of a plant in worlds that others can share."""
-    for simulation, exposures in zip(worlds, (EXPOSURES, UNDER_WAY), strict=True):
+    for late, exposures in enumerate((EXPOSURES, UNDER_WAY)):
+        simulation = world(SCENARIO, device, f"camera.latency_steps={late}")
         given = {"scenario": simulation.scenario, "modules": lamp_modules(simulation.modules)}
-        own = build_part(plant, KEY, CALLS, lambda name, given=given: construct(plant, name, KEY, given, options))  # type: ignore[misc]
+        own = build_part(plant, KEY, CALLS, lambda name, given=given: construct(plant, name, KEY, given, options or {}))  # type: ignore[misc]
         if (truth := getattr(own, "truth", None)) is not None and not isinstance(truth, World):
             raise LuxloopError(
                 f"{KEY}: {own.name}: truth is of the type {type(truth).__name__}; give the truth of a simulated_plant, or leave it out"
@@ -80,13 +74,6 @@ def _check_shows(own: Guard, simulation: Simulation, exposures: int) -> None:
                 f"{where} show gives another {differs} when an earlier state is shown its exposure again after others; keep what it "
                 "remembers in the state and not in self, and make new tensors in place of writing into old ones"
             )
-
-
-def worlds(device: str) -> tuple[Simulation, Simulation]:
-    """One whose camera is in time, and one whose camera is a step late."""
-    in_time = prepare(validate(SCENARIO, SCENARIO["name"]), device)
-    late = validate(SCENARIO | {"camera": SCENARIO["camera"] | {"latency_steps": 1}}, SCENARIO["name"])
-    return in_time, Simulation.prepare(late, in_time.device, in_time)
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,8 @@ from typing import Any
 
 from torch import Tensor
 
-from luxloop.loop.run import prepare
-from luxloop.loop.scenario.model import validate
 from luxloop.loop.simulation.detection import pairs
-from luxloop.loop.studies.contracts.values import build_part, pure, pure_state
+from luxloop.loop.studies.contracts.values import build_part, pure, pure_state, world
 from luxloop.perception.detection.detector import Detections
 from luxloop.perception.trackers import KEY, CheckedTracker, OwnTracker, own_tracker
 from luxloop.perception.tracking import TrackedBoxes
@@ -20,31 +18,27 @@ from luxloop.world.frames import View
 from luxloop.world.traffic.tracked import Category
 
 CALLS = {"start": (), "follow": ("state", "found", "frame", "time_s"), "report": ("state", "time_s")}
-RATE_HZ = 10.0
-SCENARIO: dict[str, Any] = {
-    "name": "check_tracker",
-    "steps": 12,
-    "rate_hz": RATE_HZ,
-    "camera": {"width_px": 320, "height_px": 180, "oversampling": 1},
-    "headlight": {"model": "hd84"},
-    "lighting": {"base": {"beam": "high"}},
-    "renderer": "raycast",
-    "detector": {"kind": "truth"},
-    "objects": [
-        {
-            "kind": "pedestrian",
-            "name": "walker",
-            "appears_s": 0.25,
-            "vanishes_s": 0.95,
-            "path": {"points_m": [[15.0, 3.0, 0.0], [15.0, 1.0, 0.0]], "speed_m_s": 1.0},
-        },
-        {
-            "kind": "car",
-            "name": "car",
-            "path": {"points_m": [[32.0, -3.0, 0.0], [10.0, -3.0, 0.0]], "speed_m_s": 4.0},
-        },
-    ],
-}
+RATE_HZ = 10.0  # of the scenario
+SCENARIO = """
+name = "check_tracker"
+steps = 12
+rate_hz = 10.0
+camera = { width_px = 320, height_px = 180, oversampling = 1 }
+headlight.model = "hd84"
+lighting.base.beam = "high"
+renderer = "raycast"
+detector.kind = "truth"
+[[objects]]
+kind = "pedestrian"
+name = "walker"
+appears_s = 0.25
+vanishes_s = 0.95
+path = { points_m = [[15.0, 3.0, 0.0], [15.0, 1.0, 0.0]], speed_m_s = 1.0 }
+[[objects]]
+kind = "car"
+name = "car"
+path = { points_m = [[32.0, -3.0, 0.0], [10.0, -3.0, 0.0]], speed_m_s = 4.0 }
+"""
 EMPTY_AFTER = (1, 6)  # frames; after each of them a frame without detections is tried as well
 
 
@@ -100,7 +94,7 @@ class DetectionFrame:
 
 @cache
 def _frames(device: str) -> tuple[View, tuple[Category, ...], Sequence[DetectionFrame]]:
-    simulation = prepare(validate(SCENARIO, SCENARIO["name"]), device)
+    simulation = world(SCENARIO, device)
     assert simulation.pipeline is not None
     most, frames = 2**simulation.scenario.camera.bits - 1, []
     for step in simulation.run():

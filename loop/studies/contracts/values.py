@@ -1,8 +1,10 @@
 """Pure calls: a state is data, inputs stay as they are, and the same inputs give the same bits."""
 
+import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
+from functools import cache
 from inspect import signature
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,6 +14,10 @@ import torch
 from pydantic import BaseModel
 from torch import Tensor
 
+from luxloop.loop.run import prepare
+from luxloop.loop.scenario.model import validate
+from luxloop.loop.scenario.overrides import overridden
+from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.caches import PartialImage
 from luxloop.world.errors import LuxloopError
 from luxloop.world.plugin import Guard, Name, check_methods
@@ -19,6 +25,13 @@ from luxloop.world.plugin import Guard, Name, check_methods
 DATA = (Tensor, np.ndarray, np.generic, bool, int, float, complex, str, bytes, type(None), Enum, Path, torch.device, torch.dtype)
 Part = TypeVar("Part")
 Parts = dict[str, Any]  # what a value consists of, by its place: "state.gains[0]"
+
+
+@cache
+def world(scenario: str, device: str, *overrides: str) -> Simulation:
+    """The small simulated world of a contract. scenario: in TOML. overrides: changes of its keys, as KEY=VALUE."""
+    data = tomllib.loads(scenario)
+    return prepare(validate(overridden(data, overrides), data["name"]), device)
 
 
 def name_of(made_by: type) -> Name:
@@ -99,20 +112,17 @@ def check_tensor(value: Any, like: Tensor, shape: tuple[int, ...], what: str) ->
     wanted = f"a tensor {_description(like.dtype, shape, like.device)}"
     if not isinstance(value, Tensor):
         raise LuxloopError(f"{what} is {_kind(value)}; it must be {wanted}")
-    if (value.dtype, tuple(value.shape), value.device) != (like.dtype, shape, like.device):
-        given = _description(value.dtype, tuple(value.shape), value.device)
-        remedy = "check its dimensions" if tuple(value.shape) != shape else "make it from a tensor that is given, with new_tensor(...)"
+    given = _description(value.dtype, tuple(value.shape), value.device)
+    if f"a tensor {given}" != wanted:
+        remedy = "check its dimensions" if value.shape != shape else "make it from a tensor that is given, with new_tensor(...)"
         raise LuxloopError(f"{what} is {given}; it must be {wanted}: {remedy}")
-    if not value.isfinite().all():
+    if lost := int((~value.isfinite()).sum()):
+        where = value.tolist() if value.numel() <= 4 else f"in {lost} of {value.numel()} places"
         raise LuxloopError(
-            f"{what} is not finite, {_values(value)}; errors are NaN where the symbol is not seen: leave the state as it is where "
+            f"{what} is not finite, {where}; errors are NaN where the symbol is not seen: leave the state as it is where "
             "observation.measurement.code != ExtractionStatus.SEEN; attitude and rates of an Ego are NaN where they are not measured: "
             "use nan_to_num()"
         )
-
-
-def _values(value: Tensor) -> str:
-    return str(value.tolist()) if value.numel() <= 4 else f"in {int((~value.isfinite()).sum())} of {value.numel()} places"
 
 
 def _description(dtype: torch.dtype, shape: tuple[int, ...], device: torch.device) -> str:
@@ -154,9 +164,7 @@ def copy_parts(value: Any, place: str = "") -> Parts:
 def difference(before: Parts, value: Any, place: str = "") -> str | None:
     """The first place at which a value differs from what was copied before; place: what it is called, as then."""
     after = dict(_parts(value, place))
-    return next(
-        (place for place in (before | after) if place not in before or place not in after or not _same(before[place], after[place])), None
-    )
+    return next((name for name in before | after if not (name in before and name in after and _same(before[name], after[name]))), None)
 
 
 def _same(a: Any, b: Any) -> bool:

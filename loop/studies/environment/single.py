@@ -21,7 +21,7 @@ from luxloop.loop.simulation.result import SimulationState
 from luxloop.loop.simulation.simulated import world_plant
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.environment.acting import ACTIONS
-from luxloop.loop.studies.environment.task import Floats, Look, action_of, as_gymnasium, bounds, observation, reward
+from luxloop.loop.studies.environment.task import Floats, Look, action_of, as_gymnasium, bounds, observation, reward_terms
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError, did_you_mean
 
@@ -52,10 +52,10 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
     kp, ki, kd of position, then of rotation, are multiplied by 4 ** action. "heights" `[32]`: changes of the assumed road heights, 8 rows
     from far to near with 4 cells from left to right; 1 is 3 cm.
 
-    The reward is that of `luxloop.loop.studies.environment.task.Reward`, its terms are in `info["terms"]`; `info["verdict"]` has all values
-    of the judge. An episode is truncated after the scenario's steps and never terminates before. `reset(seed=n)` draws the noise of seed n
-    in the same world; `options={"start": [x, y, roll, pitch]}` sets the start pose (m, rad). A copy, and what is pickled, is made anew with
-    the same arguments: call `reset` next.
+    The reward is the sum of `luxloop.loop.studies.environment.task.reward_terms`, which are in `info["terms"]`; `info["verdict"]` has all
+    values of the judge. An episode is truncated after the scenario's steps and never terminates before. `reset(seed=n)` draws the noise of
+    seed n in the same world; `options={"start": [x, y, roll, pitch]}` sets the start pose (m, rad). A copy, and what is pickled, is made
+    anew with the same arguments: call `reset` next.
     """
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's name)
@@ -77,7 +77,9 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
         """
         EzPickle.__init__(self, scenario, overrides, action=action, image=image, render_mode=render_mode, device=device)
         self.scenario = with_overrides(load(str(scenario)) if isinstance(scenario, str | Path) else scenario, [*overrides, "judge_every=1"])
-        self.render_mode, self.image, self._device, self._action = render_mode, image, torch_device(device), known_action(action)
+        if action not in ACTIONS:
+            raise LuxloopError(f"action: there is no {action!r}; {did_you_mean(action, ACTIONS)}")
+        self.render_mode, self.image, self._device, self._action = render_mode, image, torch_device(device), action
         self._simulation: Simulation | None = None
         self.prepare({})
         low, high = bounds(self.acting)
@@ -127,15 +129,15 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
         self._result = evaluated = self.simulation.evaluate(result)
         verdict = evaluated.symbol.verdict
         assert verdict is not None
-        found = reward(verdict, taken)
+        terms = reward_terms(verdict, taken)
         info = {
-            "terms": {key: float(value) for key, value in found.terms.items()},
+            "terms": {key: float(value) for key, value in terms.items()},
             "verdict": {key: value.cpu().numpy() for key, value in vars(verdict).items()},
         }
         truncated = self._state.step >= self.simulation.scenario.steps
         if self.render_mode == "human":
             self._show()
-        return self._observation(result.measurement), float(found.reward), False, truncated, info
+        return self._observation(result.measurement), float(sum(terms.values())), False, truncated, info
 
     def render(self) -> Any:
         """The camera's view as in a run's video, `[height, width, 3]` uint8, black before the first step; None with render_mode "human"."""
@@ -148,11 +150,7 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
         if self.render_mode == "human":
             from matplotlib import pyplot
 
-            pyplot.close(self._title)
-
-    @property
-    def _title(self) -> str:
-        return f"luxloop: {self.scenario.name}"
+            pyplot.close(f"luxloop: {self.scenario.name}")
 
     def _picture(self) -> Any:
         if self._result is None:
@@ -165,7 +163,7 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
     def _show(self) -> None:
         from matplotlib import pyplot
 
-        figure = pyplot.figure(self._title)
+        figure = pyplot.figure(f"luxloop: {self.scenario.name}")
         figure.clear()
         figure.add_axes((0, 0, 1, 1)).imshow(self._picture())
         pyplot.pause(1e-3)
@@ -178,13 +176,6 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
             seen = self.simulation.symbol.sensor.lost(self.acting.projection(held.controller, ego).pose, ExtractionStatus.NO_FRAME)
         look = Look.of(seen, self.image)
         return as_gymnasium(observation(self.acting.observation(held.controller), look, ego), look)
-
-
-def known_action(action: str) -> str:
-    """The action, if there is one of this name. Raises LuxloopError if not."""
-    if action not in ACTIONS:
-        raise LuxloopError(f"action: there is no {action!r}; {did_you_mean(action, ACTIONS)}")
-    return action
 
 
 def check_options(options: dict[str, Any] | None, *known: str) -> None:

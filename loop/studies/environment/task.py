@@ -24,19 +24,6 @@ MOTION: Final = (100.0, 3.0)  # m/s, rad/s
 CENTROID_WEIGHT, ACTION_WEIGHT = 0.5, 0.01
 
 
-@dataclass(frozen=True)
-class Reward:
-    """reward: `[...]`, the sum of the terms. terms: `[...]` each.
-
-    iou: overlap of the symbol with its target on the road, 0..1. centroid: -0.5 times the distance of their centroids, relative to the
-    symbol's length and width and at most 1. action: -0.01 times the mean square of the action. If nothing is lit, iou is 0 and centroid
-    -0.5.
-    """
-
-    reward: Tensor
-    terms: dict[str, Tensor]
-
-
 def action_of(given: Any, shape: tuple[int, ...]) -> Tensor:
     """An action `[..., n]` within -1..1. Raises LuxloopError where it has another shape, or is not finite."""
     taken = torch.as_tensor(np.asarray(given, np.float32))
@@ -45,15 +32,19 @@ def action_of(given: Any, shape: tuple[int, ...]) -> Tensor:
     return taken.clamp(-1, 1)
 
 
-def reward(verdict: Metrics, action: Tensor) -> Reward:
-    """Reward of an action `[..., n]`. verdict: of the judge on the light that follows it."""
+def reward_terms(verdict: Metrics, action: Tensor) -> dict[str, Tensor]:
+    """The terms `[...]` whose sum is the reward of an action `[..., n]`. verdict: of the judge on the light that follows it.
+
+    iou: overlap of the symbol with its target on the road, 0..1. centroid: -0.5 times the distance of their centroids, relative to the
+    symbol's length and width and at most 1. action: -0.01 times the mean square of the action. If nothing is lit, iou is 0 and centroid
+    -0.5.
+    """
     away = (verdict.centroid_percent / 100).norm(dim=-1).nan_to_num(1.0).clamp(max=1.0)
-    terms = {
+    return {
         "iou": verdict.iou.nan_to_num(0.0),
         "centroid": -CENTROID_WEIGHT * away,
         "action": -ACTION_WEIGHT * action.square().mean(-1).to(away),
     }
-    return Reward(sum(terms.values(), torch.zeros_like(away)), terms)
 
 
 def bounds(acting: Acting) -> tuple[Floats, Floats]:

@@ -1,6 +1,6 @@
 """Many closed loops as one vector environment of Gymnasium, on copies of one world at rest."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from luxloop.loop.simulation.simulated import world_plant
 from luxloop.loop.studies.batch.copies import Copies, Taken
 from luxloop.loop.studies.batch.rollouts import choose
 from luxloop.loop.studies.environment.single import SEEDS, SymbolEnv, check_options, start_of
-from luxloop.loop.studies.environment.task import Floats, Look, Reward, action_of, as_gymnasium, observation, reward
+from luxloop.loop.studies.environment.task import Floats, Look, action_of, as_gymnasium, observation, reward_terms
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.perception.metrics import Metrics
 from luxloop.world.errors import LuxloopError
@@ -107,13 +107,13 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
         if over.any() and self.mode == AutoresetMode.DISABLED:
             raise LuxloopError("step: episodes are over; call reset(options={'reset_mask': ...}), or take another autoreset_mode")
         taken = action_of(actions, (self.num_envs, self.acting.size)).to(self.copies.simulation.device)
-        found: Reward | None = None
+        rewards, infos = np.zeros(self.num_envs), dict[str, Any]()
         if not over.all():
-            found, verdict = self._move(taken)
+            terms, verdict = self._move(taken)
+            rewards = np.where(over, 0.0, sum(terms.values(), taken.new_zeros(())).double().cpu().numpy())
+            infos = _infos({"terms": terms, "verdict": vars(verdict)}, ~over)
         if over.any():
             self._begin_anew(over)
-        rewards = np.zeros(self.num_envs) if found is None else np.where(over, 0.0, found.reward.double().cpu().numpy())
-        infos = {} if found is None else _infos(found, verdict, ~over)
         truncated = ~over & (self._age >= self.steps)
         self._over = truncated
         observed = self._observation()
@@ -123,7 +123,7 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
             self._over, observed = np.zeros(self.num_envs, bool), self._observation()
         return observed, rewards, np.zeros(self.num_envs, bool), truncated, infos
 
-    def _move(self, actions: Tensor) -> tuple[Reward, Metrics]:
+    def _move(self, actions: Tensor) -> tuple[dict[str, Tensor], Metrics]:
         """One step of all copies."""
         self._state = self.acting.act(self._state, actions)
         pose = self.acting.projection(self._state, None).pose
@@ -142,7 +142,7 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
         self._state = self.acting.step(self._state, Observation(newest, None, Projection(ProjectionCommand(pose), ())))
         self._age = self._age + 1
         metrics = self.copies.evaluate(light)
-        return reward(metrics, actions), metrics
+        return reward_terms(metrics, actions), metrics
 
     def _blind(self) -> Look:
         return Look.of(self._no_frame(self.acting.projection(self._state, None).pose), self.image)
@@ -167,9 +167,8 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
         return as_gymnasium(observation(self.acting.observation(self._state), self._look, None), self._look)
 
 
-def _infos(found: Reward, verdict: Metrics, there: Mask) -> dict[str, Any]:
+def _infos(tables: Mapping[str, Mapping[str, Tensor]], there: Mask) -> dict[str, Any]:
     """Infos of the copies that took a step, in Gymnasium's layout for vector environments: arrays, and masks of these copies."""
-    tables = {"terms": found.terms, "verdict": vars(verdict)}
     told = {name: {key: value.cpu().numpy() for key, value in table.items()} for name, table in tables.items()}
     masked = {name: table | {f"_{key}": there for key in table} for name, table in told.items()}
     return masked | {f"_{name}": there for name in masked}

@@ -56,10 +56,8 @@ class Evaluation:
 
     def of(self, name: str) -> "Evaluation":
         """The evaluation of one lamp."""
-        setpoints, tables, sensitivity = (
-            [row for row in rows if row["name"] == name] for rows in (self.setpoints, self.tables, self.sensitivity)
-        )
-        return Evaluation(setpoints, tables, sensitivity, self.failures)
+        parts = (self.setpoints, self.tables, self.sensitivity)
+        return Evaluation(*([row for row in rows if row["name"] == name] for rows in parts), self.failures)
 
 
 def evaluate(
@@ -84,7 +82,7 @@ def evaluate(
         SENSITIVITY: (sensitivity_row, [job for name in lamps for job in _sensitivities(name, grid or (8 if quick else 40))]),
     }
     version = digest_of_code() + digest_of(sys.modules[__name__])
-    results = {}
+    results = dict[str, Results]()
     with output_folder(out):
         for file, (function, wanted) in parts.items():
             results[file] = run(function, wanted, out / JOBS, version=version, executor=executor, title=file.removesuffix(".parquet"))
@@ -92,7 +90,8 @@ def evaluate(
                 results[file].write(out / file)
             else:
                 (out / file).unlink(missing_ok=True)  # it is none of this evaluation's
-    return _evaluation(results)
+    failures = {key: text for each in results.values() for key, text in each.failures.items()}
+    return Evaluation(*(each.rows for each in results.values()), failures)
 
 
 def summary(rows: Sequence[Row]) -> dict[str, float]:
@@ -106,11 +105,6 @@ def summary(rows: Sequence[Row]) -> dict[str, float]:
     means = {f"{name}_mean": float(each.mean()) for name, each in values.items()}
     medians = {f"{name}_median": float(np.median(each)) for name, each in values.items()}
     return {"setpoints": len(rows), "gap": max(row["jpo_gap"] for row in rows), **means, **medians}
-
-
-def _evaluation(results: dict[str, Results]) -> Evaluation:
-    failures = {key: text for each in results.values() for key, text in each.failures.items()}
-    return Evaluation(results[SETPOINTS].rows, results[TABLES].rows, results[SENSITIVITY].rows, failures)
 
 
 def _setpoints(name: str, rectangles: Sequence[Rectangle]) -> list[Job]:
@@ -235,10 +229,9 @@ def _errors(name: str, control: TextureControl, trial: Trial) -> dict[str, float
     light[control.part.window] = control.part.headlight.light_texture(control.utilisation(trial))
     target[control.part.window] = control.part.wanted
     rows, cols = ((target > 0).any(axis).sum() for axis in (1, 0))
-    structure = dssim(light, target, float(rows + cols), whole.peak_cd)
     return {
         "mae": float(mae(light, target)),
         "rmse": float(rmse(light, target)),
-        "dssim": float(structure),
+        "dssim": float(dssim(light, target, float(rows + cols), whole.peak_cd)),
         "mare": float(mare(light, target)),
     }

@@ -11,12 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from luxloop.loop.report.style import DEFAULTS
+from luxloop.loop.report.style import DEFAULTS, write
 from luxloop.loop.studies.evaluation.evaluate import FIXED_A_M, Evaluation, Row, headlight, light_of
-from luxloop.world.files import whole
 from luxloop.world.lamps.patterns import SETPOINT_CD, Rectangle
 
-DPI = 100
 MARKERS = ("o", "^", "s", "D", "v", "P", "X", "*")
 ERRORS = {"mae": "MAE", "rmse": "RMSE", "dssim": "DSSIM"}
 SHOWN = [Rectangle(0, 0, 3.75, height) for height in (1, 2, 3)]  # of T figures 8.9 and 8.10
@@ -30,8 +28,7 @@ def draw(evaluation: Evaluation, folder: Path, prefix: str = "") -> list[Path]:
     for name in evaluation.lamps:
         for kind, figure in _figures(evaluation.of(name), name):
             files.append(folder / f"{prefix}{kind}-{name}.png")
-            with whole(files[-1]) as part:
-                figure.savefig(part, dpi=DPI, format="png")
+            write(figure, files[-1])
             plt.close(figure)
     return files
 

@@ -62,7 +62,7 @@ def run_evaluation(out: Path, lamp: str | None, quick: bool, processes: int | No
         raise LuxloopError(f"--lamp: {lamp!r} cannot be evaluated; the lamps are {', '.join(LAMPS)}")
     found = evaluate(out, LAMPS if lamp is None else (lamp,), quick=quick, executor=local(processes))
     for key, reason in found.failures.items():
-        tables.console(stderr=True).print(f"failed: {key}: {reason}", markup=False)
+        tables.say(f"failed: {key}: {reason}", stderr=True)
     if found.setpoints:
         write_report(found, out)
         tables.show(overview(found))

@@ -40,19 +40,6 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Together:
-    """A function of a job, and how several jobs are done at once with the same results.
-
-    kind: of a job's parameters; jobs of one kind may be done together, None is done alone. many: of the parameters of several; gives the
-    result of each, or the error that it raised.
-    """
-
-    one: Callable[..., Values]
-    kind: Callable[[Values], str | None]
-    many: Callable[[Sequence[Values]], Sequence[Values | Exception]]
-
-
-@dataclass(frozen=True)
 class Results:
     """Results of a run: key, parameters and result of each successful job, in the order of the jobs; reasons of failures by key."""
 
@@ -67,14 +54,13 @@ class Results:
 
         try:
             with _writing(file):
-                file.parent.mkdir(parents=True, exist_ok=True)
                 write_table(file, pa.Table.from_pylist(self.rows))
         except pa.ArrowException as error:
             raise LuxloopError(f"{file}: results make no table ({error}); remove the file of results, or give another folder") from error
 
 
-def run(
-    function: Callable[..., Values] | Together,
+def run(  # noqa: PLR0913 (each value stands by itself)
+    function: Callable[..., Any],
     jobs: Sequence[Job],
     file: Path,
     *,
@@ -82,6 +68,7 @@ def run(
     executor: Executor = ALL_CORES,
     title: str = "jobs",
     is_there: Callable[[Job], bool] = lambda job: True,
+    kind: Callable[[Values], str | None] | None = None,
 ) -> Results:
     """Do the jobs without a result in the file, and return the results of all.
 
@@ -89,11 +76,13 @@ def run(
     says which jobs are done together. file: JSON lines, one per result; lines are only added, and results of other functions, parameters
     and versions stay. version: what decides a result besides its parameters, such as `digest_of(...)`. executor: by default a process per
     core. is_there: whether the files that a call made are still there; if not, the job runs again. The next run tries failed jobs again.
+    kind: of a job's parameters; jobs of one kind may be done together, None is done alone. With it, the function takes a sequence of the
+    parameters of several jobs, and gives the result of each, or the error that it raised.
 
     Raises: KeyboardInterrupt that says what is kept; LuxloopError if workers are lost, or the file is of another kind or cannot be written.
     """
-    how = function if isinstance(function, Together) else Together(function, _alone, partial(_one_by_one, function))
-    pairs = [(identity_of(how.one, job.parameters, version), job) for job in jobs]
+    many = function if kind else partial(_one_by_one, function)
+    pairs = [(identity_of(function, job.parameters, version), job) for job in jobs]
     read = _read(file)
     done = {identity: read[identity] for identity, job in pairs if identity in read and is_there(job)}
     left = {identity: job for identity, job in pairs if identity not in done}
@@ -101,10 +90,11 @@ def run(
     try:
         with progress(title, total, total - len(left)) as advance:
             tasks = [(identity, {**job.parameters, **job.place}) for identity, job in left.items()]
-            found = _bundles(how, [parameters for _, parameters in tasks], executor)
+            kinds = [kind and kind(parameters) for _, parameters in tasks]
+            found = bundles(kinds, executor.workers if any(kinds) else 1)
             if note := note_of(found, title):
-                tables.console(stderr=True).print(note, markup=False)
-            for ended in executor(partial(_call, how), [[tasks[k] for k in places] for places in found]):
+                tables.say(note, stderr=True)
+            for ended in executor(partial(_call, many), [[tasks[k] for k in places] for places in found]):
                 for identity, result, error in ended:
                     if error:
                         failures[identity] = error
@@ -135,24 +125,18 @@ def identity_of(function: Callable[..., Values], parameters: Values, version: st
     return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()[:32]
 
 
-def _bundles(how: Together, parameters: Sequence[Values], executor: Executor) -> list[list[int]]:
-    kinds = [how.kind(each) for each in parameters]
-    return bundles(kinds, executor.workers) if any(kinds) else [[k] for k in range(len(kinds))]
+Many = Callable[[Sequence[Values]], Sequence[Values | Exception]]
 
 
-def _call(how: Together, tasks: Sequence[tuple[str, Values]]) -> list[tuple[str, str, str]]:
+def _call(many: Many, tasks: Sequence[tuple[str, Values]]) -> list[tuple[str, str, str]]:
     """Of each job its identity, its result as JSON, and the reason of failure, one of both empty."""
     found = []
-    for (identity, _), result in zip(tasks, how.many([parameters for _, parameters in tasks]), strict=True):
+    for (identity, _), result in zip(tasks, many([parameters for _, parameters in tasks]), strict=True):
         try:
             found.append((identity, "", reason(result)) if isinstance(result, Exception) else (identity, json.dumps(dict(result)), ""))
         except Exception as error:
             found.append((identity, "", reason(error)))
     return found
-
-
-def _alone(parameters: Values) -> None:
-    """The kind of jobs that are never done together."""
 
 
 def _one_by_one(function: Callable[..., Values], parameters: Sequence[Values]) -> list[Values | Exception]:
@@ -205,15 +189,14 @@ def _entry(line: bytes) -> tuple[str, dict[str, Any]]:
 
 
 def _append(file: Path, line: str) -> None:
-    with _writing(file):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with file.open("ab") as stream:
-            stream.write(line.encode() + b"\n")
+    with _writing(file), file.open("ab") as stream:
+        stream.write(line.encode() + b"\n")
 
 
 @contextlib.contextmanager
 def _writing(file: Path) -> Iterator[None]:
     try:
+        file.parent.mkdir(parents=True, exist_ok=True)
         yield
     except OSError as error:
         raise LuxloopError(f"{file}: cannot be written ({error.strerror}); give another folder") from error

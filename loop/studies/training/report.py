@@ -5,21 +5,16 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from matplotlib import rc_context
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from rich.table import Table
 
 from luxloop.loop.report import terminal as tables
-from luxloop.loop.report.style import DEFAULTS, FOUR, STYLE
+from luxloop.loop.report.style import FOUR, drawing
 from luxloop.loop.report.terminal import number
 from luxloop.loop.studies.training.evaluate import AGREE, ALONE_LX, AROUND_LX, FOUND_IOU, HEIGHT_PX, JUDGED_LX, VISIBLE
 from luxloop.loop.studies.training.scenes import CLASSES
 from luxloop.world.files import whole
 
 PAGE, PICTURE = "report.md", "confidence.jpg"
-DPI = 110
 Report = Mapping[str, Any]
 
 
@@ -92,30 +87,21 @@ the median change is {number(alone["median_change"], "+g")}.
 """
 
 
-def confidence_figure(report: Report) -> Figure:
-    """Medians over illuminance of each class, and the middle half of all objects."""
-    with rc_context(STYLE):
-        figure = Figure((7.2, 3.6), DPI, layout="constrained")
-        FigureCanvasAgg(figure)
-        axes: Axes = figure.subplots()
-        curves = report["confidence"]
+def write_report(report: Report, out: Path) -> None:
+    """Write page and picture into a folder: medians over illuminance of each class, and the middle half of all objects.
+
+    Raises LuxloopError if they cannot be written.
+    """
+    with drawing(out / PICTURE, (7.2, 3.6)) as figure:
+        axes, curves = figure.subplots(), report["confidence"]
         lower, upper = (np.array(curves["all"][key], float) for key in ("lower", "upper"))
         axes.fill_between(curves["lx"], lower, upper, color="0.85", label="middle half of all")
         for name, colour in zip(CLASSES, FOUR, strict=True):
-            axes.plot(
-                curves["lx"], np.array(curves[name]["median"], float), color=colour, marker="o", markersize=3, label=f"{name}, median"
-            )
+            median = np.array(curves[name]["median"], float)
+            axes.plot(curves["lx"], median, color=colour, marker="o", markersize=3, label=f"{name}, median")
         axes.set(xscale="log", xlabel="illuminance of surfaces that face the lamps in lx", ylabel="confidence", ylim=(0, 1))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.grid(alpha=0.3)
         axes.legend(fontsize=8, loc="lower right")
-        return figure
-
-
-@rc_context(DEFAULTS)
-def write_report(report: Report, out: Path) -> None:
-    """Write page and picture into a folder. Raises LuxloopError if they cannot be written."""
-    with whole(out / PICTURE) as file:
-        confidence_figure(report).savefig(file, format="jpg")
     with whole(out / PAGE) as file:
         file.write_text(f"# Detector\n\n{page(report)}\n![Confidence against illuminance]({PICTURE})\n", "utf-8")

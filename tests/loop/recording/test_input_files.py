@@ -8,7 +8,7 @@ import pytest
 
 from luxloop.loop.recording.manifest import digests, input_files
 from luxloop.loop.scenario.model import load
-from luxloop.loop.studies.campaign import figures_of
+from luxloop.loop.studies.campaign import job_scenario
 from luxloop.loop.studies.metrics import figures
 from luxloop.loop.studies.objective import parse
 from luxloop.loop.studies.tune import Task
@@ -67,4 +67,4 @@ def test_a_changed_symbol_is_another_run(symbol: Path) -> None:
     assert figures(scenario, "cpu")["utilisation_mean"] > before["utilisation_mean"]  # type: ignore[operator]
     assert Task((scenario,), (), parse("iou")).digest != study
     with pytest.raises(LuxloopError, match=re.escape("flat: functions.symbol.image mine.svg: differs here from the file")):
-        figures_of(scenario.model_dump(mode="json"), asked, "cpu")
+        job_scenario(scenario.model_dump(mode="json"), asked)

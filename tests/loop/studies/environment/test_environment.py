@@ -22,7 +22,7 @@ from luxloop.loop.studies.environment.acting import HEIGHT_RATE_M
 from luxloop.loop.studies.environment.make import register
 from luxloop.loop.studies.environment.randomised import Randomised, RandomisedVector
 from luxloop.loop.studies.environment.single import SymbolEnv
-from luxloop.loop.studies.environment.task import reward
+from luxloop.loop.studies.environment.task import reward_terms
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError
 
@@ -87,7 +87,7 @@ def test_the_reward_is_for_overlap_and_against_distance_and_action() -> None:
     said = {"iou": [1.0, 0.3, nan], "centroid_percent": [[0.0, 0.0], [60.0, -80.0], [nan, nan]]}
     verdict = SimpleNamespace(**{key: torch.tensor(each) for key, each in said.items()})
     action = torch.tensor([[0.0, 0.0], [1.0, -1.0], [0.0, 1.0]])
-    assert reward(verdict, action).reward.tolist() == pytest.approx([1.0, 0.3 - 0.5 - 0.01, -0.5 - 0.005])
+    assert sum(reward_terms(verdict, action).values()).tolist() == pytest.approx([1.0, 0.3 - 0.5 - 0.01, -0.5 - 0.005])
 
 
 def test_a_copy_is_as_made_anew(env: SymbolEnv) -> None:
