@@ -30,6 +30,7 @@ from luxloop.loop.commands.options import (
     Flag,
     Json,
     Keys,
+    Seed,
     recorded_scenario_of,
     scenario_of,
 )
@@ -143,7 +144,7 @@ def _complaint(error: CycloptsError) -> str:
 
 
 @app.command
-def new(file: Path | None = None, /, *, like: str | None = None, traffic: int | None = None) -> None:
+def new(file: Path | None = None, /, *, like: str | None = None, traffic: Seed | None = None) -> None:
     """Write a scenario file that is ready to run: a commented template with a symbol, a copy of a shipped scenario or example, or a night.
 
     Parameters
@@ -157,8 +158,6 @@ def new(file: Path | None = None, /, *, like: str | None = None, traffic: int | 
     """
     if like is not None and traffic is not None:
         raise LuxloopError("--like copies a scenario and --traffic draws one; give one of the two")
-    if traffic is not None and traffic < 0:
-        raise LuxloopError(f"--traffic {traffic}: a seed is a whole number from 0 on")
     if like is not None:
         source = original(like)
         file = file or Path(source.name)

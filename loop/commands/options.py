@@ -1,10 +1,11 @@
 """What several commands share: exit codes, options, and the scenario that a command line names."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import Parameter
+from cyclopts import Parameter, validators
 
 from luxloop.loop.scenario.shipped import find
 
@@ -17,6 +18,17 @@ Keys = Annotated[list[str] | None, Parameter(consume_multiple=True, negative=())
 AllowCode = Annotated[bool, Parameter(negative=(), help="Run Python modules that files name; for files and modules that you trust.")]
 Flag = Annotated[bool, Parameter(negative=())]
 Json = Flag
+
+
+def within(**bounds: float) -> Parameter:
+    """An option that takes a number within bounds: gt, gte, lt, lte."""
+    return Parameter(validator=validators.Number(**bounds))
+
+
+Count = Annotated[int, within(gte=1)]
+Seed = Annotated[int, within(gte=0)]
+Share = Annotated[float, within(gt=0, lte=1)]
+Weight = Annotated[float, within(gte=0, lt=math.inf)]
 Device = Literal["auto", "cpu", "cuda"]
 
 

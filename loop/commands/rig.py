@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter
 
-from luxloop.loop.commands.options import AllowCode, Flag, Keys, scenario_of
+from luxloop.loop.commands.options import AllowCode, Count, Flag, Keys, Share, scenario_of, within
 from luxloop.loop.commands.rig_calibration import board, calibrate, digitise, fit
 from luxloop.loop.commands.rig_runs import await_rig, pixel_grids
 from luxloop.loop.report import terminal as tables
@@ -132,8 +132,8 @@ def light(
     arm: Flag = False,
     scenario: Named = "snowflake",
     set: Keys = None,
-    level: float = 1.0,
-    seconds: float = 60.0,
+    level: Share = 1.0,
+    seconds: Annotated[float, within(gt=0, lte=3600)] = 60.0,
     allow_code: AllowCode = False,
 ) -> None:
     """Light all pixels for some time, or until Ctrl-C, to aim the lamp, focus the camera or read a luxmeter.
@@ -159,8 +159,6 @@ def light(
     from luxloop.loop.rig.params import load_rig
     from luxloop.loop.rig.rig import open_rig
 
-    if not 0 < level <= 1 or not 0 < seconds <= 3600:
-        raise LuxloopError("--level is a utilisation above 0, up to 1; --seconds up to 3600")
     params = load_rig(file, allow_code=allow_code).model_copy(update={"mark": None})
     grids = pixel_grids(scenario_of(scenario, set, allow_code=allow_code))
     if not arm:
@@ -181,7 +179,15 @@ def light(
 
 
 @rig_app.command
-def take(file: Path, /, *, out: Path = Path("boards"), count: int = 20, every_s: float = 1.0, allow_code: AllowCode = False) -> None:
+def take(
+    file: Path,
+    /,
+    *,
+    out: Path = Path("boards"),
+    count: Count = 20,
+    every_s: Annotated[float, within(gte=0, lte=60)] = 1.0,
+    allow_code: AllowCode = False,
+) -> None:
     """Take pictures with a rig's camera, such as of a calibration board, and save them unchanged; the lamp is not opened.
 
     Parameters
@@ -204,8 +210,6 @@ def take(file: Path, /, *, out: Path = Path("boards"), count: int = 20, every_s:
     single = out.suffix == ".png"
     if out.exists():
         raise LuxloopError(f"{out}: is there already; name another, or remove it")
-    if count < 1 or not 0 <= every_s <= 60:
-        raise LuxloopError("--count is at least 1, --every-s from 0 to 60")
     params = load_rig(file, allow_code=allow_code).model_copy(update={"mark": None})
     paths = [out] if single else [out / f"{k:03d}.png" for k in range(count)]
     with locate(str(file)), open_rig(params, (), None, armed=False) as rig, progress("pictures", len(paths)) as advance:
@@ -239,7 +243,7 @@ def blink(
     scenario: Named = "snowflake",
     set: Keys = None,
     blinks: int = 100,
-    level: float = 1.0,
+    level: Share = 1.0,
     write: Flag = False,
     allow_code: AllowCode = False,
 ) -> None:
@@ -267,8 +271,6 @@ def blink(
     from luxloop.loop.rig.rig import open_rig
 
     params = load_rig(file, allow_code=allow_code)
-    if not 0 < level <= 1:
-        raise LuxloopError(f"--level {level:g}: is no utilisation; give a number above 0, to 1")
     given = scenario_of(scenario, set, allow_code=allow_code)
     grids = pixel_grids(given)
     if not arm:

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from luxloop.loop.commands.options import AllowCode, Flag, Keys, scenario_of
+from luxloop.loop.commands.options import AllowCode, Count, Flag, Keys, Share, scenario_of, within
 from luxloop.loop.commands.rig_runs import await_rig
 from luxloop.loop.report import terminal as tables
 from luxloop.world.errors import LuxloopError
@@ -57,7 +57,7 @@ def calibrate(
     out: Path = Path("rig.npz"),
     boards: Path | None = None,
     on_screen: Path | None = None,
-    screen_m: float | None = None,
+    screen_m: Annotated[float, within(gt=0, lt=math.inf)] | None = None,
     flats: Path | None = None,
     lux: list[str] | None = None,
     columns: int = 8,
@@ -113,8 +113,6 @@ def calibrate(
     steps.refuse_name(out)
     readings = [_reading(each) for each in lux or ()]
     _require_arm(rig, arm)
-    if screen_m is not None and not 0 < screen_m < math.inf:
-        raise LuxloopError(f"--screen-m {screen_m:g}: is no distance; give metres above 0")
     printed = _board(columns, rows, square_mm)
     scenario = scenario_of(name, set, allow_code=allow_code)
     views, size = _views(boards, printed) if boards is not None else ([], (0, 0))
@@ -158,10 +156,10 @@ def digitise(
     calibration: Path,
     out: Path = Path("digitised.npz"),
     lux: list[str] | None = None,
-    reflectance: float = 0.8,
+    reflectance: Share = 0.8,
     by_angle: Path | None = None,
-    comb_frames: int = 4,
-    texels: tuple[int, int] = (4, 2),
+    comb_frames: Count = 4,
+    texels: Annotated[tuple[int, int], within(gte=1, lte=8)] = (4, 2),
     frames: Path | None = None,
     rig: Path | None = None,
     arm: Flag = False,
@@ -206,8 +204,6 @@ def digitise(
     from luxloop.loop.rig.calibration.lamp import digitised_side, lamp_of
     from luxloop.world.lamps import archive
 
-    if not 0 < reflectance <= 1 or comb_frames < 1 or not all(1 <= each <= 8 for each in texels):
-        raise LuxloopError("--reflectance is above 0, up to 1; --comb-frames at least 1; --texels from 1 to 8")
     readings = [_reading(each) for each in lux or ()]
     refuse_name(out)
     _require_arm(rig, arm)
@@ -265,7 +261,7 @@ def fit(
     /,
     *,
     vary: list[str],
-    exposures: int = 6,
+    exposures: Count = 6,
     set: Keys = None,
     allow_code: AllowCode = False,
 ) -> None:
@@ -288,8 +284,6 @@ def fit(
     from luxloop.loop.rig.calibration.twin import fit as fitted
     from luxloop.loop.rig.calibration.twin import read_exposures
 
-    if exposures < 1:
-        raise LuxloopError(f"--exposures {exposures}: compares nothing; give 1 at least")
     spans = dict(_span(each) for each in vary)
     keys = list(set or ())
 

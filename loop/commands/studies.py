@@ -4,7 +4,7 @@ import shlex
 from pathlib import Path
 from typing import Literal
 
-from luxloop.loop.commands.options import DIFFERS, OK, AllowCode, Device, Keys, scenario_of
+from luxloop.loop.commands.options import DIFFERS, OK, AllowCode, Count, Device, Keys, Seed, Weight, scenario_of
 from luxloop.loop.report import terminal as tables
 
 CLASSES = 6  # named in the closing line of a data set
@@ -15,7 +15,7 @@ def evaluate(
     quick: bool = False,
     lamp: Literal["hd84", "ssl-hd-lores"] | None = None,
     out: Path = Path("runs/evaluation"),
-    jobs: int | None = None,
+    jobs: Count | None = None,
 ) -> int:
     """Compare MapReduce control with the joint optimum of all pixels, over rectangles in five degrees of freedom; exit code 1 if jobs
     failed.
@@ -41,7 +41,7 @@ def campaign(
     /,
     *,
     out: Path | None = None,
-    jobs: int | None = None,
+    jobs: Count | None = None,
     scheduler: str | None = None,
     device: Device = "auto",
     allow_code: AllowCode = False,
@@ -70,9 +70,9 @@ def dataset(
     file: Path,
     /,
     *,
-    scenes: int = 100,
+    scenes: Count = 100,
     out: Path | None = None,
-    jobs: int | None = None,
+    jobs: Count | None = None,
     allow_code: AllowCode = False,
 ) -> int:
     """Make a data set of night scenes with labels, from seeds; exit code 1 if scenes failed.
@@ -106,13 +106,13 @@ def tune(
     *,
     key: Keys = None,
     objective: str = "settling+residual",
-    trials: int = 50,
-    seeds: int = 1,
+    trials: Count = 50,
+    seeds: Count = 1,
     seed: int = 0,
     controller: str | None = None,
     set: Keys = None,
     out: Path | None = None,
-    jobs: int | None = None,
+    jobs: Count | None = None,
     device: Device = "auto",
     gradient: bool = False,
     allow_code: AllowCode = False,
@@ -165,11 +165,11 @@ def optimise_beam(
     /,
     *,
     metric: Literal["detector", "weber_contrast", "edges"] = "detector",
-    energy: float = 2.0,
-    unevenness: float = 0.0,
-    glare: float = 0.1,
+    energy: Weight = 2.0,
+    unevenness: Weight = 0.0,
+    glare: Weight = 0.1,
     method: Literal["auto", "gradient", "sampling"] = "auto",
-    steps: int | None = None,
+    steps: Count | None = None,
     set: Keys = None,
     out: Path | None = None,
     device: Device = "auto",
@@ -202,9 +202,10 @@ def optimise_beam(
         Device to compute on; auto takes CUDA if available.
     """
     scenario = scenario_of(name, set, allow_code=allow_code)
+    from luxloop.loop.studies.beams.goal import BeamGoal
     from luxloop.loop.studies.beams.optimise import optimise_beam
 
-    goal = {"metric": metric, "energy": energy, "unevenness": unevenness, "glare": glare}
+    goal = BeamGoal(metric=metric, energy=energy, unevenness=unevenness, glare=glare)
     played_by = shlex.join([name, "--set", *(set or [])])
     optimise_beam(scenario, goal, method, steps, out or Path("runs") / f"beam-{Path(name).stem}", device, played_by)
 
@@ -212,11 +213,11 @@ def optimise_beam(
 def train_detector(
     *,
     out: Path = Path("runs/detector"),
-    scenes: int = 600,
-    held_out: int = 100,
-    epochs: int = 68,
-    seed: int = 0,
-    jobs: int | None = None,
+    scenes: Count = 600,
+    held_out: Count = 100,
+    epochs: Count = 68,
+    seed: Seed = 0,
+    jobs: Count | None = None,
 ) -> None:
     """Train luxloop's own detector on well-lit scenes and test it on others; writes weights, report and picture.
 

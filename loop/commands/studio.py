@@ -11,9 +11,9 @@ import webbrowser
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import Annotated
 
-from luxloop.loop.commands.options import INTERRUPTED, AllowCode, Device, Keys
-from luxloop.world.errors import LuxloopError
+from luxloop.loop.commands.options import INTERRUPTED, AllowCode, Device, Keys, within
 
 
 def studio(
@@ -23,7 +23,7 @@ def studio(
     *,
     set: Keys = None,
     host: str = "127.0.0.1",
-    port: int = 8765,
+    port: Annotated[int, within(gte=0, lte=65535)] = 8765,
     open: bool = True,
     allow_code: AllowCode = False,
     device: Device = "auto",
@@ -51,8 +51,6 @@ def studio(
     from luxloop.loop.studio.server import Studio, Tokens
     from luxloop.loop.studio.sources import Source
 
-    if not 0 <= port <= 65535:
-        raise LuxloopError(f"--port {port}: is no port; give 1 to 65535, or 0 for a free one")
     overrides, files, tokens = tuple(set or ()), page(), Tokens()
     sources = tuple(
         Source("", overrides, Path(name)) if Path(name).is_dir() else Source(name, overrides) for name in (scenario, beside) if name

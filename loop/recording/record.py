@@ -15,97 +15,95 @@ from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.metrics import Metrics
 from luxloop.world.errors import locate
 
-# name: (type, unit, description); lamps and objects have columns of their own.
+# of columns by the last part of their names; all others are numbers with a point
+TYPES = {
+    **dict.fromkeys(("step", "primitives", "detections", "false_positives", "tracks", "pixels", "track"), pa.int64()),
+    **dict.fromkeys(("beam", "loss"), pa.string()),
+    "masked": pa.bool_(),
+}
+# name: (unit, description); lamps and objects have columns of their own.
 STEP = {
-    "step": (pa.int64(), "1", "control step, from 0"),
-    "time_s": (pa.float64(), "s", "time since the scenario's start"),
-    "speed_m_s": (pa.float64(), "m/s", "speed of the car, as measured"),
-    "curvature_1_m": (pa.float64(), "1/m", "curvature of the car's course, as measured"),
-    "beam": (pa.string(), "", "base beam"),
-    "bend_deg": (pa.float64(), "deg", "bend of the base beam to the left"),
-    "level_deg": (pa.float64(), "deg", "level of the base beam, down"),
-    "roll_deg": (pa.float64(), "deg", "roll of the base beam, right side down"),
-    "primitives": (pa.int64(), "1", "number of rectangles of all functions"),
-    "dark_lx_max": (pa.float64(), "lx", "largest illuminance by the lamps on any object that must be dark; empty while none is in sight"),
-    "plan_ms": (pa.float64(), "ms", "time from the objects to primitives"),
-    "light_ms": (pa.float64(), "ms", "time from primitives to utilisations"),
-    "look_ms": (pa.float64(), "ms", "time of rendering and judging, which are not part of the car"),
-    "processing_ms": (pa.float64(), "ms", "time of everything that the car computes, without look_ms, on one thread of the processor"),
+    "step": ("1", "control step, from 0"),
+    "time_s": ("s", "time since the scenario's start"),
+    "speed_m_s": ("m/s", "speed of the car, as measured"),
+    "curvature_1_m": ("1/m", "curvature of the car's course, as measured"),
+    "beam": ("", "base beam"),
+    "bend_deg": ("deg", "bend of the base beam to the left"),
+    "level_deg": ("deg", "level of the base beam, down"),
+    "roll_deg": ("deg", "roll of the base beam, right side down"),
+    "primitives": ("1", "number of rectangles of all functions"),
+    "dark_lx_max": ("lx", "largest illuminance by the lamps on any object that must be dark; empty while none is in sight"),
+    "plan_ms": ("ms", "time from the objects to primitives"),
+    "light_ms": ("ms", "time from primitives to utilisations"),
+    "look_ms": ("ms", "time of rendering and judging, which are not part of the car"),
+    "processing_ms": ("ms", "time of everything that the car computes, without look_ms, on one thread of the processor"),
 }
-CONTROL = {"control_ms": (pa.float64(), "ms", "time of measurement and controllers of all held symbols")}
-OBSERVED = {
-    "symbol_iou_min": (pa.float64(), "1", "lowest IoU of a symbol with the picture that its observer should see; empty while there is none")
-}
+CONTROL = {"control_ms": ("ms", "time of measurement and controllers of all held symbols")}
+OBSERVED = {"symbol_iou_min": ("1", "lowest IoU of a symbol with the picture that its observer should see; empty while there is none")}
 LAMP = {
-    "flux_lm": (pa.float64(), "lm", "luminous flux"),
-    "power_share": (pa.float64(), "1", "power, as a share of all pixels on"),
-    "power_factor": (pa.float64(), "1", "factor by which the power limit dims all pixels"),
+    "flux_lm": ("lm", "luminous flux"),
+    "power_share": ("1", "power, as a share of all pixels on"),
+    "power_factor": ("1", "factor by which the power limit dims all pixels"),
 }
-LAMP_PEAK = {"flux_lm_peak": (pa.float64(), "lm", "highest luminous flux within the step; flux_lm and power are means over the step")}
-OBJECT_PEAK = {"lx_peak": (pa.float64(), "lx", "highest lx_max within the step; the others are means over the step")}
-EYES_PEAK = {"eyes_lx_peak": (pa.float64(), "lx", "highest value within the step; eyes_lx_max is a mean over the step")}
+LAMP_PEAK = {"flux_lm_peak": ("lm", "highest luminous flux within the step; flux_lm and power are means over the step")}
+OBJECT_PEAK = {"lx_peak": ("lx", "highest lx_max within the step; the others are means over the step")}
+EYES_PEAK = {"eyes_lx_peak": ("lx", "highest value within the step; eyes_lx_max is a mean over the step")}
 LEARNING = {
-    "base_share": (pa.float64(), "1", "remaining share of the base beam"),
-    "flux_lm": (pa.float64(), "lm", "luminous flux of all lamps"),
-    "power_w": (pa.float64(), "W", "electrical power of all lamps, from the model with headlight.standby_w and efficacy_lm_w"),
-    "find_ms": (pa.float64(), "ms", "time of detector, tracker and learning functions"),
+    "base_share": ("1", "remaining share of the base beam"),
+    "flux_lm": ("lm", "luminous flux of all lamps"),
+    "power_w": ("W", "electrical power of all lamps, from the model with headlight.standby_w and efficacy_lm_w"),
+    "find_ms": ("ms", "time of detector, tracker and learning functions"),
 }
 LOOKING = {
-    "detections": (pa.int64(), "1", "number of boxes that the detector found"),
+    "detections": ("1", "number of boxes that the detector found"),
     "false_positives": (
-        pa.int64(),
         "1",
         "number of these with a score of at least tracker.start_score that overlap no object by an IoU of 0.3",
     ),
-    "tracks": (pa.int64(), "1", "number of objects that the tracker has confirmed and not lost"),
+    "tracks": ("1", "number of objects that the tracker has confirmed and not lost"),
     "eyes_lx_max": (
-        pa.float64(),
         "lx",
         "largest illuminance by the lamps on heads and windscreens of road users; empty while none is seen",
     ),
     "oncoming_lx_max": (
-        pa.float64(),
         "lx",
         "the same for oncoming drivers and riders only, each from 0.3 s after being at least 24 px tall and half visible",
     ),
     "road_lx_ratio_max": (
-        pa.float64(),
         "1",
         "largest ratio of the light on a point of the road to the largest setpoint of functions and base beam there",
     ),
 }
 OBJECT = {
-    "pixels": (pa.int64(), "px", "number of camera pixels that see it"),
-    "lx_min": (pa.float64(), "lx", "lowest illuminance by the lamps on its visible part; empty while the camera does not see it"),
-    "lx_mean": (pa.float64(), "lx", "mean illuminance on its visible part"),
-    "lx_max": (pa.float64(), "lx", "largest illuminance on its visible part"),
-    "masked": (pa.bool_(), "", "whether a mask must keep it dark"),
+    "pixels": ("px", "number of camera pixels that see it"),
+    "lx_min": ("lx", "lowest illuminance by the lamps on its visible part; empty while the camera does not see it"),
+    "lx_mean": ("lx", "mean illuminance on its visible part"),
+    "lx_max": ("lx", "largest illuminance on its visible part"),
+    "masked": ("", "whether a mask must keep it dark"),
 }
 ZONE = {
-    "lx": (pa.float64(), "lx", "setpoint of its loop"),
+    "lx": ("lx", "setpoint of its loop"),
     "luminance": (
-        pa.float64(),
         "cd/m^2",
         "mean luminance of its pixels, without the camera's noise; empty while the camera does not see it",
     ),
-    "target": (pa.float64(), "cd/m^2", "wanted luminance"),
+    "target": ("cd/m^2", "wanted luminance"),
 }
 MODULE = {
-    "swivel_deg": (pa.float64(), "deg", "swivel from its rest position, to the left"),
-    "level_deg": (pa.float64(), "deg", "level from its rest position, down"),
-    "intensity": (pa.float64(), "1", "maximum intensity as a share of the undimmed one"),
+    "swivel_deg": ("deg", "swivel from its rest position, to the left"),
+    "level_deg": ("deg", "level from its rest position, down"),
+    "intensity": ("1", "maximum intensity as a share of the undimmed one"),
 }
 MATERIAL = {"lx": ("lx", "illuminance"), "luminance": ("cd/m^2", "luminance")}
 NAN = torch.tensor(torch.nan)
 NOT_JUDGED = Metrics(NAN.expand(2), NAN, NAN, NAN, NAN)
 LOOKED_AT = {
-    "track": (pa.int64(), "", "number of the track that shows it; empty without one"),
+    "track": ("", "number of the track that shows it; empty without one"),
     "confidence": (
-        pa.float64(),
         "1",
         "confidence of that track, filtered over frames, 0 without one; empty while the camera does not see the object",
     ),
-    "score": (pa.float64(), "1", "score of the detection in this frame alone"),
+    "score": ("1", "score of the detection in this frame alone"),
 }
 
 
@@ -126,26 +124,20 @@ def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
         columns |= {key: of for key, of in looking.items() if simulation.truth is not None or key not in LOOKING_OF_TRUTH}
     of_object = OBJECT | (OBJECT_PEAK if held else {}) | (LOOKED_AT if looks else {})
     columns |= {f"objects.{name}.{key}": of for name in tracked for key, of in of_object.items()}
-    columns |= {
-        f"functions.{name}.{key}": (pa.string() if key == "loss" else pa.float64(), unit, text)
-        for name in simulation.controlled
-        for key, (unit, text) in SYMBOL.items()
-    }
+    columns |= {f"functions.{name}.{key}": of for name in simulation.controlled for key, of in SYMBOL.items()}
     columns |= {f"modules.{module}.{key}": MODULE[key] for module, key in moved(simulation.planner, simulation.modules)}
     zones = [name for name, function in simulation.scenario.functions.items() if function.kind == "zone"]
     columns |= {f"functions.{name}.{key}": of for name in zones for key, of in ZONE.items()}
     for name, quantity in quantities(simulation.scenario.functions).items():
         unit, what = MATERIAL[quantity]
         columns |= {
-            f"functions.{name}.{quantity}": (pa.float64(), unit, f"median {what} of its pixels where it is asked for; empty out of sight"),
-            f"functions.{name}.wanted": (pa.float64(), unit, f"{what} wanted"),
+            f"functions.{name}.{quantity}": (unit, f"median {what} of its pixels where it is asked for; empty out of sight"),
+            f"functions.{name}.wanted": (unit, f"{what} wanted"),
         }
-    return pa.schema(pa.field(name, kind, metadata={"unit": unit, "description": text}) for name, (kind, unit, text) in columns.items())
-
-
-def comparable_columns(simulation: Simulation) -> set[str]:
-    """Names of what has values in the run of another light (`Simulation.lit_by`), under which nothing must be dark."""
-    return {*schema(simulation).names, *LEARNING} - {"dark_lx_max", "road_lx_ratio_max"}
+    return pa.schema(
+        pa.field(name, TYPES.get(name.rpartition(".")[2], pa.float64()), metadata={"unit": unit, "description": text})
+        for name, (unit, text) in columns.items()
+    )
 
 
 def row(result: Evaluation) -> dict[str, Any]:
@@ -165,8 +157,8 @@ def row(result: Evaluation) -> dict[str, Any]:
         "look_ms": result.timings["plant"] + result.timings["look"],
         "processing_ms": result.processing_ms,
     }
-    values |= {"base_share": base.share, "flux_lm": sum(power.flux_lm for power in result.powers.values())}
-    values |= {"power_w": sum(power.watts for power in result.powers.values())}
+    powers = result.powers.values()
+    values |= {"base_share": base.share, "flux_lm": sum(each.flux_lm for each in powers), "power_w": sum(each.watts for each in powers)}
     for side, power in result.powers.items():
         given = power.flux_lm, power.share, power.factor, power.flux_lm_peak
         values |= {f"lamp.{side}.{key}": value for key, value in zip(LAMP | LAMP_PEAK, given, strict=True)}
@@ -217,6 +209,6 @@ def refuse_unknown_columns(simulation: Simulation) -> None:
     """Raises LuxloopError where a check names a column or light that is not there, or that the plant does not know."""
     scenario = simulation.scenario
     with locate(scenario.source):
-        others = [simulation.lit_by(light) for light in lights(scenario.checks)]
-        compared = {name for other in others for name in comparable_columns(other)}
+        others = {*LEARNING}.union(*(schema(simulation.lit_by(light)).names for light in lights(scenario.checks)))
+        compared = others - {"dark_lx_max", "road_lx_ratio_max"}  # under another light nothing must be dark
         refuse_unknown(scenario.checks, schema(simulation), compared, schema(simulation, detects=True).names)

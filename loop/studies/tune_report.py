@@ -29,9 +29,6 @@ def do_tune(task: Task, folder: Path, trials: int, processes: int | None, gradie
     """
     if not task.ranges:
         raise LuxloopError("--key: is missing; give keys with ranges, such as --key functions.symbol.controller.position.kp=0.1:2")
-    for name, value in (("--trials", trials), ("--seeds", task.seeds)):
-        if value < 1:
-            raise LuxloopError(f"{name}: {value} is too few; give 1 or more")
     execute = local(processes)
     if note := note_batches(task, execute.workers, gradient):
         tables.say(note, stderr=True)

@@ -10,7 +10,6 @@ import numpy as np
 import optuna
 import torch
 from matplotlib.colors import LogNorm
-from pydantic import ValidationError
 from torch import Tensor
 from torch.nn.functional import interpolate
 
@@ -31,9 +30,8 @@ from luxloop.perception.camera import luminance_of
 from luxloop.perception.detection.build import detector
 from luxloop.perception.detection.detector import Detector, NetworkParams, TruthParams
 from luxloop.perception.detection.network import NetworkDetector
-from luxloop.world.errors import LuxloopError, all_of, locate
+from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import output_folder, whole
-from luxloop.world.validation import sentences
 
 RATE = 0.02  # of Adam, in utilisation a step at most or so
 START = 0.1  # utilisation of all pixels where the scenario has no base beam
@@ -165,20 +163,13 @@ RAW, PICTURE, SUMMARY = "raw.toml", "beam.png", "beam.json"
 
 
 def optimise_beam(
-    scenario: Scenario, weights: Mapping[str, Any], method: Method, steps: int | None, out: Path, device: str, played_by: str
+    scenario: Scenario, goal: BeamGoal, method: Method, steps: int | None, out: Path, device: str, played_by: str
 ) -> dict[str, Any]:
-    """Optimise a beam, write and print it; returns its figures. weights: of a `BeamGoal`. played_by: arguments of `luxloop run`, `--set`
-    last.
+    """Optimise a beam, write and print it; returns its figures. played_by: arguments of `luxloop run`, `--set` last.
 
-    Raises LuxloopError for weights below zero, scenarios without objects in sight, and, before the search, a folder that
+    Raises LuxloopError for scenarios without objects in sight, and, before the search, a folder that
     cannot be made.
     """
-    try:
-        goal = BeamGoal(**weights)
-    except ValidationError as error:
-        raise all_of([f"--{each}" for each in sentences(error, BeamGoal, "")]) from error
-    if steps is not None and steps < 1:
-        raise LuxloopError(f"--steps {steps}: too few; give 1 or more")
     scenario = scenario.model_copy(update={"functions": {}})
     simulation = Simulation.prepare(scenario, torch_device(device))
     with locate(scenario.source):

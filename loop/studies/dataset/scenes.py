@@ -13,7 +13,7 @@ from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.scenario.overrides import overridden, resolve_paths
 from luxloop.loop.studies.ranges import Range, parse, with_values
 from luxloop.loop.studies.training.scenes import tables
-from luxloop.world.errors import LuxloopError, locate
+from luxloop.world.errors import locate
 from luxloop.world.params import Params
 from luxloop.world.plugin import refuse_code
 from luxloop.world.validation import read_toml, validate_model
@@ -67,8 +67,6 @@ def read(file: Path, number: int, *, allow_code: bool = False) -> Dataset:
 
     Raises LuxloopError that names the file, the key and the remedy.
     """
-    if number < 1:
-        raise LuxloopError(f"--scenes {number}: too few; give 1 or more")
     data = read_toml(file)
     with locate(str(file)):
         params = validate_model(DatasetParams, data, "docs/data.md has an example")

@@ -57,7 +57,8 @@ class Evaluation:
     def of(self, name: str) -> "Evaluation":
         """The evaluation of one lamp."""
         parts = (self.setpoints, self.tables, self.sensitivity)
-        return Evaluation(*([row for row in rows if row["name"] == name] for rows in parts), self.failures)
+        setpoints, tables, sensitivity = ([row for row in rows if row["name"] == name] for rows in parts)
+        return Evaluation(setpoints, tables, sensitivity, self.failures)
 
 
 def evaluate(
@@ -91,7 +92,7 @@ def evaluate(
             else:
                 (out / file).unlink(missing_ok=True)  # it is none of this evaluation's
     failures = {key: text for each in results.values() for key, text in each.failures.items()}
-    return Evaluation(*(each.rows for each in results.values()), failures)
+    return Evaluation(results[SETPOINTS].rows, results[TABLES].rows, results[SENSITIVITY].rows, failures)
 
 
 def summary(rows: Sequence[Row]) -> dict[str, float]:

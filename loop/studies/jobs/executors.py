@@ -35,13 +35,7 @@ class Executor(Protocol):
 
 
 def local(processes: int | None = None) -> Executor:
-    """An executor on processes of this machine, each with one thread, by default one per core; a single one is this process.
-
-    Raises LuxloopError for fewer than one.
-    """
-    if processes is not None and processes < 1:
-        raise LuxloopError(f"--jobs: {processes} is too few processes; give 1 or more")
-
+    """An executor on processes of this machine, each with one thread, by default one per core; a single one is this process."""
     return _Local(processes or os.cpu_count() or 1)
 
 

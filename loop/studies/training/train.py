@@ -37,14 +37,9 @@ VERSION: Final = digest_of(scenes)
 def train(out: Path, number: int, held_out: int, epochs: int, seed: int, processes: int | None) -> dict[str, Any]:
     """Train on a number of scenes, test on others, write weights and report into a folder; returns the report.
 
-    Raises LuxloopError for invalid numbers, scenes that cannot be rendered, a network that has learnt nothing, or a folder that cannot be
+    Raises LuxloopError for scenes that cannot be rendered, a network that has learnt nothing, or a folder that cannot be
     written.
     """
-    for key, value in (("scenes", number), ("held-out", held_out), ("epochs", epochs)):
-        if value < 1:
-            raise LuxloopError(f"--{key} {value}: too few; give 1 or more")
-    if seed < 0:
-        raise LuxloopError(f"--seed {seed}: a seed is 0 or more")
     executor = local(processes)
     with output_folder(out), output_folder(out / FOLDER):
         started = time.monotonic()

@@ -77,7 +77,9 @@ def test_new_night_is_valid_and_its_traffic_comes_from_the_seed(lux: Lux) -> Non
     assert lux("check", "a.toml")[0] == 0
 
 
-@pytest.mark.parametrize(("more", "words"), [(["--traffic", "-1"], "from 0 on"), (["--traffic", "1", "--like", "gfhb"], "one of the two")])
+@pytest.mark.parametrize(
+    ("more", "words"), [(["--traffic", "-1"], "for --traffic; must be >= 0"), (["--traffic", "1", "--like", "gfhb"], "one of the two")]
+)
 def test_new_night_that_cannot_be_is_refused(lux: Lux, tmp_path: Path, more: list[str], words: str) -> None:
     code, _, error = lux("new", "my.toml", *more)
     assert code == cli.WRONG and words in error and not (tmp_path / "my.toml").exists()

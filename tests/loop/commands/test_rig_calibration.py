@@ -171,7 +171,7 @@ def test_board_is_written(lux: Lux) -> None:
         (["board", "--columns", "2"], "columns"),
         (["board", "--square-mm", "60"], "--paper"),
         (["calibrate", "wall.toml"], "--screen-m"),
-        (["calibrate", "wall.toml", "--screen-m", "-3"], "--screen-m -3: is no distance"),
+        (["calibrate", "wall.toml", "--screen-m", "-3"], "for --screen-m; must be > 0"),
         (["calibrate", "wall.toml", "--boards", "nowhere"], "nowhere"),
         (["calibrate", "wall.toml", "--screen-m", "5.95", "--out", "rig.toml"], "ends in .npz"),
         (["digitise", "wall.toml", "--calibration", "nowhere.npz"], "nowhere.npz"),
@@ -179,7 +179,7 @@ def test_board_is_written(lux: Lux) -> None:
         (["digitise", "wall.toml", "--calibration", "rig.npz", "--set", 'headlight.lamps=["left","right"]'], "one lamp"),
         (["digitise", "wall.toml", "--calibration", "rig.npz", "--lux", "820@nan,3"], "finite places"),
         (["fit", "wall.toml", "nowhere", "--vary", "camera.pitch_deg"], "KEY=SPAN"),
-        (["fit", "wall.toml", "nowhere", "--vary", "camera.pitch_deg=0.1", "--exposures", "0"], "--exposures 0: compares nothing"),
+        (["fit", "wall.toml", "nowhere", "--vary", "camera.pitch_deg=0.1", "--exposures", "0"], "for --exposures; must be >= 1"),
         (["fit", "wall.toml", "nowhere", "--vary", "camera.pitch_deg=0.1"], "nowhere"),
     ],
 )

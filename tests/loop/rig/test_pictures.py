@@ -95,7 +95,7 @@ def test_unarmed_nothing_is_lit(rig: tuple[Lux, Process], seen: list[float]) -> 
     ("arguments", "limits", "told"),
     [
         (["take", "rig.toml", "--out", "lamp.toml"], "", "lamp.toml: is there already"),
-        (["light", "rig.toml", "--arm", "--level", "0"], "", "--level is a utilisation above 0"),
+        (["light", "rig.toml", "--arm", "--level", "0"], "", "for --level; must be > 0"),
         (["light", "rig.toml", "--arm", "--scenario", "lamp.toml"], "[limits]\npower = 0.25\n", "let 25% of it through"),
     ],
 )

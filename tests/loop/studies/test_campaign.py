@@ -167,7 +167,7 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     assert cli.main(["campaign", str(file), "--jobs", "1"]) == cli.OK
     assert (tmp_path / "runs" / "night" / TABLE).exists()
     for wrong, said in (
-        (["--jobs", "0"], "too few processes"),
+        (["--jobs", "0"], "for --jobs; must be >= 1"),
         (["--jobs", "2", "--scheduler", "tcp://x:1"], "one of the two"),
         (["--scheduler", "nonsense://x"], "no answer"),
     ):

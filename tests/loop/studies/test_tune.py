@@ -290,8 +290,8 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     assert said.err == "runs in batches of up to 8 in the first 8 trials\n"  # not that of an empty folder something was done before
     for wrong, said in (
         (["tune", "flat"], "--key: is missing"),
-        (["tune", "flat", "--key", KEYS[0], "--trials", "0"], "--trials: 0 is too few"),
-        (["tune", "flat", "--key", KEYS[0], "--jobs", "0"], "--jobs: 0 is too few"),
+        (["tune", "flat", "--key", KEYS[0], "--trials", "0"], "for --trials; must be >= 1"),
+        (["tune", "flat", "--key", KEYS[0], "--jobs", "0"], "for --jobs; must be >= 1"),
     ):
         assert cli.main(wrong) == cli.WRONG
         assert said in capsys.readouterr().err

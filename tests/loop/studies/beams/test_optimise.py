@@ -112,8 +112,8 @@ def test_the_command_leaves_what_a_scenario_plays(tmp_path: Path, capsys: pytest
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["gfhb", "--energy", "-1"], "energy"),
-        (["gfhb", "--steps", "0"], "--steps 0: too few"),
+        (["gfhb", "--energy", "-1"], "for --energy; must be >= 0"),
+        (["gfhb", "--steps", "0"], "for --steps; must be >= 1"),
         (["zones", "--metric", "edges"], r"zones\.toml: objects: none with a category"),
         (["gfhb", "--metric", "edges", "--out", f"{__file__}/beam"], r"^error: .*beam: cannot be written \(Not a directory\)"),
     ],

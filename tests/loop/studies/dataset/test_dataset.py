@@ -116,7 +116,7 @@ def test_a_scene_that_fails_leaves_nothing(file: Path, tmp_path: Path) -> None:
         ({'"high"': '"hihg"'}, "2", ["night.toml: variants.high", "beam"]),
         ({"[variants": "[set.x", 'model = "ssl-hd-lores"': 'model = "no-such"'}, "2", ["night.toml: set: scene 5: "]),
         ({"masks": "mask"}, "2", ["night.toml: mask: unknown key", "masks"]),
-        ({}, "0", ["--scenes 0: too few"]),
+        ({}, "0", ["for --scenes; must be >= 1"]),
     ],
 )
 def test_a_wrong_file_is_said_in_a_sentence(changes: dict[str, str], scenes: str, parts: list[str], lux: Lux, file: Path) -> None:

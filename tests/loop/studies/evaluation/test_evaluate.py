@@ -10,13 +10,13 @@ import torch
 from scipy.optimize import linprog
 
 from luxloop.controllers.pixels.mrpc_tuning import part
+from luxloop.loop.commands import cli
 from luxloop.loop.studies.evaluation import evaluate as evaluation
 from luxloop.loop.studies.evaluation import report
 from luxloop.loop.studies.evaluation.evaluate import JOBS, ROWS, SETPOINTS, Evaluation, evaluate, summary
 from luxloop.loop.studies.jobs import runner
 from luxloop.loop.studies.jobs.executors import local
 from luxloop.perception.metrics import mae
-from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.parametric import GaussianPixels, headlight
 from luxloop.world.lamps.patterns import Rectangle
@@ -144,7 +144,8 @@ def test_command_says_how_it_went(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "hd84" in said.out
 
 
-@pytest.mark.parametrize(("lamp", "processes", "message"), [("hd85", 1, "the lamps are hd84, ssl-hd-lores"), ("hd84", 0, "1 or more")])
-def test_wrong_options_are_refused(lamp: str, processes: int, message: str, tmp_path: Path) -> None:
-    with pytest.raises(LuxloopError, match=message):
-        report.run_evaluation(tmp_path, lamp, True, processes)
+@pytest.mark.parametrize(("option", "value", "told"), [("--lamp", "hd85", "hd84"), ("--jobs", "0", "must be >= 1")])
+def test_wrong_options_are_refused(option: str, value: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["evaluate", "--quick", "--out", str(tmp_path), option, value]) == cli.WRONG
+    said = capsys.readouterr().err
+    assert option in said and told in said
