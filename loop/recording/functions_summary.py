@@ -62,20 +62,18 @@ def summarise(
     compared_w: electrical power `[steps]` in W that the recording's is compared with, by name. held: summaries of symbols, by name.
     """
     known = table.column_names
-    lamps = [name.split(".")[1] for name in table.column_names if name.startswith("lamp.") and name.endswith(".flux_lm")]
-    objects = [name.removeprefix("objects.").removesuffix(".lx_max") for name in table.column_names if name.endswith(".lx_max")]
+    lamps = [name.split(".")[1] for name in known if name.startswith("lamp.") and name.endswith(".flux_lm")]
+    objects = [name.removeprefix("objects.").removesuffix(".lx_max") for name in known if name.endswith(".lx_max")]
 
     def over(name: str, what: str) -> float | None:
-        values = column(table, name)
-        values = values[np.isfinite(values)]
-        return float(getattr(values, what)()) if len(values) else None
+        return _over(column(table, name), what)
 
     times_s, ms = column(table, "time_s"), float(np.median(column(table, "processing_ms"))) if table.num_rows else None
     return {
         "scenario": scenario,
         "steps": table.num_rows,
         "dark_lx_max": over("dark_lx_max", "max"),
-        "symbol_iou_min": over("symbol_iou_min", "min") if "symbol_iou_min" in table.column_names else None,
+        "symbol_iou_min": over("symbol_iou_min", "min") if "symbol_iou_min" in known else None,
         "lamps": {
             side: {
                 "flux_lm_mean": over(f"lamp.{side}.flux_lm", "mean"),
@@ -107,7 +105,15 @@ def summarise(
             else {}
         ),
         **{key: over(key, "mean") for key in LOOKING if key in known},
-        **(_eyes(table) | {"tracks_of_nothing": steps_of_nothing(table, objects)} if "eyes_lx_max" in known else {}),
+        **(
+            {
+                "eyes_lx_max": eyes_lx(table),
+                "eyes_lx_max_after_start_up": eyes_lx(table, START_UP_S),
+                "tracks_of_nothing": steps_of_nothing(table, objects),
+            }
+            if "eyes_lx_max" in known
+            else {}
+        ),
         "processing_ms_median": ms,
         "times_real_time": None if ms is None or table.num_rows < 2 else ms / 1e3 * (table.num_rows - 1) / float(times_s[-1] - times_s[0]),
     }
@@ -172,13 +178,13 @@ def steps_of_nothing(table: pa.Table, objects: Sequence[str]) -> int:
 
 def eyes_lx(table: pa.Table, from_s: float = 0.0) -> float | None:
     """Most light on heads and windscreens from a time on; None where none are seen."""
-    values = column(table, "eyes_lx_max")[column(table, "time_s") >= from_s]
+    return _over(column(table, "eyes_lx_max")[column(table, "time_s") >= from_s], "max")
+
+
+def _over(values: NDArray[np.floating], what: str) -> float | None:
+    """The mean, say, of the values that there are; None where there are none."""
     values = values[np.isfinite(values)]
-    return float(values.max()) if len(values) else None
-
-
-def _eyes(table: pa.Table) -> dict[str, Any]:
-    return {"eyes_lx_max": eyes_lx(table), "eyes_lx_max_after_start_up": eyes_lx(table, START_UP_S)}
+    return float(getattr(values, what)()) if len(values) else None
 
 
 def _zones(table: pa.Table) -> dict[str, Any]:
@@ -218,15 +224,14 @@ def _recognition(table: pa.Table, name: str) -> dict[str, Any]:
     """The confidence at the end, and the least since a track first showed an object, how many showed it one after the other, and for how
     long it was in sight, and lost."""
     confidence = column(table, f"objects.{name}.confidence")
-    last = confidence[-LAST_STEPS:][np.isfinite(confidence[-LAST_STEPS:])]
     tracks = {number for number in table[f"objects.{name}.track"].to_pylist() if number is not None}
     tracked = np.isfinite(column(table, f"objects.{name}.track"))
     since = confidence[np.argmax(tracked) :] if tracked.any() else confidence[:0]
     return {
-        "confidence_final": float(last.mean()) if len(last) else None,
-        "confidence_min": float(np.nanmin(since)) if len(since) else None,
+        "confidence_final": _over(confidence[-LAST_STEPS:], "mean"),
+        "confidence_min": _over(since, "min"),
         "tracks": len(tracks),
-        "pixels_max": float(np.nanmax(column(table, f"objects.{name}.pixels"))) if len(confidence) else None,
+        "pixels_max": _over(column(table, f"objects.{name}.pixels"), "max"),
         "steps_in_sight": int(np.isfinite(confidence).sum()),
         "steps_lost": lost_steps(table, name),
     }

@@ -101,7 +101,10 @@ class LabelRecorder:
         name = f"{labelled.number:06d}"
         with whole(self._directory / IMAGE_2 / f"{name}.png") as part:
             link(self._directory / frame_name(labelled.number), part)
-        for folder, text in ((LABEL_2, kitti_lines(labelled)), (CALIB, kitti_calibration(self._world.view))):
+        for folder, text in (
+            (LABEL_2, "".join(kitti_line(each, labelled.view) for each in labelled.objects)),
+            (CALIB, kitti_calibration(self._world.view)),
+        ):
             with whole(self._directory / folder / f"{name}.txt") as part:
                 part.write_text(text)
 
@@ -189,21 +192,22 @@ TYPES: Final[Mapping[Category, str]] = {"car": "Car", "truck": "Truck", "pedestr
 SEEN: Final = (0.9, 0.5)  # visible shares from which on an object counts as fully visible, and as partly
 
 
-def kitti_lines(labelled: LabelledImage) -> str:
-    """One line for each object of an image."""
-    return "".join(f"{_kitti_line(each, labelled.view)}\n" for each in labelled.objects)
-
-
 def kitti_calibration(view: View) -> str:
     """The calibration file of a camera. view: from the body of the vehicle, which stands for the laser scanner's frame."""
     P = [view.fx, 0.0, view.cx, 0.0, 0.0, view.fy, view.cy, 0.0, 0.0, 0.0, 1.0, 0.0]
     eye = [float(row == column) for row in range(3) for column in range(3)]
     still = [float(row == column) for row in range(3) for column in range(4)]
-    rows = {**{f"P{k}": P for k in range(4)}, "R0_rect": eye, "Tr_velo_to_cam": _upper(inverse(view.T_world_view)), "Tr_imu_to_velo": still}
+    rows = {
+        **{f"P{k}": P for k in range(4)},
+        "R0_rect": eye,
+        "Tr_velo_to_cam": numbers(inverse(view.T_world_view)[:3]),
+        "Tr_imu_to_velo": still,
+    }
     return "".join(f"{name}: {' '.join(f'{value:.12e}' for value in values)}\n" for name, values in rows.items())
 
 
-def _kitti_line(each: TrueObject, view: View) -> str:
+def kitti_line(each: TrueObject, view: View) -> str:
+    """The line of an object of an image."""
     assert each.seen is not None and each.seen.category is not None
     T_camera_world, T = inverse(view.T_world_view), each.boxed.T_world_object
     x, y, z = transform(T_camera_world, T[:3, 3:])[:, 0].tolist()
@@ -214,9 +218,4 @@ def _kitti_line(each: TrueObject, view: View) -> str:
     length, width, height = each.boxed.size_m
     values = [alpha, *each.seen.box, height, width, length, x, y, z, rotation_y]
     name = TYPES.get(each.seen.category, "Misc")
-    return f"{name} {1 - each.seen.inside:.2f} {occluded} {' '.join(f'{value:.2f}' for value in values)}"
-
-
-def _upper(T: Tensor) -> list[float]:
-    found: list[float] = T[:3].flatten().tolist()
-    return found
+    return f"{name} {1 - each.seen.inside:.2f} {occluded} {' '.join(f'{value:.2f}' for value in values)}\n"

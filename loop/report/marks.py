@@ -1,7 +1,7 @@
 """What is drawn over the camera's picture: the boxes of tracked objects, and with a detector what it found and how sure the car is."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
@@ -21,7 +21,9 @@ from luxloop.world.traffic.tracked import Category
 
 Point = tuple[int, int]
 LINES = 3  # at which a text may stand, each above the other
+Lines = tuple[tuple[Point, Point], ...]
 EDGES = [(a, b) for a, b in combinations(range(8), 2) if bin(a ^ b).count("1") == 1]  # corners whose bits are x, y, z
+RING = [(0, 1), (1, 2), (2, 3), (3, 0)]
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class Mark:
     kind: `masked` is what must be dark, `found` what a detector found in this frame alone, `target` where a symbol shall lie on flat road.
     """
 
-    lines: tuple[tuple[Point, Point], ...]
+    lines: Lines
     kind: Literal["tracked", "masked", "found", "target", "zone"] = "tracked"
     text: str = ""
     at: Point = (0, 0)
@@ -48,7 +50,8 @@ def marks(result: Evaluation, simulation: Simulation) -> tuple[Mark, ...]:
         there = (each for each in result.now.objects if each.since_s <= result.time_s < each.until_s)
         return (*zones, *(Mark(_around(each, view), _kind(each.name, result.masked)) for each in there))
     assert simulation.pipeline is not None
-    return (*zones, *_found(result.look), *_tracks(result.look, simulation.pipeline.classes, result.masked))
+    found = (Mark(_outline(box), "found") for box in result.look.found.boxes.tolist())
+    return (*zones, *found, *_tracks(result.look, simulation.pipeline.classes, result.masked))
 
 
 def readable(marked: Iterable[Mark], character_px: float, width_px: int) -> tuple[Mark, ...]:
@@ -77,16 +80,10 @@ def _zone(name: str, zone: ZoneParams, view: View) -> Mark:
     return Mark(lines, "zone", text=spoken(name) if points else "", at=at)
 
 
-def _target(symbol: SymbolParams, view: View) -> tuple[tuple[Point, Point], ...]:
+def _target(symbol: SymbolParams, view: View) -> Lines:
     x, y = symbol.length_m / 2, symbol.width_m / 2
     corners = torch.tensor([[x, x, -x, -x], [y, -y, -y, y], [0.0] * 4], dtype=torch.float64)
-    uv, depth = view.project(corners + torch.tensor([[symbol.x_m], [symbol.y_m], [0.0]], dtype=torch.float64))
-    points = [(round(u), round(v)) for u, v in uv.T.tolist()]
-    return () if (depth <= 0).any() else tuple((points[k], points[(k + 1) % 4]) for k in range(4))
-
-
-def _found(look: FrameDetections) -> tuple[Mark, ...]:
-    return tuple(Mark(_outline(box), "found") for box in look.found.boxes.tolist())
+    return _seen(corners + torch.tensor([[symbol.x_m], [symbol.y_m], [0.0]], dtype=torch.float64), RING, view)
 
 
 def _tracks(look: FrameDetections, classes: tuple[Category, ...], masked: frozenset[str]) -> tuple[Mark, ...]:
@@ -103,23 +100,26 @@ def _kind(name: str, masked: frozenset[str]) -> Literal["masked", "tracked"]:
     return "masked" if name in masked else "tracked"
 
 
-def _outline(box: list[float]) -> tuple[tuple[Point, Point], ...]:
-    left, top, right, bottom = (round(each) for each in box)
+def _outline(box: list[float]) -> Lines:
+    left, top, right, bottom = map(round, box)
     corners = ((left, top), (right, top), (right, bottom), (left, bottom))
-    return tuple((corners[k], corners[(k + 1) % 4]) for k in range(4))
+    return tuple((corners[a], corners[b]) for a, b in RING)
 
 
-def _around(each: TrackedObject, view: View) -> tuple[tuple[Point, Point], ...]:
+def _around(each: TrackedObject, view: View) -> Lines:
     length, width, height = each.size_m
     high = torch.tensor([length / 2, width / 2, height], dtype=torch.float64)
     return _edges(each.T_world_object.double(), high * torch.tensor([-1, -1, 0]), high, view)
 
 
-def _edges(T_world_box: Tensor, low: Tensor, high: Tensor, view: View) -> tuple[tuple[Point, Point], ...]:
-    """Of a box in a view, low and high `[3]` m opposite corners in its frame; none where it reaches behind the eye."""
+def _edges(T_world_box: Tensor, low: Tensor, high: Tensor, view: View) -> Lines:
+    """Of a box in a view, low and high `[3]` m opposite corners in its frame."""
     bits = torch.tensor([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)], dtype=torch.float64).T
-    uv, depth = view.project(transform(T_world_box, low[:, None] + (high - low)[:, None] * bits))
-    if (depth <= 0).any():
-        return ()
+    return _seen(transform(T_world_box, low[:, None] + (high - low)[:, None] * bits), EDGES, view)
+
+
+def _seen(corners: Tensor, edges: Sequence[tuple[int, int]], view: View) -> Lines:
+    """Edges between corners `[3, n]` m in a view; none where one lies behind the eye."""
+    uv, depth = view.project(corners)
     points = [(round(u), round(v)) for u, v in uv.T.tolist()]
-    return tuple((points[a], points[b]) for a, b in EDGES)
+    return () if (depth <= 0).any() else tuple((points[a], points[b]) for a, b in edges)

@@ -140,11 +140,9 @@ def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: SymbolHi
         judged.text(0.5, 0.5, fill(why, WHY), transform=judged.transAxes, ha="center", va="center", color="0.4")
     if summary["iou_open"] is not None:
         overlap.axhline(summary["iou_open"], color="black", ls="--", lw=1, label="IoU without control, at the last step")
-    overlap.set_ylim(0, 1)
-    overlap.set_ylabel("IoU with the target")
+    overlap.set(ylim=(0, 1), ylabel="IoU with the target")
     heading(judged, "How the symbol lies, without noise", overlap)
-    judged.set_xlabel("control step")
-    judged.set_xlim(steps[0], max(steps[-1], steps[0] + 1))
+    judged.set(xlabel="control step", xlim=(steps[0], max(steps[-1], steps[0] + 1)))
     judged.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
@@ -183,13 +181,6 @@ def _target_luminance(symbol: ControlledSymbol) -> torch.Tensor:
     return symbol.sensor.model.luminance(projector.light(projector.target))
 
 
-def _target_outline(axes: Axes, symbol: ControlledSymbol) -> None:
-    """The symbol as it should lie on a flat road, in the camera's image."""
-    wanted = (_target_luminance(symbol) > THRESHOLD * symbol.brightness).float().cpu().numpy()
-    rows, cols = (np.arange(n) + 0.5 for n in wanted.shape)
-    axes.contour(cols, rows, wanted, levels=[0.5], colors=TARGET, linewidths=0.8)
-
-
 def _night(image: Image, white: float) -> Image:
     """Tone-mapped to 0..1, so that the dark road can still be seen."""
     return (image / max(white, 1e-6)).clip(0, 1) ** (1 / 2.2)
@@ -219,7 +210,9 @@ def _progression(figure: SubFigure, symbol: ControlledSymbol, gathered: SymbolHi
         overlay = np.zeros((*past.shape, 4), np.float32)
         overlay[..., 0], overlay[..., 3] = 1.0, 0.3 * (past & ~final[crop.slices])
         axes.imshow(overlay, extent=(crop.u_start, crop.u_stop, crop.v_stop, crop.v_start), interpolation="nearest")
-    _target_outline(axes, symbol)
+    wanted = (_target_luminance(symbol) > THRESHOLD * symbol.brightness).float().cpu().numpy()  # as it should lie on a flat road
+    rows, cols = (np.arange(n) + 0.5 for n in wanted.shape)
+    axes.contour(cols, rows, wanted, levels=[0.5], colors=TARGET, linewidths=0.8)
     path = np.array(gathered.path)
     axes.plot(*path.T, color=PATH, lw=1.3, marker="o", ms=2.5)
     seen = path[np.isfinite(path).all(1)]
@@ -266,9 +259,8 @@ def _birds_eye_views(figure: SubFigure, judge: Judge, lights: Pairs, last: Evalu
         axes.contour(y, x, mask, levels=[0.5], colors=TARGET, linewidths=0.8)
         axes.set_title(title, weight="normal", loc="center")
         axes.grid(False)
-        axes.set_xlabel("y in m")
-        axes.set_xlim(symbol.y_m + symbol.width_m, symbol.y_m - symbol.width_m)
-        axes.set_ylim(symbol.x_m - symbol.length_m, symbol.x_m + 1.2 * symbol.length_m)
+        left, right = symbol.y_m + symbol.width_m, symbol.y_m - symbol.width_m
+        axes.set(xlabel="y in m", xlim=(left, right), ylim=(symbol.x_m - symbol.length_m, symbol.x_m + 1.2 * symbol.length_m))
     figure.axes[0].set_ylabel("x in m")
 
 

@@ -70,11 +70,8 @@ def tabulate(simulation: Simulation, steps: Iterable[tuple[Evaluation, float]]) 
             trace.append(_trace(result.held.get(name), simulation.symbol.projector.target))
     table = table_of(rows, schema(simulation))
     told = summary_of(simulation, table, last)
-    values = {
-        **told,
-        "flux_lm_mean": sum(each["flux_lm_mean"] for each in told["lamps"].values()),
-        "utilisation_mean": float(np.mean(utilisations)),
-    }
+    flux_lm = sum(each["flux_lm_mean"] for each in told["lamps"].values())
+    values = {**told, "flux_lm_mean": flux_lm, "utilisation_mean": float(np.mean(utilisations))}
     sure = [each["confidence_final"] for each in told["objects"].values() if each.get("confidence_final") is not None]
     values |= {"confidence_final_mean": float(np.mean(sure)), "confidence_final_min": min(sure)} if sure else {}
     for name, symbol in told["functions"].items():

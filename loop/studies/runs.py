@@ -14,15 +14,14 @@ from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.controllers.symbol.stages import Lifting, StagedParams
 from luxloop.loop.scenario.model import Scenario, only
-from luxloop.loop.simulation.build_symbols import build_symbol_controller
 from luxloop.loop.simulation.evaluator import Evaluation, SymbolStep
 from luxloop.loop.simulation.lamps import LampPower, mean_powers
 from luxloop.loop.simulation.result import Rollout
 from luxloop.loop.simulation.simulated import world_plant
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.loop.studies.batch.copies import Copies, Taken, refuse_scenario, stack
+from luxloop.loop.studies.batch.copies import Copies, Taken, refuse_first, refuse_scenario, stack
 from luxloop.loop.studies.batch.rollouts import loops, stack_laws
-from luxloop.loop.studies.metrics import Figures, figures_and_trace, ready, tabulate
+from luxloop.loop.studies.metrics import Figures, figures_and_trace, ready, tabulate, with_controllers
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.perception.metrics import Metrics
 from luxloop.world.errors import LuxloopError
@@ -63,9 +62,7 @@ def refuse(scenario: Scenario) -> None:
         and (params.warp or params.supervisor),
         "camera.latency_spread_steps: all frames of a batch are equally late": scenario.camera.latency_spread_steps,
     }
-    for reason, applies in reasons.items():
-        if applies:
-            raise LuxloopError(f"{scenario.name}: {reason}; leave it out, or run it one by one")
+    refuse_first(scenario.name, reasons)
 
 
 def runs(scenarios: Sequence[Scenario], device: str = "cpu") -> list[Run]:
@@ -82,26 +79,13 @@ def runs(scenarios: Sequence[Scenario], device: str = "cpu") -> list[Run]:
     copies = Copies(ready(scenarios[0], device))
     if not copies.windowed:
         return [figures_and_trace(each, device) for each in scenarios]
-    simulations = _simulations(copies.simulation, scenarios)
+    simulations = [with_controllers(copies.simulation, each) for each in scenarios]
     steps, searching = _steps(copies, simulations)
     first = copies.simulation.at(0)
     return [
         figures_and_trace(each.scenario, device) if k in searching else tabulate(each, _results(copies, first, steps, k))
         for k, each in enumerate(simulations)
     ]
-
-
-def _simulations(simulation: Simulation, scenarios: Sequence[Scenario]) -> list[Simulation]:
-    """The world of all, with the controller of each; equal ones are made once."""
-    symbol, controllers, found = simulation.symbol, {}, []
-    for each in scenarios:
-        params = each.symbol.controller
-        assert params is not None
-        if (key := params.model_dump_json()) not in controllers:
-            controllers[key] = build_symbol_controller(params, symbol.sensor)
-        held = {only(each.symbols): replace(symbol, function=each.symbol, controller=controllers[key])}
-        found.append(replace(simulation, scenario=each, controlled=held))
-    return found
 
 
 @dataclass(frozen=True, eq=False)

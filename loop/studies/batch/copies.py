@@ -1,6 +1,6 @@
 """Copies of one symbol in one standing world: the light of many poses at once, each measured and evaluated as in a single run."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import cast
@@ -47,7 +47,17 @@ def check(simulation: Simulation, otherwise: str = "run it one by one") -> None:
         raise LuxloopError(f"{name}: batches are for scenes in which nothing moves; {otherwise}")
 
 
-def refuse_scenario(scenario: Scenario, otherwise: str = "run it one by one") -> None:
+ONE_BY_ONE = "run it one by one"
+
+
+def refuse_first(name: str, reasons: Mapping[str, object], otherwise: str = ONE_BY_ONE) -> None:
+    """Raises LuxloopError with the first reason that applies to the scenario of a name; otherwise: the remedy in the message."""
+    for reason, applies in reasons.items():
+        if applies:
+            raise LuxloopError(f"{name}: {reason}; leave it out, or {otherwise}")
+
+
+def refuse_scenario(scenario: Scenario, otherwise: str = ONE_BY_ONE) -> None:
     """The part of `check` that needs only the scenario's keys. Raises LuxloopError as `check`."""
     key, lighting, symbol = f"functions.{only(scenario.symbols)}", scenario.lighting, scenario.symbol
     timed = next((each for each in TIMES if getattr(symbol, each) is not None), None)
@@ -61,9 +71,7 @@ def refuse_scenario(scenario: Scenario, otherwise: str = "run it one by one") ->
         f"batches need the simulated plant, not {scenario.plant.kind}": not isinstance(scenario.plant, SimulatedPlantParams),
         "batches are for scenes in which nothing moves": scenario.vehicle is not None,
     }
-    for reason, applies in reasons.items():
-        if applies:
-            raise LuxloopError(f"{scenario.name}: {reason}; leave it out, or {otherwise}")
+    refuse_first(scenario.name, reasons, otherwise)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,6 @@
 """`luxloop dataset`: make the scenes that are missing, each whole or not at all, and join their labels."""
 
 import json
-import os
 import shutil
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -63,14 +62,6 @@ def join(out: Path, layout: Layout, scenes: Mapping[str, Mapping[str, Any]]) -> 
     return Counts(file, len(scenes), len(images), objects)
 
 
-def unjoin(out: Path) -> None:
-    """Remove the joined labels. Raises OSError where that cannot be."""
-    for name in (ALL_COCO, ALL_IMAGES):
-        (out / name).unlink(missing_ok=True)
-    if (out / TRAINING).exists():
-        shutil.rmtree(out / TRAINING)
-
-
 def _image(image: Mapping[str, Any], number: int, scene: int, folder: str) -> dict[str, Any]:
     files = {key: f"{folder}/{image[key]}" for key in FILES if key in image}
     return {**image, **files, "id": number, "scene": scene}
@@ -79,7 +70,7 @@ def _image(image: Mapping[str, Any], number: int, scene: int, folder: str) -> di
 def _kitti(out: Path, scenes: Mapping[str, Mapping[str, Any]]) -> Counter[str]:
     """Folders of all scenes' files, numbered on in the order of the images; returns the number of objects by type."""
     objects, number = Counter[str](), 0
-    with _whole_folder(out / TRAINING) as part:
+    with _whole_folder(out / TRAINING, part_of(out / SCENES / TRAINING)) as part:
         for name in (IMAGE_2, LABEL_2, CALIB):
             (part / Path(name).relative_to(FOLDER)).mkdir(parents=True)
         for scene in scenes:
@@ -94,9 +85,8 @@ def _kitti(out: Path, scenes: Mapping[str, Mapping[str, Any]]) -> Counter[str]:
 
 
 @contextmanager
-def _whole_folder(folder: Path) -> Iterator[Path]:
-    """A temporary folder among the scenes, which replaces `folder` at the end; on failure nothing is left behind."""
-    part = part_of(folder.parent / SCENES / folder.name)
+def _whole_folder(folder: Path, part: Path) -> Iterator[Path]:
+    """A temporary folder, which replaces `folder` at the end; on failure nothing is left behind."""
     try:
         yield part
         shutil.rmtree(folder, ignore_errors=True)
@@ -117,15 +107,9 @@ def make(scenario: Mapping[str, Any], inputs: dict[str, str], labels: Mapping[st
     Raises LuxloopError if the scene cannot run, its files differ on this machine, or the folder cannot be written.
     """
     ready, given = job_scenario(scenario, inputs), dict(labels)
-    target = Path(folder)
-    part = target.with_name(f".{target.name}.{os.getpid()}.part")
-    try:
+    with _whole_folder(Path(folder), part_of(Path(folder))) as part:
         run_scenario(ready, part, device="cpu", video=False, report=False, labels=given.pop("layout"), **given)
         (part / MADE_FROM).write_text(identity)
-        shutil.rmtree(target, ignore_errors=True)
-        part.rename(target)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
     return {}
 
 
@@ -155,7 +139,10 @@ def _begin(out: Path, jobs: Sequence[Job]) -> None:
         for part in (out / SCENES).glob(PARTS):
             shutil.rmtree(part, ignore_errors=True)
         if any(Path(job.place["folder"]).exists() and not _is_there(job) for job in jobs):
-            unjoin(out)
+            for name in (ALL_COCO, ALL_IMAGES):
+                (out / name).unlink(missing_ok=True)
+            if (out / TRAINING).exists():
+                shutil.rmtree(out / TRAINING)
     except OSError as error:
         raise LuxloopError(f"{out}: cannot be written ({error.strerror}); give another folder with --out") from error
 

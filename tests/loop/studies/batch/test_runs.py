@@ -9,7 +9,7 @@ import torch
 from luxloop.loop.scenario.model import Scenario, load
 from luxloop.loop.studies import runs as batch
 from luxloop.loop.studies.batch.copies import Copies
-from luxloop.loop.studies.metrics import figures_and_trace, ready
+from luxloop.loop.studies.metrics import figures_and_trace, ready, with_controllers
 from luxloop.world.errors import LuxloopError
 
 SMALL = (
@@ -53,9 +53,8 @@ def test_each_of_a_batch_is_the_single_run(law: str, common: tuple[str, ...]) ->
     given = [scenario(f"functions.symbol.controller.name={law}", *each, *common, seed=k) for k, each in enumerate(changes)]
     assert len({batch.kind(each) for each in given}) == 1 and batch.kind(given[0])
     copies = Copies(ready(given[0], "cpu"))
-    assert len(batch._steps(copies, batch._simulations(copies.simulation, given))[1]) <= 1, (
-        "few of them lose their symbol, and are run alone"
-    )
+    simulations = [with_controllers(copies.simulation, each) for each in given]
+    assert len(batch._steps(copies, simulations)[1]) <= 1, "few of them lose their symbol, and are run alone"
     for each, (figures, rollout) in zip(given, batch.runs(given), strict=True):
         expected, alone = figures_and_trace(each, "cpu")
         assert rollout is not None and alone is not None
@@ -75,7 +74,7 @@ def test_what_searches_for_its_symbol_is_run_alone() -> None:
     lost = ("functions.symbol.start={ x_m=15.0, y_m=-5.5 }",)
     given = [scenario(), scenario(*lost), scenario(seed=1)]
     copies = Copies(ready(given[0], "cpu"))
-    assert batch._steps(copies, batch._simulations(copies.simulation, given))[1] == {1}
+    assert batch._steps(copies, [with_controllers(copies.simulation, each) for each in given])[1] == {1}
     figures, rollout = batch.runs(given)[1]
     expected, alone = figures_and_trace(given[1], "cpu")
     assert figures == expected and rollout is not None and alone is not None and torch.equal(rollout.poses, alone.poses)
