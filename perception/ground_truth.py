@@ -107,7 +107,7 @@ def _pixels_alone(placed: Instance, view: View, whole: Box) -> int:
     """Number of the image's pixels that would see the object if it were alone."""
     u0, v0, u1, v1 = _clip(whole, view)
     columns, rows = slice(int(u0), min(int(u1) + 1, view.width)), slice(int(v0), min(int(v1) + 1, view.height))
-    return int((first_hits(Triangles((placed,)), view.origin, view.within(rows, columns).rays().flatten(1)) >= 0).sum())
+    return int((first_hits(Triangles.of(placed), view.origin, view.within(rows, columns).rays().flatten(1)) >= 0).sum())
 
 
 def _materials(surfaces: GBuffer, seen: Tensor, placed: Instance) -> dict[str, int]:

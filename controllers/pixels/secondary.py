@@ -31,7 +31,7 @@ def scene_caster(triangles: Triangles, T_world_points: Tensor | None = None) -> 
 
     The road casts none, because primitives lie near it, not on it: one that lies 1 cm below the road would be occluded everywhere.
     """
-    casting = Triangles(tuple(placed for placed in triangles.placed if placed.object_id != 0))
+    casting = Triangles(tuple(group for group in triangles.groups if group.placed[0].object_id != 0))
 
     def occluded(points: Tensor, target: Tensor) -> Tensor:
         if T_world_points is not None:

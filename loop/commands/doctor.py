@@ -123,12 +123,14 @@ def opengl_check(environment: Mapping[str, str]) -> Check:
 
 @_failing_with("ray caster", f"{PIP} --force-reinstall embreex trimesh")
 def ray_caster_check() -> Check:
-    import trimesh
-    from trimesh.ray.ray_pyembree import RayMeshIntersector
+    import torch
 
-    hit = RayMeshIntersector(trimesh.creation.box()).intersects_first([[0.1, 0.2, 5.0]], [[0.0, 0.0, -1.0]])
-    if hit[0] < 0:
-        raise RuntimeError("a ray missed the box that it was cast at")
+    from luxloop.world.scene.embree import EmbreeMesh
+
+    corners = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]).double()
+    mesh = EmbreeMesh(corners, torch.tensor([[0, 1, 2]]), torch.tensor([False]))
+    if len(mesh.cast(torch.tensor([0.2, 0.2, 5.0]).double(), torch.tensor([[0.0], [0.0], [-1.0]]), torch.tensor([torch.inf]))[0]) != 1:
+        raise RuntimeError("a ray missed the triangle that it was cast at")
     return Check("ray caster", "ok", f"embree, embreex {metadata.version('embreex')}")
 
 

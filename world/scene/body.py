@@ -14,10 +14,10 @@ from luxloop.world.frames import pose, rotation
 from luxloop.world.materials.brdf import LAMBERTIAN, Material
 from luxloop.world.materials.library import MaterialName, SpottedTexture, Texture
 from luxloop.world.roads.base import Road
+from luxloop.world.scene.embree import EmbreeMesh
 
 if TYPE_CHECKING:
     import trimesh
-    from trimesh.ray.ray_pyembree import RayMeshIntersector
 from functools import cache
 from typing import Final
 
@@ -151,13 +151,6 @@ class Body:
         return torch.stack(self.corners.flatten(0, 1).aminmax(dim=0))
 
     @cached_property
-    def planes(self) -> Tensor:
-        """Planes `n x = c` of the faces in the body frame, `[F, 4]` float64: n, out of the side that is seen, in m^2, and c in m^3."""
-        a, b, c = self.corners.unbind(1)
-        normal = torch.linalg.cross(b - a, c - a)
-        return torch.cat([normal, (normal * a).sum(-1, keepdim=True)], -1)
-
-    @cached_property
     def corner_normals(self) -> Tensor:
         """Unit normals at the corners in the body frame, `[F, 3 corners, 3]` float64; vertex normals are weighted by angle."""
         if self.smooth:
@@ -166,13 +159,10 @@ class Body:
         return torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=-1)[:, None].expand(-1, 3, -1).contiguous()
 
     @cached_property
-    def intersector(self) -> "RayMeshIntersector":
-        """Embree's copy of the mesh. It ends with the body: the mesh's own waits for the garbage collector, and embree ends in a crash with
-        about 1,000 of them at once.
-        """
-        from trimesh.ray.ray_pyembree import RayMeshIntersector
-
-        return RayMeshIntersector(self.mesh)
+    def embree(self) -> EmbreeMesh:
+        """Embree's copy of the mesh. It ends with the body: embree crashes with about 1,000 of them at once."""
+        vertices, faces = torch.from_numpy(np.array(self.mesh.vertices)), torch.from_numpy(np.array(self.mesh.faces))
+        return EmbreeMesh(vertices, faces, torch.full((len(faces),), self.two_sided))
 
 
 SHAPES: Final = 32  # of a cycle; a walker has one for every 5 cm

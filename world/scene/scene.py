@@ -10,7 +10,7 @@ from luxloop.world.frames import transform
 from luxloop.world.params import Metres, Params
 from luxloop.world.scene.body import Body, Figure, PoseTrack, Spotlight
 from luxloop.world.scene.ground import RoadPatches, RoadTiles, StandingRoad
-from luxloop.world.scene.triangles import NOTHING, Instance, Triangles
+from luxloop.world.scene.triangles import NOTHING, Group, Instance, Triangles
 
 __all__ = ["Body", "Ground", "PoseTrack", "Scene", "StreetLamp"]
 
@@ -63,16 +63,25 @@ class Scene:
         which bodies that have not moved since are reused with all that was derived from them.
         """
         here = torch.eye(4, dtype=torch.float64) if T_world_ground is None else T_world_ground
-        known = {placed.object_id: placed for placed in before.placed}
-        return Triangles(tuple(placed for i, _ in self.key_at(t_s) for placed in self._place(i, t_s, here, known.get(i))))
+        placed_before = {placed.object_id: placed for placed in before.placed}
+        groups: list[tuple[Instance, ...]] = []
+        standing, moving = list[Instance](), list[Instance]()
+        for i, _ in self.key_at(t_s):
+            body = self.bodies[i]
+            if isinstance(body, Ground):
+                groups += body.near(i, here)
+            elif i == 0:
+                groups.append((self._place(i, body, t_s, placed_before.get(i)),))
+            else:
+                (moving if len(body.track.times_s) > 1 else standing).append(self._place(i, body, t_s, placed_before.get(i)))
+        groups += tuple(standing), tuple(moving)
+        groups_before = {group.placed: group for group in before.groups}
+        return Triangles(tuple(groups_before.get(each) or Group(each) for each in groups if each))
 
-    def _place(self, i: int, t_s: float, T_world_ground: Tensor, before: Instance | None) -> tuple[Instance, ...]:
-        body = self.bodies[i]
-        if isinstance(body, Ground):
-            return body.near(i, T_world_ground)
+    def _place(self, i: int, body: Body | Figure, t_s: float, before: Instance | None) -> Instance:
         T, shape = body.track.pose_at(t_s), body.at(t_s) if isinstance(body, Figure) else body
         rests = before is not None and before.body is shape and before.T_world_body.equal(T)
-        return (before if before is not None and rests else Instance(i, shape, T),)
+        return before if before is not None and rests else Instance(i, shape, T)
 
     def spotlights_at(self, t_s: float) -> tuple[Spotlight, ...]:
         """The lamps of all bodies that are there at a time, in the world."""

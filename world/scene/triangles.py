@@ -5,11 +5,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from luxloop.world.frames import inverse
+from luxloop.world.frames import inverse, transform
 from luxloop.world.scene.body import Body
+from luxloop.world.scene.embree import EmbreeMesh
 
 CHUNK: Final = 2**15  # rays at a time, whose numbers stay in the processor's cache
 
@@ -48,10 +50,43 @@ class Instance:
 
 
 @dataclass(frozen=True, eq=False)
+class Group:
+    """Placed bodies that rays are cast at together, such as all that stand: a group that lasts keeps embree's scene of them."""
+
+    placed: tuple[Instance, ...]
+
+    @cached_property
+    def embree(self) -> tuple[EmbreeMesh, Tensor]:
+        """Embree's copy, and `[4, 4]` float64 from the world to its frame: that of the body, or one in the middle of several."""
+        if len(self.placed) == 1:
+            return self.placed[0].body.embree, self.placed[0].T_body_world
+        meshes = [each.body.mesh for each in self.placed]
+        vertices = [transform(each.T_world_body, torch.from_numpy(np.array(each.body.mesh.vertices)).T).T for each in self.placed]
+        firsts = np.cumsum([0, *map(len, vertices)])
+        faces = torch.from_numpy(np.concatenate([mesh.faces + first for mesh, first in zip(meshes, firsts, strict=False)]))
+        corners = torch.cat(vertices)
+        T_group_world = torch.eye(4, dtype=torch.float64)
+        T_group_world[:3, 3] = -corners.mean(0)
+        two_sided = torch.tensor([each.body.two_sided for each in self.placed])
+        counts = torch.tensor([each.n_faces for each in self.placed])
+        return EmbreeMesh(corners + T_group_world[:3, 3], faces, two_sided.repeat_interleave(counts)), T_group_world
+
+
+@dataclass(frozen=True, eq=False)
 class Triangles:
     """All triangles of a scene at one time; face ids count through the placed bodies in their order."""
 
-    placed: tuple[Instance, ...]
+    groups: tuple[Group, ...]
+
+    @classmethod
+    def of(cls, *placed: Instance) -> "Triangles":
+        """Placed bodies as one group."""
+        return cls((Group(placed),))
+
+    @cached_property
+    def placed(self) -> tuple[Instance, ...]:
+        """All placed bodies."""
+        return tuple(each for group in self.groups for each in group.placed)
 
     def parts(self) -> Iterator[tuple[int, Instance]]:
         """Each placed body with its first face id."""

@@ -5,7 +5,6 @@ import pytest
 import torch
 import trimesh
 from torch.nn.functional import max_pool2d
-from trimesh.ray.ray_pyembree import _EmbreeWrap
 
 from luxloop.world.frames import View, pose_from_degrees
 from luxloop.world.materials.library import Texture
@@ -15,6 +14,7 @@ from luxloop.world.rendering.rasterise import NoOpenGL
 from luxloop.world.rendering.raycast import RayCaster, first_hits, hits_on
 from luxloop.world.rendering.surfaces import FaceSource, face_source
 from luxloop.world.scene.body import Body, PoseTrack
+from luxloop.world.scene.embree import EmbreeMesh
 from luxloop.world.scene.scene import Scene
 from luxloop.world.traffic.objects import BoxParams
 from tests.world.grids import bumpy, camera, flat, grid, lamp
@@ -135,7 +135,7 @@ def test_embree_forgets_a_body_with_its_last_use() -> None:
     """It has no room for more than about 1,000, which a run of many scenes reaches before the garbage collector comes."""
 
     def scenes() -> int:
-        return sum(isinstance(each, _EmbreeWrap) for each in gc.get_objects())
+        return sum(isinstance(each, EmbreeMesh) for each in gc.get_objects())
 
     gc.collect()
     gc.disable()

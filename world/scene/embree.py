@@ -1,0 +1,55 @@
+"""Embree's copy of a triangle mesh: the first faces that rays meet, which embree finds in float32, and their depths in float64."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+STEP_M = 1e-4  # along a ray, past the back of a face; embree's float32 is good to 1e-5 m within 100 m
+
+
+class EmbreeMesh:
+    """Triangles that rays are cast at."""
+
+    def __init__(self, vertices: Tensor, faces: Tensor, two_sided: Tensor) -> None:
+        """vertices: `[V, 3]` float64 m. faces: `[F, 3]` int64, corners counter-clockwise.
+
+        two_sided: `[F]` bool, faces that are met from the back as well.
+        """
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
+        self._scene, self._two_sided = EmbreeScene(), two_sided
+        TriangleMesh(self._scene, vertices.float().numpy(), faces.int().numpy())
+        a, b, c = vertices[faces].unbind(1)
+        normal = torch.linalg.cross(b - a, c - a)
+        self._planes = torch.cat([normal, (normal * a).sum(-1, keepdim=True)], -1)  # n x = c, out of the side that is seen, [F, 4]
+
+    def cast(self, origin: Tensor, directions: Tensor, farthest: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Rays `[M]` that meet a face, these faces, their depth in lengths of the directions, and those lengths across the face in m.
+
+        origin: `[3]` m float64, common to all rays. directions: `[3, N]` float32. farthest: `[N]` float32 lengths of them.
+        A face that is met from behind and not two-sided is passed, so that one sees out of a closed body.
+        """
+        rays, start, step_m = torch.arange(directions.shape[1]), torch.zeros(directions.shape[1], dtype=torch.float64), STEP_M
+        met = []
+        while len(rays):
+            d = directions.index_select(1, rays) if met else directions  # [3, n]
+            origins = origin.float().expand(len(rays), 3) if not met else (origin[:, None] + d * start[rays]).T.float()
+            limits = (farthest[rays] - start[rays]).float()
+            face = torch.from_numpy(self._scene.run(_array(origins), _array(d.T), _array(limits)))
+            hit = torch.nonzero(face >= 0)[:, 0]
+            rays, d, face = rays[hit], d.index_select(1, hit), face[hit].long()
+            normal, offset = self._planes[face].T.split((3, 1))  # [3, n], [1, n]
+            towards = (normal * d).sum(0)
+            depth = (offset[0] - origin @ normal) / towards  # t where n (o + t d) = c, [n]
+            front = (towards < 0) | self._two_sided[face]
+            met.append(tuple(each[front] for each in (rays, face, depth, towards.abs() / normal.norm(dim=0))))
+            back = ~front
+            rays, d, depth = rays[back], d[:, back], depth[back]
+            start[rays] = torch.maximum(start[rays], depth) + step_m / d.norm(dim=0)
+            step_m *= 2  # so that rounding holds no ray up
+        return tuple(map(torch.cat, zip(*met, strict=True))) if met else (rays, rays, start, start)
+
+
+def _array(values: Tensor) -> np.ndarray:
+    return np.ascontiguousarray(values.numpy(), np.float32)
