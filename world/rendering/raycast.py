@@ -78,11 +78,11 @@ def _cast(triangles: Triangles, origin: Tensor, directions: Tensor, farthest: Te
     nearest = torch.full((directions.shape[1],), -1)
     depth = torch.full((directions.shape[1],), torch.inf, dtype=torch.float64)
     across = torch.zeros_like(depth)
-    first = 0
+    origin, directions, first = origin.double(), directions.double(), 0
     for group in triangles.groups:
         mesh, T_mesh_world = group.embree
         local_origin = T_mesh_world[:3, :3] @ origin + T_mesh_world[:3, 3]
-        local = (T_mesh_world[:3, :3] @ directions.to(T_mesh_world)).float()
+        local = T_mesh_world[:3, :3] @ directions
         limits = torch.minimum(farthest, (depth * SPARE).float())
         rays, faces, depths, acrosses = mesh.cast(local_origin, local, limits)
         closer = depths < depth[rays]

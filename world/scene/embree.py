@@ -27,7 +27,7 @@ class EmbreeMesh:
     def cast(self, origin: Tensor, directions: Tensor, farthest: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Rays `[M]` that meet a face, these faces, their depth in lengths of the directions, and those lengths across the face in m.
 
-        origin: `[3]` m float64, common to all rays. directions: `[3, N]` float32. farthest: `[N]` float32 lengths of them.
+        origin: `[3]` m float64, common to all rays. directions: `[3, N]` float64. farthest: `[N]` float32 lengths of them.
         A face that is met from behind and not two-sided is passed, so that one sees out of a closed body.
         """
         rays, start, step_m = torch.arange(directions.shape[1]), torch.zeros(directions.shape[1], dtype=torch.float64), STEP_M

@@ -51,6 +51,7 @@ def test_only_what_moved_is_rebuilt():
     assert scene.key_at(0.0) == scene.key_at(0.5) != scene.key_at(1.5)
     assert before.placed[0] is after.placed[0]
     assert before.placed[1] is same.placed[1] is not after.placed[1]
+    assert before.groups[0] is after.groups[0] and before.groups[1] is same.groups[1] is not after.groups[1]  # with embree's copies
     assert [placed.object_id for placed in scene.at(3.0).placed] == [0]
 
 
