@@ -31,25 +31,25 @@ class EmbreeMesh:
         A face that is met from behind and not two-sided is passed, so that one sees out of a closed body.
         """
         rays, start, step_m = torch.arange(directions.shape[1]), torch.zeros(directions.shape[1], dtype=torch.float64), STEP_M
-        met = []
+        d, origins = directions, origin.expand(len(rays), 3)  # [3, n], [n, 3]
+        met = [(rays[:0], rays[:0], start[:0], start[:0])]
         while len(rays):
-            d = directions.index_select(1, rays) if met else directions  # [3, n]
-            origins = origin.float().expand(len(rays), 3) if not met else (origin[:, None] + d * start[rays]).T.float()
-            limits = (farthest[rays] - start[rays]).float()
-            face = torch.from_numpy(self._scene.run(_array(origins), _array(d.T), _array(limits)))
+            face = torch.from_numpy(self._scene.run(_array(origins), _array(d.T), _array(farthest[rays] - start[rays])))
             hit = torch.nonzero(face >= 0)[:, 0]
             rays, d, face = rays[hit], d.index_select(1, hit), face[hit].long()
             normal, offset = self._planes[face].T.split((3, 1))  # [3, n], [1, n]
             towards = (normal * d).sum(0)
             depth = (offset[0] - origin @ normal) / towards  # t where n (o + t d) = c, [n]
             front = (towards < 0) | self._two_sided[face]
-            met.append(tuple(each[front] for each in (rays, face, depth, towards.abs() / normal.norm(dim=0))))
+            met.append((rays[front], face[front], depth[front], (towards.abs() / normal.norm(dim=0))[front]))
             back = ~front
             rays, d, depth = rays[back], d[:, back], depth[back]
             start[rays] = torch.maximum(start[rays], depth) + step_m / d.norm(dim=0)
+            origins = (origin[:, None] + d * start[rays]).T
             step_m *= 2  # so that rounding holds no ray up
-        return tuple(map(torch.cat, zip(*met, strict=True))) if met else (rays, rays, start, start)
+        rays, faces, depths, across = map(torch.cat, zip(*met, strict=True))
+        return rays, faces, depths, across
 
 
 def _array(values: Tensor) -> np.ndarray:
-    return np.ascontiguousarray(values.numpy(), np.float32)
+    return np.ascontiguousarray(values.float().numpy())
