@@ -13,9 +13,10 @@ import torch
 from bench import BLAS, OMP, interleaved, run, show
 from rig_bench import ALBEDO, Effects, rig, wall
 
+from luxloop.loop.rig.arrays import Array
 from luxloop.loop.rig.calibration.calibrate import Calibration
-from luxloop.loop.rig.calibration.setups import Array, SimulatedSetup
-from luxloop.loop.rig.calibration.shots import Response
+from luxloop.loop.rig.calibration.setups import SimulatedSetup
+from luxloop.loop.rig.calibration.shots import linear_response
 from luxloop.loop.rig.live.plant import Digitiser
 from luxloop.perception.camera import saturation_luminance
 from luxloop.world.headlight import Headlight
@@ -39,7 +40,7 @@ def setup(width: int, height: int) -> tuple[SimulatedSetup, Calibration, Headlig
     """A bench, its calibration with the lens as a board shows it, and the lamp."""
     found = rig(wall("idealised-332x1024", width, height, 24.0, pitch_deg=4.0), Effects())
     scale = float(np.pi * saturation_luminance(found.bench.camera) / ALBEDO)
-    response, truth = Response.linear(found.bench.levels), found.truth
+    response, truth = linear_response(found.bench.levels), found.truth
     known = Calibration(found.known.camera, response, np.zeros(3), truth.screen, {"left matrix": truth.lamp}, {}, scale)
     return found.bench, known, found.light
 

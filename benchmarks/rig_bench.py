@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from luxloop.loop.rig.arrays import Array
 from luxloop.loop.rig.calibration.geometry import CameraModel, Geometry, Pose
 from luxloop.loop.rig.calibration.intrinsics import Corners, lens
-from luxloop.loop.rig.calibration.setups import Array, SimulatedSetup, simulated_setup
+from luxloop.loop.rig.calibration.setups import SimulatedSetup, simulated_setup
 from luxloop.loop.rig.simulated.faults import LensParams
 from luxloop.loop.rig.simulated.lens import Lens, distort, undistort
 from luxloop.loop.scenario.model import Scenario, validate
@@ -108,7 +109,7 @@ def rig(scenario: Scenario, effects: Effects, fine: int = 2, seed: int = 0) -> R
     gain = _sheen(truth, params) if effects.gloss else 1.0
     optics = Lens.of(effects.optics or LensParams(), scenario.camera)
     bench = replace(bench, optics=lambda luminance: optics.image(gain * luminance)) if effects != Effects() else bench
-    known = replace(truth, camera=lens(_views(pinhole, params, rng), pinhole.width, pinhole.height).camera)
+    known = replace(truth, camera=lens(_views(pinhole, params, rng), pinhole.width, pinhole.height)[0])
     off = Pose(lamp.turn + rng.normal(0, 0.01, 3), lamp.place + rng.normal(0, 0.05, 3))
     return Rig(bench, scenario, module.headlight, truth, replace(known, lamp=off), params)
 

@@ -14,10 +14,10 @@ import torch
 from bench import show
 from rig_bench import ALBEDO, BLUR, VEIL, Effects, Rig, model, rig, wall
 
-from luxloop.loop.rig.calibration.digitise import ModuleMeasurement, Nominal, Reading, Settings, digitise_module, lux, scale_to_lux, take
+from luxloop.loop.rig.arrays import Array
+from luxloop.loop.rig.calibration.digitise import ModuleMeasurement, Nominal, Reading, digitise_module, lux, scale_to_lux
 from luxloop.loop.rig.calibration.geometry import Geometry, candela_factor
-from luxloop.loop.rig.calibration.setups import Array
-from luxloop.loop.rig.calibration.shots import Response, Shots
+from luxloop.loop.rig.calibration.shots import Shots, linear_response
 from luxloop.loop.rig.simulated.faults import LensParams
 from luxloop.world.headlight import Headlight
 from luxloop.world.lamps.presets import idealised
@@ -65,7 +65,7 @@ def readings(of: Rig, n: int) -> list[Reading]:
             reading = Reading(1.0, *of.lens_px(of.truth.camera.project(point[None]))[0].tolist())
             offsets = rng.uniform(-0.005, 0.005, (4000, 2))
             sensor = point + offsets[np.hypot(*offsets.T) < 0.005] @ of.truth.screen.rotation[:, :2].T
-            found.append(replace(reading, lux=lux(of.light, of.truth, sensor, reading)))
+            found.append(replace(reading, lux=lux(of.light, of.truth.lamp.matrix, sensor, normal)))
     return found
 
 
@@ -78,17 +78,15 @@ def places(of: Rig) -> tuple[Array, Array]:
         return (seen @ u) / total, (seen @ v) / total
 
 
-def digitise(of: Rig, folder: Path | None = None, settings: Settings | None = None) -> ModuleMeasurement:
+def digitise(of: Rig, folder: Path | None = None) -> ModuleMeasurement:
     """The rig's lamp, digitised, in the camera's unit."""
-    settings = settings or Settings()
-    shots = Shots(of.bench, Response.linear(of.bench.levels), folder, "benchmark")
+    shots = Shots(of.bench, linear_response(of.bench.levels), folder, "benchmark")
     nominal = Nominal.of(0, "matrix", of.light)
-    taken = take(shots, nominal, [of.light.n_pixels], settings)
 
     def factor(geometry: Geometry) -> Array:
         return candela_factor(geometry, of.bench.shape, lambda cos: np.full_like(cos, ALBEDO))
 
-    return digitise_module(taken, nominal, of.known, settings, factor)
+    return digitise_module(shots, nominal, [of.light.n_pixels], of.known, factor)
 
 
 def figures(of: Rig, found: ModuleMeasurement) -> dict[str, float]:

@@ -266,7 +266,7 @@ def blink(
     write
         Write the result as [timing] into the rig file.
     """
-    from luxloop.loop.rig.blink import blink as measure
+    from luxloop.loop.rig.blink import evaluate, record
     from luxloop.loop.rig.params import load_rig
     from luxloop.loop.rig.rig import open_rig
 
@@ -278,7 +278,7 @@ def blink(
         return
     with locate(str(file)), open_rig(params, grids, None, armed=True) as rig, progress("blink", blinks + 2) as advance:
         await_rig(rig)
-        found = measure(rig, grids, blinks, level, advance)
+        found = evaluate(record(rig, grids, blinks, level, advance), blinks)
     tables.show(tables.facts(_delays(found)))
     if found.warning:
         tables.say(found.warning)

@@ -14,10 +14,11 @@ from luxloop.loop.report import terminal as tables
 from luxloop.world.errors import LuxloopError
 
 if TYPE_CHECKING:
+    from luxloop.loop.rig.arrays import Array
     from luxloop.loop.rig.calibration.digitise import Reading
     from luxloop.loop.rig.calibration.intrinsics import Corners
     from luxloop.loop.rig.calibration.setups import Setup
-    from luxloop.loop.rig.calibration.shots import Response, Shots
+    from luxloop.loop.rig.calibration.shots import Shots
     from luxloop.loop.scenario.model import Scenario
     from luxloop.loop.simulation.truth import LampModule
 
@@ -108,7 +109,7 @@ def calibrate(
     from luxloop.loop.rig.calibration import calibrate as steps
     from luxloop.loop.rig.calibration.geometry import DISTORTION
     from luxloop.loop.rig.calibration.intrinsics import lens, vignetting
-    from luxloop.loop.rig.calibration.shots import Response
+    from luxloop.loop.rig.calibration.shots import linear_response
 
     steps.refuse_name(out)
     readings = [_reading(each) for each in lux or ()]
@@ -117,19 +118,22 @@ def calibrate(
     scenario = scenario_of(name, set, allow_code=allow_code)
     views, size = _views(boards, printed) if boards is not None else ([], (0, 0))
     found_lens = lens(views, *size) if boards is not None else None
-    seen = _views(on_screen, printed)[0][0] if on_screen is not None else None
-    known = steps.Prior(scenario.camera, found_lens, seen, screen_m)
+    if on_screen is None and screen_m is None:
+        raise LuxloopError(
+            "nothing tells where the screen is; give a picture of the board on it with --on-screen, or its distance with --screen-m"
+        )
+    screen: Any = screen_m if on_screen is None else _views(on_screen, printed)[0][0]
     with _setup(scenario, rig, allow_code) as (setup, modules):
         kept = frames or out.with_name(f"{out.stem}_frames")
-        shots = _shots(setup, Response.linear(setup.levels), kept, scenario)
+        shots = _shots(setup, linear_response(setup.levels), kept, scenario)
         response = steps.measure_response(shots, [each.headlight.n_pixels for each in modules])
-        even = [] if flats is None else [response.light(each.clip(0, setup.levels)) for each in _pictures(flats).values()]
+        even = [] if flats is None else [response[each.clip(0, setup.levels)] for each in _pictures(flats).values()]
         darkening, left = vignetting(even) if even else (np.zeros(3), 0.0)
         shots = _shots(setup, response, kept, scenario)
-        done = steps.calibrate_poses(shots, modules, known, darkening)
+        found, geometries, located = steps.calibrate_poses(shots, modules, scenario.camera, darkening, found_lens, screen)
         scale = steps.lux_scale(shots, [each.headlight.n_pixels for each in modules], readings, darkening) if readings else None
-    steps.save(out, replace(done.calibration, lux=scale))
-    camera = done.calibration.camera
+    steps.save(out, replace(found, lux=scale))
+    camera = found.camera
     values = dict(zip(("fx", "fy", "cx", "cy", *DISTORTION), camera.values, strict=True))
     std = [""] * 9 if camera.covariance is None else [f" ± {by:.2g}" for by in np.sqrt(np.diag(camera.covariance))]
     rows_shown = {
@@ -137,14 +141,14 @@ def calibrate(
         + ("; assumed, not measured" if camera.covariance is None else ""),
         "scale": "not measured" if scale is None else f"{scale:.4g} lx on the screen saturate the camera",
         "vignetting": "not measured" if flats is None else f"{100 * darkening.sum():.1f} % in the corners, {100 * left:.2g} % rms left",
-        **{f"residual, {what}": f"{value:.3f} px rms" for what, value in done.calibration.rms.items()},
-        **{f"located, {what}": f"{100 * share:.1f} % of the pixels" for what, share in done.found.items()},
+        **{f"residual, {what}": f"{value:.3f} px rms" for what, value in found.rms.items()},
+        **{f"located, {what}": f"{100 * share:.1f} % of the pixels" for what, share in located.items()},
     }
-    for what, geometry in done.geometry.items():
+    for what, geometry in geometries.items():
         place, by = geometry.lamp.place, geometry.std["lamp"][3:]
         rows_shown[f"place, {what}"] = ", ".join(f"{a:.4f} ± {b:.1g}" for a, b in zip(place, by, strict=True)) + " m from the camera"
     tables.show(tables.facts(rows_shown))
-    keys = steps.overrides(done.calibration, modules[0])
+    keys = steps.overrides(found, modules[0])
     print(f"--set {' '.join(f'{key}={value:g}' for key, value in keys.items())}")
     print(f"{out} written; digitise the lamp with: luxloop rig digitise {shlex.join([name, '--calibration', str(out)])}")
 
@@ -210,7 +214,6 @@ def digitise(
     scenario = scenario_of(name, set, allow_code=allow_code)
     digitised_side(scenario)
     known = load(calibration)
-    settings = steps.Settings(comb_frames=comb_frames, texels=texels)
     with _setup(scenario, rig, allow_code) as (setup, modules):
         if setup.shape != (known.camera.height, known.camera.width):
             height, width = setup.shape
@@ -222,11 +225,18 @@ def digitise(
         shots = _shots(setup, known.response, frames or out.with_name(f"{out.stem}_frames"), scenario)
         nominal = [steps.Nominal.of(k, each.name, each.headlight) for k, each in enumerate(modules)]
         sizes = [each.headlight.n_pixels for each in modules]
-        found = []
-        for each in nominal:
-            taken = steps.take(shots, each, sizes, settings)
-            start = known.geometry(each.name)
-            found.append(steps.digitise_module(taken, each, start, settings, lambda at: candela_factor(at, setup.shape, factor) / shade))
+        found = [
+            steps.digitise_module(
+                shots,
+                each,
+                sizes,
+                known.geometry(each.name),
+                lambda at: candela_factor(at, setup.shape, factor) / shade,
+                comb_frames,
+                texels,
+            )
+            for each in nominal
+        ]
     scatter = None
     if readings:
         scaled, scatter = steps.scale_to_lux(found, readings)
@@ -317,9 +327,9 @@ def _setup(scenario: "Scenario", rig: Path | None, allow_code: bool) -> Iterator
     if rig is None:
         yield simulated_setup(scenario, modules), modules
         return
+    from luxloop.loop.rig.arrays import grids_of
     from luxloop.loop.rig.calibration.setups import rig_setup
     from luxloop.loop.rig.params import load_rig
-    from luxloop.loop.rig.plant import grids_of
 
     with rig_setup(rig, load_rig(rig, allow_code=allow_code), grids_of(modules), await_rig) as setup:
         yield setup, modules
@@ -332,7 +342,7 @@ def _require_arm(rig: Path | None, arm: bool) -> None:
         raise LuxloopError("--arm lights the lamp of a rig file; give --rig FILE as well")
 
 
-def _shots(setup: "Setup", response: "Response", folder: Path, scenario: "Scenario") -> "Shots":
+def _shots(setup: "Setup", response: "Array", folder: Path, scenario: "Scenario") -> "Shots":
     from luxloop.loop.rig.calibration import structured_light as codes
     from luxloop.loop.rig.calibration.shapes import SPACING
     from luxloop.loop.rig.calibration.shots import Shots, plan_digest

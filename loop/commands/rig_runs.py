@@ -11,6 +11,7 @@ from luxloop.loop.report.progress import progress
 from luxloop.world.errors import LuxloopError, locate, redact
 
 if TYPE_CHECKING:
+    from luxloop.loop.rig.arrays import Grids
     from luxloop.loop.rig.live.plant import LivePlant
     from luxloop.loop.rig.params import MarkParams
     from luxloop.loop.rig.rig import Rig
@@ -90,11 +91,11 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
     """
     from luxloop.loop.commands.runs import run_scenario
     from luxloop.loop.recording.manifest import BEAM, RIG, write_json
+    from luxloop.loop.rig.arrays import grids_of
     from luxloop.loop.rig.calibration.calibrate import load
     from luxloop.loop.rig.calibration.pictures import draw_beam
     from luxloop.loop.rig.live.plant import live_plant, refuse_unfit
     from luxloop.loop.rig.params import load_rig
-    from luxloop.loop.rig.plant import grids_of
     from luxloop.loop.rig.rig import open_rig
     from luxloop.loop.scenario.plant import SimulatedPlantParams
     from luxloop.loop.simulation.build_lamps import mount
@@ -140,10 +141,10 @@ def run_live(scenario: "Scenario", out: Path, rig_file: tuple[Path, bool, bool],
     return passed
 
 
-def pixel_grids(scenario: "Scenario") -> tuple[tuple[int, int], ...]:
+def pixel_grids(scenario: "Scenario") -> "Grids":
     """Rows and columns of the pixels of the scenario's modules."""
 
-    from luxloop.loop.rig.plant import grids_of
+    from luxloop.loop.rig.arrays import grids_of
     from luxloop.loop.simulation.build_lamps import mount
 
     with locate(scenario.source):

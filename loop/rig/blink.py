@@ -3,11 +3,11 @@
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from luxloop.loop.rig.arrays import Array, Grids, Image, Indices, Mask
 from luxloop.loop.rig.camera import CameraPicture
 from luxloop.loop.rig.light import Shine
 from luxloop.loop.rig.matching import needed_s
@@ -38,13 +38,13 @@ class BlinkPictures:
     `[m]`, between all pictures that came. queued: share of those that lay in a queue, which are left out of the others.
     """
 
-    lag_s: NDArray[np.float64]
-    at_s: NDArray[np.float64]
-    late_s: NDArray[np.float64]
-    least: NDArray[np.float64]
-    most: NDArray[np.float64]
+    lag_s: Array
+    at_s: Array
+    late_s: Array
+    least: Array
+    most: Array
     seen: float
-    intervals_s: NDArray[np.float64]
+    intervals_s: Array
     queued: float
 
 
@@ -83,33 +83,27 @@ class BlinkResult:
         )
 
 
-def blink(rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: float, advance: Callable[[], None] = lambda: None) -> BlinkResult:
-    """Let the lamp of an armed rig blink. level: utilisation of all pixels, where the limits allow it. advance: called after each blink.
+def record(rig: Rig, grids: Grids, blinks: int, level: float, advance: Callable[[], None] = lambda: None) -> BlinkPictures:
+    """Pictures of an armed rig's lamp that blinks. level: utilisation of all pixels, where the limits allow it. advance: called after each
+    blink.
 
-    Raises LuxloopError where the camera does not see it, or too few pictures come.
+    Raises LuxloopError where the camera does not see it.
     """
-    return evaluate(record(rig, grids, blinks, level, advance), blinks)
-
-
-def record(
-    rig: Rig, grids: Sequence[tuple[int, int]], blinks: int, level: float, advance: Callable[[], None] = lambda: None
-) -> BlinkPictures:
-    """Pictures of a lamp that blinks; as `blink`."""
     if blinks < FEWEST:
         raise LuxloopError(f"--blinks {blinks}: is too few for a worst case; give {FEWEST} at least")
-    lit, black = _lights(rig, grids, level)
+    lit, black = (tuple(np.full(grid, u, np.float32) for grid in grids) for u in (min(level, rig.limits.share), 0.0))
     drawn = np.random.default_rng(0)
-    switches, pictures = list[tuple[float, bool]](), list[tuple[float, float, NDArray[Any]]]()
-    settled: list[NDArray[np.float32]] = []
+    switches, pictures = list[tuple[float, bool]](), list[tuple[float, float, Image]]()
+    settled: list[Image] = []
     queued = void = 0
     arrivals: list[float] = []
-    rows: NDArray[np.bool_] | None = None
-    mask: NDArray[np.float32] | None = None
+    rows: Mask | None = None
+    mask: Image | None = None
     was_lit = False
     for number in range(LEARNT + blinks):
         on = number % 2 == 1
         if rig.camera.alive:
-            _show(rig, Shine(number, (lit if on else black).pictures))
+            _show(rig, Shine(number, lit if on else black))
         else:
             rig.dark(rig.camera.reason)
         sent_s = rig.keeper.since_s
@@ -157,7 +151,7 @@ def evaluate(looks: BlinkPictures, blinks: int) -> BlinkResult:
     blinks_of = [np.flatnonzero(looks.at_s == at_s) for at_s in starts_s]
     halves = blinks_of[: len(blinks_of) // 2], blinks_of[len(blinks_of) // 2 :]
 
-    def latency(pictures: Sequence[NDArray[np.intp]]) -> float:
+    def latency(pictures: Sequence[Indices]) -> float:
         at = np.concatenate(pictures)
         return _between(lag_s[at], whole[at], interval_s / 2)
 
@@ -176,13 +170,6 @@ def evaluate(looks: BlinkPictures, blinks: int) -> BlinkResult:
     )
 
 
-def _lights(rig: Rig, grids: Sequence[tuple[int, int]], level: float) -> tuple[Shine, Shine]:
-    """All pixels on, as far as the limit of power lets them, and off."""
-    on = Shine(0, tuple(np.full(grid, level, np.float32) for grid in grids))
-    factor = np.float32(min(1.0, rig.limits.share / on.share))
-    return Shine(0, tuple(u * factor for u in on.pictures)), Shine(0, tuple(np.zeros(grid, np.float32) for grid in grids))
-
-
 def _show(rig: Rig, shine: Shine) -> None:
     """Show light at once. Raises LuxloopError where a limit forbids that."""
     rig.keeper.beat()
@@ -192,7 +179,7 @@ def _show(rig: Rig, shine: Shine) -> None:
     rig.show(given.shine)
 
 
-def _pictures(rig: Rig, until_s: float) -> Iterator[tuple[CameraPicture, NDArray[np.float32]]]:
+def _pictures(rig: Rig, until_s: float) -> Iterator[tuple[CameraPicture, Image]]:
     """Pictures as they come, as long as the camera lives."""
     while time.monotonic() < until_s:
         rig.keeper.beat()
@@ -206,7 +193,7 @@ def _pictures(rig: Rig, until_s: float) -> Iterator[tuple[CameraPicture, NDArray
                 continue
 
 
-def _steady(images: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+def _steady(images: list[Image]) -> Image:
     """The last half of them `[n, height, width]`, 20 at most. Raises LuxloopError where there are too few, or their sizes differ."""
     last = images[len(images) // 2 :][-20:]
     if len(last) < 3 or len({each.shape for each in last}) > 1:
@@ -214,7 +201,7 @@ def _steady(images: list[NDArray[np.float32]]) -> NDArray[np.float32]:
     return np.stack(last)
 
 
-def _region(dark: NDArray[np.float32], bright: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def _region(dark: Image, bright: Image) -> tuple[Image, Mask]:
     """Which pixels show the light, and the rows in which there are some. Raises LuxloopError where none do."""
     change = bright - dark
     most = float(np.quantile(change, 0.999))
@@ -229,9 +216,9 @@ def _region(dark: NDArray[np.float32], bright: NDArray[np.float32]) -> tuple[NDA
 
 def _blink_pictures(
     switches: Sequence[tuple[float, bool]],
-    pictures: Sequence[tuple[float, float, NDArray[Any]]],
-    steady: Sequence[NDArray[Any]],
-    came: tuple[NDArray[np.float64], float],
+    pictures: Sequence[tuple[float, float, Image]],
+    steady: Sequence[Image],
+    came: tuple[Array, float],
 ) -> BlinkPictures:
     """steady: dark and bright rows of pixels, both `[n, rows]`. came: intervals between the pictures, and share that lay in a queue."""
     dark, bright = (np.median(each, axis=0) for each in steady)
@@ -247,11 +234,11 @@ def _blink_pictures(
         share = (rows - dark) / (bright - dark)
         share = share if on else 1 - share
         values.append((arrived_s - at_s, at_s, late_s, share.min(), share.max()))
-    columns = np.array(values).T if values else np.zeros((5, 0))
-    return BlinkPictures(columns[0], columns[1], columns[2], columns[3], columns[4], seen, *came)
+    lag_s, at_s, late_s, least, most = np.array(values).reshape(-1, 5).T
+    return BlinkPictures(lag_s, at_s, late_s, least, most, seen, *came)
 
 
-def _between(lag_s: NDArray[np.float64], after: NDArray[np.bool_], reach_s: float) -> float:
+def _between(lag_s: Array, after: Mask, reach_s: float) -> float:
     """The mean time from which pictures are `after`, of those within `reach_s` around the time that parts them best."""
     order = np.argsort(lag_s)
     lags, late = lag_s[order], after[order]

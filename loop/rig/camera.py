@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, Protocol, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from luxloop.loop.rig.arrays import Data
 from luxloop.loop.rig.matching import Regularity
 from luxloop.world.errors import LuxloopError
 
@@ -30,7 +30,7 @@ class CameraPicture:
 
     arrived_s: float
     awaited: bool
-    data: bytes | NDArray[np.generic]
+    data: Data
     late_s: float = 0.0
 
 
@@ -146,11 +146,8 @@ def check_picture(given: Any) -> CameraPicture | None:
     if not isinstance(given.arrived_s, int | float) or not -np.inf < given.arrived_s <= time.monotonic() + 1e-3:
         raise LuxloopError(f"{KEY}: read gives the time {given.arrived_s!r}; give time.monotonic() when the picture had come")
     data: Any = given.data
-    if not isinstance(data, bytes) and not (getattr(data, "dtype", None) in (np.uint8, np.uint16) and data.size and _is_image(data.shape)):
+    image = isinstance(data, np.ndarray) and data.dtype in (np.uint8, np.uint16) and data.size and data.ndim > 1
+    if not isinstance(data, bytes) and not (image and data.shape[2:] in ((), (3,), (4,))):
         what = f"{data.dtype} {list(data.shape)}" if isinstance(data, np.ndarray) else type(data).__name__
         raise LuxloopError(f"{KEY}: read gives a picture of {what}; give uint8 or uint16 [height, width] or [height, width, 3], or bytes")
     return given
-
-
-def _is_image(shape: tuple[int, ...]) -> bool:
-    return len(shape) == 2 or (len(shape) == 3 and shape[2] in (3, 4))

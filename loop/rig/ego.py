@@ -6,38 +6,41 @@ Both times are of the sender's clock, so that a receiver knows the age of a samp
 """
 
 import json
-import math
 import threading
 import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Protocol, cast
+from typing import Annotated, Final, Protocol, cast
 
+from pydantic import Field, FiniteFloat, TypeAdapter, ValidationError
 from torch import Tensor
 
 from luxloop.loop.rig.params import Egos, NoEgoParams, UdpEgoParams
 from luxloop.loop.rig.wire.sockets import udp_listener
-from luxloop.perception.egomotion import LARGEST, VALUES, Sample
+from luxloop.perception.egomotion import LARGEST, VALUES, Sample, Sensor
 from luxloop.world import plugin
 
 LARGEST_DATAGRAM: Final = 4096  # bytes of a datagram
-MOST_VALUES: Final = 64
+OLDEST_S: Final = 10.0  # age of a sample; an older one has another clock
 
 
 @dataclass(frozen=True)
 class SensorDatagram:
     """A sample as it goes over the network. values: as in `luxloop.perception.egomotion.Sample`. Times in s of the sender's clock."""
 
-    sensor: str
-    measured_s: float
-    sent_s: float
-    values: tuple[float, ...]
+    sensor: Sensor
+    measured_s: FiniteFloat
+    sent_s: FiniteFloat
+    values: Annotated[tuple[FiniteFloat, ...], Field(min_length=1, max_length=64)]
 
     @property
     def age_s(self) -> float:
         """Time from measurement to sending in s."""
         return self.sent_s - self.measured_s
+
+
+_DATAGRAM: Final = TypeAdapter(SensorDatagram)
 
 
 def encode(sensor: str, measured_s: float, sent_s: float, values: Sequence[float]) -> bytes:
@@ -46,23 +49,20 @@ def encode(sensor: str, measured_s: float, sent_s: float, values: Sequence[float
 
 
 def decode(datagram: bytes) -> SensorDatagram | None:
-    """The sample of a datagram, None where it has none."""
+    """The sample of a datagram, None where it has none, or none that a vehicle's sensor may have told a short time ago."""
     if len(datagram) > LARGEST_DATAGRAM:
         return None
     try:
-        data = json.loads(datagram)
-        values = tuple(float(value) for value in data["values"])
-        sample = SensorDatagram(str(data["sensor"]), float(data["measured_s"]), float(data["sent_s"]), values)
-    except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
+        told = _DATAGRAM.validate_json(datagram)
+    except ValidationError:
         return None
-    finite = all(math.isfinite(value) for value in (sample.measured_s, sample.sent_s, *values))
-    return sample if finite and 0 < len(values) <= MOST_VALUES else None
+    fits = VALUES[told.sensor] in (None, len(told.values)) and max(map(abs, told.values)) <= LARGEST[told.sensor]
+    return told if fits and 0 <= told.age_s <= OLDEST_S else None
 
 
 KEY: Final = "ego.kind"
 METHODS: Final = ("samples", "close")
 MOST: Final = 1000  # samples that nobody has taken yet
-OLDEST_S: Final = 10.0  # age of a sample; an older one has another clock
 
 
 class Ego(Protocol):
@@ -103,7 +103,7 @@ class UdpEgo:
         while self._come:
             arrived_s, told = self._come.popleft()
             measured_s = arrived_s - self._params.latency_s - told.age_s
-            found.append(Sample(cast(Any, told.sensor), measured_s, arrived_s, like.new_tensor(told.values)))
+            found.append(Sample(told.sensor, measured_s, arrived_s, like.new_tensor(told.values)))
         return tuple(found)
 
     def close(self) -> None:
@@ -119,19 +119,10 @@ class UdpEgo:
                 continue
             except OSError:
                 return
-            told = decode(datagram)
-            if told is not None and _possible(told):
-                self._come.append((time.monotonic(), told))
-            else:
+            if (told := decode(datagram)) is None:
                 self.refused += 1
-
-
-def _possible(told: SensorDatagram) -> bool:
-    """Whether a vehicle's sensor may have told this, a short time ago."""
-    if told.sensor not in VALUES or not 0 <= told.age_s <= OLDEST_S:
-        return False
-    sensor = cast(Any, told.sensor)
-    return VALUES[sensor] in (None, len(told.values)) and max(map(abs, told.values)) <= LARGEST[sensor]
+            else:
+                self._come.append((time.monotonic(), told))
 
 
 def open_ego(params: Egos) -> Ego:

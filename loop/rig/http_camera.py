@@ -12,7 +12,7 @@ from urllib.request import AbstractDigestAuthHandler, HTTPPasswordMgrWithDefault
 from luxloop.loop.rig.camera import CameraPicture
 from luxloop.loop.rig.params import HttpCameraParams
 from luxloop.loop.rig.wire.mjpeg import LONGEST_LINE, parts
-from luxloop.loop.rig.wire.sockets import REFUSED, reason_of
+from luxloop.loop.rig.wire.sockets import reaching
 from luxloop.world.errors import LuxloopError
 
 MOST_HEAD: Final = 16_384  # bytes of the answer's head
@@ -73,7 +73,7 @@ class HttpCamera:
         return CameraPicture(arrived_s, awaited, part.body)
 
     def close(self) -> None:
-        self._stream.close()
+        self._stream.socket.close()
 
     def _connection(self, address: str) -> socket.socket:
         try:
@@ -85,17 +85,15 @@ class HttpCamera:
             raise LuxloopError(f'camera.url: {self._url} leads to {url.scheme}://, which kind = "http" cannot read; give kind = "stream"')
         if not host:
             raise LuxloopError(f"camera.url: {address} names no host; {EXAMPLE}")
-        try:
+        with reaching("camera.url", address):
             return socket.create_connection((host, port), SLOW_S)
-        except REFUSED as error:
-            raise LuxloopError(f"camera.url: {address} cannot be reached ({reason_of(error)}); check it, and the network") from error
 
     def _ask(self, address: str, login: str) -> tuple[str, Mapping[str, str]]:
         """Status and head of the server's answer, names in lower case."""
         url = urlsplit(address)
         lines = [f"GET {url.path or '/'}{f'?{url.query}' if url.query else ''} HTTP/1.0", f"Host: {url.hostname}"]
         lines += ["Accept: multipart/x-mixed-replace, image/*", *([f"Authorization: {login}"] if login else [])]
-        self._stream.ask("\r\n".join([*lines, "", ""]).encode())
+        self._stream.socket.sendall("\r\n".join([*lines, "", ""]).encode())
         first = self._stream.readline(MOST_HEAD).decode("latin-1").split(None, 2)
         head, left = dict[str, str](), MOST_HEAD
         if len(first) < 2 or not first[0].startswith("HTTP/"):
@@ -149,15 +147,9 @@ class _Stream:
 
     def __init__(self, sock: socket.socket, whole_s: float) -> None:
         """whole_s: time in which a head or a part has to come whole."""
-        self._socket, self._buffer, self._whole_s = sock, bytearray(), whole_s
+        self.socket, self._buffer, self._whole_s = sock, bytearray(), whole_s
         self._until_s = time.monotonic() + whole_s
         self.arrived_s, self.awaited, self.boundary = 0.0, False, b""
-
-    def ask(self, request: bytes) -> None:
-        self._socket.sendall(request)
-
-    def close(self) -> None:
-        self._socket.close()
 
     def await_part(self, timeout_s: float) -> bool:
         """Wait for the first byte of the next part; whether it has come."""
@@ -169,14 +161,16 @@ class _Stream:
                 self.awaited = True
                 if not self._ready(max(until_s - time.monotonic(), 0)):
                     return False
-            self.arrived_s = time.monotonic()
-            self._until_s = self.arrived_s + self._whole_s
+            self._arrive()
             self._fill()
             self._strip()
         if not self.awaited:
-            self.arrived_s = time.monotonic()
-            self._until_s = self.arrived_s + self._whole_s
+            self._arrive()
         return True
+
+    def _arrive(self) -> None:
+        self.arrived_s = time.monotonic()
+        self._until_s = self.arrived_s + self._whole_s
 
     def readline(self, limit: int) -> bytes:
         while (end := self._buffer.find(b"\n", 0, limit)) < 0 and len(self._buffer) < limit:
@@ -203,12 +197,11 @@ class _Stream:
         return 0 if self.boundary else size
 
     def _ready(self, timeout_s: float) -> bool:
-        return bool(select.select([self._socket], [], [], timeout_s)[0])
+        return bool(select.select([self.socket], [], [], timeout_s)[0])
 
     def _fill(self) -> None:
-        self._socket.settimeout(max(self._until_s - time.monotonic(), 1e-3))
-        came = self._socket.recv(CHUNK)
-        if not came:
+        self.socket.settimeout(max(self._until_s - time.monotonic(), 1e-3))
+        if not (came := self.socket.recv(CHUNK)):
             raise LuxloopError("camera: has closed the connection")
         self._buffer += came
 

@@ -7,6 +7,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from luxloop.loop.rig.arrays import Indices
 from luxloop.loop.rig.params import LimitParams, ScanParams
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import REST, Commands
@@ -64,7 +65,7 @@ class NoLight:
         return None
 
 
-def places(scan: ScanParams, rows: int, columns: int) -> NDArray[np.int64]:
+def places(scan: ScanParams, rows: int, columns: int) -> Indices:
     """Indices `[rows * columns]` into a picture in the order in which a device wants its pixels."""
     index = np.arange(rows * columns).reshape(rows, columns)
     index = index[:: -1 if scan.from_bottom else 1, :: -1 if scan.from_right else 1]

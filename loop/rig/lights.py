@@ -2,21 +2,22 @@
 
 import json
 import os
-from collections.abc import Sequence
 from contextlib import suppress
 from typing import Final, cast
 
 import cv2
 import numpy as np
 
+from luxloop.loop.rig.arrays import Grids
 from luxloop.loop.rig.light import KEY, Light, Shine, places
 from luxloop.loop.rig.params import DdpLightParams, FilesLightParams, Lights, ScreenLightParams
 from luxloop.loop.rig.screen import ScreenLight, stack_pictures
-from luxloop.loop.rig.wire.ddp import Codes, WireCommand, codes_of, packets, send, sequence
-from luxloop.loop.rig.wire.sockets import reason_of, udp_sender
+from luxloop.loop.rig.wire.ddp import Codes, codes_of, packets, send, sequence
+from luxloop.loop.rig.wire.sockets import udp_sender
 from luxloop.world import plugin
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import whole
+from luxloop.world.headlight.lamp import REST, Commands
 
 METHODS: Final = ("show", "dark", "close")
 FAREWELLS = 3  # times that darkness is sent, since a packet may be lost
@@ -25,15 +26,15 @@ FAREWELLS = 3  # times that darkness is sent, since a packet may be lost
 class DdpLight:
     """A lamp on the network. The time code of an exposure is its number plus the number of times that the lamp was darkened before."""
 
-    def __init__(self, params: DdpLightParams, grids: Sequence[tuple[int, int]]) -> None:
+    def __init__(self, params: DdpLightParams, grids: Grids) -> None:
         """grids: rows and columns of the modules' pixels. Raises LuxloopError if the host has no address."""
         self._params = params
         self._order = [places(params.scan, *grid) for grid in grids]
-        self._pixels = sum(map(len, self._order))
         self._socket = udp_sender("light.host", params.host, params.port)
         self._number, self._timecode, self._darkened = -1, -1, 0
         self._sequence = sequence()
-        self._frame: tuple[Codes, list[WireCommand] | None] | None = None
+        self._rest = (REST,) * len(grids) if params.commands else None
+        self._frame: tuple[Codes, Commands | None] | None = None
 
     @property
     def timecode(self) -> int:
@@ -45,7 +46,10 @@ class DdpLight:
         fresh = self._frame is None or shine.number != self._number
         if self._frame is None or fresh:
             self._number, self._timecode = shine.number, shine.number + self._darkened
-            self._frame = self._codes(shine), self._commands(shine)
+            pictures = shine.net_pictures if self._rest is None else shine.pictures
+            ordered = [u.ravel()[order] for u, order in zip(pictures, self._order, strict=True)]
+            codes = codes_of(np.concatenate(ordered), self._params.bits, self._params.gamma)
+            self._frame = codes, self._rest and (shine.commands or self._rest)
         return self._sent(*self._frame, self._params.repeats if fresh else 1)
 
     def dark(self) -> None:
@@ -53,25 +57,12 @@ class DdpLight:
         self._darkened += 1
         self._timecode += 1
         self._frame = None
-        dark = codes_of(np.zeros(self._pixels), self._params.bits)
-        rest = [WireCommand()] * len(self._order) if self._params.commands else None
-        self._sent(dark, rest, FAREWELLS)
+        self._sent(codes_of(np.zeros(sum(map(len, self._order))), self._params.bits), self._rest, FAREWELLS)
 
     def close(self) -> None:
         self._socket.close()
 
-    def _codes(self, shine: Shine) -> Codes:
-        pictures = shine.pictures if self._params.commands else shine.net_pictures
-        ordered = [u.ravel()[order] for u, order in zip(pictures, self._order, strict=True)]
-        return codes_of(np.concatenate(ordered), self._params.bits, self._params.gamma)
-
-    def _commands(self, shine: Shine) -> list[WireCommand] | None:
-        if not self._params.commands:
-            return None
-        given = [WireCommand(each.swivel_deg, each.level_deg, each.intensity) for each in shine.commands]
-        return given or [WireCommand()] * len(self._order)
-
-    def _sent(self, codes: Codes, commands: list[WireCommand] | None, times: int) -> str | None:
+    def _sent(self, codes: Codes, commands: Commands | None, times: int) -> str | None:
         where, reason = f"{self._params.host}:{self._params.port}", None
         for _ in range(times):
             try:
@@ -79,7 +70,7 @@ class DdpLight:
             except ConnectionRefusedError:  # word of an earlier packet
                 reason = f"light: nobody listens at {where}"
             except OSError as error:  # a full buffer, say; the next time may go out
-                reason = f"light: sending to {where} fails ({reason_of(error)})"
+                reason = f"light: sending to {where} fails ({error.strerror or error})"
         return reason
 
 
@@ -118,15 +109,13 @@ class FilesLight:
         return None
 
     def _write(self, codes: Codes, about: dict[str, object]) -> None:
-        done, coded = cv2.imencode(".png", codes, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-        assert done
         with whole(self._params.folder / PICTURE) as part:
-            part.write_bytes(coded.tobytes())
+            part.write_bytes(cv2.imencode(".png", codes, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
         with whole(self._params.folder / ABOUT) as part:
             part.write_text(json.dumps(about), "utf-8")
 
 
-def open_light(params: Lights, grids: Sequence[tuple[int, int]]) -> Light:
+def open_light(params: Lights, grids: Grids) -> Light:
     """The light of a rig file. grids: rows and columns of the modules' pixels. Raises LuxloopError if it cannot be opened."""
 
     match params:

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from luxloop.loop.rig.arrays import Array, Grids, Image
 from luxloop.loop.rig.light import Picture
 from luxloop.loop.rig.params import LimitParams, MarkParams, TimingParams
 from luxloop.world.errors import LuxloopError
@@ -39,7 +39,7 @@ def shows(lag_s: float, timing: TimingParams, late_s: float = 0.0) -> Verdict:
     return "old" if lag_s <= timing.latency_s - timing.rolling_s else "mixed"
 
 
-def needed_s(lateness_s: NDArray[np.float64], predicted_s: NDArray[np.float64]) -> float:
+def needed_s(lateness_s: Array, predicted_s: Array) -> float:
     """Least `jitter_s` with which `shows` takes none of some pictures for clear too early.
 
     lateness_s: `[n]`, how much later than `latency_s` they came. predicted_s: `[n]`, the part of it that `Regularity` found.
@@ -55,7 +55,7 @@ class Regularity:
         self._last_s: float | None = None
 
     def late(self, arrived_s: float) -> float:
-        """TimeHistogram in s of the next picture, infinite where the period is not known yet.
+        """Lateness in s of the next picture, infinite where the period is not known yet.
 
         Where pictures pile up behind one that is stuck, that one and those behind it are late.
         """
@@ -78,44 +78,44 @@ AROUND = 0.5  # of the mark's width and height, by which its light may reach bey
 
 
 def draw_mark(pictures: Sequence[Picture], mark: MarkParams, number: int) -> tuple[Picture, ...]:
-    """Pictures of utilisations with the mark of an exposure draw_mark into them. number: of the exposure."""
-    marked = list(pictures)
-    picture = marked[mark.module].copy()
-    width = mark.columns // 4
-    for cell, lit in enumerate(mark_cells(number)):
-        first = mark.column + cell * width
-        picture[mark.row : mark.row + mark.rows, first : first + width] = np.float32(lit)
-    marked[mark.module] = picture
-    return tuple(marked)
+    """Pictures of utilisations with the mark of an exposure in them. number: of the exposure."""
+    picture, width = pictures[mark.module].copy(), mark.columns // 4
+    cells = np.repeat(np.array(mark_cells(number), np.float32), width)
+    picture[mark.row : mark.row + mark.rows, mark.column : mark.column + 4 * width] = cells
+    return (*pictures[: mark.module], picture, *pictures[mark.module + 1 :])
 
 
 def mark_cells(number: int) -> tuple[bool, bool, bool, bool]:
-    """Which mark_cells are lit, from the left. From one exposure to the next, exactly one pair of mark_cells changes."""
+    """Which cells are lit, from the left. From one exposure to the next, exactly one pair of cells changes."""
     gray = (number % CODES) ^ (number % CODES >> 1)
     high, low = bool(gray & 2), bool(gray & 1)
     return high, not high, low, not low
 
 
-def limits_beside_mark(limits: LimitParams, mark: MarkParams, grids: Sequence[tuple[int, int]]) -> LimitParams:
-    """Limits of the light outside the mark, half of whose mark_cells are always lit. grids: rows and columns of the modules' pixels.
+def limits_beside_mark(limits: LimitParams, mark: MarkParams, grids: Grids) -> LimitParams:
+    """Limits of the light outside the mark, half of whose cells are always lit. grids: rows and columns of the modules' pixels.
 
-    Raises LuxloopError if the mark alone needs all the power.
+    Raises LuxloopError if the mark does not lie on its module, or alone needs all the power.
     """
+    if mark.module >= len(grids):
+        raise LuxloopError(f"mark.module: there is no module {mark.module}; the scenario has {len(grids)}, numbered from 0")
+    rows, columns = grids[mark.module]
+    if mark.row + mark.rows > rows or mark.column + mark.columns > columns:
+        raise LuxloopError(f"mark: lies beyond the {rows} x {columns} pixels of module {mark.module}; move it, or make it smaller")
+    if mark.columns < 4:
+        raise LuxloopError("mark.columns: four cells need four columns at least")
     share = 2 * (mark.columns // 4) * mark.rows / sum(rows * columns for rows, columns in grids)
     if share >= limits.share:
         raise LuxloopError(f"mark: takes {share:.1%} of the lamp's power, where limits allow {limits.share:.1%}; make it smaller")
     return limits.model_copy(update={"power": limits.share - share, "power_w": None})
 
 
-def read_mark(image: NDArray[np.float32], mark: MarkParams) -> int | None:
+def read_mark(image: Image, mark: MarkParams) -> int | None:
     """Number modulo 4 of the exposure that an image `[height, width]` shows; None if the contrast is too low."""
-    levels = [_level(image, mark, cell) for cell in range(4)]
-    bits = []
-    for a, b in ((levels[0], levels[1]), (levels[2], levels[3])):
-        if not abs(a - b) >= mark.contrast * (a + b) or a == b:
-            return None
-        bits.append(a > b)
-    return next(number for number in range(CODES) if mark_cells(number)[::2] == tuple(bits))
+    a, b = np.reshape([_level(image, mark, cell) for cell in range(4)], (2, 2)).T
+    if not (np.abs(a - b) >= mark.contrast * (a + b)).all() or (a == b).any():
+        return None
+    return next(number for number in range(CODES) if mark_cells(number)[::2] == tuple(a > b))
 
 
 def mark_surroundings(mark: MarkParams) -> tuple[slice, slice]:
@@ -125,7 +125,7 @@ def mark_surroundings(mark: MarkParams) -> tuple[slice, slice]:
     return rows, columns
 
 
-def _level(image: NDArray[np.float32], mark: MarkParams, cell: int) -> float:
+def _level(image: Image, mark: MarkParams, cell: int) -> float:
     width = mark.width_px / 4
     u, v = mark.u_px + cell * width, mark.v_px
     left, right = math.floor(u + INNER * width), math.ceil(u + (1 - INNER) * width)

@@ -1,12 +1,11 @@
 """The rig file: addresses, devices and limits of one laboratory, which no scenario names."""
 
-from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from luxloop.world.errors import LuxloopError, locate
+from luxloop.world.errors import locate
 from luxloop.world.params import Params, Positive, PositiveShare
 from luxloop.world.plugin import KnownOrOwn, OwnName, beside, refuse_code
 from luxloop.world.validation import read_toml, validate_model
@@ -293,35 +292,17 @@ def load_rig(file: Path, *, allow_code: bool = False) -> RigParams:
     """
     data = read_toml(file)
     with locate(str(file)):
-        rig = validate_model(RigParams, _beside(data, file.parent), EXAMPLE)
+        for table in data.values():
+            if isinstance(table, dict):
+                table |= {key: _resolve(key, value, file.parent) for key, value in table.items()}
+        rig = validate_model(RigParams, data, EXAMPLE)
     if not allow_code:
         refuse_code(rig, str(file))
     return rig
 
 
-def _beside(data: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The tables with paths and modules resolved from the file's folder."""
-    found: dict[str, Any] = {}
-    for table, keys in data.items():
-        if not isinstance(keys, dict):
-            found[table] = keys
-            continue
-        found[table] = dict(keys)
-        for key, value in keys.items():
-            if key in ("file", "folder") and isinstance(value, str):
-                found[table][key] = str(folder / Path(value).expanduser())
-            elif key == "kind" and isinstance(value, str):
-                found[table][key] = beside(value, folder)
-    return found
-
-
-def refuse_module(mark: MarkParams, grids: Collection[tuple[int, int]]) -> None:
-    """Raises LuxloopError where a mark does not lie on its module. grids: rows and columns of the modules' pixels."""
-    sizes = list(grids)
-    if mark.module >= len(sizes):
-        raise LuxloopError(f"mark.module: there is no module {mark.module}; the scenario has {len(sizes)}, numbered from 0")
-    rows, columns = sizes[mark.module]
-    if mark.row + mark.rows > rows or mark.column + mark.columns > columns:
-        raise LuxloopError(f"mark: lies beyond the {rows} x {columns} pixels of module {mark.module}; move it, or make it smaller")
-    if mark.columns < 4:
-        raise LuxloopError("mark.columns: four cells need four columns at least")
+def _resolve(key: str, value: Any, folder: Path) -> Any:
+    """The value of a table's key, with a path or a module resolved from the file's folder."""
+    if isinstance(value, str) and key in ("file", "folder"):
+        return str(folder / Path(value).expanduser())
+    return beside(value, folder) if isinstance(value, str) and key == "kind" else value

@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.loop.rig.light import LimitedLight, Shine
+from luxloop.loop.rig.arrays import Grids, Image, grids_of
+from luxloop.loop.rig.light import Shine
 from luxloop.loop.rig.matching import mark_surroundings
 from luxloop.loop.rig.params import MarkParams
 from luxloop.loop.rig.rig import Rig
@@ -33,7 +33,7 @@ class RigPlant:
     """
 
     rig: Rig
-    grids: tuple[tuple[int, int], ...]
+    grids: Grids
     like: Tensor
     last: int
     look: Callable[[Exposure, Tensor | None], None] = lambda exposure, image: None
@@ -55,28 +55,20 @@ class RigPlant:
             frame = Frame(exposure.number, math.nan, math.nan, None)
         else:
             taken_s = max(taken.sent_s, taken.arrived_s - self.rig.params.timing.latency_s)
-            image = torch.from_numpy(taken.image).to(self.like)
-            frame = Frame(exposure.number, taken_s, taken.arrived_s, image, None if given.whole else self._exposure_of(exposure, given))
+            shown = None
+            if not given.whole:  # the exposure as the limits let it be
+                lit = zip(given.shine.pictures, exposure.lights, strict=True)
+                lights = tuple(Utilisation(torch.from_numpy(u.ravel()).to(each.u)) for u, each in lit)
+                shown = replace(exposure, lights=lights, commands=given.shine.commands)
+            frame = Frame(exposure.number, taken_s, taken.arrived_s, torch.from_numpy(taken.image).to(self.like), shown)
         self.look(exposure, frame.image)
         if exposure.number == self.last:
             self.rig.dark("the run has ended")
         samples = self.rig.ego.samples(self.like)
         return state, Arrivals(time.monotonic(), (frame,), samples)
 
-    def _exposure_of(self, exposure: Exposure, given: LimitedLight) -> Exposure:
-        """The exposure as the limits let it be."""
-        lights = tuple(
-            Utilisation(torch.from_numpy(u.ravel()).to(each.u)) for u, each in zip(given.shine.pictures, exposure.lights, strict=True)
-        )
-        return replace(exposure, lights=lights, commands=given.shine.commands)
 
-
-def grids_of(modules: Sequence[Any]) -> tuple[tuple[int, int], ...]:
-    """Rows and columns of the pixels of each module."""
-    return tuple((each.headlight.pixel_rows, each.headlight.pixel_cols) for each in modules)
-
-
-def _picture(light: Utilisation, grid: tuple[int, int]) -> np.ndarray:
+def _picture(light: Utilisation, grid: tuple[int, int]) -> Image:
     """What can be shown of it: the limits would count light below 0 against that of other pixels."""
     return light.u.detach().to("cpu", torch.float32).nan_to_num(0.0).clamp(0, 1).numpy().reshape(grid)
 
@@ -108,19 +100,17 @@ class SymbolEvaluator:
         """
         found = {}
         for name, pairs in self._pairs.items():
+            if not pairs:
+                continue
             verdicts = [evaluate(self._luminance(on) - self._luminance(off), *self._goals[name]) for _, on, off in pairs]
-            if verdicts:
-                off = verdicts[-1].centroid_percent.tolist()
-                ious = [float(each.iou) for each in verdicts]
-                lit = all(map(math.isfinite, off))
-                mean = sum(ious) / len(ious)
-                found[name] = {
-                    "exposure": pairs[-1][0],
-                    "iou_final": ious[-1],
-                    "iou_mean": mean,
-                    "centroid_error_percent": off if lit else None,
-                    "pairs": len(ious),
-                }
+            ious, off = [float(each.iou) for each in verdicts], verdicts[-1].centroid_percent.tolist()
+            found[name] = {
+                "exposure": pairs[-1][0],
+                "iou_final": ious[-1],
+                "iou_mean": sum(ious) / len(ious),
+                "centroid_error_percent": off if all(map(math.isfinite, off)) else None,
+                "pairs": len(ious),
+            }
         return found
 
     def _luminance(self, image: Tensor) -> Tensor:

@@ -3,13 +3,13 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from luxloop.loop.rig.params import CameraSourceParams, RigParams
+from luxloop.loop.rig.arrays import Array, Data, Image
+from luxloop.loop.rig.params import RigParams
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.world.arrays import read_npz
 from luxloop.world.errors import LuxloopError
@@ -22,7 +22,7 @@ REMEDY: Final = "set camera.width_px and camera.height_px of the scenario, or ca
 AGAIN: Final = "run `luxloop rig calibrate` again"
 
 
-Rectify = Callable[[bytes | NDArray[np.generic]], NDArray[np.float32]]  # raises WrongPicture where there is no image
+Rectify = Callable[[Data], Image]  # raises WrongPicture where there is no image
 
 
 class WrongPicture(LuxloopError):
@@ -38,74 +38,60 @@ class Lens:
     """
 
     size: tuple[int, int]
-    matrix: NDArray[np.float64]
-    distortion: NDArray[np.float64]
-    response: NDArray[np.float32] | None = None
+    matrix: Array
+    distortion: Array
+    response: Image | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Rectifier:
-    """maps: of the straightened image, None without a calibration. size: of the pictures that are taken, None for any that has a part of
-    the scenario's size.
+def rectifier(rig: RigParams, camera: CameraParams) -> Rectify:
+    """From a camera's picture to the scenario's image `[height, width]` in its digital numbers. camera: the scenario's.
+
+    Raises LuxloopError if the calibration's file cannot be read, or `crop` does not fit.
     """
-
-    source: CameraSourceParams
-    camera: CameraParams
-    lens: Lens | None
-    maps: tuple[NDArray[Any], NDArray[Any]] | None
-
-    @classmethod
-    def of(cls, rig: RigParams, camera: CameraParams) -> "Rectifier":
-        """camera: the scenario's. Raises LuxloopError if the calibration's file cannot be read, or `crop` does not fit."""
-        lens = None if rig.calibration is None else load_lens(rig.calibration.file)
-        size = camera.width_px, camera.height_px
-        if lens is None:
-            crop = rig.camera.crop
-            if crop is not None and (crop.width_px, crop.height_px) != size:
-                raise LuxloopError(
-                    f"camera.crop: is {crop.width_px} x {crop.height_px} px, but the scenario's image has {size[0]} x {size[1]}; "
-                    f"set its camera.width_px = {crop.width_px} and camera.height_px = {crop.height_px}"
-                )
-            return cls(rig.camera, camera, None, None)
-        if rig.camera.crop is not None:
+    lens = None if rig.calibration is None else load_lens(rig.calibration.file)
+    crop, size, maps = rig.camera.crop, (camera.width_px, camera.height_px), None
+    if lens is not None:
+        if crop is not None:
             raise LuxloopError("camera.crop: the calibration gives the scenario's image as a whole; leave crop out")
         view = camera_view(camera)
         pinhole = np.array([[view.fx, 0, view.cx - 0.5], [0, view.fy, view.cy - 0.5], [0, 0, 1]])  # OpenCV counts from pixels' centres
         maps = cv2.initUndistortRectifyMap(lens.matrix, lens.distortion, np.eye(3), pinhole, size, cv2.CV_32FC1)
-        return cls(rig.camera, camera, lens, (maps[0], maps[1]))
+    elif crop is not None and (crop.width_px, crop.height_px) != size:
+        raise LuxloopError(
+            f"camera.crop: is {crop.width_px} x {crop.height_px} px, but the scenario's image has {size[0]} x {size[1]}; "
+            f"set its camera.width_px = {crop.width_px} and camera.height_px = {crop.height_px}"
+        )
 
-    def image(self, data: bytes | NDArray[np.generic]) -> NDArray[np.float32]:
-        """The scenario's image `[height, width]` in its digital numbers. Raises WrongPicture with the reason if there is none."""
+    def image(data: Data) -> Image:
         picture = grey(data)
         height, width = picture.shape
-        wanted = (self.camera.width_px, self.camera.height_px)
-        if self.lens is not None and (width, height) != self.lens.size:
-            raise WrongPicture(f"camera: a picture of {width} x {height} px, where the calibration is of {_times(self.lens.size)}")
-        if self.lens is None:
-            crop = self.source.crop
+        if lens is not None and (width, height) != lens.size:
+            raise WrongPicture(f"camera: a picture of {width} x {height} px, where the calibration is of {_times(lens.size)}")
+        if lens is None:
             u, v = (0, 0) if crop is None else (crop.u_px, crop.v_px)
-            if (width - u < wanted[0] or height - v < wanted[1]) if crop else ((width, height) != wanted):
-                raise WrongPicture(f"camera: a picture of {width} x {height} px, where the scenario's image has {_times(wanted)}; {REMEDY}")
-            picture = picture[v : v + wanted[1], u : u + wanted[0]]
-        bits = self.source.bits or 8 * picture.dtype.itemsize
-        share = self._linear(picture, bits)
-        if self.maps is not None:
-            share = cv2.remap(share, *self.maps, cv2.INTER_LINEAR).astype(np.float32, copy=False)
-        levels = 2**self.camera.bits - 1
+            if (width - u < size[0] or height - v < size[1]) if crop else ((width, height) != size):
+                raise WrongPicture(f"camera: a picture of {width} x {height} px, where the scenario's image has {_times(size)}; {REMEDY}")
+            picture = picture[v : v + size[1], u : u + size[0]]
+        share = _linear(picture, rig.camera.bits or 8 * picture.dtype.itemsize, None if lens is None else lens.response, camera.gamma)
+        if maps is not None:
+            share = cv2.remap(share, *maps, cv2.INTER_LINEAR).astype(np.float32, copy=False)
+        levels = 2**camera.bits - 1
         return np.clip(np.rint(share * np.float32(levels)), 0, levels).astype(np.float32)
 
-    def _linear(self, picture: NDArray[np.generic], bits: int) -> NDArray[np.float32]:
-        """Codes as shares of the largest; with a calibrated response, converted to the response of the scenario's camera."""
-        response = None if self.lens is None else self.lens.response
-        if response is None:
-            return np.minimum(picture.astype(np.float32) / np.float32(2**bits - 1), 1)
-        if len(response) != 2**bits:
-            raise WrongPicture(f"camera: pictures of {bits} bits, where the calibration's response has {len(response)} numbers; {AGAIN}")
-        light = response[np.minimum(picture, len(response) - 1)]
-        return light if self.camera.gamma == 1 else light ** np.float32(1 / self.camera.gamma)
+    return image
 
 
-def grey(data: bytes | NDArray[np.generic]) -> NDArray[np.generic]:
+def _linear(picture: Image, bits: int, response: Image | None, gamma: float) -> Image:
+    """Codes as shares of the largest; with a calibrated response, converted to the response of the scenario's camera."""
+    if response is None:
+        return np.minimum(picture.astype(np.float32) / np.float32(2**bits - 1), 1)
+    if len(response) != 2**bits:
+        raise WrongPicture(f"camera: pictures of {bits} bits, where the calibration's response has {len(response)} numbers; {AGAIN}")
+    light = response[np.minimum(picture, len(response) - 1)]
+    return light if gamma == 1 else light ** np.float32(1 / gamma)
+
+
+def grey(data: Data) -> Image:
     """Grey codes `[height, width]` of an encoded or raw picture. Raises WrongPicture if it is damaged or too large."""
     if isinstance(data, bytes):
         return camera_picture(data, GREY)
@@ -114,7 +100,7 @@ def grey(data: bytes | NDArray[np.generic]) -> NDArray[np.generic]:
     return data
 
 
-def camera_picture(data: bytes, flags: int) -> NDArray[np.generic]:
+def camera_picture(data: bytes, flags: int) -> Image:
     """An encoded picture as OpenCV decodes it with these flags. Raises WrongPicture if it is damaged, in part too, or too large."""
     try:
         picture = decode(data, "camera: a picture", flags)
@@ -136,9 +122,11 @@ def load_lens(file: Path) -> Lens:
         response = np.asarray(arrays["response"], np.float32) if "response" in arrays else None
         if matrix.shape != (3, 3) or distortion.size not in (4, 5, 8, 12, 14) or not (0 < width <= 16384 and 0 < height <= 16384):
             raise ValueError("camera_matrix is no [3, 3], distortion has no 4, 5, 8, 12 or 14 numbers, or size_px is none")
-        if not all(np.isfinite(each).all() for each in (matrix, distortion, *(() if response is None else (response,)))):
+        if not (np.isfinite(matrix).all() and np.isfinite(distortion).all()):
             raise ValueError("a number is not finite")
-        if response is not None and (response.ndim != 1 or not 256 <= len(response) <= 65536 or response.min() < 0 or response.max() > 1):
+        if response is not None and not (
+            response.ndim == 1 and 256 <= len(response) <= 65536 and ((response >= 0) & (response <= 1)).all()
+        ):
             raise ValueError("response is no [256] to [65536] of shares")
         return Lens((width, height), matrix, distortion.ravel(), response)
 

@@ -3,14 +3,14 @@
 import math
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from luxloop.loop.rig.arrays import Data, Grids, Image
 from luxloop.loop.rig.camera import Camera, CameraPicture
 from luxloop.loop.rig.cameras import opener
 from luxloop.loop.rig.ego import Ego, open_ego
@@ -18,8 +18,8 @@ from luxloop.loop.rig.keeper import Keeper
 from luxloop.loop.rig.light import Light, LimitedLight, NoLight, Picture, Shine, limit
 from luxloop.loop.rig.lights import open_light
 from luxloop.loop.rig.matching import CODES, draw_mark, limits_beside_mark, read_mark, shows
-from luxloop.loop.rig.params import LimitParams, RigParams, refuse_module
-from luxloop.loop.rig.rectification import Rectifier, Rectify, WrongPicture, grey
+from luxloop.loop.rig.params import LimitParams, RigParams
+from luxloop.loop.rig.rectification import Rectify, WrongPicture, grey, rectifier
 from luxloop.perception.camera import CameraParams
 from luxloop.world.errors import LuxloopError
 
@@ -34,7 +34,7 @@ LONGEST_SILENCE: Final = 10  # exposures without a frame at the end, of a rig th
 class TimeHistogram:
     """Times in a histogram of constant memory."""
 
-    counts: "np.ndarray" = field(default_factory=lambda: np.zeros(BINS, np.int64))
+    counts: Image = field(default_factory=lambda: np.zeros(BINS, np.int64))
     worst_s: float = 0.0
 
     def add(self, time_s: float) -> None:
@@ -43,10 +43,9 @@ class TimeHistogram:
 
     def quantile_s(self, share: float) -> float | None:
         """Quantile in s, None without any times. share: 0..1."""
-        total = int(self.counts.sum())
-        if not total:
+        if not self.counts.any():
             return None
-        at = int(np.searchsorted(np.cumsum(self.counts), share * total))
+        at = int(np.searchsorted(np.cumsum(self.counts), share * self.counts.sum()))
         return min((at + 0.5) * BIN_S, self.worst_s)
 
     @property
@@ -74,10 +73,6 @@ class Statistics:
     began_s: float = 0.0
     ended_s: float = 0.0
 
-    def take(self, lateness_s: float) -> None:
-        self.lateness.add(lateness_s)
-        self.silent = 0
-
     def lose(self, number: int, reason: str) -> None:
         self.lost[reason] += 1
         self.silent += 1
@@ -98,16 +93,13 @@ class Statistics:
         """The statistics as plain data. per_step: exposures per control step."""
         lasted_s = self.ended_s - self.began_s
         return {
-            "exposures": self.exposures,
+            **{name: getattr(self, name) for name in ("exposures", "silent", "dimmed", "slowed")},
             "lost": dict(self.lost),
-            "silent": self.silent,
             "losses": [{"exposure": number, "reason": reason} for number, reason in self.losses],
             "control_rate_hz": round(self.exposures / per_step / lasted_s, 3) if lasted_s > 0 else None,
             "light_to_frame_ms": self.lateness.in_ms,
             "hold_ms": self.hold.in_ms,
             "pictures": dict(self.seen),
-            "dimmed": self.dimmed,
-            "slowed": self.slowed,
         }
 
 
@@ -124,9 +116,9 @@ class RigFrame:
 
     sent_s: float
     arrived_s: float
-    image: NDArray[np.float32] | None
+    image: Image | None
     reason: str = ""
-    data: bytes | NDArray[np.generic] = b""
+    data: Data = b""
 
 
 @dataclass
@@ -247,7 +239,7 @@ class Rig:
         verdict = shows(lag_s, self.params.timing, picture.late_s)
         return verdict if verdict != "clear" else None if picture.awaited else "late"
 
-    def _image(self, picture: CameraPicture) -> NDArray[np.float32]:
+    def _image(self, picture: CameraPicture) -> Image:
         """The scenario's image. Raises WrongPicture if the picture does not fit, which darkens the lamp if it goes on."""
         try:
             image = np.zeros((1, 1), np.float32) if self.rectify is None else self.rectify(picture.data)
@@ -275,12 +267,13 @@ class Rig:
                 return "no second picture with this exposure's mark came"
         if self.keeper.since_s != since_s:  # while it was looked at
             return self.keeper.reason or "the light changed"
-        self.statistics.take(picture.arrived_s - since_s)
+        self.statistics.lateness.add(picture.arrived_s - since_s)
+        self.statistics.silent = 0
         return RigFrame(since_s, picture.arrived_s, image, data=picture.data)
 
 
 @contextmanager
-def open_rig(params: RigParams, grids: Sequence[tuple[int, int]], camera: CameraParams | None, *, armed: bool) -> Iterator[Rig]:
+def open_rig(params: RigParams, grids: Grids, camera: CameraParams | None, *, armed: bool) -> Iterator[Rig]:
     """Open a rig, and darken it at the end in any case.
 
     grids: rows and columns of the modules' pixels. camera: the scenario's, None if images are not needed. armed: whether the lamp is lit.
@@ -288,10 +281,9 @@ def open_rig(params: RigParams, grids: Sequence[tuple[int, int]], camera: Camera
     """
     limits = params.limits
     if params.mark is not None:
-        refuse_module(params.mark, grids)
         limits = limits_beside_mark(limits, params.mark, grids)
     with ExitStack() as stack:
-        rectify = None if camera is None else Rectifier.of(params, camera).image
+        rectify = None if camera is None else rectifier(params, camera)
         ego = open_ego(params.ego)
         stack.callback(ego.close)
         watched = Camera(opener(params.camera), params.camera.timeout_s)

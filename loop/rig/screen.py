@@ -15,45 +15,44 @@ from typing import Any, Final
 from urllib.parse import urlsplit
 
 import numpy as np
-from numpy.typing import NDArray
 from websockets.asyncio.server import ServerConnection, serve
-from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
+from luxloop.loop.rig.arrays import Grids, Image
 from luxloop.loop.rig.light import Shine, places
 from luxloop.loop.rig.params import ScreenLightParams
 from luxloop.loop.rig.wire.ddp import codes_of
-from luxloop.loop.rig.wire.sockets import REFUSED, reason_of
+from luxloop.loop.rig.wire.sockets import listening
 from luxloop.world.errors import LuxloopError
 
+DARK: Final = '{"dark": true}'  # to the page
 HEAD: Final = struct.Struct(">IHH")  # of a message: number of the light, width and height of its picture
 
 
-def stack_pictures(pictures: Sequence[NDArray]) -> NDArray:
+def stack_pictures(pictures: Sequence[Image]) -> Image:
     """Pictures of all modules below each other, the first on top, each at the left: `[sum of rows, most columns]`, black beside them."""
     width = max(each.shape[1] for each in pictures)
     return np.concatenate([np.pad(each, ((0, 0), (0, width - each.shape[1]))) for each in pictures])
 
 
-def split_picture(picture: NDArray, grids: Sequence[tuple[int, int]]) -> NDArray:
+def split_picture(picture: Image, grids: Grids) -> Image:
     """The pixels `[n]` of all modules one after another, row by row, of a picture. grids: rows and columns of each. Raises ValueError where
     the picture has another size.
     """
-    rows, columns = sum(rows for rows, _ in grids), max(columns for _, columns in grids)
-    if picture.shape != (rows, columns):
-        raise ValueError(f"the picture has {picture.shape[0]} x {picture.shape[1]} pixels, not {rows} x {columns}")
-    ends = np.cumsum([rows for rows, _ in grids])[:-1]
-    parts = np.split(picture, ends)
-    return np.concatenate([part[:, :columns].ravel() for part, (_, columns) in zip(parts, grids, strict=True)])
+    rows, columns = np.transpose(grids)
+    if picture.shape != (rows.sum(), columns.max()):
+        raise ValueError("the picture has another size")
+    parts = np.split(picture, np.cumsum(rows)[:-1])
+    return np.concatenate([part[:, :n].ravel() for part, n in zip(parts, columns, strict=True)])
 
 
-def message_of(number: int, codes: NDArray[np.uint8]) -> bytes:
+def message_of(number: int, codes: Image) -> bytes:
     """The bytes of a picture `[height, width]`: `HEAD`, big endian, and a byte a pixel, row by row from the top."""
     return HEAD.pack(number % 2**32, codes.shape[1], codes.shape[0]) + codes.tobytes()
 
 
-def understood(message: bytes) -> tuple[int, NDArray[np.uint8]]:
+def understood(message: bytes) -> tuple[int, Image]:
     """The number of a message and its picture `[height, width]`. Raises ValueError where it is none."""
     if len(message) < HEAD.size:
         raise ValueError(f"a message of {len(message)} bytes has no head")
@@ -69,21 +68,22 @@ CONFIRMED_S: Final = 0.5  # in which a page has to say that it shows a frame
 class ScreenLight:
     """Serves the page. The page that has connected last shows the light; a frame counts as shown once this page has confirmed it."""
 
-    def __init__(self, params: ScreenLightParams, grids: Sequence[tuple[int, int]]) -> None:
+    def __init__(self, params: ScreenLightParams, grids: Grids) -> None:
         """Listen in a thread. grids: rows and columns of the modules' pixels. Raises LuxloopError if the port cannot be opened."""
         self._params = params
         self._order = [places(params.scan.model_copy(update={"columns_first": False}), *grid) for grid in grids]
         self._changed = threading.Condition()
         self._page: ServerConnection | None = None
         self._shown_on: ServerConnection | None = None  # None where the page has darkened by itself since
-        self._number, self._answer, self._failed = -1, dict[str, Any](), ""
+        self._number, self._answer = -1, dict[str, Any]()
+        self._failed: LuxloopError | None = None
         self.port = 0
         self._ready, self._loop = threading.Event(), asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._run, name="screen", daemon=True)
         self._thread.start()
         self._ready.wait()
-        if self._failed:
-            raise LuxloopError(self._failed)
+        if self._failed is not None:
+            raise self._failed
 
     @property
     def has_page(self) -> bool:
@@ -131,7 +131,7 @@ class ScreenLight:
     def dark(self) -> None:
         self._number = -1
         if self._page is not None:
-            self._send(self._page, '{"dark": true}')
+            self._send(self._page, DARK)
 
     def close(self) -> None:
         """Close the page's connection, which darkens the page, and stop listening."""
@@ -158,11 +158,12 @@ class ScreenLight:
         self._stop = asyncio.Event()
         host, port = self._params.host, self._params.port
         try:
-            server = await serve(
-                self._client, host, port, process_request=self._file, max_size=LARGEST_ANSWER, compression=None, ping_timeout=5
-            )
-        except REFUSED as error:
-            self._failed = f"light.port: cannot listen on {host}:{port} ({reason_of(error)}); give another port, 0 for a free one"
+            with listening("light.port", host, port, "give another port, 0 for a free one"):
+                server = await serve(
+                    self._client, host, port, process_request=self._file, max_size=LARGEST_ANSWER, compression=None, ping_timeout=5
+                )
+        except LuxloopError as error:
+            self._failed = error
             return
         self.port = server.sockets[0].getsockname()[1]
         self._ready.set()
@@ -175,11 +176,12 @@ class ScreenLight:
         path = request.path.partition("?")[0]
         if path == "/light" and _is_ours(host) and (origin is None or origin.lower() == f"http://{host}"):
             return None
-        status, kind, body = HTTPStatus.OK, "text/html; charset=utf-8", PAGE.read_bytes()
         if path != "/":
-            status, kind, body = HTTPStatus.NOT_FOUND, "text/plain", b"There is no such file.\n"
-        headers = {"Content-Type": kind, "Content-Length": str(len(body)), "Cache-Control": "no-store", "Connection": "close"}
-        return Response(status.value, status.phrase, Headers(headers), body)
+            return connection.respond(HTTPStatus.NOT_FOUND, "There is no such file.\n")
+        response = connection.respond(HTTPStatus.OK, PAGE.read_text("utf-8"))
+        del response.headers["Content-Type"]
+        response.headers.update({"Content-Type": "text/html; charset=utf-8", "Cache-Control": "no-store"})
+        return response
 
     async def _client(self, page: ServerConnection) -> None:
         with self._changed:

@@ -20,7 +20,7 @@ from luxloop.loop.recording import replay
 from luxloop.loop.recording.manifest import Manifest
 from luxloop.loop.rig.calibration import calibrate as calibrations
 from luxloop.loop.rig.calibration.geometry import CameraModel, Pose
-from luxloop.loop.rig.calibration.shots import Response
+from luxloop.loop.rig.calibration.shots import linear_response
 from luxloop.loop.rig.params import load_rig
 from luxloop.loop.rig.rectification import load_lens
 from luxloop.loop.rig.simulated import faults
@@ -384,7 +384,7 @@ OBJ = "\n".join([*CORNERS, "mtllib a.mtl", "usemtl m", "f 1 2 4 3", "f 5 6 8 7"]
 def _calibration(folder: Path) -> dict[str, bytes]:
     camera = CameraModel(64, 48, np.array([[90.0, 0, 32], [0, 90, 24], [0, 0, 1]]), covariance=np.eye(9))
     pose = Pose(np.array([0.1, 0.2, 0.3]), np.ones(3))
-    found = calibrations.Calibration(camera, Response.linear(255), np.zeros(3), pose, {"left matrix": pose}, {"boards": 0.1})
+    found = calibrations.Calibration(camera, linear_response(255), np.zeros(3), pose, {"left matrix": pose}, {"boards": 0.1})
     calibrations.save(folder / "rig.npz", found)
     return {"rig.npz": (folder / "rig.npz").read_bytes()}
 

@@ -1,8 +1,7 @@
 """Calibrate a rig: response, lens, and the relative poses of camera, screen and modules; the result as a file."""
 
 import json
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -10,12 +9,13 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from luxloop.loop.rig.calibration.digitise import Nominal, Reading, Settings, locate_pixels
+from luxloop.loop.rig.arrays import Array
+from luxloop.loop.rig.calibration.digitise import FRAMES, Nominal, Reading, locate_pixels
 from luxloop.loop.rig.calibration.geometry import DISTORTION, ISO, MOST_PX, CameraModel, Geometry, Observation, Pose, adjust
-from luxloop.loop.rig.calibration.intrinsics import Corners, Lens, brightness
-from luxloop.loop.rig.calibration.setups import Array
-from luxloop.loop.rig.calibration.shots import Response, Shots, response_curve
+from luxloop.loop.rig.calibration.intrinsics import Corners, brightness
+from luxloop.loop.rig.calibration.shots import Shots, response_curve
 from luxloop.loop.rig.calibration.structured_light import Places, patterns
 from luxloop.loop.simulation.truth import LampModule
 from luxloop.perception.camera import CameraParams, camera_view
@@ -31,13 +31,13 @@ LARGEST_PX: Final = 16384
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """camera: the lens. response: from digital numbers to light. vignetting: `[3]`, as `brightness` takes it. screen: T_camera_screen.
+    """camera: the lens. response: as of `response_curve`. vignetting: `[3]`, as `brightness` takes it. screen: T_camera_screen.
     modules: T_camera_lamp of each, by name. rms: in px, by what was seen. lux: illuminance of the screen in lx that saturates the camera,
     None without a luxmeter reading.
     """
 
     camera: CameraModel
-    response: Response
+    response: Array
     vignetting: Array
     screen: Pose
     modules: dict[str, Pose]
@@ -50,6 +50,9 @@ class Calibration:
             known = ", ".join(self.modules)
             raise LuxloopError(f"the calibration knows the modules {known}, not {module!r}; {AGAIN} with this scenario")
         return Geometry(self.camera, self.screen, self.modules[module])
+
+
+OVERRIDES: Final = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg", "hfov_deg")  # keys of the scenario's camera
 
 
 def refuse_name(path: Path) -> None:
@@ -68,8 +71,8 @@ def save(path: Path, calibration: Calibration) -> None:
         "size_px": np.array([camera.width, camera.height]),
         "camera_matrix": camera.matrix - HALF,
         "distortion": camera.distortion,
-        "response": calibration.response.curve.clip(0, 1).astype(np.float32),
-        "response_signed": calibration.response.curve,
+        "response": calibration.response.clip(0, 1),
+        "response_signed": calibration.response,
         "vignetting": calibration.vignetting,
         "T_camera_screen": calibration.screen.matrix,
         "T_camera_modules": np.stack([each.matrix for each in calibration.modules.values()]),
@@ -109,7 +112,7 @@ def load(path: Path) -> Calibration:
         if lux is not None and lux <= 0:
             raise ValueError("lux is none")
         placed = dict(zip(names, modules, strict=True))
-        return Calibration(camera, Response(curve.astype(np.float32)), vignetting, screen, placed, rms, lux)
+        return Calibration(camera, curve.astype(np.float32), vignetting, screen, placed, rms, lux)
 
 
 def _array(arrays: dict[str, Any], name: str, shape: tuple[int, ...]) -> Array:
@@ -132,72 +135,61 @@ SENSOR_PX: Final = 3  # width and height of a luxmeter's sensor, whose light is 
 SCREEN: Final = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]]).T  # of a screen ahead: x to the right, y up, z towards the lamp
 
 
-@dataclass(frozen=True, eq=False)
-class Prior:
-    """Prior knowledge of a rig. camera: the scenario's. lens: from a board, None for the scenario's pinhole camera. board: the board
-    that lies on the screen, None where the screen stands square to the x axis, `screen_m` m ahead of the lamps.
-    """
-
-    camera: CameraParams
-    lens: Lens | None = None
-    board: Corners | None = None
-    screen_m: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.board is None and self.screen_m is None:
-            raise LuxloopError(
-                "nothing tells where the screen is; give a picture of the board on it with --on-screen, or its distance with --screen-m"
-            )
+def _uniform(sizes: Sequence[int], u: float) -> list[Array]:
+    return [np.full(n, u) for n in sizes]
 
 
-@dataclass(frozen=True, eq=False)
-class CalibrationResult:
-    """calibration: for the file. geometry: of each module by name. found: share of its pixels that was located."""
-
-    calibration: Calibration
-    geometry: Mapping[str, Geometry]
-    found: Mapping[str, float]
-
-
-def measure_response(shots: Shots, sizes: Sequence[int]) -> Response:
+def measure_response(shots: Shots, sizes: Sequence[int]) -> Array:
     """The camera's response: from exposure times if it has three or more, else from utilisations, which needs a dark room.
 
     sizes: number of pixels of each module. Raises LuxloopError if the frames do not suffice.
     """
-    on, off = ([np.full(n, u) for n in sizes] for u in (1.0, 0.0))
     times = shots.setup.exposures_s
     if len(times) >= 3:
-        frames = [shots.frames("response", on, AVERAGED, each).mean(0) for each in times]
-        black = shots.frames("black", off, AVERAGED, times[0]).mean(0)
+        frames = [shots.frames("response", _uniform(sizes, 1.0), AVERAGED, each).mean(0) for each in times]
+        black = shots.frames("black", _uniform(sizes, 0.0), AVERAGED, times[0]).mean(0)
         return response_curve([black, *frames], [0.0, *times], shots.setup.levels)
-    frames = [shots.frames(f"response_{100 * u:.0f}", [np.full(n, u) for n in sizes], AVERAGED, times[-1]).mean(0) for u in LADDER]
+    frames = [shots.frames(f"response_{100 * u:.0f}", _uniform(sizes, u), AVERAGED, times[-1]).mean(0) for u in LADDER]
     return response_curve(frames, LADDER, shots.setup.levels)
 
 
-def calibrate_poses(shots: Shots, modules: Sequence[LampModule], known: Prior, vignetting: Array) -> CalibrationResult:
-    """Locate the pixels of all modules, and adjust all poses to them. Raises LuxloopError if too few pixels are located."""
-    camera = CameraModel.of(known.camera) if known.lens is None else known.lens.camera
+def calibrate_poses(
+    shots: Shots,
+    modules: Sequence[LampModule],
+    params: CameraParams,
+    vignetting: Array,
+    lens: tuple[CameraModel, float] | None,
+    screen: Corners | float,
+) -> tuple[Calibration, dict[str, Geometry], dict[str, float]]:
+    """Locate the pixels of all modules, and adjust all poses to them. Returns the calibration, and by module its geometry and the share of
+    its pixels that was located.
+
+    params: the scenario's camera. lens: of a board, None for the scenario's pinhole camera. screen: the board that lies on it, or the
+    distance in m ahead of the lamps at which it stands square to the x axis. Raises LuxloopError if too few pixels are located.
+    """
+    board = screen if isinstance(screen, Corners) else None
+    camera = CameraModel.of(params) if lens is None else lens[0]
     if (camera.height, camera.width) != shots.setup.shape:
         height, width = shots.setup.shape
         raise LuxloopError(f"the camera has {width} x {height} px, but the board's pictures {camera.width} x {camera.height} px")
     sizes = [each.headlight.n_pixels for each in modules]
-    start = _screen(camera, known)
-    T_camera_world = np.linalg.inv(camera_view(known.camera).T_world_view.numpy())
+    T_camera_world = np.linalg.inv(camera_view(params).T_world_view.numpy())
+    start = _screen(camera, screen, T_camera_world)
     geometry, found = {}, {}
     for number, module in enumerate(modules):
         nominal = Nominal.of(number, module.name, module.headlight)
         places = _places(shots, nominal, sizes)
-        seen = _observation(nominal, places, known.board)
+        seen = _observation(nominal, places, board)
         lamp = Pose.of(T_camera_world @ module.T_world_headlight.double().cpu().numpy())
         geometry[module.name] = adjust(camera, start, lamp, seen)
         found[module.name] = float(np.isfinite(places.u).mean())
     last = next(iter(geometry.values()))
     poses = {name: each.lamp for name, each in geometry.items()}
     rms = {f"module {name}": each.rms["lamp"] for name, each in geometry.items()}
-    if known.board is not None:
+    if board is not None:
         rms["board on the screen"] = last.rms["board"]
-    if known.lens is not None:
-        rms["boards"] = float(np.sqrt(np.mean(np.square(known.lens.rms))))
+    if lens is not None:
+        rms["boards"] = lens[1]
     for what, left in rms.items():
         if not left < MOST_PX:
             raise LuxloopError(
@@ -205,7 +197,7 @@ def calibrate_poses(shots: Shots, modules: Sequence[LampModule], known: Prior, v
                 "the screen's distance or the picture of the board on it, and the order of the lamp's pixels"
             )
     kept = replace(last.camera, covariance=camera.covariance)
-    return CalibrationResult(Calibration(kept, shots.response, vignetting, last.screen, poses, rms), geometry, found)
+    return Calibration(kept, shots.response, vignetting, last.screen, poses, rms), geometry, found
 
 
 def lux_scale(shots: Shots, sizes: Sequence[int], readings: Sequence[Reading], vignetting: Array) -> float:
@@ -217,7 +209,7 @@ def lux_scale(shots: Shots, sizes: Sequence[int], readings: Sequence[Reading], v
     for each in readings:
         if not (0 <= each.u <= width and 0 <= each.v <= height):
             raise LuxloopError(f"--lux: {each.u:g}, {each.v:g} px lies outside of the camera's picture of {width} x {height} px")
-    on, off = ([np.full(n, u) for n in sizes] for u in (1.0, 0.0))
+    on, off = _uniform(sizes, 1.0), _uniform(sizes, 0.0)
     main = shots.exposures("lux_brightest", on)[:1]
     light = shots.light("lux", on, AVERAGED, main) - shots.light("lux_off", off, AVERAGED, main)
     light = (light / brightness(vignetting, height, width)).astype(np.float32)
@@ -233,24 +225,21 @@ def lux_scale(shots: Shots, sizes: Sequence[int], readings: Sequence[Reading], v
 
 
 def _places(shots: Shots, nominal: Nominal, sizes: Sequence[int]) -> Places:
-    name, lit, frames = nominal.shot, partial(nominal.alone, sizes), Settings().frames
+    name, lit = nominal.shot, partial(nominal.alone, sizes)
     on = lit(np.ones(sizes[nominal.number]))
     main = shots.exposures(name("brightest"), on)[:1]
-    repeats = shots.response.light(shots.frames(name("full"), on, 4, main[0])) / main[0]
-    noise = float(np.sqrt(repeats.var(0, ddof=1).mean()) / np.sqrt(frames))
+    repeats = shots.response[shots.frames(name("full"), on, 4, main[0])] / main[0]
+    noise = float(np.sqrt(repeats.var(0, ddof=1).mean()) / np.sqrt(FRAMES))
     return locate_pixels(
-        [shots.light(name(what), lit(u), frames, main) for what, u in patterns(nominal.rows, nominal.cols)], noise, nominal
+        [shots.light(name(what), lit(u), FRAMES, main) for what, u in patterns(nominal.rows, nominal.cols)], noise, nominal
     )
 
 
 def _observation(nominal: Nominal, places: Places, board: Corners | None) -> Observation:
     """Lamp pixels that were found, but for the outermost, and the corners of a board on the screen."""
     inner = np.isfinite(places.u)
-    for axis, n in enumerate(inner.shape):
-        if n > 6:
-            edge = np.asarray(np.indices(inner.shape)[axis])
-            inner &= (edge > 1) & (edge < n - 2)
-    row, col = (np.asarray(each)[inner] + 0.5 for each in np.indices(inner.shape))
+    inner &= np.pad(np.ones([n - 4 if n > 6 else n for n in inner.shape], bool), [(2, 2) if n > 6 else (0, 0) for n in inner.shape])
+    row, col = np.argwhere(inner).T + 0.5
     tangents = np.stack([nominal.y[inner], nominal.z[inner]], -1)
     finite = np.isfinite(tangents).all(1)
     pixels = np.stack(places.chart(row, col), -1)
@@ -258,28 +247,24 @@ def _observation(nominal: Nominal, places: Places, board: Corners | None) -> Obs
     return Observation(tangents[finite], pixels[finite], **corners)
 
 
-def _screen(camera: CameraModel, known: Prior) -> Pose:
+def _screen(camera: CameraModel, screen: Corners | float, T_camera_world: Array) -> Pose:
     """T_camera_screen to begin with. Raises LuxloopError where the board does not tell it."""
-    if known.board is not None:
-        points = np.concatenate([known.board.board, np.zeros((len(known.board.board), 1))], 1)
-        rays = np.ascontiguousarray(camera.rays(*known.board.pixels.T)[:, :2])  # as OpenCV takes them
+    if isinstance(screen, Corners):
+        points = np.pad(screen.board, ((0, 0), (0, 1)))
+        rays = np.ascontiguousarray(camera.rays(*screen.pixels.T)[:, :2])  # as OpenCV takes them
         good, turn, move = cv2.solvePnP(points, rays, np.eye(3), None)
         if not good:
             raise LuxloopError("the board on the screen does not tell where that is; take a sharper picture of it")
         return Pose(np.asarray(turn, float).ravel(), np.asarray(move, float).ravel())
-    assert known.screen_m is not None
     T_world_screen = np.eye(4)
-    T_world_screen[:3, :3], T_world_screen[:3, 3] = SCREEN, (known.screen_m, 0.0, 0.0)
-    return Pose.of(np.linalg.inv(camera_view(known.camera).T_world_view.numpy()) @ T_world_screen)
+    T_world_screen[:3, :3], T_world_screen[0, 3] = SCREEN, screen
+    return Pose.of(T_camera_world @ T_world_screen)
 
 
 def overrides(calibration: Calibration, module: LampModule) -> dict[str, float]:
     """Keys of the scenario's camera with the calibrated values, relative to the scenario's lamp pose. module: of that lamp."""
     T = module.T_world_headlight.double().cpu().numpy() @ np.linalg.inv(calibration.modules[module.name].matrix)
-    R = T[:3, :3] @ ISO
-    angles = math.atan2(R[2, 1], R[2, 2]), math.asin(max(-1.0, min(1.0, -R[2, 0]))), math.atan2(R[1, 0], R[0, 0])
-    half = calibration.camera.width / 2 / calibration.camera.matrix[0, 0]
-    values = dict(zip(("x_m", "y_m", "z_m"), T[:3, 3].tolist(), strict=True))
-    values |= {name: math.degrees(each) for name, each in zip(("roll_deg", "pitch_deg", "yaw_deg"), angles, strict=True)}
-    values["hfov_deg"] = math.degrees(2 * math.atan(half))
-    return {f"camera.{name}": round(value, 5) for name, value in values.items()}
+    yaw_deg, pitch_deg, roll_deg = Rotation.from_matrix(T[:3, :3] @ ISO).as_euler("ZYX", degrees=True)
+    hfov_deg = 2 * np.degrees(np.arctan(calibration.camera.width / 2 / calibration.camera.matrix[0, 0]))
+    values = zip(OVERRIDES, (*T[:3, 3], roll_deg, pitch_deg, yaw_deg, hfov_deg), strict=True)
+    return {f"camera.{name}": round(float(value), 5) for name, value in values}

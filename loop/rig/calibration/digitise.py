@@ -9,15 +9,16 @@ import numpy as np
 import torch
 from scipy.ndimage import median_filter
 
+from luxloop.loop.rig.arrays import Array, Indices, Mask
 from luxloop.loop.rig.calibration.geometry import Geometry, Observation, adjust
 from luxloop.loop.rig.calibration.lamp import grid_over, headlight
-from luxloop.loop.rig.calibration.setups import Array, Indices
 from luxloop.loop.rig.calibration.shapes import PixelMeasurements, Windows, combs, measure, windows
 from luxloop.loop.rig.calibration.shots import Shots
 from luxloop.loop.rig.calibration.structured_light import Chart, Places, decode, patterns, places
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import Headlight
 
+FRAMES: Final = 2  # of each light, whose mean is taken
 LOCATED: Final = 0.5  # share of a lamp's pixels that have to be found
 REFINED: Final = (16, 16)  # one of so many pixels is measured in each round that refines the charts
 DEAD: Final = 0.05  # share of the light of pixels around, below which one is dead
@@ -27,15 +28,6 @@ PLACED: Final = 0.2  # pixels: a place without a shift beyond that is used for t
 SENSOR_M: Final = 0.01  # diameter of a luxmeter's sensor
 SENSOR_POINTS: Final = 15  # along that
 LINEAR_FROM, SQUARE_FROM = 4, 9  # luxmeter readings, from which on the scale may change over the field
-
-
-@dataclass(frozen=True)
-class Settings:
-    """frames: of each light, whose mean is taken. comb_frames: of each comb. texels: rows and columns of texels a pixel."""
-
-    frames: int = 2
-    comb_frames: int = 4
-    texels: tuple[int, int] = (4, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,22 +56,9 @@ class ModuleMeasurement:
     measured: PixelMeasurements
     u: Array
     v: Array
-    dead: np.ndarray
-    stuck: np.ndarray
+    dead: Mask
+    stuck: Mask
     checked: Mapping[str, float]
-
-
-@dataclass(frozen=True, eq=False)
-class ModuleFrames:
-    """Frames of one module. dark: light `[height, width]` without it. located: of `patterns`. combs: `[spacing^2, height, width]`. full:
-    with all pixels on; the last three without the dark.
-    """
-
-    dark: Array
-    located: Sequence[Array]
-    combs: Array
-    full: Array
-    noise: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,27 +90,12 @@ class Nominal:
         return f"{self.number}_{what}"
 
 
-def take(shots: Shots, nominal: Nominal, sizes: Sequence[int], settings: Settings) -> ModuleFrames:
-    """Take all frames of one module, the others dark. sizes: number of pixels of each module. Raises LuxloopError as `Shots.exposures`."""
-    name, lit, n = nominal.shot, partial(nominal.alone, sizes), nominal.rows * nominal.cols
-    every = shots.exposures(name("brightest"), lit(np.ones(n)))
-    main = every[:1]
-    repeats = shots.frames(name("full"), lit(np.ones(n)), max(settings.comb_frames, 2), main[0])
-    linear = shots.response.light(repeats) / main[0]
-    bright = linear.mean(0) > 0.5 * np.percentile(linear.mean(0), 99)
-    noise = float(np.sqrt(linear.var(0, ddof=1)[bright].mean()))
-    located = [shots.light(name(what), lit(u), settings.frames, main) for what, u in patterns(nominal.rows, nominal.cols)]
-    dark = shots.light(name("off"), lit(np.zeros(n)), settings.comb_frames, every)
-    taken = [shots.light(name(what), lit(u), settings.comb_frames, every) - dark for what, u in combs(nominal.rows, nominal.cols)]
-    return ModuleFrames(dark, located, np.stack(taken), linear.mean(0) - located[0], noise / np.sqrt(settings.frames))
-
-
 def locate_pixels(light: Sequence[Array], noise: float, nominal: Nominal) -> Places:
     """Locate the pixels in the light `[height, width]` of `patterns`. noise: standard deviation of it. Raises LuxloopError for too few."""
-    decoded = decode(light, nominal.rows, nominal.cols, np.full(light[0].shape, noise))
-    if not decoded.valid.any():
+    decoded = decode(light, nominal.rows, nominal.cols, noise)
+    if not decoded[2].any():
         raise LuxloopError(f"module {nominal.name!r}: the camera sees none of its pixels; look at lamp, screen, camera and exposure")
-    found = places(decoded, nominal.rows, nominal.cols)
+    found = places(*decoded, nominal.rows, nominal.cols)
     share = float(np.isfinite(found.u).mean())
     if share < LOCATED:
         raise LuxloopError(
@@ -142,47 +106,52 @@ def locate_pixels(light: Sequence[Array], noise: float, nominal: Nominal) -> Pla
 
 
 def digitise_module(
-    taken: ModuleFrames,
+    shots: Shots,
     nominal: Nominal,
+    sizes: Sequence[int],
     start: Geometry,
-    settings: Settings,
     factor_of: Callable[[Geometry], Array],
+    comb_frames: int = 4,
+    texels: tuple[int, int] = (4, 2),
 ) -> ModuleMeasurement:
-    """Measure a module in its frames. start: camera, screen and the approximate pose of the lamp. factor_of: cd per unit of light at each
-    camera pixel, `[height, width]`.
+    """Measure one module, the others dark. sizes: number of pixels of each module. start: camera, screen and the approximate pose of the
+    lamp. factor_of: cd per unit of light at each camera pixel, `[height, width]`. comb_frames: of each comb, whose mean is taken. texels:
+    rows and columns of texels a pixel. Raises LuxloopError as `Shots.exposures`.
     """
-    found = locate_pixels(taken.located, taken.noise, nominal)
-    texels = settings.texels
-    row, col = np.indices((nominal.rows, nominal.cols)) + 0.5
-
-    def window_of(images: Array, chart: Chart, lamp_of: Chart) -> Callable[[Indices, Indices], Windows]:
-        def at(r: Indices, c: Indices) -> Windows:
-            return windows(images, r, c, chart(r + 0.5, c + 0.5), lamp_of)
-
-        return at
-
+    name, lit, on = nominal.shot, partial(nominal.alone, sizes), np.ones(nominal.rows * nominal.cols)
+    every = shots.exposures(name("brightest"), lit(on))
+    main = every[:1]
+    linear = shots.response[shots.frames(name("full"), lit(on), max(comb_frames, 2), main[0])] / main[0]
+    bright = linear.mean(0) > 0.5 * np.percentile(linear.mean(0), 99)
+    noise = float(np.sqrt(linear.var(0, ddof=1)[bright].mean()))
+    coded = dict(patterns(nominal.rows, nominal.cols))
+    light = {what: shots.light(name(what), lit(u), FRAMES, main) for what, u in coded.items()}
+    dark = shots.light(name("off"), lit(0 * on), comb_frames, every)
+    taken = np.stack([shots.light(name(what), lit(u), comb_frames, every) - dark for what, u in combs(nominal.rows, nominal.cols)])
+    found = locate_pixels([*light.values()], noise / np.sqrt(FRAMES), nominal)
     chart, lamp_of = found.chart, found.lamp_of
     geometry = _place_lamp(start, nominal, chart)
-    images = (taken.combs * factor_of(geometry)).astype(np.float32)
-    for every in REFINED:
-        rough = measure(window_of(images, chart, lamp_of), nominal.rows, nominal.cols, texels, every)
+    images: Array = (taken * factor_of(geometry)).astype(np.float32)
+    for each in REFINED:
+        rough = measure(partial(windows, images, chart, lamp_of), nominal.rows, nominal.cols, texels, each)
         chart, lamp_of = _refine(rough, chart)
     geometry = _place_lamp(geometry, nominal, chart)
     factor = factor_of(geometry).astype(np.float32)
-    images = taken.combs * factor
-    measured = measure(window_of(images, chart, lamp_of), nominal.rows, nominal.cols, texels)
-    dead, stuck = _faulty(measured, window_of(np.broadcast_to(taken.dark * factor, images.shape), chart, lamp_of))
+    images = taken * factor
+    measured = measure(partial(windows, images, chart, lamp_of), nominal.rows, nominal.cols, texels)
+    dead, stuck = _faulty(measured, partial(windows, np.broadcast_to(dark * factor, images.shape), chart, lamp_of))
 
+    row, col = np.indices((nominal.rows, nominal.cols)) + 0.5
     y, z = geometry.tangents(geometry.on_screen(*chart(row, col)))
     grid = grid_over(y, z, texels)
-    light = headlight(nominal.name, grid, measured, Chart.fit((y.ravel(), z.ravel()), (row.ravel(), col.ravel())))
+    made = headlight(nominal.name, grid, measured, Chart.fit((y.ravel(), z.ravel()), (row.ravel(), col.ravel())))
     u, v = chart(*measured.centres())
-    made = ModuleMeasurement(nominal.name, light, geometry, measured, u, v, dead, stuck, {})
-    lights: dict[str, tuple[Array, Array]] = {"full": (np.ones(nominal.rows * nominal.cols), taken.full)}
-    for (name, u_n), image in zip(patterns(nominal.rows, nominal.cols), taken.located, strict=True):
-        if name.endswith("phase_0"):
-            lights[name] = u_n, image - taken.located[0]
-    return replace(made, checked={name: _difference(made, factor * image, u) for name, (u, image) in lights.items()})
+    module = ModuleMeasurement(nominal.name, made, geometry, measured, u, v, dead, stuck, {})
+    checked = {"full": _difference(module, factor * (linear.mean(0) - light["dark"]), on)}
+    checked |= {
+        what: _difference(module, factor * (light[what] - light["dark"]), each) for what, each in coded.items() if what.endswith("phase_0")
+    }
+    return replace(module, checked=checked)
 
 
 def scale_to_lux(modules: Sequence[ModuleMeasurement], readings: Sequence[Reading]) -> tuple[tuple[ModuleMeasurement, ...], float]:
@@ -221,26 +190,29 @@ def _terms(at: Array, readings: int, size: tuple[int, int]) -> Array:
 
 def _lux(module: ModuleMeasurement, reading: Reading) -> float:
     """Mean illuminance of the screen over a luxmeter's sensor at a reading's place, with all pixels on."""
-    geometry, screen = module.geometry, module.geometry.screen
-    line = np.linspace(-0.5, 0.5, SENSOR_POINTS)
-    across, along = (each.ravel() for each in np.meshgrid(line, line))
-    disc = np.hypot(across, along) <= 0.5
-    offsets = SENSOR_M * np.stack([across[disc], along[disc]], -1) @ screen.rotation[:, :2].T
-    points = geometry.on_screen(np.array(reading.u), np.array(reading.v)) + offsets
-    return lux(module.light, geometry, points, reading)
-
-
-def lux(light: Headlight, geometry: Geometry, points: Array, reading: Reading) -> float:
-    """Mean illuminance in lx at points `[n, 3]` m of the screen, in the camera's frame. Raises LuxloopError if it is dark there."""
-    texture = light.light_texture(torch.ones(light.n_pixels))
-    away = geometry.lamp.place - points
-    distance = np.linalg.norm(away, axis=1)
-    cos = np.abs(away @ geometry.screen.rotation[:, 2]) / distance
-    intensity = light.intensity(texture, torch.from_numpy((-away @ geometry.lamp.rotation).T.copy())).numpy()
-    found = float((intensity * cos / distance**2).mean())
+    geometry, screen = module.geometry, module.geometry.screen.rotation
+    points = geometry.on_screen(np.array(reading.u), np.array(reading.v)) + sensor(*screen[:, :2].T)
+    found = lux(module.light, geometry.lamp.matrix, points, screen[:, 2])
     if found <= 0:
         raise LuxloopError(f"the lamp gives no light at {reading.u:g}, {reading.v:g} px; give a reading inside its field")
     return found
+
+
+def sensor(across: Array, along: Array) -> Array:
+    """Points `[n, 3]` m of a luxmeter's sensor, from its middle. across, along: unit vectors `[3]` of its plane."""
+    line = np.linspace(-0.5, 0.5, SENSOR_POINTS)
+    x, y = (each.ravel() for each in np.meshgrid(line, line))
+    disc = np.hypot(x, y) <= 0.5
+    return SENSOR_M * (x[disc, None] * across + y[disc, None] * along)
+
+
+def lux(light: Headlight, T_lamp: Array, points: Array, normal: Array) -> float:
+    """Mean illuminance in lx at points `[n, 3]` m of a surface, with all pixels of a module on. T_lamp: `[4, 4]`, its pose."""
+    away = points - T_lamp[:3, 3]
+    distance = np.linalg.norm(away, axis=1)
+    cos = np.abs(away @ normal) / distance
+    intensity = light.intensity(light.light_texture(torch.ones(light.n_pixels)), torch.from_numpy((away @ T_lamp[:3, :3]).T.copy()))
+    return float((intensity.numpy() * cos / distance**2).mean())
 
 
 def _place_lamp(geometry: Geometry, nominal: Nominal, chart: Chart) -> Geometry:
@@ -264,7 +236,7 @@ def _refine(measured: PixelMeasurements, chart: Chart) -> tuple[Chart, Chart]:
     return Chart.fit(lamp, camera), Chart.fit(camera, lamp)
 
 
-def _faulty(measured: PixelMeasurements, dark_at: Callable[[Indices, Indices], Windows]) -> tuple[np.ndarray, np.ndarray]:
+def _faulty(measured: PixelMeasurements, dark_at: Callable[[Indices, Indices], Windows]) -> tuple[Mask, Mask]:
     """Dead and stuck pixels; the light of a stuck one is there in the dark, and does not change."""
     around = median_filter(measured.intensity, AROUND)
     low = measured.intensity < np.maximum(DEAD * around, 3 * measured.noise)
@@ -272,8 +244,7 @@ def _faulty(measured: PixelMeasurements, dark_at: Callable[[Indices, Indices], W
     stuck = np.zeros(low.shape, bool)
     if len(r):
         at = dark_at(r, c)
-        far = np.maximum(np.abs(at.dr.mean(-1)), np.abs(at.dc.mean(-1)))
-        beyond, core = at.inside & (far > 1), at.inside & (far <= 0.5)
+        beyond, core = at.inside & (at.reach > 1), at.inside & (at.reach <= 0.5)
         level = np.nanmedian(np.where(beyond, at.seen, np.nan), 1)
         stuck[r, c] = (at.seen * core).sum(1) / np.maximum(core.sum(1), 1) - level > STUCK * around[r, c]
     return low & ~stuck, stuck

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from luxloop.loop.rig.calibration.setups import Array, Indices
+from luxloop.loop.rig.arrays import Array, Indices
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.world.errors import LuxloopError
 
@@ -159,7 +159,8 @@ def adjust(camera: CameraModel, screen: Pose, lamp: Pose, seen: Observation, fix
     The lamp's start position has a standard deviation of 0.1 m. The camera is constrained by its covariance; without one, or with
     `fix_camera`, it is fixed, and so is a screen without a board. The scale of the lamp's field cannot be separated from its distance.
     """
-    seen = _thin(seen)
+    some = slice(None, None, max(1, len(seen.tangents) // MOST_PIXELS))
+    seen = replace(seen, tangents=seen.tangents[some], pixels=seen.pixels[some])
     root = None if fix_camera or camera.covariance is None else np.linalg.pinv(_root(camera.covariance))
     start: dict[str, Array] = {} if root is None else {"camera": np.zeros(9)}
     start |= {"lamp": lamp.values} | ({"screen": screen.values} if len(seen.board) else {})
@@ -198,10 +199,10 @@ def adjust(camera: CameraModel, screen: Pose, lamp: Pose, seen: Observation, fix
 
 def _residuals(camera: CameraModel, screen: Pose, lamp: Pose, seen: Observation) -> tuple[Array, Array]:
     """Of lamp pixels `[n, 2]` and of board corners `[k, 2]` in px."""
-    rays = np.concatenate([np.ones((len(seen.tangents), 1)), seen.tangents], 1) @ lamp.rotation.T
-    pixels = camera.project(on_plane(rays, lamp.place, screen)) - seen.pixels if len(rays) else np.zeros((0, 2))
-    board = np.concatenate([seen.board, np.zeros((len(seen.board), 1))], 1)
-    return pixels, camera.project(screen.points(board)) - seen.corners if len(board) else np.zeros((0, 2))
+    rays = np.insert(seen.tangents, 0, 1, 1) @ lamp.rotation.T
+    pixels = camera.project(on_plane(rays, lamp.place, screen)) - seen.pixels
+    board = screen.points(np.pad(seen.board, ((0, 0), (0, 1))))
+    return pixels, camera.project(board) - seen.corners if len(board) else np.zeros((0, 2))
 
 
 def _perturbations(camera: CameraModel, screen: Pose, lens: bool, plane: bool) -> Iterator[tuple[CameraModel, Pose]]:
@@ -225,7 +226,7 @@ def blocks(pixels: Array) -> Indices:
 
 def group_residuals(jacobian: Array, residuals: Array, groups: Indices) -> tuple[Array, Array]:
     """Normal matrices `[g, p, p]` and gradients `[g, p]` by groups of residuals `[n]`. jacobian: `[n, p]`. groups: `[n]`, their numbers."""
-    parts = [(jacobian[at], residuals[at]) for at in (groups == k for k in np.unique(groups))]
+    parts = [(jacobian[groups == k], residuals[groups == k]) for k in np.unique(groups)]
     return np.stack([J.T @ J for J, _ in parts]), np.stack([J.T @ r for J, r in parts])
 
 
@@ -249,11 +250,6 @@ def covariance_of(normals: Array, gradients: Array, variance: float, prior: Arra
     jackknife = (1 - 1 / len(changes)) * (changes**2).sum(0)
     larger = np.sqrt(np.maximum(jackknife / np.diag(plain), 1))
     return np.asarray(plain * np.outer(larger, larger))
-
-
-def _thin(seen: Observation) -> Observation:
-    some = slice(None, None, max(1, len(seen.tangents) // MOST_PIXELS))
-    return replace(seen, tangents=seen.tangents[some], pixels=seen.pixels[some])
 
 
 def rms_of(residuals: Array) -> float:

@@ -1,7 +1,7 @@
 """Intrinsic calibration: lens from views of a ChArUco board, and vignetting from frames of an evenly bright surface."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,8 +10,8 @@ import numpy as np
 from PIL import Image as Picture
 from pydantic import Field
 
+from luxloop.loop.rig.arrays import Array, Image, Indices
 from luxloop.loop.rig.calibration.geometry import MOST_PX, CameraModel, Pose, covariance_of, rms_of
-from luxloop.loop.rig.calibration.setups import Array, Image, Indices
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import whole
 from luxloop.world.params import Params
@@ -135,23 +135,16 @@ LARGEST_STD: Final = 0.03  # standard deviation, relative to focal length and pi
 TILTED: Final = 0.94  # foreshortening of a board in the picture that counts as tilted, by 20 deg; the lens adds some
 SLANTED: Final = 0.38  # component of a direction that counts as one to that side: 22.5 deg
 CORNER: Final = 0.3  # share of the picture's width and height that is its corner
+PLACES: Final = {"top left": (0, 0), "top right": (1, 0), "bottom left": (0, 1), "bottom right": (1, 1)}
 _CENTRED: Final = cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_ZERO_TANGENT_DIST
 # From few unknowns to all: with all at once, the long lens of a barrel distortion ends in another minimum.
 STAGES: Final = (_CENTRED | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2, _CENTRED | cv2.CALIB_FIX_K2, _CENTRED, 0)
 PRECISE: Final = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 500, 1e-14)  # focal length and distance converge slowly together
 
 
-@dataclass(frozen=True, eq=False)
-class Lens:
-    """camera: with the covariance of its values. poses: T_camera_board of each view. rms: of the residuals of each view, px."""
-
-    camera: CameraModel
-    poses: tuple[Pose, ...]
-    rms: tuple[float, ...]
-
-
-def lens(views: Sequence[Corners], width: int, height: int) -> Lens:
-    """Focal lengths, principal point and distortion by least squares of corners.
+def lens(views: Sequence[Corners], width: int, height: int) -> tuple[CameraModel, float]:
+    """Focal lengths, principal point and distortion by least squares of corners, with their covariance, and the root mean square of the
+    residuals in px.
 
     Raises LuxloopError for fewer than five views, if one does not fit the others, or if they do not determine the lens.
     """
@@ -177,7 +170,7 @@ def lens(views: Sequence[Corners], width: int, height: int) -> Lens:
     camera = CameraModel(width, height, matrix, np.ravel(distortion)[:5])
     poses = [Pose(np.ravel(turn), np.ravel(move)) for turn, move in zip(turns, moves, strict=True)]
     left = [camera.project(pose.points(each)) - view.pixels for pose, each, view in zip(poses, points, views, strict=True)]
-    rms = tuple(rms_of(each) for each in left)
+    rms = [rms_of(each) for each in left]
     covariance = _covariance(camera, poses, points, left)
     std, limit = np.sqrt(np.diag(covariance))[:4], LARGEST_STD * np.array([*np.abs(camera.values[:2]), width, height])
     if not (std < limit).all():
@@ -189,12 +182,12 @@ def lens(views: Sequence[Corners], width: int, height: int) -> Lens:
             f"{views[worst].name}: its corners are {rms[worst]:.3g} px rms from where the lens shows them; check --columns and --rows, "
             "keep the board flat, or take the picture out"
         )
-    return Lens(CameraModel(width, height, matrix, np.ravel(distortion)[:5], covariance), tuple(poses), rms)
+    return replace(camera, covariance=covariance), float(np.sqrt(np.mean(np.square(rms))))
 
 
 def _missing(views: Sequence[Corners], width: int, height: int) -> str:
     """What views to add: the sides of the board that are tilted away in none, and the corners of the picture that none reaches."""
-    sides, places = {"left": False, "right": False, "top": False, "bottom": False}, dict[str, bool]()
+    sides = dict.fromkeys(("left", "right", "top", "bottom"), False)
     for view in views:
         H, _ = cv2.findHomography(view.board - view.board.mean(0), view.pixels)
         if H is None:
@@ -205,9 +198,8 @@ def _missing(views: Sequence[Corners], width: int, height: int) -> str:
             x, y = J @ H[2, :2] * np.sign(H[2, 2]) / np.linalg.norm(J @ H[2, :2])  # to where the board is farther away
             sides = {name: sides[name] or part > SLANTED for name, part in zip(sides, (-x, x, -y, y), strict=True)}
     corners = np.concatenate([view.pixels for view in views]) / (width, height)
-    for name, (x, y) in {"top left": (0, 0), "top right": (1, 0), "bottom left": (0, 1), "bottom right": (1, 1)}.items():
-        places[name] = bool((np.abs(corners - (x, y)) < CORNER).all(1).any())
-    no_side, no_place = ([name for name, there in each.items() if not there] for each in (sides, places))
+    no_side = [name for name, there in sides.items() if not there]
+    no_place = [name for name, place in PLACES.items() if not (np.abs(corners - place) < CORNER).all(1).any()]
     add = [f"with the {', '.join(no_side)} of the board tilted away by 20 to 45 deg"] * bool(no_side)
     add += [f"with the board in the {', '.join(no_place)} of the picture"] * bool(no_place)
     return f"add views {', and '.join(add) or 'tilted by 20 to 45 deg to all sides, sharp, and large in the picture'}"

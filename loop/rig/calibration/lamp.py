@@ -1,5 +1,6 @@
 """A measured lamp: from intensities, shapes and places to a sparse headlight matrix over a light texture."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -7,9 +8,11 @@ from typing import Final
 
 import numpy as np
 import scipy.sparse as sp
+import torch
 
-from luxloop.loop.rig.calibration.setups import Array, neighbours
-from luxloop.loop.rig.calibration.shapes import REACH, Blocks, PixelMeasurements
+from luxloop.loop.rig.arrays import Array
+from luxloop.loop.rig.calibration.setups import neighbours
+from luxloop.loop.rig.calibration.shapes import REACH, PixelMeasurements, borders
 from luxloop.loop.rig.calibration.structured_light import Chart
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.build_lamps import mount
@@ -31,8 +34,7 @@ def grid_over(y: Array, z: Array, texels: tuple[int, int]) -> TexelGrid:
     So light of the outermost pixels that is blurred beyond the field is kept.
     """
     rows, cols = y.shape
-    pitch_y, pitch_z = (float(each.max() - each.min()) / max(n - 1, 1) for each, n in ((y, cols), (z, rows)))
-    margin_y, margin_z = (0.5 + MARGIN) * pitch_y, (0.5 + MARGIN) * pitch_z
+    margin_y, margin_z = ((0.5 + MARGIN) * float(np.ptp(each)) / max(n - 1, 1) for each, n in ((y, cols), (z, rows)))
     return TexelGrid(
         rows=texels[0] * (rows + 2 * MARGIN),
         cols=texels[1] * (cols + 2 * MARGIN),
@@ -46,9 +48,8 @@ def grid_over(y: Array, z: Array, texels: tuple[int, int]) -> TexelGrid:
 def headlight(name: str, grid: TexelGrid, measured: PixelMeasurements, lamp_of: Chart) -> Headlight:
     """The headlight matrix of a measured module in cd. lamp_of: from tangents (y, z) to lamp coordinates (row, column)."""
     rows, cols = measured.intensity.shape
-    block_of = [np.searchsorted(each, np.arange(n), "right") - 1 for each, n in zip(_starts(rows, cols), (rows, cols), strict=True)]
-    y = grid.left + (np.arange(grid.cols) + 0.5) / grid.cols * (grid.right - grid.left)
-    z = grid.top + (np.arange(grid.rows) + 0.5) / grid.rows * (grid.bottom - grid.top)
+    block_of = [np.searchsorted(borders(n), np.arange(n), "right") - 1 for n in (rows, cols)]
+    y, z = (each.numpy() for each in grid.tangents(torch.float64, torch.device("cpu")))
     lit = np.nan_to_num(measured.intensity).clip(min=0)
     least = LEAST * measured.shapes.max((2, 3))
     reach = int(np.ceil(REACH))
@@ -58,27 +59,20 @@ def headlight(name: str, grid: TexelGrid, measured: PixelMeasurements, lamp_of: 
         row, col = (each.ravel() for each in lamp_of(yy, zz))
         texel = np.arange(row.size)
         entries: list[tuple[Array, Array, Array]] = []
-        for i in range(-reach, reach + 1):
-            for j in range(-reach, reach + 1):
-                r, c = np.floor(row).astype(int) + i, np.floor(col).astype(int) + j
-                inside = (r >= 0) & (r < rows) & (c >= 0) & (c < cols)
-                inside &= (np.abs(row - r - 0.5) < REACH + NEAR) & (np.abs(col - c - 0.5) < REACH + NEAR)
-                r, c, at = r[inside], c[inside], texel[inside]
-                dr, dc = row[at] - r - 0.5 - measured.shift_row[r, c], col[at] - c - 0.5 - measured.shift_col[r, c]
-                block = block_of[0][r], block_of[1][c]
-                share = _read(measured.shapes, block, dr, dc)
-                keep = share > least[block]
-                entries.append((at[keep], (r * cols + c)[keep], (share * lit[r, c])[keep]))
+        for i, j in itertools.product(range(-reach, reach + 1), repeat=2):
+            r, c = np.floor(row).astype(int) + i, np.floor(col).astype(int) + j
+            inside = (r >= 0) & (r < rows) & (c >= 0) & (c < cols)
+            inside &= (np.abs(row - r - 0.5) < REACH + NEAR) & (np.abs(col - c - 0.5) < REACH + NEAR)
+            r, c, at = r[inside], c[inside], texel[inside]
+            dr, dc = row[at] - r - 0.5 - measured.shift_row[r, c], col[at] - c - 0.5 - measured.shift_col[r, c]
+            block = block_of[0][r], block_of[1][c]
+            share = _read(measured.shapes, block, dr, dc)
+            keep = share > least[block]
+            entries.append((at[keep], (r * cols + c)[keep], (share * lit[r, c])[keep]))
         at, pixel, value = (np.concatenate(each) for each in zip(*entries, strict=True))
         parts.append(sp.csr_array((value.astype(np.float32), (at, pixel)), shape=(row.size, rows * cols)))
     matrix = Csr.from_scipy(sp.vstack(parts, format="csr"))
-    borders = {name: getattr(grid, name) for name in ("rows", "cols", "left", "right", "bottom", "top")}
-    return Headlight(name=name, matrix=matrix, pixel_rows=rows, pixel_cols=cols, **borders)
-
-
-def _starts(rows: int, cols: int) -> tuple[Array, Array]:
-    blocks = Blocks.of(rows, cols)
-    return np.array(blocks.rows[:-1]), np.array(blocks.cols[:-1])
+    return Headlight(name=name, matrix=matrix, pixel_rows=rows, pixel_cols=cols, **vars(grid))
 
 
 def _read(shapes: Array, block: tuple[Array, Array], dr: Array, dc: Array) -> Array:

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from luxloop.loop.report.style import DEFAULTS, SHARES, STYLE
+from luxloop.loop.rig.arrays import Array, Image
 from luxloop.loop.rig.calibration.digitise import ModuleMeasurement
-from luxloop.loop.rig.calibration.setups import Array
 from luxloop.loop.rig.calibration.shots import luminous
 from luxloop.world.arrays import write_npz
 from luxloop.world.files import whole
@@ -62,11 +62,10 @@ def write(stem: Path, modules: Sequence[ModuleMeasurement]) -> list[Path]:
     return [text, picture, pixels]
 
 
-def _arrays(module: ModuleMeasurement) -> dict[str, np.ndarray]:
-    measured = module.measured
+def _arrays(module: ModuleMeasurement) -> dict[str, Image]:
     names = ("intensity", "noise", "residual", "shift_row", "shift_col", "background")
-    found = {name: getattr(measured, name).astype(np.float32) for name in names}
-    return {**found, "u_px": module.u.astype(np.float32), "v_px": module.v.astype(np.float32), "dead": module.dead, "stuck": module.stuck}
+    found = {name: getattr(module.measured, name) for name in names} | {"u_px": module.u, "v_px": module.v}
+    return {name: each.astype(np.float32) for name, each in found.items()} | {"dead": module.dead, "stuck": module.stuck}
 
 
 def _overview(modules: Sequence[ModuleMeasurement]) -> Figure:

@@ -6,14 +6,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 from zlib import crc32
 
 import numpy as np
 import scipy.sparse as sp
 import torch
-from numpy.typing import NDArray
 
+from luxloop.loop.rig.arrays import Array, Grids, Image, Indices, Mask
 from luxloop.loop.rig.light import Shine
 from luxloop.loop.rig.params import RigParams
 from luxloop.loop.rig.rectification import grey
@@ -27,45 +27,20 @@ from luxloop.perception.noise import FrameNoise
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.light.illumination import Transport
 
-Array = NDArray[np.floating[Any]]
-Indices = NDArray[np.intp]
-Image = NDArray[Any]
 Lens = Callable[[Array, Array], tuple[Array, Array]]
 
 BAND: Final = 256  # rows of the fine picture that are rendered at once
 SAMPLES: Final = 4  # a camera pixel's width and height, at which the fine picture is read
 
 
-class Setup(Protocol):
-    """Shows light to a camera at rest.
-
-    shape: height and width of a frame in px. levels: largest digital number. exposures_s: exposure times that the camera can be set to,
-    ascending; a single one where it is locked.
-    """
-
-    @property
-    def shape(self) -> tuple[int, int]: ...
-
-    @property
-    def levels(self) -> int: ...
-
-    @property
-    def exposures_s(self) -> tuple[float, ...]: ...
-
-    def frames(self, lights: Sequence[Array], count: int, exposure_s: float, name: str = "") -> Image:
-        """Digital numbers `[count, height, width]` of frames in the light of these utilisations alone, one `[n_p]` in 0..1 per module.
-
-        name: of the measurement; simulated noise depends on it, so that a measurement that is resumed gets the same.
-        """
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class SimulatedSetup:
-    """The simulated world of a scenario, with the light transport from lamp pixels to camera pixels in one sparse matrix per module.
+    """The simulated world of a scenario before a camera at rest, with the light transport from lamp pixels to camera pixels in one sparse
+    matrix per module.
 
-    transports: `[height * width, n_p]`, cd/m^2 at full utilisation. base: `[height, width]` cd/m^2 of other light. optics: what the lens
-    adds to a luminance image, such as blur. seed: of the noise.
+    exposures_s: exposure times that the camera can be set to, ascending; a single one where it is locked. transports: `[height * width,
+    n_p]`, cd/m^2 at full utilisation. base: `[height, width]` cd/m^2 of other light. optics: what the lens adds to a luminance image, such
+    as blur. seed: of the noise.
     """
 
     transports: tuple[sp.csr_array, ...]
@@ -81,9 +56,14 @@ class SimulatedSetup:
 
     @property
     def levels(self) -> int:
+        """Largest digital number."""
         return 2**self.camera.bits - 1
 
     def frames(self, lights: Sequence[Array], count: int, exposure_s: float, name: str = "") -> Image:
+        """Digital numbers `[count, height, width]` of frames in the light of these utilisations alone, one `[n_p]` in 0..1 per module.
+
+        name: of the measurement; noise depends on it, so that a measurement that is resumed gets the same.
+        """
         luminance = self.base.copy()
         for transport, u in zip(self.transports, lights, strict=True):
             luminance += (transport @ u.astype(np.float32)).reshape(self.shape)
@@ -130,16 +110,14 @@ def _spread(transport: Any, n: int) -> sp.csr_matrix:
 
 def _resample(camera: CameraParams, finer: CameraParams, lens: Lens | None) -> sp.csr_matrix:
     """From the fine picture to the camera's: the mean of samples over each pixel's area, each read bilinearly."""
-    offset = (np.arange(SAMPLES) + 0.5) / SAMPLES
-    v, u = np.meshgrid(np.arange(camera.height_px), np.arange(camera.width_px), indexing="ij")
+    ratio = finer.width_px / camera.width_px
+    v, u = (each.ravel() for each in np.indices((camera.height_px, camera.width_px)))
     total = sp.csr_matrix((v.size, finer.width_px * finer.height_px), dtype=np.float32)
-    for dv in offset:
-        for du in offset:
-            x, y = (u + du).ravel(), (v + dv).ravel()
-            if lens is not None:
-                x, y = lens(x, y)
-            ratio = finer.width_px / camera.width_px
-            total = total + _bilinear(ratio * x - 0.5, ratio * y - 0.5, finer.width_px, finer.height_px)
+    for dv, du in itertools.product((np.arange(SAMPLES) + 0.5) / SAMPLES, repeat=2):
+        x, y = u + du, v + dv
+        if lens is not None:
+            x, y = lens(x, y)
+        total = total + _bilinear(ratio * x - 0.5, ratio * y - 0.5, finer.width_px, finer.height_px)
     return total / SAMPLES**2
 
 
@@ -148,11 +126,11 @@ def _bilinear(x: Array, y: Array, width: int, height: int) -> sp.csr_matrix:
         (np.flatnonzero(inside), (row * width + col)[inside], weight[inside].astype(np.float32))
         for col, row, weight, inside in neighbours(x, y, (width, height))
     ]
-    rows, columns, weights = (np.concatenate(each) for each in zip(*parts, strict=True))
+    rows, columns, weights = map(np.concatenate, zip(*parts, strict=True))
     return sp.csr_matrix((weights, (rows, columns)), shape=(len(x), width * height))
 
 
-def neighbours(row: Array, col: Array, shape: tuple[int, int]) -> Iterator[tuple[Indices, Indices, Array, np.ndarray]]:
+def neighbours(row: Array, col: Array, shape: tuple[int, int]) -> Iterator[tuple[Indices, Indices, Array, Mask]]:
     """Row and column of each of the four neighbours of places `[n]` in a raster of rows x columns, its bilinear weight, and whether it lies
     inside.
     """
@@ -170,14 +148,14 @@ class RigSetup:
     """An open, armed rig. Its camera has one exposure time, which is unknown and set to 1 s, since it cancels out."""
 
     rig: Rig
-    grids: tuple[tuple[int, int], ...]
+    grids: Grids
     shape: tuple[int, int]
     levels: int
     numbers: Iterator[int]
     exposures_s: tuple[float, ...] = (1.0,)
 
     def frames(self, lights: Sequence[Array], count: int, exposure_s: float, name: str = "") -> Image:
-        """As `Setup.frames`. Raises LuxloopError if a limit dims the light, or frames do not arrive."""
+        """As `SimulatedSetup.frames`. Raises LuxloopError if a limit dims the light, or frames do not arrive."""
         pictures = tuple(u.reshape(grid).astype(np.float32) for u, grid in zip(lights, self.grids, strict=True))
         found: list[Image] = []
         for _ in range(TRIES * count):
@@ -202,8 +180,11 @@ class RigSetup:
         raise LuxloopError(f"{len(found)} of {count} frames came in {TRIES * count} tries: {reason}; see `luxloop rig check`")
 
 
+Setup = SimulatedSetup | RigSetup
+
+
 @contextmanager
-def rig_setup(file: Path, params: RigParams, grids: Sequence[tuple[int, int]], ready: Callable[[Rig], None]) -> Iterator[RigSetup]:
+def rig_setup(file: Path, params: RigParams, grids: Grids, ready: Callable[[Rig], None]) -> Iterator[RigSetup]:
     """Open an armed rig. ready: waits until it is ready. Raises LuxloopError if a device cannot be opened, or no picture arrives."""
     if params.mark is not None:
         raise LuxloopError(f"{file}: mark: lies in the light that is to be measured; take it out to calibrate")

@@ -7,14 +7,16 @@ in different ways (the effective point spread function of Anderson and King, 200
 window alone, and a_j from the sum of the light there, on which the shape has no influence.
 """
 
+import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Final, Self
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from luxloop.loop.rig.calibration.setups import Array, Indices, neighbours
+from luxloop.loop.rig.arrays import Array, Indices, Mask
+from luxloop.loop.rig.calibration.setups import neighbours
 from luxloop.loop.rig.calibration.structured_light import Chart
 
 SPACING: Final = 5  # pixels between those of a comb, in either direction: the light of a pixel reaches REACH
@@ -22,13 +24,12 @@ REACH: Final = 1.5  # pixels from its centre, to all sides
 SUBSAMPLES: Final = 3  # points over a camera pixel's width and height, at which a shape is read
 
 
-def combs(rows: int, cols: int, spacing: int = SPACING) -> Iterator[tuple[str, Array]]:
-    """Names and utilisations `[n_p]` of combs, which together light each pixel once. spacing: in pixels."""
-    for i in range(spacing):
-        for j in range(spacing):
-            u = np.zeros((rows, cols))
-            u[i::spacing, j::spacing] = 1
-            yield f"comb_{i}_{j}", u.ravel()
+def combs(rows: int, cols: int) -> Iterator[tuple[str, Array]]:
+    """Names and utilisations `[n_p]` of combs, which together light each pixel once."""
+    for i, j in np.ndindex(SPACING, SPACING):
+        u = np.zeros((rows, cols))
+        u[i::SPACING, j::SPACING] = 1
+        yield f"comb_{i}_{j}", u.ravel()
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,23 +41,28 @@ class Windows:
     """
 
     seen: Array
-    inside: np.ndarray
+    inside: Mask
     dr: Array
     dc: Array
     area: Array
 
+    @property
+    def reach(self) -> Array:
+        """Distance `[n, m]` of camera pixels from the pixel's centre in lamp pixels, the larger of both directions."""
+        return np.maximum(np.abs(self.dr.mean(-1)), np.abs(self.dc.mean(-1)))
 
-def windows(images: Array, row: Indices, col: Indices, places: tuple[Array, Array], lamp_of: Chart, spacing: int = SPACING) -> Windows:
+
+def windows(images: Array, chart: Chart, lamp_of: Chart, row: Indices, col: Indices) -> Windows:
     """The windows of pixels at row and col `[n]`, whole numbers.
 
-    images: `[spacing^2, height, width]`, of the combs. places: (u, v) `[n]` px, about where they are seen.
+    images: `[SPACING^2, height, width]`, of the combs. chart, lamp_of: as of `Places`.
     """
     height, width = images.shape[1:]
-    u, v = places
+    u, v = chart(row + 0.5, col + 0.5)
     jacobian = lamp_of.jacobian(u, v)  # [2, 2, n]
-    du, dv = (each.ravel() for each in np.meshgrid(*(np.arange(-half, half + 1) for half in _halves(jacobian, spacing / 2))))
+    du, dv = (each.ravel() for each in np.meshgrid(*(np.arange(-half, half + 1) for half in _halves(jacobian, SPACING / 2))))
     x, y = np.floor(u).astype(int)[:, None] + du, np.floor(v).astype(int)[:, None] + dv  # [n, m]
-    image = (row % spacing * spacing + col % spacing)[:, None]
+    image = (row % SPACING * SPACING + col % SPACING)[:, None]
     seen = images[image, y.clip(0, height - 1), x.clip(0, width - 1)]
     centre_r, centre_c = lamp_of(x + 0.5, y + 0.5)
     area = np.abs(jacobian[0, 0] * jacobian[1, 1] - jacobian[0, 1] * jacobian[1, 0])
@@ -66,8 +72,8 @@ def windows(images: Array, row: Indices, col: Indices, places: tuple[Array, Arra
         (centre - at[:, None] - 0.5)[..., None] + along[0][:, None, None] * du_s + along[1][:, None, None] * dv_s
         for centre, at, along in ((centre_r, row, jacobian[0]), (centre_c, col, jacobian[1]))
     )
-    near = (np.abs(dr.mean(-1)) <= spacing / 2) & (np.abs(dc.mean(-1)) <= spacing / 2)
-    return Windows(seen, near & (x >= 0) & (x < width) & (y >= 0) & (y < height), dr, dc, area)
+    at = Windows(seen, (x >= 0) & (x < width) & (y >= 0) & (y < height), dr, dc, area)
+    return replace(at, inside=at.inside & (at.reach <= SPACING / 2))
 
 
 def _halves(jacobian: Array, reach: float) -> tuple[int, int]:
@@ -109,7 +115,7 @@ class PixelMeasurements:
         rows, cols = self.intensity.shape
         row, col = np.indices((rows, cols)) + 0.5
         total = self.shapes.sum((2, 3))
-        for block, r, c in Blocks.of(rows, cols):
+        for block, r, c in blocks(rows, cols):
             for axis, place in enumerate((row, col)):
                 n = self.shapes.shape[2 + axis]
                 at = (np.arange(n) + 0.5) * (2 * REACH / n) - REACH
@@ -117,33 +123,17 @@ class PixelMeasurements:
         return row + self.shift_row, col + self.shift_col
 
 
-@dataclass(frozen=True)
-class Blocks:
-    """How rows x cols pixels are divided: the outermost rows and columns by themselves, whose light may end at the field's border, and the
-    others into blocks. rows, cols: where the parts begin, and the end.
-    """
-
-    rows: tuple[int, ...]
-    cols: tuple[int, ...]
-
-    @classmethod
-    def of(cls, rows: int, cols: int) -> Self:
-        return cls(_borders(rows), _borders(cols))
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        return len(self.rows) - 1, len(self.cols) - 1
-
-    def __iter__(self) -> Iterator[tuple[tuple[int, int], Indices, Indices]]:
-        """Number of each block, and rows and columns `[n]` of its pixels."""
-        for i, j in np.ndindex(self.shape):
-            r, c = np.meshgrid(np.arange(*self.rows[i : i + 2]), np.arange(*self.cols[j : j + 2]), indexing="ij")
-            yield (int(i), int(j)), r.ravel(), c.ravel()
-
-
-def _borders(n: int) -> tuple[int, ...]:
+def borders(n: int) -> list[int]:
+    """Where the blocks along n pixels begin, and the end: the outermost pixel by itself, whose light may end at the field's border."""
     inner = np.linspace(1, n - 1, 1 + max(1, round((n - 2) / BLOCK))).astype(int).tolist() if n > 2 else [1][: n - 1]
-    return tuple(dict.fromkeys([0, *inner, n]))
+    return list(dict.fromkeys([0, *inner, n]))
+
+
+def blocks(rows: int, cols: int) -> Iterator[tuple[tuple[int, int], Indices, Indices]]:
+    """Number of each block of rows x cols pixels, and rows and columns `[n]` of its pixels."""
+    for (i, down), (j, across) in itertools.product(*(enumerate(itertools.pairwise(borders(n))) for n in (rows, cols))):
+        r, c = np.mgrid[slice(*down), slice(*across)]
+        yield (i, j), r.ravel(), c.ravel()
 
 
 def measure(
@@ -153,16 +143,15 @@ def measure(
     columns of texels a pixel. every: measures one of so many pixels of a block, the others are NaN.
     """
     shape = round(2 * REACH * texels[0]), round(2 * REACH * texels[1])
-    divided = Blocks.of(rows, cols)
-    k = shape[0] * shape[1]
-    normal, right = np.zeros((*divided.shape, k, k)), np.zeros((*divided.shape, k))
-    for block, r, c in divided:
+    count, k = [len(borders(n)) - 1 for n in (rows, cols)], shape[0] * shape[1]
+    normal, right = np.zeros((*count, k, k)), np.zeros((*count, k))
+    for block, r, c in blocks(rows, cols):
         some = _some(len(r), max(every, SHAPED))
         each = window_of(r[some], c[some])
         normal[block], right[block] = _normal(each, _weights(each, texels, shape))
     shapes = _solve(normal, right, shape)
     found = np.full((6, rows, cols), np.nan)
-    for block, r, c in divided:
+    for block, r, c in blocks(rows, cols):
         some = _some(len(r), every)
         r, c = r[some], c[some]
         each = window_of(r, c)
@@ -202,14 +191,9 @@ def _flux(at: Windows) -> tuple[Array, Array]:
 
     The sum over whole camera pixels depends neither on how the pixel falls on their raster nor on its shape.
     """
-    reach = np.maximum(np.abs(at.dr.mean(-1)), np.abs(at.dc.mean(-1)))
-    background = _mean(at.seen, at.inside & (reach > BEYOND))
-    core = at.inside & (reach <= BEYOND)
+    core, beside = at.inside & (at.reach <= BEYOND), at.inside & (at.reach > BEYOND)
+    background = (at.seen * beside).sum(1) / np.maximum(beside.sum(1), 1)
     return ((at.seen - background[:, None]) * core).sum(1) * at.area, background
-
-
-def _mean(values: Array, where: np.ndarray) -> Array:
-    return (values * where).sum(1) / np.maximum(where.sum(1), 1)
 
 
 def _solve(normal: Array, right: Array, shape: tuple[int, int]) -> Array:
@@ -221,9 +205,8 @@ def _solve(normal: Array, right: Array, shape: tuple[int, int]) -> Array:
     far = [np.maximum(np.abs((np.arange(n) + 0.5) * (2 * REACH / n) - REACH) - 1, 0) / (REACH - 1) for n in shape]
     wings = WINGS * np.maximum(far[0][:, None], far[1]).ravel()
     scale = np.trace(normal, axis1=-2, axis2=-1)[..., None, None] / normal.shape[-1]
-    solved = np.linalg.solve(
-        normal + scale * (ROUGHNESS * rough + np.diag(wings) + 1e-6 * np.eye(len(rough))) + 1e-30 * np.eye(len(rough)), right[..., None]
-    )[..., 0]
+    one = np.eye(len(rough))
+    solved = np.linalg.solve(normal + scale * (ROUGHNESS * rough + np.diag(wings) + 1e-6 * one) + 1e-30 * one, right[..., None])[..., 0]
     solved = np.maximum(solved, 0)
     total = solved.sum(-1, keepdims=True) * (4 * REACH**2) / solved.shape[-1]
     return (solved / np.maximum(total, 1e-12)).reshape(*around, *shape)
@@ -233,10 +216,9 @@ def _neighbour_means(values: Array) -> Array:
     """Means over the blocks around each, those of the edges among themselves."""
     values = values.copy()
     rows, cols = values.shape[:2]
-    parts = [[slice(0, 1), slice(1, n - 1), slice(n - 1, n)] if n > 2 else [slice(k, k + 1) for k in range(n)] for n in (rows, cols)]
-    for i in parts[0]:
-        for j in parts[1]:
-            values[i, j] = uniform_filter(values[i, j], (3, 3, *(0,) * (values.ndim - 2)), mode="nearest")
+    parts = ([slice(0, 1), slice(1, n - 1), slice(n - 1, n)] if n > 2 else [slice(k, k + 1) for k in range(n)] for n in (rows, cols))
+    for part in itertools.product(*parts):
+        values[part] = uniform_filter(values[part], 3, mode="nearest", axes=(0, 1))
     return values
 
 
@@ -259,8 +241,7 @@ def _fit_pixels(at: Windows, weights: Array, shape: Array, texels: tuple[int, in
     left = (design @ solved[..., None])[..., 0] - seen
     variance = (left**2).sum(1) / np.maximum(at.inside.sum(1) - 4, 1)
     intensity, background = _flux(at)
-    reach = np.maximum(np.abs(at.dr.mean(-1)), np.abs(at.dc.mean(-1)))
-    core, beside = ((at.inside & where).sum(1) for where in (reach <= BEYOND, reach > BEYOND))
+    core, beside = ((at.inside & where).sum(1) for where in (at.reach <= BEYOND, at.reach > BEYOND))
     noise = at.area * np.sqrt(variance * core * (1 + core / np.maximum(beside, 1)))
     bright = np.maximum(intensity, 3 * noise + 1e-30)
     shift = solved[:, 1:3] / bright[:, None]

@@ -5,14 +5,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Final, Self
+from typing import Final
 
 import cv2
 import numpy as np
 import torch
 from torch import Tensor
 
-from luxloop.loop.rig.calibration.setups import Array, Image, Setup
+from luxloop.loop.rig.arrays import Array, Image, Mask
+from luxloop.loop.rig.calibration.setups import Setup
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import content, reading, whole
 from luxloop.world.headlight.matrix import LUMINANCE
@@ -24,24 +25,14 @@ SMOOTH: Final = 10.0  # weight of the curve's second difference beside one readi
 USED: Final = (0.02, 0.98)  # of the range of digital numbers
 
 
-@dataclass(frozen=True, eq=False)
-class Response:
-    """curve: `[levels + 1]` float32, light at each digital number: 0 at black, 1 at the largest."""
-
-    curve: Array
-
-    @classmethod
-    def linear(cls, levels: int, black: float = 0.0) -> Self:
-        """A linear response. levels: largest digital number. black: digital number without light."""
-        return cls(((np.arange(levels + 1) - black) / (levels - black)).astype(np.float32))
-
-    def light(self, frames: Image) -> Array:
-        """Light of digital numbers, in the same shape."""
-        return self.curve[frames]
+def linear_response(levels: int, black: float = 0.0) -> Array:
+    """Response `[levels + 1]` of a linear camera. levels: largest digital number. black: digital number without light."""
+    return ((np.arange(levels + 1) - black) / (levels - black)).astype(np.float32)
 
 
-def response_curve(frames: Sequence[Image], ratios: Sequence[float], levels: int) -> Response:
-    """The response from frames `[height, width]` of the same scene at lights that are in known ratios, by exposure time or by utilisation.
+def response_curve(frames: Sequence[Image], ratios: Sequence[float], levels: int) -> Array:
+    """The response `[levels + 1]` float32, light at each digital number, 0 at black and 1 at the largest, from
+    frames `[height, width]` of the same scene at lights that are in known ratios, by exposure time or by utilisation.
 
     frames[k] has `ratios[k]` times the light of ratio 1, without other light; one of ratio 0, where there is one, gives the black level.
     Raises LuxloopError if the frames do not suffice.
@@ -69,10 +60,10 @@ def response_curve(frames: Sequence[Image], ratios: Sequence[float], levels: int
     first = int(np.floor(black)) + 1
     dark = numbers < first
     curve[dark] = (numbers[dark] - black) * curve[first] / (first - black)  # noise about black keeps its sign
-    return Response((curve / curve[-1]).astype(np.float32))
+    return (curve / curve[-1]).astype(np.float32)
 
 
-def _solve(codes: Array, good: np.ndarray, log_by: Array, knots: Array) -> Array:
+def _solve(codes: Array, good: Mask, log_by: Array, knots: Array) -> Array:
     """Logarithm of the light at knots `[n]`: `g(z) = ln L_i + ln t_k` by least squares.
 
     codes: logarithms of digital numbers over black, in which any power is a straight line, and g is one between knots.
@@ -104,12 +95,12 @@ LONGER: Final = 4.0  # of exposures that are taken besides, for dim pixels
 class Shots:
     """Frames of lights on a setup, each taken once.
 
-    folder: of the pictures, `NAME-EXPOSURE-NUMBER.png`; None keeps none. what: identifies lamp, camera and plan, so that frames of
-    others are refused. dark: light `[height, width]` without the lamp, which is subtracted from all.
+    response: as of `response_curve`. folder: of the pictures, `NAME-EXPOSURE-NUMBER.png`; None keeps none. what: identifies lamp, camera
+    and plan, so that frames of others are refused. dark: light `[height, width]` without the lamp, which is subtracted from all.
     """
 
     setup: Setup
-    response: Response
+    response: Array
     folder: Path | None = None
     what: str = ""
 
@@ -150,7 +141,7 @@ class Shots:
         for k, exposure_s in enumerate(sorted(exposures_s)):
             frames = self.frames(name, lights, count, exposure_s)
             good = (frames.max(0) < SATURATED * self.setup.levels) | (k == 0)
-            total += good * self.response.light(frames).mean(0)
+            total += good * self.response[frames].mean(0)
             weight += good * exposure_s
         return (total / weight).astype(np.float32)
 

@@ -6,14 +6,14 @@ lamp pixels in the camera, and Chebyshev polynomials a smooth map between both p
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Self
 
 import numpy as np
 from numpy.polynomial import chebyshev
 from scipy.ndimage import maximum_filter, uniform_filter
 
-from luxloop.loop.rig.calibration.setups import Array
+from luxloop.loop.rig.arrays import Array, Mask
 
 PERIOD: Final = 16  # pixels
 STEPS: Final = 8
@@ -22,18 +22,6 @@ LEAST_CONTRAST: Final = 0.1  # amplitude of the cosine over its mean
 AROUND: Final = 7  # camera pixels, over which the brightest is looked for
 LEAST_LIGHT: Final = 0.5  # share of that: the edge of the outermost pixels lies where their light has fallen to a half
 NOISES: Final = 6.0  # amplitude of the cosine over its noise: a wrong period is then as rare as five standard deviations
-
-
-@dataclass(frozen=True, eq=False)
-class LampCoordinates:
-    """Lamp coordinates read at each camera pixel; lamp pixel (r, c) has its centre at (r + 0.5, c + 0.5).
-
-    row, col: `[height, width]`. valid: `[height, width]` bool, where they could be read.
-    """
-
-    row: Array
-    col: Array
-    valid: np.ndarray
 
 
 def patterns(rows: int, cols: int) -> list[tuple[str, Array]]:
@@ -59,8 +47,9 @@ def bits(n: int) -> int:
     return max(int(np.ceil(np.log2(-(-n // CELL)))), 0)
 
 
-def decode(light: Sequence[Array], rows: int, cols: int, noise: Array) -> LampCoordinates:
-    """Read the frames of `patterns`, `[height, width]` each in a linear unit. noise: `[height, width]`, standard deviation of one.
+def decode(light: Sequence[Array], rows: int, cols: int, noise: float) -> tuple[Array, Array, Mask]:
+    """Lamp coordinates at each camera pixel, row and column `[height, width]`, and where they could be read; lamp pixel (r, c) has its
+    centre at (r + 0.5, c + 0.5). light: frames of `patterns`, `[height, width]` each in a linear unit. noise: standard deviation of one.
 
     Where the light of several pixels overlaps, the position is their weighted mean. Nothing is read beyond the outer edges of the field,
     where only the outermost pixels' light arrives.
@@ -76,18 +65,16 @@ def decode(light: Sequence[Array], rows: int, cols: int, noise: Array) -> LampCo
         place, good = _place(np.stack(phases) - dark, [each - dark for each in gray], noise)
         places.append(place)
         valid &= good & (place > 0) & (place < n)
-    return LampCoordinates(places[0], places[1], valid)
+    return places[0], places[1], valid
 
 
-def _place(phases: Array, gray: Sequence[Array], noise: Array) -> tuple[Array, np.ndarray]:
+def _place(phases: Array, gray: Sequence[Array], noise: float) -> tuple[Array, Mask]:
     """Place `[height, width]` along one axis in pixels, and where it is sound."""
     turn = np.exp(2j * np.pi * np.arange(STEPS) / STEPS)
     sine = 2 / STEPS * np.tensordot(turn, phases, 1)  # its angle is the phase [height, width]
     mean = phases.mean(0)
-    amplitude = np.abs(sine)
-    sound = (amplitude > LEAST_CONTRAST * mean) & (amplitude > NOISES * noise)
-    code = np.zeros(mean.shape, int)
-    before = np.zeros(mean.shape, int)
+    sound = np.abs(sine) > np.maximum(LEAST_CONTRAST * mean, NOISES * noise)
+    code = before = np.zeros(mean.shape, int)
     for each in gray:
         before = before ^ (each > mean)  # from Gray code to binary, bit by bit
         code = code << 1 | before
@@ -101,6 +88,7 @@ DEGREE: Final = 7  # of the polynomials in either direction: a lens of 15 % dist
 FITTED: Final = 20_000  # points at most that a map is fitted to
 WINDOW: Final = 5  # pixels of the lamp, over which a place is a linear function of lamp coordinates
 FEWEST_READINGS: Final = 12  # camera pixels in it
+STEP: Final = 0.05  # of differences, in the unit of a map's argument
 STRAYS: Final = 5.0  # standard deviations, beyond which a point is left out of a fit
 
 
@@ -112,24 +100,24 @@ class Chart:
 
     low: Array
     high: Array
-    degree: tuple[int, int]
+    degree: Sequence[int]
     coefficients: Array
 
     @classmethod
     def fit(cls, a: tuple[Array, Array], b: tuple[Array, Array]) -> Self:
         """The least-squares map from points a to points b, without outliers."""
-        low, high = (np.array([each.min() for each in a]), np.array([each.max() for each in a]))
+        low, high = np.min(a, 1), np.max(a, 1)
         thin = max(1, len(a[0]) // FITTED)
         most = int(np.sqrt(len(a[0]) / thin / 4))  # four points a coefficient at least
-        degree = tuple(max(1, min(DEGREE, most, len(np.unique(np.round(each[::thin], 6))) - 1)) for each in a)
-        blank = cls(low, high, (degree[0], degree[1]), np.zeros((2, (degree[0] + 1) * (degree[1] + 1))))
+        degree = [max(1, min(DEGREE, most, len(np.unique(np.round(each[::thin], 6))) - 1)) for each in a]
+        blank = cls(low, high, degree, np.zeros(0))
         design, values = blank._terms(a[0][::thin], a[1][::thin]), np.stack([each[::thin] for each in b], 1)
         keep = np.ones(len(design), bool)
         for _ in range(3):
             solved = np.linalg.lstsq(design[keep], values[keep], rcond=None)[0]
             off = np.hypot(*(design @ solved - values).T)
             keep = off <= max(STRAYS * 1.48 * float(np.median(off)), 1e-9)
-        return cls(low, high, blank.degree, solved.T)
+        return replace(blank, coefficients=solved.T)
 
     def _terms(self, x: Array, y: Array) -> Array:
         unit = [2 * (each - low) / max(high - low, 1e-12) - 1 for each, low, high in zip((x, y), self.low, self.high, strict=True)]
@@ -137,13 +125,13 @@ class Chart:
 
     def __call__(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Points of any shape."""
-        mapped = self._terms(x.ravel(), y.ravel()) @ self.coefficients.T
-        return mapped[:, 0].reshape(x.shape), mapped[:, 1].reshape(x.shape)
+        u, v = (self._terms(x.ravel(), y.ravel()) @ self.coefficients.T).T
+        return u.reshape(x.shape), v.reshape(x.shape)
 
-    def jacobian(self, x: Array, y: Array, step: float = 0.05) -> Array:
-        """Derivatives `[2, 2, ...]` of the map's result (first index) by its argument, by finite differences of this step."""
-        along = [np.stack(self(x + dx, y + dy)) - np.stack(self(x - dx, y - dy)) for dx, dy in ((step, 0.0), (0.0, step))]
-        return np.stack(along, 1) / (2 * step)
+    def jacobian(self, x: Array, y: Array) -> Array:
+        """Derivatives `[2, 2, ...]` of the map's result (first index) by its argument, by finite differences."""
+        along = [np.subtract(self(x + dx, y + dy), self(x - dx, y - dy)) for dx, dy in ((STEP, 0.0), (0.0, STEP))]
+        return np.stack(along, 1) / (2 * STEP)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,13 +148,15 @@ class Places:
     lamp_of: Chart
 
 
-def places(decoded: LampCoordinates, rows: int, cols: int) -> Places:
-    """Centres of all pixels of a module, by inverting the readings of camera pixels with a linear regression around each lamp pixel."""
-    v, u = (each[decoded.valid] + 0.5 for each in np.indices(decoded.valid.shape, dtype=float))
-    r, c = decoded.row[decoded.valid], decoded.col[decoded.valid]
+def places(row: Array, col: Array, valid: Mask, rows: int, cols: int) -> Places:
+    """Centres of all pixels of a module, by inverting the readings of camera pixels with a linear regression around each lamp pixel.
+
+    row, col, valid: as `decode` gives them.
+    """
+    v, u = (each[valid] + 0.5 for each in np.indices(valid.shape, dtype=float))
+    r, c = row[valid], col[valid]
     cell = r.astype(int).clip(0, rows - 1) * cols + c.astype(int).clip(0, cols - 1)
-    centre = np.array([(rows / 2), (cols / 2)])
-    terms = np.stack([np.ones_like(r), r - centre[0], c - centre[1]])
+    terms = np.stack([np.ones_like(r), r - rows / 2, c - cols / 2])
 
     def window(values: Array) -> Array:
         total = np.bincount(cell, values, rows * cols).reshape(rows, cols)
@@ -176,9 +166,8 @@ def places(decoded: LampCoordinates, rows: int, cols: int) -> Places:
     right = np.stack([window(a * b) for a in terms for b in (u, v)], -1).reshape(rows, cols, 3, 2)
     enough = (normal[..., 0, 0] >= FEWEST_READINGS) & (np.linalg.cond(normal) < 1e12)
     solved = np.linalg.solve(np.where(enough[..., None, None], normal, np.eye(3)), right)
-    rr, cc = np.meshgrid(np.arange(rows) + 0.5 - centre[0], np.arange(cols) + 0.5 - centre[1], indexing="ij")
-    at = (np.stack([np.ones_like(rr), rr, cc], -1)[..., None] * solved).sum(-2)
+    rr, cc = np.indices((rows, cols)) + 0.5
+    at = (np.stack([np.ones_like(rr), rr - rows / 2, cc - cols / 2], -1)[..., None] * solved).sum(-2)
     at[~enough] = np.nan
-    lamp = tuple(each[enough] for each in (rr + centre[0], cc + centre[1]))
-    camera = at[enough, 0], at[enough, 1]
-    return Places(at[..., 0], at[..., 1], Chart.fit((lamp[0], lamp[1]), camera), Chart.fit(camera, (lamp[0], lamp[1])))
+    lamp, camera = (rr[enough], cc[enough]), (at[enough, 0], at[enough, 1])
+    return Places(at[..., 0], at[..., 1], Chart.fit(lamp, camera), Chart.fit(camera, lamp))

@@ -4,7 +4,7 @@ It is computed after the run, so that it does not slow down the loop. A fit is b
 each value.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -19,9 +19,9 @@ from torch import Tensor
 
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.recording.manifest import TWIN, TWIN_PICTURE, table_of, write_table
+from luxloop.loop.rig.arrays import Array
 from luxloop.loop.rig.calibration.geometry import SIDE, blocks, covariance_of, group_residuals
 from luxloop.loop.rig.calibration.pictures import draw_twin
-from luxloop.loop.rig.calibration.setups import Array
 from luxloop.loop.rig.matching import mark_surroundings
 from luxloop.loop.rig.params import MarkParams
 from luxloop.loop.scenario.model import Scenario
@@ -76,8 +76,8 @@ def read_exposures(folder: Path, scenario: Scenario, most: int) -> list[Recorded
     modules = lamp_modules(mount(scenario.headlight))
     pixels, like = [each.headlight.n_pixels for each in modules], modules[0].headlight.matrix.values
     shown = []
-    for k in np.unique(np.linspace(0, len(rows) - 1, most).astype(int)):
-        row = rows[int(k)]
+    for k in np.unique(np.linspace(0, len(rows) - 1, most).astype(int)).tolist():
+        row = rows[k]
         lights, _, commands = read_light(inside(light_file(folder, row["light"]), folder), pixels, like.device)
         image = read_image(inside(image_file(folder, row["number"]), folder), scenario.camera, like)
         shown.append(RecordedExposure(row["time_s"], lights, commands, image))
@@ -101,25 +101,28 @@ def fit(
     span = np.array(list(spans.values()))
     levels = 2**scenario.camera.bits - 1
     some = max(1, sum(each.image.numel() for each in shown) // MOST_PIXELS)
-    wanted = [each.image.double().numpy() for each in shown]
-    used = [(each < levels).ravel() & (np.arange(each.size) % some == 0) for each in wanted]
+    wanted = np.stack([each.image.double().numpy() for each in shown])  # [n, height, width]
+    used = (wanted < levels) & (np.arange(wanted[0].size) % some == 0).reshape(wanted[0].shape)
     cache = PartCache()
+
+    def values_at(x: Array) -> dict[str, float]:
+        values = dict(zip(spans, (start + span * (x - 1)).tolist(), strict=True))
+        return values | ({BLUR: abs(values[BLUR])} if BLUR in values else {})
 
     def pictures(x: Array) -> list[Array]:
         nonlocal cache
-        cache = PartCache(cache)
-        values = dict(zip(spans, (start + span * (x - 1)).tolist(), strict=True))
-        blur = abs(values.pop(BLUR, 0.0))
+        cache, values = PartCache(cache), values_at(x)
+        blur = values.pop(BLUR, 0.0)
         on_step()
         return _pictures(scenario_of(values), shown, cache, blur)
 
     def residuals(x: Array) -> Array:
-        return np.concatenate([(a - b).ravel()[use] for a, b, use in zip(pictures(x), wanted, used, strict=True)])
+        return (np.stack(pictures(x)) - wanted)[used]
 
     at = np.ones(len(spans))  # so that steps, which are relative, are shares of the spans
     before = scores(pictures(at), wanted, levels)
     at += [BLURRED / each if key == BLUR else 0.0 for key, each in spans.items()]
-    scale = _scale(residuals(at))
+    scale = max(1.48 * float(np.median(np.abs(residuals(at)))), 1.0)
     solved: Any = least_squares(
         residuals, at, loss="soft_l1", f_scale=scale, diff_step=STEP, x_scale=1.0, xtol=1e-4, ftol=1e-6, max_nfev=MOST_STEPS
     )
@@ -130,25 +133,20 @@ def fit(
     plain = residuals(solved.x)
     variance = float(plain @ plain) / max(len(plain) - len(spans), 1)
     robust = plain * (1 + (plain / scale) ** 2) ** 0.25  # which belongs to the Jacobian that `least_squares` gives with soft_l1
-    numbers = [k * SIDE**2 + blocks(np.argwhere(np.ones(each.shape)).astype(float)) for k, each in enumerate(wanted)]
-    groups = np.concatenate([each[use] for each, use in zip(numbers, used, strict=True)])
+    block = blocks(np.argwhere(np.ones(wanted[0].shape)).astype(float)).reshape(wanted[0].shape)
+    groups = (SIDE**2 * np.arange(len(wanted))[:, None, None] + block)[used]
     covariance = covariance_of(*group_residuals(solved.jac, robust, groups), variance)
-    std = np.sqrt(np.diag(covariance))
-    values = dict(zip(spans, (start + span * (solved.x - 1)).tolist(), strict=True))
-    if BLUR in values:
-        values[BLUR] = abs(values[BLUR])
-    stds = dict(zip(spans, (span * std).tolist(), strict=True))
-    noise = _noise([each.image for each in shown], scenario.camera)
-    return FitResult(values, stds, before, after, noise)
+    stds = dict(zip(spans, (span * np.sqrt(np.diag(covariance))).tolist(), strict=True))
+    return FitResult(values_at(solved.x), stds, before, after, _noise([each.image for each in shown], scenario.camera))
 
 
 def _pictures(scenario: Scenario, shown: Sequence[RecordedExposure], cache: PartCache, blur: float) -> list[Array]:
     """Unrounded digital numbers of a scenario's camera, blurred by a number of px."""
     modules = cache("modules", lambda headlight: lamp_modules(mount(headlight)), scenario.headlight)
     world = simulated_plant(scenario, modules, cache).world
-    found = [world.luminance(each.time_s, each.lights, each.commands)[0].double().numpy() for each in shown]
-    seen = [gaussian_filter(each, blur) if blur else each.copy() for each in found]
-    return [expose(torch.from_numpy(each), world.camera, quantise=False).numpy() for each in seen]
+    seen = (world.luminance(each.time_s, each.lights, each.commands)[0].double().numpy() for each in shown)
+    blurred = (gaussian_filter(each, blur) if blur else each.copy() for each in seen)
+    return [expose(torch.from_numpy(each), world.camera, quantise=False).numpy() for each in blurred]
 
 
 def _noise(images: Sequence[Tensor], camera: CameraParams) -> float:
@@ -158,11 +156,7 @@ def _noise(images: Sequence[Tensor], camera: CameraParams) -> float:
     return float(torch.stack([each.square().mean() for each in noise]).mean().sqrt())
 
 
-def _scale(residuals: Array) -> float:
-    return max(1.48 * float(np.median(np.abs(residuals))), 1.0)
-
-
-def scores(pictures: Sequence[Array], wanted: Sequence[Array], levels: int) -> dict[str, float]:
+def scores(pictures: Iterable[Array], wanted: Iterable[Array], levels: int) -> dict[str, float]:
     """MAE and RMSE in digital numbers and SSIM of pictures `[height, width]`, over all of them. levels: the largest digital number."""
     left = [a - b for a, b in zip(pictures, wanted, strict=True)]
     alike = [float(ssim(torch.from_numpy(a), torch.from_numpy(b), SSIM_RADIUS, levels)) for a, b in zip(pictures, wanted, strict=True)]
@@ -199,7 +193,7 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str, str]]] = {
 SCHEMA: Final = pa.schema(
     pa.field(name, kind, metadata={"unit": unit, "description": text}) for name, (kind, unit, text) in COLUMNS.items()
 )
-FIGURES: Final = ("mae", "rmse", "ssim", "mean_rig", "mean_simulated")
+FIGURES: Final = tuple(COLUMNS)[2:]
 
 
 def twin_plant(scenario: Scenario, modules: Sequence[LampModule]) -> SimulatedPlant:
@@ -235,27 +229,20 @@ def write_twin(
         rig = read_image(inside(image_file(folder, number), folder), camera, like)
         simulated = plant.exposed(*plant.world.luminance(row["time_s"], lights, commands), *divmod(number, per_step))
         write_image(twin_file(folder, number), simulated, camera.bits)
-        pair = _without(mark, rig), _without(mark, simulated)
-        rows.append({"number": number, "time_s": row["time_s"], **_figures(*pair, 2**camera.bits - 1)})
+        pair = [each.double().cpu().numpy() for each in (rig, simulated)]
+        if mark is not None:
+            for each in pair:
+                each[mark_surroundings(mark)] = 0
+        means = {"mean_rig": float(pair[0].mean()), "mean_simulated": float(pair[1].mean())}
+        rows.append({"number": number, "time_s": row["time_s"], **scores(pair[1:], pair[:1], 2**camera.bits - 1), **means})
         if number % per_step == 0:
             last = rows[-1], pair
         on_frame()
     write_table(folder / TWIN, table_of(rows, SCHEMA))
     if last is not None:
-        draw_twin(folder / TWIN_PICTURE, *last[1], last[0])
+        draw_twin(folder / TWIN_PICTURE, last[1][0], last[1][1], last[0])
     on, off = ([row for row in rows if (row["number"] % per_step == 0) == first] for first in (True, False))
-    means = {
+    found = {
         name: {key: float(np.mean([row[key] for row in some])) for key in FIGURES} for name, some in (("on", on), ("off", off)) if some
     }
-    return {"exposures": len(rows), **means}
-
-
-def _without(mark: MarkParams | None, image: torch.Tensor) -> np.ndarray:
-    shown = image.double().cpu().numpy()
-    if mark is not None:
-        shown[mark_surroundings(mark)] = 0
-    return shown
-
-
-def _figures(rig: np.ndarray, simulated: np.ndarray, levels: int) -> dict[str, float]:
-    return {**scores([simulated], [rig], levels), "mean_rig": float(rig.mean()), "mean_simulated": float(simulated.mean())}
+    return {"exposures": len(rows), **found}

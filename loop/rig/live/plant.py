@@ -12,7 +12,7 @@ import socket
 import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -21,10 +21,10 @@ from typing import Any, Final, Self
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.rig.arrays import Array, Data, Image
 from luxloop.loop.rig.calibration.calibrate import Calibration
 from luxloop.loop.rig.calibration.geometry import Geometry, on_plane
 from luxloop.loop.rig.calibration.intrinsics import brightness
@@ -72,7 +72,6 @@ class Beam:
         }
 
 
-Picture = NDArray[Any]
 SEEN: Final = 0.5  # least share of the texels that the camera has to see
 ONE_FORMAT: Final = "camera: gives pictures in grey and in colour by turns; set it to one of them"
 SATURATED: Final = 0.98  # of the largest digital number, from which on a pixel counts as saturated
@@ -88,12 +87,12 @@ class Digitiser:
     read, as `light` returns it, or 0.
     """
 
-    u: NDArray[np.float32]
-    v: NDArray[np.float32]
-    candela: NDArray[np.float32]
-    curve: NDArray[np.float32]
+    u: Image
+    v: Image
+    candela: Image
+    curve: Image
     shape: tuple[int, int]
-    dark: NDArray[np.float32] | float = 0.0
+    dark: Image | float = 0.0
 
     @classmethod
     def of(cls, calibration: Calibration, module: str, grid: TexelGrid) -> Self:
@@ -115,18 +114,18 @@ class Digitiser:
         shade = brightness(calibration.vignetting, camera.height, camera.width).astype(np.float32)
         u, v = (np.where(seen, each, 0).astype(np.float32) for each in (u, v))
         factor = calibration.lux * candela.reshape(seen.shape) / cv2.remap(shade, u, v, cv2.INTER_LINEAR)
-        return cls(u, v, np.where(seen, factor, 0).astype(np.float32), calibration.response.curve, (camera.height, camera.width))
+        return cls(u, v, np.where(seen, factor, 0).astype(np.float32), calibration.response, (camera.height, camera.width))
 
     @property
     def coverage(self) -> float:
         """Share of the texels whose light the camera sees, 0..1."""
         return float((self.candela > 0).mean())
 
-    def without(self, pictures: Picture) -> Self:
+    def without(self, pictures: Image) -> Self:
         """A digitiser that also subtracts the mean light of pictures `[n, height, width]` or `[n, height, width, 3]` without the lamp."""
-        return replace(self, dark=np.mean([self.light(each) for each in pictures], 0, np.float32))
+        return replace(self, dark=np.stack([self.light(each) for each in pictures]).mean(0))
 
-    def light(self, picture: Picture) -> NDArray[np.float32]:
+    def light(self, picture: Image) -> Image:
         """Linear light of digital numbers in the part of the picture that is read, relative to saturation.
 
         Raises LuxloopError if the picture has another size or larger numbers than the calibration's camera.
@@ -139,11 +138,11 @@ class Digitiser:
         except IndexError as error:
             raise LuxloopError(f"has the response of numbers up to {len(self.curve) - 1}, but the camera gives {part.max():.0f}") from error
 
-    def saturation(self, picture: Picture) -> float:
+    def saturation(self, picture: Image) -> float:
         """Share of saturated pixels in the part that is read, 0..1."""
         return float((picture[self._part] >= SATURATED * (len(self.curve) - 1)).mean())
 
-    def texture(self, picture: Picture) -> Tensor:
+    def texture(self, picture: Image) -> Tensor:
         """Light texture `[rows, cols]` in cd of a grey picture `[height, width]`, or `[3, rows, cols]` in linear sRGB of a colour picture
         `[height, width, 3]` (blue, green, red). Raises LuxloopError as `light`, and if the dark pictures had another number of channels.
         """
@@ -163,13 +162,13 @@ class Digitiser:
         return v, u
 
     @cached_property
-    def _maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _maps(self) -> tuple[Image, Image]:
         """u and v, counted from the start of that part."""
         rows, cols = self._part
         return self.u - np.float32(cols.start), self.v - np.float32(rows.start)
 
 
-def _falling(geometry: Geometry, y: NDArray[np.floating], z: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def _falling(geometry: Geometry, y: Array, z: Array) -> tuple[Array, Array]:
     """Points on the screen lit by the texels at tangents y `[cols]` and z `[rows]`, `[rows * cols, 3]` m in the camera's frame, and cd per
     lx there, `[rows * cols]`, from `I = E d^2 / cos` (T eq. 2.1.5); 0 where the light does not meet the screen.
     """
@@ -180,15 +179,14 @@ def _falling(geometry: Geometry, y: NDArray[np.floating], z: NDArray[np.floating
     away = places - lamp.place
     distance = np.linalg.norm(away, axis=1)
     cos = np.abs(away @ screen.rotation[:, 2]) / distance
-    falls = (away * rays).sum(1) > 0
-    return places, np.where(falls, distance**2 / cos, 0.0)
+    return places, np.where((away * rays).sum(1) > 0, distance**2 / cos, 0.0)
 
 
 DARKS: Final = 8  # frames without light before the run, whose mean is subtracted
 FIRST: Final = 40  # number of the run's first exposure on the rig; the numbers below it are for the dark frames, which may be lost
 
 
-def screen_picture(shape: tuple[int, int], data: bytes | Picture) -> NDArray[np.float32]:
+def screen_picture(shape: tuple[int, int], data: Data) -> Image:
     """Codes `[height, width]`, or `[height, width, 3]` (blue, green, red), of encoded or raw data. shape: height and width of the pictures.
 
     Raises WrongPicture if it is damaged or of another size.
@@ -226,7 +224,8 @@ class LivePlant:
     def show(self, state: UnderWay, exposure: Exposure) -> tuple[UnderWay, Arrivals]:
         """Show an exposure on the lamp, digitise its light, and expose a frame of the simulated world in this light."""
         self._move(exposure)
-        light = self._light(exposure)
+        u, command = exposure.lights[self.own.number], exposure.commands[self.own.number] if exposure.commands else REST
+        light = u if command.intensity == 1 else Utilisation(command.intensity * u.u, u.band)  # the simulated world turns the module
         (frame,) = self.lab.show(None, replace(exposure, number=FIRST + exposure.number, lights=(light,), commands=()))[1].frames
         texture = None if frame.image is None else self._texture(frame, light)
         now = self.beam.take(texture)
@@ -239,11 +238,6 @@ class LivePlant:
             lights = (*exposure.lights[: self.own.number], *frame.shown.lights, *exposure.lights[self.own.number + 1 :])
             return _replace_frame(queue, arrivals, exposure.number, shown=replace(exposure, lights=lights))
         return queue, arrivals
-
-    def _light(self, exposure: Exposure) -> Utilisation:
-        """Utilisations for the lamp, with the module's dimming; the simulated world turns the module."""
-        light, command = exposure.lights[self.own.number], exposure.commands[self.own.number] if exposure.commands else REST
-        return light if command.intensity == 1 else Utilisation(command.intensity * light.u, light.band)
 
     def _texture(self, frame: Frame, light: Utilisation) -> Tensor:
         """Light texture `[rows, cols]` in cd of a frame."""
@@ -278,17 +272,9 @@ def live_plant(rig: Rig, own: DigitisedPlant, calibration: Calibration, exposure
     lab = RigPlant.of(rig, [module], FIRST + exposures)
     digitiser = Digitiser.of(calibration, module.name, module.headlight)
     dark = torch.zeros(module.headlight.rows, module.headlight.cols)
-    with ExitStack() as stack:
-        platform = None
-        if (to := rig.params.platform) is not None:
-            platform = stack.enter_context(udp_sender("platform.host", to.host, to.port))
-        yield LivePlant(
-            own,
-            lab,
-            digitiser.without(_dark_frames(lab)),
-            Beam(own.late, dark),
-            platform,
-        )
+    to = rig.params.platform
+    with nullcontext() if to is None else udp_sender("platform.host", to.host, to.port) as platform:
+        yield LivePlant(own, lab, digitiser.without(_dark_frames(lab)), Beam(own.late, dark), platform)
 
 
 def refuse_unfit(params: RigParams) -> Path:
@@ -300,10 +286,10 @@ def refuse_unfit(params: RigParams) -> Path:
     return params.calibration.file
 
 
-def _dark_frames(lab: RigPlant) -> NDArray[np.float32]:
+def _dark_frames(lab: RigPlant) -> Image:
     """Pictures of the screen without the lamp's light."""
     dark = Utilisation(torch.zeros(lab.grids[0][0] * lab.grids[0][1]), slice(0, 0))
-    found: list[NDArray[np.float32]] = []
+    found = list[Image]()
     for number in range(FIRST):
         (frame,) = lab.show(None, Exposure(number, 0.0, 0.0, (dark,)))[1].frames
         if frame.image is not None:

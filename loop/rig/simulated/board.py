@@ -9,18 +9,17 @@ from typing import Any, Final, Self
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from luxloop.loop.rig.arrays import Array, Image
+from luxloop.loop.rig.calibration.digitise import lux, sensor
 from luxloop.loop.rig.calibration.intrinsics import BoardParams, picture
 from luxloop.loop.rig.simulated.faults import BoardFaultParams
-from luxloop.loop.rig.simulated.lens import Image, Lens, distort, focal_px
+from luxloop.loop.rig.simulated.lens import Lens, distort, focal_px
 from luxloop.loop.rig.simulated.scene import RigScene
 from luxloop.perception.camera import CameraParams, luminance_of
 from luxloop.world.caches import keeping
 from luxloop.world.errors import LuxloopError
-from luxloop.world.headlight import Headlight
 
-Floats = NDArray[np.float64]
 POSES: Final = 20
 POSE_S: Final = 1.0  # for which it is held in each
 LAID_S: Final = 2.0  # without light from anybody, after which it lies on the screen
@@ -35,8 +34,6 @@ PAPER, ROOM = 0.6, 0.2  # of the largest digital number that white paper and all
 BLACK: Final = 0.05  # reflectance of its ink, as a share of the paper's
 LIT: Final = 0.5  # of the largest illuminance: light ends there
 READ: Final = (0.1, 0.5, 0.9)  # of the light's width and height
-SENSOR_M: Final = 0.01  # diameter of the luxmeter's sensor
-SENSOR_POINTS: Final = 25  # along that
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +42,7 @@ class BoardView:
 
     board: BoardParams
     lens: Lens
-    T_view_screen: Floats
+    T_view_screen: Array
     paper: float
     room: float
 
@@ -94,7 +91,7 @@ class BoardView:
         return self.lens.image((self.paper * share + self.room * (1 - covered.astype(np.float32) / 255)).astype(np.float32))
 
 
-def board_pose(board: BoardParams, camera: CameraParams, pose: int) -> Floats:
+def board_pose(board: BoardParams, camera: CameraParams, pose: int) -> Array:
     """T_view_board `[4, 4]` of a board in the hand, tilted, in the middle of the picture or aside."""
     width, height = _size_m(board)
     way, tilt = GOLDEN_RAD * pose, math.radians(TILTS_DEG[pose % len(TILTS_DEG)])
@@ -114,9 +111,9 @@ def readings(rig_scene: RigScene) -> list[tuple[float, float, float]]:
     Raises LuxloopError where the camera sees no light.
     """
     scene = rig_scene.world.lit(0.0, direct=True)
-    lux, _ = scene.light([torch.ones(each.headlight.n_pixels) for each in rig_scene.modules])
-    lit = (lux > LIT * lux.max()).numpy()
-    if not float(lux.max()) > 0:
+    bright, _ = scene.light([torch.ones(each.headlight.n_pixels) for each in rig_scene.modules])
+    lit = (bright > LIT * bright.max()).numpy()
+    if not float(bright.max()) > 0:
         raise LuxloopError("board: the camera sees no light of the lamp on anything; turn the camera, or set board.shown = false")
     rows, columns = (np.flatnonzero(lit.any(axis)) for axis in (1, 0))
     T_world_body = scene.vehicle.T_world_body.double().numpy()
@@ -124,20 +121,12 @@ def readings(rig_scene: RigScene) -> list[tuple[float, float, float]]:
     for row in np.quantile(rows, READ).astype(int):
         for column in np.quantile(columns, READ).astype(int):
             point, normal = (each[:, row, column].double().numpy() for each in (scene.surfaces.position, scene.surfaces.normal))
-            sensor = point + _disc(normal)
+            side = np.cross(normal, [0.0, 0.0, 1.0] if abs(normal[2]) < 0.9 else [0.0, 1.0, 0.0])
+            side /= np.linalg.norm(side)
+            points = point + sensor(side, np.cross(normal, side))
             modules = ((each.headlight, T_world_body @ each.T_world_headlight.double().numpy()) for each in rig_scene.modules)
-            found.append((sum(_lux(light, T, sensor, normal) for light, T in modules), *_image_place(rig_scene, row, column)))
+            found.append((sum(lux(light, T, points, normal) for light, T in modules), *_image_place(rig_scene, row, column)))
     return found
-
-
-def _disc(normal: Floats) -> Floats:
-    """Points `[n, 3]` m of a luxmeter's sensor that lies on a surface, from its middle."""
-    line = np.linspace(-0.5, 0.5, SENSOR_POINTS)
-    across, along = (each.ravel() for each in np.meshgrid(line, line))
-    disc = np.hypot(across, along) <= 0.5
-    side = np.cross(normal, [0.0, 0.0, 1.0] if abs(normal[2]) < 0.9 else [0.0, 1.0, 0.0])
-    side /= np.linalg.norm(side)
-    return SENSOR_M * (across[disc, None] * side + along[disc, None] * np.cross(normal, side))
 
 
 def _image_place(rig_scene: RigScene, row: int, column: int) -> tuple[float, float]:
@@ -148,15 +137,7 @@ def _image_place(rig_scene: RigScene, row: int, column: int) -> tuple[float, flo
     return float(u), float(v)
 
 
-def _lux(light: Headlight, T_world_lamp: Floats, points: Floats, normal: Floats) -> float:
-    """Mean illuminance by a module with all pixels on, at points `[n, 3]` m of a surface."""
-    away = points - T_world_lamp[:3, 3]
-    squared = (away**2).sum(1)
-    intensity = light.intensity(light.light_texture(torch.ones(light.n_pixels)), torch.from_numpy((away @ T_world_lamp[:3, :3]).T.copy()))
-    return float((intensity.numpy() * np.maximum(-away @ normal, 0) / squared**1.5).mean())
-
-
-def _lying(point: Floats, normal: Floats, size_m: tuple[float, float]) -> Floats:
+def _lying(point: Array, normal: Array, size_m: tuple[float, float]) -> Array:
     """T_view_board of a board with its middle at a point of a surface `[3]` m, its rows along the picture's."""
     right = np.array([1.0, 0.0, 0.0]) + normal[0] * -normal
     right /= np.linalg.norm(right)
@@ -164,7 +145,7 @@ def _lying(point: Floats, normal: Floats, size_m: tuple[float, float]) -> Floats
     return _pose(turn, point - turn @ np.array([size_m[0] / 2, size_m[1] / 2, 0.0]))
 
 
-def _pose(turn: Floats, place: Floats) -> Floats:
+def _pose(turn: Array, place: Array) -> Array:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = turn, place
     return T

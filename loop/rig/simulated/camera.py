@@ -14,13 +14,12 @@ from typing import Final
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from luxloop.loop.rig.arrays import Array, Image
 from luxloop.loop.rig.simulated.board import BoardView
 from luxloop.loop.rig.simulated.faults import CameraErrorParams, FaultParams, FlickerParams
 from luxloop.loop.rig.simulated.lamp import Segment, Timeline
-from luxloop.loop.rig.simulated.lens import Image
-from luxloop.loop.rig.simulated.scene import RigScene, sensor_of
+from luxloop.loop.rig.simulated.scene import RigScene
 from luxloop.loop.rig.wire.mjpeg import JPEG, PNG, Part
 from luxloop.perception.camera import CameraParams, expose
 from luxloop.perception.noise import FrameNoise
@@ -30,7 +29,7 @@ SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 GREY: Final = 0  # colour type
 
 
-def png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
+def png(image: Image | Image) -> bytes:
     """A picture `[height, width]` of 8 or 16 bits, its numbers as they are."""
     height, width = image.shape
     rows = np.zeros((height, 1 + width * image.itemsize), np.uint8)  # a row begins with its filter, 0 for none
@@ -68,7 +67,8 @@ class RigCamera:
     def __init__(self, rig_scene: RigScene, timeline: Timeline, faults: FaultParams, send: Callable[[Part, FrameTruth], None]) -> None:
         """send: gets each frame when it leaves the camera. Raises LuxloopError where the encoding lacks bits."""
         self.rig_scene, self.timeline, self.faults = rig_scene, timeline, faults
-        self.sensor = sensor_of(rig_scene.camera, faults.camera.gamma)
+        gamma = faults.camera.gamma  # the true one
+        self.sensor = rig_scene.camera if gamma is None else rig_scene.camera.model_copy(update={"gamma": gamma})
         if faults.camera.encoding == "jpeg" and self.sensor.bits > 8:
             raise LuxloopError(f"camera.encoding: JPEG has 8 bits and the camera {self.sensor.bits}; set camera.bits=8 in the scenario")
         self.board = BoardView.of(faults.board, rig_scene) if faults.board.shown else None
@@ -119,7 +119,7 @@ class RigCamera:
         lit = dict.fromkeys(code for each in segments for code in ((None,) if each.light is None else each.light.timecodes))
         return part, FrameTruth(number, from_s, from_s + self.window_s, tuple(lit), zlib.crc32(part.body))
 
-    def luminance(self, segments: Sequence[Segment], starts_s: NDArray[np.float64], drive_s: float) -> Image:
+    def luminance(self, segments: Sequence[Segment], starts_s: Array, drive_s: float) -> Image:
         """Mean over each row's exposure of what the lens images, `[height, width]` cd/m^2.
 
         starts_s: `[height]`, when each row's exposure begins.
@@ -154,13 +154,13 @@ class RigCamera:
                 self._send(part, replace(exposed, sent_s=time.monotonic()))
 
 
-def shares(segment: Segment, starts_s: NDArray[np.float64], exposure_s: float) -> NDArray[np.float32]:
+def shares(segment: Segment, starts_s: Array, exposure_s: float) -> Image:
     """Share `[height]` of each row's exposure in which a segment is lit."""
     overlap_s = np.minimum(segment.to_s, starts_s + exposure_s) - np.maximum(segment.from_s, starts_s)
     return (overlap_s.clip(0) / exposure_s).astype(np.float32)
 
 
-def flicker(params: FlickerParams, starts_s: NDArray[np.float64], exposure_s: float) -> NDArray[np.float32]:
+def flicker(params: FlickerParams, starts_s: Array, exposure_s: float) -> Image:
     """Mean ambient light `[height]` over each row's exposure as a share of its mean in time."""
     if not params.depth:
         return np.ones(len(starts_s), np.float32)
@@ -169,7 +169,7 @@ def flicker(params: FlickerParams, starts_s: NDArray[np.float64], exposure_s: fl
     return (1 + params.depth * wave).astype(np.float32)
 
 
-def read_out(luminance: Image, sensor: CameraParams, faults: FaultParams, number: int) -> NDArray[np.uint16]:
+def read_out(luminance: Image, sensor: CameraParams, faults: FaultParams, number: int) -> Image:
     """Digital numbers `[height, width]` of a frame, with noise, response and black level."""
     dn = expose(torch.from_numpy(luminance), sensor, FrameNoise.of(faults.seed, number, 0) if sensor.noise else None, quantise=False)
     if black := faults.camera.black_level:
@@ -177,7 +177,7 @@ def read_out(luminance: Image, sensor: CameraParams, faults: FaultParams, number
     return dn.round_().numpy().astype(np.uint16)
 
 
-def encode(codes: NDArray[np.uint16], bits: int, params: CameraErrorParams) -> Part:
+def encode(codes: Image, bits: int, params: CameraErrorParams) -> Part:
     """A frame as it is sent: the digital numbers as they are, in 8 or 16 bits, without compression unless as JPEG."""
     image = codes.astype(np.uint8) if bits == 8 else codes
     if params.encoding == "jpeg":

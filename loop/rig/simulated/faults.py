@@ -4,8 +4,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
+from luxloop.loop.rig.arrays import Array
 from luxloop.loop.rig.calibration.intrinsics import BoardParams
 from luxloop.loop.scenario.disturbances import PoseErrorParams
 from luxloop.loop.scenario.overrides import overridden
@@ -14,6 +16,7 @@ from luxloop.world.params import Params, Seed, Share
 from luxloop.world.validation import read_toml, validate_model
 
 PREFIX: Final = "faults"
+COEFFICIENTS: Final = {"opencv": 5, "fisheye": 4, "division": 1}  # of each model of a lens
 
 
 class LightInputParams(Params):
@@ -62,10 +65,15 @@ class LensParams(Params):
 
     @model_validator(mode="after")
     def _as_many_as_the_model_has(self) -> Self:
-        most = {"opencv": 5, "fisheye": 4, "division": 1}[self.model]
+        most = COEFFICIENTS[self.model]
         if len(self.coefficients) > most:
             raise ValueError(f"coefficients: the model {self.model} has {most}, not {len(self.coefficients)}; leave out the others")
         return self
+
+    @property
+    def k(self) -> Array:
+        """All coefficients of the model."""
+        return np.pad(self.coefficients, (0, COEFFICIENTS[self.model] - len(self.coefficients)))
 
 
 class CameraErrorParams(Params):
@@ -129,9 +137,5 @@ def read(file: Path | None, changes: Sequence[str] = ()) -> FaultParams:
 
 def split(overrides: Sequence[str]) -> tuple[list[str], list[str]]:
     """Overrides of the scenario's keys, and those of faults."""
-    mine = [each for each in overrides if _changes_faults(each)]
+    mine = [each for each in overrides if each.partition("=")[0].strip().partition(".")[0] == PREFIX]
     return [each for each in overrides if each not in mine], mine
-
-
-def _changes_faults(override: str) -> bool:
-    return override.partition("=")[0].strip().partition(".")[0] == PREFIX

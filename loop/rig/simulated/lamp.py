@@ -8,13 +8,14 @@ import time
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-from luxloop.loop.rig.screen import HEAD, split_picture, understood
+from luxloop.loop.rig.arrays import Grids
+from luxloop.loop.rig.screen import DARK, HEAD, split_picture, understood
 from luxloop.loop.rig.simulated.faults import LightInputParams
 from luxloop.loop.rig.wire.ddp import LARGEST_PACKET, Assembler, LightFrame
 from luxloop.loop.rig.wire.sockets import REFUSED, udp_listener
@@ -180,7 +181,7 @@ class ScreenInput:
     It says when it shows a frame, and that it has darkened where no word of the loop has come for the timeline's time-out.
     """
 
-    def __init__(self, timeline: Timeline, grids: list[tuple[int, int]], address: tuple[str, int]) -> None:
+    def __init__(self, timeline: Timeline, grids: Grids, address: tuple[str, int]) -> None:
         """grids: rows and columns of each module. address: of the page."""
         self._timeline, self._grids, self._address = timeline, grids, address
         self._dark = LightFrame(np.zeros(sum(rows * columns for rows, columns in grids), np.uint8), ())
@@ -231,7 +232,7 @@ class ScreenInput:
 
     def _take(self, page: ClientConnection, message: str | bytes) -> None:
         if isinstance(message, str):
-            if _json_object(message).get("dark"):
+            if message == DARK:
                 self._darken()
             elif self._shown is not None:
                 self._timeline.show(self._shown)  # word that the loop is alive
@@ -253,12 +254,3 @@ class ScreenInput:
         if self._shown is not None:
             self._shown = None
             self._timeline.show(self._dark)
-
-
-def _json_object(text: str) -> dict[str, Any]:
-    """What a text says; nothing where it is no JSON object."""
-    try:
-        told = json.loads(text)
-    except (ValueError, RecursionError):
-        return {}
-    return told if isinstance(told, dict) else {}

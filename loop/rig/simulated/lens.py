@@ -6,14 +6,12 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from luxloop.loop.rig.arrays import Array, Image
 from luxloop.loop.rig.simulated.faults import LensParams
 from luxloop.perception.camera import CameraParams
 from luxloop.world.errors import LuxloopError
 
-Image = NDArray[np.float32]
-Floats = NDArray[np.float64]
 MARGIN_PX: Final = 2
 LARGEST: Final = 3.0  # a pinhole picture that holds the lens' whole field, as a multiple of the camera's
 MOST_ERROR_PX: Final = 0.01  # of an inverted distortion
@@ -81,7 +79,7 @@ class Lens:
         return falling
 
     @property
-    def matrix(self) -> Floats:
+    def matrix(self) -> Array:
         """The camera matrix `[3, 3]` in px; pixel centres are at integer + 0.5."""
         focal = focal_px(self.camera)
         u, v = self.width / 2 + self.params.centre_px[0], self.height / 2 + self.params.centre_px[1]
@@ -93,20 +91,18 @@ def focal_px(camera: CameraParams) -> float:
     return camera.width_px / 2 / math.tan(math.radians(camera.hfov_deg) / 2)
 
 
-def undistort(params: LensParams, seen: Floats, focal: float) -> Floats:
+def undistort(params: LensParams, seen: Array, focal: float) -> Array:
     """Where a pinhole of focal length 1 sees the points `[N, 2]` that the lens images to `seen` `[N, 2]`.
 
     focal: in px, for the permitted error. Raises LuxloopError where the coefficients fold the picture.
     """
     if not any(params.coefficients) and params.model != "fisheye":
         return seen
-    given: Any = np.zeros({"opencv": 5, "fisheye": 4, "division": 1}[params.model])
-    given[: len(params.coefficients)] = params.coefficients
     with np.errstate(all="ignore"):
         if params.model == "division":
-            straight = seen / (1 + given[0] * (seen**2).sum(1, keepdims=True))
+            straight = seen / (1 + params.k[0] * (seen**2).sum(1, keepdims=True))
         elif params.model == "fisheye":
-            straight = _from_fisheye(given, seen)
+            straight = _from_fisheye(params.k, seen)
         else:
             straight = _from_opencv(params, seen)
         error = np.abs(distort(params, straight) - seen).max() * focal
@@ -116,24 +112,20 @@ def undistort(params: LensParams, seen: Floats, focal: float) -> Floats:
     return straight
 
 
-def distort(params: LensParams, straight: Floats) -> Floats:
+def distort(params: LensParams, straight: Array) -> Array:
     """Where the lens images points `[N, 2]` of a pinhole, both of focal length 1: the inverse of `undistort`."""
-    given: Any = np.zeros({"opencv": 5, "fisheye": 4, "division": 1}[params.model])
-    given[: len(params.coefficients)] = params.coefficients
     if params.model == "opencv":
-        points = np.column_stack([straight, np.ones(len(straight))])
-        found: Any = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), given)[0]
-        return np.asarray(found[:, 0], np.float64)
+        points = np.insert(straight, 2, 1, 1)
+        return np.asarray(cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), params.k)[0][:, 0], np.float64)
     radius = np.linalg.norm(straight, axis=1, keepdims=True).clip(1e-12)
     if params.model == "fisheye":
         theta = np.arctan(radius)
-        return straight / radius * theta * (1 + sum(k * theta ** (2 * power) for power, k in enumerate(given, 1)))
-    k = given[0]  # r_straight = r / (1 + k r^2), the smaller root of k r_straight r^2 - r + r_straight = 0
-    root = np.sqrt(1 - 4 * k * radius**2)
+        return straight / radius * theta * (1 + sum(k * theta ** (2 * power) for power, k in enumerate(params.k, 1)))
+    root = np.sqrt(1 - 4 * params.k[0] * radius**2)  # r_straight = r / (1 + k r^2), the smaller root of k r_straight r^2 - r + r_straight
     return straight * (2 / (1 + root))
 
 
-def _from_opencv(params: LensParams, seen: Floats) -> Floats:
+def _from_opencv(params: LensParams, seen: Array) -> Array:
     straight = seen.copy()
     for _ in range(MOST_ROUNDS):
         step = seen - distort(params, straight)
@@ -143,13 +135,12 @@ def _from_opencv(params: LensParams, seen: Floats) -> Floats:
     return straight
 
 
-def _from_fisheye(given: Floats, seen: Floats) -> Floats:
+def _from_fisheye(given: Array, seen: Array) -> Array:
     radius = np.linalg.norm(seen, axis=1, keepdims=True).clip(1e-12)
     theta = radius.copy()
     for _ in range(30):  # Newton's method
-        powers = [theta ** (2 * power) for power in range(1, 5)]
-        value = theta * (1 + sum(k * each for k, each in zip(given, powers, strict=True))) - radius
-        slope = 1 + sum((2 * power + 1) * k * each for power, (k, each) in enumerate(zip(given, powers, strict=True), 1))
-        theta = theta - value / slope
+        terms = [k * theta ** (2 * power) for power, k in enumerate(given, 1)]
+        slope = 1 + sum((2 * power + 1) * each for power, each in enumerate(terms, 1))
+        theta = theta - (theta * (1 + sum(terms)) - radius) / slope
     theta = np.where((theta > 0) & (theta < math.radians(80)), theta, np.nan)
     return seen / radius * np.tan(theta)

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 import torch
 
+from luxloop.loop.rig.arrays import grids_of
 from luxloop.loop.rig.ego import encode
 from luxloop.loop.rig.simulated.board import readings
 from luxloop.loop.rig.simulated.camera import FrameTruth, RigCamera
@@ -60,6 +61,7 @@ class SimulatedRig:
         """Build the scene and listen. Raises LuxloopError where something of the scenario or a port cannot be had."""
         self.scenario, self.faults, self.ports = scenario, faults, ports
         self.rig_scene = RigScene(scenario, faults)
+        self._grids = grids_of(self.rig_scene.modules)
         self.timeline = Timeline(faults.light.timeout_ms / 1000, faults.light.latency_s)
         self._frames, self._lock, self._closed = deque[FrameTruth](maxlen=MOST_FRAMES), threading.Lock(), threading.Event()
         with ExitStack() as stack:
@@ -101,7 +103,7 @@ class SimulatedRig:
     def addresses(self) -> list[str]:
         """A line for each of its addresses."""
         host, lens, modules = self.ports.host, self.rig_scene.lens, self.rig_scene.modules
-        shown = ", ".join(f"{each.name} {each.headlight.pixel_rows} x {each.headlight.pixel_cols}" for each in modules)
+        shown = ", ".join(f"{each.name} {rows} x {columns}" for each, (rows, columns) in zip(modules, self._grids, strict=True))
         camera = f"{lens.width} x {lens.height} px, {self.rig_scene.camera.bits} bits"
         lines = [f"light:  {self.light.where}, {self.rig_scene.pixels:,} pixels: {shown}"]
         lines += [f"camera: http://{host}:{self.pictures.port}{self.pictures.path} ({camera})"]
@@ -118,13 +120,8 @@ class SimulatedRig:
         T_world_camera = rig_scene.world.view.T_world_view.tolist()
         camera = {"width_px": lens.width, "height_px": lens.height, "matrix": lens.matrix.tolist(), "T_world_camera": T_world_camera}
         modules = [
-            {
-                "name": each.name,
-                "pixel_rows": each.headlight.pixel_rows,
-                "pixel_cols": each.headlight.pixel_cols,
-                "T_world_headlight": each.T_world_headlight.tolist(),
-            }
-            for each in rig_scene.modules
+            {"name": each.name, "pixel_rows": rows, "pixel_cols": columns, "T_world_headlight": each.T_world_headlight.tolist()}
+            for each, (rows, columns) in zip(rig_scene.modules, self._grids, strict=True)
         ]
         return {"scenario": self.scenario.name, "camera": camera, "modules": modules, "faults": self.faults.model_dump(mode="json")}
 
@@ -132,8 +129,7 @@ class SimulatedRig:
         if self.ports.screen is None:
             address = self.ports.host, self.ports.light
             return DdpInput(self.timeline, self.rig_scene.pixels, self.faults.light, address, self.faults.seed)
-        grids = [(each.headlight.pixel_rows, each.headlight.pixel_cols) for each in self.rig_scene.modules]
-        return ScreenInput(self.timeline, grids, self.ports.screen)
+        return ScreenInput(self.timeline, self._grids, self.ports.screen)
 
     def summary(self) -> str:
         """What it has done, in a line."""

@@ -1,7 +1,6 @@
 """What the lens sees of the scenario's wall, table or road under a frame of light; it does the work again only where something changed."""
 
-from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -9,10 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.rig.arrays import Image
 from luxloop.loop.rig.simulated.faults import FaultParams, LampErrorParams, ScreenParams
-from luxloop.loop.rig.simulated.lens import Image, Lens
-from luxloop.loop.rig.wire.ddp import LightFrame, WireCommand, utilisations_of
+from luxloop.loop.rig.simulated.lens import Lens
+from luxloop.loop.rig.wire.ddp import Codes, LightFrame, utilisations_of
 from luxloop.loop.scenario.disturbances import AimParams, PoseErrorParams, WearParams
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.build_lamps import mount
@@ -20,8 +19,8 @@ from luxloop.loop.simulation.lamps import lamp_modules
 from luxloop.loop.simulation.simulated import simulated_plant
 from luxloop.loop.simulation.truth import LampModule, true_modules
 from luxloop.loop.simulation.world import LitScene, World
-from luxloop.perception.camera import CameraParams
-from luxloop.world.frames import View, unit
+from luxloop.world.caches import keeping
+from luxloop.world.frames import unit
 from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand
 
 KEPT: Final = 8  # images of lights, of which an on and an off frame alternate
@@ -41,7 +40,8 @@ class RigScene:
         self.camera, self.gamma, self.screen = world.camera, faults.light.gamma, faults.screen
         self.lens, self.columns = Lens.of(faults.lens, world.camera), faults.camera.columns
         self.world = World(world.scene, self.modules, self.lens.camera, world.source, world.motion, False, world.given)
-        self.world.view = _finer(self.world.view, self.columns)
+        view, columns = self.world.view, self.columns
+        self.world.view = replace(view, width=columns * view.width, fx=columns * view.fx, cx=columns * view.cx)
         self._stuck = tuple(_stuck(each, faults.lamp, faults.seed, k) for k, each in enumerate(self.modules))
         self._lit = dict[bool, _Lit]()  # by whether modules are turned
 
@@ -56,21 +56,21 @@ class RigScene:
 
     def light(self, light: LightFrame, time_s: float) -> Image:
         """Image `[height, width]` in cd/m^2 of the lamps' light alone."""
-        commands = commands_of(light.commands, len(self.modules))
-        return self._at(time_s, bool(commands)).image(self._utilisations(light), light.codes.tobytes(), commands)
+        given = [ModuleCommand(**vars(each)) for each in light.commands or ()][: len(self.modules)]
+        rest = [REST] * (len(self.modules) - len(given))  # of modules whose commands were not sent
+        commands = () if all(each == REST for each in given) else (*given, *rest)
+        return self._at(time_s, bool(commands)).image(light.codes.tobytes(), light.codes.dtype.char, commands)
 
     def _at(self, time_s: float, turned: bool) -> "_Lit":
         scene = self.world.lit(time_s, direct=turned)
         if turned not in self._lit or self._lit[turned].scene is not scene:
-            self._lit[turned] = _Lit(scene, self.lens, self.columns, self._gloss(scene))
+            self._lit[turned] = _Lit(scene, self.lens, self.columns, self._gloss(scene), self._utilisations)
         return self._lit[turned]
 
-    def _utilisations(self, light: LightFrame) -> tuple[Utilisation, ...]:
-        parts = torch.from_numpy(utilisations_of(light.codes, self.gamma)).split([each.headlight.n_pixels for each in self.modules])
-        return tuple(
-            Utilisation(part if not len(stuck) else part.index_fill(0, stuck, 1.0), None)
-            for part, stuck in zip(parts, self._stuck, strict=True)
-        )
+    def _utilisations(self, codes: Codes) -> list[Tensor]:
+        """Of each module `[n_p]`, its stuck pixels fully on."""
+        parts = torch.from_numpy(utilisations_of(codes, self.gamma)).split([each.headlight.n_pixels for each in self.modules])
+        return [part.index_fill(0, stuck, 1.0) for part, stuck in zip(parts, self._stuck, strict=True)]
 
     def _gloss(self, scene: LitScene) -> Tensor | None:
         """Luminance factors `[height, width]` of the screen beside its own, None where it has none."""
@@ -84,38 +84,30 @@ class RigScene:
 @dataclass(eq=False)
 class _Lit:
     """A scene in which nothing moves, and the images of the last lights in it. columns: samples over a pixel's width. factor: luminance
-    factor of each sample `[height, columns * width]`, None where they are 1.
+    factor of each sample `[height, columns * width]`, None where they are 1. utilisations: of codes.
     """
 
     scene: LitScene
     lens: Lens
     columns: int
     factor: Tensor | None
+    utilisations: Callable[[Codes], list[Tensor]]
 
     def __post_init__(self) -> None:
-        self.shape = self.lens.camera.height_px, self.lens.camera.width_px
         base = self.scene.base.float().unflatten(1, (-1, self.columns)).mean(2)
         self.base = self.lens.image(base.numpy())
-        self._images: OrderedDict[tuple[bytes, Commands], Image] = OrderedDict()
+        self.image = keeping(KEPT, self._image)
 
-    def image(self, lights: tuple[Utilisation, ...], codes: bytes, commands: Commands) -> Image:
-        key = codes, commands
-        if key not in self._images:
-            self._images[key] = self.lens.image(self._luminance(lights, commands).numpy())
-            if len(self._images) > KEPT:
-                self._images.popitem(last=False)
-        self._images.move_to_end(key)
-        return self._images[key]
-
-    def _luminance(self, lights: tuple[Utilisation, ...], commands: Commands) -> Tensor:
-        """What the lamps add to the pinhole's picture `[height, width]` in cd/m^2."""
-        luminance = torch.zeros(self.shape).flatten()
-        for number, (light, command) in enumerate(zip(lights, commands or [REST] * len(lights), strict=True)):
-            added, sample = self.scene.transported(number, command).luminance(light.u)
+    def _image(self, codes: bytes, kind: str, commands: Commands) -> Image:
+        """What the lens images of the lamps' light, `[height, width]` in cd/m^2. kind: type of the codes."""
+        lights, camera = self.utilisations(np.frombuffer(codes, kind)), self.lens.camera
+        luminance = torch.zeros(camera.height_px, camera.width_px)
+        for number, (u, command) in enumerate(zip(lights, commands or [REST] * len(lights), strict=True)):
+            added, sample = self.scene.transported(number, command).luminance(u)
             if self.factor is not None:
                 added = added * self.factor.flatten()[sample]
-            luminance.index_add_(0, sample // self.columns, added, alpha=command.intensity / self.columns)
-        return luminance.view(self.shape)
+            luminance.view(-1).index_add_(0, sample // self.columns, added, alpha=command.intensity / self.columns)
+        return self.lens.image(luminance.numpy())
 
 
 def gloss(params: ScreenParams, position: Tensor, normal: Tensor, lamp: Tensor, eye: Tensor) -> Tensor:
@@ -126,12 +118,6 @@ def gloss(params: ScreenParams, position: Tensor, normal: Tensor, lamp: Tensor, 
     to_lamp, to_eye = (unit(each.to(position)[:, None, None] - position) for each in (lamp, eye))
     cos = (unit(to_lamp + to_eye) * normal).sum(0).clamp(-1, 1)
     return 1 + params.gloss * (-(torch.rad2deg(cos.acos()) / params.gloss_width_deg).square()).exp()
-
-
-def commands_of(commands: Sequence[WireCommand] | None, modules: int) -> Commands:
-    """Commands of so many modules, those that were not sent at rest; empty where all are."""
-    given = [ModuleCommand(each.swivel_deg, each.level_deg, each.intensity) for each in commands or ()][:modules]
-    return () if all(each == REST for each in given) else (*given, *[REST] * (modules - len(given)))
 
 
 def _true(modules: Sequence[LampModule], faults: FaultParams) -> tuple[LampModule, ...]:
@@ -146,13 +132,3 @@ def _stuck(module: LampModule, error: LampErrorParams, seed: int, number: int) -
     n = module.headlight.n_pixels
     order = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, STUCK_KEY))).permutation(n)
     return torch.from_numpy(np.sort(order[: round(error.stuck * n)]))
-
-
-def _finer(view: View, columns: int) -> View:
-    """The same view with so many columns for each of its own."""
-    return replace(view, width=columns * view.width, fx=columns * view.fx, cx=columns * view.cx)
-
-
-def sensor_of(camera: CameraParams, gamma: float | None) -> CameraParams:
-    """The camera with its true gamma."""
-    return camera if gamma is None else camera.model_copy(update={"gamma": gamma})

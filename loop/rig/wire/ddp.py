@@ -30,6 +30,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from luxloop.loop.rig.arrays import Array
 from luxloop.world.errors import LuxloopError
 
 PORT: Final = 4048
@@ -67,7 +68,7 @@ class LightFrame:
     commands: tuple[WireCommand, ...] | None = None
 
 
-def codes_of(u: NDArray[np.floating], bits: int, gamma: float = 1.0) -> Codes:
+def codes_of(u: Array, bits: int, gamma: float = 1.0) -> Codes:
     """Codes `[n]` of utilisations `[n]` in 0..1: `round((2^bits - 1) u^(1/gamma))`. bits: 8 or 16."""
     shares = np.clip(u, 0, 1)
     most = 2**bits - 1
@@ -75,7 +76,7 @@ def codes_of(u: NDArray[np.floating], bits: int, gamma: float = 1.0) -> Codes:
     return codes.astype(np.uint8 if bits == 8 else np.uint16)
 
 
-def utilisations_of(codes: Codes, gamma: float = 1.0) -> NDArray[np.float32]:
+def utilisations_of(codes: Codes, gamma: float = 1.0) -> Array:
     """Utilisations `[n]` of codes `[n]`, the inverse of `codes_of`."""
     shares = codes.astype(np.float32) / np.float32(np.iinfo(codes.dtype).max)
     return shares if gamma == 1 else shares ** np.float32(gamma)
@@ -87,7 +88,7 @@ def sequence() -> Iterator[int]:
 
 
 def packets(
-    codes: Codes, timecode: int | None = None, commands: Sequence[WireCommand] | None = None, numbers: Iterator[int] | None = None
+    codes: Codes, timecode: int | None = None, commands: Sequence[object] | None = None, numbers: Iterator[int] | None = None
 ) -> Iterator[bytes]:
     """The packets of a frame, in the order in which they go out. numbers: of the packets, from `sequence`; left out: from 1.
 

@@ -3,7 +3,7 @@
 import socket
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Final
 
@@ -13,38 +13,31 @@ REFUSED: Final = (OSError, OverflowError, UnicodeError, TypeError)  # of a name 
 STALLED_S: Final = 5.0  # after which a client that takes nothing is cut off
 
 
-def reason_of(error: BaseException) -> str:
-    """The reason in words."""
-    return str(getattr(error, "strerror", None) or error)
-
-
 @contextmanager
-def listening(key: str, host: str, port: int) -> Iterator[None]:
+def refusing(what: str, remedy: str) -> Iterator[None]:
+    """Raises LuxloopError `what (reason); remedy` where a socket cannot be had."""
+    try:
+        yield
+    except REFUSED as error:
+        raise LuxloopError(f"{what} ({getattr(error, 'strerror', None) or error}); {remedy}") from error
+
+
+def listening(key: str, host: str, port: int, remedy: str = "give another port") -> AbstractContextManager[None]:
     """Raises LuxloopError that names key and address where a socket cannot listen there."""
-    try:
-        yield
-    except REFUSED as error:
-        raise LuxloopError(f"{key}: cannot listen on {host}:{port} ({reason_of(error)}); give another port") from error
+    return refusing(f"{key}: cannot listen on {host}:{port}", remedy)
 
 
-@contextmanager
-def reaching(key: str, where: str) -> Iterator[None]:
+def reaching(key: str, where: str) -> AbstractContextManager[None]:
     """Raises LuxloopError that names key and address where a socket cannot reach it."""
-    try:
-        yield
-    except REFUSED as error:
-        raise LuxloopError(f"{key}: {where} cannot be reached ({reason_of(error)}); check it, and the network") from error
+    return refusing(f"{key}: {where} cannot be reached", "check it, and the network")
 
 
 def udp_listener(key: str, host: str, port: int) -> socket.socket:
     """A UDP socket that listens; a port of 0 takes a free one. Raises LuxloopError where it cannot be had."""
-    found = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    try:
-        with listening(key, host, port):
-            found.bind((host, port))
-    except LuxloopError:
-        found.close()
-        raise
+    with ExitStack() as stack, listening(key, host, port):
+        found = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        found.bind((host, port))
+        stack.pop_all()
     return found
 
 

@@ -13,7 +13,7 @@ from luxloop.loop.rig.params import (
     StreamCameraParams,
     load_rig,
 )
-from luxloop.loop.rig.rectification import Rectifier, WrongPicture, grey
+from luxloop.loop.rig.rectification import WrongPicture, grey, rectifier
 from luxloop.perception.camera import CameraParams
 from luxloop.world.errors import LuxloopError
 
@@ -39,7 +39,7 @@ def test_pictures_are_cut_scaled_and_straightened(rig_file: Path, tmp_path: Path
     camera = CameraParams(width_px=64, height_px=48, bits=12, hfov_deg=40.0)
     rig_file.write_text(WHOLE + "crop = { u_px = 3, v_px = 2, width_px = 64, height_px = 48 }\n")
     picture = np.random.default_rng(0).integers(0, 256, (60, 80), dtype=np.uint8)
-    image = Rectifier.of(load_rig(rig_file), camera).image(cv2.imencode(".png", picture)[1].tobytes())
+    image = rectifier(load_rig(rig_file), camera)(cv2.imencode(".png", picture)[1].tobytes())
     assert np.array_equal(image, np.rint(picture[2:50, 3:67] / 255 * 4095))
 
     focal_px = 32 / np.tan(np.deg2rad(20))
@@ -48,12 +48,12 @@ def test_pictures_are_cut_scaled_and_straightened(rig_file: Path, tmp_path: Path
     response = (np.arange(256) / 255) ** 2.0  # a code is the root of the light
     np.savez(tmp_path / "rig.npz", size_px=[160, 120], camera_matrix=matrix, distortion=bent, response=response)
     rig_file.write_text(WHOLE + '[calibration]\nfile = "rig.npz"\n')
-    rectifier = Rectifier.of(load_rig(rig_file), camera)
+    straight = rectifier(load_rig(rig_file), camera)
     at = np.array([[[0.2, -0.1, 1.0]]])  # a point ahead of the camera
     seen = cv2.projectPoints(at, np.zeros(3), np.zeros(3), matrix, bent)[0].ravel()
     v, u = np.indices((120, 160))
     spot = np.exp(-((u - seen[0]) ** 2 + (v - seen[1]) ** 2) / 18)
-    image = rectifier.image(np.rint(255 * np.sqrt(spot)).astype(np.uint8))
+    image = straight(np.rint(255 * np.sqrt(spot)).astype(np.uint8))
     weight = np.where(image > 0.1 * image.max(), image, 0)
     rows, columns = np.indices(image.shape) + 0.5
     centre = (columns * weight).sum() / weight.sum(), (rows * weight).sum() / weight.sum()
@@ -66,20 +66,20 @@ def test_a_calibration_of_another_depth_or_beyond_all_memory_is_refused(rig_file
     good = {"size_px": [64, 48], "camera_matrix": matrix, "distortion": np.zeros(5)}
     np.savez(tmp_path / "rig.npz", **good, response=np.linspace(0, 1, 4096))
     with pytest.raises(WrongPicture, match="pictures of 8 bits, where the calibration's response has 4096 numbers"):
-        Rectifier.of(load_rig(rig_file), camera).image(np.zeros((48, 64), np.uint8))
+        rectifier(load_rig(rig_file), camera)(np.zeros((48, 64), np.uint8))
     huge = io.BytesIO()
     np.lib.format.write_array_header_1_0(huge, {"descr": "|u1", "fortran_order": False, "shape": (10**13,)})
     np.savez(tmp_path / "rig.npz", **good)
     with zipfile.ZipFile(tmp_path / "rig.npz", "a") as archive:
         archive.writestr("response.npy", huge.getvalue())
     with pytest.raises(LuxloopError, match="longer than its file"):
-        Rectifier.of(load_rig(rig_file), camera)
+        rectifier(load_rig(rig_file), camera)
 
 
 @pytest.mark.parametrize(("data", "words"), [(b"no picture", "damaged"), (np.zeros((10, 10), np.uint8), "10 x 10 px, where the scenario")])
 def test_a_picture_that_is_none_is_refused(rig_file: Path, data: bytes | np.ndarray, words: str) -> None:
     with pytest.raises(WrongPicture, match=words):
-        Rectifier.of(load_rig(rig_file), CameraParams(width_px=64, height_px=48)).image(data)
+        rectifier(load_rig(rig_file), CameraParams(width_px=64, height_px=48))(data)
 
 
 @pytest.mark.parametrize("ending", [".jpg", ".png"])

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from luxloop.loop.rig.blink import blink
+from luxloop.loop.rig.blink import evaluate, record
 from luxloop.loop.rig.light import Shine
 from luxloop.loop.rig.rig import Rig, await_camera, open_rig
 from luxloop.perception.camera import CameraParams
@@ -203,7 +203,7 @@ def test_blinks_find_latency_and_exposure(small_rig: Callable[..., Process], key
     process = small_rig(dark_s=PATIENT_S, **keys)
     with open_rig(process.params(), (GRID,), None, armed=True) as rig:
         assert await_camera(rig)
-        found = blink(rig, (GRID,), 24, 1.0)
+        found = evaluate(record(rig, (GRID,), 24, 1.0), 24)
     exposure_s = keys.get("exposure_s", 0.005)
     true_s = keys.get("light_s", 0.0) + exposure_s + keys["latency_s"]
     assert abs(found.latency_s - true_s) < 0.004  # a quarter of the camera's period: 24 blinks meet its phases every 0.8 ms

@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
+from luxloop.loop.rig.arrays import grids_of
 from luxloop.loop.rig.params import RigParams
-from luxloop.loop.rig.plant import RigPlant, SymbolEvaluator, grids_of
+from luxloop.loop.rig.plant import RigPlant, SymbolEvaluator
 from luxloop.loop.rig.rig import await_camera, open_rig
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load

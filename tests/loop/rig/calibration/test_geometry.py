@@ -8,7 +8,7 @@ import pytest
 
 from luxloop.loop.rig.calibration.calibrate import Calibration, load, save
 from luxloop.loop.rig.calibration.geometry import ISO, CameraModel, Geometry, Observation, Pose, adjust, candela_factor, on_plane
-from luxloop.loop.rig.calibration.shots import Response
+from luxloop.loop.rig.calibration.shots import linear_response
 from luxloop.world.errors import LuxloopError
 
 CAMERA = CameraModel(640, 480, np.array([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]]), np.array([-0.1, 0.02, 0, 0, 0]))
@@ -78,7 +78,7 @@ def test_intensity_follows_from_luminance() -> None:
 
 def calibration() -> Calibration:
     camera = replace(CAMERA, covariance=np.eye(9))
-    return Calibration(camera, Response.linear(255, 4), np.array([-0.1, 0, 0]), screen(5.0), {"left hires": LAMP}, {"boards": 0.03})
+    return Calibration(camera, linear_response(255, 4), np.array([-0.1, 0, 0]), screen(5.0), {"left hires": LAMP}, {"boards": 0.03})
 
 
 def test_file_holds_a_calibration(tmp_path: Path) -> None:
@@ -86,7 +86,7 @@ def test_file_holds_a_calibration(tmp_path: Path) -> None:
     found = load(tmp_path / "rig.npz")
     np.testing.assert_allclose(found.camera.values, CAMERA.values)
     np.testing.assert_allclose(found.modules["left hires"].matrix, LAMP.matrix, atol=1e-12)
-    np.testing.assert_allclose(found.response.curve, Response.linear(255, 4).curve)
+    np.testing.assert_allclose(found.response, linear_response(255, 4))
     assert found.rms == {"boards": 0.03}
     with pytest.raises(LuxloopError, match="left hires, not 'left lores'"):
         found.geometry("left lores")

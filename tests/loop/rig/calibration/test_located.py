@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from luxloop.loop.rig.calibration.setups import Array
+from luxloop.loop.rig.arrays import Array
 from luxloop.loop.rig.calibration.structured_light import Chart, decode, patterns, places
 
 ROWS, COLS = 36, 50
@@ -24,15 +24,15 @@ def pictures(noise: float) -> tuple[list[Array], Array, Array]:
 
 def test_each_camera_pixel_reads_its_place_and_centres_follow() -> None:
     light, row, col = pictures(0.01)
-    decoded = decode(light, ROWS, COLS, np.full(row.shape, 0.01))
+    read_row, read_col, valid = decode(light, ROWS, COLS, 0.01)
     inside = (row > 0.7) & (row < ROWS - 0.7) & (col > 0.7) & (col < COLS - 0.7)
-    assert decoded.valid[inside].mean() > 0.99
-    assert not decoded.valid[(row < -0.5) | (col < -0.5) | (row > ROWS + 0.5) | (col > COLS + 0.5)].any()
+    assert valid[inside].mean() > 0.99
+    assert not valid[(row < -0.5) | (col < -0.5) | (row > ROWS + 0.5) | (col > COLS + 0.5)].any()
     # Within a sharp pixel the phase hardly changes, so that a reading is wrong by half a pixel at most, and right in the mean.
-    for read, true in ((decoded.row, row), (decoded.col, col)):
-        off = (read - true)[inside & decoded.valid]
+    for read, true in ((read_row, row), (read_col, col)):
+        off = (read - true)[inside & valid]
         assert np.abs(off).max() < 0.6 and abs(off.mean()) < 0.01
-    found = places(decoded, ROWS, COLS)
+    found = places(read_row, read_col, valid, ROWS, COLS)
     r, c = np.indices((ROWS, COLS)) + 0.5
     v, u = SCALE * r + OFF, (OFF + SCALE * c) / (1 - 2e-4 * SCALE * c)
     inner = np.s_[3:-3, 3:-3]

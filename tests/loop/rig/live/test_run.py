@@ -11,7 +11,7 @@ import torch
 
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.rig.calibration.calibrate import Calibration, save
-from luxloop.loop.rig.calibration.shots import Response
+from luxloop.loop.rig.calibration.shots import linear_response
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.digitised import DigitisedPlant
@@ -31,7 +31,7 @@ def of_lamp(lux: float | None = 100.0) -> Calibration:
     """Of a camera of 64 x 48 px and 8 bits that sees the whole lamp."""
     lamp: LampModule = module(idealised(332, 64))
     camera = wall(width_px=64, height_px=48, hfov_deg=40.0, yaw_deg=0.0).camera
-    return replace(calibration(camera, lamp), response=Response.linear(255), lux=lux)
+    return replace(calibration(camera, lamp), response=linear_response(255), lux=lux)
 
 
 def rig_file(process: Process, folder: Path, more: str = "") -> str:

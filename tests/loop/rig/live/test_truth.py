@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from luxloop.controllers.pixels.ssc import Utilisation
+from luxloop.loop.rig.arrays import grids_of
 from luxloop.loop.rig.calibration.calibrate import load
 from luxloop.loop.rig.live.plant import live_plant
 from luxloop.loop.rig.params import load_rig
-from luxloop.loop.rig.plant import grids_of
 from luxloop.loop.rig.rig import await_camera, open_rig
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario import model

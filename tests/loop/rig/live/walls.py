@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from luxloop.loop.rig.arrays import Array
 from luxloop.loop.rig.calibration.calibrate import SCREEN, Calibration
 from luxloop.loop.rig.calibration.geometry import CameraModel, Pose
-from luxloop.loop.rig.calibration.setups import Array
-from luxloop.loop.rig.calibration.shots import Response
+from luxloop.loop.rig.calibration.shots import linear_response
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.truth import LampModule
 from luxloop.perception.camera import CameraParams, camera_view, saturation_luminance
@@ -49,7 +49,7 @@ def calibration(camera: CameraParams, lamp: LampModule, model: CameraModel | Non
     T_world_screen = np.eye(4)
     T_world_screen[:3, :3], T_world_screen[:3, 3] = SCREEN, (screen_m, 0.0, 0.0)
     levels = 2**camera.bits - 1
-    response = Response((np.arange(levels + 1) / levels).astype(np.float32) ** np.float32(camera.gamma))
+    response = linear_response(levels) ** np.float32(camera.gamma)
     poses = {lamp.name: Pose.of(T_camera_world @ lamp.T_world_headlight.numpy())}
     known = Calibration(model or CameraModel.of(camera), response, np.zeros(3), Pose.of(T_camera_world @ T_world_screen), poses, {})
     return replace(known, lux=float(np.pi * saturation_luminance(camera) / ALBEDO))
