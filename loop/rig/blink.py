@@ -234,8 +234,8 @@ def _blink_pictures(
         share = (rows - dark) / (bright - dark)
         share = share if on else 1 - share
         values.append((arrived_s - at_s, at_s, late_s, share.min(), share.max()))
-    lag_s, at_s, late_s, least, most = np.array(values).reshape(-1, 5).T
-    return BlinkPictures(lag_s, at_s, late_s, least, most, seen, *came)
+    columns = np.array(values).reshape(-1, 5).T
+    return BlinkPictures(columns[0], columns[1], columns[2], columns[3], columns[4], seen, *came)
 
 
 def _between(lag_s: Array, after: Mask, reach_s: float) -> float:

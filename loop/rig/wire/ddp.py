@@ -30,7 +30,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from luxloop.loop.rig.arrays import Array
 from luxloop.world.errors import LuxloopError
 
 PORT: Final = 4048
@@ -68,7 +67,7 @@ class LightFrame:
     commands: tuple[WireCommand, ...] | None = None
 
 
-def codes_of(u: Array, bits: int, gamma: float = 1.0) -> Codes:
+def codes_of(u: NDArray[np.floating], bits: int, gamma: float = 1.0) -> Codes:
     """Codes `[n]` of utilisations `[n]` in 0..1: `round((2^bits - 1) u^(1/gamma))`. bits: 8 or 16."""
     shares = np.clip(u, 0, 1)
     most = 2**bits - 1
@@ -76,7 +75,7 @@ def codes_of(u: Array, bits: int, gamma: float = 1.0) -> Codes:
     return codes.astype(np.uint8 if bits == 8 else np.uint16)
 
 
-def utilisations_of(codes: Codes, gamma: float = 1.0) -> Array:
+def utilisations_of(codes: Codes, gamma: float = 1.0) -> NDArray[np.float32]:
     """Utilisations `[n]` of codes `[n]`, the inverse of `codes_of`."""
     shares = codes.astype(np.float32) / np.float32(np.iinfo(codes.dtype).max)
     return shares if gamma == 1 else shares ** np.float32(gamma)
