@@ -43,6 +43,16 @@ class TrackedObject:
     confidence: float = 1.0
     score: float = 1.0
 
+    @property
+    def bounds(self) -> Tensor:
+        """Two opposite corners `[2, 3]` m of the box in its frame."""
+        length, width, height = self.size_m
+        return torch.tensor([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, height]], dtype=torch.float64)
+
+    def present(self, time_s: float) -> bool:
+        """Whether the tracker has it at a time."""
+        return self.since_s <= time_s < self.until_s
+
     @classmethod
     def of(cls, body: Body | Figure, category: Category, time_s: float) -> "TrackedObject":
         """A body as a perfect tracker reports it: the smallest box along its axes."""

@@ -1,16 +1,16 @@
 """Animations of symbols: blinking, running light, wipe (T 7.2.2, fig. 7.10)."""
 
 import math
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 import torch
 from pydantic import Field
 from torch import Tensor
 
 from luxloop.world.params import NotNegative, Params, Positive, PositiveShare, Share
-from luxloop.world.symbols import SymbolSource
+from luxloop.world.symbols import Still, SymbolSource
 
+WHITE: Final = Still(torch.ones(1, 1))
 Direction = Literal["away", "towards", "left", "right"]
 
 
@@ -24,9 +24,6 @@ class BlinkingParams(Params):
     def shows(self, time_s: float) -> bool:
         # A switching time may be rounded to just before it.
         return (time_s * self.rate_hz + 1e-6) % 1 < self.duty
-
-    def share(self, time_s: float, along: Tensor) -> Tensor:
-        return torch.full_like(along, float(self.shows(time_s)))
 
 
 class RunningLightParams(Params):
@@ -66,25 +63,18 @@ class WipeParams(Params):
 AnimationParams = Annotated[BlinkingParams | RunningLightParams | WipeParams, Field(discriminator="kind")]
 
 
-@dataclass(frozen=True, eq=False)
-class Animation:
-    """A symbol whose brightness changes over time and position."""
+def animate(source: SymbolSource, animation: BlinkingParams | RunningLightParams | WipeParams | None, time_s: float) -> Tensor | None:
+    """The image `[h, w]` in 0..1 of a symbol at a time; None while a blinking one is off, so that what lies below it is seen.
 
-    source: SymbolSource
-    animation: BlinkingParams | RunningLightParams | WipeParams
-
-    def shows(self, time_s: float) -> bool:
-        """Whether anything is drawn; while a blinking symbol is off, what lies below it is seen."""
-        return not isinstance(self.animation, BlinkingParams) or self.animation.shows(time_s)
-
-    def at(self, time_s: float) -> Tensor:
-        """The image `[h, w]` in 0..1 at a time; a homogeneous symbol gets enough rows and columns for the animation."""
-        image = self.source.at(time_s)
-        if isinstance(self.animation, BlinkingParams):
-            return image * self.animation.share(time_s, image)
-        if image.numel() == 1:
-            image = image.expand(64, 64)
-        return image * self.animation.share(time_s, _along(image, self.animation.direction))
+    A homogeneous symbol gets enough rows and columns for a brightness that changes over the position.
+    """
+    image = source.at(time_s)
+    if animation is None:
+        return image
+    if isinstance(animation, BlinkingParams):
+        return image if animation.shows(time_s) else None
+    image = image.expand(64, 64) if image.numel() == 1 else image
+    return image * animation.share(time_s, _along(image, animation.direction))
 
 
 def _along(image: Tensor, direction: Direction) -> Tensor:

@@ -117,8 +117,11 @@ class MaterialParams(SelectionParams):
         """One upright rectangle for each object, through its centre and facing the lamps, and one for the road."""
         if state is None:
             return ()
+        margin = self.margin_m * torch.tensor([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]]).double()
         standing = [
-            self._at(each.T_world_object, each.size_m, now) for each in self.select(now) if each.since_s <= now.time_s < each.until_s
+            facing(each.T_world_object.double(), *(each.bounds + margin), now.lamps.double().mean(0))
+            for each in self.select(now)
+            if each.present(now.time_s)
         ]
         lying = [] if self.road_m is None else [self._road(now, *self.road_m)]
         drawn = ((standing, state.lx.masked_fill(state.ground, torch.nan)), (lying, state.lx.masked_fill(~state.ground, torch.nan)))
@@ -126,12 +129,6 @@ class MaterialParams(SelectionParams):
 
     def base_share(self, state: MaterialState | None) -> None:
         """No demand on the base beam."""
-
-    def _at(self, T_world_object: Tensor, size_m: tuple[float, float, float], now: Situation) -> Place:
-        length, width, height = size_m
-        m = self.margin_m
-        low, high = torch.tensor([[-length / 2 - m, -width / 2 - m, 0.0], [length / 2 + m, width / 2 + m, height + m]], dtype=torch.float64)
-        return facing(T_world_object.double(), low, high, now.lamps.double().mean(0))
 
     def _road(self, now: Situation, near_m: float, far_m: float) -> Place:
         corner, across, back = torch.tensor(

@@ -53,8 +53,7 @@ class ObjectLightParams(Params):
         objects, which hide it. Only road users have a core, since much of an animal's box is air. The dark part reaches as far above the
         box as into it, since a detector's box may end below a dark head.
         """
-        length, width, height = each.size_m
-        low, high = torch.tensor([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, height]], dtype=torch.float64)
+        (low, high), height = each.bounds, each.size_m[2]
         body = frontal(each.T_world_object, low, high, lamps, self.margin_m, self.margin_m)
         if body is None:
             return ()

@@ -8,7 +8,7 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from luxloop.controllers.functions.animations import Animation, AnimationParams
+from luxloop.controllers.functions.animations import WHITE, AnimationParams, animate
 from luxloop.controllers.geometry import Place, cuboid, facing, strip
 from luxloop.controllers.pixels.primitives import Primitives, rectangle
 from luxloop.controllers.situation import (
@@ -25,7 +25,6 @@ from luxloop.controllers.situation import (
 from luxloop.perception.tracking import LINGER_S
 from luxloop.world.frames import inverse, transform
 from luxloop.world.params import Distance, Length, NotNegative, Params, PositiveShare, Share
-from luxloop.world.symbols import Still
 
 FADING = 1e6  # weight of a fading mask: above all others but the infinite weight of full masks, with which it must not be averaged
 CLEARANCE = 0.8  # share of the gap between a box and a nearby lamp that a margin may take
@@ -86,8 +85,7 @@ def extend_box(each: TrackedObject, margin_m: float, lamps: Tensor) -> tuple[Ten
     lamps: positions `[L, 3]` m. A box around a lamp would show it only back faces, which mask nothing, so the margin ends before the lamp,
     on the side where the lamp is farthest from the box.
     """
-    length, width, height = each.size_m
-    low, high = torch.tensor([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, height]], dtype=torch.float64)
+    low, high = each.bounds
     margins_low, margins_high = torch.tensor([[margin_m, margin_m, 0.0], [margin_m] * 3], dtype=torch.float64)
     for lamp in transform(inverse(each.T_world_object.double()), lamps.double().T).T:
         below, above = low - lamp, lamp - high
@@ -118,13 +116,10 @@ class SignParams(SelectionParams):
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """One forced primitive in the face of each sign, facing the car."""
-        present = (each for each in self.select(now) if each.since_s <= now.time_s < each.until_s)
-        return tuple(self._face(each, now) for each in present)
+        return tuple(self._face(each, now) for each in self.select(now) if each.present(now.time_s))
 
     def _face(self, each: TrackedObject, now: Situation) -> Primitives:
-        length, width, height = each.size_m
-        m = self.margin_m
-        low, high = torch.tensor([[-length / 2, -width / 2 - m, -m], [length / 2, width / 2 + m, height + m]], dtype=torch.float64)
+        low, high = each.bounds + self.margin_m * torch.tensor([[0.0, -1.0, -1.0], [0.0, 1.0, 1.0]]).double()
         T = each.T_world_object.double()
         origin, d1, d2 = cuboid(T, low, high)
         ahead = (now.lamps.mean(0).to(T) - T[:3, 3]) @ T[:3, 0] >= 0
@@ -135,7 +130,6 @@ class SignParams(SelectionParams):
 
 
 SHORTEST_M = 0.5  # shorter lines are not drawn
-WHITE = Still(torch.ones(1, 1))
 
 
 class MarkerParams(DrawingParams, SelectionParams):
@@ -153,28 +147,27 @@ class MarkerParams(DrawingParams, SelectionParams):
     animation: AnimationParams | None = Field(None, description="animation; left out: none")
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
-        if not self.active(now) or (self.animation and not Animation(WHITE, self.animation).shows(now.time_s)):
+        if not self.active(now) or (image := animate(WHITE, self.animation, now.time_s)) is None:
             return ()
-        present = (each for each in self.select(now) if each.since_s <= now.time_s < each.until_s)
-        return tuple(part for each in present for part in (self._line(each, now) if self.target == "road" else self._body(each, now)))
+        marked = [each for each in self.select(now) if each.present(now.time_s)]
+        if self.target == "road":
+            return tuple(part for each in marked for part in self._line(each, image, now))
+        return tuple(self.draw(self._body(each, now), image, layer=1) for each in marked)
 
-    def _line(self, each: TrackedObject, now: Situation) -> tuple[Primitives, ...]:
+    def _line(self, each: TrackedObject, image: Tensor, now: Situation) -> tuple[Primitives, ...]:
         foot = transform(inverse(now.T_world_vehicle), each.T_world_object[:3, 3:].to(now.T_world_vehicle))[:2, 0]
         way = foot / foot.norm()
         start, stop = self.near_m * way, (now.distance_m(each) - self.gap_m) * way
         if (stop - start) @ way < SHORTEST_M:
             return ()
-        line = self._draw(strip(now.T_world_vehicle, start, stop, self.width_m), now)
+        line = self.draw(strip(now.T_world_vehicle, start, stop, self.width_m), image, layer=1)
         if not self.surround_m:
             return (line,)
         around = strip(now.T_world_vehicle, start, stop, self.width_m + 2 * self.surround_m)
         dimmed = self.model_copy(update={"quantity": "u_rel", "value": self.surround_u_rel, "weight": 1.0})
         return line, dimmed.draw(around)
 
-    def _body(self, each: TrackedObject, now: Situation) -> tuple[Primitives, ...]:
-        length, width, height = each.size_m
-        low, high = torch.tensor([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, self.up_to * height]], dtype=torch.float64)
-        return (self._draw(facing(each.T_world_object, low, high, now.lamps.mean(0)), now),)
-
-    def _draw(self, place: Place, now: Situation) -> Primitives:
-        return self.draw(place, (Animation(WHITE, self.animation) if self.animation else WHITE).at(now.time_s), layer=1)
+    def _body(self, each: TrackedObject, now: Situation) -> Place:
+        low, high = each.bounds
+        high[2] *= self.up_to
+        return facing(each.T_world_object, low, high, now.lamps.mean(0))

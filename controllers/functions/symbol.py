@@ -7,7 +7,7 @@ import torch
 from pydantic import Field, ValidationError, model_validator
 from torch import Tensor
 
-from luxloop.controllers.functions.animations import Animation, AnimationParams
+from luxloop.controllers.functions.animations import WHITE, AnimationParams, animate
 from luxloop.controllers.geometry import Place, on_road
 from luxloop.controllers.pixels.homographies import drawing_rectangle
 from luxloop.controllers.pixels.primitives import Observer, Primitives
@@ -19,7 +19,6 @@ from luxloop.perception.extraction import Extraction, ExtractionParams
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees, transform
 from luxloop.world.params import Degrees, Length, Metres, Params, Slope
-from luxloop.world.symbols import Still
 from luxloop.world.validation import sentences
 
 CONTROLLED: Final = ("start", "target", "features", "extraction")  # keys of symbols that a controller holds
@@ -37,7 +36,7 @@ class ConditionParams(SelectionParams):
     )
 
     def holds(self, now: Situation) -> bool:
-        return any(each.since_s <= now.time_s < each.until_s for each in self.select(now))
+        return any(each.present(now.time_s) for each in self.select(now))
 
 
 class ObserverParams(Params):
@@ -63,7 +62,7 @@ class ObserverParams(Params):
         if self.name is None:
             return _world(now, self.eye_m)
         for each in now.objects:
-            if each.name == self.name and each.since_s <= now.time_s < each.until_s:
+            if each.name == self.name and each.present(now.time_s):
                 return each.T_world_object[:3, 3] + self.eye_height_m * each.T_world_object[:3, 2]
         return None
 
@@ -142,13 +141,9 @@ class SymbolFunctionParams(DrawingParams):
         """One primitive; none if the symbol is not shown or a controller commands it."""
         if self.controller is not None or not self.shows(now):
             return ()
-        source = now.symbols[self.image]
-        time_s = now.time_s - (self.start_s or 0.0)
-        if self.animation:
-            source = Animation(source, self.animation)
-            if not source.shows(time_s):
-                return ()
-        image = source.at(time_s)
+        image = animate(now.symbols[self.image], self.animation, now.time_s - (self.start_s or 0.0))
+        if image is None:
+            return ()
         if self.observer is None:
             return (self.draw(self._place(now), image),)
         eye = self.observer.eye(now)
@@ -176,9 +171,6 @@ def _world(now: Situation, point_m: tuple[float, float, float]) -> Tensor:
     return transform(now.T_world_vehicle.double(), torch.tensor(point_m, dtype=torch.float64)[:, None])[:, 0]
 
 
-WHITE: Final = Still(torch.ones(1, 1))
-
-
 class PrimitiveParams(DrawingParams):
     """Draws a rectangle at any place and in any attitude.
 
@@ -204,12 +196,8 @@ class PrimitiveParams(DrawingParams):
         if not self.active(now):
             return ()
         source = WHITE if self.image is None else now.symbols[self.image]
-        time_s = now.time_s - (self.start_s or 0.0)
-        if self.animation:
-            source = Animation(source, self.animation)
-            if not source.shows(time_s):
-                return ()
-        return (self.draw(self._place(now), source.at(time_s)),)
+        image = animate(source, self.animation, now.time_s - (self.start_s or 0.0))
+        return () if image is None else (self.draw(self._place(now), image),)
 
     def _place(self, now: Situation) -> Place:
         T = now.T_world_vehicle.double() @ pose_from_degrees((self.x_m, self.y_m, self.z_m), self.roll_deg, self.pitch_deg, self.yaw_deg)
