@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
 import torch
 from pydantic import Field, model_validator
 from torch import Tensor
@@ -18,6 +17,7 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.params import NotNegative, Params, Real
 
 Form = Literal["position", "incremental"]
+UNLIMITED = {"lower": -math.inf, "upper": math.inf, "rate_limit": math.inf, "tracking_time": math.inf}  # of a parameter that is left out
 
 
 class PidParams(Params):
@@ -82,23 +82,11 @@ def pid_gains(loops: Sequence[PidParams], dtype: torch.dtype = torch.float32, de
     if len(forms) != 1:
         raise LuxloopError(f"a bank of PIDs needs one form, got {sorted(forms)}: give every loop the same 'form'")
 
-    def stack(values: list[float]) -> Tensor:
-        return torch.tensor(values, dtype=dtype, device=device)
+    def bank(name: str) -> Tensor:
+        values = (getattr(loop, name) for loop in loops)
+        return torch.tensor([UNLIMITED[name] if value is None else value for value in values], dtype=dtype, device=device)
 
-    def limit(values: list[float | None], unlimited: float) -> Tensor:
-        return stack([unlimited if value is None else value for value in values])
-
-    return PidGains(
-        kp=stack([loop.kp for loop in loops]),
-        ki=stack([loop.ki for loop in loops]),
-        kd=stack([loop.kd for loop in loops]),
-        derivative_time=stack([loop.derivative_time for loop in loops]),
-        lower=limit([loop.lower for loop in loops], -math.inf),
-        upper=limit([loop.upper for loop in loops], math.inf),
-        rate_limit=limit([loop.rate_limit for loop in loops], math.inf),
-        tracking_time=limit([loop.tracking_time for loop in loops], math.inf),
-        form=loops[0].form,
-    )
+    return PidGains(**{name: bank(name) for name in PidParams.model_fields if name != "form"}, form=loops[0].form)
 
 
 def pid_reset(gains: PidGains, output: Tensor) -> PidState:
@@ -107,13 +95,13 @@ def pid_reset(gains: PidGains, output: Tensor) -> PidState:
     The first step has no derivative. In position form it returns `output` itself, whatever the error: the integral absorbs the difference
     (permanently if ki is 0). In incremental form it moves from `output` by the proportional and integral parts.
     """
-    output = output.expand(np.broadcast_shapes(output.shape, gains.kp.shape))
+    output = output.expand(torch.broadcast_shapes(output.shape, gains.kp.shape))
     zero = torch.zeros_like(output)
     return PidState(zero, zero, zero, output, torch.zeros_like(output, dtype=torch.bool))
 
 
-def pid_step(state: PidState, error: Tensor, dt: float | Tensor, gains: PidGains) -> tuple[PidState, Tensor]:
-    """Advance the bank (T 9.4.1, 9.4.3) by `dt` with errors `[..., n]`; returns the new state and the limited output `[..., n]`.
+def pid_step(state: PidState, error: Tensor, dt: float | Tensor, gains: PidGains) -> PidState:
+    """Advance the bank (T 9.4.1, 9.4.3) by `dt` with errors `[..., n]`: the new state, with its limited output.
 
     Backward Euler: `C(z) = kp + ki dt z / (z - 1) + kd (z - 1) / ((T + dt) z - T)` with T the derivative time; in incremental form times
     `dt z / (z - 1)`. Limits are never exceeded, not even after a reset outside them, where they override the rate limit.
@@ -134,4 +122,4 @@ def pid_step(state: PidState, error: Tensor, dt: float | Tensor, gains: PidGains
     unwind = torch.where(gains.tracking_time > 0, (dt / gains.tracking_time).clamp(max=1.0), 0.0)
     excess = output - wanted
     integral = integral + unwind * (excess if gains.form == "position" else excess / dt)
-    return PidState(integral, derivative, error, output, torch.ones_like(state.initialised)), output
+    return PidState(integral, derivative, error, output, torch.ones_like(state.initialised))

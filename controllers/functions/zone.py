@@ -98,7 +98,7 @@ class ZoneParams(Params):
             error = min(error, 0.0)
         upper = torch.minimum(self._gains.upper, self._most_lx(now).clamp(min=1e-9).log())
         gains = replace(self._gains, upper=upper, lower=torch.minimum(self._gains.lower, upper))
-        return ZoneState(pid_step(state.pid, state.pid.output.new_tensor([error]), 1.0, gains)[0], luminance)
+        return ZoneState(pid_step(state.pid, state.pid.output.new_tensor([error]), 1.0, gains), luminance)
 
     def adapted(self, state: ZoneState, now: Situation) -> tuple[Primitives, ...]:
         """One rectangle: the zone itself, or for a box the upright one through its centre that faces the lamps."""

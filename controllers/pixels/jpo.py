@@ -15,7 +15,6 @@ from luxloop.controllers.pixels.jpo_part import PixelGoal, pixel_goal, reaching
 from luxloop.controllers.pixels.jpo_solvers import least_error, least_squares
 from luxloop.controllers.pixels.mrpc import MrpcParams
 from luxloop.controllers.pixels.primitives import E_V, I_V, U_REL, Primitives
-from luxloop.controllers.pixels.rthc import Setpoints
 from luxloop.controllers.pixels.secondary import SecondaryRays
 from luxloop.controllers.pixels.ssc import Ssc, Utilisation
 from luxloop.world.headlight import Headlight
@@ -83,7 +82,7 @@ class Jpo:
             of_default = grid.light_texture(self.default)
         setpoints = self.ssc.ray_batch(primitives, T_world_headlight, secondary).setpoints()
         cut = (..., *setpoints.window.slices)
-        hit, in_cd, relative = setpoints.hit, _share(setpoints, setpoints.in_cd, I_V, E_V), _share(setpoints, setpoints.relative, U_REL)
+        hit, in_cd, relative = setpoints.hit, setpoints.portion(setpoints.in_cd, I_V, E_V), setpoints.portion(setpoints.relative, U_REL)
         unit = (
             in_cd + relative * of_default[cut] + (1 - in_cd - relative) * self.full[cut]
         )  # cd per unit of value (T 7.2.1), [..., rows, cols]
@@ -99,8 +98,3 @@ class Jpo:
         touched = reaching(grid.matrix.transpose, counts.flatten(-2))
         start = torch.where(touched, self.ssc.reduce(setpoints)[0], self.default)
         return pixel_goal(grid, texture, weights, start, touched)
-
-
-def _share(setpoints: Setpoints, image: Tensor | None, *codes: int) -> Tensor | float:
-    """1 where a setpoint has one of these quantities, else 0."""
-    return float(setpoints.quantities[0] in codes) if image is None else image

@@ -1,9 +1,9 @@
 """Primitives: rectangles in the world that carry a symbol image and a setpoint (T 7.1, 7.2.1)."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
@@ -19,6 +19,8 @@ Vector = Tensor | Sequence[float]
 HEAVIEST = 1e12  # limit of finite weights, so that their sums stay finite
 
 _VECTORS = ("origin", "d1", "d2", "normal")
+_SEEN = ("eye", "origin", "d1", "d2")
+_ON_HOST = ("quantity", "forced", "priority", "nearest", "shared")
 
 
 @dataclass(frozen=True)
@@ -87,16 +89,15 @@ class Primitives:
 
     def select(self, mask: Tensor) -> "Primitives":
         """The primitives where mask `[P]` bool is true, with all images."""
-        mask = mask.cpu()
-        at = mask.nonzero()[:, 0]
-        picked = {name: getattr(self, name)[..., at.to(self.origin.device), :] for name in _VECTORS}
-        picked |= {name: getattr(self, name)[..., at.to(self.origin.device)] for name in ("value", "weight")}
-        picked |= {name: getattr(self, name)[at] for name in ("quantity", "forced", "priority", "symbol_of", "nearest", "shared")}
-        observer = self.observer
-        if observer is not None:
-            vectors = {f.name: getattr(observer, f.name)[..., at.to(self.origin.device), :] for f in fields(observer) if f.name != "active"}
-            observer = Observer(**vectors, active=observer.active[at])
-        return replace(self, **picked, modules=tuple(self.modules[k] for k in at.tolist()), observer=observer)
+        at = mask.cpu().nonzero()[:, 0]
+        there = at.to(self.origin.device)
+        picked = _change(self, lambda each: each[..., there, :], *_VECTORS)
+        picked = _change(picked, lambda each: each[..., there], "value", "weight")
+        picked = _change(picked, lambda each: each[at], *_ON_HOST, "symbol_of")
+        observer = self.observer and replace(
+            _change(self.observer, lambda each: each[..., there, :], *_SEEN), active=self.observer.active[at]
+        )
+        return replace(picked, modules=tuple(self.modules[k] for k in at.tolist()), observer=observer)
 
     def for_module(self, name: str) -> "Primitives":
         """The primitives that a module may draw; "left lores" matches its name, "left" and "lores"."""
@@ -106,17 +107,19 @@ class Primitives:
     def transform(self, T: Tensor) -> "Primitives":
         """The primitives transformed by T `[4, 4]`, which takes points of their frame to the new one; they must have no observers."""
         R, origin = T[:3, :3].to(self.origin), T[:3, 3].to(self.origin)
-        turned = {name: getattr(self, name) @ R.T for name in _VECTORS}
-        return replace(self, **(turned | {"origin": turned["origin"] + origin}))
+        turned = _change(self, lambda each: each @ R.T, *_VECTORS)
+        return replace(turned, origin=turned.origin + origin)
 
     def to(self, target: torch.device | torch.dtype) -> "Primitives":
         """The primitives with coordinates, setpoints and images on a device or in a floating dtype."""
-        moved = {name: getattr(self, name).to(target) for name in (*_VECTORS, "value", "weight")}
-        observer = self.observer
-        if observer is not None:
-            vectors = {f.name: getattr(observer, f.name).to(target) for f in fields(observer) if f.name != "active"}
-            observer = replace(observer, **vectors)
-        return replace(self, **moved, symbols=tuple(symbol.to(target) for symbol in self.symbols), observer=observer)
+        moved = _change(self, lambda each: each.to(target), *_VECTORS, "value", "weight")
+        observer = self.observer and _change(self.observer, lambda each: each.to(target), *_SEEN)
+        return replace(moved, symbols=tuple(symbol.to(target) for symbol in self.symbols), observer=observer)
+
+
+def _change(of: Any, change: Callable[[Tensor], Tensor], *names: str) -> Any:
+    """With some tensors changed."""
+    return replace(of, **{name: change(getattr(of, name)) for name in names})
 
 
 def rectangle(  # noqa: PLR0913 (each value stands by itself)
@@ -206,7 +209,7 @@ def concatenate(*parts: Primitives) -> Primitives:
     return Primitives(
         **{name: joined(name, 2) for name in _VECTORS},
         **{name: joined(name, 1) for name in ("value", "weight")},
-        **{name: torch.cat([getattr(part, name) for part in parts]) for name in ("quantity", "forced", "priority", "nearest", "shared")},
+        **{name: torch.cat([getattr(part, name) for part in parts]) for name in _ON_HOST},
         symbols=tuple(symbols),
         symbol_of=torch.cat(symbol_of),
         modules=tuple(names for part in parts for names in part.modules),
@@ -217,13 +220,13 @@ def concatenate(*parts: Primitives) -> Primitives:
 def _observers(parts: Sequence[Primitives], batch: tuple[int, ...]) -> Observer | None:
     if all(part.observer is None for part in parts):
         return None
-    vectors: dict[str, list[Tensor]] = {name: [] for name in ("eye", "origin", "d1", "d2")}
-    for part in parts:
-        for name, found in vectors.items():
-            vector = torch.zeros_like(part.origin) if part.observer is None else getattr(part.observer, name)
-            found.append(vector.expand(*batch, len(part), 3))
+
+    def of(name: str) -> Tensor:
+        each = (torch.zeros_like(part.origin) if part.observer is None else getattr(part.observer, name) for part in parts)
+        return torch.cat([vector.expand(*batch, len(part), 3) for vector, part in zip(each, parts, strict=True)], -2)
+
     active = [torch.zeros(len(part), dtype=torch.bool) if part.observer is None else part.observer.active for part in parts]
-    return Observer(**{name: torch.cat(found, -2) for name, found in vectors.items()}, active=torch.cat(active))
+    return Observer(**{name: of(name) for name in _SEEN}, active=torch.cat(active))
 
 
 def road_symbol(pose: Tensor, z_m: float, width_m: float, length_m: float, symbol: Tensor, value: float, quantity: Quantity) -> Primitives:

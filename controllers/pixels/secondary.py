@@ -158,9 +158,8 @@ class SecondaryRays:
         in_light = int(primitives.quantity[p]) < U_ABS
         shared = bool(primitives.shared[p]) and len(self.lights) > 1
         dimmed = self.lights[self.own][1].intensity < 1
-        return self._hidden_from_observer(primitives, p) or (
-            in_light and (shared or dimmed or bool(self.street_lamps) or self.occluded is not None)
-        )
+        hidden = self.occluded is not None and primitives.has_observer(p)
+        return hidden or (in_light and (shared or dimmed or bool(self.street_lamps) or self.occluded is not None))
 
     def adjust(self, value: Tensor, points: Tensor, hit: Tensor, primitives: Primitives, p: int) -> Tensor:
         """Adjusted setpoints `[..., rows, cols]` of the p-th primitive at its points `[..., 3, rows, cols]` m, valid where hit.
@@ -178,9 +177,6 @@ class SecondaryRays:
             drawing = [k for k, (name, _) in enumerate(self.lights) if k == self.own or (others and meant(names, name))]
             value = value * shares([self.lights[k][1] for k in drawing], points, self.occluded, hit)[drawing.index(self.own)]
             value = value / max(self.lights[self.own][1].intensity, DARKEST)
-        if self.occluded is not None and primitives.observer is not None and self._hidden_from_observer(primitives, p):
+        if self.occluded is not None and primitives.observer is not None and primitives.has_observer(p):
             value = value * seen_by(points, primitives.observer.eye[..., p, :], self.occluded, hit)
         return value.unflatten(-1, size)
-
-    def _hidden_from_observer(self, primitives: Primitives, p: int) -> bool:
-        return self.occluded is not None and primitives.observer is not None and bool(primitives.observer.active[p])

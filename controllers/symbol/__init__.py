@@ -1,6 +1,6 @@
 """Symbol controllers by name; a scenario names one."""
 
-from typing import Annotated
+from typing import Annotated, get_args
 
 from luxloop.controllers.symbol.feedback import Feedback, GaussNewtonParams, ModelReferenceParams, ThesisPid, ThesisPidParams
 from luxloop.controllers.symbol.heights.feedforward import Feedforward, FeedforwardParams, MeasuringFeedforward, OpenLoop, OpenLoopParams
@@ -14,14 +14,7 @@ from luxloop.world.plugin import KnownOrOwn
 NamedParams = HeightControllerParams | OpenLoopParams | FeedforwardParams | ThesisPidParams | GaussNewtonParams | ModelReferenceParams
 AnyParams = NamedParams | OwnParams
 ControllerParams = Annotated[AnyParams, KnownOrOwn("name")]
-CONTROLLERS: dict[str, type[NamedParams]] = {
-    "luxloop": HeightControllerParams,
-    "open": OpenLoopParams,
-    "feedforward": FeedforwardParams,
-    "thesis_pid": ThesisPidParams,
-    "gauss_newton": GaussNewtonParams,
-    "model_reference": ModelReferenceParams,
-}
+CONTROLLERS: dict[str, type[NamedParams]] = {params.model_fields["name"].default: params for params in get_args(NamedParams)}
 
 
 def build_controller(params: AnyParams, sensor: SymbolSensor) -> SymbolController:

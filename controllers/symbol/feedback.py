@@ -27,19 +27,24 @@ from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.params import Degrees, Length, Metres, Params, PositiveShare, Real
 
 
-class FeedbackParams(StagedParams):
-    """What both laws have in common."""
+class PoseParams(StagedParams):
+    """Limits of y, roll and pitch, and when the controller starts anew."""
+
+    y_range_m: tuple[Metres, Metres] = Field((-6.0, 6.0), description="limits of y or its correction")
+    roll_range_deg: tuple[Degrees, Degrees] = Field((-7.0, 7.0), description="limits of the roll or its correction")
+    pitch_range_deg: tuple[Degrees, Degrees] = Field((-4.0, 2.2), description="limits of the pitch or its correction, nose down positive")
+    losses_to_reset: int = Field(
+        2, ge=1, le=1_000_000, description="consecutive failed extractions after which the flat-road primitive is shown again"
+    )
+
+
+class FeedbackParams(PoseParams):
+    """What Gauss-Newton and the model reference have in common."""
 
     dof: Literal["z", "x"] = Field("z", description="what shifts the symbol along the road: height or place of its rectangle")
     gain: PositiveShare = Field(0.7, description="share of a correction that a step makes")
     shift_range_m: tuple[Metres, Metres] = Field(
         (-9.0, 23.0), description="limits of the correction along x, or of what a height amounts to"
-    )
-    y_range_m: tuple[Metres, Metres] = Field((-6.0, 6.0), description="limits of the correction of y")
-    roll_range_deg: tuple[Degrees, Degrees] = Field((-7.0, 7.0), description="limits of the correction of roll")
-    pitch_range_deg: tuple[Degrees, Degrees] = Field((-4.0, 2.2), description="limits of the correction of pitch, nose down positive")
-    losses_to_reset: int = Field(
-        2, ge=1, le=1_000_000, description="consecutive failed extractions after which the flat-road primitive is shown again"
     )
 
 
@@ -132,10 +137,9 @@ class Feedback:
 
     def step(self, state: FeedbackState, observation: Observation) -> FeedbackState:
         """Correct by what was seen; hold while the symbol is lost, show the flat-road primitive after repeated loss."""
-        usable = (observation.measurement.code == ExtractionStatus.SEEN) & observation.measurement.errors.isfinite().all(-1)
-        lost = ~usable & (observation.measurement.code != ExtractionStatus.NO_FRAME)
-        losses = torch.where(usable, 0, state.losses + lost)
-        offset = torch.where(usable[..., None], observation.measurement.errors, 0.0)
+        errors = observation.measurement.errors
+        usable, losses = _count(state.losses, observation.measurement.code, errors)
+        offset = torch.where(usable[..., None], errors, 0.0)
         if isinstance(self.params, ModelReferenceParams):
             rendered = self.sensor.render(observation.shown.projection, observation.shown.lights)
             offset = torch.where(usable[..., None], offset + self.sensor.model.target - rendered, 0.0)
@@ -146,6 +150,12 @@ class Feedback:
         reset = losses >= self.losses_to_reset
         correction = torch.where(usable[..., None], moved, state.correction)
         return FeedbackState(torch.where(reset[..., None], 0.0, correction), torch.where(reset, 0, losses))
+
+
+def _count(losses: Tensor, code: Tensor, errors: Tensor) -> tuple[Tensor, Tensor]:
+    """Whether errors `[..., 4]` are usable, and the losses in a row `[...]`; a missing frame is none."""
+    usable = (code == ExtractionStatus.SEEN) & errors.isfinite().all(-1)
+    return usable, torch.where(usable, 0, losses + (~usable & (code != ExtractionStatus.NO_FRAME)))
 
 
 def _command(params: FeedbackParams, target: Tensor, correction: Tensor) -> ProjectionCommand:
@@ -166,23 +176,17 @@ class PidTuning(Params):
     )
 
 
-class ThesisPidParams(StagedParams):
+class ThesisPidParams(PoseParams):
     """Four PIDs with the gains of T 9.4.3. Limits keep the primitive from turning edge-on, as at atan(h/x) = 2.5 deg nose-down."""
 
     name: Literal["thesis_pid"] = "thesis_pid"
     position: PidTuning = Field(PidTuning(kp=0.75, ki=0.5, kd=0.26, tracking_steps=1.1), description="gains of the x and y loops")
     rotation: PidTuning = Field(PidTuning(kp=0.5, ki=0.1, kd=0.1, tracking_steps=1.3), description="gains of the roll and pitch loops")
     x_range_m: tuple[Metres, Metres] = Field((8.0, 40.0), description="limits of the primitive's x")
-    y_range_m: tuple[Metres, Metres] = Field((-6.0, 6.0), description="limits of the primitive's y")
-    roll_range_deg: tuple[Degrees, Degrees] = Field((-7.0, 7.0), description="limits of the primitive's roll")
-    pitch_range_deg: tuple[Degrees, Degrees] = Field((-4.0, 2.2), description="limits of the primitive's pitch, nose down positive")
     x_rate_m: Length = Field(1.5, description="largest move along x a step")
     y_rate_m: Length = Field(0.9, description="largest move along y a step")
     roll_rate_deg: float = Field(2.4, gt=0, le=180, description="largest turn in roll a step")
     pitch_rate_deg: float = Field(1.35, gt=0, le=180, description="largest turn in pitch a step")
-    losses_to_reset: int = Field(
-        2, ge=1, le=1_000_000, description="consecutive failed extractions after which the flat-road primitive is shown again"
-    )
 
 
 @dataclass(frozen=True)
@@ -230,12 +234,10 @@ class ThesisPid:
         A missing frame says nothing about the symbol: the pose is held and the loss is not counted.
         """
         seen = observation.measurement
-        usable = (seen.code == ExtractionStatus.SEEN) & seen.pose_error.isfinite().all(-1)
-        lost = ~usable & (seen.code != ExtractionStatus.NO_FRAME)
-        losses = torch.where(usable, 0, state.losses + lost)
+        usable, losses = _count(state.losses, seen.code, seen.pose_error)
         reset = losses >= self.losses_to_reset
         error = torch.where(usable[..., None], -seen.pose_error, 0.0)  # not NaN, whose gradient would survive the choice below
-        moved, _ = pid_step(state.pid, error, 1.0, self.gains)
+        moved = pid_step(state.pid, error, 1.0, self.gains)
         pid = _where(usable[..., None], moved, state.pid)
         pid = _where(reset[..., None], pid_reset(self.gains, self.target.expand_as(pid.output)), pid)
         return ThesisPidState(pid, torch.where(reset, 0, losses))

@@ -34,8 +34,8 @@ def run(gains: PidGains, errors: Tensor, dt: float, state: PidState | None = Non
     state = at_rest(gains) if state is None else state
     outputs = []
     for error in errors:
-        state, output = pid_step(state, error, dt, gains)
-        outputs.append(output)
+        state = pid_step(state, error, dt, gains)
+        outputs.append(state.output)
     return torch.stack(outputs)
 
 
@@ -65,8 +65,8 @@ def test_thesis_gains_are_stable_in_incremental_form_at_unit_step(gains: tuple[f
     def step(x: Tensor) -> Tensor:
         integral, previous_error, c = x[:, None]
         state = PidState(integral, torch.zeros_like(c), previous_error, c, torch.ones_like(c, dtype=torch.bool))
-        state, c = pid_step(state, -c, 1.0, loop)  # the plant shows c, its target is 0
-        return torch.cat([state.integral, state.previous_error, c])
+        state = pid_step(state, -c, 1.0, loop)  # the plant shows c, its target is 0
+        return torch.cat([state.integral, state.previous_error, state.output])
 
     A = torch.autograd.functional.jacobian(step, torch.zeros(3, dtype=torch.float64))
     assert torch.linalg.eigvals(A).abs().max().item() == pytest.approx(radius, abs=0.005)  # quoted with two digits
@@ -78,7 +78,7 @@ def test_each_step_takes_its_share_of_the_pid_sum_beyond_a_limit(form: str, trac
     gains = bank(kp=1.0, upper=0.0, tracking_time=tracking_time, form=form)
     state = at_rest(gains)
     for step in range(1, 6):
-        state, _ = pid_step(state, torch.full((1,), 3.0, dtype=torch.float64), 0.1, gains)
+        state = pid_step(state, torch.full((1,), 3.0, dtype=torch.float64), 0.1, gains)
         assert (state.integral + 3.0).item() == pytest.approx(3.0 * (1 - share) ** step)  # on the limit, not beyond it, at a share of 1
 
 
@@ -105,22 +105,22 @@ def test_reset_is_bumpless(device: torch.device) -> None:
     loop = {"kp": 0.4, "ki": 0.2, "kd": 9.0}
 
     gains = bank(device, **loop)
-    state, first = pid_step(pid_reset(gains, start), error, 0.1, gains)
-    _, second = pid_step(state, error, 0.1, gains)
-    torch.testing.assert_close(first, start)
-    torch.testing.assert_close(second - first, torch.full_like(first, 0.2 * 5.0 * 0.1))  # the integral alone moves it
+    first = pid_step(pid_reset(gains, start), error, 0.1, gains)
+    second = pid_step(first, error, 0.1, gains)
+    torch.testing.assert_close(first.output, start)
+    torch.testing.assert_close(second.output - start, torch.full_like(start, 0.2 * 5.0 * 0.1))  # the integral alone moves it
 
     gains = bank(device, **loop, form="incremental")
-    _, first = pid_step(pid_reset(gains, start), error, 0.1, gains)
-    torch.testing.assert_close(first, start + 0.1 * (0.4 + 0.2 * 0.1) * 5.0)  # no derivative kick
+    first = pid_step(pid_reset(gains, start), error, 0.1, gains)
+    torch.testing.assert_close(first.output, start + 0.1 * (0.4 + 0.2 * 0.1) * 5.0)  # no derivative kick
 
 
 def test_changed_gains_do_not_bump_the_integral() -> None:
     gains = bank(ki=0.5)
     error = torch.ones(1, dtype=torch.float64)
-    state, before = pid_step(at_rest(gains), error, 1.0, gains)
-    _, after = pid_step(state, 0 * error, 1.0, replace(gains, ki=gains.ki * 10))
-    torch.testing.assert_close(after, before)
+    before = pid_step(at_rest(gains), error, 1.0, gains)
+    after = pid_step(before, 0 * error, 1.0, replace(gains, ki=gains.ki * 10))
+    torch.testing.assert_close(after.output, before.output)
 
 
 @pytest.mark.parametrize("form", ["position", "incremental"])
@@ -157,8 +157,8 @@ def test_gradients(form: str) -> None:
 def test_unlimited_defaults_keep_gradients_finite() -> None:
     gains = bank(kp=1.0, ki=0.1)
     leaves = [getattr(gains, f.name).requires_grad_() for f in fields(gains) if f.name != "form"]
-    _, output = pid_step(pid_reset(gains, torch.zeros(1, dtype=torch.float64)), torch.ones(1, dtype=torch.float64), 0.1, gains)
-    gradients = torch.autograd.grad(output.sum(), leaves, allow_unused=True)
+    state = pid_step(pid_reset(gains, torch.zeros(1, dtype=torch.float64)), torch.ones(1, dtype=torch.float64), 0.1, gains)
+    gradients = torch.autograd.grad(state.output.sum(), leaves, allow_unused=True)
     assert all(g is None or g.isfinite().all() for g in gradients)
 
 

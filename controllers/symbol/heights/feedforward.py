@@ -35,21 +35,21 @@ class OpenLoopParams(Params):
     name: Literal["open"] = "open"
 
 
-@dataclass(frozen=True)
 class OpenLoop:
-    """Shows the target pose `[4]` for ever; the state is the pose."""
+    """Shows the target pose `[4]` for ever; the state is the projection."""
 
-    target: Tensor
+    def __init__(self, target: Tensor) -> None:
+        self.target = target
 
-    def start(self, pose: Tensor) -> Tensor:
-        """The target, in the shape of the pose `[..., 4]`."""
-        return self.target.expand_as(pose)
+    def start(self, pose: Tensor) -> ProjectionCommand:
+        """The symbol as it is at the target, in the shape of the pose `[..., 4]`."""
+        return ProjectionCommand(self.target.expand_as(pose))
 
-    def projection(self, state: Tensor, ego: Ego | None) -> ProjectionCommand:
-        """The symbol as it is at the target `[..., 4]`."""
-        return ProjectionCommand(state)
+    def projection(self, state: ProjectionCommand, ego: Ego | None) -> ProjectionCommand:
+        """The same for ever."""
+        return state
 
-    def step(self, state: Tensor, observation: Observation) -> Tensor:
+    def step(self, state: ProjectionCommand, observation: Observation) -> ProjectionCommand:
         """Nothing changes."""
         return state
 
@@ -73,8 +73,8 @@ class FeedforwardParams(Params):
     offset_m: float = Field(0.0, ge=-0.2, le=0.2, description="added to its heights, to see what a wrong road does")
 
 
-class Feedforward:
-    """Draws for the given road for ever; the state is the projection."""
+class Feedforward(OpenLoop):
+    """Draws for the given road for ever."""
 
     def __init__(self, params: FeedforwardParams, sensor: SymbolSensor) -> None:
         symbol = sensor.projector.params
@@ -88,35 +88,27 @@ class Feedforward:
         """The symbol for the given road, whatever the pose `[4]`."""
         return self.drawn
 
-    def projection(self, state: ProjectionCommand, ego: Ego | None) -> ProjectionCommand:
-        """The same for ever."""
-        return state
-
-    def step(self, state: ProjectionCommand, observation: Observation) -> ProjectionCommand:
-        """Nothing changes."""
-        return state
-
 
 @dataclass(frozen=True)
-class StructuredLightState:
-    """next: number of the pattern that is shown. seen: contrast `[h, w]` in cd/m^2 of each pattern, None where it is still missing."""
+class MeasuringState:
+    """next: number of the pattern that is shown. seen: contrast `[h, w]` in cd/m^2 of each pattern, None where it is still missing.
+
+    projection: for the road that they told, None before.
+    """
 
     next: int
     seen: tuple[Tensor | None, ...]
-
-    @property
-    def complete(self) -> bool:
-        """Whether every pattern was seen."""
-        return all(each is not None for each in self.seen)
+    projection: ProjectionCommand | None = None
 
 
-class StructuredLight:
-    """Shows each pattern and its inverse once, with the first module that draws, and triangulates."""
+class MeasuringFeedforward:
+    """Shows each pattern and its inverse once, with the first module that draws, triangulates, and draws for that road for ever."""
 
-    def __init__(self, sensor: SymbolSensor, region: Region) -> None:
+    def __init__(self, params: FeedforwardParams, sensor: SymbolSensor) -> None:
+        self.params, self.sensor = params, sensor
         modules = sensor.projector.modules
         self.headlight = modules[0].pixel_controller.headlight
-        self.forward_model = ForwardModel.prepare(sensor, region, PATTERN_CELL_M, 2, 1)
+        self.forward_model = ForwardModel.prepare(sensor, region_around(sensor), PATTERN_CELL_M, 2, 1)
         rows = self.headlight.pixel_rows
         codes = cv2.structured_light.GrayCodePattern.create(1, rows).generate()[1]
         others = tuple(each.pixel_controller.default for each in modules[1:])
@@ -128,26 +120,33 @@ class StructuredLight:
             *(each.pixel_controller.headlight.light_texture(0 * each.pixel_controller.default) for each in modules[1:]),
         )
 
-    def start(self) -> StructuredLightState:
-        """Nothing seen."""
-        return StructuredLightState(0, (None,) * len(self.patterns))
+    def start(self, pose: Tensor) -> MeasuringState:
+        """The first pattern, whatever the pose `[4]`."""
+        return MeasuringState(0, (None,) * len(self.patterns))
 
-    def projection(self, state: StructuredLightState) -> ProjectionCommand:
-        """The pattern that is shown next."""
-        return self.patterns[state.next]
+    def projection(self, state: MeasuringState, ego: Ego | None) -> ProjectionCommand:
+        """A pattern, or the symbol for the road that was found."""
+        return state.projection or self.patterns[state.next]
 
-    def step(self, state: StructuredLightState, observation: Observation) -> StructuredLightState:
-        """Keep what the frames show; go round what is still missing, since frames may be late or lost."""
+    def step(self, state: MeasuringState, observation: Observation) -> MeasuringState:
+        """Keep what the frames show; go round what is still missing, since frames may be late or lost; draw when nothing is."""
+        if state.projection is not None:
+            return state
         seen = list(state.seen)
         for k, pattern in enumerate(self.patterns):
             if observation.frames is not None and observation.shown.projection.shows(pattern):
                 seen[k] = self.forward_model.observe(observation.frames)[0]
         after = [(state.next + 1 + k) % len(seen) for k in range(len(seen))]
-        return replace(state, seen=tuple(seen), next=next((k for k in after if seen[k] is None), state.next))
+        missing = next((k for k in after if seen[k] is None), None)
+        if missing is not None:
+            return MeasuringState(missing, tuple(seen))
+        relief = self.relief(tuple(seen))
+        relief = replace(relief, heights=relief.heights + self.params.offset_m)
+        return MeasuringState(state.next, tuple(seen), shown_on(relief, self.sensor))
 
-    def relief(self, state: StructuredLightState) -> HeightMap:
-        """The road that a complete survey has found."""
-        contrasts = torch.stack([each for each in state.seen if each is not None])
+    def relief(self, seen: tuple[Tensor | None, ...]) -> HeightMap:
+        """The road that the contrasts of all patterns tell."""
+        contrasts = torch.stack([each for each in seen if each is not None])
         bits = (contrasts[0::2] > contrasts[1::2]).long()
         binary = bits.cumsum(0) % 2  # from Gray code
         row = (binary * (2 ** torch.arange(len(bits) - 1, -1, -1, device=bits.device))[:, None, None]).sum(0)
@@ -187,41 +186,6 @@ class StructuredLight:
         rise = light.top + (light.bottom - light.top) * texel / light.rows
         order = mean.argsort()
         return torch.from_numpy(np.interp(row.cpu().numpy(), mean[order].numpy(), rise[order].numpy())).to(self.forward_model.inside)
-
-
-@dataclass(frozen=True)
-class MeasuringState:
-    """survey: what was seen of the patterns. projection: for the road that they told, None before."""
-
-    survey: StructuredLightState
-    projection: ProjectionCommand | None = None
-
-
-class MeasuringFeedforward:
-    """Surveys the road, then draws for it for ever."""
-
-    def __init__(self, params: FeedforwardParams, sensor: SymbolSensor) -> None:
-        self.params, self.sensor = params, sensor
-        self.survey = StructuredLight(sensor, region_around(sensor))
-
-    def start(self, pose: Tensor) -> MeasuringState:
-        """The first pattern, whatever the pose `[4]`."""
-        return MeasuringState(self.survey.start())
-
-    def projection(self, state: MeasuringState, ego: Ego | None) -> ProjectionCommand:
-        """A pattern, or the symbol for the road that was found."""
-        return state.projection or self.survey.projection(state.survey)
-
-    def step(self, state: MeasuringState, observation: Observation) -> MeasuringState:
-        """Go on with the survey; draw as soon as it is complete."""
-        if state.projection is not None:
-            return state
-        survey = self.survey.step(state.survey, observation)
-        if not survey.complete:
-            return MeasuringState(survey)
-        relief = self.survey.relief(survey)
-        relief = replace(relief, heights=relief.heights + self.params.offset_m)
-        return MeasuringState(survey, shown_on(relief, self.sensor))
 
 
 def region_around(sensor: SymbolSensor) -> Region:

@@ -27,7 +27,7 @@ def test_a_survey_finds_a_lifted_plane_and_draws_for_it() -> None:
         state, result = sim.step(state)
         result = sim.evaluate(result)
     assert isinstance(sim.symbol.controller, MeasuringFeedforward)
-    heights = sim.symbol.controller.survey.relief(state.symbols["symbol"].controller.survey).heights
+    heights = sim.symbol.controller.relief(state.symbols["symbol"].controller.seen).heights
     assert heights.mean() == pytest.approx(0.03, abs=0.002)  # the camera has half a row of the lamp's in a row of its own
     # the judge's limit for a right symbol: what a camera of 20 cm a row leaves of the edges
     assert result.symbol.verdict.centroid_percent.abs().max() < 2.0
