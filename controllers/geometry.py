@@ -55,9 +55,12 @@ def on_road(T_world_road: Tensor, origin: Tensor, d1: Tensor, d2: Tensor) -> Pla
     return Place(p + T[:3, 3], a, b, T[:3, 2])
 
 
-def facing(T_world_box: Tensor, low: Tensor, high: Tensor, viewer: Tensor) -> Place:
-    """An upright rectangle `[3]` through the centre of a box, facing the viewer `[3]` m, of the box's apparent width and height."""
-    low, high, viewer = low.to(T_world_box), high.to(T_world_box), viewer.to(T_world_box)
+def facing(T_world_box: Tensor, bounds: Tensor, viewer: Tensor) -> Place:
+    """An upright rectangle `[3]` through the centre of a box, facing the viewer `[3]` m, of the box's apparent width and height.
+
+    bounds: `[2, 3]` m, opposite corners in the box's frame.
+    """
+    (low, high), viewer = bounds.to(T_world_box), viewer.to(T_world_box)
     up = T_world_box[:3, 2]
     middle = T_world_box[:3, :3] @ ((low + high) / 2) + T_world_box[:3, 3]
     to_viewer = viewer - middle

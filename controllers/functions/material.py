@@ -119,7 +119,7 @@ class MaterialParams(SelectionParams):
             return ()
         margin = self.margin_m * torch.tensor([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]]).double()
         standing = [
-            facing(each.T_world_object.double(), *(each.bounds + margin), now.lamps.double().mean(0))
+            facing(each.T_world_object.double(), each.bounds + margin, now.lamps.double().mean(0))
             for each in self.select(now)
             if each.present(now.time_s)
         ]

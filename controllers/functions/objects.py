@@ -168,6 +168,6 @@ class MarkerParams(DrawingParams, SelectionParams):
         return line, dimmed.draw(around)
 
     def _body(self, each: TrackedObject, now: Situation) -> Place:
-        low, high = each.bounds
-        high[2] *= self.up_to
-        return facing(each.T_world_object, low, high, now.lamps.mean(0))
+        bounds = each.bounds
+        bounds[1, 2] *= self.up_to
+        return facing(each.T_world_object, bounds, now.lamps.mean(0))

@@ -131,7 +131,7 @@ class ZoneParams(Params):
         T, low, high = self.box
         size, lamp = high - low, lamps.double().mean(0)
         if min(self.size_m) > 0:
-            return facing(T, low, high, lamp)
+            return facing(T, torch.stack([low, high]), lamp)
         flat = self.size_m.index(0)
         d1, d2 = (T[:3, k] * size[k] for k in range(3) if k != flat)
         towards = torch.where((lamp - T[:3, 3]) @ T[:3, flat] < 0, -1.0, 1.0)
