@@ -18,9 +18,8 @@ import torch
 
 from luxloop.loop.recording.sources import digest_of_code
 from luxloop.loop.report.terminal import markdown_table, number
-from luxloop.loop.studies.jobs.executors import local
-from luxloop.loop.studies.jobs.runner import Job, Values, digest_of
-from luxloop.loop.studies.jobs.runner import run as run_jobs
+from luxloop.loop.studies.jobs import Job, Values, digest_of, local
+from luxloop.loop.studies.jobs import run as run_jobs
 
 OMP, MESA, BLAS = "OMP_NUM_THREADS", "LP_NUM_THREADS", "OPENBLAS_NUM_THREADS"
 GPU_ROUNDS, GPU_WARM_UPS = 500, 10  # as in the thesis

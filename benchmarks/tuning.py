@@ -22,7 +22,7 @@ from luxloop.loop.scenario.model import Scenario, load
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies import objective, ranges
 from luxloop.loop.studies.batch.rollouts import rollouts
-from luxloop.loop.studies.jobs.executors import Executor, local
+from luxloop.loop.studies.jobs import Executor, local
 from luxloop.loop.studies.tune import Task, Tuning, run_all
 from luxloop.loop.studies.tune_report import do_tune
 

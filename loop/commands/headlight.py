@@ -276,15 +276,13 @@ def _print_compliance(lamp: "Lamp") -> None:
 @contextmanager
 def _pixels_done() -> Iterator[Callable[[str, int, int], None]]:
     """A progress bar for each module; yields a function of the module's name, its pixels done and its number of pixels."""
-    from luxloop.loop.report.progress import progress
-
     with ExitStack() as bars:
         advance: list[Callable[[], None]] = []
 
         def on_progress(name: str, done: int, of: int) -> None:
             if done == 1:
                 bars.close()
-                advance[:] = [bars.enter_context(progress(f"{name}, pixels", of))]
+                advance[:] = [bars.enter_context(tables.progress(f"{name}, pixels", of))]
             advance[0]()
 
         yield on_progress

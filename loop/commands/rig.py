@@ -15,7 +15,6 @@ from luxloop.loop.commands.options import AllowCode, Count, Flag, Keys, Share, s
 from luxloop.loop.commands.rig_calibration import board, calibrate, digitise, fit
 from luxloop.loop.commands.rig_runs import await_rig, pixel_grids
 from luxloop.loop.report import terminal as tables
-from luxloop.loop.report.progress import progress
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import whole
 
@@ -166,7 +165,7 @@ def light(
         print(f"{file}: all {count:,} pixels would be lit for {seconds:g} s; give --arm to light them")
         return
     on = tuple(np.full(grid, level, np.float32) for grid in grids)
-    with locate(str(file)), open_rig(params, grids, None, armed=True) as rig, progress("light", max(round(seconds), 1)) as advance:
+    with locate(str(file)), open_rig(params, grids, None, armed=True) as rig, tables.progress("light", max(round(seconds), 1)) as advance:
         await_rig(rig)
         until_s, number = time.monotonic() + seconds, 0
         while time.monotonic() < until_s:
@@ -212,7 +211,7 @@ def take(
         raise LuxloopError(f"{out}: is there already; name another, or remove it")
     params = load_rig(file, allow_code=allow_code).model_copy(update={"mark": None})
     paths = [out] if single else [out / f"{k:03d}.png" for k in range(count)]
-    with locate(str(file)), open_rig(params, (), None, armed=False) as rig, progress("pictures", len(paths)) as advance:
+    with locate(str(file)), open_rig(params, (), None, armed=False) as rig, tables.progress("pictures", len(paths)) as advance:
         await_rig(rig)
         for k, path in enumerate(paths):
             time.sleep(every_s if k else 0.0)
@@ -276,7 +275,7 @@ def blink(
     if not arm:
         print(f"{file}: all {sum(rows * columns for rows, columns in grids):,} pixels would blink {blinks} times; give --arm to light them")
         return
-    with locate(str(file)), open_rig(params, grids, None, armed=True) as rig, progress("blink", blinks + 2) as advance:
+    with locate(str(file)), open_rig(params, grids, None, armed=True) as rig, tables.progress("blink", blinks + 2) as advance:
         await_rig(rig)
         found = evaluate(record(rig, grids, blinks, level, advance), blinks)
     tables.show(tables.facts(_delays(found)))

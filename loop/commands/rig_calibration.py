@@ -290,7 +290,6 @@ def fit(
     set
         Keys of the scenario to change first, as key=value in TOML syntax.
     """
-    from luxloop.loop.report.progress import progress
     from luxloop.loop.rig.calibration.twin import fit as fitted
     from luxloop.loop.rig.calibration.twin import read_exposures
 
@@ -301,7 +300,7 @@ def fit(
         return scenario_of(name, [*keys, *(f"{key}={value!r}" for key, value in values.items())], allow_code=allow_code)
 
     shown = read_exposures(recording, scenario_with({}), exposures)
-    with progress("pictures", 1) as advance:
+    with tables.progress("pictures", 1) as advance:
         found = fitted(scenario_with, shown, spans, lambda: advance(0))
     rows = ((key, f"{value:.6g}", f"{found.stds[key]:.2g}") for key, value in found.values.items())
     tables.show(tables.plain(("key", "value", "standard deviation"), rows, "lrr"))

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from luxloop.loop.report import terminal as tables
-from luxloop.loop.report.progress import progress
 from luxloop.world.errors import LuxloopError, locate, redact
 
 if TYPE_CHECKING:
@@ -176,7 +175,7 @@ def _twin(out: Path, simulated: "SimulatedPlant", mark: "MarkParams | None", exp
     from luxloop.loop.rig.calibration.twin import write_twin
 
     try:
-        with progress("twin", exposures) as advance:
+        with tables.progress("twin", exposures) as advance:
             return write_twin(out, simulated, mark, advance)
     except KeyboardInterrupt as error:
         raise KeyboardInterrupt(f"the run is kept in {out}, without its twin") from error

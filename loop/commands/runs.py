@@ -13,7 +13,6 @@ from luxloop.loop.recording.checks import success
 from luxloop.loop.recording.manifest import TRAJECTORY, Manifest
 from luxloop.loop.recording.replay import replay
 from luxloop.loop.report import terminal as tables
-from luxloop.loop.report.progress import progress
 from luxloop.loop.report.run_table import summary_table
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario
@@ -37,7 +36,7 @@ def run_scenario(scenario: Scenario, out: Path, device: str, checks: bool, kept:
     wanted = [name for name in ("report", "video") if kept[name]]
     writing = f"{scenario.name}: writing {' and '.join(wanted) or 'recording'}"
 
-    with progress(scenario.name, scenario.steps) as advance:
+    with tables.progress(scenario.name, scenario.steps) as advance:
 
         def on_step(result: StepResult) -> None:
             nonlocal done
@@ -63,7 +62,7 @@ def compare_recording(directory: Path, allow_code: bool) -> bool:
     """Run a recording again and show the differences; returns whether the two agree."""
     manifest = Manifest.read(directory)
     _one_thread()
-    with progress(str(manifest.scenario.get("name")), read_parquet(directory / TRAJECTORY).num_rows) as advance:
+    with tables.progress(str(manifest.scenario.get("name")), read_parquet(directory / TRAJECTORY).num_rows) as advance:
         comparison = replay(directory, on_step=lambda result: advance(), allow_code=allow_code)
     for note in comparison.notes:
         tables.say(f"note: {note}")

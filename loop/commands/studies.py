@@ -88,8 +88,7 @@ def dataset(
     jobs
         Processes, each with one thread; by default one per core.
     """
-    from luxloop.loop.studies.dataset.make import make_dataset
-    from luxloop.loop.studies.dataset.scenes import read
+    from luxloop.loop.studies.dataset import make_dataset, read
 
     counts, failures = make_dataset(read(file, scenes, allow_code=allow_code), out or Path("runs") / file.stem, jobs)
     for key, reason in failures.items():

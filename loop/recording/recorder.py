@@ -13,9 +13,8 @@ import pyarrow as pa
 
 from luxloop.loop.recording.frames import FrameRecorder, ShadowTally
 from luxloop.loop.recording.functions_summary import summary_of
-from luxloop.loop.recording.label_recorder import LabelRecorder
 from luxloop.loop.recording.labels import PATTERNS as LABEL_FILES
-from luxloop.loop.recording.labels import Labels
+from luxloop.loop.recording.labels import LabelRecorder, Labels
 from luxloop.loop.recording.manifest import EDITS, FILES, SUMMARY, TRAJECTORY, Manifest, table_of, write_json, write_table
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.scenario.edits import Edit, add

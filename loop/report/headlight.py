@@ -12,9 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from luxloop.loop.report import charts
+from luxloop.loop.report.charts import WALL_M, car_outline, distance_marks, draw_birdseye, draw_eye, draw_pixels, draw_texture, draw_wall
 from luxloop.loop.report.facts import borders_deg, flux_lm, peak
-from luxloop.loop.report.panels import WALL_M, draw_birdseye, draw_eye, draw_pixels, draw_texture, draw_wall
 from luxloop.loop.report.style import STYLE, no_frame, page_title, write
 from luxloop.loop.report.styles import check_out, style_of
 from luxloop.loop.report.terminal import plural
@@ -152,13 +151,13 @@ def _draw(car: LitCar, beam: str, view: str, style: str, road: Road, visibility_
             axes = figure.subplots()
             draw_eye(axes, seen, style)
             if style != "isolux":
-                charts.distance_marks(axes, seen, road.lane_width_m)
+                distance_marks(axes, seen, road.lane_width_m)
         case "volume":
             figure = _page(car, beam, f"in fog, visibility {visibility_m:g} m", _eye_inches(style))
             seen = road.look(car, beside(), Medium.fog(visibility_m))
             axes = figure.subplots()
             draw_eye(axes, seen, style)
-            charts.car_outline(axes, seen)
+            car_outline(axes, seen)
         case _:
             figure = _modules(car, beam, view)
     return figure
@@ -217,7 +216,7 @@ def _draw_overview(figure: Figure, car: LitCar, beam: str, road: Road) -> None:
     eye.set_title("The driver's view")
     ahead = road.look(car, driver(960))
     draw_eye(eye, ahead, "luminance")
-    charts.distance_marks(eye, ahead, road.lane_width_m)
+    distance_marks(eye, ahead, road.lane_width_m)
     text = right.subplots()
     no_frame(text)
     _write_facts(text, facts(car, beam))

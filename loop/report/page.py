@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from luxloop.loop.recording.remedies import SHADOW
 from luxloop.loop.report.courses import write_courses
 from luxloop.loop.report.highlights import Highlights
-from luxloop.loop.report.marks import marks, readable
-from luxloop.loop.report.picture import WALL_DEG, camera_luminance, wall_light, white_of
+from luxloop.loop.report.picture import WALL_DEG, camera_luminance, marks, readable, wall_light, white_of
 from luxloop.loop.report.run_table import processing
 from luxloop.loop.report.style import SHARES, drawing, field, page_title
 from luxloop.loop.report.symbol import HIGH_IN, draw_symbol

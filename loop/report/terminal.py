@@ -1,13 +1,16 @@
-"""Tables, to the terminal and to Markdown, and the values that stand in them."""
+"""Tables, to the terminal and to Markdown, the values that stand in them, and progress on stderr."""
 
 import json
 import math
 import sys
-from collections.abc import Iterable, Mapping
-from typing import Any
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, Protocol
 
 from rich.console import Console, JustifyMethod
 from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 WIDE = 160  # columns where there is no terminal to fit into
@@ -74,3 +77,37 @@ def plural(count: int, noun: str) -> str:
 def number(value: float | None, form: str = "g", unit: str = "") -> str:
     """A number in a form such as `.2f`; a dash where there is none."""
     return "–" if value is None or math.isnan(value) else f"{value:{form}}{unit}"
+
+
+LINE_S = 30.0  # between two lines at least
+
+
+class Advance(Protocol):
+    """Called after every step, or with no steps to show what goes on now."""
+
+    def __call__(self, steps: int = 1, now: str | None = None) -> None: ...
+
+
+@contextmanager
+def progress(title: str, total: int, done: int = 0) -> Iterator[Advance]:
+    """Call what it gives after every step; `done` of the total are done already."""
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    stderr = console(stderr=True)
+    start, before = time.monotonic(), done
+    shown_s = start
+    if done and not stderr.is_terminal:
+        stderr.print(f"{title}: {done} of {total} already done", markup=False)
+    with Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
+        task = bar.add_task(title, total=total, completed=done)
+
+        def advance(steps: int = 1, now: str | None = None) -> None:
+            nonlocal done, shown_s
+            done += steps
+            bar.update(task, advance=steps, description=now or title)
+            time_s = time.monotonic()
+            if not stderr.is_terminal and time_s - shown_s >= LINE_S:
+                shown_s = time_s
+                left = (total - done) / max(done - before, 1) * (time_s - start)
+                stderr.print(f"{title}: {done} of {total} done after {time_s - start:.0f} s, about {left:.0f} s left", markup=False)
+
+        yield advance

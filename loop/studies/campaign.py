@@ -15,8 +15,7 @@ from luxloop.loop.recording.manifest import digests
 from luxloop.loop.recording.sources import digest_of_code
 from luxloop.loop.scenario.model import Scenario, load, only, validate
 from luxloop.loop.scenario.overrides import resolve_paths
-from luxloop.loop.studies.jobs.executors import ALL_CORES, Executor
-from luxloop.loop.studies.jobs.runner import Job, Results, run
+from luxloop.loop.studies.jobs import ALL_CORES, Executor, Job, Results, run
 from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import output_folder
 from luxloop.world.params import Params, Seed
@@ -117,7 +116,7 @@ def read(file: Path, *, allow_code: bool = False) -> list[Run]:
 def run_campaign(file: Path, out: Path, *, device: str = "cpu", executor: Executor = ALL_CORES, allow_code: bool = False) -> Campaign:
     """Do the runs whose results `out` does not hold yet, and write the table of all runs.
 
-    Raises what `read`, `luxloop.loop.studies.jobs.runner.run` and `luxloop.world.files.output_folder` raise.
+    Raises what `read`, `luxloop.loop.studies.jobs.run` and `luxloop.world.files.output_folder` raise.
     """
     runs = read(file, allow_code=allow_code)
     jobs = [

@@ -10,7 +10,7 @@ from luxloop.loop.report import terminal as tables
 from luxloop.loop.report.style import DEFAULTS, drawing
 from luxloop.loop.run import torch_device
 from luxloop.loop.studies.campaign import TABLE, Campaign, Row, run_campaign
-from luxloop.loop.studies.jobs.executors import dask, local
+from luxloop.loop.studies.jobs import dask, local
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import whole
 

@@ -14,13 +14,13 @@ from torch import Tensor
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.loop.recording.summary import FINAL
-from luxloop.loop.report.progress import progress
+from luxloop.loop.report.terminal import progress
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import only
 from luxloop.loop.simulation.result import Rollout
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.batch.rollouts import check, rollouts_by
-from luxloop.loop.studies.jobs.executors import Executor
+from luxloop.loop.studies.jobs import Executor
 from luxloop.loop.studies.ranges import Range
 from luxloop.loop.studies.tune import (
     FAILURES,

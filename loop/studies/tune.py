@@ -21,11 +21,10 @@ from optuna.trial import TrialState, create_trial
 
 from luxloop.loop.recording.manifest import digests
 from luxloop.loop.recording.sources import digest_of_code
-from luxloop.loop.report.progress import progress
+from luxloop.loop.report.terminal import progress
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.studies.campaign import kind_of, runs_of_many
-from luxloop.loop.studies.jobs.executors import Executor
-from luxloop.loop.studies.jobs.runner import bundles, reason
+from luxloop.loop.studies.jobs import Executor, bundles, reason
 from luxloop.loop.studies.objective import Objective
 from luxloop.loop.studies.ranges import Range, Values, value_of, with_values
 from luxloop.world.errors import LuxloopError
@@ -286,7 +285,7 @@ def run_parts(task: Task, parts: Sequence[Runs], execute: Executor) -> list[Part
 
 
 def places_of(runs: Runs, workers: int) -> list[list[int]]:
-    """Places of the runs that are done together (`luxloop.loop.studies.jobs.runner`)."""
+    """Places of the runs that are done together (`luxloop.loop.studies.jobs`)."""
     return bundles([kind_of(run) if len(runs) > 1 else None for run in runs], workers)
 
 

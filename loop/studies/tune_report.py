@@ -13,7 +13,7 @@ from luxloop.loop.report.style import DEFAULTS, drawing
 from luxloop.loop.report.terminal import number
 from luxloop.loop.studies import objective, ranges
 from luxloop.loop.studies.gradient import tune_by_gradient
-from luxloop.loop.studies.jobs.executors import local
+from luxloop.loop.studies.jobs import local
 from luxloop.loop.studies.tune import STUDY, Task, Tuning, note_batches, tune
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import turn, whole

@@ -14,10 +14,10 @@ import torch
 
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.recording.checks import Checks
-from luxloop.loop.recording.editing import apply_edit
 from luxloop.loop.recording.manifest import REPORT
 from luxloop.loop.recording.record import schema
 from luxloop.loop.recording.recorder import Recorder, Tally
+from luxloop.loop.recording.replay import apply_edit
 from luxloop.loop.report.highlights import Highlights
 from luxloop.loop.report.picture import white_of
 from luxloop.loop.run import prepare

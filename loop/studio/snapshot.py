@@ -10,8 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from luxloop.loop.report.marks import marks
-from luxloop.loop.report.picture import captions
+from luxloop.loop.report.picture import captions, marks
 from luxloop.loop.simulation.columns import loss_name
 from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.simulation import Simulation

@@ -30,9 +30,8 @@ from luxloop.loop.scenario.model import load, validate
 from luxloop.loop.scenario.shipped import examples, scenario_files
 from luxloop.loop.simulation import frames
 from luxloop.loop.simulation.protocol import Exposure
-from luxloop.loop.studies import campaign
-from luxloop.loop.studies.dataset import scenes
-from luxloop.loop.studies.jobs.runner import run as run_jobs
+from luxloop.loop.studies import campaign, dataset
+from luxloop.loop.studies.jobs import run as run_jobs
 from luxloop.perception.camera import CameraParams
 from luxloop.perception.detection import network
 from luxloop.perception.egomotion import Sample
@@ -407,7 +406,7 @@ ALL: dict[str, Kind] = {
     "manifest": Kind(_manifests, _json, _read_manifest, 8),
     "campaign": Kind(lambda folder: {"c.toml": CAMPAIGN}, _text, campaign.read, 1),
     "faults": Kind(_faults, _text, lambda path: Lens.of(faults.read(path).lens, CameraParams(width_px=64, height_px=48)), 2),
-    "data set": Kind(lambda folder: {"d.toml": DATASET}, _text, lambda path: scenes.read(path, 1), 1),
+    "data set": Kind(lambda folder: {"d.toml": DATASET}, _text, lambda path: dataset.read(path, 1), 1),
     "lamp description": Kind(lambda folder: {"lamp.toml": LAMP}, _text, description.build, 6),
     "lamp file": Kind(_lamp_files, mutations.of_archive, _read_lamp, 12),
     "table": Kind(_tables, _damaged_table, lambda path: TableSource(path=path, rows=2).pixels(), 8),

@@ -16,9 +16,7 @@ from torch.nn.functional import interpolate
 from luxloop.loop.recording.manifest import write_json
 from luxloop.loop.recording.record import schema
 from luxloop.loop.report import terminal as tables
-from luxloop.loop.report.marks import Mark, readable
-from luxloop.loop.report.picture import WALL_DEG, wall_light
-from luxloop.loop.report.progress import progress
+from luxloop.loop.report.picture import WALL_DEG, Mark, readable, wall_light
 from luxloop.loop.report.style import NIGHT, drawing
 from luxloop.loop.run import torch_device
 from luxloop.loop.scenario.model import Scenario
@@ -177,7 +175,7 @@ def optimise_beam(
     method = _method(method, evaluator)
     start, number = begin(evaluator), steps or STEPS[method]
     search = descend if method == "gradient" else sample
-    with output_folder(out), progress("searching", number) as advance:
+    with output_folder(out), tables.progress("searching", number) as advance:
         found = search(evaluator, start, number, lambda step, loss: advance())
         lm = sum(flux_by_side(simulation.modules, found.lights).values())
         as_dim = alike(start, [module.flux for module in simulation.modules], lm)

@@ -21,8 +21,18 @@ from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.simulated import world_plant
 from luxloop.loop.studies.batch.copies import Copies, Taken
 from luxloop.loop.studies.batch.rollouts import choose
-from luxloop.loop.studies.environment.single import SEEDS, SymbolEnv, check_options, start_of
-from luxloop.loop.studies.environment.task import Floats, Look, action_of, as_gymnasium, observation, reward_terms
+from luxloop.loop.studies.environment.single import (
+    SEEDS,
+    Floats,
+    Look,
+    SymbolEnv,
+    action_of,
+    as_gymnasium,
+    check_options,
+    observation,
+    reward_terms,
+    start_of,
+)
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.perception.metrics import Metrics
 from luxloop.world.errors import LuxloopError

@@ -17,8 +17,7 @@ from luxloop.controllers.pixels.jpo_part import pixel_goal
 from luxloop.controllers.pixels.jpo_solvers import least_error
 from luxloop.controllers.pixels.mrpc_tuning import OPTIONS, THESIS, Part, TextureControl, Trial, part, tune
 from luxloop.loop.recording.sources import digest_of_code
-from luxloop.loop.studies.jobs.executors import ALL_CORES, Executor
-from luxloop.loop.studies.jobs.runner import Job, Results, digest_of, run
+from luxloop.loop.studies.jobs import ALL_CORES, Executor, Job, Results, digest_of, run
 from luxloop.perception.metrics import dssim, mae, mare, rmse
 from luxloop.world.files import output_folder
 from luxloop.world.headlight import Headlight
@@ -74,7 +73,7 @@ def evaluate(
 
     quick: 45 instead of 1,215 rectangles, evenly spread over all five degrees of freedom, and coarser sensitivities. executor: by default a
     process per core. setpoints, grid: other rectangles, and another number of steps per parameter. Raises what
-    `luxloop.loop.studies.jobs.runner.run` and `luxloop.world.files.output_folder` raise.
+    `luxloop.loop.studies.jobs.run` and `luxloop.world.files.output_folder` raise.
     """
     chosen = setpoints or (QUICK if quick else RECTANGLES)
     parts: dict[str, tuple[Callable[..., Row], list[Job]]] = {

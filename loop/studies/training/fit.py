@@ -1,18 +1,116 @@
-"""Fit the network to examples."""
+"""Fit the network to training examples: parts of scenes, each in two lights, and the targets of the network."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import smooth_l1_loss
+from torch.nn.functional import interpolate, smooth_l1_loss
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from luxloop.loop.studies.training.examples import Examples
-from luxloop.loop.studies.training.scenes import CLASSES
-from luxloop.perception.detection.network import Network, boxes_of, network_input
+from luxloop.loop.studies.training.light import WELL_LIT_LX, all_light, full_light, lit_share, luminance, object_light
+from luxloop.loop.studies.training.scenes import CAMERA, CLASSES, DarkScene, read
+from luxloop.perception.camera import expose
+from luxloop.perception.detection.network import STRIDE, Network, boxes_of, middles, network_input
+from luxloop.perception.noise import FrameNoise
+
+SIZE = (256, 384)  # rows, columns of an example
+LEAST_HEIGHT_PX, LEAST_VISIBLE, LEAST_INSIDE = 16, 0.35, 0.4  # of objects that must be detected; others may be
+LEAST_LIT = 0.15  # least well-lit share of its visible part
+UNSEEN_LX = 0.12  # from all lamps and the sky; objects without such a share above this count as absent, to avoid confidence in the dark
+SPREAD = 0.09  # standard deviation of a middle's neighbourhood, as a share of the box
+
+
+@dataclass(frozen=True)
+class Examples:
+    """B scenes in full light, and the same B in object-based light.
+
+    frames: `[2 B, height, width]` in 0..1. heat: `[2 B, C, rows, columns]`, 1 in the middles of what must be found. counts: the same shape,
+    0 where objects lie that may be found. boxes: `[2 B, 4, rows, columns]` px, of the object that a cell belongs to; share:
+    `[2 B, rows, columns]`, how much the cell counts for it, 1 in sum.
+    """
+
+    frames: Tensor
+    heat: Tensor
+    counts: Tensor
+    boxes: Tensor
+    share: Tensor
+
+    @classmethod
+    def draw(cls, rows: Sequence[dict[str, Any]], number: int, rng: np.random.Generator) -> "Examples":
+        """Examples of a number of scenes, each from one or two of the scenes that `draw` returned as rows."""
+        full, alone = zip(*(_pair(rows, rng) for _ in range(number)), strict=True)
+        return cls(*(torch.stack(each) for each in zip(*full + alone, strict=True)))
+
+
+def _pair(rows: Sequence[dict[str, Any]], rng: np.random.Generator) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
+    """One scene in full light, and in object-based light."""
+    scene = _scene(rows, rng)
+    scene = replace(scene, ambient_lx=scene.ambient_lx * float(np.exp(rng.normal(0, 1))))
+    exposure = float(np.exp(rng.uniform(-0.25, 0.25)))
+    return example(scene, full_light(scene, rng), exposure, rng), example(scene, object_light(scene, rng), exposure, rng)
+
+
+def example(scene: DarkScene, light: Tensor, exposure: float, rng: np.random.Generator) -> tuple[Tensor, ...]:
+    """Frame, heat, counts, boxes and share as of `Examples`, of a scene on which the headlamps' light `[height, width]` lx falls."""
+    frame = interpolate(exposure * luminance(scene, light)[None, None], SIZE, mode="bilinear", antialias=True, align_corners=False)[0, 0]
+    frame = expose(frame, CAMERA, FrameNoise(int(rng.integers(2**62)))) / (2**CAMERA.bits - 1)
+    to_frame = torch.tensor([SIZE[1] / scene.shape[1], SIZE[0] / scene.shape[0]]).repeat(2)
+    seen = lit_share(scene, all_light(scene, light), UNSEEN_LX) >= LEAST_LIT
+    must = lit_share(scene, light, WELL_LIT_LX) >= LEAST_LIT
+    boxes = torch.tensor([each.box for each in scene.objects]).view(-1, 4) * to_frame
+    must &= torch.tensor([each.visible >= LEAST_VISIBLE and each.inside >= LEAST_INSIDE for each in scene.objects]).bool()
+    must &= boxes[:, 3] - boxes[:, 1] >= LEAST_HEIGHT_PX
+    return frame, *targets(boxes[seen], torch.tensor([each.label for each in scene.objects]).long()[seen], must[seen])
+
+
+def _scene(rows: Sequence[dict[str, Any]], rng: np.random.Generator) -> DarkScene:
+    """A part of a scene, of any size; most with the objects of another one besides."""
+    scale = float(np.exp(rng.uniform(-0.3, 0.35)))
+    height, width = min(round(SIZE[0] / scale), CAMERA.height_px), min(round(SIZE[1] / scale), CAMERA.width_px)
+    top = int(rng.integers(CAMERA.height_px - height + 1))
+
+    def part() -> DarkScene:
+        row = rows[int(rng.integers(len(rows)))]
+        middle = float(rng.uniform(0, CAMERA.width_px))
+        if row["objects"] and rng.random() < 0.7:
+            box = row["objects"][int(rng.integers(len(row["objects"])))]["box"]
+            middle = (box[0] + box[2]) / 2 + float(rng.normal(0, 0.25 * width))
+        left = int(np.clip(middle - width / 2, 0, CAMERA.width_px - width))
+        scene = read(row, slice(top, top + height), slice(left, left + width))
+        return scene.mirror() if rng.random() < 0.5 else scene
+
+    scene = part()
+    return scene.behind(part()) if rng.random() < 0.5 else scene
+
+
+def targets(boxes: Tensor, labels: Tensor, must: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Heat, counts, boxes and share as of `Examples`, of boxes `[n, 4]` px, their labels `[n]`, and which must be found `[n]`."""
+    rows, columns = SIZE[0] // STRIDE, SIZE[1] // STRIDE
+    at = middles(rows, columns, boxes.device)
+    x, y = at[0], at[1]
+    left, top, right, bottom = boxes[:, :, None, None].unbind(1)
+    inside = (x > left - STRIDE) & (x < right + STRIDE) & (y > top - STRIDE) & (y < bottom + STRIDE)
+    counts = (~(inside & ~must[:, None, None])).all(0).float().expand(len(CLASSES), -1, -1)
+    # from the cell's middle, so that there it is 1
+    middle = (torch.stack([left + right, top + bottom]) / 2 / STRIDE).floor().mul(STRIDE).add(STRIDE / 2)
+    width, height = (SPREAD * side.clamp(min=STRIDE / SPREAD / 2) for side in (right - left, bottom - top))
+    near = (-0.5 * (((x - middle[0]) / width) ** 2 + ((y - middle[1]) / height) ** 2)).exp() * must[:, None, None]
+    heat = torch.zeros(len(CLASSES), rows, columns)
+    for label in range(len(CLASSES)):
+        of_class = near[labels == label]
+        heat[label] = of_class.amax(0) if len(of_class) else 0
+    if not len(boxes):
+        return heat, counts, torch.zeros(4, rows, columns), torch.zeros(rows, columns)
+    small_first = torch.where(near > 0.2, 1 / ((right - left) * (bottom - top)), 0)
+    owner = small_first.argmax(0)
+    owned = near.gather(0, owner[None])[0] * (small_first.amax(0) > 0)
+    total = torch.zeros(len(boxes)).index_add(0, owner.flatten(), owned.flatten())
+    return heat, counts, boxes[owner].permute(2, 0, 1), owned / total[owner].clamp(min=1e-6)
+
 
 BATCH = 8  # scenes, each in two lights
 RATE = 4e-3

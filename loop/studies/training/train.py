@@ -14,9 +14,7 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from luxloop.loop.report import terminal as tables
-from luxloop.loop.report.progress import progress
-from luxloop.loop.studies.jobs.executors import Executor, local
-from luxloop.loop.studies.jobs.runner import Job, Results, digest_of, run
+from luxloop.loop.studies.jobs import Executor, Job, Results, digest_of, local, run
 from luxloop.loop.studies.training import scenes
 from luxloop.loop.studies.training.evaluate import JUDGED_LX, boxes_right, evaluate, expose_scene, light_on_objects
 from luxloop.loop.studies.training.fit import BATCH, fit
@@ -79,7 +77,7 @@ def _learnt(rows: Sequence[dict[str, Any]], epochs: int, seed: int) -> tuple[Net
     last = len(rows) // CALIBRATING
     learnt, asked = (rows[:-last], rows[-last:]) if last else (rows, rows)
     steps = -(-epochs * len(learnt) // BATCH)
-    with progress("training", steps) as advance:
+    with tables.progress("training", steps) as advance:
         network = fit(learnt, steps, seed, lambda _: advance())
     detector = NetworkDetector(network, scenes.CLASSES, LEAST_SCORE, NetworkParams().overlap)
     slope, shift = calibrate(detector, asked)

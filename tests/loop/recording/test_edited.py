@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from luxloop.loop.recording.editing import apply_edit
+from luxloop.loop.recording.replay import apply_edit
 from luxloop.loop.scenario.edits import acts, with_overrides
 from luxloop.loop.scenario.model import Scenario, load
 from luxloop.loop.simulation.result import SimulationState, StepResult

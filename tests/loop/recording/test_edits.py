@@ -5,10 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from luxloop.loop.recording.editing import apply_edit
 from luxloop.loop.recording.manifest import EDITS
 from luxloop.loop.recording.recorder import Recorder
-from luxloop.loop.recording.replay import load, replay, rerun
+from luxloop.loop.recording.replay import apply_edit, load, replay, rerun
 from luxloop.loop.scenario.edits import Edit, with_overrides
 from luxloop.loop.scenario.model import load as scenario
 from luxloop.loop.simulation.simulation import Simulation

@@ -9,8 +9,8 @@ import pytest
 from luxloop.loop.recording.manifest import digests, input_files
 from luxloop.loop.scenario.model import load
 from luxloop.loop.studies.campaign import job_scenario
-from luxloop.loop.studies.metrics import figures
 from luxloop.loop.studies.objective import parse
+from luxloop.loop.studies.runs import figures
 from luxloop.loop.studies.tune import Task
 from luxloop.world.errors import LuxloopError
 

@@ -12,8 +12,7 @@ from pycocotools.coco import COCO
 
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.recording.frames import FrameRecorder
-from luxloop.loop.recording.label_recorder import LabelRecorder
-from luxloop.loop.recording.labels import Labels
+from luxloop.loop.recording.labels import LabelRecorder, Labels
 from luxloop.loop.run import prepare, run
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.result import StepResult

@@ -16,7 +16,7 @@ from rich.console import Console
 
 from luxloop.loop.recording.functions_summary import NAMED, brightest, eyes_lx, lost_steps, reference_power, steps_of_nothing
 from luxloop.loop.report.courses import write_courses
-from luxloop.loop.report.marks import Mark, readable
+from luxloop.loop.report.picture import Mark, readable
 from luxloop.loop.report.run_table import _of_light, _of_lost, summary_table
 from luxloop.loop.report.style import STYLE
 from luxloop.loop.run import check, in_words, run

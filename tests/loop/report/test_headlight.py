@@ -12,10 +12,9 @@ from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 
 from luxloop.loop.report import headlight
-from luxloop.loop.report.charts import distance_marks, isolines, steps
+from luxloop.loop.report.charts import distance_marks, isolines, steps, wall_angles
 from luxloop.loop.report.facts import borders_deg, flux_lm, peak
 from luxloop.loop.report.headlight import facts, reach_m, show_headlight
-from luxloop.loop.report.panels import wall_angles
 from luxloop.loop.report.styles import VIEWS
 from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, LitCar, Road, beside, birdseye, driver, grey
 from luxloop.loop.scenario.model import Scenario, validate

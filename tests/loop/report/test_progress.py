@@ -2,8 +2,8 @@
 
 import pytest
 
-from luxloop.loop.report import progress as module
-from luxloop.loop.report.progress import LINE_S, progress
+from luxloop.loop.report import terminal as module
+from luxloop.loop.report.terminal import LINE_S, progress
 
 
 def test_a_log_gets_a_line_now_and_then(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

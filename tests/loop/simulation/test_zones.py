@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from luxloop.controllers.functions.zone import ZoneParams, region_of
-from luxloop.loop.report.marks import marks
+from luxloop.loop.report.picture import marks
 from luxloop.loop.report.run_table import summary_table
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario, validate

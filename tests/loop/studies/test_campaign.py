@@ -14,12 +14,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from luxloop.loop.commands import cli
-from luxloop.loop.studies import campaign
+from luxloop.loop.studies import campaign, jobs
 from luxloop.loop.studies.campaign import JOBS, TABLE, read, run_campaign
 from luxloop.loop.studies.campaign_report import page, write_report
-from luxloop.loop.studies.jobs import runner
-from luxloop.loop.studies.jobs.executors import dask, local
-from luxloop.loop.studies.metrics import figures
+from luxloop.loop.studies.jobs import dask, local
+from luxloop.loop.studies.runs import figures
 from luxloop.world.errors import LuxloopError
 
 ROOT = Path(__file__).parents[3]
@@ -121,8 +120,8 @@ def test_table_report_and_failures(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert (out / "report.png").stat().st_size > 5_000
 
     started = []
-    original = runner._call
-    monkeypatch.setattr(runner, "_call", lambda function, task: (started.append(task), original(function, task))[1])
+    original = jobs._call
+    monkeypatch.setattr(jobs, "_call", lambda function, task: (started.append(task), original(function, task))[1])
     assert run_campaign(file, out, executor=local(1)) == found
     assert len(started) == 2  # those that failed
     monkeypatch.setattr(campaign, "digest_of_code", lambda: "other code")

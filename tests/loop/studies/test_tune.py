@@ -18,7 +18,7 @@ from luxloop.loop.studies import gradient, objective, ranges
 from luxloop.loop.studies import tune as module
 from luxloop.loop.studies.batch.rollouts import rollouts
 from luxloop.loop.studies.gradient import Surrogate, near
-from luxloop.loop.studies.jobs.executors import local
+from luxloop.loop.studies.jobs import local
 from luxloop.loop.studies.tune import FINISHED, STUDY, Task, Trace, Tuning, study_in, tune
 from luxloop.loop.studies.tune_report import BEST, PICTURE, REPORT, write
 from luxloop.world.errors import LuxloopError

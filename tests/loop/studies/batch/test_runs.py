@@ -9,7 +9,7 @@ import torch
 from luxloop.loop.scenario.model import Scenario, load
 from luxloop.loop.studies import runs as batch
 from luxloop.loop.studies.batch.copies import Copies
-from luxloop.loop.studies.metrics import figures_and_trace, ready, with_controllers
+from luxloop.loop.studies.runs import figures_and_trace, ready, with_controllers
 from luxloop.world.errors import LuxloopError
 
 SMALL = (

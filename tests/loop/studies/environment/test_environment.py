@@ -21,8 +21,7 @@ import luxloop
 from luxloop.loop.studies.environment.acting import HEIGHT_RATE_M
 from luxloop.loop.studies.environment.make import register
 from luxloop.loop.studies.environment.randomised import Randomised, RandomisedVector
-from luxloop.loop.studies.environment.single import SymbolEnv
-from luxloop.loop.studies.environment.task import reward_terms
+from luxloop.loop.studies.environment.single import SymbolEnv, reward_terms
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError
 

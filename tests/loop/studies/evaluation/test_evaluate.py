@@ -11,11 +11,11 @@ from scipy.optimize import linprog
 
 from luxloop.controllers.pixels.mrpc_tuning import part
 from luxloop.loop.commands import cli
+from luxloop.loop.studies import jobs
 from luxloop.loop.studies.evaluation import evaluate as evaluation
 from luxloop.loop.studies.evaluation import report
 from luxloop.loop.studies.evaluation.evaluate import JOBS, ROWS, SETPOINTS, Evaluation, evaluate, summary
-from luxloop.loop.studies.jobs import runner
-from luxloop.loop.studies.jobs.executors import local
+from luxloop.loop.studies.jobs import local
 from luxloop.perception.metrics import mae
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.parametric import GaussianPixels, headlight
@@ -41,7 +41,7 @@ def small() -> Iterator[Headlight]:
     light = headlight("small", pixels, TexelGrid.from_degrees(24, 64, 14, -14, -5, 5))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(evaluation, "headlight", lambda name: light)
-        patch.setattr("luxloop.loop.studies.evaluation.figures.headlight", lambda name: light)
+        patch.setattr("luxloop.loop.studies.evaluation.report.headlight", lambda name: light)
         patch.setattr("luxloop.controllers.pixels.mrpc_tuning.POPULATION", 4)
         patch.setattr("luxloop.controllers.pixels.mrpc_tuning.GENERATIONS", 5)
         yield light
@@ -102,8 +102,8 @@ def test_an_evaluation_goes_on_where_it_was(found: Evaluation, folder: Path, tmp
     lines = (folder / JOBS).read_text().splitlines()
     (tmp_path / JOBS).write_text("\n".join([*lines[1:], lines[0][:40]]))
     started = []
-    original = runner._call
-    monkeypatch.setattr(runner, "_call", lambda function, task: (started.append(task), original(function, task))[1])
+    original = jobs._call
+    monkeypatch.setattr(jobs, "_call", lambda function, task: (started.append(task), original(function, task))[1])
     again = evaluate(tmp_path, ["hd84"], executor=local(1), setpoints=RECTANGLES, grid=2)
     assert len(started) == 1
     assert again == found

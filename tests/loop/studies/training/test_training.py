@@ -10,10 +10,10 @@ import pytest
 import torch
 
 from luxloop.loop.commands import cli
-from luxloop.loop.studies.jobs.executors import local
-from luxloop.loop.studies.training import examples, fit
+from luxloop.loop.studies.jobs import local
+from luxloop.loop.studies.training import fit
 from luxloop.loop.studies.training.evaluate import boxes_right, evaluate, score_frame
-from luxloop.loop.studies.training.examples import SIZE, Examples, targets
+from luxloop.loop.studies.training.fit import SIZE, Examples, targets
 from luxloop.loop.studies.training.light import WELL_LIT_LX, darken, full_light, lit_alone, lit_share, luminance, object_light
 from luxloop.loop.studies.training.report import page
 from luxloop.loop.studies.training.scenes import CAMERA, CLASSES, HELD_OUT, TRAINING, DarkScene, SceneObject, draw, read
@@ -121,7 +121,7 @@ def test_losses_are_least_for_what_is_true() -> None:
     given = Examples(torch.zeros(1, *SIZE), *(each[None] for each in parts))
     right = torch.where(given.heat == 1, 9.0, -9.0)
     assert float(fit.heat_loss(right, given)) < 0.01 < float(fit.heat_loss(-right, given))
-    at = examples.middles(*given.share.shape[1:], CPU)
+    at = fit.middles(*given.share.shape[1:], CPU)
     sides = torch.cat([at - given.boxes[:, :2], given.boxes[:, 2:] - at], 1)
     assert float(fit.box_loss(sides, given)) == pytest.approx(0, abs=1e-5)
     assert float(fit.box_loss(sides * 1.2, given)) > 0.1
@@ -158,7 +158,7 @@ def test_examples_come_from_a_seed(row: dict[str, object]) -> None:
 
 def test_what_is_too_dark_is_not_there_and_what_is_dim_does_not_count() -> None:
     scene = plain(20.0, (50, 20, 90, 100))
-    dark, dim, lit = (examples.example(scene, torch.full(scene.shape, lx), 1.0, np.random.default_rng(0)) for lx in (0.1, 1.0, 10.0))
+    dark, dim, lit = (fit.example(scene, torch.full(scene.shape, lx), 1.0, np.random.default_rng(0)) for lx in (0.1, 1.0, 10.0))
     middle = (60 * SIZE[0] // 120 // STRIDE, 70 * SIZE[1] // 200 // STRIDE)
     counts = [each[2][(0, *middle)] for each in (dark, dim, lit)]
     assert counts == [1, 0, 1]
@@ -166,7 +166,7 @@ def test_what_is_too_dark_is_not_there_and_what_is_dim_does_not_count() -> None:
     # as bright by a street lamp as by 1 lx of the headlamps, on one half
     half = scene.own.clone()
     half[20:60] = scene.lamps[20:60]
-    assert examples.example(replace(scene, own=half), torch.zeros(scene.shape), 1.0, np.random.default_rng(0))[2][(0, *middle)] == 0
+    assert fit.example(replace(scene, own=half), torch.zeros(scene.shape), 1.0, np.random.default_rng(0))[2][(0, *middle)] == 0
 
 
 def test_verdicts_count_what_is_found_missed_and_false() -> None:

@@ -12,16 +12,15 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from luxloop.loop.studies.jobs.executors import local
-from luxloop.loop.studies.jobs.runner import Job, Results, run
+from luxloop.loop.studies.jobs import Job, Results, local, run
 from luxloop.world.errors import LuxloopError
 
-ROOT = Path(__file__).parents[4]
+ROOT = Path(__file__).parents[3]
 SCRIPT = """
 import signal, sys, time
 from pathlib import Path
-from luxloop.loop.studies.jobs.executors import local
-from luxloop.loop.studies.jobs.runner import Job, run
+from luxloop.loop.studies.jobs import local
+from luxloop.loop.studies.jobs import Job, run
 
 def slow(x, log):
     with open(log, "a") as stream:

@@ -1,1 +1,0 @@
-"""Data sets of many scenes with labels, drawn from seeds."""

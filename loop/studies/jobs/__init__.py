@@ -1,1 +1,0 @@
-"""Many independent jobs over all cores."""
