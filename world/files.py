@@ -82,6 +82,21 @@ def whole(path: Path) -> Iterator[Path]:
             part.unlink()
 
 
+def atomic_write(path: Path, content: str | bytes) -> None:
+    """Write text, as UTF-8, or bytes into a file, as `whole`."""
+    with whole(path) as part:
+        part.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+@contextmanager
+def writing(place: Path, remedy: str = "give another folder with --out") -> Iterator[None]:
+    """Turn an OSError of a block into `place: cannot be written (reason); remedy`."""
+    try:
+        yield
+    except OSError as error:
+        raise LuxloopError(f"{place}: cannot be written ({error.strerror or error}); {remedy}") from error
+
+
 def link(source: Path, target: Path) -> None:
     """A second name of a file, which takes no room, or a copy where there can be none. Raises OSError where neither can be."""
     try:

@@ -16,7 +16,7 @@ from luxloop.loop.commands.rig_calibration import board, calibrate, digitise, fi
 from luxloop.loop.commands.rig_runs import await_rig, pixel_grids
 from luxloop.loop.report import terminal as tables
 from luxloop.world.errors import LuxloopError, locate
-from luxloop.world.files import whole
+from luxloop.world.files import atomic_write, writing
 
 if TYPE_CHECKING:
     from luxloop.loop.rig.blink import BlinkResult
@@ -223,12 +223,9 @@ def take(
                 raise LuxloopError(f"camera: {rig.camera.reason}")
             codes: Any = grey(picture.data)
             encoded = cv2.imencode(".png", codes)[1].tobytes()
-            try:
+            with writing(path.parent, "name another folder"):
                 path.parent.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise LuxloopError(f"{path.parent}: cannot be made ({error.strerror}); name another folder") from error
-            with whole(path) as part:
-                part.write_bytes(encoded)
+            atomic_write(path, encoded)
             advance()
     print(f"{out} written" if single else f"{out} written: {count} pictures")
 
@@ -308,8 +305,7 @@ def write_timing(file: Path, timing: Mapping[str, float]) -> None:
         understood = False
     if not understood:  # [timing] is there in another notation
         raise LuxloopError(f"{file}: timing: is not written as a table [timing] of its own, with a line for each key; rewrite it so")
-    with whole(file) as part:
-        part.write_text(made, "utf-8")
+    atomic_write(file, made)
 
 
 def _delays(found: "BlinkResult") -> dict[str, str]:

@@ -88,7 +88,7 @@ def dataset(
     jobs
         Processes, each with one thread; by default one per core.
     """
-    from luxloop.loop.studies.dataset import make_dataset, read
+    from luxloop.loop.studies.training.dataset import make_dataset, read
 
     counts, failures = make_dataset(read(file, scenes, allow_code=allow_code), out or Path("runs") / file.stem, jobs)
     for key, reason in failures.items():

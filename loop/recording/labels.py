@@ -20,7 +20,7 @@ from luxloop.loop.simulation.world import TrueObject, World
 from luxloop.perception.ground_truth import Box
 from luxloop.world.arrays import write_npz
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import link, whole
+from luxloop.world.files import atomic_write, link, whole
 from luxloop.world.frames import View, inverse, transform
 from luxloop.world.scene.body import Figure
 from luxloop.world.scene.vehicle import VehicleState
@@ -171,8 +171,7 @@ class LabelRecorder:
         if self._labels.layout == "coco":
             head["categories"] = coco_categories()
             lists, file = {**lists, "annotations": self._annotations}, COCO
-        with whole(self._directory / file) as part:
-            part.write_text(coco_document(head, lists), "utf-8")
+        atomic_write(self._directory / file, coco_document(head, lists))
 
     def _keep(self, labelled: LabelledImage) -> None:
         number = labelled.number
@@ -193,8 +192,7 @@ class LabelRecorder:
             self._annotations += map(json.dumps, coco_annotations(labelled, len(self._annotations) + 1))
 
     def _write_mask(self, name: str, mask: np.ndarray) -> None:
-        with whole(self._directory / name) as part:
-            part.write_bytes(cv2.imencode(".png", mask, QUICK)[1].tobytes())
+        atomic_write(self._directory / name, cv2.imencode(".png", mask, QUICK)[1].tobytes())
 
     def _write_kitti(self, labelled: LabelledImage) -> None:
         name = f"{labelled.number:06d}"
@@ -204,8 +202,7 @@ class LabelRecorder:
             (LABEL_2, "".join(kitti_line(each, labelled.view) for each in labelled.objects)),
             (CALIB, kitti_calibration(self._world.view)),
         ):
-            with whole(self._directory / folder / f"{name}.txt") as part:
-                part.write_text(text)
+            atomic_write(self._directory / folder / f"{name}.txt", text)
 
 
 Entry = dict[str, Any]

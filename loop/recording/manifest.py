@@ -22,7 +22,7 @@ from luxloop.loop.scenario.plant import RecordedPlantParams
 from luxloop.loop.scenario.shipped import find_file
 from luxloop.loop.simulation.frames import TABLE
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import content, files_at, reading, regular, whole
+from luxloop.world.files import atomic_write, content, files_at, reading, regular, whole
 from luxloop.world.lamps.description import lamp_files
 from luxloop.world.lamps.utilisations import sequence_files
 from luxloop.world.params import Params
@@ -144,8 +144,7 @@ class Manifest(Params):
 
 def write_json(file: Path, value: Any) -> None:
     """Write JSON, whole or not at all; a number that is not finite is a ValueError. Raises LuxloopError where it cannot be written."""
-    with whole(file) as part:
-        part.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", "utf-8")
+    atomic_write(file, json.dumps(value, indent=2, allow_nan=False) + "\n")
 
 
 def input_files(scenario: Scenario) -> Iterator[tuple[str, Path]]:

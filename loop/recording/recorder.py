@@ -3,8 +3,8 @@
 import math
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -24,6 +24,7 @@ from luxloop.loop.simulation.frames import PATTERNS as FRAME_FILES
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError
+from luxloop.world.files import writing
 
 FOLDED = 256  # rows as Python's values, which take ten times the memory of the table
 REST = 10  # times what a write takes pass between two: recording costs a tenth at most, and a kill the last 50 ms or so
@@ -190,7 +191,7 @@ class Recorder:
         """Make the directory, remove an old recording, its manifest last, and write the new one's, unless that is done."""
         if self._begun:
             return
-        with _writing(self.directory):
+        with writing(self.directory):
             self.directory.mkdir(parents=True, exist_ok=True)
             _remove(self.directory)
             self.manifest.write(self.directory)
@@ -213,15 +214,6 @@ class Recorder:
         self._next_write_s = time.perf_counter() + REST * (time.thread_time() - start)
 
 
-@contextmanager
-def _writing(directory: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        reason = error.strerror or error
-        raise LuxloopError(f"{directory}: cannot be written ({reason}); give another directory with --out") from error
-
-
 def _remove(directory: Path) -> None:
     """Remove the files of a recording, if there are any, and nothing else. Raises OSError where that cannot be."""
     for name, patterns in (FRAME_FILES | dict(reversed(LABEL_FILES.items()))).items():
@@ -239,7 +231,7 @@ def _remove(directory: Path) -> None:
 
 def refuse_foreign(directory: Path) -> None:
     """Raises LuxloopError where the directory holds something else than a recording, or cannot be written."""
-    with _writing(directory):
+    with writing(directory):
         with tempfile.TemporaryFile(dir=next(each for each in (directory, *directory.parents) if each.exists())):
             pass
         if not directory.exists() or not any(directory.iterdir()):

@@ -73,7 +73,7 @@ def _imports(file: Path, package: str) -> Iterator[str]:
 
 
 LAYERS = ("world", "perception", "controllers", "loop")
-NO_FIGURE = (*(f"studies/{part}" for part in ("beams", "contracts", "dataset", "evaluation", "jobs", "training")), "commands", "report")
+NO_FIGURE = (*(f"studies/{part}" for part in ("beams", "contracts", "evaluation", "jobs", "training")), "commands", "report")
 SHOWING = tuple(f"loop/{part}" for part in NO_FIGURE)  # folders and files that decide no figure of a run
 
 

@@ -14,7 +14,7 @@ from trimesh.visual.material import PBRMaterial
 from luxloop.loop.report.export_light import modules_at, refuse_time
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import whole
+from luxloop.world.files import atomic_write
 from luxloop.world.frames import View
 from luxloop.world.scene.body import Body, albedo_picture
 from luxloop.world.scene.triangles import Instance
@@ -34,8 +34,7 @@ def write_scene(simulation: Simulation, time_s: float, file: Path) -> trimesh.Sc
     if file.suffix.lower() != ".glb":
         raise LuxloopError(f"--out {file}: gives no format of a scene; end it in .glb")
     scene = scene_at(simulation, time_s)
-    with whole(file) as part:
-        part.write_bytes(scene.export(file_type="glb", tree_postprocessor=_exact))
+    atomic_write(file, scene.export(file_type="glb", tree_postprocessor=_exact))
     return scene
 
 

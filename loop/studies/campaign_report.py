@@ -12,7 +12,7 @@ from luxloop.loop.run import torch_device
 from luxloop.loop.studies.campaign import TABLE, Campaign, Row, run_campaign
 from luxloop.loop.studies.jobs import dask, local
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import whole
+from luxloop.world.files import atomic_write
 
 REPORT, PICTURE = "report.md", "report.png"
 # metric: (label, whether more is better)
@@ -51,8 +51,7 @@ def do_campaign(file: Path, out: Path | None, processes: int | None, scheduler: 
 def write_report(campaign: Campaign, out: Path) -> None:
     """Write page and picture into a folder. Raises LuxloopError if they cannot be written."""
     _draw(campaign, out / PICTURE)
-    with whole(out / REPORT) as part:
-        part.write_text(page(campaign), "utf-8")
+    atomic_write(out / REPORT, page(campaign))
 
 
 def overview(campaign: Campaign) -> Table:

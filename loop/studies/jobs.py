@@ -3,7 +3,6 @@
 A killed or interrupted run resumes, failures are collected, and a job whose parameters or code changed runs again. An executor decides
 where jobs run: in processes of this machine, or on workers of a Dask scheduler. It yields results as jobs finish."""
 
-import contextlib
 import hashlib
 import json
 import os
@@ -25,6 +24,7 @@ from joblib.externals.loky import process_executor
 from luxloop.loop.recording.sources import digest_of_code
 from luxloop.loop.report import terminal as tables
 from luxloop.world.errors import LuxloopError
+from luxloop.world.files import writing
 from luxloop.world.validation import parsed_json
 
 Task = TypeVar("Task")
@@ -176,7 +176,8 @@ class Results:
         from luxloop.loop.recording.manifest import write_table
 
         try:
-            with _writing(file):
+            with writing(file):
+                file.parent.mkdir(parents=True, exist_ok=True)
                 write_table(file, pa.Table.from_pylist(self.rows))
         except pa.ArrowException as error:
             raise LuxloopError(f"{file}: results make no table ({error}); remove the file of results, or give another folder") from error
@@ -312,17 +313,10 @@ def _entry(line: bytes) -> tuple[str, dict[str, Any]]:
 
 
 def _append(file: Path, line: str) -> None:
-    with _writing(file), file.open("ab") as stream:
-        stream.write(line.encode() + b"\n")
-
-
-@contextlib.contextmanager
-def _writing(file: Path) -> Iterator[None]:
-    try:
+    with writing(file):
         file.parent.mkdir(parents=True, exist_ok=True)
-        yield
-    except OSError as error:
-        raise LuxloopError(f"{file}: cannot be written ({error.strerror}); give another folder") from error
+        with file.open("ab") as stream:
+            stream.write(line.encode() + b"\n")
 
 
 MOST = 16  # jobs at once: more are no faster, and a job that ends is kept on disk sooner

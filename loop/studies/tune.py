@@ -28,7 +28,7 @@ from luxloop.loop.studies.jobs import Executor, bundles, reason
 from luxloop.loop.studies.objective import Objective
 from luxloop.loop.studies.ranges import Range, Values, value_of, with_values
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import shared_folder, turn
+from luxloop.world.files import shared_folder, turn, writing
 
 STUDY = "study.log"
 FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
@@ -45,15 +45,11 @@ def study_in(out: Path, digest: str) -> Iterator[optuna.Study]:
     file = out / STUDY
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)
-    try:
-        with shared_folder(out, file, partial(_mend, file, digest)):
-            with turn(file):
-                study = _open(file, digest)
-            yield study
-    except OSError as error:
-        raise LuxloopError(
-            f"{file}: cannot be written ({error.strerror}); check the folder, its permissions and the room left, or give another with --out"
-        ) from error
+    remedy = "check the folder, its permissions and the room left, or give another with --out"
+    with writing(file, remedy), shared_folder(out, file, partial(_mend, file, digest)):
+        with turn(file):
+            study = _open(file, digest)
+        yield study
 
 
 @contextmanager

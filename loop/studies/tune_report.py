@@ -16,7 +16,7 @@ from luxloop.loop.studies.gradient import tune_by_gradient
 from luxloop.loop.studies.jobs import local
 from luxloop.loop.studies.tune import STUDY, Task, Tuning, note_batches, tune
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import turn, whole
+from luxloop.world.files import atomic_write, turn
 
 BEST, REPORT, PICTURE = "best.toml", "report.md", "report.png"
 LEAST_FOR_IMPORTANCES = 10  # trials
@@ -52,13 +52,11 @@ def write(tuned: Tuning, out: Path) -> None:
             f"# {tuned.task.objective} of {', '.join(each.name for each in tuned.task.scenarios)}: {tuned.given_cost:.4g} -> {cost:.4g}\n"
         )
         if values:
-            with whole(out / BEST) as part:
-                part.write_text(head + ranges.overlay(values), "utf-8")
+            atomic_write(out / BEST, head + ranges.overlay(values))
         else:
             (out / BEST).unlink(missing_ok=True)
         _draw(tuned, out / PICTURE)
-        with whole(out / REPORT) as part:
-            part.write_text(page(tuned), "utf-8")
+        atomic_write(out / REPORT, page(tuned))
 
 
 def page(tuned: Tuning) -> str:

@@ -1,6 +1,7 @@
 """A small, fast simulation that the tests of recordings share, and a command line in a folder of its own."""
 
 import re
+import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,22 +18,19 @@ from luxloop.loop.simulation.simulated import SimulatedPlant
 from luxloop.loop.simulation.simulation import Simulation
 from tests.lamps import SMALL_LAMP
 
-SMALL: dict[str, Any] = {
-    "name": "small",
-    "steps": 12,
-    "camera": {"width_px": 320, "height_px": 180},
-    "surface": {"grain": 0.0},
-    "headlight": {"model": SMALL_LAMP, "lamps": ["left"]},
-    "renderer": "raycast",
-    "functions": {
-        "symbol": {
-            "kind": "symbol",
-            "image": "snowflake",
-            "start": {"x_m": 19.0, "y_m": 1.0, "roll_deg": 5.0, "pitch_deg": -2.0},
-            "controller": {"name": "thesis_pid"},
-        }
-    },
-}
+SMALL: dict[str, Any] = tomllib.loads(f"""
+name = "small"
+steps = 12
+renderer = "raycast"
+camera = {{ width_px = 320, height_px = 180 }}
+surface.grain = 0.0
+headlight = {{ model = "{SMALL_LAMP}", lamps = ["left"] }}
+[functions.symbol]
+kind = "symbol"
+image = "snowflake"
+start = {{ x_m = 19.0, y_m = 1.0, roll_deg = 5.0, pitch_deg = -2.0 }}
+controller.name = "thesis_pid"
+""")
 
 FILE = f"""
 name = "small"

@@ -29,7 +29,7 @@ from luxloop.perception.detection.build import detector
 from luxloop.perception.detection.detector import Detector, NetworkParams, TruthParams
 from luxloop.perception.detection.network import NetworkDetector
 from luxloop.world.errors import LuxloopError, locate
-from luxloop.world.files import output_folder, whole
+from luxloop.world.files import atomic_write, output_folder, whole
 
 RATE = 0.02  # of Adam, in utilisation a step at most or so
 START = 0.1  # utilisation of all pixels where the scenario has no base beam
@@ -237,8 +237,7 @@ def _write(out: Path, evaluator: BeamEvaluator, found: SearchResult, beams: Mapp
             np.savez_compressed(stream, u=u.cpu().numpy().reshape(module.headlight.pixel_rows, module.headlight.pixel_cols))
         entries.append(f'  {{ file = "./{file.name}", modules = ["{module.name}"] }},\n')
     cleared = "".join(f"{toml_key(key)} = {{}}\n" for key in _gone(evaluator.simulation))
-    with whole(out / RAW) as part:
-        part.write_text(f"{cleared}\n[lighting]\nraw = [\n{''.join(entries)}]\n", "utf-8")
+    atomic_write(out / RAW, f"{cleared}\n[lighting]\nraw = [\n{''.join(entries)}]\n")
     write_json(out / SUMMARY, summary)
     write_picture(out / PICTURE, evaluator, beams, found.losses, summary)
 

@@ -17,8 +17,7 @@ from luxloop.loop.report.style import DEFAULTS, write
 from luxloop.loop.report.terminal import number
 from luxloop.loop.studies.evaluation.evaluate import FIXED_A_M, LAMPS, ROWS, Evaluation, Row, evaluate, headlight, light_of, summary
 from luxloop.loop.studies.jobs import local
-from luxloop.world.errors import LuxloopError
-from luxloop.world.files import whole
+from luxloop.world.files import atomic_write, writing
 from luxloop.world.lamps.patterns import SETPOINT_CD, Rectangle
 
 MARKERS = ("o", "^", "s", "D", "v", "P", "X", "*")
@@ -264,12 +263,9 @@ def run_evaluation(out: Path, lamp: str | None, quick: bool, processes: int | No
 
 def write_report(evaluation: Evaluation, out: Path) -> None:
     """Draw the figures and write the page into a folder. Raises LuxloopError where that cannot be written."""
-    try:
+    with writing(out / FIGURES):
         draw(evaluation, out / FIGURES)
-    except OSError as error:
-        raise LuxloopError(f"{out / FIGURES}: cannot be made a folder ({error.strerror}); give another folder with --out") from error
-    with whole(out / REPORT) as part:
-        part.write_text("# Evaluation\n\n" + page(evaluation, f"{FIGURES}/"), "utf-8")
+    atomic_write(out / REPORT, "# Evaluation\n\n" + page(evaluation, f"{FIGURES}/"))
 
 
 def overview(evaluation: Evaluation) -> Table:

@@ -12,7 +12,7 @@ from luxloop.loop.report.style import FOUR, drawing
 from luxloop.loop.report.terminal import number
 from luxloop.loop.studies.training.evaluate import AGREE, ALONE_LX, AROUND_LX, FOUND_IOU, HEIGHT_PX, JUDGED_LX, VISIBLE
 from luxloop.loop.studies.training.scenes import CLASSES
-from luxloop.world.files import whole
+from luxloop.world.files import atomic_write
 
 PAGE, PICTURE = "report.md", "confidence.jpg"
 Report = Mapping[str, Any]
@@ -103,5 +103,4 @@ def write_report(report: Report, out: Path) -> None:
         axes.xaxis.set_major_formatter("{x:g}")
         axes.grid(alpha=0.3)
         axes.legend(fontsize=8, loc="lower right")
-    with whole(out / PAGE) as file:
-        file.write_text(f"# Detector\n\n{page(report)}\n![Confidence against illuminance]({PICTURE})\n", "utf-8")
+    atomic_write(out / PAGE, f"# Detector\n\n{page(report)}\n![Confidence against illuminance]({PICTURE})\n")

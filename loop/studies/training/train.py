@@ -1,7 +1,6 @@
 """`luxloop train-detector`: render scenes, fit the network, test it on others, and write weights and report."""
 
 import datetime
-import json
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -13,6 +12,7 @@ from scipy.optimize import minimize
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
+from luxloop.loop.recording.manifest import write_json
 from luxloop.loop.report import terminal as tables
 from luxloop.loop.studies.jobs import Executor, Job, Results, digest_of, local, run
 from luxloop.loop.studies.training import scenes
@@ -64,10 +64,8 @@ def store(detector: NetworkDetector, report: Mapping[str, Any], out: Path) -> No
     Raises LuxloopError where that cannot be.
     """
     (out / WEIGHTS).unlink(missing_ok=True)
-    numbers = json.dumps(report, indent=1, allow_nan=False) + "\n"
     write_report(report, out)
-    with whole(out / "report.json") as file:
-        file.write_text(numbers, "utf-8")
+    write_json(out / "report.json", report)
     with whole(out / WEIGHTS) as file:
         save(detector.network, detector.classes, file)
 

@@ -1,6 +1,7 @@
 """Checks: what they take of a recording, what bounds hold, what they compare with, and which are refused."""
 
 import json
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -19,19 +20,27 @@ from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import SMALL
 
-LIT: dict[str, Any] = {
-    "name": "lit",
-    "steps": 3,
-    "headlight": {"model": "ssl-hd-lores"},
-    "camera": {"width_px": 320, "height_px": 180, "pitch_deg": 1.5},
-    "lighting": {"base": {"beam": "high"}},
-    "functions": {"guard": {"kind": "glare_free"}},
-    "objects": [
-        {"kind": "box", "name": "car", "category": "car", "size_m": [4.4, 1.8, 1.5], "track": [{"position_m": [30, 0, 0]}]},
-        {"kind": "box", "name": "walker", "category": "pedestrian", "size_m": [0.4, 0.5, 1.75], "track": [{"position_m": [15, 1.5, 0]}]},
-    ],
-    "renderer": "raycast",
-}
+LIT: dict[str, Any] = tomllib.loads("""
+name = "lit"
+steps = 3
+renderer = "raycast"
+headlight.model = "ssl-hd-lores"
+camera = { width_px = 320, height_px = 180, pitch_deg = 1.5 }
+lighting.base.beam = "high"
+functions.guard.kind = "glare_free"
+[[objects]]
+kind = "box"
+name = "car"
+category = "car"
+size_m = [4.4, 1.8, 1.5]
+track = [{ position_m = [30, 0, 0] }]
+[[objects]]
+kind = "box"
+name = "walker"
+category = "pedestrian"
+size_m = [0.4, 0.5, 1.75]
+track = [{ position_m = [15, 1.5, 0] }]
+""")
 IOU = "functions.symbol.iou"
 FLUX = {"metric": "lamp.left.flux_lm", "at_most": 0.7, "compare": "full_light"}
 

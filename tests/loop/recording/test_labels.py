@@ -1,6 +1,7 @@
 """Labels beside frames: read by the programs that they are made for, and true to the pixel."""
 
 import json
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,22 +22,30 @@ from tests.loop.conftest import Lux, assert_one_sentence
 
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation")  # of pycocotools
 
-STREET: dict[str, Any] = {
-    "name": "street",
-    "steps": 4,
-    "rate_hz": 10,
-    "renderer": "raycast",
-    "camera": {"width_px": 320, "height_px": 160, "hfov_deg": 40.0, "oversampling": 1, "bits": 8, "gamma": 2.2},
-    "surface": {"grain": 0.0},
-    "headlight": {"model": "ssl-hd-lores"},
-    "lighting": {"base": {"beam": "low"}},
-    "vehicle": {"course": [{"speed_m_s": 8.0}]},
-    "objects": [
-        {"kind": "car", "name": "parked", "track": [{"position_m": [25.0, 2.0, 0.0]}]},
-        {"kind": "pedestrian", "name": "walker", "track": [{"position_m": [12.0, -1.5, 0.0], "yaw_deg": 90.0}]},
-        {"kind": "box", "name": "bin", "size_m": [0.4, 0.4, 0.9], "track": [{"position_m": [11.0, -1.4, 0.0]}]},
-    ],
-}
+STREET: dict[str, Any] = tomllib.loads("""
+name = "street"
+steps = 4
+rate_hz = 10
+renderer = "raycast"
+camera = { width_px = 320, height_px = 160, hfov_deg = 40.0, oversampling = 1, bits = 8, gamma = 2.2 }
+surface.grain = 0.0
+headlight.model = "ssl-hd-lores"
+lighting.base.beam = "low"
+vehicle.course = [{ speed_m_s = 8.0 }]
+[[objects]]
+kind = "car"
+name = "parked"
+track = [{ position_m = [25.0, 2.0, 0.0] }]
+[[objects]]
+kind = "pedestrian"
+name = "walker"
+track = [{ position_m = [12.0, -1.5, 0.0], yaw_deg = 90.0 }]
+[[objects]]
+kind = "box"
+name = "bin"
+size_m = [0.4, 0.4, 0.9]
+track = [{ position_m = [11.0, -1.4, 0.0] }]
+""")
 
 
 def street(**changes: Any) -> Scenario:

@@ -225,7 +225,7 @@ def test_what_cannot_be_written_is_said(
 ) -> None:
     (tmp_path / "file").touch()
     for directory in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(LuxloopError, match=r"file.*: cannot be written \(.*\); give another directory with --out"):
+        with pytest.raises(LuxloopError, match=r"file.*: cannot be written \(.*\); give another folder with --out"):
             Recorder(directory, small_simulation)
     monkeypatch.setattr(recorder, "REST", 0)  # write at every step
     recording = Recorder(tmp_path / "gone", small_simulation)

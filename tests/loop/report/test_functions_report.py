@@ -1,5 +1,6 @@
 """What report and summary of lighting functions tell: charts that nothing hides, energy beside that of beams, whom the tracker loses."""
 
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -25,25 +26,28 @@ from luxloop.loop.simulation.detection import recognise
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.detection.detector import Detections
 
-WALKER = {"kind": "pedestrian", "name": "walker", "seed": 3, "track": [{"position_m": [15, -2, 0]}]}
+TOLD = tomllib.loads("""
+name = "told"
+steps = 4
+headlight.model = "hd84"
+camera = { width_px = 160, height_px = 90, oversampling = 1, saturation_e = 2000 }
+surface.grain = 0.0
+detector.kind = "truth"
+renderer = "raycast"
+[[objects]]
+kind = "pedestrian"
+name = "walker"
+seed = 3
+track = [{ position_m = [15, -2, 0] }]
+""")
+WALKER = TOLD["objects"]
 ZONE = {"kind": "zone", "centre_m": [14, 1, 1.0], "size_m": [0, 1.6, 1.6], "luminance_cd_m2": 0.1}
 HALF = {"kind": "object_based", "method": "constant", "share": 0.5, "setpoint_lx": 0.0}
 
 
 def scenario(functions: dict[str, dict[str, Any]], beam: str = "high", **changes: Any) -> Scenario:
-    base = {
-        "name": "told",
-        "steps": 4,
-        "headlight": {"model": "hd84"},
-        "camera": {"width_px": 160, "height_px": 90, "oversampling": 1, "saturation_e": 2000},
-        "surface": {"grain": 0.0},
-        "objects": [WALKER],
-        "detector": {"kind": "truth"},
-        "lighting": {"base": {"beam": beam}},
-        "functions": functions,
-        "renderer": "raycast",
-    }
-    return validate(base | changes, "told")
+    given = {"lighting": {"base": {"beam": beam}}, "functions": functions}
+    return validate(TOLD | given | changes, "told")
 
 
 def test_every_chart_is_there_and_no_legend_lies_over_one(tmp_path: Path) -> None:
@@ -180,7 +184,7 @@ def test_whom_the_tracker_loses_is_told(tmp_path: Path) -> None:
     before = {"kind": "box", "name": "box", "size_m": [0.1, 3, 1.4], "appears_s": 0.09, "track": [{"position_m": [14, -2, 0]}]}
     tracker = {"confirm_frames": 2, "keep_s": 0.1}
     summary = run(
-        scenario({}, steps=12, objects=[WALKER, before], detector={"kind": "truth", "least_visible": 0.5}, tracker=tracker),
+        scenario({}, steps=12, objects=[*WALKER, before], detector={"kind": "truth", "least_visible": 0.5}, tracker=tracker),
         tmp_path / "lost",
         video=False,
     ).summary
@@ -197,7 +201,7 @@ def test_whom_the_tracker_loses_is_told(tmp_path: Path) -> None:
 
 def test_who_is_too_small_or_of_another_class_is_not_missed() -> None:
     far = {"kind": "pedestrian", "name": "far", "track": [{"position_m": [80.0, 3.0, 0.0]}]}
-    simulation = Simulation.prepare(scenario({}, objects=[WALKER, far], detector={"kind": "truth"}))
+    simulation = Simulation.prepare(scenario({}, objects=[*WALKER, far], detector={"kind": "truth"}))
     view = simulation.world.lit(0.0)
     assert simulation.pipeline is not None
     nothing = simulation.pipeline.present(simulation.pipeline.tracker.start(), 0.0), Detections(torch.zeros(0, 4), torch.zeros(0, 8))

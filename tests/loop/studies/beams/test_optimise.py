@@ -3,6 +3,7 @@
 import json
 import math
 import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +20,20 @@ from luxloop.perception.detection.build import detector
 from luxloop.perception.detection.detector import HogParams, NetworkParams
 from luxloop.world.errors import LuxloopError
 
-SCENE: dict[str, Any] = {
-    "name": "beam",
-    "headlight": {"model": "hd84"},
-    "camera": {"width_px": 320, "height_px": 180, "oversampling": 1, "saturation_e": 2000, "pitch_deg": 1.5},
-    "light": {"ambient_lx": 0.02},
-    "surface": {"grain": 0.0},
-    "objects": [{"kind": "pedestrian", "name": "eva", "seed": 5, "track": [{"position_m": [14, 0.5, 0]}]}],
-    "lighting": {"base": {"beam": "low"}},
-    "renderer": "raycast",
-}
+SCENE: dict[str, Any] = tomllib.loads("""
+name = "beam"
+headlight.model = "hd84"
+camera = { width_px = 320, height_px = 180, oversampling = 1, saturation_e = 2000, pitch_deg = 1.5 }
+light.ambient_lx = 0.02
+surface.grain = 0.0
+lighting.base.beam = "low"
+renderer = "raycast"
+[[objects]]
+kind = "pedestrian"
+name = "eva"
+seed = 5
+track = [{ position_m = [14, 0.5, 0] }]
+""")
 
 
 def judge(goal: BeamGoal, params: NetworkParams | HogParams | None = None, **changes: Any) -> BeamEvaluator:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pycocotools.coco import COCO
 
-from luxloop.loop.studies.dataset import JOBS, make, read
+from luxloop.loop.studies.training.dataset import JOBS, make, read
 from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import Lux, assert_one_sentence
 

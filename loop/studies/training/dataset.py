@@ -36,7 +36,7 @@ from luxloop.loop.studies.jobs import Job, identity_of, local, run
 from luxloop.loop.studies.ranges import Range, parse, with_values
 from luxloop.loop.studies.training.scenes import tables
 from luxloop.world.errors import LuxloopError, locate
-from luxloop.world.files import PARTS, content, link, output_folder, part_of, reading, whole
+from luxloop.world.files import PARTS, atomic_write, content, link, output_folder, part_of, reading, writing
 from luxloop.world.params import Params
 from luxloop.world.plugin import refuse_code
 from luxloop.world.validation import parsed_json, read_toml, validate_model
@@ -160,8 +160,7 @@ def join(out: Path, layout: Layout, scenes: Mapping[str, Mapping[str, Any]]) -> 
         file, head, lists = out / ALL_IMAGES, {}, {"images": images}
     else:
         file, head, lists = out / ALL_COCO, {"categories": coco_categories()}, {"images": images, "annotations": annotations}
-    with whole(file) as part:
-        part.write_text(coco_document({**head, "scenes": said}, lists), "utf-8")
+    atomic_write(file, coco_document({**head, "scenes": said}, lists))
     return Counts(file, len(scenes), len(images), objects)
 
 
@@ -191,11 +190,10 @@ def _kitti(out: Path, scenes: Mapping[str, Mapping[str, Any]]) -> Counter[str]:
 def _whole_folder(folder: Path, part: Path) -> Iterator[Path]:
     """A temporary folder, which replaces `folder` at the end; on failure nothing is left behind."""
     try:
-        yield part
-        shutil.rmtree(folder, ignore_errors=True)
-        part.rename(folder)
-    except OSError as error:
-        raise LuxloopError(f"{folder}: cannot be written ({error.strerror}); check the folder and the room left") from error
+        with writing(folder, "check the folder and the room left"):
+            yield part
+            shutil.rmtree(folder, ignore_errors=True)
+            part.rename(folder)
     finally:
         shutil.rmtree(part, ignore_errors=True)
 
@@ -234,7 +232,7 @@ def make_dataset(dataset: Dataset, out: Path, processes: int | None) -> tuple[Co
 
 def _begin(out: Path, jobs: Sequence[Job]) -> None:
     """Make the folders, and remove what workers left that were killed, and joined labels of scenes that are made again."""
-    try:
+    with writing(out):
         if any(out.iterdir()) and not (out / JOBS).exists():
             raise LuxloopError(f"{out}: holds files that are no data set of luxloop; give an empty or a new folder with --out")
         (out / JOBS).touch()
@@ -246,8 +244,6 @@ def _begin(out: Path, jobs: Sequence[Job]) -> None:
                 (out / name).unlink(missing_ok=True)
             if (out / TRAINING).exists():
                 shutil.rmtree(out / TRAINING)
-    except OSError as error:
-        raise LuxloopError(f"{out}: cannot be written ({error.strerror}); give another folder with --out") from error
 
 
 def _job(scene: DatasetScene, labels: Labels, folder: Path, version: str) -> Job:
