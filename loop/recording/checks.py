@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 import pyarrow as pa
 
-from luxloop.loop.recording.summary import column
+from luxloop.loop.recording.summary import Summary, column
 from luxloop.loop.scenario.checks import By, CheckParams, Light
 from luxloop.world.errors import LuxloopError, did_you_mean
 
@@ -18,11 +18,11 @@ NOTHING = "nothing was there to check"
 class Checks:
     """The checks of a run, and the lights that run beside it: `step` after each of its steps, and `outcomes` at its end."""
 
-    def __init__(self, checks: Mapping[str, CheckParams], beside: Callable[[Light], Iterator[Mapping[str, Any]]] | None) -> None:
+    def __init__(self, checks: Mapping[str, CheckParams], beside: Callable[[Light], Iterator[Summary]] | None) -> None:
         """beside: the run of another light, a step as plain values by the names of columns; None leaves out the checks that need one."""
         self._given = {name: check for name, check in checks.items() if beside or check.compare is None}
         self._runs = {} if beside is None else {light: beside(light) for light in lights(self._given)}
-        self._rows: dict[Light, list[dict[str, Any]]] = {light: [] for light in self._runs}
+        self._rows: dict[Light, list[Summary]] = {light: [] for light in self._runs}
 
     def step(self) -> None:
         """One step of each light beside; what is rendered for the run serves them as well."""
@@ -30,12 +30,12 @@ class Checks:
             values = next(run)
             self._rows[light].append({name: values.get(name) for name in ("time_s", *(check.metric for check in self._given.values()))})
 
-    def outcomes(self, table: pa.Table) -> dict[str, dict[str, Any]]:
+    def outcomes(self, table: pa.Table) -> dict[str, Summary]:
         """What has come of each check, by name, ready for JSON; table: the steps of the run so far."""
         return {name: outcome(check, table, self._rows) for name, check in self._given.items()}
 
 
-def outcome(check: CheckParams, table: pa.Table, beside: Mapping[Light, Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
+def outcome(check: CheckParams, table: pa.Table, beside: Mapping[Light, Sequence[Summary]]) -> Summary:
     """What has come of a check. beside: a row a step of the light that it compares with, by that light."""
     times_s, values, other = column(table, "time_s"), column(table, check.metric), None
     value = held = _value(check, times_s, values)
@@ -99,17 +99,17 @@ def _alternatives(metric: str, known: Sequence[str]) -> str:
     return f"known are {', '.join(alike or tables)}"
 
 
-def success(summary: Mapping[str, Any]) -> bool:
+def success(summary: Summary) -> bool:
     """Whether all checks of a run have, by its summary."""
     return all(outcome["passed"] for outcome in summary["checks"].values())
 
 
-def lines(summary: Mapping[str, Any]) -> dict[str, str]:
+def lines(summary: Summary) -> dict[str, str]:
     """A line for each check of a run, for tables."""
     return {f"check {name}": _line(outcome) for name, outcome in summary["checks"].items()}
 
 
-def _line(outcome: Mapping[str, Any]) -> str:
+def _line(outcome: Summary) -> str:
     unit = "" if outcome["unit"] in ("", "1") else f" {outcome['unit']}"
     over = "" if outcome["over_s"] is None else f" over {outcome['over_s']:g} s"
     parts = [f"{outcome['take']} {outcome['metric']}{over}"]
@@ -129,7 +129,7 @@ def _line(outcome: Mapping[str, Any]) -> str:
     return f"{', '.join(parts)}: {'passed' if outcome['passed'] else 'failed'}"
 
 
-def _comparison(outcome: Mapping[str, Any], unit: str) -> str:
+def _comparison(outcome: Summary, unit: str) -> str:
     light, other = outcome["compare"].replace("_", " "), outcome["compared_value"]
     if other is None:
         return f"{NOTHING} with {light}"

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -12,7 +11,7 @@ from torch import Tensor
 
 from luxloop.controllers.functions.commands import MOVEMENTS, Movable
 from luxloop.controllers.functions.material import Quantity
-from luxloop.loop.recording.summary import Circumstances, column
+from luxloop.loop.recording.summary import Circumstances, Summary, column
 from luxloop.loop.recording.summary import summarise as summarise_symbol
 from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation.columns import of_one
@@ -32,11 +31,11 @@ NAMED = 8  # objects that charts and the closing table tell one by one
 
 def summary_of(
     simulation: Simulation, table: pa.Table, last: Mapping[str, Evaluation], covered: Mapping[str, Evaluation] | None = None
-) -> dict[str, Any]:
+) -> Summary:
     """The summary of a run's steps. last: of each symbol the last step that shows it, beside which the open loop is judged. covered: of
     those that were lost as covered the last such step.
     """
-    scenario, held = simulation.scenario, dict[str, dict[str, Any]]()
+    scenario, held = simulation.scenario, dict[str, Summary]()
     for name, symbol in simulation.controlled.items():
         iou = road_m = math.nan
         mine = of_one(table, name)
@@ -54,9 +53,7 @@ def summary_of(
     return summary | ({"flicker": {"rate_hz": scenario.rate_hz, "on_share": 1 - scenario.off_share}} if held else {})
 
 
-def summarise(
-    table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[np.floating]], held: Mapping[str, dict[str, Any]]
-) -> dict[str, Any]:
+def summarise(table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[np.floating]], held: Mapping[str, Summary]) -> Summary:
     """A recording in a few numbers, ready for JSON: None where a value does not exist.
 
     compared_w: electrical power `[steps]` in W that the recording's is compared with, by name. held: summaries of symbols, by name.
@@ -119,24 +116,24 @@ def summarise(
     }
 
 
-def of_modules(table: pa.Table, modules: Sequence[Movable]) -> dict[str, dict[str, dict[str, Any]]]:
+def of_modules(table: pa.Table, modules: Sequence[Movable]) -> dict[str, dict[str, Summary]]:
     """What functions commanded, by names of modules and movements: least and most, and of angles in how many steps they were at an end of
     the module's range, rest excepted.
     """
-    found = dict[str, dict[str, dict[str, Any]]]()
+    found = dict[str, dict[str, Summary]]()
     for module in modules:
         for movement in MOVEMENTS:
             if (name := f"modules.{module.name}.{movement}") in table.column_names:
                 rest = getattr(REST, movement)
                 values = np.nan_to_num(column(table, name), nan=rest)
-                told: dict[str, Any] = {"least": float(values.min()), "most": float(values.max())}
+                told: Summary = {"least": float(values.min()), "most": float(values.max())}
                 if movement != "intensity":
                     told["steps_at_end"] = int((np.isin(values, getattr(module, movement)) & (values != rest)).sum())
                 found.setdefault(module.name, {})[movement] = told
     return found
 
 
-def brightest(objects: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def brightest(objects: Mapping[str, Summary]) -> list[str]:
     """Names of the objects that a summary lists: all in sight, or the `NAMED` brightest of more."""
     most = {name: each["lx_max"] for name, each in objects.items() if each["lx_max"] is not None}
     if len(most) <= NAMED:
@@ -187,7 +184,7 @@ def _over(values: NDArray[np.floating], what: str) -> float | None:
     return float(getattr(values, what)()) if len(values) else None
 
 
-def _zones(table: pa.Table) -> dict[str, Any]:
+def _zones(table: pa.Table) -> Summary:
     """By name: how bright a zone is at the end, and the step from which on it stays within 5 % of its target; or None."""
     found = {}
     for name in zones_of(table):
@@ -200,7 +197,7 @@ def _zones(table: pa.Table) -> dict[str, Any]:
     return found
 
 
-def _materials(table: pa.Table) -> dict[str, Any]:
+def _materials(table: pa.Table) -> Summary:
     """By name: what a material has at the end, None out of sight, and what was wanted."""
     found = {}
     for quantity in UNITS:
@@ -220,7 +217,7 @@ def _energy(table: pa.Table, power_w: NDArray[np.floating]) -> float | None:
     return float(power_w.sum() * (times[-1] - times[0]) / (len(times) - 1)) if len(times) > 1 else None
 
 
-def _recognition(table: pa.Table, name: str) -> dict[str, Any]:
+def _recognition(table: pa.Table, name: str) -> Summary:
     """The confidence at the end, and the least since a track first showed an object, how many showed it one after the other, and for how
     long it was in sight, and lost."""
     confidence = column(table, f"objects.{name}.confidence")

@@ -127,14 +127,9 @@ def light_name(number: int) -> str:
     return f"{FRAMES}/{light_file(Path(), number).name}"
 
 
-def mask_name(kind: str, number: int) -> str:
-    """A mask of the instances or parts of an exposure's frame, from the recording's folder on."""
-    return f"{FOLDER}/{kind}_{number:08d}.png"
-
-
-def values_name(kind: str, number: int) -> str:
-    """Values at the pixels of an exposure's frame, depth or lux, from the recording's folder on."""
-    return f"{FOLDER}/{kind}_{number:08d}.npz"
+def label_name(kind: str, number: int) -> str:
+    """A mask of the instances or parts of an exposure's frame, or values at its pixels, from the recording's folder on."""
+    return f"{FOLDER}/{kind}_{number:08d}.{'png' if kind in ('instances', 'parts') else 'npz'}"
 
 
 class LabelRecorder:
@@ -177,12 +172,12 @@ class LabelRecorder:
         number = labelled.number
         files = {"file_name": frame_name(number), "light": light_name(self._frames.light_of(number))}
         if labelled.parts is not None:
-            files |= {"instances": mask_name("instances", number), "parts": mask_name("parts", number)}
-            self._write_mask(files["instances"], labelled.instances)
-            self._write_mask(files["parts"], labelled.parts)
+            for kind, mask in (("instances", labelled.instances), ("parts", labelled.parts)):
+                files[kind] = label_name(kind, number)
+                atomic_write(self._directory / files[kind], cv2.imencode(".png", mask, QUICK)[1].tobytes())
         for kind, values in (("depth", labelled.depth), ("lux", labelled.lux)):
             if values is not None:
-                files[kind] = values_name(kind, number)
+                files[kind] = label_name(kind, number)
                 with whole(self._directory / files[kind]) as part:
                     write_npz(part, [(kind, values)])
         self._images.append(json.dumps(coco_image(labelled, files)))
@@ -190,9 +185,6 @@ class LabelRecorder:
             self._write_kitti(labelled)
         else:
             self._annotations += map(json.dumps, coco_annotations(labelled, len(self._annotations) + 1))
-
-    def _write_mask(self, name: str, mask: np.ndarray) -> None:
-        atomic_write(self._directory / name, cv2.imencode(".png", mask, QUICK)[1].tobytes())
 
     def _write_kitti(self, labelled: LabelledImage) -> None:
         name = f"{labelled.number:06d}"

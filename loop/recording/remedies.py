@@ -1,9 +1,8 @@
 """What went wrong with a symbol that is held, and the key that helps, in a sentence each."""
 
 from collections.abc import Mapping
-from typing import Any
 
-from luxloop.loop.recording.summary import FINAL, OFF_PERCENT
+from luxloop.loop.recording.summary import FINAL, OFF_PERCENT, Summary
 
 CUT = 0.02  # of a symbol; less than that costs no more IoU than two runs may differ by in docs/results/symbol_control.md
 PLANE_M = 0.2  # roads nearer to the plane of the ground are drawn for on it
@@ -25,7 +24,7 @@ def of_frames(frames: dict[str, int]) -> list[str]:
     return [] if frames["came"] else [f"no frame arrived for any of the {frames['asked']} exposures; {late}"]
 
 
-def why_no_metrics(values: dict[str, Any]) -> str | None:
+def why_no_metrics(values: Summary) -> str | None:
     """Why nobody says how a symbol lies, by its summary; None where somebody does."""
     match values["unsettled"]:
         case "not_shown":
@@ -37,12 +36,12 @@ def why_no_metrics(values: dict[str, Any]) -> str | None:
     return None
 
 
-def remedies(name: str, values: dict[str, Any]) -> list[str]:
+def remedies(name: str, values: Summary) -> list[str]:
     """Of the symbol of a name and its summary (`luxloop.loop.recording.summary.summarise`); empty where nothing went wrong."""
     return [each.replace("NAME", f"functions.{name}") for each in _remedies(values)]
 
 
-def _remedies(values: dict[str, Any]) -> list[str]:
+def _remedies(values: Summary) -> list[str]:
     cut, why = values["cut"], values["unsettled"]
     is_cut = cut is not None and cut > CUT
     found = [_cut("the symbol", cut, values["cut_side"])] if is_cut else []
@@ -67,13 +66,13 @@ def _cut(what: str, share: float, side: str) -> str:
     return f"{100 * share:.0f} % of {what} lies beyond the {border} border of the lamps' field; {back}"
 
 
-def _astray(values: dict[str, Any]) -> bool:
+def _astray(values: Summary) -> bool:
     """Whether the symbol is not at its target at the end, where it may move, on the mean."""
     why, off = values["unsettled"], values["centroid_error_percent"]
     return why in ("lost", "off_target") or (why == "moving" and max(map(abs, off)) > OFF_PERCENT)
 
 
-def _cause(values: dict[str, Any]) -> str:
+def _cause(values: Summary) -> str:
     """Why the symbol has not settled on its target, and the key that helps."""
     off = [abs(error) for error in values["centroid_error_percent"] if error is not None]
     road_m, highest_m = values["road_m"] or 0.0, values["highest_m"]

@@ -73,8 +73,10 @@ def _imports(file: Path, package: str) -> Iterator[str]:
 
 
 LAYERS = ("world", "perception", "controllers", "loop")
-NO_FIGURE = (*(f"studies/{part}" for part in ("beams", "contracts", "evaluation", "jobs", "training")), "commands", "report")
-SHOWING = tuple(f"loop/{part}" for part in NO_FIGURE)  # folders and files that decide no figure of a run
+SHOWING = (  # folders and files that decide no figure of a run
+    *("loop/commands/", "loop/report/", "loop/studies/jobs.py"),
+    *(f"loop/studies/{folder}/" for folder in ("beams", "contracts", "evaluation", "training")),
+)
 
 
 @cache

@@ -10,6 +10,7 @@ import pyarrow as pa
 
 from luxloop.controllers.symbol.sensing.field import SIDES
 
+Summary = dict[str, Any]  # of a run or of a part of it, ready for JSON
 FINAL = 10  # steps whose mean is the final value, and for which a symbol at rest has to stay
 END = 5  # steps whose mean error of the centroid is that at the end
 STEADY = {  # how far from the final value a symbol at rest may be: 2 % of its size and length, 0.02 of shear
@@ -40,7 +41,7 @@ class Circumstances:
 
 def summarise(
     table: pa.Table, controller: str, iou_open: float, covered_by: Sequence[str] = (), run: Circumstances = Circumstances()
-) -> dict[str, Any]:
+) -> Summary:
     """Summary of one symbol's columns (`luxloop.loop.simulation.columns.of_one`), ready for JSON: None where a value does not exist.
 
     iou_open: what the judge says of the open loop at the last step, NaN where there is none. centroid_error_percent: [x, y], signed, mean
@@ -114,7 +115,7 @@ def final_error_percent(table: pa.Table) -> np.ndarray:
     return np.array([column(table, axis)[-END:].mean() if table.num_rows else math.nan for axis in AXES])
 
 
-def _cut(table: pa.Table) -> dict[str, Any]:
+def _cut(table: pa.Table) -> Summary:
     shares = {side: column(table, f"cut_{side}")[-1] for side in SIDES} if table.num_rows else dict.fromkeys(SIDES, math.nan)
     total = sum(shares.values())
     return {"cut": _number(total), "cut_side": max(SIDES, key=shares.__getitem__) if total > 0 else None}

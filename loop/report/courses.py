@@ -1,6 +1,6 @@
 """What of lighting functions is drawn over time: flux, electrical power, luminance of zones, confidence, and light on objects."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from itertools import cycle, product
 from typing import Any
 
@@ -12,7 +12,7 @@ from matplotlib.ticker import LogFormatter
 
 from luxloop.controllers.functions.commands import MOVEMENTS
 from luxloop.loop.recording.functions_summary import START_UP_S, UNITS, brightest, materials_of, reference_power, spoken, zones_of
-from luxloop.loop.recording.summary import column
+from luxloop.loop.recording.summary import Summary, column
 from luxloop.loop.report.style import FOUR, heading
 from luxloop.loop.report.terminal import plural
 from luxloop.loop.simulation.columns import held_in
@@ -24,7 +24,7 @@ FAINTEST_LX = 0.01  # where the scale of illuminance on objects begins
 FEW_STEPS = 30  # which are marked one by one
 
 
-def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table, summary: dict[str, Any]) -> None:
+def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table, summary: Summary) -> None:
     """One chart below the other, of what there is in a recording's table and summary."""
     charts: dict[Callable[[Axes], None], float] = {lambda axes: _flux(axes, simulation, table): 1.0}  # and how high they are
     if "power_w" in table.column_names:
@@ -79,7 +79,7 @@ def _power(axes: Axes, simulation: Simulation, table: pa.Table) -> None:
     heading(axes, "Electrical power, beside that of undimmed beams")
 
 
-def _modules(axes: Axes, table: pa.Table, names: Sequence[str], summary: dict[str, Any], unit: str, title: str) -> None:
+def _modules(axes: Axes, table: pa.Table, names: Sequence[str], summary: Summary, unit: str, title: str) -> None:
     """One curve for all modules that move alike."""
     alike: dict[tuple[float, ...], list[list[str]]] = {}
     for name in names:
@@ -132,7 +132,7 @@ def _materials(axes: Axes, table: pa.Table) -> None:
     heading(axes, "Light of materials, median, as a share of what is wanted")
 
 
-def _confidences(axes: Axes, table: pa.Table, names: Sequence[str], summary: dict[str, Any]) -> None:
+def _confidences(axes: Axes, table: pa.Table, names: Sequence[str], summary: Summary) -> None:
     for name, colour in zip(names, COLOURS, strict=False):
         gone = summary["objects"][name]["steps_lost"]
         label = spoken(name) + (f", lost in {gone} steps" if gone else "")
@@ -143,7 +143,7 @@ def _confidences(axes: Axes, table: pa.Table, names: Sequence[str], summary: dic
     heading(axes, "Confidence of objects, filtered over frames")
 
 
-def _on_objects(axes: Axes, table: pa.Table, names: Sequence[str], summary: Mapping[str, Any], with_names: bool) -> None:
+def _on_objects(axes: Axes, table: pa.Table, names: Sequence[str], summary: Summary, with_names: bool) -> None:
     """Those of these names one by one, and the most on all others in sight together."""
     time_s, most_lx = column(table, "time_s"), {name: each["lx_max"] for name, each in summary["objects"].items()}
     others = [name for name, lx in most_lx.items() if lx is not None and name not in names]

@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -95,7 +96,8 @@ def write_light(simulation: "Simulation", time_s: float, file: Path, step_deg: f
         yaw, pitch, roll = Rotation.from_matrix(each.T_body_module[:3, :3].double().cpu().numpy()).as_euler("ZYX", degrees=True)
         keywords = {"_POSITION_M": f"{x:.4f} {y:.4f} {z:.4f}", "_ROLL_PITCH_YAW_DEG": f"{roll:.4f} {pitch:.4f} {yaw:.4f}"}
         name = f"{each.headlight.name}, {each.name}, {simulation.scenario.name} at {time_s:g} s"
-        write_texture(own, each.headlight, each.texture, name, step_deg, keywords)
+        light, headlight = each.texture.detach().double().cpu(), each.headlight
+        _write(own, partial(headlight.intensity, light), borders_deg(headlight), name, step_deg, keywords)
         files.append(own)
     return files
 
@@ -116,22 +118,12 @@ def export(lamp: Lamp, beam: str, file: Path, step_deg: float = 0.1) -> Distribu
     return _write(file, lamp.lit(lamp.beam(beam)), lamp.field_deg, f"{lamp.name}, beam {beam}", step_deg, {})
 
 
-def write_texture(
-    file: Path, headlight: Headlight, texture: Tensor, name: str, step_deg: float, keywords: Mapping[str, str]
-) -> Distribution:
-    """Write the light texture `[rows, cols]` in cd of a module about its own axis, as LM-63-2019, type A, or as EULUMDAT, by the suffix.
-
-    name: of the luminaire. keywords: more of them in LM-63. Raises LuxloopError for a step out of range or too fine, and where the file
-    cannot be written.
-    """
-    light = texture.detach().double().cpu()
-    return _write(file, lambda directions: headlight.intensity(light, directions), borders_deg(headlight), name, step_deg, keywords)
-
-
 def _write(
     file: Path, intensity: Callable[[Tensor], Tensor], field_deg: tuple[float, ...], name: str, step_deg: float, keywords: Mapping[str, str]
 ) -> Distribution:
-    """field_deg: left and right (left positive), bottom and top (up positive), beyond which it is dark."""
+    """field_deg: left and right (left positive), bottom and top (up positive), beyond which it is dark. name: of the luminaire. keywords:
+    more of them in LM-63.
+    """
     left, right, bottom, top = field_deg
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:

@@ -1,11 +1,10 @@
 """report.png: the camera's view, the road from above, the beams on a wall, charts over time, and how symbols that are held lie."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from textwrap import fill
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -17,6 +16,7 @@ from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
 from luxloop.loop.recording.remedies import SHADOW
+from luxloop.loop.recording.summary import Summary
 from luxloop.loop.report.courses import write_courses
 from luxloop.loop.report.highlights import Highlights
 from luxloop.loop.report.picture import WALL_DEG, camera_luminance, marks, readable, wall_light, white_of
@@ -46,7 +46,7 @@ AROUND_M = 2.0  # that it shows around the light
 RAYS_ABOVE = 1e6  # of that picture, four for each pixel of the page
 
 
-def write_report(file: Path, simulation: Simulation, highlights: Highlights, table: pa.Table, summary: dict[str, Any]) -> None:
+def write_report(file: Path, simulation: Simulation, highlights: Highlights, table: pa.Table, summary: Summary) -> None:
     """Draw a run of at least one step on one page: all light, unless symbols are all there is, and each symbol that is held.
 
     table and summary are the recording's, simulation the one that its last step is of. Raises LuxloopError if the file cannot be written.
@@ -76,7 +76,7 @@ def symbols_alone(simulation: Simulation) -> bool:
 
 
 def _draw_light(
-    figure: SubFigure, simulation: Simulation, moments: Sequence[Evaluation], table: pa.Table, summary: dict[str, Any], high: float
+    figure: SubFigure, simulation: Simulation, moments: Sequence[Evaluation], table: pa.Table, summary: Summary, high: float
 ) -> None:
     """Draw the part of a page about all light; high: its height in inches."""
     last, upper = moments[-1], high - ABOVE_IN
@@ -94,7 +94,7 @@ def _draw_light(
     _walls(walls, simulation, last)
 
 
-def _title(simulation: Simulation, last: Evaluation, summary: Mapping[str, Any]) -> tuple[str, ...]:
+def _title(simulation: Simulation, last: Evaluation, summary: Summary) -> tuple[str, ...]:
     dark_lx, scenario, folder = summary["dark_lx_max"], simulation.scenario, shadow_of(simulation.scenario.plant)
     return (
         scenario.name,

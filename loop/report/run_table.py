@@ -9,20 +9,21 @@ from luxloop.controllers.functions.commands import MOVEMENTS
 from luxloop.loop.recording.checks import lines
 from luxloop.loop.recording.functions_summary import NAMED, START_UP_S, UNITS, brightest, spoken
 from luxloop.loop.recording.remedies import of_frames, remedies, why_no_metrics
+from luxloop.loop.recording.summary import Summary
 from luxloop.loop.report.terminal import facts, number, plural
 from luxloop.loop.simulation.detection import LEAST_PX
 
 WELL_LIT_LX = 5.0  # from which on detectors are trained to find objects
 
 
-def _in_shadow(told: dict[str, Any]) -> str:
+def _in_shadow(told: Summary) -> str:
     if not told["differ"]:
         return f"that of the recording, in all {told['exposures']} exposures with a frame"
     share = number(100 * told["elsewhere"], ".2g")
     return f"other than in the recording in {told['differ']} of {told['exposures']} exposures with a frame, by {share} % of both (mean)"
 
 
-def summary_table(values: dict[str, Any], files: str) -> Table:  # noqa: C901 (a row a quantity)
+def summary_table(values: Summary, files: str) -> Table:  # noqa: C901 (a row a quantity)
     """The closing table of a run."""
     rows = {"steps": str(values["steps"])}
     if values["shadow_of"] is not None:
@@ -101,7 +102,7 @@ def summary_table(values: dict[str, Any], files: str) -> Table:  # noqa: C901 (a
     return facts(rows)
 
 
-def _of_modules(modules: Mapping[str, Mapping[str, Mapping[str, Any]]], steps: int) -> str:
+def _of_modules(modules: Mapping[str, Mapping[str, Summary]], steps: int) -> str:
     """All that moved alike together."""
     alike: dict[tuple[Any, ...], list[str]] = {}
     for name, movements in modules.items():
@@ -115,7 +116,7 @@ def _of_modules(modules: Mapping[str, Mapping[str, Mapping[str, Any]]], steps: i
     return "; ".join(found)
 
 
-def _of_light(objects: Mapping[str, Mapping[str, Any]], steps: int) -> dict[str, str]:
+def _of_light(objects: Mapping[str, Summary], steps: int) -> dict[str, str]:
     """One by one, and in a line each of those that are not brightest, and of those that were never in sight."""
     rows, one_by_one = {}, brightest(objects)
     for name in one_by_one:
@@ -130,7 +131,7 @@ def _of_light(objects: Mapping[str, Mapping[str, Any]], steps: int) -> dict[str,
     return rows
 
 
-def _of_lost(objects: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+def _of_lost(objects: Mapping[str, Summary]) -> dict[str, str]:
     """Whom no track shows at times, the largest in the image one by one."""
     gone = {name: each for name, each in objects.items() if each.get("steps_in_sight") and (each["steps_lost"] or not each["tracks"])}
     hopeless = [name for name, each in gone.items() if not each["tracks"] and not each.get("findable", True)]
@@ -150,13 +151,13 @@ def _of_lost(objects: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     return rows
 
 
-def processing(values: Mapping[str, Any], what: str) -> str:
+def processing(values: Summary, what: str) -> str:
     """Time that the car computes for a step by the summary of a run, what that is, and how far from real time."""
     times = values["times_real_time"]
     return f"{number(values['processing_ms_median'], '.0f')} ms {what}" + ("" if times is None else f", {times:.2g} of the control period")
 
 
-def _of_symbol(values: dict[str, Any]) -> dict[str, str]:
+def _of_symbol(values: Summary) -> dict[str, str]:
     if (why := why_no_metrics(values)) is not None:
         return {"result": why, "lost steps": f"{values['lost_steps']}{_beside(values)}"}
     x, y = values["centroid_error_percent"]
@@ -172,7 +173,7 @@ def _of_symbol(values: dict[str, Any]) -> dict[str, str]:
     }
 
 
-def _beside(values: dict[str, Any]) -> str:
+def _beside(values: Summary) -> str:
     names = ", ".join(map(spoken, values["covered_by"])) or "other functions"
     blind = values["shown_steps"] - values["seen_steps"] - values["lost_steps"]
     covered = f", of which {names} covered it in {values['covered_steps']}" if values["covered_steps"] else ""

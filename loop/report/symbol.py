@@ -16,7 +16,7 @@ from luxloop.controllers.functions.symbol import SymbolFunctionParams
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.symbol.sensing.flat_model import FeatureParams
 from luxloop.loop.recording.remedies import SHADOW, remedies, why_no_metrics
-from luxloop.loop.recording.summary import column
+from luxloop.loop.recording.summary import Summary, column
 from luxloop.loop.report.facts import borders_deg
 from luxloop.loop.report.highlights import SymbolHistory
 from luxloop.loop.report.style import FOUR, SHARES, STYLE, field, heading, no_frame
@@ -45,7 +45,7 @@ FEW_STEPS = 60  # which are marked one by one
 LEAST_M, LEAST_DEG = 0.01, 0.1  # that the axes of poses show to both sides: less is nothing that anybody sees
 
 
-def draw_symbol(figure: SubFigure, simulation: Simulation, gathered: SymbolHistory, table: pa.Table, summary: dict[str, Any]) -> None:
+def draw_symbol(figure: SubFigure, simulation: Simulation, gathered: SymbolHistory, table: pa.Table, summary: Summary) -> None:
     """A symbol's part of a page. table: its columns (`luxloop.loop.simulation.columns.of_one`), of one step at least. summary: its own."""
     assert gathered.last is not None, "a page needs a step"
     symbol, last = simulation.controlled[gathered.name], gathered.last
@@ -71,7 +71,7 @@ def draw_symbol(figure: SubFigure, simulation: Simulation, gathered: SymbolHisto
     _beam_patterns(beam, symbol, lights["at the end"][0], "asked for" if shadow else "at the end")
 
 
-def _title(simulation: Simulation, name: str, summary: dict[str, Any], shadow: str | None) -> str:
+def _title(simulation: Simulation, name: str, summary: Summary, shadow: str | None) -> str:
     who = f"{simulation.scenario.name}: {name}  ({summary['controller']})"
     if shadow is not None:
         return f"{who}  ·  {SHADOW} {Path(shadow).name}"
@@ -85,7 +85,7 @@ def _title(simulation: Simulation, name: str, summary: dict[str, Any], shadow: s
     return f"{who}  ·  {settled}  ·  IoU {iou}, without control {without}, both at the last step  ·  centroid error {x} %, {y} %{lost}"
 
 
-def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: SymbolHistory, table: pa.Table, summary: dict[str, Any]) -> None:
+def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: SymbolHistory, table: pa.Table, summary: Summary) -> None:
     errors, pose, judged = figure.subplots(3, 1, sharex=True)
     steps = column(table, "step")
     lost = np.array([loss != "" for loss in table["loss"].to_pylist()])

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from luxloop.controllers.functions.object_based import ObjectLightParams
 from luxloop.loop.studies.training.light import lit_alone, luminance
-from luxloop.loop.studies.training.scenes import CAMERA, CLASSES, DarkScene, SceneObject, read
+from luxloop.loop.studies.training.scenes import CAMERA, CLASSES, DarkScene, Row, SceneObject, read
 from luxloop.perception.camera import expose
 from luxloop.perception.detection.detector import Detections, Detector, overlaps
 from luxloop.perception.noise import FrameNoise
@@ -43,7 +43,7 @@ class FrameScores:
     false: int
 
 
-def evaluate(detector: Detector, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def evaluate(detector: Detector, rows: Sequence[Row]) -> dict[str, Any]:
     """Metrics of a detector on the scenes that `luxloop.loop.studies.training.scenes.draw` returned as rows.
 
     At x lx every surface facing the lamps gets x lx at any distance: the intensity grows with the square of the distance. Confidence

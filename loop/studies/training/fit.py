@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -12,7 +11,7 @@ from torch.nn.functional import interpolate, smooth_l1_loss
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from luxloop.loop.studies.training.light import WELL_LIT_LX, all_light, full_light, lit_share, luminance, object_light
-from luxloop.loop.studies.training.scenes import CAMERA, CLASSES, DarkScene, read
+from luxloop.loop.studies.training.scenes import CAMERA, CLASSES, DarkScene, Row, read
 from luxloop.perception.camera import expose
 from luxloop.perception.detection.network import STRIDE, Network, boxes_of, middles, network_input
 from luxloop.perception.noise import FrameNoise
@@ -40,13 +39,13 @@ class Examples:
     share: Tensor
 
     @classmethod
-    def draw(cls, rows: Sequence[dict[str, Any]], number: int, rng: np.random.Generator) -> "Examples":
+    def draw(cls, rows: Sequence[Row], number: int, rng: np.random.Generator) -> "Examples":
         """Examples of a number of scenes, each from one or two of the scenes that `draw` returned as rows."""
         full, alone = zip(*(_pair(rows, rng) for _ in range(number)), strict=True)
         return cls(*(torch.stack(each) for each in zip(*full + alone, strict=True)))
 
 
-def _pair(rows: Sequence[dict[str, Any]], rng: np.random.Generator) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
+def _pair(rows: Sequence[Row], rng: np.random.Generator) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
     """One scene in full light, and in object-based light."""
     scene = _scene(rows, rng)
     scene = replace(scene, ambient_lx=scene.ambient_lx * float(np.exp(rng.normal(0, 1))))
@@ -67,7 +66,7 @@ def example(scene: DarkScene, light: Tensor, exposure: float, rng: np.random.Gen
     return frame, *targets(boxes[seen], torch.tensor([each.label for each in scene.objects]).long()[seen], must[seen])
 
 
-def _scene(rows: Sequence[dict[str, Any]], rng: np.random.Generator) -> DarkScene:
+def _scene(rows: Sequence[Row], rng: np.random.Generator) -> DarkScene:
     """A part of a scene, of any size; most with the objects of another one besides."""
     scale = float(np.exp(rng.uniform(-0.3, 0.35)))
     height, width = min(round(SIZE[0] / scale), CAMERA.height_px), min(round(SIZE[1] / scale), CAMERA.width_px)
@@ -118,7 +117,7 @@ BOX_WEIGHT, AGREE_WEIGHT = 2.0, 0.5
 RARE = 0.02  # initial score of the network: share of cells with an object
 
 
-def fit(rows: Sequence[dict[str, Any]], steps: int, seed: int, on_step: Callable[[float], None]) -> Network:
+def fit(rows: Sequence[Row], steps: int, seed: int, on_step: Callable[[float], None]) -> Network:
     """Train a network on `steps` batches; returns it ready to detect, with the mean of its late weights. on_step: called with the loss.
 
     rows: of scenes, as `luxloop.loop.studies.training.scenes.draw` gives them.

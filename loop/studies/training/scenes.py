@@ -35,6 +35,7 @@ TRAINING, HELD_OUT = 10_000, 1_000_000  # first seeds of scenes, which share no 
 ROADS = 8  # that scenes share, those held out among themselves
 LARGEST = 6e4  # half precision ends there
 MOMENTS_S = 4.0  # a scene is drawn at one moment of its first seconds
+Row = Mapping[str, Any]  # of a scene, as `draw` gives it, with its seed and folder
 LAYERS = ("lamps", "distance", "own", "sky", "object_id")
 
 
@@ -150,7 +151,7 @@ def draw(seed: int, folder: str) -> dict[str, Any]:
     return {"ambient_lx": scenario.light.ambient_lx, "objects": objects}
 
 
-def read(row: Mapping[str, Any], rows: slice = slice(None), columns: slice = slice(None)) -> DarkScene:
+def read(row: Row, rows: slice = slice(None), columns: slice = slice(None)) -> DarkScene:
     """The scene of a row that `draw` gave, or a part of the image, from which boxes then count. Raises OSError where the file is gone."""
     layers = np.load(_file(row["folder"], row["seed"]), mmap_mode="r")[:, rows, columns]
     lamps, distance, own, sky, object_id = torch.from_numpy(layers.astype(np.float32))

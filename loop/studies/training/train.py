@@ -19,7 +19,7 @@ from luxloop.loop.studies.training import scenes
 from luxloop.loop.studies.training.evaluate import JUDGED_LX, boxes_right, evaluate, expose_scene, light_on_objects
 from luxloop.loop.studies.training.fit import BATCH, fit
 from luxloop.loop.studies.training.report import overview, write_report
-from luxloop.loop.studies.training.scenes import CLASSES, read
+from luxloop.loop.studies.training.scenes import CLASSES, Row, read
 from luxloop.perception.detection.detector import NetworkParams
 from luxloop.perception.detection.network import NetworkDetector, save
 from luxloop.world.errors import LuxloopError
@@ -70,7 +70,7 @@ def store(detector: NetworkDetector, report: Mapping[str, Any], out: Path) -> No
         save(detector.network, detector.classes, file)
 
 
-def _learnt(rows: Sequence[dict[str, Any]], epochs: int, seed: int) -> tuple[NetworkDetector, dict[str, Any]]:
+def _learnt(rows: Sequence[Row], epochs: int, seed: int) -> tuple[NetworkDetector, dict[str, Any]]:
     """The network as it is stored, and how it came about. Scenes too few to leave one for that serve to calibrate as well."""
     last = len(rows) // CALIBRATING
     learnt, asked = (rows[:-last], rows[-last:]) if last else (rows, rows)
@@ -86,7 +86,7 @@ def _learnt(rows: Sequence[dict[str, Any]], epochs: int, seed: int) -> tuple[Net
     }
 
 
-def draw_scenes(out: Path, first: int, number: int, executor: Executor, title: str) -> list[dict[str, Any]]:
+def draw_scenes(out: Path, first: int, number: int, executor: Executor, title: str) -> Sequence[Row]:
     """Rows of so many scenes from a first seed on, drawn unless they are in the folder. Raises LuxloopError where some cannot be."""
     folder = str(out / FOLDER)
     seeds = sorted(range(first, first + number), key=scenes.road_seed)  # those on one road follow each other
@@ -105,7 +105,7 @@ def train_detector(out: Path, number: int, held_out: int, epochs: int, seed: int
     print(f"{out / WEIGHTS} and {out / 'report.md'} written")
 
 
-def calibrate(detector: NetworkDetector, rows: Sequence[Mapping[str, Any]]) -> tuple[float, float]:
+def calibrate(detector: NetworkDetector, rows: Sequence[Row]) -> tuple[float, float]:
     """Calibrate the logits of the detector's network so that scores are shares of correct boxes; returns slope and shift.
 
     rows: from `luxloop.loop.studies.training.scenes.draw`, of scenes not used in training; each is seen in full and in object-based light.

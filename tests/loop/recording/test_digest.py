@@ -16,7 +16,7 @@ from luxloop.loop.recording import sources
         ("loop/campaign_of_roads.py", True),  # whatever its name
         ("loop/simulation/report.py", True),
         ("loop/new_folder/new.py", True),
-        ("loop/studies/dataset/new.py", False),
+        ("loop/studies/training/new.py", False),
         ("loop/report/new.py", False),
     ],
 )
