@@ -180,8 +180,8 @@ def columns(of: str) -> str:
         "functions.NAME.": record.ZONE,
     }
     if of == "symbols":
-        groups = {"functions.NAME.": {name: ("", *entry) for name, entry in recorded.SYMBOL.items()}}
+        groups = {"functions.NAME.": recorded.SYMBOL}
     if of == "frames":
-        groups = {"": COLUMNS}
-    rows = [(f"`{prefix}{name}`", unit, text) for prefix, group in groups.items() for name, (_, unit, text) in group.items()]
+        groups = {"": {name: entry[1:] for name, entry in COLUMNS.items()}}
+    rows = [(f"`{prefix}{name}`", unit, text) for prefix, group in groups.items() for name, (unit, text) in group.items()]
     return markdown_table(("column", "unit", "meaning"), rows, "l")

@@ -9,9 +9,10 @@ import torch
 from torch import Tensor
 
 import luxloop
-from luxloop import ExtractionStatus, LuxloopError, Observation, ProjectionCommand, SymbolSensor, check_controller
+from luxloop import ExtractionStatus, Observation, ProjectionCommand, SymbolSensor, check_controller
 from luxloop.controllers.symbol.sensing.projection import Warp
 from tests.luxloop.variants import assert_refused, variant
+from tests.refusal import refusal
 
 
 @dataclass(frozen=True)
@@ -181,7 +182,7 @@ def test_controllers_that_are_shipped_keep_the_contract(name: str) -> None:
 
 def test_options_are_those_of_the_scenario(device: torch.device) -> None:
     check_controller(Halfway, {"share": 0.3}, device.type)
-    with pytest.raises(LuxloopError, match=r"controller\.options\.shore: .*did you mean 'share'\?"):
+    with refusal(r"controller\.options\.shore: .*did you mean 'share'\?"):
         check_controller(Halfway, {"shore": 0.3}, device.type)
-    with pytest.raises(LuxloopError, match="is not a class; give the class itself"):
+    with refusal("is not a class; give the class itself"):
         check_controller(Halfway(None))  # type: ignore[arg-type]

@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 import torch
 
-from luxloop import Arrivals, Exposure, Frame, LuxloopError, Sample, Utilisation, check_plant, simulated_plant
+from luxloop import Arrivals, Exposure, Frame, Sample, Utilisation, check_plant, simulated_plant
 from tests.luxloop.variants import assert_refused, variant
+from tests.refusal import refusal
 
 
 class Good:
@@ -231,7 +232,7 @@ class Dimmed:
 
 def test_options_are_those_of_the_scenario(device: torch.device) -> None:
     check_plant(Dimmed, {"share": 0.6}, device.type)
-    with pytest.raises(LuxloopError, match=r"plant\.options\.shar: .*did you mean 'share'\?"):
+    with refusal(r"plant\.options\.shar: .*did you mean 'share'\?"):
         check_plant(Dimmed, {"shar": 0.6}, device.type)
-    with pytest.raises(LuxloopError, match="is not a class; give the class itself"):
+    with refusal("is not a class; give the class itself"):
         check_plant(3, device=device.type)  # type: ignore[arg-type]

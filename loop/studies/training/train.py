@@ -64,8 +64,8 @@ def store(detector: NetworkDetector, report: Mapping[str, Any], out: Path) -> No
     Raises LuxloopError where that cannot be.
     """
     (out / WEIGHTS).unlink(missing_ok=True)
-    write_report(report, out)
     write_json(out / "report.json", report)
+    write_report(report, out)
     with whole(out / WEIGHTS) as file:
         save(detector.network, detector.classes, file)
 

@@ -54,6 +54,9 @@ def test_new_names_the_copy_like_the_original_unless_told_otherwise(lux: Lux) ->
         ("new my.toml --like tune_gains.py", "same ending"),
         ("new --like nothing_like_it", "`luxloop list examples`"),
         ("new --like tune_gain.py", "did you mean 'tune_gains.py'?"),
+        ("new my.toml --like gfbh", "'gfhb'"),
+        ("new my.toml --traffic -1", "for --traffic; must be >= 0"),
+        ("new my.toml --traffic 1 --like gfhb", "one of the two"),
     ],
 )
 def test_new_that_cannot_be_is_refused(lux: Lux, tmp_path: Path, arguments: str, said: str) -> None:
@@ -64,22 +67,9 @@ def test_new_that_cannot_be_is_refused(lux: Lux, tmp_path: Path, arguments: str,
     assert set(tmp_path.iterdir()) == before
 
 
-def test_new_scenario_like_none_is_refused_and_nothing_written(lux: Lux, tmp_path: Path) -> None:
-    code, _, error = lux("new", "my.toml", "--like", "gfbh")
-    assert code == cli.WRONG and "'gfhb'" in error and not (tmp_path / "my.toml").exists()
-
-
 def test_new_night_is_valid_and_its_traffic_comes_from_the_seed(lux: Lux) -> None:
     assert lux("new", "a.toml", "--traffic", "7")[0] == lux("new", "b.toml", "--traffic", "8")[0] == 0
     a, b = load("a.toml"), load("b.toml")
     assert len(a.all_objects) > 5 and a.all_objects != b.all_objects and a.surface != b.surface
     assert all(each.on_road for each in a.all_objects)
     assert lux("check", "a.toml")[0] == 0
-
-
-@pytest.mark.parametrize(
-    ("more", "words"), [(["--traffic", "-1"], "for --traffic; must be >= 0"), (["--traffic", "1", "--like", "gfhb"], "one of the two")]
-)
-def test_new_night_that_cannot_be_is_refused(lux: Lux, tmp_path: Path, more: list[str], words: str) -> None:
-    code, _, error = lux("new", "my.toml", *more)
-    assert code == cli.WRONG and words in error and not (tmp_path / "my.toml").exists()

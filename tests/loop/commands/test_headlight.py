@@ -39,6 +39,10 @@ def test_facts_of_a_preset(lux: Lux) -> None:
     code, out, _ = lux("info hd84")
     assert code == 0
     assert all(fact in out for fact in ("3 x 28", "low", "full", " cd", " lm", "Guessed", "mean utilisation", "100.0%"))
+    assert re.search(r"^low: keeps \d+ of \d+ of r149-passing-c$", out, re.M)
+    assert re.search(r"^high: keeps all of \d+ of r149-driving-b$", out, re.M)
+    _, out, _ = lux("info ssl-hd-lores")
+    assert out.splitlines()[1].startswith("The module LoRes alone")
 
 
 def test_a_beam_goes_out_as_a_photometric_file_and_comes_back(lux: Lux) -> None:
@@ -132,6 +136,7 @@ def test_a_photometric_file_is_drawn_as_it_was_measured(lux: Lux) -> None:
         ("export hd84 --out low.csv", ["low.csv", ".ies or .ldt"]),
         ("export hd84 --out no/where/low.ies", ["no/where/low.ies", "cannot be written"]),
         ("build nothing.toml", ["nothing.toml", "cannot be read"]),
+        (f"info {'a' * 300}.npz", ["does not exist"]),
     ],
 )
 def test_what_cannot_be_done_is_one_sentence(lux: Lux, line: str, words: list[str]) -> None:
@@ -180,19 +185,6 @@ def test_options_that_a_photometric_file_has_no_use_for_are_refused(lux: Lux) ->
     code, _, err = lux("show full.ies --beam low")
     assert code == 2 and "--beam" in err and "--view" in err and not Path("full.png").exists()
     assert lux("show full.ies --view wall --side left")[0] == 0
-
-
-def test_a_name_too_long_for_a_file_is_no_lamp(lux: Lux) -> None:
-    code, _, err = lux(f"info {'a' * 300}.npz")
-    assert code == 2 and "does not exist" in err
-
-
-def test_facts_say_what_default_beams_keep(lux: Lux) -> None:
-    _, out, _ = lux("info hd84")
-    assert re.search(r"^low: keeps \d+ of \d+ of r149-passing-c$", out, re.M)
-    assert re.search(r"^high: keeps all of \d+ of r149-driving-b$", out, re.M)
-    _, out, _ = lux("info ssl-hd-lores")
-    assert out.splitlines()[1].startswith("The module LoRes alone")
 
 
 def test_traffic_on_the_left_gets_beams_of_its_own(lux: Lux) -> None:

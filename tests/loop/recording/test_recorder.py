@@ -30,8 +30,8 @@ from luxloop.loop.simulation.result import Clock, StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.caches import Part, PartialImage
-from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import SMALL
+from tests.refusal import refusal
 
 ROOT = Path(__file__).parents[3]
 
@@ -212,9 +212,9 @@ def test_what_ends_before_its_first_step_leaves_all_as_it_was(
 )
 def test_directory_of_something_else_is_left_alone(tmp_path: Path, small_simulation: Simulation, name: str, content: str) -> None:
     (tmp_path / name).write_text(content)
-    with pytest.raises(LuxloopError, match=r"holds files that are no recording"):
+    with refusal(r"holds files that are no recording"):
         run(validate(SMALL | {"headlight": {"model": "nothing.npz"}}, "never made ready"), tmp_path)
-    with pytest.raises(LuxloopError, match=r"holds files that are no recording.*; give an empty or a new directory"):
+    with refusal(r"holds files that are no recording.*; give an empty or a new directory"):
         Recorder(tmp_path, small_simulation)
     assert (tmp_path / name).read_text() == content
     assert len(list(tmp_path.iterdir())) == 1
@@ -225,11 +225,11 @@ def test_what_cannot_be_written_is_said(
 ) -> None:
     (tmp_path / "file").touch()
     for directory in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(LuxloopError, match=r"file.*: cannot be written \(.*\); give another folder with --out"):
+        with refusal(r"file.*: cannot be written \(.*\); give another folder with --out"):
             Recorder(directory, small_simulation)
     monkeypatch.setattr(recorder, "REST", 0)  # write at every step
     recording = Recorder(tmp_path / "gone", small_simulation)
     recording.add(small_results[0])
     shutil.rmtree(tmp_path / "gone")
-    with pytest.raises(LuxloopError, match=r"gone/trajectory.parquet: cannot be written \(No such file or directory\)"):
+    with refusal(r"gone/trajectory.parquet: cannot be written \(No such file or directory\)"):
         recording.add(small_results[0])

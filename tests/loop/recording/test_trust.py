@@ -17,6 +17,7 @@ from luxloop.loop.scenario.model import load
 from luxloop.loop.studies import campaign
 from luxloop.world import plugin
 from luxloop.world.errors import LuxloopError
+from tests.refusal import refusal
 
 MINE = """
 from pathlib import Path
@@ -111,14 +112,14 @@ def test_what_is_typed_or_given_in_python_is_the_users_own(key: str, mine: Path,
     if key == "functions.symbol.controller.name":
         assert load(base, controller={"name": f"mine:{name}"}).symbol.controller.name == f"{mine}/mine:{name}"
     (mine / "keys.toml").write_text("[road]\nkind = 'mine:Road'\n")
-    with pytest.raises(LuxloopError, match=r"road\.kind: .*--allow-code"):
+    with refusal(r"road\.kind: .*--allow-code"):
         load(base, ["keys.toml"])
     assert load(base, ["keys.toml"], allow_code=True).road.kind == f"{mine}/mine:Road"
 
 
 def test_a_name_in_a_file_stays_untrusted_beside_what_is_typed(mine: Path) -> None:
     (file := mine / "scenario.toml").write_text(NAMING["functions.symbol.extraction.kind"])
-    with pytest.raises(LuxloopError, match=r"extraction\.kind: .*--allow-code"):
+    with refusal(r"extraction\.kind: .*--allow-code"):
         load(str(file), ["road.kind=bumps", "functions.symbol.extraction.area_low=0.3"])
     assert load(str(file), ["functions.symbol.extraction.kind=differential"]).symbol.extraction.kind == "differential"
 
@@ -138,7 +139,7 @@ def recorded(mine: Path, text: str, key: str, value: Any) -> Path:
 @pytest.mark.parametrize(("text", "table", "name"), [(HELD, "functions.symbol.extraction", "Looks"), (BARE, "road", "Road")])
 def test_an_edited_manifest_runs_no_code(text: str, table: str, name: str, mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
     directory = recorded(mine, text, table, {"kind": f"{mine}/mine:{name}"})
-    with pytest.raises(LuxloopError, match=rf"manifest\.json: {table}\.kind: .*the module mine;.*--allow-code"):
+    with refusal(rf"manifest\.json: {table}\.kind: .*the module mine;.*--allow-code"):
         replay(directory)
     assert cli.main(["replay", str(directory)]) == cli.WRONG and not ran(mine)
     assert replay(directory, allow_code=True).agrees and ran(mine), "the manifest knows where the module was"
@@ -148,14 +149,14 @@ def test_an_edited_manifest_runs_no_code(text: str, table: str, name: str, mine:
 def test_a_campaign_names_code_as_a_scenario_does(mine: Path) -> None:
     for text in ('controllers = ["mine:Stays"]', "[set.road]\nkind = 'mine:Road'", "[variants.a]\nroad.kind = 'mine:Road'"):
         (file := mine / "campaign.toml").write_text(f'scenarios = ["plain.toml"]\n{text}\n')
-        with pytest.raises(LuxloopError, match=r"the module mine;.*--allow-code"):
+        with refusal(r"the module mine;.*--allow-code"):
             campaign.read(file)
         (one,) = campaign.read(file, allow_code=True)
         job = campaign.job_scenario(one.scenario.model_dump(mode="json"), digests(one.scenario))
         assert [name.folder for _, name in plugin.own_names(job)] == [mine], "workers have the decision with the name"
     (mine / "plain.toml").write_text(NAMING["road.kind"])
     file.write_text('scenarios = ["plain.toml"]\n')
-    with pytest.raises(LuxloopError, match=r"plain\.toml: road\.kind: .*--allow-code"):
+    with refusal(r"plain\.toml: road\.kind: .*--allow-code"):
         campaign.read(file)
     assert not ran(mine)
 

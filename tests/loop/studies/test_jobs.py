@@ -14,6 +14,7 @@ import pytest
 
 from luxloop.loop.studies.jobs import Job, Results, local, run
 from luxloop.world.errors import LuxloopError
+from tests.refusal import refusal
 
 ROOT = Path(__file__).parents[3]
 SCRIPT = """
@@ -94,7 +95,7 @@ def test_failures_are_collected_and_tried_again(tmp_path: Path) -> None:
         results = run(square, numbers(1, -1, 2, log=str(log)), tmp_path / "r.jsonl", version="1", executor=local(1))
         assert [row["x"] for row in results.rows] == [1, 2]
         assert list(results.failures) == ["x -1"]
-        assert results.failures["x -1"].startswith("ValueError: -1 is negative (test_runner.py, line ")
+        assert results.failures["x -1"].startswith("ValueError: -1 is negative (test_jobs.py, line ")
     assert log.read_text().split() == ["1", "-1", "2", "-1"]
     assert run(refuse, numbers(1), tmp_path / "r.jsonl", version="1").failures == {"x 1": "give another x"}
     assert "not JSON serializable" in run(unwritable, numbers(1), tmp_path / "r.jsonl", version="1").failures["x 1"]
@@ -106,7 +107,7 @@ def test_processes_have_one_thread_and_their_failures_come_back(tmp_path: Path, 
     rows = run(about, both, tmp_path / "r.jsonl", version="1", executor=local(2)).rows
     assert all(row["pid"] != os.getpid() and row["threads"] == "1" for row in rows)
     assert os.environ["OMP_NUM_THREADS"] == "7"
-    with pytest.raises(LuxloopError, match=r"worker process was killed.*0 of 2 jobs are kept.*the first that are not done: x 1; x 2"):
+    with refusal(r"worker process was killed.*0 of 2 jobs are kept.*the first that are not done: x 1; x 2"):
         run(die, numbers(1, 2), tmp_path / "r.jsonl", version="1", executor=local(2))
 
 
@@ -185,14 +186,14 @@ def test_junk_in_the_last_line_costs_that_line(junk: bytes, tmp_path: Path) -> N
 def test_files_of_another_kind_are_left_alone(content: bytes, tmp_path: Path) -> None:
     file = tmp_path / "mine.txt"
     file.write_bytes(content)
-    with pytest.raises(LuxloopError, match=r"mine\.txt: holds something other than job results"):
+    with refusal(r"mine\.txt: holds something other than job results"):
         run(square, numbers(1), file, version="1", executor=local(1))
     assert file.read_bytes() == content
 
 
 def test_folders_that_cannot_be_written_are_said_so(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(LuxloopError, match="cannot be"):
+    with refusal("cannot be"):
         run(square, numbers(1), tmp_path / "file" / "r.jsonl", version="1", executor=local(1))
 
 
@@ -200,7 +201,7 @@ def test_parquet(tmp_path: Path) -> None:
     file = tmp_path / "r.parquet"
     run(square, numbers(1, 2), tmp_path / "r.jsonl", version="1", executor=local(1)).write(file)
     assert pq.read_table(file).to_pylist() == [{"key": f"x {x}", "x": x, "square": x * x, "list": [x, x]} for x in (1, 2)]
-    with pytest.raises(LuxloopError, match="cannot be written"):
+    with refusal("cannot be written"):
         Results([{"a": 1}], {}).write(file / "r.parquet")
-    with pytest.raises(LuxloopError, match="results make no table"):
+    with refusal("results make no table"):
         Results([{"a": 1}, {"a": "one"}], {}).write(file)

@@ -21,7 +21,7 @@ from luxloop.loop.studies.gradient import Surrogate, near
 from luxloop.loop.studies.jobs import local
 from luxloop.loop.studies.tune import FINISHED, STUDY, Task, Trace, Tuning, study_in, tune
 from luxloop.loop.studies.tune_report import BEST, PICTURE, REPORT, write
-from luxloop.world.errors import LuxloopError
+from tests.refusal import refusal
 
 SMALL = [
     *("steps=3", "renderer=raycast", "headlight.model=ssl-hd-lores", "camera={ width_px=160, height_px=90, oversampling=1 }"),
@@ -56,7 +56,7 @@ def task(scenario: Scenario, seeds: int = 2) -> Task:
     ],
 )
 def test_wrong_ranges_are_one_sentence(text: str, said: str, scenario: Scenario) -> None:
-    with pytest.raises(LuxloopError, match=f"{re.escape(text.partition('=')[0]) if '--key' in said else ''}.*{said}"):
+    with refusal(f"{re.escape(text.partition('=')[0]) if '--key' in said else ''}.*{said}"):
         ranges.parse(text, [scenario])
 
 
@@ -84,7 +84,7 @@ def test_every_number_that_set_takes_is_tuned(tmp_path: Path) -> None:
 def test_a_whole_share_of_ones_own_part_says_how_it_can_be_a_fraction() -> None:
     own = load("flat", ["road={ kind='own:Road', options={ share=1, width_m=1.0 } }"])
     assert not ranges.parse("road.options.width_m=0.5:2", [own]).whole
-    with pytest.raises(LuxloopError, match=r"give whole ends, or road.options.share a value with a point, such as 1.0$"):
+    with refusal(r"give whole ends, or road.options.share a value with a point, such as 1.0$"):
         ranges.parse("road.options.share=0.1:1.5", [own])
 
 
@@ -93,7 +93,7 @@ def test_a_whole_share_of_ones_own_part_says_how_it_can_be_a_fraction() -> None:
     [("setling", "did you mean 'settling'"), ("2 iou", "is not a term"), ("0*iou", "weighs nothing"), ("", "is not a term")],
 )
 def test_wrong_objectives_are_one_sentence(text: str, said: str) -> None:
-    with pytest.raises(LuxloopError, match=said):
+    with refusal(said):
         objective.parse(text)
 
 
@@ -153,7 +153,7 @@ def test_two_symbols_beside_a_lane_are_tuned_but_not_by_gradient(tmp_path: Path)
     (first, cost, _), *others = trials(tuned)
     assert first == both.start_values and cost == tuned.given_cost < objective.FAILED and not tuned.failures
     assert len(others) == 2 and all(each is not None and each != cost for _, each, _ in others)
-    with pytest.raises(LuxloopError, match=r"flat: --gradient: .*not one"):
+    with refusal(r"flat: --gradient: .*not one"):
         gradient.tune_by_gradient(both, tmp_path / "gradient", 1, local(1))
 
 
@@ -236,7 +236,7 @@ def test_failures_of_trials_are_told_and_those_of_all_given_runs_stop(tmp_path: 
         return Task((scenario,), (ranges.parse("functions.symbol.controller.options.weight=0.0:1.0", [scenario]),), objective.parse("iou"))
 
     folder = tmp_path / "study"
-    with pytest.raises(LuxloopError, match=r"every run with the given values fails.*IndexError: too heavy"):
+    with refusal(r"every run with the given values fails.*IndexError: too heavy"):
         tune(weighing(0.9), folder, 1, local(1))
     tuned = tune(weighing(0.1), folder, 4, local(1))  # in the same folder, of which nothing was made
     heavy = [values for values, cost, _ in trials(tuned) if cost == objective.FAILED]
@@ -266,7 +266,7 @@ def test_a_damaged_journal_is_one_sentence(line: bytes, tmp_path: Path) -> None:
     file = tmp_path / STUDY
     kept = file.read_bytes().splitlines()
     file.write_bytes(b"\n".join([*kept[:1], line, *kept[1:], b""]))
-    with pytest.raises(LuxloopError, match=r"study\.log: is not a study's journal"), study_in(tmp_path, "digest"):
+    with refusal(r"study\.log: is not a study's journal"), study_in(tmp_path, "digest"):
         pass
 
 
@@ -277,7 +277,7 @@ def test_other_settings_need_another_folder(tmp_path: Path) -> None:
     with study_in(tmp_path / "study", "digest"):
         pass
     for folder, said in (("study", "study of other settings"), ("a", "is not a study's journal"), ("file", "cannot be written")):
-        with pytest.raises(LuxloopError, match=said), study_in(tmp_path / folder, "other"):
+        with refusal(said), study_in(tmp_path / folder, "other"):
             pass
 
 
@@ -370,7 +370,7 @@ def test_scenarios_of_which_all_runs_fail_are_named_with_the_reason(tmp_path: Pa
     simulations = [Simulation.prepare(each) for each in both.scenarios]
     run = rollouts(simulations[0], {key: torch.tensor([0.3]) for key in both.start_values})
     seen: Trace = [part[0].tolist() for part in vars(run).values()]
-    with pytest.raises(LuxloopError, match=r"^broken: IndexError: too far, .*tune without --gradient$"):
+    with refusal(r"^broken: IndexError: too far, .*tune without --gradient$"):
         gradient.descend(both, simulations, [gradient.Iteration(both.start_values, 1.0, [seen, "IndexError: too far"])])
 
 
@@ -398,5 +398,5 @@ def test_what_descent_finds_keeps_its_digits_and_its_range(given: float) -> None
 )
 def test_what_cannot_be_descended_on_is_refused(changes: tuple[str, ...], key: str, said: str, tmp_path: Path) -> None:
     scenario = load("snowflake", [*SEEN, *changes])
-    with pytest.raises(LuxloopError, match=said):
+    with refusal(said):
         gradient.tune_by_gradient(Task((scenario,), (ranges.parse(key, [scenario]),), objective.parse("iou")), tmp_path, 2, local(1))

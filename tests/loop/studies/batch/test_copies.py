@@ -11,7 +11,7 @@ from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.batch import drawing
 from luxloop.loop.studies.batch.copies import Copies, Taken
-from luxloop.world.errors import LuxloopError
+from tests.refusal import refusal
 
 SMALL = [
     *("functions.symbol.controller.name=thesis_pid", "headlight.model=ssl-hd-lores", "functions.symbol={ width_m=3.0, length_m=8.0 }"),
@@ -104,11 +104,11 @@ def test_noise_is_that_of_each_copys_seed_and_step(simulation: Simulation) -> No
     ],
 )
 def test_what_is_no_batch_is_said_so(changes: list[str], said: str) -> None:
-    with pytest.raises(LuxloopError, match=said):
+    with refusal(said):
         Copies(Simulation.prepare(load("snowflake", [*SMALL, *changes])))
 
 
 def test_one_that_stands_beside_what_it_was_prepared_for_is_refused(simulation: Simulation) -> None:
     given = load("snowflake", [*SMALL, "disturbances.oncoming=[{ position_m=[40, 2, 0.65] }]"])
-    with pytest.raises(LuxloopError, match=r"disturbances\.oncoming"):
+    with refusal(r"disturbances\.oncoming"):
         Copies(replace(simulation, scenario=given))

@@ -14,8 +14,8 @@ from luxloop.perception.detection.build import detector
 from luxloop.perception.detection.detector import NetworkParams, OnnxParams, overlaps
 from luxloop.perception.detection.network import CODE, Network, NetworkDetector, boxes_of
 from luxloop.perception.detection.onnx import OnnxDetector
-from luxloop.world.errors import LuxloopError
 from tests.loop.studies.training.lit import Lit
+from tests.refusal import refusal
 
 CPU, FLOAT = torch.device("cpu"), onnx.TensorProto.FLOAT
 
@@ -108,13 +108,13 @@ DECODED = DENSE * np.array([416.0, 416, 60, 60, *[1] * 81])
 def test_offsets_that_are_not_decoded_are_refused(layout: Any, offset: float, tmp_path: Path) -> None:
     raw = DENSE * np.array([1.0, 1, 4, 4, *[1] * 81]) + np.array([0, 0, offset, offset, *[0] * 81])
     file = says(raw if layout == "yolov5" else raw[:, :84].T, (416, 416), tmp_path / "says.onnx")
-    with pytest.raises(LuxloopError, match=r"detector\.layout: .*not decoded"):
+    with refusal(r"detector\.layout: .*not decoded"):
         OnnxDetector(OnnxParams(file=file, layout=layout, input_px=(416, 416)))
 
 
 def test_a_network_like_yolox_is_told_its_white(tmp_path: Path) -> None:
     file = says(DECODED, (416, 416), tmp_path / "says.onnx")
-    with pytest.raises(LuxloopError, match=r"detector\.white: .*255 for YOLOX"):
+    with refusal(r"detector\.white: .*255 for YOLOX"):
         OnnxDetector(OnnxParams(file=file, layout="yolov5", input_px=(416, 416)))
     nodes = [helper.make_node("ReduceMax", ["x"], ["m"], keepdims=0), helper.make_node("Mul", ["m", "box"], ["y"])]
     box = numpy_helper.from_array(np.float32([[[20, 20, 8, 8, 1, 0.9]]]) / np.float32(255), "box")  # as sure as its picture is bright
@@ -143,9 +143,9 @@ def test_what_is_not_finite_is_left_out(number: int, wrong: float, tmp_path: Pat
 
 
 def test_what_is_no_network_is_said_in_a_sentence(tmp_path: Path) -> None:
-    with pytest.raises(LuxloopError, match=r"detector.file: .*none.onnx: there is no such file"):
+    with refusal(r"detector.file: .*none.onnx: there is no such file"):
         OnnxDetector(OnnxParams(file=str(tmp_path / "none.onnx")))
     broken = tmp_path / "broken.onnx"
     broken.write_bytes(b"no network")
-    with pytest.raises(LuxloopError, match=r"broken.onnx: is not a valid ONNX file"):
+    with refusal(r"broken.onnx: is not a valid ONNX file"):
         OnnxDetector(OnnxParams(file=str(broken)))
