@@ -124,7 +124,7 @@ def _line(outcome: Summary) -> str:
             parts.append(_comparison(outcome, unit))
     of_bound = unit if outcome["compare"] is None or outcome["difference"] is not None else ""
     for bound in (each for each in ("at_least", "at_most") if outcome[each] is not None):
-        given = _percent(outcome[bound]) if outcome["recall"] is not None else f"{outcome[bound]:g}{of_bound}"
+        given = f"{100 * outcome[bound]:.4g} %" if outcome["recall"] is not None else f"{outcome[bound]:g}{of_bound}"
         parts.append(f"{bound.replace('_', ' ')} {given}")
     return f"{', '.join(parts)}: {'passed' if outcome['passed'] else 'failed'}"
 
@@ -134,15 +134,11 @@ def _comparison(outcome: Summary, unit: str) -> str:
     if other is None:
         return f"{NOTHING} with {light}"
     if outcome["recall"] is not None:
-        return f"above 0 in {_percent(outcome['recall'])} of the steps in which it is above 0 with {light}"
+        return f"above 0 in {100 * outcome['recall']:.4g} % of the steps in which it is above 0 with {light}"
     if outcome["difference"] is not None:
         return f"{outcome['take']} {outcome['difference']:+.4g}{unit} relative to {light}"
     share = "an infinite multiple" if outcome["ratio"] is None else f"{outcome['ratio']:.4g}"
     return f"{share} of {other:.4g}{unit} with {light}"
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.4g} %"
 
 
 def _value(check: CheckParams, times_s: np.ndarray, values: np.ndarray) -> float | None:

@@ -48,7 +48,8 @@ def summary_of(
         run = Circumstances(judge_every, scenario.vehicle is not None, road_m, getattr(symbol.params, "highest_m", None))
         held[name] = summarise_symbol(mine, symbol.params.name, iou, by, run)
     summary = summarise(table, scenario.name, reference_power(simulation, table), held)
-    summary |= {"shadow_of": shadow_of(scenario.plant), "low_beam_lm": low_beam_lm(simulation)}
+    low = _low_beam(simulation)
+    summary |= {"shadow_of": shadow_of(scenario.plant), "low_beam_lm": sum(_flux_lm(simulation, low)) if low else None}
     summary |= {"modules": modules} if (modules := of_modules(table, simulation.modules)) else {}
     return summary | ({"flicker": {"rate_hz": scenario.rate_hz, "on_share": 1 - scenario.off_share}} if held else {})
 
@@ -257,12 +258,6 @@ def reference_power(simulation: Simulation, table: pa.Table) -> Mapping[str, NDA
 def _base(module: ShiningModule, beam: str, time_s: float) -> Tensor:
     """Utilisation `[n_p]` that nothing dims, also of a beam that an edited scenario no longer asks for."""
     return module.beam(beam) if module.raw is None else module.raw.at(time_s).to(module.flux)
-
-
-def low_beam_lm(simulation: Simulation) -> float | None:
-    """Luminous flux of all lamps in the low beam that nothing dims; None where they have none."""
-    low = _low_beam(simulation)
-    return sum(_flux_lm(simulation, low)) if low else None
 
 
 def _low_beam(simulation: Simulation) -> list[Tensor]:

@@ -122,11 +122,6 @@ def frame_name(number: int) -> str:
     return f"{FRAMES}/{image_file(Path(), number).name}"
 
 
-def light_name(number: int) -> str:
-    """A light, from the recording's folder on."""
-    return f"{FRAMES}/{light_file(Path(), number).name}"
-
-
 def label_name(kind: str, number: int) -> str:
     """A mask of the instances or parts of an exposure's frame, or values at its pixels, from the recording's folder on."""
     return f"{FOLDER}/{kind}_{number:08d}.{'png' if kind in ('instances', 'parts') else 'npz'}"
@@ -170,7 +165,7 @@ class LabelRecorder:
 
     def _keep(self, labelled: LabelledImage) -> None:
         number = labelled.number
-        files = {"file_name": frame_name(number), "light": light_name(self._frames.light_of(number))}
+        files = {"file_name": frame_name(number), "light": f"{FRAMES}/{light_file(Path(), self._frames.light_of(number)).name}"}
         if labelled.parts is not None:
             for kind, mask in (("instances", labelled.instances), ("parts", labelled.parts)):
                 files[kind] = label_name(kind, number)

@@ -83,11 +83,6 @@ class Manifest(Params):
             started_utc=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         )
 
-    @property
-    def device_here(self) -> str:
-        """The kind of device that was recorded on, the CPU where this machine has none of it."""
-        return "cuda" if self.device.startswith("cuda") and torch.cuda.is_available() else "cpu"
-
     @classmethod
     def read(cls, directory: Path) -> "Manifest":
         """The manifest of a recording. Raises LuxloopError where there is none that this luxloop understands."""

@@ -174,7 +174,8 @@ def replay(
         raise LuxloopError(f"{directory / TRAJECTORY}: holds no step; record the run again")
     if not allow_code:
         refuse_foreign(directory, scenario, recording.edits)
-    simulation = Simulation.prepare(scenario, device or manifest.device_here)
+    here = "cuda" if manifest.device.startswith("cuda") and torch.cuda.is_available() else "cpu"
+    simulation = Simulation.prepare(scenario, device or here)
     columns = schema(simulation)
     columns_of(recording.table, columns, directory / TRAJECTORY)
     notes = manifest.changes(Manifest.of(scenario, simulation.renderer, simulation.device))

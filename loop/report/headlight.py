@@ -14,7 +14,7 @@ from torch import Tensor
 
 from luxloop.loop.report.charts import WALL_M, car_outline, distance_marks, draw_birdseye, draw_eye, draw_pixels, draw_texture, draw_wall
 from luxloop.loop.report.facts import borders_deg, flux_lm, peak
-from luxloop.loop.report.style import STYLE, no_frame, page_title, write
+from luxloop.loop.report.style import STYLE, columns, no_frame, page_title, rows, write
 from luxloop.loop.report.styles import check_out, style_of
 from luxloop.loop.report.terminal import plural
 from luxloop.loop.report.views import SIDES, LitCar, Road, beside, birdseye, driver, grey, picture
@@ -205,8 +205,8 @@ def _page(car: LitCar, beam: str, what: str, inches: tuple[float, float]) -> Fig
 
 def _draw_overview(figure: Figure, car: LitCar, beam: str, road: Road) -> None:
     """Fill a page."""
-    top, bottom = figure.subfigures(2, 1, squeeze=False, height_ratios=(3.9, 3.7))[:, 0]
-    left, right = top.subfigures(1, 2, squeeze=False, width_ratios=(9.2, 4.4))[0]
+    top, bottom = rows(figure, 3.9, 3.7)
+    left, right = columns(top, 9.2, 4.4)
     wall = left.subplots()
     wall.set_title(f"Illuminance of a wall at {WALL_M:g} m in lx")
     draw_wall(wall, car, "isolux")

@@ -21,7 +21,7 @@ from luxloop.loop.report.courses import write_courses
 from luxloop.loop.report.highlights import Highlights
 from luxloop.loop.report.picture import WALL_DEG, camera_luminance, marks, readable, wall_light, white_of
 from luxloop.loop.report.run_table import processing
-from luxloop.loop.report.style import SHARES, drawing, field, page_title
+from luxloop.loop.report.style import SHARES, columns, drawing, field, page_title, rows
 from luxloop.loop.report.symbol import HIGH_IN, draw_symbol
 from luxloop.loop.report.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
 from luxloop.loop.scenario.plant import shadow_of
@@ -63,7 +63,7 @@ def write_report(file: Path, simulation: Simulation, highlights: Highlights, tab
         parts.append((HIGH_IN, partial(draw, summary=summary["functions"][each.name])))
     ratios = [high for high, _ in parts]
     with drawing(file, (WIDE_IN, sum(ratios)), dpi=DPI) as figure:
-        for place, (_, draw_part) in zip(figure.subfigures(len(parts), 1, squeeze=False, height_ratios=ratios)[:, 0], parts, strict=True):
+        for place, (_, draw_part) in zip(rows(figure, *ratios), parts, strict=True):
             draw_part(place)
 
 
@@ -81,15 +81,15 @@ def _draw_light(
     """Draw the part of a page about all light; high: its height in inches."""
     last, upper = moments[-1], high - ABOVE_IN
     page_title(figure, *_title(simulation, last, summary), size=12)
-    left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(7.6, 5.4))[0]
+    left, right = columns(figure, 7.6, 5.4)
     observed = [(result, symbol) for result in moments for symbol in result.symbols][-OBSERVED:]
     heights = (upper, ABOVE_IN, 1.6) if observed else (upper, ABOVE_IN)
-    top, bottom, *below = left.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
+    top, bottom, *below = rows(left, *heights)
     _cameras(top, simulation, moments)
     _from_above(bottom.subplots(), simulation, last)
     for figure_below in below:
         _observers(figure_below, observed)
-    courses, walls = right.subfigures(2, 1, squeeze=False, height_ratios=(upper, ABOVE_IN))[:, 0]
+    courses, walls = rows(right, upper, ABOVE_IN)
     write_courses(courses, simulation, table, summary)
     _walls(walls, simulation, last)
 

@@ -9,7 +9,7 @@ from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from luxloop.loop.report import charts
-from luxloop.loop.report.style import FOUR, drawing, page_title
+from luxloop.loop.report.style import FOUR, columns, drawing, page_title
 from luxloop.loop.report.styles import check_out
 from luxloop.loop.report.views import Image
 from luxloop.world.photometry import Distribution, Photometry
@@ -27,7 +27,7 @@ def show_distribution(photometry: Photometry, out: Path) -> Path:
         peak, flux = _number(distribution.candela.max()), _number(distribution.luminous_flux)
         kind = f"{photometry.format}, type {distribution.type}"
         page_title(figure, photometry.path.name, kind, f"peak {peak} cd", f"{flux} lm")
-        left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(7.2, 4.8))[0]
+        left, right = columns(figure, 7.2, 4.8)
         _map(left.subplots(), distribution)
         _curves(right, distribution)
     return out

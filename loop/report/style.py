@@ -75,6 +75,16 @@ def scale(axes: Axes, drawn: ScalarMappable, label: str) -> Colorbar:
     return axes.figure.colorbar(drawn, ax=axes, label=label, pad=0.015, fraction=0.05, aspect=24)
 
 
+def rows(figure: Figure | SubFigure, *heights: float) -> list[SubFigure]:
+    """Parts of a figure one below the other, in the ratios of their heights."""
+    return [*figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]]
+
+
+def columns(figure: Figure | SubFigure, *widths: float) -> list[SubFigure]:
+    """Parts of a figure side by side, in the ratios of their widths."""
+    return [*figure.subfigures(1, len(widths), squeeze=False, width_ratios=widths)[0]]
+
+
 def no_frame(axes: Axes) -> None:
     """A picture: no ticks, no grid, no box."""
     axes.set(xticks=[], yticks=[])

@@ -19,7 +19,7 @@ from luxloop.loop.recording.remedies import SHADOW, remedies, why_no_metrics
 from luxloop.loop.recording.summary import Summary, column
 from luxloop.loop.report.facts import borders_deg
 from luxloop.loop.report.highlights import SymbolHistory
-from luxloop.loop.report.style import FOUR, SHARES, STYLE, field, heading, no_frame
+from luxloop.loop.report.style import FOUR, SHARES, STYLE, columns, field, heading, no_frame, rows
 from luxloop.loop.report.terminal import number
 from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation.columns import ERRORS
@@ -57,15 +57,15 @@ def draw_symbol(figure: SubFigure, simulation: Simulation, gathered: SymbolHisto
     figure.suptitle(fill(_title(simulation, gathered.name, summary, shadow), TITLE), x=0.012, ha="left", fontsize=12.5, weight="bold")
     notes = [] if shadow else remedies(gathered.name, summary)
     figure.supxlabel("\n".join(fill(note, NOTE) for note in notes), x=0.012, ha="left", fontsize=10)
-    left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(4.3, 7.7))[0]
+    left, right = columns(figure, 4.3, 7.7)
     _courses(left, symbol.function, gathered, table, summary)
     views = _camera_images(simulation, lights, gathered, last)
     if symbol.judge is None:
-        top, beam = right.subfigures(2, 1, squeeze=False, height_ratios=(2.75, 3.6))[:, 0]
+        top, beam = rows(right, 2.75, 3.6)
     else:
-        top, middle, bottom = right.subfigures(3, 1, squeeze=False, height_ratios=(2.75, 2.35, 3.6))[:, 0]
+        top, middle, bottom = rows(right, 2.75, 2.35, 3.6)
         _camera_views(middle, symbol, views)
-        plane, beam = bottom.subfigures(1, 2, squeeze=False, width_ratios=(3.5, 4.2))[0]
+        plane, beam = columns(bottom, 3.5, 4.2)
         _birds_eye_views(plane, symbol.judge, lights, last)
     _progression(top, symbol, gathered, views["at the end"])
     _beam_patterns(beam, symbol, lights["at the end"][0], "asked for" if shadow else "at the end")

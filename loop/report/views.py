@@ -102,7 +102,8 @@ class Road:
 
     def __init__(self, scenario: Scenario | None = None, time_s: float = 0.0) -> None:
         """Without a scenario: flat asphalt with a lane's markings."""
-        self.scenario, self.time_s = scenario or _plain_road(), time_s
+        plain = {"name": "flat road", "surface": {"markings": True}, "light": {"ambient_lx": NIGHT_LX}}
+        self.scenario, self.time_s = scenario or validate(plain, "flat road"), time_s
         self._shadows: WeakKeyDictionary[Source, ShadowMap] = WeakKeyDictionary()
 
     @property
@@ -182,11 +183,6 @@ def _through_air(
     for i, source in enumerate(lit):
         veiled = veiled + airlight(source, view.origin, directions, distance, air, shadow=shadows[i] if shadows else None)
     return veiled.view(luminance.shape)
-
-
-def _plain_road() -> Scenario:
-    tables = {"surface": {"markings": True}, "light": {"ambient_lx": NIGHT_LX}}
-    return validate({"name": "flat road", **tables}, "flat road")
 
 
 def driver(width_px: int = 1280) -> View:

@@ -125,10 +125,9 @@ def run_campaign(file: Path, out: Path, *, device: str = "cpu", executor: Execut
     ]
     with output_folder(out):
         results = run(figures_of, jobs, out / JOBS, version=digest_of_code(), executor=executor, title="runs", kind=kind_of)
-        found = {row.pop("key"): row for row in results.rows}
-        rows = [
-            {"key": each.key, **each.row, **_figures(found.get(each.key, {})), "error": results.failures.get(each.key, "")} for each in runs
-        ]
+        given = {"scenario", "inputs", "device", "controller"}  # of a job; the last is a figure of a symbol
+        found = {row["key"]: {name: value for name, value in row.items() if name not in {"key", *given}} for row in results.rows}
+        rows = [{"key": each.key, **each.row, **found.get(each.key, {}), "error": results.failures.get(each.key, "")} for each in runs]
         columns = list(dict.fromkeys(name for row in rows for name in row))
         results = Results([{name: row.get(name) for name in columns} for row in rows], results.failures)
         results.write(out / TABLE)
@@ -177,10 +176,6 @@ def job_scenario(scenario: Mapping[str, Any], inputs: dict[str, str]) -> Scenari
             "the same place on every machine and start again"
         )
     return valid
-
-
-def _figures(row: Row) -> Row:
-    return {name: value for name, value in row.items() if name not in ("scenario", "controller", "inputs", "device")}
 
 
 def _all(params: CampaignParams) -> Iterator[RunParams]:

@@ -216,8 +216,8 @@ def run(  # noqa: PLR0913 (each value stands by itself)
             tasks = [(identity, {**job.parameters, **job.place}) for identity, job in left.items()]
             kinds = [kind and kind(parameters) for _, parameters in tasks]
             found = bundles(kinds, executor.workers if any(kinds) else 1)
-            if note := note_of(found, title):
-                tables.say(note, stderr=True)
+            if together := [len(each) for each in found if len(each) > 1]:
+                tables.say(f"{sum(together)} of {len(tasks)} {title} in batches of up to {max(together)}", stderr=True)
             for ended in executor(partial(_call, many), [[tasks[k] for k in places] for places in found]):
                 for identity, result, error in ended:
                     if error:
@@ -335,9 +335,3 @@ def bundles(kinds: Sequence[str | None], workers: int) -> list[list[int]]:
         size = min(-(-len(places) // workers), MOST)
         found += [places[k : k + size] for k in range(0, len(places), size)]
     return sorted(found)
-
-
-def note_of(found: Sequence[Sequence[int]], title: str) -> str | None:
-    """How many jobs are done together, in words; None where none are."""
-    together = [len(each) for each in found if len(each) > 1]
-    return f"{sum(together)} of {sum(map(len, found))} {title} in batches of up to {max(together)}" if together else None

@@ -150,7 +150,10 @@ class Copies:
         if isinstance(projection, Tensor):
             projection = ProjectionCommand(projection)
         footprints = self.projector.footprints(projection, self.sensor.model.eye.view, self.sensor.params.footprint_margin_m)
-        windows = same_size([EMPTY if _empty(each) else each for each in footprints], self.view.base.shape)
+        windows = same_size(
+            [EMPTY if min(each.v_stop - each.v_start, each.u_stop - each.u_start) < 2 else each for each in footprints],
+            self.view.base.shape,
+        )
         needed = hull([each for each in windows if each != EMPTY])
         drawn: list[tuple[Tensor, ...]]
         if self.windowed:  # on the parts of light texture, lamp and image that the symbols touch
@@ -290,10 +293,6 @@ class Copies:
             crop, self._resting[crop.slices], self.view.base[crop.slices], self.sensor.model.limit[crop.slices], modules, roads
         )
         return self._part
-
-
-def _empty(crop: Crop) -> bool:
-    return min(crop.v_stop - crop.v_start, crop.u_stop - crop.u_start) < 2
 
 
 def same_size(crops: Sequence[Crop], shape: Sequence[int]) -> list[Crop]:

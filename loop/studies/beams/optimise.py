@@ -83,10 +83,10 @@ def sample(
     losses = []
 
     def lights_of(levels: dict[str, float]) -> Lights:
-        patches = torch.tensor([levels[name] for name in names]).view(PATCHES)
+        patches = torch.tensor([levels[name] for name in names]).view(1, 1, *PATCHES)
         return tuple(
-            (levels["start"] * u + _on_pixels(patches, module.headlight.pixel_rows, module.headlight.pixel_cols).to(u)).clamp(0, 1)
-            for u, module in zip(start, evaluator.simulation.modules, strict=True)
+            (levels["start"] * u + interpolate(patches, (of.pixel_rows, of.pixel_cols), mode="bilinear").flatten().to(u)).clamp(0, 1)
+            for u, of in zip(start, (module.headlight for module in evaluator.simulation.modules), strict=True)
         )
 
     for number in range(trials):
@@ -97,10 +97,6 @@ def sample(
         study.tell(trial, losses[-1])
         on_step(number, losses[-1])
     return SearchResult(lights_of(study.best_params), tuple(losses))
-
-
-def _on_pixels(patches: Tensor, rows: int, columns: int) -> Tensor:
-    return interpolate(patches[None, None], (rows, columns), mode="bilinear")[0, 0].flatten()
 
 
 def alike(lights: Sequence[Tensor], flux: Sequence[Tensor], lm: float) -> Lights:
