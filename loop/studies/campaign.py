@@ -81,18 +81,6 @@ class Run:
         )
 
 
-@dataclass(frozen=True)
-class Campaign:
-    """Rows of a campaign, one per run in the order of the file: identity, metrics, and `error`, empty on success."""
-
-    name: str
-    rows: list[Row]
-
-    @property
-    def failures(self) -> dict[str, str]:
-        return {row["key"]: row["error"] for row in self.rows if row["error"]}
-
-
 def read(file: Path, *, allow_code: bool = False) -> list[Run]:
     """The runs of a campaign file. allow_code: whether Python modules that it or its scenarios name may run.
 
@@ -113,8 +101,9 @@ def read(file: Path, *, allow_code: bool = False) -> list[Run]:
     return list(runs.values())
 
 
-def run_campaign(file: Path, out: Path, *, device: str = "cpu", executor: Executor = ALL_CORES, allow_code: bool = False) -> Campaign:
-    """Do the runs whose results `out` does not hold yet, and write the table of all runs.
+def run_campaign(file: Path, out: Path, *, device: str = "cpu", executor: Executor = ALL_CORES, allow_code: bool = False) -> Results:
+    """Do the runs whose results `out` does not hold yet, and write the table of all runs: rows in the order of the file, each with
+    identity, metrics, and `error`, empty on success.
 
     Raises what `read`, `luxloop.loop.studies.jobs.run` and `luxloop.world.files.output_folder` raise.
     """
@@ -131,7 +120,7 @@ def run_campaign(file: Path, out: Path, *, device: str = "cpu", executor: Execut
         columns = list(dict.fromkeys(name for row in rows for name in row))
         results = Results([{name: row.get(name) for name in columns} for row in rows], results.failures)
         results.write(out / TABLE)
-    return Campaign(file.stem, results.rows)
+    return results
 
 
 def kind_of(parameters: Mapping[str, Any]) -> str | None:

@@ -9,8 +9,8 @@ from rich.table import Table
 from luxloop.loop.report import terminal as tables
 from luxloop.loop.report.style import DEFAULTS, drawing
 from luxloop.loop.run import torch_device
-from luxloop.loop.studies.campaign import TABLE, Campaign, Row, run_campaign
-from luxloop.loop.studies.jobs import dask, local
+from luxloop.loop.studies.campaign import TABLE, Row, run_campaign
+from luxloop.loop.studies.jobs import Results, dask, local
 from luxloop.world.errors import LuxloopError
 from luxloop.world.files import atomic_write
 
@@ -42,33 +42,33 @@ def do_campaign(file: Path, out: Path | None, processes: int | None, scheduler: 
     campaign = run_campaign(file, folder, device=str(torch_device(device)), executor=executor, allow_code=allow_code)
     for key, reason in campaign.failures.items():
         tables.say(f"failed: {key}: {reason}", stderr=True)
-    write_report(campaign, folder)
+    write_report(file.stem, campaign, folder)
     tables.show(overview(campaign))
     print(f"{folder / TABLE} and {folder / REPORT} written")
     return not campaign.failures
 
 
-def write_report(campaign: Campaign, out: Path) -> None:
+def write_report(name: str, campaign: Results, out: Path) -> None:
     """Write page and picture into a folder. Raises LuxloopError if they cannot be written."""
     _draw(campaign, out / PICTURE)
-    atomic_write(out / REPORT, page(campaign))
+    atomic_write(out / REPORT, page(name, campaign))
 
 
-def overview(campaign: Campaign) -> Table:
+def overview(campaign: Results) -> Table:
     """Means and worst cases over seeds for the terminal."""
     return tables.plain(*_figures(campaign))
 
 
-def page(campaign: Campaign) -> str:
+def page(name: str, campaign: Results) -> str:
     """The campaign as Markdown."""
     table = tables.markdown_table(*_figures(campaign), "lllr")
     failed = "".join(f"- {key}: {reason}\n" for key, reason in campaign.failures.items())
     runs = f"{len(campaign.rows)} runs, {len(campaign.failures)} failed."
     note = f"{runs} Means over seeds, the worst in brackets; `{TABLE}` has all figures."
-    return f"# {campaign.name}\n\n{note}\n\n{table}\n\n![Figures of all runs]({PICTURE})\n" + (f"\n## Failed\n\n{failed}" if failed else "")
+    return f"# {name}\n\n{note}\n\n{table}\n\n![Figures of all runs]({PICTURE})\n" + (f"\n## Failed\n\n{failed}" if failed else "")
 
 
-def _figures(campaign: Campaign) -> tuple[list[str], list[list[str]]]:
+def _figures(campaign: Results) -> tuple[list[str], list[list[str]]]:
     """Columns, and a row for each scenario, controller and variant."""
     kinds = _kinds(campaign)
     body = [
@@ -78,7 +78,7 @@ def _figures(campaign: Campaign) -> tuple[list[str], list[list[str]]]:
     return ["scenario", "controller", "variant", "seeds", *(SHOWN[kind][0] for kind in kinds)], body
 
 
-def _kinds(campaign: Campaign) -> list[str]:
+def _kinds(campaign: Results) -> list[str]:
     """The metrics of which a run has one."""
     return [kind for kind in SHOWN if any(row.get(kind) is not None for row in campaign.rows)]
 
@@ -99,7 +99,7 @@ def _groups(rows: Iterable[Row], names: Sequence[str]) -> list[tuple[tuple[str, 
     return list(groups.items())
 
 
-def _draw(campaign: Campaign, file: Path) -> None:
+def _draw(campaign: Results, file: Path) -> None:
     """One panel per metric: scenarios along x, a colour for each controller and variant, a dot for each seed."""
     kinds = _kinds(campaign) or ["settle_step"]
     scenarios = list(dict.fromkeys(row["scenario"] for row in campaign.rows))

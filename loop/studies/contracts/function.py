@@ -1,7 +1,7 @@
 """The contract of a lighting function of the user's own."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, TypeVar
 
 from luxloop.controllers.functions.own import KEY, CheckedAdaptive, CheckedFunction, OwnFunction, check_primitives, function_of
@@ -11,7 +11,6 @@ from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.contracts.values import check_calls, name_of, pure, pure_state, world
 from luxloop.world.errors import LuxloopError, locate
-from luxloop.world.plugin import Guard
 
 Result = TypeVar("Result")
 CALLS = {"primitives": ("now",)}
@@ -61,7 +60,7 @@ def check_function(function: type, options: Mapping[str, Any] | None = None, dev
         made = function_of(function, OwnFunction(kind=name, options=dict(options or {})))
         calls = ADAPTIVE_CALLS if isinstance(made, CheckedAdaptive) else CALLS
         check_calls(made.own, calls | ({"commands": ("now",)} if hasattr(function, "commands") else {}))
-        watched = WatchedFunction(made.own) if isinstance(made, CheckedFunction) else WatchedAdaptive(made)
+        watched = (WatchedAdaptive if isinstance(made, CheckedAdaptive) else WatchedFunction)(made.own)
         results = _steps(replace(simulation, planner=replace(simulation.planner, functions={NAME: watched})))
         if hasattr(function, "commands"):
             for each in results:
@@ -85,27 +84,16 @@ def _steps(simulation: Simulation) -> list[StepResult]:
     return results
 
 
-@dataclass(frozen=True)
-class WatchedFunction:
+class WatchedFunction(CheckedFunction):
     """The function in the simulation, of which each call is checked."""
-
-    own: Guard
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """The function's primitives."""
         return _twice(lambda now: check_primitives(pure(self.own, "primitives", {"now": now}, "primitives"), self.own, "primitives"), now)
 
 
-@dataclass(frozen=True)
-class WatchedAdaptive:
+class WatchedAdaptive(CheckedAdaptive):
     """The same of a function that learns."""
-
-    function: CheckedAdaptive
-
-    @property
-    def own(self) -> Guard:
-        """The function itself."""
-        return self.function.own
 
     def start(self) -> Any:
         """The function's state, which is data."""
@@ -119,10 +107,6 @@ class WatchedAdaptive:
         """The function's primitives."""
         own = self.own
         return _twice(lambda now: check_primitives(pure(own, "adapted", {"state": state, "now": now}, "primitives"), own, "adapted"), now)
-
-    def base_share(self, state: Any) -> float | None:
-        """The share of the base beam that the function asks for."""
-        return self.function.base_share(state)
 
 
 def _twice(call: Callable[[Situation], Result], now: Situation) -> Result:

@@ -111,9 +111,9 @@ def test_table_report_and_failures(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     table = pq.read_table(out / TABLE).to_pylist()
     assert table == found.rows
     assert table[0]["iou_final"] == table[0]["iou_open"] and table[1]["iou_final"] is None
-    write_report(found, out)
+    write_report("night", found, out)
     text = (out / "report.md").read_text()
-    assert text == page(found)
+    assert text == page("night", found)
     assert "4 runs, 2 failed" in text and "- flat, open, off, seed 0: flat: functions.symbol: the target" in text
     assert (out / "report.png").stat().st_size > 5_000
 
