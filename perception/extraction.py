@@ -53,11 +53,8 @@ class ExtractionParams(SearchParams):
     )
 
 
-class OwnExtractionParams(SearchParams):
+class OwnExtractionParams(plugin.OwnPart, SearchParams):
     """`Name(**options)` of a user's module makes the extractor; its `symbol_image(contrast, limit)` replaces that of this module."""
-
-    kind: plugin.OwnName
-    options: dict[str, Any] = Field({}, description="keyword arguments of Name")
 
     @cached_property
     def extractor(self) -> Any:

@@ -12,7 +12,7 @@ from luxloop.perception.tracking import ObjectTracker, TrackedBoxes, Tracker, Tr
 from luxloop.world import plugin
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import View
-from luxloop.world.params import Params, PositiveShare
+from luxloop.world.params import PositiveShare
 from luxloop.world.plugin import KnownOrOwn
 from luxloop.world.traffic.tracked import Category
 
@@ -20,13 +20,9 @@ KEY = "tracker.kind"
 METHODS = ("start", "follow", "report")
 
 
-class OwnTracker(Params):
+class OwnTracker(plugin.OwnPart):
     """`Name(classes, view, **options)` of a user's module makes the tracker."""
 
-    kind: plugin.OwnName
-    options: dict[str, Any] = Field(
-        {}, description="keyword arguments of Name, in addition to the detector's classes and the camera's view"
-    )
     start_score: PositiveShare = Field(
         0.5, description="score from which a detection without an object counts as false positive in reports"
     )

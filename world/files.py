@@ -31,21 +31,23 @@ BYTES_A_BYTE: Final = 8  # of a file while it is read: its bytes, its text, its 
 
 
 def content(path: Path) -> bytes:
-    """All bytes of a regular file. Raises OSError for anything else, and LuxloopError for one beyond the budget."""
+    """All bytes of a regular file. Raises LuxloopError for anything else, and for one beyond the budget."""
     afford(f"{path}: reading it", BYTES_A_BYTE * regular(path).stat().st_size, "cut it down to the part that is needed")
-    return path.read_bytes()
+    with reading(path):
+        return path.read_bytes()
 
 
 def regular(path: Path) -> Path:
-    """The path of a regular file. Raises OSError for anything else: devices and pipes may never end."""
-    if not os.path.isfile(path):
-        path.stat()  # raises for what is not there
-        raise OSError(errno.EINVAL, "it is a folder" if os.path.isdir(path) else "it is no regular file")
+    """The path of a regular file. Raises LuxloopError for anything else: devices and pipes may never end."""
+    with reading(path):
+        if not os.path.isfile(path):
+            path.stat()  # raises for what is not there
+            raise OSError(errno.EINVAL, "it is a folder" if os.path.isdir(path) else "it is no regular file")
     return path
 
 
 @contextmanager
-def reading(path: Path, otherwise: str, remedy: str) -> Iterator[None]:
+def reading(path: Path, otherwise: str = "cannot be read", remedy: str = "check the path") -> Iterator[None]:
     """Turn any exception of a reader of a damaged or foreign file into `path: otherwise (reason); remedy`."""
     try:
         yield

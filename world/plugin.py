@@ -18,6 +18,7 @@ from pydantic import BaseModel, Field, GetCoreSchemaHandler, ValidationError
 from pydantic_core.core_schema import CoreSchema, no_info_after_validator_function, str_schema, tagged_union_schema
 
 from luxloop.world.errors import MOST_ERRORS, LuxloopError, all_of, did_you_mean, near
+from luxloop.world.params import Params
 
 OWN: Final = "package.module:Name"
 PATTERN: Final = r"^(.*/)?[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*$"
@@ -50,6 +51,13 @@ class Name(str):
 
 
 OwnName = Annotated[Name, Field(description="module and class, as package.module:Name")]
+
+
+class OwnPart(Params):
+    """`Name(**options)` of a user's module, after what luxloop hands over, makes a part."""
+
+    kind: OwnName
+    options: dict[str, Any] = Field({}, description="keyword arguments of Name")
 
 
 @dataclass(frozen=True)

@@ -92,10 +92,7 @@ def load_still(path: Path) -> Tensor:
 
 def _picture(path: Path) -> Tensor:
     """Grey image `[h, w]` float32 in 0..1 of a picture of 8 or 16 bits, or of an SVG, drawn so that its longer side has DRAWN_PX."""
-    try:
-        coded = content(path)
-    except OSError as error:
-        raise LuxloopError(f"symbol {path} cannot be read ({error.strerror}): check the path and its permissions") from error
+    coded = content(path)
     if path.suffix.lower() in DRAWINGS:
         try:
             coded = resvg_py.svg_to_bytes(svg_string=svg_text(coded), width=DRAWN_PX, height=DRAWN_PX, dpi=CSS_DPI)

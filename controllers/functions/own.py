@@ -5,15 +5,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass
 from typing import Any
 
-from pydantic import Field
-
 from luxloop.controllers.functions.commands import FunctionCommands, Movable
 from luxloop.controllers.pixels.primitives import QUANTITIES, Primitives, meant
 from luxloop.controllers.situation import AdaptiveFunction, LightingFunction, Situation
 from luxloop.world import plugin
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import ModuleCommand
-from luxloop.world.params import Params
 
 KEY = "kind"
 METHODS = ("primitives",)
@@ -21,11 +18,8 @@ ADAPTIVE = ("start", "step", "adapted", "base_share")
 SHARE = QUANTITIES.index("u_abs")
 
 
-class OwnFunction(Params):
+class OwnFunction(plugin.OwnPart):
     """`Name(**options)` of a user's module makes the function."""
-
-    kind: plugin.OwnName
-    options: dict[str, Any] = Field({}, description="keyword arguments of Name")
 
 
 def own_function(params: OwnFunction) -> LightingFunction | AdaptiveFunction:

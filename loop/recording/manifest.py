@@ -51,10 +51,10 @@ class InputFile(Params):
 class Manifest(Params):
     """What is written down about a run before its first step."""
 
-    format: Literal["luxloop recording"] = Field(default="luxloop recording", description="tells recordings from other directories")
-    format_version: Literal[1] = Field(default=FORMAT_VERSION, description="version of the recording's files")
+    format: Literal["luxloop recording"] = Field("luxloop recording", description="tells recordings from other directories")
+    format_version: Literal[1] = Field(FORMAT_VERSION, description="version of the recording's files")
     status: Literal["running", "complete", "interrupted", "failed"] = Field(
-        default="running", description="running for ever: the process was killed"
+        "running", description="running for ever: the process was killed"
     )
     scenario: dict[str, Any] = Field(description="the scenario with all defaults and --set options")
     scenario_sha256: str = Field(description="digest of the scenario as JSON with sorted keys")
@@ -179,11 +179,8 @@ def digests(scenario: Scenario) -> dict[str, str]:
 
 def sha256(file: Path) -> str:
     """SHA-256 of a file, hexadecimal. Raises LuxloopError where it cannot be read."""
-    try:
-        with regular(file).open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
-    except OSError as error:
-        raise LuxloopError(f"{file}: cannot be read ({error.strerror}); put it back, or name another in the scenario") from error
+    with reading(file), regular(file).open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _version(package: str) -> str:

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 
 from luxloop.world.errors import locate
 from luxloop.world.params import Params, Positive, PositiveShare
-from luxloop.world.plugin import KnownOrOwn, OwnName, beside, refuse_code
+from luxloop.world.plugin import KnownOrOwn, OwnPart, beside, refuse_code
 from luxloop.world.validation import read_toml, validate_model
 
 Port = Annotated[int, Field(ge=1, le=65535)]
@@ -73,11 +73,8 @@ class FilesLightParams(LightParams):
     bits: Literal[8, 16] = Field(8, description="bits of a code")
 
 
-class OwnLightParams(LightParams):
+class OwnLightParams(OwnPart, LightParams):
     """`Name(**options)` of a module of one's own."""
-
-    kind: OwnName
-    options: dict[str, Any] = Field({}, description="keyword arguments of Name")
 
 
 Lights = Annotated[DdpLightParams | ScreenLightParams | FilesLightParams | OwnLightParams, KnownOrOwn("kind")]
@@ -149,11 +146,9 @@ class FolderCameraParams(CameraSourceParams):
     folder: Path = Field(examples=["frames"], description="folder of PNG, JPEG or TIFF files")
 
 
-class OwnCameraParams(CameraSourceParams):
+class OwnCameraParams(OwnPart, CameraSourceParams):
     """`Name(**options)` of a module of one's own."""
 
-    kind: OwnName
-    options: dict[str, Any] = Field({}, description="keyword arguments of Name")
     triggered: bool = Field(False, description="whether each frame is triggered, by the method trigger")
 
 
@@ -178,11 +173,8 @@ class UdpEgoParams(Params):
     latency_s: float = Field(0.0, ge=0, le=10, description="time from sending to arrival")
 
 
-class OwnEgoParams(Params):
+class OwnEgoParams(OwnPart):
     """`Name(**options)` of a module of one's own."""
-
-    kind: OwnName
-    options: dict[str, Any] = Field({}, description="keyword arguments of Name")
 
 
 Egos = Annotated[NoEgoParams | UdpEgoParams | OwnEgoParams, KnownOrOwn("kind", "none")]

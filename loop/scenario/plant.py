@@ -1,11 +1,11 @@
 """Plants by name, and where the light of modules comes from: the scenario's lamp, or a real one whose beam is digitised live (T 4.3)."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from luxloop.world.params import Params
-from luxloop.world.plugin import KnownOrOwn, OwnName
+from luxloop.world.plugin import KnownOrOwn, OwnPart
 
 
 class SimulatedPlantParams(Params):
@@ -42,11 +42,8 @@ class RigPlantParams(Params):
     kind: Literal["rig"]
 
 
-class OwnPlantParams(Params):
+class OwnPlantParams(OwnPart):
     """`Name(scenario, modules, **options)` of a module of the user's own makes the plant."""
-
-    kind: OwnName
-    options: dict[str, Any] = Field({}, description="keyword arguments of Name, beside scenario and modules")
 
 
 def shadow_of(plant: SimulatedPlantParams | RecordedPlantParams | RemotePlantParams | RigPlantParams | OwnPlantParams) -> str | None:

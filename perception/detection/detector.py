@@ -2,16 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Literal, Protocol
 
 import numpy as np
 import torch
 from pydantic import Field
 from torch import Tensor
 
-from luxloop.world import plugin
 from luxloop.world.params import NotNegative, Params, PositiveShare, Share
-from luxloop.world.plugin import KnownOrOwn
+from luxloop.world.plugin import KnownOrOwn, OwnPart
 from luxloop.world.traffic.tracked import Category
 
 Layout = Literal["yolov5", "yolov8", "yolov10"]
@@ -130,11 +129,8 @@ class OnnxParams(CodedParams):
     )
 
 
-class OwnDetector(Params):
+class OwnDetector(OwnPart):
     """`Name(**options)` of a user's module makes the detector."""
-
-    kind: plugin.OwnName
-    options: dict[str, Any] = Field({}, description="keyword arguments of Name, in addition to the device")
 
 
 class TruthParams(Params):

@@ -125,7 +125,7 @@ def test_arrays_of_messages_are_unpacked_no_further_than_their_shape(shape: tupl
 
 
 def test_only_regular_files_are_read() -> None:
-    with pytest.raises(OSError, match="no regular file"):
+    with pytest.raises(LuxloopError, match="no regular file"):
         content(Path("/dev/zero"))
 
 

@@ -193,19 +193,8 @@ def headlight(name: str, model: GaussianPixels | BlurredRectangles, grid: TexelG
     if chromatic_shift:
         channels = [model.matrix(grid, 1 + 0.5 * share * chromatic_shift)[0] for share in (-1, 0, 1)]
         matrix, chroma = _luminance_and_chroma(channels)
-    return Headlight(
-        name=name,
-        matrix=Csr.from_scipy(matrix),
-        rows=grid.rows,
-        cols=grid.cols,
-        left=grid.left,
-        right=grid.right,
-        bottom=grid.bottom,
-        top=grid.top,
-        pixel_rows=pixel_rows,
-        pixel_cols=pixel_cols,
-        chroma=chroma,
-    )
+    light = Csr.from_scipy(matrix)
+    return Headlight(**vars(grid), name=name, matrix=light, pixel_rows=pixel_rows, pixel_cols=pixel_cols, chroma=chroma)
 
 
 def _luminance_and_chroma(channels: list[sp.csr_array]) -> tuple[sp.csr_array, Tensor]:

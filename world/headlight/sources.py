@@ -45,10 +45,7 @@ def read_table(path: Path, rows: int | None = None, columns: int | None = None) 
     readers = {".npz": _read_npz, ".csv": _read_csv}
     if path.suffix.lower() not in readers:
         raise LuxloopError(f"{path}: is neither .npz nor .csv; save the table as one of them")
-    try:
-        return readers[path.suffix.lower()](path, rows, columns)
-    except OSError as error:
-        raise LuxloopError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
+    return readers[path.suffix.lower()](path, rows, columns)
 
 
 def _read_npz(path: Path, rows: int | None, columns: int | None) -> PixelArray:
@@ -143,7 +140,7 @@ def _csv_columns(path: Path) -> Mapping[str, Array]:
 
 def separators(path: Path) -> tuple[str, str]:
     """Delimiter and decimal point of a .csv: semicolon and comma where spreadsheets write them so, told by the first line."""
-    with regular(path).open("rb") as stream:
+    with reading(path), regular(path).open("rb") as stream:
         return (";", ",") if b";" in stream.readline() else (",", ".")
 
 

@@ -1,6 +1,5 @@
 """Lamps that come with luxloop; what is published of each and what is guessed stands in its notes and beside its numbers."""
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import lru_cache
@@ -132,16 +131,10 @@ def idealised(
     """
     vertical = _profile(pixel_rows, texels_per_pixel[0])
     horizontal = _profile(pixel_cols, texels_per_pixel[1])
-    side = math.tan(math.radians(half_width_deg))
     return Headlight(
+        **vars(TexelGrid.from_degrees(vertical.shape[0], horizontal.shape[0], half_width_deg, -half_width_deg, bottom_deg, top_deg)),
         name=f"idealised-{pixel_rows}x{pixel_cols}",
         matrix=Csr.from_scipy(intensity_cd * sp.kron(vertical, horizontal, format="csr")),
-        rows=vertical.shape[0],
-        cols=horizontal.shape[0],
-        left=side,
-        right=-side,
-        bottom=math.tan(math.radians(bottom_deg)),
-        top=math.tan(math.radians(top_deg)),
         pixel_rows=pixel_rows,
         pixel_cols=pixel_cols,
     )

@@ -13,10 +13,6 @@ FINEST_M = 1e-5  # between points of a grid: no road is measured as finely
 TEXT_WIDTH = {"LRFI": 10, "LDFI": 20}
 
 
-class CrgError(LuxloopError):
-    """An OpenCRG file that cannot be used; the sentence names the file, the line or key, and the remedy."""
-
-
 @dataclass(frozen=True)
 class Crg:
     """A curved regular grid as stored: no modifier applied, NaN where nothing was measured.
@@ -59,7 +55,7 @@ def fill_gaps(crg: Crg, offset_m: float = 0.0) -> Crg:
     valid = np.isfinite(crg.z)
     rows = np.flatnonzero(valid.any(axis=1))
     if not len(rows):
-        raise CrgError(f"{crg.source}: has no valid elevation at all: fetch the file again")
+        raise LuxloopError(f"{crg.source}: has no valid elevation at all: fetch the file again")
     index = np.arange(crg.z.shape[1])
     last = np.maximum.accumulate(np.where(valid, index, -1), axis=1)
     following = np.minimum.accumulate(np.where(valid, index, 2 * len(index))[:, ::-1], axis=1)[:, ::-1]

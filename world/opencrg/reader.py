@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from luxloop.world.errors import LuxloopError
 from luxloop.world.files import content
-from luxloop.world.opencrg.crg import FINEST_M, KINDS, TEXT_WIDTH, Crg, CrgError
+from luxloop.world.opencrg.crg import FINEST_M, KINDS, TEXT_WIDTH, Crg
 
 LARGEST = 1e9  # no number of a road's header is larger, so that products of a few stay finite
 _END = re.compile(rb"^\$\$[^\n]*(?:\n|\Z)", re.MULTILINE)
@@ -50,16 +51,16 @@ class Header:
             value = value.strip()
             number = _NUMBER.match(value)
             if number is None:
-                raise CrgError(f"{self.path}, line {line}: {key.strip()} = {value!r} is not a number; correct the header")
+                raise LuxloopError(f"{self.path}, line {line}: {key.strip()} = {value!r} is not a number; correct the header")
             found, unit = _float(number[0]), value[number.end() :]
             if key.strip().lower().endswith("_phi") and abs(found) > 2 * math.pi and _ODD_EXPONENT.fullmatch(unit):
-                raise CrgError(
+                raise LuxloopError(
                     f"{self.path}, line {line}: {key.strip()} = {found:g} rad is more than a turn; write its unit, deg or rad, after it"
                 )
             if not _ODD_EXPONENT.fullmatch(unit):
                 found *= _unit(self.path, line, unit, _units_of(key.strip().lower()))
             if abs(found) > LARGEST:
-                raise CrgError(f"{self.path}, line {line}: {key.strip()} = {found:g} is too large for a road; correct the header")
+                raise LuxloopError(f"{self.path}, line {line}: {key.strip()} = {found:g} is too large for a road; correct the header")
             yield key.strip().lower(), found
 
 
@@ -82,7 +83,7 @@ def _unit(path: Path, line: int, text: str, units: Mapping[str, float]) -> float
     name = text.translate(_BRACKETS).strip(" \t,.").lower()
     if name not in units:
         known = f"give it in {', '.join(units)}" if units else "it has none"
-        raise CrgError(f"{path}, line {line}: the unit {text.strip()!r} is unknown here; {known}")
+        raise LuxloopError(f"{path}, line {line}: the unit {text.strip()!r} is unknown here; {known}")
     return units[name]
 
 
@@ -98,10 +99,7 @@ class Channels:
 
 
 def read_header(path: Path) -> Header:
-    try:
-        data = content(path)
-    except OSError as error:
-        raise CrgError(f"{path}: cannot be read ({error.strerror}); check the path") from error
+    data = content(path)
     end = _END.search(data)
     text = data[: end.start() if end else len(data)].decode("latin-1")
     sections: dict[str, list[tuple[int, str]]] = {}
@@ -116,21 +114,21 @@ def read_header(path: Path) -> Header:
         elif name and not line.lstrip().startswith("*"):
             sections[name].append((number, line.partition("!")[0].strip()))
     if "ROAD_CRG_FILE" not in sections and not (end and "ROAD_CRG" in sections):
-        raise CrgError(f"{path}: is not an OpenCRG file (no $ROAD_CRG header that ends in a $$$$ line); give a .crg file")
+        raise LuxloopError(f"{path}: is not an OpenCRG file (no $ROAD_CRG header that ends in a $$$$ line); give a .crg file")
     return Header(path, sections, len(lines) + 1, data[end.end() :] if end else b"")
 
 
 def _name_and_unit(path: Path, line: int, text: str) -> tuple[str, str]:
     name, unit, *more = [*filter(str.strip, text.translate(_BRACKETS).split(",")), "", ""]
     if any(more):
-        raise CrgError(f"{path}, line {line}: {text.strip()!r} has more than a name and a unit; write 'D:name,unit'")
+        raise LuxloopError(f"{path}, line {line}: {text.strip()!r} has more than a name and a unit; write 'D:name,unit'")
     return name, unit
 
 
 def read_channels(header: Header) -> Channels:
     path = header.path
     if "KD_DEFINITION" not in header.sections:
-        raise CrgError(f"{path}: has no $KD_DEFINITION section, which names the data channels; add one or fetch the file again")
+        raise LuxloopError(f"{path}: has no $KD_DEFINITION section, which names the data channels; add one or fetch the file again")
     kind, scale = "KRBI", list[float]()
     reference: dict[str, int] = {}
     numbered: list[tuple[float, int]] = []
@@ -139,7 +137,7 @@ def read_channels(header: Header) -> Channels:
         if text.startswith("#"):
             match = _KIND.match(text)
             if match is None or match[1].upper() not in KINDS:
-                raise CrgError(f"{path}, line {line}: data kind {text[1:].strip(': ')!r} is unknown; use one of {', '.join(KINDS)}")
+                raise LuxloopError(f"{path}, line {line}: data kind {text[1:].strip(': ')!r} is unknown; use one of {', '.join(KINDS)}")
             kind = match[1].upper()
         tag, colon, rest = text.partition(":")
         if tag.strip().upper() != "D" or not colon:
@@ -150,29 +148,31 @@ def read_channels(header: Header) -> Channels:
         if words[:2] == ["reference", "line"]:
             units = REFERENCE.get(" ".join(words[2:]), {})
             if not units:
-                raise CrgError(f"{path}, line {line}: {text!r} is no channel of a reference line; use one of {', '.join(REFERENCE)}")
+                raise LuxloopError(f"{path}, line {line}: {text!r} is no channel of a reference line; use one of {', '.join(REFERENCE)}")
             reference[words[2]] = len(scale)
         elif words[:2] == ["long", "section"]:
             section = _SECTION.fullmatch(name.strip().lower())
             if section is None:
-                raise CrgError(f"{path}, line {line}: {text!r} has neither a number nor a position v; write 'D:long section at v = 0.0,m'")
+                raise LuxloopError(
+                    f"{path}, line {line}: {text!r} has neither a number nor a position v; write 'D:long section at v = 0.0,m'"
+                )
             if section[1]:
                 units = {"m": 1.0}  # any other might be that of v, of the heights or of both
             (placed if section[1] else numbered).append((_float(section[2]), len(scale)))
         else:
-            raise CrgError(f"{path}, line {line}: {text!r} is neither a long section nor a channel of the reference line; correct it")
+            raise LuxloopError(f"{path}, line {line}: {text!r} is neither a long section nor a channel of the reference line; correct it")
         scale.append(_unit(path, line, unit, units))
     if placed and numbered:
-        raise CrgError(f"{path}: $KD_DEFINITION mixes long sections by number and by position; define all of them in one way")
+        raise LuxloopError(f"{path}: $KD_DEFINITION mixes long sections by number and by position; define all of them in one way")
     sections = sorted(placed or numbered)
     if len(sections) < 2:
-        raise CrgError(f"{path}: $KD_DEFINITION has {len(sections)} long sections, at least two are needed; add D:long section lines")
+        raise LuxloopError(f"{path}: $KD_DEFINITION has {len(sections)} long sections, at least two are needed; add D:long section lines")
     if numbered and [number for number, _ in sections] != list(range(1, len(sections) + 1)):
-        raise CrgError(f"{path}: long sections in $KD_DEFINITION are not numbered 1 to {len(sections)} without gaps; renumber them")
+        raise LuxloopError(f"{path}: long sections in $KD_DEFINITION are not numbered 1 to {len(sections)} without gaps; renumber them")
     if len({v for v, _ in sections}) < len(sections):
-        raise CrgError(f"{path}: $KD_DEFINITION has two long sections at one v; remove one of them")
+        raise LuxloopError(f"{path}: $KD_DEFINITION has two long sections at one v; remove one of them")
     if ("x" in reference or "y" in reference) and "phi" not in reference:
-        raise CrgError(f"{path}: gives its reference line by x and y only; give its heading, 'D:reference line phi,rad'")
+        raise LuxloopError(f"{path}: gives its reference line by x and y only; give its heading, 'D:reference line phi,rad'")
     return Channels(kind, scale, reference, sections, bool(placed))
 
 
@@ -185,7 +185,7 @@ _DEEPEST_REFERENCE = 8
 def read_crg(path: str | Path) -> Crg:
     """Read an OpenCRG file (LRFI, LDFI, KRBI or KDBI), following `$ROAD_CRG_FILE`; nothing is modified, NaN stays NaN.
 
-    Raises `CrgError` for anything that cannot be read; warns where whole rows are missing at the end.
+    Raises `LuxloopError` for anything that cannot be read; warns where whole rows are missing at the end.
     """
     return _read(Path(path), _DEEPEST_REFERENCE)
 
@@ -205,26 +205,26 @@ def _read(path: Path, depth: int) -> Crg:
     road = header.numbers("ROAD_CRG")
     step = road.get("reference_line_increment")
     if step is None or step < FINEST_M:
-        raise CrgError(f"{path}: $ROAD_CRG needs REFERENCE_LINE_INCREMENT, the positive step in u in metres (is {step}); add it")
+        raise LuxloopError(f"{path}: $ROAD_CRG needs REFERENCE_LINE_INCREMENT, the positive step in u in metres (is {step}); add it")
     rows = None
     if "reference_line_end_u" in road:
         rows = round((road["reference_line_end_u"] - road.get("reference_line_start_u", 0.0)) / step) + 1
         if rows < 2:
-            raise CrgError(f"{path}: REFERENCE_LINE_END_U lies before REFERENCE_LINE_START_U plus one step; correct $ROAD_CRG")
+            raise LuxloopError(f"{path}: REFERENCE_LINE_END_U lies before REFERENCE_LINE_START_U plus one step; correct $ROAD_CRG")
     table = _text(header, channels, rows) if channels.kind in TEXT_WIDTH else _binary(header, channels, rows)
     table *= channels.scale
     z = table[:, [column for _, column in channels.sections]]
     implausible = np.abs(z) > HIGHEST_ELEVATION_M
     if implausible.any():
         row = int(np.flatnonzero(implausible.any(axis=1))[0])
-        raise CrgError(
+        raise LuxloopError(
             f"{path}: elevations from row {row + 1} on are implausible (over {HIGHEST_ELEVATION_M:g} m), "
             "as if newlines had been converted; fetch the file again in binary mode"
         )
     reference = {name: table[:, channels.reference[name]] for name in ("phi", "slope", "banking") if name in channels.reference}
     for name, values in reference.items():
         if not np.isfinite(values[0 if name == "banking" else 1 :]).all():
-            raise CrgError(f"{path}: channel 'reference line {name}' has missing values; only elevations may be missing")
+            raise LuxloopError(f"{path}: channel 'reference line {name}' has missing values; only elevations may be missing")
     return Crg(
         z=z,
         v=_positions(path, channels, road),
@@ -245,12 +245,12 @@ def _follow_reference(header: Header, depth: int) -> Crg:
     named = "".join(text for _, text in lines)
     if not named or "$" in named:
         what = f"is {named!r}, but environment variables are not expanded" if named else "is empty"
-        raise CrgError(f"{header.path}: the path in $ROAD_CRG_FILE {what}; write the path out")
+        raise LuxloopError(f"{header.path}: the path in $ROAD_CRG_FILE {what}; write the path out")
     if depth == 0:
-        raise CrgError(f"{header.path}: $ROAD_CRG_FILE refers to itself in a circle; name the file that has the data")
+        raise LuxloopError(f"{header.path}: $ROAD_CRG_FILE refers to itself in a circle; name the file that has the data")
     target = header.path.parent / named
     if not os.path.exists(target):
-        raise CrgError(f"{header.path}: $ROAD_CRG_FILE names {named}, which is not at {target}; correct the path")
+        raise LuxloopError(f"{header.path}: $ROAD_CRG_FILE names {named}, which is not at {target}; correct the path")
     return _read(target, depth - 1)
 
 
@@ -263,7 +263,7 @@ def _positions(path: Path, channels: Channels, road: dict[str, float]) -> NDArra
     right = given.get("right", -step * (count - 1) / 2)
     left = right + step * (count - 1)
     if step <= 0 or abs(given.get("left", left) - left) > step / 2:
-        raise CrgError(
+        raise LuxloopError(
             f"{path}: {count} long sections {step:g} m apart from v = {right:g} m do not end at {given.get('left', left):g} m; "
             f"correct {', '.join(f'LONG_SECTION_V_{key.upper()}' for key in given)}"
         )
@@ -275,17 +275,19 @@ def _binary(header: Header, channels: Channels, rows: int | None) -> NDArray[np.
     assert dtype is not None
     count = len(channels.scale)
     if len(header.data.translate(None, NUMERALS)) < 0.1 * len(header.data):
-        raise CrgError(
+        raise LuxloopError(
             f"{header.path}: its data block is text, but $KD_DEFINITION declares {channels.kind}, which is binary and the default; "
             "write #:LRFI or #:LDFI"
         )
     complete = len(header.data) // (count * dtype.itemsize)
     other, bytes_ = ("KDBI", 8) if dtype.itemsize == 4 else ("KRBI", 4)
     if rows is not None and complete != rows and len(header.data) == -(-rows * count * bytes_ // LINE_WIDTH) * LINE_WIDTH:
-        raise CrgError(f"{header.path}: its data block is as long as that of {rows} rows of {other}, not {channels.kind}; write #:{other}")
+        raise LuxloopError(
+            f"{header.path}: its data block is as long as that of {rows} rows of {other}, not {channels.kind}; write #:{other}"
+        )
     if rows is not None and complete < rows:
         if complete < 2 or len(header.data) % 80:
-            raise CrgError(
+            raise LuxloopError(
                 f"{header.path}: its {channels.kind} data block is {len(header.data)} bytes long and {rows} rows need "
                 f"{rows * count * dtype.itemsize}: truncated, or its newlines were converted; fetch the file again in binary mode"
             )
@@ -307,7 +309,7 @@ def _text(header: Header, channels: Channels, rows: int | None) -> NDArray[np.fl
     lines = [(number, line.rstrip()) for number, line in enumerate(texts, header.lines + 1) if line.strip()]
     for number, line in lines:
         if len(line) > LINE_WIDTH:
-            raise CrgError(
+            raise LuxloopError(
                 f"{header.path}, line {number}: has {len(line)} characters, and {channels.kind} data {LINE_WIDTH} at most; "
                 f"write {per_line} values a line"
             )
@@ -315,7 +317,7 @@ def _text(header: Header, channels: Channels, rows: int | None) -> NDArray[np.fl
     if rows is None or complete < rows:
         if complete < 2 or len(lines) % lines_a_row:
             of = "" if rows is None else f" of {rows}"
-            raise CrgError(
+            raise LuxloopError(
                 f"{header.path}: {channels.kind} data end after line {lines[-1][0] if lines else header.lines} "
                 f"in row {complete + 1}{of}; fetch the file again"
             )
@@ -328,7 +330,9 @@ def _text(header: Header, channels: Channels, rows: int | None) -> NDArray[np.fl
             number, line = lines[row * lines_a_row + part]
             first, last = part * per_line, min((part + 1) * per_line, count)
             if len(line) > (last - first) * width:
-                raise CrgError(f"{header.path}, line {number}: has more than the {last - first} values that $KD_DEFINITION announces here")
+                raise LuxloopError(
+                    f"{header.path}, line {number}: has more than the {last - first} values that $KD_DEFINITION announces here"
+                )
             for column in range(first, last):
                 at = (column - first) * width
                 values[column] = _field(header.path, number, line[at : at + width])
@@ -341,10 +345,10 @@ def _field(path: Path, line: int, text: str) -> float:
     try:
         return float(text.replace("D", "E").replace("d", "e"))
     except ValueError:
-        raise CrgError(f"{path}, line {line}: {text!r} is not a number in a fixed column; restore the column widths") from None
+        raise LuxloopError(f"{path}, line {line}: {text!r} is not a number in a fixed column; restore the column widths") from None
 
 
 def _at_least_two(header: Header, table: NDArray[np.float64]) -> NDArray[np.float64]:
     if len(table) < 2:
-        raise CrgError(f"{header.path}: has {len(table)} rows of data and needs at least two; fetch the file again")
+        raise LuxloopError(f"{header.path}: has {len(table)} rows of data and needs at least two; fetch the file again")
     return table

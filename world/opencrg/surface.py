@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from luxloop.world.opencrg.crg import FINEST_M, Crg, CrgError
+from luxloop.world.errors import LuxloopError
+from luxloop.world.opencrg.crg import FINEST_M, Crg
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -30,7 +31,7 @@ class CrgSurface:
     """
 
     def __init__(self, crg: Crg) -> None:
-        """Raises CrgError where the grid is not that of a road."""
+        """Raises LuxloopError where the grid is not that of a road."""
         self.crg = crg
         self.u_start, self.u_step, self.u_end = crg.u_start, crg.u_step, crg.u_end
         n = len(crg.z)
@@ -49,7 +50,7 @@ class CrgSurface:
         self._gap = self._closing_gap()
 
     def _check(self) -> None:
-        """Raises CrgError where the numbers of a file, or what its modifiers make of them, are no road that can be computed with."""
+        """Raises LuxloopError where the numbers of a file, or what its modifiers make of them, are no road that can be computed with."""
         across, along = np.diff(self.crg.v), np.diff(self.points, axis=0)
         sound = {
             "steps between points of the grid": FINEST_M <= self.u_step <= FARTHEST_M and across.min() >= FINEST_M,
@@ -59,7 +60,7 @@ class CrgSurface:
             "turns of the reference line": (_dot(along[1:], along[:-1]) > 0).all(),
         }
         if wrong := [name for name, is_sound in sound.items() if not is_sound]:
-            raise CrgError(f"{self.crg.source}: its {wrong[0]} are not those of a road; correct $ROAD_CRG and $ROAD_CRG_MODS")
+            raise LuxloopError(f"{self.crg.source}: its {wrong[0]} are not those of a road; correct $ROAD_CRG and $ROAD_CRG_MODS")
 
     def _line_heights(self, mixing: Floats) -> Floats:
         crg, n = self.crg, len(self.crg.z)
@@ -272,7 +273,7 @@ def _scale_grid(crg: Crg, mods: Mapping[str, float]) -> Crg:
         line["reference_line_end_z"] = start_z + slope_scale * (line["reference_line_end_z"] - start_z)
     length, width, curvature = (mods.get(f"scale_{name}", 1.0) for name in ("length", "width", "curvature"))
     if length <= 0 or width <= 0:
-        raise CrgError(f"{crg.source}: SCALE_LENGTH = {length:g} and SCALE_WIDTH = {width:g} must be positive; correct $ROAD_CRG_MODS")
+        raise LuxloopError(f"{crg.source}: SCALE_LENGTH = {length:g} and SCALE_WIDTH = {width:g} must be positive; correct $ROAD_CRG_MODS")
     if length != 1.0:
         line["reference_line_increment"] *= length
         if "reference_line_end_u" in line:
@@ -309,7 +310,7 @@ def _handle_nan(crg: Crg, mods: Mapping[str, float]) -> Crg:
         return crg
     mode, offset = mods.get("grid_nan_mode", NAN_LAST), mods.get("grid_nan_offset", 0.0)
     if mode not in (NAN_KEEP, NAN_ZERO, NAN_LAST):
-        raise CrgError(f"{crg.source}: GRID_NAN_MODE = {mode:g} is unknown; use 0 (keep), 1 (zero) or 2 (last valid value)")
+        raise LuxloopError(f"{crg.source}: GRID_NAN_MODE = {mode:g} is unknown; use 0 (keep), 1 (zero) or 2 (last valid value)")
     if mode == NAN_ZERO:
         return replace(crg, z=np.where(np.isfinite(crg.z), crg.z, offset))
     return fill_gaps(crg, offset) if mode == NAN_LAST else crg
@@ -329,7 +330,9 @@ def _to_reference_point(crg: Crg, mods: Mapping[str, float]) -> tuple[float, Poi
     x, y = (float(value) for value in surface.xy(u, v))
     z = float(surface.z(u, v))
     if math.isnan(z):
-        raise CrgError(f"{crg.source}: has no elevation at reference point u = {u:g}, v = {v:g}: add GRID_NAN_MODE = 2 to $ROAD_CRG_MODS")
+        raise LuxloopError(
+            f"{crg.source}: has no elevation at reference point u = {u:g}, v = {v:g}: add GRID_NAN_MODE = 2 to $ROAD_CRG_MODS"
+        )
     target = [mods.get(f"refpoint_{name}", 0.0) for name in ("x", "y", "z", "phi")]
     return target[3] - float(surface.phi(u)), (x, y), (target[0] - x, target[1] - y, target[2] - z)
 

@@ -19,7 +19,7 @@ __all__ = ["Distribution", "Photometry", "light_texture", "read_all", "read_phot
 def read_photometry(path: str | Path) -> Photometry:
     """Read an IES LM-63 or EULUMDAT file at path, by what it holds; where that does not tell, by its suffix, .ies or not.
 
-    Raises PhotometryError, a LuxloopError, with the line and what was expected there.
+    Raises LuxloopError with the line and what was expected there.
     """
     path = Path(path)
     text = load(path)

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from luxloop.world.errors import LuxloopError
+from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import whole
 from luxloop.world.photometry.distribution import VERTICAL_RANGE, Array, Distribution
-from luxloop.world.photometry.record import Numbers, Photometry, PhotometryError
+from luxloop.world.photometry.record import Numbers, Photometry
 
 _SETS_AT = 26  # line of the number of lamp sets, each of which takes six lines
 _COUNTS = re.compile(r".*\n\s*\d+\s*\n\s*[0-4]\s*\n\s*\d+[.,]?0*\s*\n")  # lines 2 to 4: kind, symmetry, number of planes
@@ -35,12 +35,12 @@ class _Lines:
     def number(self, number: int, what: str) -> float:
         if number > len(self._lines):
             last = len("\n".join(self._lines).rstrip().split("\n"))
-            raise PhotometryError(f"{self.path}, line {last}: expected {what} on line {number}, found the file's end; fetch the whole file")
+            raise LuxloopError(f"{self.path}, line {last}: expected {what} on line {number}, found the file's end; fetch the whole file")
         text = self.text(number)
         numbers = Numbers(self.path, text or "(nothing)", number, comma=".")
         found = numbers.one(what)
         if numbers.rest:
-            raise PhotometryError(f"{self.path}, line {number}: expected {what}, one number, found {text[:40]!r}; correct it")
+            raise LuxloopError(f"{self.path}, line {number}: expected {what}, one number, found {text[:40]!r}; correct it")
         if _THOUSANDS.fullmatch(text):
             self.warnings.append(
                 f"line {number}: {what} is {text!r}, read as {found:g}; write {text.replace(',', '')} if thousands are meant"
@@ -51,14 +51,14 @@ class _Lines:
         value = self.number(number, what)
         if value != int(value) or not low <= value <= high:
             limits = f"at least {low}" if high == np.inf else f"{low} to {high:g}"
-            raise PhotometryError(f"{self.path}, line {number}: expected {what} ({limits}), found {self.text(number)[:40]!r}; correct it")
+            raise LuxloopError(f"{self.path}, line {number}: expected {what} ({limits}), found {self.text(number)[:40]!r}; correct it")
         return int(value)
 
     def optional(self, number: int, what: str) -> float:
         """A number that is not needed for the light: zero, with a warning, where there is none."""
         try:
             return self.number(number, what)
-        except PhotometryError:
+        except LuxloopError:
             self.warnings.append(f"line {number}: {what} is {self.text(number)[:40]!r}, read as 0")
             return 0.0
 
@@ -66,7 +66,7 @@ class _Lines:
 def parse(text: str, path: Path) -> Photometry:
     """Photometry of an EULUMDAT file's text; `path` is for messages. Several sets of lamps are alternatives: the first one counts.
 
-    Raises PhotometryError with the line and what was expected there.
+    Raises LuxloopError with the line and what was expected there.
     """
     warnings: list[str] = []
     text, stop, _ = text.partition("\x1a")
@@ -89,7 +89,7 @@ def parse(text: str, path: Path) -> Photometry:
         )
     if factor <= 0 or flux <= 0:
         line, what = (24, "a conversion factor") if factor <= 0 else (_SETS_AT + 3, "a luminous flux")
-        raise PhotometryError(f"{path}, line {line}: expected {what} above 0, found {lines.text(line)[:40]!r}; correct it")
+        raise LuxloopError(f"{path}, line {line}: expected {what} above 0, found {lines.text(line)[:40]!r}; correct it")
     if factor != 1.0:
         warnings.append(f"conversion factor {factor:g} is applied to the candela")
     if sets > 1:
@@ -97,7 +97,7 @@ def parse(text: str, path: Path) -> Photometry:
     first = _SETS_AT + 6 * sets + _RATIOS + 1
     body = text.split("\n", first - 1)
     if len(body) < first:
-        raise PhotometryError(f"{path}, line {len(body)}: expected C plane 1 of {n_c} on line {first}, found the file's end")
+        raise LuxloopError(f"{path}, line {len(body)}: expected C plane 1 of {n_c} on line {first}, found the file's end")
     numbers = Numbers(path, body[-1], first, comma=".")
     c = numbers.ascending(n_c, "C plane", 0.0, 360.0)
     planes = _planes(symmetry, c, numbers)
@@ -110,13 +110,11 @@ def parse(text: str, path: Path) -> Photometry:
     comma = re.search(r"\S*,\S*", body[-1])
     if comma and "." in body[-1]:
         line = first + body[-1].count("\n", 0, comma.start())
-        raise PhotometryError(f"{path}, line {line}: expected a decimal point as elsewhere, found {comma[0][:40]!r}; leave the comma out")
+        raise LuxloopError(f"{path}, line {line}: expected a decimal point as elsewhere, found {comma[0][:40]!r}; leave the comma out")
     if comma and all(map(_THOUSANDS.fullmatch, re.findall(r"\S*,\S*", body[-1]))):
         warnings.append(f"values such as {comma[0]} are read with a decimal comma; leave it out if thousands are meant")
-    try:
+    with locate(str(path)):
         distribution = Distribution("C", gamma, planes, table.reshape(len(planes), n_gamma) * (factor * flux / 1000))
-    except LuxloopError as error:
-        raise PhotometryError(f"{path}: {error}; correct the file") from error
     if not distribution.complete:
         warnings.append(f"planes C from {planes[0]:g} to {planes[-1]:g} deg do not close: dark where they say nothing")
     length, width = (lines.optional(n, "the luminous area's size in mm") / 1000 for n in (16, 17))

@@ -6,16 +6,16 @@ Numbers are read as tokens, since files break their lines as they like; what is 
 import os
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from luxloop.world.errors import LuxloopError
+from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import whole
 from luxloop.world.photometry.distribution import HORIZONTAL_RANGE, VERTICAL_RANGE, Distribution, Kind
-from luxloop.world.photometry.record import Numbers, Photometry, PhotometryError, Tilt, load
+from luxloop.world.photometry.record import Numbers, Photometry, Tilt, load
 
 FOOT_M = 0.3048
 LAST_BALLAST_LAMP = 1991  # edition in which the number after the ballast factor multiplies the candela; later ones reserve it
@@ -32,12 +32,12 @@ _PER_LINE = 12  # numbers of a written line, which the standard limits to 256 ch
 def parse(text: str, path: Path) -> Photometry:
     """Photometry of an LM-63 file's text; `path` is for messages and to find a TILT file beside it.
 
-    Raises PhotometryError with the line and what was expected there.
+    Raises LuxloopError with the line and what was expected there.
     """
     tilt_line = _TILT.search(text)
     if tilt_line is None:
         last = text.rstrip().count("\n") + 1
-        raise PhotometryError(f"{path}, line {last}: expected a TILT= line, found the file's end; give an IES LM-63 file")
+        raise LuxloopError(f"{path}, line {last}: expected a TILT= line, found the file's end; give an IES LM-63 file")
     warnings: list[str] = []
     edition, keywords = _header(text[: tilt_line.start()].split("\n")[:-1], warnings)
     body, stop, after = text[tilt_line.end() :].partition("\x1a")
@@ -46,13 +46,13 @@ def parse(text: str, path: Path) -> Photometry:
     numbers = Numbers(path, body, text.count("\n", 0, tilt_line.end()) + 1)
     tilt = tilt_line[1].upper() if tilt_line[1].upper() in ("NONE", "INCLUDE") else tilt_line[1]
     factors = _tilt(tilt, numbers, path, warnings)
-    photometry = _photometry(numbers, path, edition, warnings)
+    figures = _figures(numbers, path, edition, warnings)
     numbers.end(warnings)
-    name = keywords.get("LUMINAIRE") or keywords.get("LUMCAT") or path.stem
-    return replace(
-        photometry,
+    return Photometry(
+        **figures,
+        path=path,
         format=f"LM-63-{edition}",
-        luminaire=name,
+        luminaire=keywords.get("LUMINAIRE") or keywords.get("LUMCAT") or path.stem,
         tilt=tilt,
         tilt_factors=factors,
         keywords=keywords,
@@ -101,7 +101,7 @@ def _tilt(tilt: str, numbers: Numbers, path: Path, warnings: list[str]) -> Tilt 
     return found
 
 
-def _photometry(numbers: Numbers, path: Path, edition: int, warnings: list[str]) -> Photometry:
+def _figures(numbers: Numbers, path: Path, edition: int, warnings: list[str]) -> dict[str, Any]:
     """All that follows TILT, in the order of the standard."""
     lamps = numbers.whole("the number of lamps")
     lumens = numbers.one("lumens per lamp, or -1 for absolute photometry")
@@ -135,29 +135,25 @@ def _photometry(numbers: Numbers, path: Path, edition: int, warnings: list[str])
     h = numbers.ascending(n_h, "horizontal angle", *HORIZONTAL_RANGE[kind])
     table = numbers.many(n_v * n_h, "candela value")
     candela = _not_negative(table, numbers, warnings) * (multiplier * ballast)
-    try:
+    with locate(str(path)):
         distribution = Distribution(kind, v, h, candela.reshape(n_h, n_v))
-    except LuxloopError as error:
-        raise PhotometryError(f"{path}: {error}; correct the file") from error
     if not distribution.complete:
         warnings.append(f"planes from {h[0]:g} to {h[-1]:g} deg tell neither a symmetry nor the full turn: dark where they say nothing")
     if kind != "C" and n_h == 1:
         warnings.append(f"one horizontal angle, which the standard does not define for type {kind}: read as the same light at all of them")
     if kind != "C" and v[0] == 0:
         warnings.append("vertical angles begin at 0: read as mirrored about the horizontal plane")
-    return Photometry(
-        path=path,
-        format="",
-        distribution=distribution,
-        lamps=lamps,
-        lumens_per_lamp=lumens if lumens > 0 else None,
-        watts=watts,
-        size_m=(float(size[0]), float(size[1]), float(size[2])),
-        feet=units == 1,
-        multiplier=multiplier,
-        ballast_factor=ballast,
-        field_12=field_12,
-    )
+    return {
+        "distribution": distribution,
+        "lamps": lamps,
+        "lumens_per_lamp": lumens if lumens > 0 else None,
+        "watts": watts,
+        "size_m": tuple(size.tolist()),
+        "feet": units == 1,
+        "multiplier": multiplier,
+        "ballast_factor": ballast,
+        "field_12": field_12,
+    }
 
 
 def _not_negative(table: NDArray[np.float64], numbers: Numbers, warnings: list[str]) -> NDArray[np.float64]:

@@ -51,21 +51,13 @@ class Photometry:
 LARGEST = 1e15  # no number of photometry comes near it, and products of a few stay finite
 
 
-class PhotometryError(LuxloopError):
-    """A photometric file that cannot be used; the sentence names the file, the line and what was expected."""
-
-
 def load(path: Path) -> str:
-    """Text of a file with \\n at line ends: UTF-8, else Latin-1. Raises PhotometryError where it cannot be read, is empty or binary."""
-    try:
-        data = content(path)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise PhotometryError(f"{path}: cannot be read ({reason}); check the path") from error
+    """Text of a file with \\n at line ends: UTF-8, else Latin-1. Raises LuxloopError where it cannot be read, is empty or binary."""
+    data = content(path)
     if not data.strip():
-        raise PhotometryError(f"{path}, line 1: the file is empty; fetch it again")
+        raise LuxloopError(f"{path}, line 1: the file is empty; fetch it again")
     if b"\0" in data:
-        raise PhotometryError(f"{path}, line 1: expected text, found a binary file; give a .ies or .ldt file saved as plain text")
+        raise LuxloopError(f"{path}, line 1: expected text, found a binary file; give a .ies or .ldt file saved as plain text")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -101,7 +93,7 @@ class Numbers:
         return int(value)
 
     def many(self, count: int, what: str) -> NDArray[np.float64]:
-        """The next `count` numbers. Raises PhotometryError at the first token that is none, and where the file ends too early."""
+        """The next `count` numbers. Raises LuxloopError at the first token that is none, and where the file ends too early."""
         tokens = self._tokens[self._at : self._at + count]
         try:
             values = np.array(list(map(float, tokens)))
@@ -115,14 +107,14 @@ class Numbers:
         if len(tokens) < count:
             line = self.first_line + self._body.rstrip().count("\n")
             missing = _which(what, len(tokens), count)
-            raise PhotometryError(f"{self.path}, line {line}: expected {missing}, found the file's end; fetch the whole file")
+            raise LuxloopError(f"{self.path}, line {line}: expected {missing}, found the file's end; fetch the whole file")
         self._at += count
         return values
 
-    def wrong(self, expected: str, back: int = 1) -> PhotometryError:
+    def wrong(self, expected: str, back: int = 1) -> LuxloopError:
         """The error that the token `back` tokens before the cursor is not what was expected."""
         index = self._at - back
-        return PhotometryError(f"{self.path}, line {self.line(index)}: expected {expected}, found {self._tokens[index][:40]!r}; correct it")
+        return LuxloopError(f"{self.path}, line {self.line(index)}: expected {expected}, found {self._tokens[index][:40]!r}; correct it")
 
     def line(self, index: int) -> int:
         seen = 0
@@ -146,7 +138,7 @@ class Numbers:
         return self._tokens[self._at :]
 
     def end(self, warnings: list[str]) -> None:
-        """Nothing may follow but words, of which it is warned. Raises PhotometryError at a number: then all others may be out of step."""
+        """Nothing may follow but words, of which it is warned. Raises LuxloopError at a number: then all others may be out of step."""
         rest = self.rest
         if rest and rest[0].lstrip("+-.")[:1].isdigit():
             self._at += 1

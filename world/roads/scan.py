@@ -31,14 +31,14 @@ class OpenCrgRoad(RoadModel):
     file: str = Field(
         examples=["road.crg"], description="OpenCRG file: a path, relative to the scenario file, or a name from `luxloop data list`"
     )
-    u_m: Real | None = Field(default=None, description="place along the scan that lies at at_x_m, in the file's u; default: its middle")
-    v_m: Metres = Field(default=0.0, description="place across the scan that lies at at_y_m, positive to the left of its reference line")
-    at_x_m: Metres = Field(default=17.0, description="distance ahead of the lamps at which the place lies")
-    at_y_m: Metres = Field(default=0.0, description="distance to the left of the vehicle's middle at which the place lies")
+    u_m: Real | None = Field(None, description="place along the scan that lies at at_x_m, in the file's u; default: its middle")
+    v_m: Metres = Field(0.0, description="place across the scan that lies at at_y_m, positive to the left of its reference line")
+    at_x_m: Metres = Field(17.0, description="distance ahead of the lamps at which the place lies")
+    at_y_m: Metres = Field(0.0, description="distance to the left of the vehicle's middle at which the place lies")
     heading_deg: float = Field(
-        default=0.0, ge=-360.0, le=360.0, description="heading of the vehicle relative to the scan's direction at the place, left positive"
+        0.0, ge=-360.0, le=360.0, description="heading of the vehicle relative to the scan's direction at the place, left positive"
     )
-    blend_m: Length = Field(default=3.0, description="length over which the scan's border blends into the plane z = 0")
+    blend_m: Length = Field(3.0, description="length over which the scan's border blends into the plane z = 0")
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """Height in m over the plane that the vehicle stands on. Raises LuxloopError where file or place do not fit."""

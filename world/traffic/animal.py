@@ -8,7 +8,7 @@ from pydantic import Field
 from luxloop.world.materials.library import MaterialName
 from luxloop.world.scene.body import Body, Figure
 from luxloop.world.traffic.shapes import Floats, Piece, ellipsoid, limb, tube, xyz
-from luxloop.world.traffic.tracked import Category, RandomParams
+from luxloop.world.traffic.tracked import RandomParams, Reported
 
 STRIDE = 1.4  # of the height of the shoulders
 GAIT = (0.0, 0.5, 0.25, 0.75)  # left and right forelegs, then hind legs, of a walk
@@ -18,7 +18,7 @@ class AnimalParams(RandomParams):
     """A deer; the origin lies on the ground below its middle."""
 
     kind: Literal["animal"] = "animal"
-    category: Category | None = Field("animal", description="class that trackers report to lighting functions")
+    category: Reported = "animal"
     shoulder_m: float | None = Field(None, ge=0.4, le=2.2, description="shoulder height; left out: from the seed, 0.7 to 1.3 m")
     antlers: bool | None = Field(None, description="whether it has antlers; left out: from the seed, two in five have")
 

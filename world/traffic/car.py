@@ -9,7 +9,7 @@ from pydantic import Field
 from luxloop.world.materials.library import MaterialName
 from luxloop.world.scene.body import Body, Spotlight
 from luxloop.world.traffic.shapes import Floats, Piece, ellipsoid, plate, tube, xyz
-from luxloop.world.traffic.tracked import Category, RandomParams
+from luxloop.world.traffic.tracked import RandomParams, Reported
 
 Style = Literal["hatchback", "saloon", "van"]
 # Length, width, height in m; then in shares of the length from the rear: foot of the rear window, its top, top of the windscreen, its foot.
@@ -28,7 +28,7 @@ class CarParams(RandomParams):
 
     wheels_m: ClassVar = (2.6, 1.5)
     kind: Literal["car"] = "car"
-    category: Category | None = Field("car", description="class that trackers report to lighting functions")
+    category: Reported = "car"
     style: Style | None = Field(None, description="body style; left out: from the seed")
     lit: bool = Field(True, description="whether headlamps and tail lamps are on; false: parked")
 

@@ -15,7 +15,7 @@ import trimesh
 from numpy.typing import NDArray
 from trimesh.transformations import quaternion_matrix, translation_matrix
 
-from luxloop.world.errors import LuxloopError
+from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import afford, content, reading
 
 # Beginnings of the names of required extensions that change no triangles, and of the one that is decoded.
@@ -88,10 +88,8 @@ def _buffer(file: Path, buffer: Json, chunk: bytes | None) -> bytes | None:
     path = (folder / unquote(uri)).resolve()
     if not path.is_relative_to(folder):
         raise LuxloopError(f"{file}: buffers: {uri} is not in the file's folder; put it there")
-    try:
+    with locate(f"{file}: buffers"):
         return content(path)
-    except OSError as error:
-        raise LuxloopError(f"{file}: buffers: {uri} cannot be read ({error.strerror}); put it beside the file") from error
 
 
 def _node_pose(node: Json) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ from luxloop.world.traffic.animal import AnimalParams
 from luxloop.world.traffic.car import CarParams
 from luxloop.world.traffic.people import CyclistParams, PedestrianParams
 from luxloop.world.traffic.shapes import Piece, blob, block, limb, plate, polygon, tube, xyz
-from luxloop.world.traffic.tracked import Category, RandomParams, SurfaceParams, TrackedParams, check_parts
+from luxloop.world.traffic.tracked import RandomParams, Reported, SurfaceParams, TrackedParams, check_parts
 
 SignShape = Literal["round", "triangle", "square", "octagon"]
 CORNERS: dict[SignShape, tuple[int, float]] = {
@@ -31,7 +31,7 @@ class TrafficSignParams(RandomParams):
     """A traffic sign of retroreflective sheet on a post; it faces the way that its x axis points, its origin is the post's foot."""
 
     kind: Literal["traffic_sign"] = "traffic_sign"
-    category: Category | None = Field("sign", description="class that trackers report to lighting functions")
+    category: Reported = "sign"
     shape: SignShape | None = Field(None, description="shape of the sign; left out: from the seed")
     height_m: float = Field(2.0, ge=0, le=8, description="height of its lower edge")
     size_m: float = Field(0.6, gt=0.1, le=3, description="diameter, or that of the circle through its corners")

@@ -9,7 +9,7 @@ from pydantic import Field
 from luxloop.world.materials.library import MaterialName
 from luxloop.world.scene.body import Body, Figure
 from luxloop.world.traffic.shapes import Floats, Piece, block, ellipsoid, limb, tube, xyz
-from luxloop.world.traffic.tracked import Category, RandomParams
+from luxloop.world.traffic.tracked import RandomParams, Reported
 
 UPPER_ARM, FOREARM, THIGH, SHANK, FOOT = 0.186, 0.20, 0.245, 0.246, 0.11
 TRUNK = 0.29  # from the hips to the line of the shoulders
@@ -181,7 +181,7 @@ class PedestrianParams(RandomParams):
     """Someone on foot; the origin lies between the feet."""
 
     kind: Literal["pedestrian"] = "pedestrian"
-    category: Category | None = Field("pedestrian", description="class that trackers report to lighting functions")
+    category: Reported = "pedestrian"
     height_m: float | None = Field(None, ge=0.8, le=2.2, description="height; left out: from the seed, around 1.71 m")
     clothing: Clothing | None = Field(None, description=CLOTHING)
     stance: Literal["walking", "standing"] | None = Field(None, description="stance; left out: walking while it moves, else standing")
@@ -205,7 +205,7 @@ class CyclistParams(RandomParams):
 
     wheels_m: ClassVar = (1.06, 0.0)
     kind: Literal["cyclist"] = "cyclist"
-    category: Category | None = Field("cyclist", description="class that trackers report to lighting functions")
+    category: Reported = "cyclist"
     height_m: float | None = Field(None, ge=1.2, le=2.2, description="height of the rider on foot; left out: from the seed, around 1.71 m")
     clothing: Clothing | None = Field(None, description=CLOTHING)
     helmet: bool | None = Field(None, description="whether the rider wears a helmet; left out: from the seed, every other one does")

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
-from typing import ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 import torch
@@ -19,6 +19,7 @@ from luxloop.world.traffic.shapes import Piece, join
 PATH_STEP_M = 0.5  # between the poses along a curve
 
 Category = Literal["car", "truck", "motorcycle", "cyclist", "pedestrian", "animal", "sign", "other"]
+Reported = Annotated[Category | None, Field(description="class that trackers report to lighting functions; none: it is not reported")]
 ROAD_USERS: frozenset[Category] = frozenset({"pedestrian", "cyclist", "motorcycle", "car", "truck"})  # who may be dazzled
 
 
@@ -73,7 +74,7 @@ class TrackedParams(Params):
     wheels_m: ClassVar[tuple[float, float] | None] = None  # as those of `PoseTrack`
 
     name: PlainName = Field(examples=["walker"], description="name in recordings and reports")
-    category: Category | None = Field(None, description="class that trackers report to lighting functions; left out: it is not reported")
+    category: Reported = None
     track: tuple[KeyframeParams, ...] = Field((), description="keyframes in ascending time; with one, the object stands still")
     path: WayParams | None = Field(None, description="path at constant speed, instead of a track")
     on_road: bool = Field(False, description="measure heights from the road's surface under the object's origin instead of z = 0")

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from luxloop.world.errors import LuxloopError
 from luxloop.world.files import whole
-from luxloop.world.opencrg.crg import KINDS, TEXT_WIDTH, Crg, CrgError
+from luxloop.world.opencrg.crg import KINDS, TEXT_WIDTH, Crg
 
 
 def write_crg(path: str | Path, crg: Crg, kind: str | None = None) -> None:
@@ -16,7 +17,7 @@ def write_crg(path: str | Path, crg: Crg, kind: str | None = None) -> None:
     """
     kind = kind or crg.kind
     if kind not in KINDS:
-        raise CrgError(f"{path}: OpenCRG data kind {kind!r} is unknown; use one of {', '.join(KINDS)}")
+        raise LuxloopError(f"{path}: OpenCRG data kind {kind!r} is unknown; use one of {', '.join(KINDS)}")
     reference = {name: getattr(crg, name) for name in ("phi", "slope", "banking") if getattr(crg, name) is not None}
     table = np.column_stack([*reference.values(), crg.z])
     data = _text(table, TEXT_WIDTH[kind]) if kind in TEXT_WIDTH else _binary(table, KINDS[kind])
