@@ -184,3 +184,13 @@ def _lock(descriptor: int, how: int) -> bool:
 
 def _in_use(folder: Path) -> LuxloopError:
     return LuxloopError(f"{folder}: another process writes into it; wait until that ends, or give another folder with --out")
+
+
+def installed_version(package: str = "luxloop") -> str:
+    """The version of an installed package."""
+    from importlib import metadata
+
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "not installed"

@@ -40,24 +40,15 @@ from luxloop.loop.commands.studio import studio
 from luxloop.loop.report import terminal as tables
 from luxloop.loop.scenario.shipped import TEMPLATE, copy_text, examples, original
 from luxloop.world.errors import LuxloopError, did_you_mean
+from luxloop.world.files import installed_version
 
 DEBUG = "--debug"
 INSTALL = "--install-completion"
 
 
-def version() -> str:
-    """The installed version of luxloop."""
-    from importlib import metadata
-
-    try:
-        return metadata.version("luxloop")
-    except metadata.PackageNotFoundError:
-        return "not installed"
-
-
 app = App(
     name="luxloop",
-    version=version,
+    version=installed_version,
     help="Closed-loop control of HD matrix headlights: simulate lamp, road and camera, and control the light with camera feedback.",
     help_epilogue="First run: luxloop run snowflake. With --debug, any command shows the traceback of an error.",
     version_flags=["--version"],

@@ -6,7 +6,6 @@ import json
 import os
 import platform
 from collections.abc import Iterator
-from importlib import metadata
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -22,7 +21,7 @@ from luxloop.loop.scenario.plant import RecordedPlantParams
 from luxloop.loop.scenario.shipped import find_file
 from luxloop.loop.simulation.frames import TABLE
 from luxloop.world.errors import LuxloopError
-from luxloop.world.files import atomic_write, content, files_at, reading, regular, whole
+from luxloop.world.files import atomic_write, content, files_at, installed_version, reading, regular, whole
 from luxloop.world.lamps.description import lamp_files
 from luxloop.world.lamps.utilisations import sequence_files
 from luxloop.world.params import Params
@@ -78,7 +77,7 @@ class Manifest(Params):
             renderer=renderer,
             device=str(device),
             threads=torch.get_num_threads(),
-            versions={"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}},
+            versions={"python": platform.python_version(), **{name: installed_version(name) for name in PACKAGES}},
             platform=platform.platform(),
             started_utc=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         )
@@ -181,13 +180,6 @@ def sha256(file: Path) -> str:
     """SHA-256 of a file, hexadecimal. Raises LuxloopError where it cannot be read."""
     with reading(file), regular(file).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def _version(package: str) -> str:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return "not installed"
 
 
 def table_of(rows: list[dict[str, Any]], schema: pa.Schema) -> pa.Table:

@@ -43,6 +43,7 @@ from luxloop.loop.studio.messages import (
 from luxloop.loop.studio.session import Session
 from luxloop.loop.studio.sources import Source
 from luxloop.world.errors import LuxloopError
+from luxloop.world.files import installed_version
 from luxloop.world.messages import pack
 
 if TYPE_CHECKING:
@@ -162,7 +163,7 @@ class Studio:
         self._look()
         if role == "edit" and self._pen is None:
             self._pen = client.number
-        client.answers.append({"type": "welcome", "protocol": PROTOCOL, "version": _version(), "role": role, "id": client.number})
+        client.answers.append({"type": "welcome", "protocol": PROTOCOL, "version": installed_version(), "role": role, "id": client.number})
         sender = asyncio.create_task(self._keep_sending(client))
         self._tell()
         try:
@@ -313,12 +314,6 @@ class Studio:
                 messages = client.stream.messages(state, client.request)
                 while (data := await self._loop.run_in_executor(self._threads, next, messages, None)) is not None:
                     await client.send(data)
-
-
-def _version() -> str:
-    from importlib import metadata
-
-    return metadata.version("luxloop")
 
 
 def _response(status: HTTPStatus, kind: str, body: bytes) -> Response:

@@ -4,7 +4,6 @@ Light is in single precision, as simulations need it; a lamp in double is rounde
 """
 
 from collections.abc import Callable, Iterator
-from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Literal, Self
@@ -16,7 +15,7 @@ from torch import Tensor
 
 from luxloop.world.arrays import Arrays, read_npz, write_npz
 from luxloop.world.errors import LuxloopError, locate
-from luxloop.world.files import afford, reading, whole
+from luxloop.world.files import afford, installed_version, reading, whole
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp, Module
 from luxloop.world.params import ModuleName, Params
@@ -113,7 +112,7 @@ def load(path: Path) -> Lamp:
 
 def _header_of(lamp: Lamp) -> Header:
     return Header(
-        luxloop=_luxloop_version(),
+        luxloop=installed_version(),
         name=lamp.name,
         notes=lamp.notes,
         modules=tuple(_module_header(module) for module in lamp.modules),
@@ -144,13 +143,6 @@ def _module_header(module: Module) -> ModuleHeader:
     light = module.headlight
     grid = {name: getattr(light, name) for name in ("rows", "cols", "left", "right", "bottom", "top", "pixel_rows", "pixel_cols")}
     return ModuleHeader(name=module.name, headlight=light.name, swivel_deg=module.swivel_deg, level_deg=module.level_deg, **grid)
-
-
-def _luxloop_version() -> str:
-    try:
-        return metadata.version("luxloop")
-    except metadata.PackageNotFoundError:
-        return "not installed"
 
 
 def _header(path: Path, arrays: Arrays) -> Header:

@@ -212,6 +212,8 @@ def _read(path: Path, depth: int) -> Crg:
         if rows < 2:
             raise LuxloopError(f"{path}: REFERENCE_LINE_END_U lies before REFERENCE_LINE_START_U plus one step; correct $ROAD_CRG")
     table = _text(header, channels, rows) if channels.kind in TEXT_WIDTH else _binary(header, channels, rows)
+    if len(table) < 2:
+        raise LuxloopError(f"{path}: has {len(table)} rows of data and needs at least two; fetch the file again")
     table *= channels.scale
     z = table[:, [column for _, column in channels.sections]]
     implausible = np.abs(z) > HIGHEST_ELEVATION_M
@@ -298,7 +300,7 @@ def _binary(header: Header, channels: Channels, rows: int | None) -> NDArray[np.
     if rows is None:
         measured = np.flatnonzero(~np.isnan(table).all(axis=1))
         table = table[: measured[-1] + 1] if len(measured) else table[:0]
-    return _at_least_two(header, table)
+    return table
 
 
 def _text(header: Header, channels: Channels, rows: int | None) -> NDArray[np.float64]:
@@ -336,7 +338,7 @@ def _text(header: Header, channels: Channels, rows: int | None) -> NDArray[np.fl
             for column in range(first, last):
                 at = (column - first) * width
                 values[column] = _field(header.path, number, line[at : at + width])
-    return _at_least_two(header, table)
+    return table
 
 
 def _field(path: Path, line: int, text: str) -> float:
@@ -346,9 +348,3 @@ def _field(path: Path, line: int, text: str) -> float:
         return float(text.replace("D", "E").replace("d", "e"))
     except ValueError:
         raise LuxloopError(f"{path}, line {line}: {text!r} is not a number in a fixed column; restore the column widths") from None
-
-
-def _at_least_two(header: Header, table: NDArray[np.float64]) -> NDArray[np.float64]:
-    if len(table) < 2:
-        raise LuxloopError(f"{header.path}: has {len(table)} rows of data and needs at least two; fetch the file again")
-    return table

@@ -66,11 +66,11 @@ def samples(distribution: Distribution, v_deg: Array, h_deg: Array) -> tuple[NDA
     v_at, h_at = _table_steps(v_deg, v, candela.T), _table_steps(h_deg, h, candela)
     turn = _table_steps(h, h, candela)[-1] if distribution.type == "C" and distribution.complete else np.inf
     counts = []
-    for axis, inner in ((1, slice(1, -1)), (0, slice(1, -1))):
+    for axis in (1, 0):
         dv, dh = np.abs(np.diff(v_at, axis=axis)), np.abs(np.diff(h_at, axis=axis))
         crossed = np.maximum(dv, np.minimum(dh, turn - dh))  # the short way round
         # To the neighbour on the one side or on the other: at the pole of type C both may have the same angle.
-        crossed = np.maximum(crossed[:, 1:], crossed[:, :-1])[inner] if axis else np.maximum(crossed[1:], crossed[:-1])[:, inner]
+        crossed = np.maximum(crossed[:, 1:], crossed[:, :-1])[1:-1] if axis else np.maximum(crossed[1:], crossed[:-1])[:, 1:-1]
         finer = np.ceil(np.exp2(np.ceil(2 * np.log2(np.maximum(SAMPLES_PER_STEP * crossed, 2))) / 2))
         counts.append((np.minimum(finer, MOST_SAMPLES).astype(np.int64), crossed <= FINE_STEPS))
     (across, narrow), (down, low) = counts

@@ -1,7 +1,7 @@
 """Check of a beam against a set of requirements: value, limit and verdict of each; its cut-off; its aim before the check."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -84,23 +84,15 @@ DARK_CD = 6.25  # 0.01 lx at 25 m, a photometer's last digit: logarithms need a 
 NEARLY_STEEPEST = 0.98  # an exponential slope is steep all along: its middle counts
 
 
-@dataclass(frozen=True)
-class Inflection:
-    """The steepest place of a vertical scan: v in deg, and the decades of light lost in 0.1 deg there."""
-
-    v_deg: float
-    sharpness: float
-
-
-def inflection(intensity: Intensity, h_deg: float, near_v_deg: float) -> Inflection:
-    """Scan upwards at h for the largest `G = log10 E(v) - log10 E(v + 0.1 deg)`; the inflection is the middle of that step."""
+def inflection(intensity: Intensity, h_deg: float, near_v_deg: float) -> tuple[float, float]:
+    """Scan upwards at h for the largest `G = log10 E(v) - log10 E(v + 0.1 deg)`: the middle of that step in deg, and G in decades."""
     n = round(2 * SCAN_HALF_DEG / SCAN_STEP_DEG) + 1
     v = near_v_deg + torch.linspace(-SCAN_HALF_DEG, SCAN_HALF_DEG, n, dtype=torch.float64)
     log = intensity(direction(torch.full_like(v, h_deg), v)).clamp(min=DARK_CD).log10()
     G = log[:-GRADIENT_STEPS] - log[GRADIENT_STEPS:]
     steepest = NEARLY_STEEPEST * G.max() <= G
     middle = (v[:-GRADIENT_STEPS] + v[GRADIENT_STEPS:])[steepest].mean() / 2
-    return Inflection(float(middle), float(G.max()))
+    return float(middle), float(G.max())
 
 
 def judge_cutoff(intensity: Intensity, rules: RuleSet) -> tuple[Result, ...]:
@@ -109,16 +101,15 @@ def judge_cutoff(intensity: Intensity, rules: RuleSet) -> tuple[Result, ...]:
 
 
 def _judge_one_cutoff(intensity: Intensity, cutoff: Cutoff, confidence: str) -> tuple[Result, ...]:
-    found = inflection(intensity, cutoff.scan_h_deg, cutoff.at_v_deg)
-    heights = {h: inflection(intensity, h, cutoff.at_v_deg).v_deg for h in cutoff.straight_at_h_deg}
-    h, v = max(heights.items(), key=lambda item: abs(item[1] - found.v_deg))
-    least, most = cutoff.sharpness_min, cutoff.sharpness_max
-    bend, bend_most = abs(v - found.v_deg), cutoff.straight_within_deg
-    sharp: Verdict = "pass" if margin(found.sharpness, least, most) >= 0 else "fail"
-    straight: Verdict = "pass" if bend <= bend_most else "fail"
+    scan_h, least, most, bend_most = cutoff.scan_h_deg, cutoff.sharpness_min, cutoff.sharpness_max, cutoff.straight_within_deg
+    at_v, sharpness = inflection(intensity, scan_h, cutoff.at_v_deg)
+    heights = [(h, inflection(intensity, h, cutoff.at_v_deg)[0]) for h in cutoff.straight_at_h_deg]
+    h, v = max(heights, key=lambda place: abs(place[1] - at_v))
+    sharp: Verdict = "pass" if margin(sharpness, least, most) >= 0 else "fail"
+    straight: Verdict = "pass" if abs(v - at_v) <= bend_most else "fail"
     return (
-        Result("Cut-off sharpness", "sharpness", (cutoff.scan_h_deg, found.v_deg), found.sharpness, least, most, sharp, confidence),
-        Result("Cut-off straightness", "straightness", (h, v), bend, None, bend_most, straight, confidence),
+        Result("Cut-off sharpness", "sharpness", (scan_h, at_v), sharpness, least, most, sharp, confidence),
+        Result("Cut-off straightness", "straightness", (h, v), abs(v - at_v), None, bend_most, straight, confidence),
     )
 
 
@@ -260,19 +251,18 @@ def aim_beam(intensity: Intensity, set_id: str, *, traffic: Traffic = "right") -
 
 def _nominal(seen: Intensity, rules: RuleSet) -> Point:
     if rules.cutoff:
-        edge = max(rules.cutoff, key=lambda each: inflection(seen, each.scan_h_deg, each.at_v_deg).sharpness)
-        v = edge.at_v_deg - inflection(seen, edge.scan_h_deg, edge.at_v_deg).v_deg
+        edge = max(rules.cutoff, key=lambda each: inflection(seen, each.scan_h_deg, each.at_v_deg)[1])
+        v = edge.at_v_deg - inflection(seen, edge.scan_h_deg, edge.at_v_deg)[0]
         return (_sideways(turn_lamp(seen, (0.0, v)), edge) if edge.shoulder else 0.0), v
     return _to_maximum(seen) if rules.beam == "high" else (0.0, 0.0)
 
 
 def _sideways(seen: Intensity, edge: Cutoff) -> float:
     """By the line through the cut-off at h = 1, 2, 3, which should meet its flat part at h = 0; not at all if those are not sharp."""
-    found = [inflection(seen, h, edge.at_v_deg) for h in SHOULDER_H_DEG]
-    h = torch.tensor(SHOULDER_H_DEG, dtype=torch.float64)
-    v = torch.tensor([each.v_deg for each in found], dtype=torch.float64)
+    heights, sharpness = zip(*(inflection(seen, h, edge.at_v_deg) for h in SHOULDER_H_DEG), strict=True)
+    h, v = (torch.tensor(each, dtype=torch.float64) for each in (SHOULDER_H_DEG, heights))
     rise = float(((h - h.mean()) * v).sum() / (h - h.mean()).square().sum())
-    if rise < LEAST_RISE or min(each.sharpness for each in found) < SHOULDER_SHARPNESS:
+    if rise < LEAST_RISE or min(sharpness) < SHOULDER_SHARPNESS:
         return 0.0
     return float(v.mean() - edge.at_v_deg) / rise - float(h.mean())
 

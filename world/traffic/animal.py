@@ -1,14 +1,14 @@
 """Deer, and what walks like them."""
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
-from luxloop.world.materials.library import MaterialName
 from luxloop.world.scene.body import Body, Figure
 from luxloop.world.traffic.shapes import Floats, Piece, ellipsoid, limb, tube, xyz
-from luxloop.world.traffic.tracked import RandomParams, Reported
+from luxloop.world.traffic.tracked import Looks, RandomParams, Reported
 
 STRIDE = 1.4  # of the height of the shoulders
 GAIT = (0.0, 0.5, 0.25, 0.75)  # left and right forelegs, then hind legs, of a walk
@@ -25,23 +25,19 @@ class AnimalParams(RandomParams):
     def build(self) -> Body | Figure:
         """Raises LuxloopError where `parts` names one that there is not."""
         rng, track = self.random(), self.pose_track()
-        height = float(rng.uniform(0.7, 1.3)) if self.shoulder_m is None else self.shoulder_m
-        antlers = bool(rng.random() < 0.4) if self.antlers is None else self.antlers
-        girth, grazing, start = float(rng.uniform(0.85, 1.2)), bool(rng.random() < 0.25), float(rng.random())
-        fur = float(rng.uniform(0.08, 0.3))
+        height = rng.uniform(0.7, 1.3) if self.shoulder_m is None else self.shoulder_m
+        antlers = rng.random() < 0.4 if self.antlers is None else self.antlers
+        girth, grazing, start = rng.uniform(0.85, 1.2), rng.random() < 0.25, rng.random()
+        fur = rng.uniform(0.08, 0.3)
         names = ("trunk", "head", "legs", "antlers", "tail")
-        looks: dict[str, tuple[MaterialName, float]] = {name: ("fur", fur) for name in names} | {"tail": ("fur", min(3 * fur, 0.6))}
+        looks: Looks = {name: ("fur", fur) for name in names} | {"tail": ("fur", min(3 * fur, 0.6))}
         moves = len(track.times_s) > 1
 
         def shape(phase: float) -> Body:
             pieces = [*_trunk(girth, grazing and not moves, antlers), *_legs(phase, 1.0 if moves else 0.3)]
-            return self.body([_scale(piece, height) for piece in pieces], looks, track)
+            return self.body([replace(piece, vertices=piece.vertices * height) for piece in pieces], looks, track)
 
         return Figure(self.name, shape, STRIDE * height, track, start) if moves else shape(start)
-
-
-def _scale(piece: Piece, factor: float) -> Piece:
-    return Piece(piece.part, piece.vertices * factor, piece.faces)
 
 
 def _trunk(girth: float, grazing: bool, antlers: bool) -> list[Piece]:

@@ -6,10 +6,9 @@ import numpy as np
 import torch
 from pydantic import Field
 
-from luxloop.world.materials.library import MaterialName
 from luxloop.world.scene.body import Body, Spotlight
 from luxloop.world.traffic.shapes import Floats, Piece, ellipsoid, plate, tube, xyz
-from luxloop.world.traffic.tracked import RandomParams, Reported
+from luxloop.world.traffic.tracked import Looks, RandomParams, Reported
 
 Style = Literal["hatchback", "saloon", "van"]
 # Length, width, height in m; then in shares of the length from the rear: foot of the rear window, its top, top of the windscreen, its foot.
@@ -38,7 +37,7 @@ class CarParams(RandomParams):
         style: Style = self.style or ("hatchback", "saloon", "van")[int(rng.choice(3, p=[0.45, 0.4, 0.15]))]
         size = np.array(STYLES[style][0]) * rng.uniform(0.95, 1.05, 3)
         paint = float(np.exp(rng.uniform(np.log(0.03), np.log(0.8))))
-        looks: dict[str, tuple[MaterialName, float]] = {
+        looks: Looks = {
             "body": ("car_paint", paint),
             "trim": ("rubber", 0.03),
             "tyres": ("rubber", 0.05),

@@ -114,7 +114,7 @@ class TrafficParams(Params):
     ) -> Iterator[tuple[dict[str, Any], Met | None]]:
         (_, _, half_m, make), moment_s = role, self._moment_s(k, route)
         for _ in range(TRIES):
-            x = self._distance(rng) if k == 0 else float(rng.uniform(k * self.far_m, (k + 1) * self.far_m))
+            x = self._distance(rng) if k == 0 else rng.uniform(k * self.far_m, (k + 1) * self.far_m)
             keys, speed, y, yaw = make(rng)
             ahead = kind == "car" and yaw == 0
             if kind != "car":
@@ -178,55 +178,55 @@ def _along(params: TrafficParams, vehicle: VehicleParams, duration_s: float) -> 
 
 
 def _side(rng: np.random.Generator) -> bool:
-    return bool(rng.random() < 0.5)
+    return rng.random() < 0.5
 
 
 def _car(rng: np.random.Generator) -> Made:
     if rng.random() < 0.6:
-        return {}, float(rng.uniform(8, 20)), LANE_M + float(rng.normal(0, 0.2)), 180.0
-    return {}, float(rng.uniform(3, 12)), float(rng.normal(0, 0.2)), 0.0
+        return {}, rng.uniform(8, 20), LANE_M + rng.normal(0, 0.2), 180.0
+    return {}, rng.uniform(3, 12), rng.normal(0, 0.2), 0.0
 
 
 def _parking_car(rng: np.random.Generator) -> Made:
     left = _side(rng)
     y = LANE_M * 1.5 + 1.1 if left else -LANE_M / 2 - 1.1
-    return {"lit": False, "category": None}, 0.0, y + float(rng.normal(0, 0.1)), 180.0 if left else 0.0
+    return {"lit": False, "category": None}, 0.0, y + rng.normal(0, 0.1), 180.0 if left else 0.0
 
 
 def _deer(rng: np.random.Generator) -> Made:
-    y, walks = float(rng.uniform(-6, 8)), _side(rng)
-    return {}, float(rng.uniform(0.6, 1.5)) if walks else 0.0, y, float(rng.uniform(-180, 180))
+    y, walks = rng.uniform(-6, 8), _side(rng)
+    return {}, rng.uniform(0.6, 1.5) if walks else 0.0, y, rng.uniform(-180, 180)
 
 
 def _cyclist(rng: np.random.Generator) -> Made:
     if rng.random() < 0.55:
-        return {}, float(rng.uniform(3, 7)), float(rng.uniform(-1.6, -0.6)), 0.0
-    return {}, float(rng.uniform(3, 7)), LANE_M * 1.5 - float(rng.uniform(0.3, 1.2)), 180.0
+        return {}, rng.uniform(3, 7), rng.uniform(-1.6, -0.6), 0.0
+    return {}, rng.uniform(3, 7), LANE_M * 1.5 - rng.uniform(0.3, 1.2), 180.0
 
 
 def _pedestrian(rng: np.random.Generator) -> Made:
-    walks, crosses = float(rng.uniform(0.9, 1.8)), rng.random() < 0.35
+    walks, crosses = rng.uniform(0.9, 1.8), rng.random() < 0.35
     keys: dict[str, Any] = {"clothing": "vest"} if rng.random() < 0.08 else {}
     if rng.random() < 0.15:
-        keys["height_m"] = round(float(rng.uniform(1.1, 1.5)), 2)
+        keys["height_m"] = round(rng.uniform(1.1, 1.5), 2)
     if crosses:
         left = _side(rng)
-        return keys, walks, float(rng.uniform(-4, 5)), (-90.0 if left else 90.0) + float(rng.normal(0, 10))
+        return keys, walks, rng.uniform(-4, 5), (-90.0 if left else 90.0) + rng.normal(0, 10)
     left, stands = _side(rng), rng.random() < 0.3
-    y = LANE_M * 1.5 + float(rng.uniform(0.4, 3)) if left else -LANE_M / 2 - float(rng.uniform(0.4, 3))
-    return keys, 0.0 if stands else walks, y, float(rng.uniform(-180, 180)) if stands else 180.0 * float(_side(rng))
+    y = LANE_M * 1.5 + rng.uniform(0.4, 3) if left else -LANE_M / 2 - rng.uniform(0.4, 3)
+    return keys, 0.0 if stands else walks, y, rng.uniform(-180, 180) if stands else 180.0 * _side(rng)
 
 
 def _sign(rng: np.random.Generator) -> Made:
     left = rng.random() < 0.3
-    y = LANE_M * 1.5 + float(rng.uniform(0.5, 1.5)) if left else -LANE_M / 2 - float(rng.uniform(0.5, 1.5))
-    return {"height_m": round(float(rng.uniform(1.6, 2.4)), 2)}, 0.0, y, (-1 if left else 1) * (180.0 - float(rng.uniform(0, 12)))
+    y = LANE_M * 1.5 + rng.uniform(0.5, 1.5) if left else -LANE_M / 2 - rng.uniform(0.5, 1.5)
+    return {"height_m": round(rng.uniform(1.6, 2.4), 2)}, 0.0, y, (-1 if left else 1) * (180.0 - rng.uniform(0, 12))
 
 
 def _clutter(rng: np.random.Generator) -> Made:
     shape = ("tree", "bush", "post", "bin", "delineator")[int(rng.choice(5, p=[0.3, 0.25, 0.2, 0.1, 0.15]))]
-    away = float(rng.uniform(1.2, 8))
-    return {"shape": shape}, 0.0, LANE_M * 1.5 + away if _side(rng) else -LANE_M / 2 - away, float(rng.uniform(-180, 180))
+    away = rng.uniform(1.2, 8)
+    return {"shape": shape}, 0.0, LANE_M * 1.5 + away if _side(rng) else -LANE_M / 2 - away, rng.uniform(-180, 180)
 
 
 # in the order in which they take their places: those that move first
@@ -250,17 +250,16 @@ def random_tables(seed: int) -> dict[str, Any]:
         {"kind": "iso8608", "seed": int(rng.integers(1000)), "roughness_class": "AB"[int(rng.integers(2))]},
     ]
     surface = {
-        "albedo": round(float(rng.uniform(0.07, 0.3)), 3),
-        "grain": round(float(rng.uniform(0.05, 0.2)), 3),
+        "albedo": round(rng.uniform(0.07, 0.3), 3),
+        "grain": round(rng.uniform(0.05, 0.2), 3),
         "patches": int(rng.integers(6)),
-        "markings": bool(rng.random() < 0.6),
+        "markings": rng.random() < 0.6,
         "seed": int(rng.integers(1000)),
     }
     light: dict[str, Any] = {"ambient_lx": round(float(10 ** rng.uniform(-2.5, -0.5)), 4)}
     if rng.random() < 0.3:
         light["street_lamps"] = [
-            {"position_m": [x + float(rng.uniform(0, 10)), 7.5, 7.0], "intensity_cd": round(float(rng.uniform(50, 800)), 1)}
-            for x in (15.0, 45.0)
+            {"position_m": [x + rng.uniform(0, 10), 7.5, 7.0], "intensity_cd": round(rng.uniform(50, 800), 1)} for x in (15.0, 45.0)
         ]
     counts = {"pedestrians": (0, 5), "cyclists": (0, 3), "cars": (0, 3), "parked": (0, 3), "animals": (0, 2), "signs": (0, 3)}
     traffic = {"seed": seed, **{key: int(rng.integers(*of)) for key, of in counts.items()}, "clutter": int(rng.integers(2, 9))}

@@ -15,7 +15,7 @@ from luxloop.world.traffic.animal import AnimalParams
 from luxloop.world.traffic.car import CarParams
 from luxloop.world.traffic.people import CyclistParams, PedestrianParams
 from luxloop.world.traffic.shapes import Piece, blob, block, limb, plate, polygon, tube, xyz
-from luxloop.world.traffic.tracked import RandomParams, Reported, SurfaceParams, TrackedParams, check_parts
+from luxloop.world.traffic.tracked import Looks, RandomParams, Reported, SurfaceParams, TrackedParams, check_parts
 
 SignShape = Literal["round", "triangle", "square", "octagon"]
 CORNERS: dict[SignShape, tuple[int, float]] = {
@@ -44,9 +44,9 @@ class TrafficSignParams(RandomParams):
         radius = self.size_m / 2
         middle = np.array([0.05, 0, self.height_m + radius * (0.5 if shape == "triangle" else np.cos(np.pi / corners))])
         dark = shape in ("octagon", "square")
-        looks: dict[str, tuple[MaterialName, float]] = {
+        looks: Looks = {
             "border": ("retroreflective_sign", 0.45 if dark else 0.1),
-            "face": ("retroreflective_sign", float(rng.uniform(0.05, 0.15)) if dark else 0.5),
+            "face": ("retroreflective_sign", rng.uniform(0.05, 0.15) if dark else 0.5),
             "picture": ("retroreflective_sign", 0.45) if dark else ("cloth", 0.04),
             "back": ("metal", 0.3),
             "post": ("metal", 0.3),
@@ -67,10 +67,10 @@ class ClutterParams(RandomParams):
     def build(self) -> Body:
         """Raises LuxloopError where `parts` names one that there is not."""
         rng = self.random()
-        looks: dict[str, tuple[MaterialName, float]] = {
-            "trunk": ("bark", float(rng.uniform(0.08, 0.25))),
-            "leaves": ("leaves", float(rng.uniform(0.04, 0.16))),
-            "shell": ("metal" if self.shape == "post" else "car_paint", float(rng.uniform(0.05, 0.6))),
+        looks: Looks = {
+            "trunk": ("bark", rng.uniform(0.08, 0.25)),
+            "leaves": ("leaves", rng.uniform(0.04, 0.16)),
+            "shell": ("metal" if self.shape == "post" else "car_paint", rng.uniform(0.05, 0.6)),
             "lid": ("rubber", 0.05),
             "pole": ("car_paint", 0.6),
             "stripe": ("retroreflective_sign", 0.4),

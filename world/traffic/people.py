@@ -6,10 +6,9 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from luxloop.world.materials.library import MaterialName
 from luxloop.world.scene.body import Body, Figure
 from luxloop.world.traffic.shapes import Floats, Piece, block, ellipsoid, limb, tube, xyz
-from luxloop.world.traffic.tracked import RandomParams, Reported
+from luxloop.world.traffic.tracked import Looks, RandomParams, Reported
 
 UPPER_ARM, FOREARM, THIGH, SHANK, FOOT = 0.186, 0.20, 0.245, 0.246, 0.11
 TRUNK = 0.29  # from the hips to the line of the shoulders
@@ -30,7 +29,7 @@ class Person:
     coat: float
     hat: bool
     bag: bool
-    looks: dict[str, tuple[MaterialName, float]]
+    looks: Looks
     banded: bool
 
 
@@ -55,21 +54,21 @@ def someone(rng: np.random.Generator, height_m: float | None, clothing: Clothing
     clothing = clothing or rng.choice(["dark", "mixed", "light"], p=[0.45, 0.4, 0.15])
     low, high = {"dark": (0.03, 0.1), "mixed": (0.06, 0.45), "light": (0.35, 0.75), "vest": (0.03, 0.3)}[clothing]
     jacket, trousers = rng.uniform(low, high, 2)
-    skin = float(rng.uniform(0.2, 0.6))
-    looks: dict[str, tuple[MaterialName, float]] = {
+    skin = rng.uniform(0.2, 0.6)
+    looks: Looks = {
         "head": ("skin", skin),
         "hands": ("skin", skin),
-        "hair": ("hair", float(rng.uniform(0.03, 0.3))),
-        "helmet": ("cloth", float(rng.uniform(0.05, 0.8))),
+        "hair": ("hair", rng.uniform(0.03, 0.3)),
+        "helmet": ("cloth", rng.uniform(0.05, 0.8)),
         "jacket": ("cloth", 0.6 if clothing == "vest" else float(jacket)),
         "trousers": ("cloth", float(trousers)),
-        "shoes": ("cloth", float(rng.uniform(0.03, 0.4))),
-        "bag": ("cloth", float(rng.uniform(0.03, 0.4))),
+        "shoes": ("cloth", rng.uniform(0.03, 0.4)),
+        "bag": ("cloth", rng.uniform(0.03, 0.4)),
         "bands": ("reflective_band", 0.4),
     }
     height = float(np.clip(rng.normal(1.71, 0.09), 1.5, 1.95)) if height_m is None else height_m
-    coat = float(rng.uniform(0.06, 0.2)) if rng.random() < 0.35 else 0.0
-    girth, hat, bag = float(rng.uniform(0.88, 1.25)), bool(rng.random() < 0.2), bool(rng.random() < 0.3)
+    coat = rng.uniform(0.06, 0.2) if rng.random() < 0.35 else 0.0
+    girth, hat, bag = rng.uniform(0.88, 1.25), rng.random() < 0.2, rng.random() < 0.3
     return Person(height, girth, coat, hat, bag, looks, clothing == "vest")
 
 
@@ -148,8 +147,8 @@ def standing(who: Person, rng: np.random.Generator) -> Joints:
     arm, elbow = rng.uniform(-0.1, 0.15, 2), rng.uniform(0.1, 0.4, 2)
     if rng.random() < 0.3:
         arm[0], elbow[0] = 0.35, 1.9
-    bend = float(rng.uniform(0, 0.12))
-    return upright(who, np.array([bend, 0.0]), np.array([2 * bend, 0.0]), arm, elbow, float(rng.uniform(0.02, 0.09)))
+    bend = rng.uniform(0, 0.12)
+    return upright(who, np.array([bend, 0.0]), np.array([2 * bend, 0.0]), arm, elbow, rng.uniform(0.02, 0.09))
 
 
 def bent(start: Floats, stop: Floats, first: float, second: float, towards: Floats) -> Floats:
@@ -190,7 +189,7 @@ class PedestrianParams(RandomParams):
         """Raises LuxloopError where `parts` names one that there is not."""
         rng, track = self.random(), self.pose_track()
         who = someone(rng, self.height_m, self.clothing)
-        start, moves = float(rng.random()), len(track.times_s) > 1
+        start, moves = rng.random(), len(track.times_s) > 1
         if self.stance == "standing" or (self.stance is None and not moves):
             return self.body(dress(who, standing(who, rng)), who.looks, track)
 
@@ -215,10 +214,10 @@ class CyclistParams(RandomParams):
         """Raises LuxloopError where `parts` names one that there is not."""
         rng, track = self.random(), self.pose_track()
         who = someone(rng, self.height_m, self.clothing)
-        helmet = bool(rng.random() < 0.5) if self.helmet is None else self.helmet
-        lean, start = float(rng.uniform(0.35, 0.75)), float(rng.random())
-        machine: dict[str, tuple[MaterialName, float]] = {
-            "frame": ("car_paint", float(rng.uniform(0.03, 0.6))),
+        helmet = rng.random() < 0.5 if self.helmet is None else self.helmet
+        lean, start = rng.uniform(0.35, 0.75), rng.random()
+        machine: Looks = {
+            "frame": ("car_paint", rng.uniform(0.03, 0.6)),
             "tyres": ("rubber", 0.05),
             "front_lamp": ("headlamp" if self.lit else "glass", 0.2),
             "rear_lamp": ("tail_lamp" if self.lit else "glass", 0.1),

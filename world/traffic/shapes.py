@@ -39,11 +39,8 @@ def tube(part: str, centres: ArrayLike, radii: ArrayLike, across: ArrayLike, sid
     side = np.asarray(across, float) - along * (along @ np.asarray(across, float))[:, None]
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     cos, sin = _ring(sides, power)
-    rings = centres[:, None] + (radii[:, :1] * cos)[..., None] * side[:, None]
-    rings = (
-        rings
-        + (radii[:, 1:] * sin)[..., None] * (along[:, [1, 2, 0]] * side[:, [2, 0, 1]] - along[:, [2, 0, 1]] * side[:, [1, 2, 0]])[:, None]
-    )
+    up = along[:, [1, 2, 0]] * side[:, [2, 0, 1]] - along[:, [2, 0, 1]] * side[:, [1, 2, 0]]  # in a tenth of the time of np.cross
+    rings = centres[:, None] + (radii[:, :1] * cos)[..., None] * side[:, None] + (radii[:, 1:] * sin)[..., None] * up[:, None]
     return Piece(part, np.concatenate([rings.reshape(-1, 3), centres[[0, -1]]]), _tube_faces(n, sides))
 
 
@@ -60,7 +57,7 @@ def _tube_faces(n: int, sides: int) -> NDArray[np.int64]:
     j = np.arange(sides)
     k = (j + 1) % sides
     first = (np.arange(n - 1) * sides)[:, None]
-    a, b, c, d = (np.broadcast_to(each, (n - 1, sides)).ravel() for each in (first + j, first + k, first + sides + k, first + sides + j))
+    a, b, c, d = ((first + each).ravel() for each in (j, k, sides + k, sides + j))
     last = (n - 1) * sides
     ends = [np.stack([np.full(sides, n * sides), k, j], 1), np.stack([np.full(sides, n * sides + 1), last + j, last + k], 1)]
     return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1), *ends])
@@ -74,7 +71,8 @@ def limb(part: str, start: ArrayLike, stop: ArrayLike, r_start: float, r_stop: f
     along = way / length
     at = np.array([-r_start, -0.7 * r_start, 0.0, length, length + 0.7 * r_stop, length + r_stop])
     r = np.array([0.02 * r_start, 0.7 * r_start, r_start, r_stop, 0.7 * r_stop, 0.02 * r_stop])
-    return tube(part, start + at[:, None] * along, np.stack([r, r], 1), _square_to(along), sides)
+    across = (0, 1, 0) if abs(along[1]) < 0.9 else (1, 0, 0)
+    return tube(part, start + at[:, None] * along, np.stack([r, r], 1), across, sides)
 
 
 def ellipsoid(part: str, centre: ArrayLike, radii: ArrayLike, sides: int = 12, rings: int = 8) -> Piece:
@@ -124,8 +122,3 @@ def join(pieces: list[Piece]) -> tuple["trimesh.Trimesh", tuple[str, ...], NDArr
     faces = np.concatenate([piece.faces + first for piece, first in zip(pieces, firsts[:-1], strict=True)])
     of_face = np.concatenate([np.full(len(piece.faces), names.index(piece.part)) for piece in pieces])
     return trimesh.Trimesh(np.concatenate([piece.vertices for piece in pieces]), faces, process=False), names, of_face
-
-
-def _square_to(along: Floats) -> Floats:
-    """A direction that is not along `along` `[3]`: to the left if that can be."""
-    return np.array([0.0, 1.0, 0.0]) if abs(along[1]) < 0.9 else np.array([1.0, 0.0, 0.0])

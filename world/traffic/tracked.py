@@ -1,7 +1,7 @@
 """Common parameters of objects: a name, a pose over time by keyframes or a path, and named parts of random objects."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -102,7 +102,7 @@ class TrackedParams(Params):
         return PoseTrack(times, poses, appears, float("inf") if self.vanishes_s is None else self.vanishes_s)
 
 
-Looks = Mapping[str, tuple[MaterialName, float]]  # material and albedo of parts, by their names
+Looks = dict[str, tuple[MaterialName, float]]  # material and albedo of parts, by their names
 
 # Parts through which road users see: light on them dazzles.
 EYES = frozenset({"head", "hair", "helmet", "windscreen"})

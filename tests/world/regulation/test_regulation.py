@@ -129,9 +129,9 @@ def test_the_largest_intensity_is_found_between_samples_and_h_v_is_judged_by_it(
 
 
 def test_the_cut_off_is_found_at_its_height_and_as_sharp_as_it_is() -> None:
-    found = inflection(low_beam(-0.8), -2.5, -0.57)
-    assert found.sharpness == pytest.approx(0.25, abs=1e-9)
-    assert found.v_deg == pytest.approx(-0.8, abs=0.05)  # the middle of one decade of constant slope, in steps of 0.05 deg
+    v_deg, sharpness = inflection(low_beam(-0.8), -2.5, -0.57)
+    assert sharpness == pytest.approx(0.25, abs=1e-9)
+    assert v_deg == pytest.approx(-0.8, abs=0.05)  # the middle of one decade of constant slope, in steps of 0.05 deg
     judged = rows(check_beam(low_beam(), "r149-passing-c"))
     assert judged["Cut-off sharpness"].verdict == judged["Cut-off straightness"].verdict == "pass"
     assert rows(check_beam(low_beam(decades_per_deg=6), "r149-passing-c"))["Cut-off sharpness"].verdict == "fail"
