@@ -87,43 +87,43 @@ def svg_text(data: bytes) -> str:
     except UnicodeDecodeError as error:
         raise ValueError("its text is not in UTF-8, save it as UTF-8") from error
     try:
-        _Check().parser.Parse(text, True)
+        _check(text)
     except expat.ExpatError as error:
         raise ValueError(str(error)) from error
     return text
 
 
-class _Check:
-    """Looks at every element, attribute and text of a drawing while expat reads it."""
+def _check(text: str) -> None:
+    """Raises ValueError at an element, attribute or text that must not be drawn, and expat's error where it is no XML."""
+    depth = 0
 
-    def __init__(self) -> None:
-        self.depth = 0
-        self.parser = expat.ParserCreate()
-        self.parser.StartElementHandler = self._start
-        self.parser.EndElementHandler = self._end
-        self.parser.CharacterDataHandler = self._text
-        self.parser.EntityDeclHandler = self._entity
-        self.parser.buffer_text = True
-
-    def _start(self, name: str, attributes: dict[str, str]) -> None:
-        self.depth += 1
-        if self.depth > DEEPEST:
+    def start(name: str, attributes: dict[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > DEEPEST:
             raise ValueError(f"its elements are nested deeper than {DEEPEST}")
         for key, value in attributes.items():
             if key.rpartition(":")[2] == "href" and name.rpartition(":")[2] != "a" and not value.strip().startswith("#"):
                 if value.strip().startswith("data:"):
                     raise ValueError("it embeds a picture, which is not drawn")
                 raise ValueError(f"it refers to something outside of itself, {key}={value[:40]!r}")
-            self._text(value)
+            characters(value)
 
-    def _end(self, name: str) -> None:
-        self.depth -= 1
+    def end(name: str) -> None:
+        nonlocal depth
+        depth -= 1
 
-    def _text(self, text: str) -> None:
+    def characters(text: str) -> None:
         if found := _OUTSIDE.search(text):
             raise ValueError(f"it refers to something outside of itself, {text[found.start() : found.start() + 40]!r}")
         if found := _UNDRAWN.search(text):
             raise ValueError(f"its lengths in {found[1]} are not drawn, take mm or px")
 
-    def _entity(self, name: str, *_: object) -> None:
+    def entity(name: str, *_: object) -> None:
         raise ValueError(f"it declares the entity {name[:40]!r}")
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.CharacterDataHandler, parser.EntityDeclHandler = characters, entity
+    parser.buffer_text = True
+    parser.Parse(text, True)

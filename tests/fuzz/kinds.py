@@ -84,9 +84,7 @@ def _nested(data: bytes, rng: random.Random) -> bytes:
 
 
 def _json(data: bytes, rng: random.Random) -> bytes:
-    if rng.random() < 0.3:
-        return _text(data, rng)
-    return _nested(data, rng)
+    return (_text if rng.random() < 0.3 else _nested)(data, rng)
 
 
 def _written(folder: Path, *writers: tuple[str, Callable[[Path], Any]]) -> dict[str, bytes]:
@@ -114,12 +112,8 @@ def _resolved(folder: Path) -> dict[str, bytes]:
     return {f"{name}.json": json.dumps(_plain(name)).encode() for name in scenarios()}
 
 
-def _faults(folder: Path) -> dict[str, bytes]:
-    return {"rig_faults.toml": examples()["rig_faults.toml"].read_bytes()}
-
-
-def _rigs(folder: Path) -> dict[str, bytes]:
-    return {"rig.toml": examples()["rig.toml"].read_bytes()}
+def _example(name: str) -> Callable[[Path], dict[str, bytes]]:
+    return lambda folder: {name: examples()[name].read_bytes()}
 
 
 def _manifests(folder: Path) -> dict[str, bytes]:
@@ -258,10 +252,6 @@ def _photometry(folder: Path) -> dict[str, bytes]:
     return {**_written(folder, ("a.ies", lambda path: lm63.write(path, table))), "a.ldt": LDT}
 
 
-def _read_photometry(path: Path) -> None:
-    read_photometry(path)
-
-
 def _roads(folder: Path) -> dict[str, bytes]:
     z = 0.01 * np.random.default_rng(0).random((60, 9))
     line = {"reference_line_start_u": 0.0, "reference_line_end_u": 29.5, "reference_line_increment": 0.5}
@@ -290,8 +280,7 @@ def _read_road(path: Path) -> None:
 
 def _pictures(folder: Path) -> dict[str, bytes]:
     picture = np.random.default_rng(0).integers(0, 255, (20, 30, 4), np.uint8)
-    pictures = {name: cv2.imencode(name, picture[..., :channels])[1].tobytes() for name, channels in PICTURES.items()}
-    return {f"a{name}": data for name, data in pictures.items()}
+    return {f"a{name}": cv2.imencode(name, picture[..., :channels])[1].tobytes() for name, channels in PICTURES.items()}
 
 
 PICTURES = {".png": 4, ".jpg": 3, ".tif": 3, ".bmp": 3, ".webp": 3}
@@ -384,8 +373,7 @@ def _calibration(folder: Path) -> dict[str, bytes]:
     camera = CameraModel(64, 48, np.array([[90.0, 0, 32], [0, 90, 24], [0, 0, 1]]), covariance=np.eye(9))
     pose = Pose(np.array([0.1, 0.2, 0.3]), np.ones(3))
     found = calibrations.Calibration(camera, linear_response(255), np.zeros(3), pose, {"left matrix": pose}, {"boards": 0.1})
-    calibrations.save(folder / "rig.npz", found)
-    return {"rig.npz": (folder / "rig.npz").read_bytes()}
+    return _written(folder, ("rig.npz", lambda path: calibrations.save(path, found)))
 
 
 def _meshes(folder: Path) -> dict[str, bytes]:
@@ -405,12 +393,14 @@ ALL: dict[str, Kind] = {
     "override": Kind(_overrides, _override, lambda path: load(path.stem, [path.read_text()]), 12),
     "manifest": Kind(_manifests, _json, _read_manifest, 8),
     "campaign": Kind(lambda folder: {"c.toml": CAMPAIGN}, _text, campaign.read, 1),
-    "faults": Kind(_faults, _text, lambda path: Lens.of(faults.read(path).lens, CameraParams(width_px=64, height_px=48)), 2),
+    "faults": Kind(
+        _example("rig_faults.toml"), _text, lambda path: Lens.of(faults.read(path).lens, CameraParams(width_px=64, height_px=48)), 2
+    ),
     "data set": Kind(lambda folder: {"d.toml": DATASET}, _text, lambda path: dataset.read(path, 1), 1),
     "lamp description": Kind(lambda folder: {"lamp.toml": LAMP}, _text, description.build, 6),
     "lamp file": Kind(_lamp_files, mutations.of_archive, _read_lamp, 12),
     "table": Kind(_tables, _damaged_table, lambda path: TableSource(path=path, rows=2).pixels(), 8),
-    "photometry": Kind(_photometry, _text, _read_photometry, 8),
+    "photometry": Kind(_photometry, _text, read_photometry, 8),
     "road": Kind(_roads, _damaged_road, _read_road, 12),
     "picture": Kind(_pictures, mutations.of_bytes, load_still, 8),
     "drawing": Kind(lambda folder: {"a.svg": SVG}, _text, load_still, 8),
@@ -422,7 +412,7 @@ ALL: dict[str, Kind] = {
     "jobs": Kind(lambda folder: {"jobs.jsonl": JOBS}, _either, lambda path: run_jobs(dict, [], path, version=""), 4),
     "calibration": Kind(_calibration, _either, calibrations.load, 4),
     "lens": Kind(_calibration, _either, load_lens, 2),
-    "rig": Kind(_rigs, _text, load_rig, 2),
+    "rig": Kind(_example("rig.toml"), _text, load_rig, 2),
     "mesh": Kind(_meshes, _either, _read_mesh, 8),
     "studio message": Kind(messages.of_studio, messages.damaged, messages.read_studio, 8),
     "plant message": Kind(messages.of_plant, messages.damaged, messages.read_plant, 8),

@@ -116,16 +116,8 @@ def of_array(data: bytes, rng: random.Random) -> bytes:
     if start < 0 or end < 0:
         return of_bytes(data, rng)
     header = data[start:end].decode("latin-1")
-    old, new = rng.choice(
-        (
-            (
-                r"\(.*\)",
-                rng.choice(SHAPES),
-            ),
-            (r"'descr': '[^']*'", f"'descr': '{rng.choice(TYPES)}'"),
-            (r"False", rng.choice(("True", "'", "None", "[" * 90))),
-        )
-    )
+    shape, kind, order = rng.choice(SHAPES), rng.choice(TYPES), rng.choice(("True", "'", "None", "[" * 90))
+    old, new = rng.choice(((r"\(.*\)", shape), (r"'descr': '[^']*'", f"'descr': '{kind}'"), ("False", order)))
     changed = re.sub(old, lambda _: new, header).rstrip()
     return data[: start - 2] + struct.pack("<H", len(changed) + 1) + changed.encode("latin-1") + b"\n" + data[end + 1 :]
 

@@ -15,7 +15,7 @@ from PIL import ExifTags, Image, ImageOps
 
 from luxloop.world.errors import LuxloopError
 from luxloop.world.images import LONGEST, decode
-from luxloop.world.symbols import DRAWN_PX, Frames, Still, load, load_still
+from luxloop.world.symbols import DRAWN_PX, Frames, load, load_still
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 40 20"><rect x="10" width="20" height="10" fill="{}"/></svg>'
 
@@ -86,10 +86,6 @@ def test_a_video_plays_at_its_own_rate(tmp_path: Path) -> None:
     assert load(tmp_path / "large.mp4").at(0).shape == (32, DRAWN_PX)
 
 
-def test_a_still_picture_is_the_same_at_any_time() -> None:
-    assert Still(torch.ones(1, 1)).at(3).item() == 1
-
-
 @pytest.mark.parametrize(
     ("name", "content", "says"),
     [
@@ -154,9 +150,6 @@ def test_an_svg_stands_for_itself(extra: str, words: str, tmp_path: Path) -> Non
         load_still(file)
     file.write_text(INSIDE.format(RECTANGLE, '<use x:href="#r"/><a href="https://example.org"/>'))
     assert load_still(file).any()
-
-
-SIZE = 'width="40000" height="40000"'
 
 
 @pytest.mark.parametrize(

@@ -79,13 +79,8 @@ class TextureParams(Params):
                     f"{TEXELS_A_PIXEL * pixels}, or leave it out"
                 )
         borders = [
-            math.degrees(math.atan(tangent)) if given is None else given
-            for given, tangent in (
-                (self.left_deg, default.left),
-                (self.right_deg, default.right),
-                (self.bottom_deg, default.bottom),
-                (self.top_deg, default.top),
-            )
+            math.degrees(math.atan(getattr(default, side))) if (given := getattr(self, f"{side}_deg")) is None else given
+            for side in ("left", "right", "bottom", "top")
         ]
         grid = TexelGrid.from_degrees(1, 1, *borders)
         rows = math.ceil((grid.top - grid.bottom) / (default.top - default.bottom) * default.rows)
@@ -247,11 +242,11 @@ def _with_light(params: ModuleParams, folder: Path, on_progress: Progress | None
 
 def warn_of_oddities(source: FolderSource | FileSource | TableSource, array: PixelArray) -> None:
     """Warn of measurements that are probably wrong."""
-    shares = {id(each): border_share(each) for each in {id(pixel.distribution): pixel.distribution for pixel in array.pixels}.values()}
-    cut_off = [(shares[id(pixel.distribution)], j) for j, pixel in enumerate(array.pixels) if shares[id(pixel.distribution)] > STILL_SHINES]
+    shares = {each: border_share(each) for each in {pixel.distribution for pixel in array.pixels}}  # equal only to themselves
+    cut_off = [(shares[pixel.distribution], -j) for j, pixel in enumerate(array.pixels) if shares[pixel.distribution] > STILL_SHINES]
     if cut_off:
-        share, worst = max(cut_off, key=lambda each: each[0])
-        row, column = divmod(worst, array.columns)
+        share, worst = max(cut_off)
+        row, column = divmod(-worst, array.columns)
         which = "" if len(shares) == 1 else f"the measurement of the pixel in row {row}, column {column} (counted from 0) "
         more = "" if len(shares) == 1 or len(cut_off) == 1 else f", as do {len(cut_off) - 1} more"
         warnings.warn(

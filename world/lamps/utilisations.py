@@ -117,10 +117,6 @@ def _size(given: Array) -> str:
     return " x ".join(map(str, given.shape))
 
 
-def _npy(path: Path) -> Array:
-    return _numbers(read_npy(path))
-
-
 def _npz(path: Path) -> Array:
     arrays = list(read_npz(path).values())
     if len(arrays) != 1:
@@ -149,4 +145,4 @@ def _png(path: Path) -> Array:
     return np.asarray(image, np.float64) / (65535 if image.dtype == np.uint16 else 255)
 
 
-READERS = {".npy": _npy, ".npz": _npz, ".csv": _csv, ".png": _png}
+READERS = {".npy": lambda path: _numbers(read_npy(path)), ".npz": _npz, ".csv": _csv, ".png": _png}

@@ -72,8 +72,8 @@ class TrafficParams(Params):
         rng = np.random.default_rng(self.seed)
         taken: list[tuple[float, float, float]] = []
         found: list[ObjectParams] = []
-        for kind, number, (_, radius_m, _, make) in self._numbers_by_role():
-            for k in range(number):
+        for kind, (counted, _, radius_m, _, make) in ROLES.items():
+            for k in range(getattr(self, counted)):
                 seed = int(rng.integers(2**31))
                 keys, speed, place = next(self._free(rng, taken, radius_m, make), ({}, 0.0, None))
                 if place is not None:
@@ -93,15 +93,11 @@ class TrafficParams(Params):
             vehicle, duration_s = vehicle.model_copy(update={"course": self.drive.course}), self.drive.lasts_s
         return self.objects() if not any(each.speed_m_s for each in vehicle.course) else _along(self, vehicle, duration_s)
 
-    def _numbers_by_role(self) -> Iterator[tuple[str, int, "Role"]]:
-        numbers = (self.cars, self.animals, self.cyclists, self.pedestrians, self.parked, self.signs, self.clutter)
-        return ((kind, number, role) for (kind, role), number in zip(ROLES.items(), numbers, strict=True))
-
     def _stretch(self, k: int, route: Route, taken: list[Met]) -> Iterator[tuple[str, int, dict[str, Any], Met]]:
         """Kinds, seeds and keys of what stands or moves in a stretch of a drive, and how it is met; it is added to what is taken."""
         rng = np.random.default_rng([self.seed, k])
-        for kind, number, role in self._numbers_by_role():
-            for _ in range(number):
+        for kind, role in ROLES.items():
+            for _ in range(getattr(self, role[0])):
                 seed = int(rng.integers(2**31))
                 for keys, met in self._tries(rng, k, route, kind, role):
                     if met is not None and not any(met.touches(each) for each in taken):
@@ -112,7 +108,7 @@ class TrafficParams(Params):
     def _tries(
         self, rng: np.random.Generator, k: int, route: Route, kind: str, role: "Role"
     ) -> Iterator[tuple[dict[str, Any], Met | None]]:
-        (_, _, half_m, make), moment_s = role, self._moment_s(k, route)
+        (*_, half_m, make), moment_s = role, self._moment_s(k, route)
         for _ in range(TRIES):
             x = self._distance(rng) if k == 0 else rng.uniform(k * self.far_m, (k + 1) * self.far_m)
             keys, speed, y, yaw = make(rng)
@@ -145,25 +141,25 @@ class TrafficParams(Params):
 
 Made = tuple[dict[str, Any], float, float, float]  # keys, speed in m/s, y in m, yaw in deg
 Maker = Callable[[np.random.Generator], Made]
-# What it is, radius in m of its place, half its length and width in m, who makes it.
-Role = tuple[Any, float, tuple[float, float], Maker]
+# Key of its number, what it is, radius in m of its place, half its length and width in m, who makes it.
+Role = tuple[str, Any, float, tuple[float, float], Maker]
 
 
 def _object(kind: str, name: str, seed: int, place: Place, speed_m_s: float, keys: dict[str, Any]) -> ObjectParams:
     x, y, yaw = (round(value, 3) for value in place)
     if speed_m_s == 0:
-        return ROLES[kind][0](name=name, seed=seed, track=({"position_m": (x, y, 0.0), "yaw_deg": yaw},), **keys)
+        return ROLES[kind][1](name=name, seed=seed, track=({"position_m": (x, y, 0.0), "yaw_deg": yaw},), **keys)
     way, ahead = AWAY_S * speed_m_s, np.radians(yaw)
     end = (round(x + way * float(np.cos(ahead)), 3), round(y + way * float(np.sin(ahead)), 3), 0.0)
     path = WayParams(points_m=((x, y, 0.0), end), speed_m_s=round(speed_m_s, 3))
-    return ROLES[kind][0](name=name, seed=seed, path=path, **keys)
+    return ROLES[kind][1](name=name, seed=seed, path=path, **keys)
 
 
 @lru_cache(maxsize=8)  # a run asks for its objects again and again
 def _along(params: TrafficParams, vehicle: VehicleParams, duration_s: float) -> tuple[ObjectParams, ...]:
     route = Route.of(vehicle, duration_s, params.sight_m)
     moments_s = tuple(takewhile(math.isfinite, (params._moment_s(k, route) for k in count())))
-    number = len(moments_s) * sum(each for _, each, _ in params._numbers_by_role())
+    number = len(moments_s) * sum(getattr(params, counted) for counted, *_ in ROLES.values())
     afford(f"traffic: {number:,} objects", BYTES_AN_OBJECT * number, "take fewer steps or objects, or raise far_m")
     found: list[ObjectParams] = []
     taken: list[Met] = []
@@ -173,12 +169,17 @@ def _along(params: TrafficParams, vehicle: VehicleParams, duration_s: float) -> 
         for kind, seed, keys, met in params._stretch(k, route, taken):
             names[kind] += 1
             if met.start_s <= duration_s:
-                found.append(ROLES[kind][0](name=f"{kind}_{names[kind]}", seed=seed, on_road=True, **route.keys(met), **keys))
+                found.append(ROLES[kind][1](name=f"{kind}_{names[kind]}", seed=seed, on_road=True, **route.keys(met), **keys))
     return tuple(found)
 
 
 def _side(rng: np.random.Generator) -> bool:
     return rng.random() < 0.5
+
+
+def _beside(left: bool, away_m: float) -> float:
+    """y of what stands so far from the edge of the road on that side."""
+    return LANE_M * 1.5 + away_m if left else -LANE_M / 2 - away_m
 
 
 def _car(rng: np.random.Generator) -> Made:
@@ -189,8 +190,7 @@ def _car(rng: np.random.Generator) -> Made:
 
 def _parking_car(rng: np.random.Generator) -> Made:
     left = _side(rng)
-    y = LANE_M * 1.5 + 1.1 if left else -LANE_M / 2 - 1.1
-    return {"lit": False, "category": None}, 0.0, y + rng.normal(0, 0.1), 180.0 if left else 0.0
+    return {"lit": False, "category": None}, 0.0, _beside(left, 1.1) + rng.normal(0, 0.1), 180.0 if left else 0.0
 
 
 def _deer(rng: np.random.Generator) -> Made:
@@ -213,31 +213,31 @@ def _pedestrian(rng: np.random.Generator) -> Made:
         left = _side(rng)
         return keys, walks, rng.uniform(-4, 5), (-90.0 if left else 90.0) + rng.normal(0, 10)
     left, stands = _side(rng), rng.random() < 0.3
-    y = LANE_M * 1.5 + rng.uniform(0.4, 3) if left else -LANE_M / 2 - rng.uniform(0.4, 3)
+    y = _beside(left, rng.uniform(0.4, 3))
     return keys, 0.0 if stands else walks, y, rng.uniform(-180, 180) if stands else 180.0 * _side(rng)
 
 
 def _sign(rng: np.random.Generator) -> Made:
     left = rng.random() < 0.3
-    y = LANE_M * 1.5 + rng.uniform(0.5, 1.5) if left else -LANE_M / 2 - rng.uniform(0.5, 1.5)
+    y = _beside(left, rng.uniform(0.5, 1.5))
     return {"height_m": round(rng.uniform(1.6, 2.4), 2)}, 0.0, y, (-1 if left else 1) * (180.0 - rng.uniform(0, 12))
 
 
 def _clutter(rng: np.random.Generator) -> Made:
     shape = ("tree", "bush", "post", "bin", "delineator")[int(rng.choice(5, p=[0.3, 0.25, 0.2, 0.1, 0.15]))]
     away = rng.uniform(1.2, 8)
-    return {"shape": shape}, 0.0, LANE_M * 1.5 + away if _side(rng) else -LANE_M / 2 - away, rng.uniform(-180, 180)
+    return {"shape": shape}, 0.0, _beside(_side(rng), away), rng.uniform(-180, 180)
 
 
 # in the order in which they take their places: those that move first
 ROLES: dict[str, Role] = {
-    "car": (CarParams, 3.2, (2.6, 1.0), _car),
-    "deer": (AnimalParams, 1.0, (0.9, 0.9), _deer),
-    "cyclist": (CyclistParams, 1.1, (1.0, 0.4), _cyclist),
-    "pedestrian": (PedestrianParams, 0.5, (0.4, 0.4), _pedestrian),
-    "parked_car": (CarParams, 2.6, (2.6, 1.0), _parking_car),
-    "sign": (TrafficSignParams, 0.5, (0.4, 0.4), _sign),
-    "clutter": (ClutterParams, 0.9, (0.9, 0.9), _clutter),
+    "car": ("cars", CarParams, 3.2, (2.6, 1.0), _car),
+    "deer": ("animals", AnimalParams, 1.0, (0.9, 0.9), _deer),
+    "cyclist": ("cyclists", CyclistParams, 1.1, (1.0, 0.4), _cyclist),
+    "pedestrian": ("pedestrians", PedestrianParams, 0.5, (0.4, 0.4), _pedestrian),
+    "parked_car": ("parked", CarParams, 2.6, (2.6, 1.0), _parking_car),
+    "sign": ("signs", TrafficSignParams, 0.5, (0.4, 0.4), _sign),
+    "clutter": ("clutter", ClutterParams, 0.9, (0.9, 0.9), _clutter),
 }
 
 

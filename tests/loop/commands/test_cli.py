@@ -155,7 +155,7 @@ def test_several_errors_have_a_line_each(lux: Lux, command: str) -> None:
         ("data nonexist", ["no command 'nonexist'; `luxloop data --help` shows"]),
         ("run small.toml --out small.toml", ["small.toml", "--out"]),
         ("run small.toml --out .", ["no recording", "new directory"]),
-        ("run small.toml --set road.kind=mixed road.bumps_m=[0.1,-0.1]", ["road.bumps_m", "[0.1, -0.1]", "[lowest, highest]"]),
+        ("run small.toml --set road.kind=mixed road.bumps_m=[-0.1,-0.1]", ["road.bumps_m[1]", "-0.1", "greater than or equal to 0"]),
         ("run small.toml --set functions.symbol.image=none.png", ["none.png", "does not exist"]),
         ("run small.toml --set functions.symbol.image=black.png", ["black.png", "black"]),
         ("run small.toml --set functions.symbol.image=text.png", ["text.png", "picture"]),

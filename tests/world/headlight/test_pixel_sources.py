@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from pydantic import ValidationError
 
 from luxloop.world.errors import LuxloopError
@@ -13,6 +14,7 @@ from luxloop.world.headlight.sources import FileSource, FolderSource, TableSourc
 from luxloop.world.photometry import lm63
 from luxloop.world.photometry.distribution import Distribution
 from luxloop.world.texels import TexelGrid
+from tests.world.photometry.test_lm63 import PLAIN
 
 H, V = np.linspace(-6, 6, 25), np.linspace(-3, 3, 13)
 GRID = TexelGrid.from_degrees(40, 80, 6, -6, -3, 3)
@@ -36,8 +38,7 @@ def check(array: PixelArray) -> None:
     """Pixels lie where `candela` puts them."""
     assert (array.rows, array.columns) == (ROWS, COLUMNS)
     light = assemble(array, GRID).matrix.toarray().reshape(GRID.rows, GRID.cols, -1)
-    y = np.degrees(np.arctan(GRID.left + (np.arange(GRID.cols) + 0.5) / GRID.cols * (GRID.right - GRID.left)))
-    z = np.degrees(np.arctan(GRID.top + (np.arange(GRID.rows) + 0.5) / GRID.rows * (GRID.bottom - GRID.top)))
+    y, z = (np.degrees(np.arctan(each.numpy())) for each in GRID.tangents(torch.float64, torch.device("cpu")))
     for j, (h, v) in enumerate(EXPECTED_CENTRES):
         total = light[:, :, j].sum()
         centre = -(light[:, :, j].sum(0) @ y) / total, (light[:, :, j].sum(1) @ z) / total
@@ -63,42 +64,25 @@ def test_folder_by_pattern(tmp_path: Path, first: int) -> None:
     check(FolderSource(path=tmp_path / "p", rows=ROWS, columns=COLUMNS, pattern="c{column}_r{row}.ies").pixels())
 
 
-def remove(folder: Path) -> None:
-    (folder / "r01_c02.ies").unlink()
-
-
-def add(folder: Path) -> None:
-    (folder / "r02_c00.ies").write_bytes((folder / "r00_c00.ies").read_bytes())
-
-
-def twice(folder: Path) -> None:
-    (folder / "r0_c00.ies").write_bytes((folder / "r00_c00.ies").read_bytes())
-
-
-def stray(folder: Path) -> None:
-    (folder / "spare.ies").write_bytes((folder / "r00_c00.ies").read_bytes())
-
-
-def damage(folder: Path) -> None:
-    path = folder / "r01_c01.ies"
-    path.write_text(path.read_text()[:-200])
+def copied(name: str) -> Callable[[Path], object]:
+    return lambda folder: (folder / name).write_bytes((folder / "r00_c00.ies").read_bytes())
 
 
 @pytest.mark.parametrize(
     ("change", "with_pattern", "without"),
     [
         (
-            remove,
+            lambda folder: (folder / "r01_c02.ies").unlink(),
             "has no file for row 1 column 2, rows counted from 0 and columns from 0",
             "holds 5 photometric files, from r00_c00.ies to r01_c01.ies, but 2 x 3 pixels need 6",
         ),
-        (add, "has more than 2 x 3 pixels: r02_c00.ies", "holds 7 photometric files"),
-        (twice, "is the same pixel as", "holds 7"),
-        (stray, "spare.ies: does not fit the pattern", "holds 7"),
-        (damage, "r01_c01.ies, line", "r01_c01.ies, line"),
+        (copied("r02_c00.ies"), "has more than 2 x 3 pixels: r02_c00.ies", "holds 7 photometric files"),
+        (copied("r0_c00.ies"), "is the same pixel as", "holds 7"),
+        (copied("spare.ies"), "spare.ies: does not fit the pattern", "holds 7"),
+        (lambda folder: (folder / "r01_c01.ies").write_text(PLAIN[:-9]), "r01_c01.ies, line", "r01_c01.ies, line"),
     ],
 )
-def test_what_is_wrong_in_a_folder_is_named(tmp_path: Path, change: Callable[[Path], None], with_pattern: str, without: str) -> None:
+def test_what_is_wrong_in_a_folder_is_named(tmp_path: Path, change: Callable[[Path], object], with_pattern: str, without: str) -> None:
     write_folder(tmp_path / "p", lambda j: f"r{j // COLUMNS:02}_c{j % COLUMNS:02}.ies")
     change(tmp_path / "p")
     for pattern, words in (("r{row}_c{column}.ies", with_pattern), (None, without)):

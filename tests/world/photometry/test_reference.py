@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from luxloop.world.photometry import Photometry, read_photometry
-from luxloop.world.photometry.lm63 import write
 
 IES = [
     *("defined", "defined_diffuse", "display", "examp1", "medium_scatter", "parallel_beam", "three_lobe_vee"),
@@ -70,14 +69,3 @@ def test_eulumdat(data_dir: Path, name: str) -> None:
     np.testing.assert_allclose(d.at(gamma, c), value * klm, rtol=RTOL)
     # The makers' own light output ratio, by an integration of theirs: it agrees to 0.1 %.
     assert d.luminous_flux == pytest.approx(expected["lamp_flux_lm"][0] * expected["LOR_percent"] / 100, rel=1e-3)
-
-
-@pytest.mark.parametrize("name", IES)
-def test_every_file_makes_the_way_back_through_the_writer(data_dir: Path, tmp_path: Path, name: str) -> None:
-    d = read_photometry(data_dir / "ies" / f"{name}.ies").distribution
-    write(tmp_path / "again.ies", d)
-    again = read_photometry(tmp_path / "again.ies").distribution
-    assert again.type == d.type
-    np.testing.assert_array_equal(again.vertical_deg, d.vertical_deg)
-    np.testing.assert_array_equal(again.horizontal_deg, d.horizontal_deg)
-    np.testing.assert_allclose(again.candela, d.candela, rtol=5.1e-9)  # nine significant digits

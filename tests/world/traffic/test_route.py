@@ -84,7 +84,7 @@ def test_nothing_is_ever_in_the_own_way(motion: Motion):
     times, led = np.arange(0, DRIVE_S, 0.1), 0
     for seed in range(20):
         for item in along(seed):
-            half_m, width_m = ROLES[kind_of(item)][2]
+            half_m, width_m = ROLES[kind_of(item)][3]
             x, y = seen(item, motion, times)
             # 0.1 m: by which the lamps leave the rear axle's way in a bend, 0.015 * 3.6^2 / 2
             beside = np.abs(y) > LANE_M / 2 + width_m - 0.1
