@@ -30,8 +30,9 @@ from luxloop.loop.scenario.model import load, validate
 from luxloop.loop.scenario.shipped import examples, scenario_files
 from luxloop.loop.simulation import frames
 from luxloop.loop.simulation.protocol import Exposure
-from luxloop.loop.studies import campaign, dataset
+from luxloop.loop.studies import campaign
 from luxloop.loop.studies.jobs import run as run_jobs
+from luxloop.loop.studies.training import dataset
 from luxloop.perception.camera import CameraParams
 from luxloop.perception.detection import network
 from luxloop.perception.egomotion import Sample
