@@ -201,8 +201,7 @@ def optimise_beam(
         Device to compute on; auto takes CUDA if available.
     """
     scenario = scenario_of(name, set, allow_code=allow_code)
-    from luxloop.loop.studies.beams.goal import BeamGoal
-    from luxloop.loop.studies.beams.optimise import optimise_beam
+    from luxloop.loop.studies.beams import BeamGoal, optimise_beam
 
     goal = BeamGoal(metric=metric, energy=energy, unevenness=unevenness, glare=glare)
     played_by = shlex.join([name, "--set", *(set or [])])

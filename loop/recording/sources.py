@@ -74,8 +74,8 @@ def _imports(file: Path, package: str) -> Iterator[str]:
 
 LAYERS = ("world", "perception", "controllers", "loop")
 SHOWING = (  # folders and files that decide no figure of a run
-    *("loop/commands/", "loop/report/", "loop/studies/jobs.py"),
-    *(f"loop/studies/{folder}/" for folder in ("beams", "contracts", "evaluation", "training")),
+    *("loop/commands/", "loop/report/", "loop/studies/beams.py", "loop/studies/jobs.py"),
+    *(f"loop/studies/{folder}/" for folder in ("contracts", "evaluation", "training")),
 )
 
 

@@ -14,8 +14,7 @@ from luxloop.loop.commands import cli
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load, validate
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.loop.studies.beams.goal import BeamEvaluator, BeamGoal
-from luxloop.loop.studies.beams.optimise import _method, alike, begin, descend, sample
+from luxloop.loop.studies.beams import BeamEvaluator, BeamGoal, _method, alike, begin, descend, sample
 from luxloop.perception.detection.build import detector
 from luxloop.perception.detection.detector import HogParams, NetworkParams
 from tests.refusal import refusal

@@ -1,1 +1,0 @@
-"""Beams that are optimised for a detector."""
