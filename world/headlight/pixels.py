@@ -90,7 +90,8 @@ def assemble(
         texel = (window[0][:, None] * grid.cols + window[1]).ravel()
         return texel, light_texture(distribution, grid, array.aim, turn, window).ravel() if len(texel) else np.empty(0)
 
-    _check_entries([light_of(pixel.distribution, pixel.turn)[1] for pixel in _samples(array)], array, grid, cutoff)
+    sampled = [array.pixels[k] for k in sorted({int((i + 0.5) * len(array.pixels) / SAMPLED) for i in range(SAMPLED)})]
+    _check_entries([light_of(pixel.distribution, pixel.turn)[1] for pixel in sampled], array, grid, cutoff)
     probes = max(PROBES // len(array.pixels), FEWEST_PROBES)
     rows: list[NDArray[np.intp]] = []
     values: list[Array] = []
@@ -139,11 +140,6 @@ def assemble(
     )
 
 
-def _samples(array: PixelArray) -> list[Pixel]:
-    number = len(array.pixels)
-    return [array.pixels[k] for k in sorted({int((i + 0.5) * number / SAMPLED) for i in range(SAMPLED)})]
-
-
 def _check_entries(lights: Sequence[Array], array: PixelArray, grid: TexelGrid, cutoff: float) -> None:
     """Estimate the entries of all pixels from the light cd of some at each texel, and refuse too many with sizes that are affordable."""
     shares = np.concatenate([light / max(light.max(initial=0), np.finfo(float).tiny) for light in lights])
@@ -181,7 +177,7 @@ def default_grid(array: PixelArray) -> TexelGrid:
     farthest = math.radians(LARGEST_ANGLE_DEG)
     for pixel in array.pixels:
         directions, _, lit = _nodes(pixel.distribution, array.aim)
-        x, y, z = _turn(directions[:, lit], pixel.turn)
+        x, y, z = directions[:, lit] if pixel.turn is None else np.tensordot(pixel.turn, directions[:, lit], 1)
         aside = np.hypot(y, z)
         angle = np.arctan2(aside, x)  # from the beam axis
         if (angle < farthest).any():
@@ -192,8 +188,9 @@ def default_grid(array: PixelArray) -> TexelGrid:
     if not (low < high).all():
         raise LuxloopError(f"no pixel shines within {LARGEST_ANGLE_DEG:g} deg of the beam axis; look at `aim`")
     (right, bottom), (left, top) = low, high
-    down, across = np.radians(_steps(array)).tolist()
-    rows, cols = affordable(2 * (top - bottom) / down, array.rows), affordable(2 * (left - right) / across, array.columns)
+    down, across = _steps(array)
+    rows = affordable(2 * (top - bottom) / math.radians(down), array.rows)
+    cols = affordable(2 * (left - right) / math.radians(across), array.columns)
     if len(array.pixels) == 1:
         rows, cols = (max(number, FEWEST_TEXELS) | 1 for number in (rows, cols))
     return TexelGrid(rows=rows, cols=cols, left=float(left), right=float(right), bottom=float(bottom), top=float(top))
@@ -266,16 +263,12 @@ def _widest(distribution: Distribution) -> float:
     return max(float(np.diff(angles).max(initial=0)) for angles in distribution.full_table[:2])
 
 
-def _turn(directions: Array, turn: Array | None) -> Array:
-    return directions if turn is None else np.tensordot(turn, directions, 1)
-
-
-def _steps(array: PixelArray) -> Array:
+def _steps(array: PixelArray) -> tuple[float, float]:
     """The finest steps down and across in deg in which the pixels were measured."""
-    distributions = {id(pixel.distribution): pixel.distribution for pixel in array.pixels}.values()
+    distributions = {pixel.distribution for pixel in array.pixels}
     down = min(_finest(each.vertical_deg) for each in distributions)
     across = min((_finest(each.horizontal_deg) for each in distributions if each.type != "C"), default=math.inf)
-    return np.array([down, across if math.isfinite(across) else down])
+    return down, across if math.isfinite(across) else down
 
 
 def _finest(angles_deg: Array) -> float:

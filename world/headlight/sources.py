@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from luxloop.world.arrays import read_npz
-from luxloop.world.errors import LuxloopError
+from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import reading, regular
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight.matrix import LUMINANCE
@@ -31,21 +31,6 @@ ANGLES = ("horizontal_deg", "vertical_deg")
 CHANNELS = ("red", "green", "blue")
 KNOWN = (*ANGLES, "candela", "pixel", "row", "column", *CHANNELS)
 CSV_FORM = "pixel,horizontal_deg,vertical_deg,candela, or row,column in place of pixel"
-
-
-def read_table(path: Path, rows: int | None = None, columns: int | None = None) -> PixelArray:
-    """Pixels of a table; rows and columns where it numbers its pixels in one dimension.
-
-    `.npz`: `candela` `[n_p, V, H]` or `[rows, columns, V, H]`, `horizontal_deg` `[H]`, `vertical_deg` `[V]`, optionally `rgb`
-    `[..., V, H, 3]`, linear sRGB of any scale. `.csv`: a line a value, with the columns pixel (or row and column), horizontal_deg,
-    vertical_deg, candela, optionally red, green and blue; what is left out is dark. Numbers count from 0 or 1.
-
-    Raises: LuxloopError that names the file and what is wrong in it.
-    """
-    readers = {".npz": _read_npz, ".csv": _read_csv}
-    if path.suffix.lower() not in readers:
-        raise LuxloopError(f"{path}: is neither .npz nor .csv; save the table as one of them")
-    return readers[path.suffix.lower()](path, rows, columns)
 
 
 def _read_npz(path: Path, rows: int | None, columns: int | None) -> PixelArray:
@@ -182,7 +167,7 @@ def _shape(path: Path, n_pixels: int, rows: int | None, columns: int | None) -> 
 
 def _pixel(path: Path, name: str, v: Any, h: Any, candela: Any, rgb: Any | None) -> Pixel:
     """A pixel of `[V, H]` cd, coloured `[V, H, 3]`."""
-    try:
+    with locate(f"{path}: pixel {name}"):
         if rgb is None:
             return Pixel(_distribution(v, h, candela))
         if not (np.isfinite(rgb).all() and (rgb >= 0).all()):
@@ -192,8 +177,6 @@ def _pixel(path: Path, name: str, v: Any, h: Any, candela: Any, rgb: Any | None)
         share = np.where(white[..., None], 1.0, rgb / np.where(white, 1.0, luminance)[..., None])
         red, green, blue = (_distribution(v, h, candela * each) for each in np.moveaxis(share, -1, 0))
         return Pixel(_distribution(v, h, candela), rgb=(red, green, blue))
-    except LuxloopError as error:
-        raise LuxloopError(f"{path}: pixel {name}: {str(error).removeprefix('distribution: ')}") from error
 
 
 def _distribution(v: Any, h: Any, candela: Any) -> Distribution:
@@ -315,7 +298,12 @@ class FileSource(Params):
 
 
 class TableSource(Params):
-    """All pixels measured in one table."""
+    """All pixels measured in one table; rows and columns where it numbers its pixels in one dimension.
+
+    `.npz`: `candela` `[n_p, V, H]` or `[rows, columns, V, H]`, `horizontal_deg` `[H]`, `vertical_deg` `[V]`, optionally `rgb`
+    `[..., V, H, 3]`, linear sRGB of any scale. `.csv`: a line a value, with the columns pixel (or row and column), horizontal_deg,
+    vertical_deg, candela, optionally red, green and blue; what is left out is dark. Numbers count from 0 or 1.
+    """
 
     kind: Literal["table"] = "table"
     path: Path = Field(examples=["pixels.csv"], description="table of all pixels, .npz or .csv")
@@ -324,7 +312,10 @@ class TableSource(Params):
 
     def pixels(self) -> PixelArray:
         """Read the table. Raises LuxloopError that names the file and what is wrong in it."""
-        return read_table(self.path, self.rows, self.columns)
+        readers = {".npz": _read_npz, ".csv": _read_csv}
+        if (suffix := self.path.suffix.lower()) not in readers:
+            raise LuxloopError(f"{self.path}: is neither .npz nor .csv; save the table as one of them")
+        return readers[suffix](self.path, self.rows, self.columns)
 
 
 def _turn(left_deg: float, up_deg: float) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:

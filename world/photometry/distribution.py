@@ -44,16 +44,16 @@ class Distribution:
             ("horizontal", self.horizontal_deg, HORIZONTAL_RANGE[self.type], 1),
         ):
             if angles.ndim != 1 or len(angles) < fewest:
-                raise LuxloopError(f"distribution: give at least {fewest} {name} angle{'s' * (fewest > 1)}")
+                raise LuxloopError(f"give at least {fewest} {name} angle{'s' * (fewest > 1)}")
             if not (np.diff(angles) > 0).all() or not (low <= angles[0] and angles[-1] <= high):
-                raise LuxloopError(f"distribution: {name} angles of type {self.type} must ascend within {low:g} to {high:g} deg")
+                raise LuxloopError(f"{name} angles of type {self.type} must ascend within {low:g} to {high:g} deg")
         if self.candela.shape != (len(self.horizontal_deg), len(self.vertical_deg)):
             raise LuxloopError(
-                f"distribution: {len(self.horizontal_deg)} horizontal and {len(self.vertical_deg)} vertical angles need as many rows and "
+                f"{len(self.horizontal_deg)} horizontal and {len(self.vertical_deg)} vertical angles need as many rows and "
                 f"columns of candela, not {self.candela.shape}"
             )
         if not ((self.candela >= 0) & (self.candela <= BRIGHTEST_CD)).all():
-            raise LuxloopError(f"distribution: luminous intensities must be finite and not negative, {BRIGHTEST_CD:g} cd at most")
+            raise LuxloopError(f"luminous intensities must be finite and not negative, {BRIGHTEST_CD:g} cd at most")
 
     @cached_property
     def full_table(self) -> tuple[Array, Array, Array]:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from luxloop.world.errors import LuxloopError, locate
-from luxloop.world.files import whole
+from luxloop.world.files import atomic_write
 from luxloop.world.photometry.distribution import VERTICAL_RANGE, Array, Distribution
 from luxloop.world.photometry.record import Numbers, Photometry
 
@@ -169,5 +169,5 @@ def write(path: str | Path, distribution: Distribution, name: str) -> None:
     opening, shares, lamp = [0] * 9, [100, 100, 1, 0], [1, 1, "none", f"{flux:.12g}", "none", "none", 0]
     values = (f"{value:.3f}" for value in (distribution.candela * (1000 / flux)).ravel())
     angles = (f"{angle:g}" for angle in (*c, *gamma))
-    with whole(path) as part:
-        part.write_bytes("\r\n".join(map(str, chain(head, names, opening, shares, lamp, [0] * _RATIOS, angles, values, [""]))).encode())
+    lines = chain(head, names, opening, shares, lamp, [0] * _RATIOS, angles, values, [""])
+    atomic_write(path, "\r\n".join(map(str, lines)))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from luxloop.world.errors import LuxloopError, locate
-from luxloop.world.files import whole
+from luxloop.world.files import atomic_write
 from luxloop.world.photometry.distribution import HORIZONTAL_RANGE, VERTICAL_RANGE, Distribution, Kind
 from luxloop.world.photometry.record import Numbers, Photometry, Tilt, load
 
@@ -194,8 +194,7 @@ def write(path: str | Path, distribution: Distribution, keywords: Mapping[str, s
     # One lamp of unknown flux; an opening of no size, in metres. 1.00001: how the file came about is not told.
     head = ["IES:LM-63-2019", *labels, "TILT=NONE", f"1 -1 1 {len(v)} {len(h)} {code} 2 0 0 0", "1 1.00001 0"]
     lines = [line for values in (v, h, *distribution.candela) for line in _lines(values)]
-    with whole(Path(path)) as part:
-        part.write_bytes("\r\n".join([*head, *lines, ""]).encode())
+    atomic_write(Path(path), "\r\n".join([*head, *lines, ""]))
 
 
 def _lines(values: NDArray[np.float64]) -> Iterator[str]:

@@ -98,8 +98,8 @@ class TrackedParams(Params):
             poses = torch.stack([pose_from_degrees(k.position_m, k.roll_deg, k.pitch_deg, k.yaw_deg) for k in self.track])
         else:
             times, poses = self.path.poses()
-        appears = -float("inf") if self.appears_s is None else self.appears_s
-        return PoseTrack(times, poses, appears, float("inf") if self.vanishes_s is None else self.vanishes_s)
+        appears = -math.inf if self.appears_s is None else self.appears_s
+        return PoseTrack(times, poses, appears, math.inf if self.vanishes_s is None else self.vanishes_s)
 
 
 Looks = dict[str, tuple[MaterialName, float]]  # material and albedo of parts, by their names
