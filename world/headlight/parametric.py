@@ -31,10 +31,15 @@ BRIGHTEST_CD = 1e9  # of a pixel
 SHARP_DEG = 1e-6  # a blur that no texture shows: as none
 
 
+PixelCount = Annotated[int, Field(gt=0, le=MOST_PIXELS)]
+Border = Annotated[float, Field(gt=-80, lt=80)]  # deg
+InField = Annotated[float, Field(ge=-80, le=80)]  # deg
+
+
 class _Pixels(Params):
-    columns: int = Field(description="pixels per row", examples=[64], gt=0, le=MOST_PIXELS)
-    left_deg: float = Field(description="left border of the pixel field, left positive", examples=[12.0], gt=-80, lt=80)
-    right_deg: float = Field(description="right border of the pixel field", examples=[-12.0], gt=-80, lt=80)
+    columns: PixelCount = Field(description="pixels per row", examples=[64])
+    left_deg: Border = Field(description="left border of the pixel field, left positive", examples=[12.0])
+    right_deg: Border = Field(description="right border of the pixel field", examples=[-12.0])
     widening: float = Field(0.0, description="relative extra width of the outermost column over the middle one", ge=0, le=10)
     cut: float = Field(0.01, description="share of a pixel's peak below which its light is dropped, which limits overlap", ge=0, lt=1)
 
@@ -55,7 +60,7 @@ class GaussianPixels(_Pixels):
     """Pixels whose light falls off as a Gaussian on every side; rows of unequal height, brightness and distance."""
 
     kind: Literal["gaussian"] = "gaussian"
-    row_centres_deg: tuple[Annotated[float, Field(ge=-80, le=80)], ...] = Field(
+    row_centres_deg: tuple[InField, ...] = Field(
         description="centre of each pixel row, top row first, up positive", examples=[[-6.0]], min_length=1, max_length=MOST_PIXELS
     )
     row_sigmas_deg: tuple[Annotated[float, Field(ge=1e-3, le=90)], ...] = Field(
@@ -91,9 +96,9 @@ class BlurredRectangles(_Pixels):
     """Adjacent rectangles, each convolved with a Gaussian; with all pixels on they form an even field with soft borders."""
 
     kind: Literal["blurred_rectangles"] = "blurred_rectangles"
-    rows: int = Field(description="pixel rows", examples=[16], gt=0, le=MOST_PIXELS)
-    bottom_deg: float = Field(description="lower border of the pixel field, up positive", examples=[-4.0], gt=-80, lt=80)
-    top_deg: float = Field(description="upper border of the pixel field", examples=[2.0], gt=-80, lt=80)
+    rows: PixelCount = Field(description="pixel rows", examples=[16])
+    bottom_deg: Border = Field(description="lower border of the pixel field, up positive", examples=[-4.0])
+    top_deg: Border = Field(description="upper border of the pixel field", examples=[2.0])
     row_heights: tuple[Annotated[float, Field(ge=1e-3, le=1e3)], ...] = Field(
         (), description="relative heights of the rows, top row first; equal if empty"
     )

@@ -20,7 +20,7 @@ from luxloop.world.errors import LuxloopError, locate
 from luxloop.world.files import reading, regular
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight.matrix import LUMINANCE
-from luxloop.world.headlight.parametric import MOST_PIXELS
+from luxloop.world.headlight.parametric import MOST_PIXELS, PixelCount
 from luxloop.world.headlight.pixels import Pixel, PixelArray
 from luxloop.world.params import Params
 from luxloop.world.photometry import read_all
@@ -201,8 +201,8 @@ class FolderSource(Params):
 
     kind: Literal["folder"] = "folder"
     path: Path = Field(examples=["pixels"], description="folder with one .ies or .ldt file per pixel")
-    rows: int = Field(gt=0, le=MOST_PIXELS, examples=[16], description="pixel rows")
-    columns: int = Field(gt=0, le=MOST_PIXELS, examples=[64], description="pixels in a row")
+    rows: PixelCount = Field(examples=[16], description="pixel rows")
+    columns: PixelCount = Field(examples=[64], description="pixels in a row")
     pattern: str | None = Field(
         None,
         description="file names with the pixel's row and column, such as r{row}_c{column}.ies, from 0 or 1; left out: natural order",
@@ -265,8 +265,8 @@ class FileSource(Params):
 
     kind: Literal["file"] = "file"
     path: Path = Field(examples=["pixel.ies"], description=".ies or .ldt file of one pixel")
-    rows: int = Field(1, gt=0, le=MOST_PIXELS, description="pixel rows")
-    columns: int = Field(1, gt=0, le=MOST_PIXELS, description="pixels in a row")
+    rows: PixelCount = Field(1, description="pixel rows")
+    columns: PixelCount = Field(1, description="pixels in a row")
     pitch_deg: float | None = Field(None, ge=1e-4, le=90, description="angle between neighbours in a row; required for several pixels")
     aspect: float = Field(1.0, ge=0.01, le=100, description="width over height of the grid's cells: rows are pitch_deg / aspect apart")
     aim: Aim = Field("beam", description=AIM)

@@ -10,7 +10,7 @@ from typing import Any, Final, Literal, Self
 
 import numpy as np
 import torch
-from pydantic import ConfigDict, Field, ValidationError, model_validator
+from pydantic import ConfigDict, Field, PositiveInt, ValidationError, model_validator
 from torch import Tensor
 
 from luxloop.world.arrays import Arrays, read_npz, write_npz
@@ -35,14 +35,14 @@ class ModuleHeader(Params):
 
     name: ModuleName
     headlight: str
-    rows: int = Field(ge=1)
-    cols: int = Field(ge=1)
+    rows: PositiveInt
+    cols: PositiveInt
     left: float
     right: float
     bottom: float
     top: float
-    pixel_rows: int = Field(ge=1)
-    pixel_cols: int = Field(ge=1)
+    pixel_rows: PositiveInt
+    pixel_cols: PositiveInt
     swivel_deg: tuple[float, float]
     level_deg: tuple[float, float]
 

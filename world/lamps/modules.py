@@ -16,7 +16,7 @@ from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Module
 from luxloop.world.headlight.overlap import Method, OverlapErrors, errors, reduce, standard_use_cases, strongest
-from luxloop.world.headlight.parametric import BlurredRectangles, GaussianPixels, headlight
+from luxloop.world.headlight.parametric import BlurredRectangles, GaussianPixels, InField, headlight
 from luxloop.world.headlight.pixels import (
     CUTOFF,
     TEXELS_A_PIXEL,
@@ -62,10 +62,10 @@ class TextureParams(Params):
 
     rows: int | None = Field(None, gt=0, le=16384, description="texel rows; left out: finer than the source")
     columns: int | None = Field(None, gt=0, le=16384, description="texel columns; left out: finer than the source")
-    left_deg: float | None = Field(None, ge=-80, le=80, description="left border, left positive; borders left out: where the light ends")
-    right_deg: float | None = Field(None, ge=-80, le=80, description="right border")
-    bottom_deg: float | None = Field(None, ge=-80, le=80, description="lower border, up positive")
-    top_deg: float | None = Field(None, ge=-80, le=80, description="upper border")
+    left_deg: InField | None = Field(None, description="left border, left positive; borders left out: where the light ends")
+    right_deg: InField | None = Field(None, description="right border")
+    bottom_deg: InField | None = Field(None, description="lower border, up positive")
+    top_deg: InField | None = Field(None, description="upper border")
 
     def on(self, default: TexelGrid, pixel_rows: int, pixel_cols: int) -> TexelGrid:
         """The grid, with what is left out taken from a default.
@@ -108,12 +108,15 @@ class OverlapParams(Params):
         return self
 
 
+Offset = Annotated[float, Field(ge=-2, le=2)]  # m
+
+
 class MountParams(Params):
     """Pose of a module in its lamp."""
 
-    x_m: float = Field(0.0, ge=-2, le=2, description="position of the photometric centre ahead of the lamp's origin")
-    y_m: float = Field(0.0, ge=-2, le=2, description="position to the left of it")
-    z_m: float = Field(0.0, ge=-2, le=2, description="height above it")
+    x_m: Offset = Field(0.0, description="position of the photometric centre ahead of the lamp's origin")
+    y_m: Offset = Field(0.0, description="position to the left of it")
+    z_m: Offset = Field(0.0, description="height above it")
     roll_deg: Degrees = Field(0.0, description="rotation about the forward axis, right side down positive")
     pitch_deg: Slope = Field(0.0, description="rotation about the left axis, nose down positive: the light moves down")
     yaw_deg: Degrees = Field(0.0, description="rotation about the upward axis, to the left positive")

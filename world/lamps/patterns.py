@@ -5,7 +5,7 @@ import math
 from dataclasses import dataclass
 
 import torch
-from pydantic import Field
+from pydantic import Field, NonNegativeFloat, PositiveFloat
 from torch import Tensor
 
 from luxloop.world.errors import LuxloopError, did_you_mean
@@ -19,24 +19,24 @@ class Pattern(Params):
     """A broad light, a hot spot in it, and a cut-off above both. Angles in deg, h to the right and v up."""
 
     cutoff_v_deg: float | None = Field(None, description="height of the cut-off's horizontal part; none for a driving beam")
-    shoulder_deg: float = Field(
-        0.0, description="angle right of the centre up to which the cut-off rises at 15 deg; 0 keeps it horizontal", ge=0
+    shoulder_deg: NonNegativeFloat = Field(
+        0.0, description="angle right of the centre up to which the cut-off rises at 15 deg; 0 keeps it horizontal"
     )
-    decades_per_deg: float = Field(2.8, description="gradient of the cut-off: decades of intensity per degree", gt=0)
-    above_cd: float = Field(220.0, description="intensity above the cut-off, for signs", gt=0)
-    hot_cd: float = Field(description="intensity that the hot spot adds to the broad light", ge=0)
+    decades_per_deg: PositiveFloat = Field(2.8, description="gradient of the cut-off: decades of intensity per degree")
+    above_cd: PositiveFloat = Field(220.0, description="intensity above the cut-off, for signs")
+    hot_cd: NonNegativeFloat = Field(description="intensity that the hot spot adds to the broad light")
     hot_h_deg: float = Field(0.0, description="centre of the hot spot, right positive")
     hot_v_deg: float = Field(0.0, description="height of the hot spot, relative to the cut-off if there is one")
-    hot_left_deg: float = Field(description="standard deviation of the hot spot to the left; the next keys are the other sides", gt=0)
-    hot_right_deg: float = Field(gt=0)
-    hot_up_deg: float = Field(gt=0)
-    hot_down_deg: float = Field(gt=0)
-    broad_cd: float = Field(description="intensity of the broad light in the centre", ge=0)
-    broad_width_deg: float = Field(description="half width at which the broad light has fallen to 1/e", gt=0)
+    hot_left_deg: PositiveFloat = Field(description="standard deviation of the hot spot to the left; the next keys are the other sides")
+    hot_right_deg: PositiveFloat
+    hot_up_deg: PositiveFloat
+    hot_down_deg: PositiveFloat
+    broad_cd: NonNegativeFloat = Field(description="intensity of the broad light in the centre")
+    broad_width_deg: PositiveFloat = Field(description="half width at which the broad light has fallen to 1/e")
     near_v_deg: float = Field(description="height below which the broad light falls off, so that the near road is not too bright")
-    near_deg: float = Field(description="angle over which it falls to 1/e below", gt=0)
+    near_deg: PositiveFloat = Field(description="angle over which it falls to 1/e below")
     far_v_deg: float = Field(2.0, description="height above which the broad light falls off")
-    far_deg: float = Field(2.0, gt=0)
+    far_deg: PositiveFloat = 2.0
     rules: tuple[str, ...] = Field((), description="ids of the sets of test points that the beam should meet")
 
     def edge(self, h: Tensor) -> Tensor:
