@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import pytest
 from pydantic import Field
 
-from luxloop.world.errors import LuxloopError, all_of, did_you_mean, redact
+from luxloop.world.errors import LuxloopError, did_you_mean, redact
 from luxloop.world.params import Params
 from luxloop.world.plugin import KnownOrOwn, OwnName
 from luxloop.world.rendering.rasterise import NoOpenGL
@@ -42,10 +42,6 @@ def test_what_is_not_near_is_not_suggested(given: str) -> None:
 
 def test_input_in_a_message_does_not_control_the_terminal() -> None:
     assert str(LuxloopError("a\x1b[31m\x07: line\nü")) == "a?[31m?: line ü"
-
-
-def test_a_single_error_has_no_count() -> None:
-    assert str(all_of(["key: is wrong"])) == "key: is wrong"
 
 
 def test_plain_data_is_told_without_logins() -> None:

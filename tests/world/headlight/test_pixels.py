@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -36,6 +37,13 @@ def gaussian(
     return Distribution("A", angles, angles, cd * light)
 
 
+def rays(grid: TexelGrid) -> np.ndarray:
+    """Unit vectors `[3, rows, cols]` through the centres of texels."""
+    y, z = (each.numpy() for each in grid.tangents(torch.float64, torch.device("cpu")))
+    ray = np.stack(np.broadcast_arrays(1.0, y, z[:, None]))
+    return ray / np.linalg.norm(ray, axis=0)
+
+
 def alone(distribution: Distribution, aim: Aim = "beam") -> PixelArray:
     return PixelArray([Pixel(distribution)], 1, 1, aim)
 
@@ -54,18 +62,13 @@ def test_a_grid_of_turned_pixels_is_exact_in_angles(tmp_path: Path) -> None:
     array = FileSource(path=tmp_path / "pixel.ies", rows=3, columns=5, pitch_deg=8, aspect=2).pixels()
     grid = TexelGrid.from_degrees(180, 420, 21, -21, -9, 9)
     matrix = assemble(array, grid, cutoff=0).matrix.toarray().reshape(grid.rows, grid.cols, 15)
-    y = grid.left + (np.arange(grid.cols) + 0.5) / grid.cols * (grid.right - grid.left)
-    z = grid.top + (np.arange(grid.rows) + 0.5) / grid.rows * (grid.bottom - grid.top)
     solid = solid_angles(grid)
     for row in range(3):
         for column in range(5):
             light = matrix[:, :, 5 * row + column] * solid
             # Type A angles of a turn by yaw and pitch: h is the yaw, v the pitch.
             h, v = 8 * (column - 2), 4 * (1 - row)
-            ray = np.stack(np.broadcast_arrays(1.0, y, z[:, None])) / np.sqrt(1 + y**2 + z[:, None] ** 2)
-            mean = (ray * light).sum((1, 2))
-            mean /= np.linalg.norm(mean)
-            v_at, h_at = angles_of("A", mean)
+            v_at, h_at = angles_of("A", (rays(grid) * light).sum((1, 2)))
             assert (h_at, v_at) == pytest.approx((h, v), abs=0.005)  # texels are 0.1 deg
             # Each place keeps the pixel's flux, as a shift in tangents would not: 10 % more at 16 deg.
             assert light.sum() == pytest.approx(gaussian().luminous_flux, rel=5e-3)
@@ -86,10 +89,7 @@ def test_default_texture_holds_all_light_and_is_finer_than_the_data() -> None:
 def test_no_ray_of_a_cone_is_missed(yaw_deg: float, pitch_deg: float, reach_deg: float) -> None:
     grid = TexelGrid.from_degrees(30, 40, 60, -70, -50, 45)
     axis = directions_of("A", pitch_deg, yaw_deg)
-    y = grid.left + (np.arange(40) + 0.5) / 40 * (grid.right - grid.left)
-    z = grid.top + (np.arange(30) + 0.5) / 30 * (grid.bottom - grid.top)
-    rays = np.stack(np.broadcast_arrays(1.0, y, z[:, None])) / np.sqrt(1 + y**2 + z[:, None] ** 2)
-    inside = np.tensordot(axis, rays, 1) >= math.cos(math.radians(reach_deg))
+    inside = np.tensordot(axis, rays(grid), 1) >= math.cos(math.radians(reach_deg))
     rows, cols = _window(grid, axis, math.radians(reach_deg))
     assert set(np.flatnonzero(inside.any(1))) <= set(rows)
     assert set(np.flatnonzero(inside.any(0))) <= set(cols)
