@@ -216,9 +216,7 @@ def take(
         for k, path in enumerate(paths):
             time.sleep(every_s if k else 0.0)
             rig.camera.forget()
-            if params.has_trigger:
-                rig.camera.trigger()
-            picture = rig.camera.next(time.monotonic() + CAMERA_S)
+            picture = rig.picture(time.monotonic() + CAMERA_S)
             if picture is None:
                 raise LuxloopError(f"camera: {rig.camera.reason}")
             codes: Any = grey(picture.data)

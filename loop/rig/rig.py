@@ -148,11 +148,8 @@ class Rig:
         self.statistics.began_s = self.statistics.began_s or began_s
         self.keeper.beat()
         if not self.camera.alive:  # nobody would see it
-            self.keeper.dark(self.camera.reason)
-            if self.params.has_trigger:  # without that it would never come back
-                self.camera.trigger()
-            reason = self.camera.reason
-            if (picture := self.camera.next(began_s + self.params.timing.wait_s)) is not None:
+            self.keeper.dark(reason := self.camera.reason)
+            if (picture := self.picture(began_s + self.params.timing.wait_s)) is not None:
                 with suppress(WrongPicture):
                     self._image(picture)
             self._done(began_s)
@@ -178,6 +175,12 @@ class Rig:
         self._stands, self._changed_s = shine.net_pictures, time.monotonic()
         marked = shine.pictures if self.params.mark is None else draw_mark(shine.pictures, self.params.mark, shine.number)
         self.keeper.show(Shine(shine.number, marked, shine.commands))
+
+    def picture(self, until_s: float) -> CameraPicture | None:
+        """The camera's next picture, triggered where it needs that, None if none has arrived by until_s."""
+        if self.params.has_trigger:
+            self.camera.trigger()
+        return self.camera.next(until_s)
 
     def dark(self, reason: str) -> None:
         """Darken the lamp until light is shown again. reason: in words."""
@@ -296,15 +299,10 @@ def open_rig(params: RigParams, grids: Grids, camera: CameraParams | None, *, ar
 
 def await_camera(rig: Rig, seconds: float = CAMERA_S) -> bool:
     """Wait for the camera's first pictures, until its period is known; returns whether pictures arrive."""
-    until_s = time.monotonic() + seconds
+    until_s, triggered = time.monotonic() + seconds, rig.params.has_trigger
     while time.monotonic() < until_s:
-        if rig.params.has_trigger:
-            rig.camera.trigger()
-            if rig.camera.next(time.monotonic() + rig.params.timing.wait_s) is not None:
-                break
-            continue
-        picture = rig.camera.next(time.monotonic() + 0.05)
-        if picture is not None and math.isfinite(picture.late_s):
+        picture = rig.picture(time.monotonic() + (rig.params.timing.wait_s if triggered else 0.05))
+        if picture is not None and (triggered or math.isfinite(picture.late_s)):
             break
     return rig.camera.alive
 
@@ -320,9 +318,7 @@ def look(rig: Rig, seconds: float = LOOK_S) -> dict[str, Any]:
     arrivals, late, sizes, brightest, refused = [], 0, set[tuple[int, int]](), 0.0, Counter[str]()
     until_s = time.monotonic() + seconds
     while time.monotonic() < until_s:
-        if rig.params.has_trigger:
-            rig.camera.trigger()
-        if (picture := rig.camera.next(until_s)) is None:
+        if (picture := rig.picture(until_s)) is None:
             break
         arrivals.append(picture.arrived_s)
         late += not picture.awaited

@@ -66,7 +66,10 @@ CONFIRMED_S: Final = 0.5  # in which a page has to say that it shows a frame
 
 
 class ScreenLight:
-    """Serves the page. The page that has connected last shows the light; a frame counts as shown once this page has confirmed it."""
+    """Serves the page. The page that has connected last shows the light; a frame counts as shown once this page has confirmed it.
+
+    answer: the page's confirmation of the newest frame: its number, and drawn_ms, presented_ms and now_ms by the page's clock.
+    """
 
     def __init__(self, params: ScreenLightParams, grids: Grids) -> None:
         """Listen in a thread. grids: rows and columns of the modules' pixels. Raises LuxloopError if the port cannot be opened."""
@@ -75,7 +78,7 @@ class ScreenLight:
         self._changed = threading.Condition()
         self._page: ServerConnection | None = None
         self._shown_on: ServerConnection | None = None  # None where the page has darkened by itself since
-        self._number, self._answer = -1, dict[str, Any]()
+        self._number, self.answer = -1, dict[str, Any]()
         self._failed: LuxloopError | None = None
         self.port = 0
         self._ready, self._loop = threading.Event(), asyncio.new_event_loop()
@@ -98,11 +101,6 @@ class ScreenLight:
             if not self._changed.wait_for(lambda: self._page is not None, seconds):
                 raise LuxloopError("light: no page has connected; open the address that was printed on the projector")
 
-    @property
-    def answer(self) -> dict[str, Any]:
-        """The page's confirmation of the newest frame: its number, and drawn_ms, presented_ms and now_ms by the page's clock."""
-        return self._answer
-
     def show(self, shine: Shine) -> str | None:
         """Send new light and wait until the page has shown it; for current light only signal that the loop is alive."""
         page = self._page
@@ -118,7 +116,7 @@ class ScreenLight:
         self._number, self._shown_on = shine.number, page
         self._send(page, message_of(shine.number, codes.astype(np.uint8)))
         with self._changed:
-            done = self._changed.wait_for(lambda: self._answer.get("number") == shine.number % 2**32 or self._page is not page, CONFIRMED_S)
+            done = self._changed.wait_for(lambda: self.answer.get("number") == shine.number % 2**32 or self._page is not page, CONFIRMED_S)
         if self._page is not page:
             return self._undone("light: the page was closed")
         return None if done else self._undone("light: the page has not shown it in time")
@@ -211,7 +209,7 @@ class ScreenLight:
             self._shown_on = None
         if isinstance(answer.get("number"), int):
             with self._changed:
-                self._answer = {**answer, "arrived_s": time.monotonic()}
+                self.answer = {**answer, "arrived_s": time.monotonic()}
                 self._changed.notify_all()
 
 

@@ -190,9 +190,7 @@ def rig_setup(file: Path, params: RigParams, grids: Grids, ready: Callable[[Rig]
         raise LuxloopError(f"{file}: mark: lies in the light that is to be measured; take it out to calibrate")
     with locate(str(file)), open_rig(params, grids, None, armed=True) as rig:
         ready(rig)
-        if params.has_trigger:
-            rig.camera.trigger()
-        picture = rig.camera.next(time.monotonic() + CAMERA_S)
+        picture = rig.picture(time.monotonic() + CAMERA_S)
         if picture is None:
             raise LuxloopError("camera: sends no picture; see `luxloop rig check`")
         first = grey(picture.data)

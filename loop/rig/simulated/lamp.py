@@ -120,7 +120,7 @@ LOOK_S: Final = 0.2  # between two looks at whether the end has come
 
 
 class DdpInput:
-    """Takes DDP packets in a thread of its own and shows each whole frame."""
+    """Takes DDP packets in a thread of its own and shows each whole frame. where: from where the light comes, in words."""
 
     def __init__(self, timeline: Timeline, pixels: int, params: LightInputParams, address: tuple[str, int], seed: int) -> None:
         """Listen; a port of 0 takes a free one. Raises LuxloopError where it cannot be had."""
@@ -130,15 +130,10 @@ class DdpInput:
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
         self._socket.settimeout(min(LOOK_S, params.timeout_ms / 1000))
         self.port: int = self._socket.getsockname()[1]
-        self._where, self._assembler = f"udp://{host}:{self.port} (DDP)", Assembler(pixels, params.mixed)
+        self.where, self._assembler = f"udp://{host}:{self.port} (DDP)", Assembler(pixels, params.mixed)
         self._frames, self._open = 0, True
         self._thread = threading.Thread(target=self._receive, name="light", daemon=True)
         self._thread.start()
-
-    @property
-    def where(self) -> str:
-        """From where the light comes, in words."""
-        return self._where
 
     def counts(self) -> dict[str, int]:
         """Frames of light that were shown, that lacked packets, and what was refused, so far."""
@@ -184,16 +179,12 @@ class ScreenInput:
     def __init__(self, timeline: Timeline, grids: Grids, address: tuple[str, int]) -> None:
         """grids: rows and columns of each module. address: of the page."""
         self._timeline, self._grids, self._address = timeline, grids, address
+        self.where = "http://{}:{}/ (the page of a loop's light `screen`)".format(*address)
         self._dark = LightFrame(np.zeros(sum(rows * columns for rows, columns in grids), np.uint8), ())
         self._shown: LightFrame | None = None  # None while it is dark by itself or as it was asked
         self._heard_s, self._counts, self._open = 0.0, {"frames": 0, "incomplete": 0, "refused": 0}, True
         self._thread = threading.Thread(target=self._run, name="light", daemon=True)
         self._thread.start()
-
-    @property
-    def where(self) -> str:
-        """From where the light comes, in words."""
-        return "http://{}:{}/ (the page of a loop's light `screen`)".format(*self._address)
 
     def counts(self) -> dict[str, int]:
         """Frames of light that were shown, that lacked packets, and what was refused, so far."""

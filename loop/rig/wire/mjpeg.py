@@ -7,7 +7,7 @@ import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler
-from typing import Final, Protocol
+from typing import Any, Final
 
 from luxloop.loop.rig.wire.sockets import serve_http
 from luxloop.world.errors import LuxloopError
@@ -28,19 +28,14 @@ class Part:
 
 
 class PictureServer:
-    """Sends each picture to all clients that have taken the one before."""
+    """Sends each picture to all clients that have taken the one before. clients: how many there are."""
 
     def __init__(self, host: str, port: int, path: str = "/camera") -> None:
         """Listen. Raises LuxloopError where the port cannot be had."""
         self.path = path
-        self._changed, self._part, self._number, self._open, self._clients = threading.Condition(), Part(b"", JPEG), 0, True, 0
+        self._changed, self._part, self._number, self._open, self.clients = threading.Condition(), Part(b"", JPEG), 0, True, 0
         self._server = serve_http(f"--camera-port {port}", host, port, self._answer)
         self.port = self._server.server_address[1]
-
-    @property
-    def clients(self) -> int:
-        """How many watch."""
-        return self._clients
 
     def publish(self, part: Part) -> None:
         """Send a picture to all clients; it does not wait for them."""
@@ -61,8 +56,8 @@ class PictureServer:
             handler.send_error(404)
             return
         with self._changed:
-            full = self._clients >= MOST_CLIENTS
-            self._clients += not full
+            full = self.clients >= MOST_CLIENTS
+            self.clients += not full
             last = self._number
         if full:
             handler.send_error(503)
@@ -84,19 +79,12 @@ class PictureServer:
             pass  # the client has gone, or takes nothing
         finally:
             with self._changed:
-                self._clients -= 1
+                self.clients -= 1
 
 
-class Stream(Protocol):
-    """Bytes as they come; fewer than asked for at the end alone."""
-
-    def read(self, size: int, /) -> bytes: ...
-
-    def readline(self, limit: int, /) -> bytes: ...
-
-
-def parts(stream: Stream, largest: int) -> Iterator[Part]:
-    """The parts of an answer's body as they come, until it ends. largest: bytes of a picture that are taken at most.
+def parts(stream: Any, largest: int) -> Iterator[Part]:
+    """The parts of an answer's body as they come, until it ends. stream: with `read` and `readline`. largest: bytes of a picture that are
+    taken at most.
 
     Raises LuxloopError where this is no such answer, and OSError as streams do.
     """
@@ -110,7 +98,7 @@ def parts(stream: Stream, largest: int) -> Iterator[Part]:
         yield Part(body, kind)
 
 
-def _head(stream: Stream) -> tuple[int, str] | None:
+def _head(stream: Any) -> tuple[int, str] | None:
     """Bytes and media type of the next part, None at the end."""
     size, kind, begun = None, JPEG, False
     for _ in range(MOST_LINES):

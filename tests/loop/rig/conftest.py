@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+import signal
 import socket
 import subprocess
 import sys
@@ -9,8 +11,10 @@ import time
 import urllib.request
 import zlib
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import pytest
 
@@ -24,6 +28,32 @@ SMALL = Path(__file__).parent / "small_rig.py"
 PROGRAM = [sys.executable, "-m", "luxloop.loop.commands.cli"]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
 CALM_S = 10.0
+DDP = {"kind": "ddp", "timecode": True, "host": "127.0.0.1"}
+FILE = """
+[light]
+kind = "ddp"
+timecode = true
+host = "127.0.0.1"
+port = {light}
+
+[camera]
+kind = "http"
+url = "{url}"
+
+[timing]
+latency_s = 0.03
+jitter_s = 0.02  # measured
+"""
+
+WHOLE = """
+[light]
+kind = "ddp"
+host = "192.168.1.20"
+
+[camera]
+kind = "http"
+url = "http://192.168.1.21:8080/camera"
+"""
 
 
 def free_port(kind: int) -> int:
@@ -32,7 +62,23 @@ def free_port(kind: int) -> int:
         return int(found.getsockname()[1])
 
 
-class Process:
+class Child:
+    """A process of its own, which can be killed."""
+
+    process: subprocess.Popen[str]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.kill()
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait()
+
+
+class Process(Child):
     """A small rig: its ports, and the process, which can be killed and started again."""
 
     def __init__(self, pixels: int, **keys: float) -> None:
@@ -46,34 +92,31 @@ class Process:
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT)
         assert self.process.stdout is not None and self.process.stdout.readline() == "ready\n"
 
-    def kill(self) -> None:
-        self.process.kill()
-        self.process.wait()
+    def file(self, folder: Path, more: str = "", url: str = "http://127.0.0.1:{camera}/camera") -> str:
+        """A rig file that names it, and ends with [timing] and more."""
+        (file := folder / "rig.toml").write_text(FILE.format(light=self.light, url=url.format(camera=self.camera)) + more)
+        return str(file)
 
     def params(self, **tables: object) -> RigParams:
         """A rig file's tables, with others in their place."""
         timing = {"latency_s": 0.02, "jitter_s": 0.01, "rolling_s": 0.006, "wait_s": 0.6}
-        light = {"kind": "ddp", "timecode": True, "host": "127.0.0.1", "port": self.light, "dark_after_s": self.keys.get("dark_s", 0.1)}
+        light = {**DDP, "port": self.light, "dark_after_s": self.keys.get("dark_s", 0.1)}
         camera = {"kind": "http", "url": f"http://127.0.0.1:{self.camera}/camera", "timeout_s": 0.3}
         return validate_model(RigParams, {"light": light, "camera": camera, "timing": timing, **tables}, "")
 
 
+Start = Callable[..., Process]
+
+
 @pytest.fixture
-def small_rig() -> Iterator[Callable[..., Process]]:
+def small_rig() -> Iterator[Start]:
     """Starts small rigs, and ends them."""
-    started: list[Process] = []
-
-    def start(pixels: int = 192, **keys: float) -> Process:
-        started.append(Process(pixels, **keys))
-        return started[-1]
-
-    yield start
-    for each in started:
-        each.kill()
+    with ExitStack() as stack:
+        yield lambda pixels=192, **keys: stack.enter_context(Process(pixels, **keys))
 
 
-class SimulatedRigProcess:
-    """`luxloop rig simulate` as a process of its own, when it is ready: its ports, and what it says of frames."""
+class SimulatedRigProcess(Child):
+    """`luxloop rig simulate` as a process of its own, when it is ready: its ports and addresses, and what it says of frames."""
 
     def __init__(self, arguments: Sequence[str], folder: Path, ports: tuple[int, int, int] | None = None) -> None:
         """ports: of light, camera and truth; left out: free ones."""
@@ -81,10 +124,13 @@ class SimulatedRigProcess:
         self.light, self.camera, self.port = ports or [free_port(kind) for kind in kinds]
         given = ("--light-port", str(self.light), "--camera-port", str(self.camera), "--truth-port", str(self.port))
         command = [*PROGRAM, "rig", "simulate", *arguments, *given]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT, cwd=folder)
+        ctrl_c = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT, cwd=folder, preexec_fn=ctrl_c)
         assert self.process.stdout is not None
+        self.addresses = dict[str, str]()
         while "End it" not in (line := self.process.stdout.readline()):
             assert line, "the rig has not started"
+            self.addresses |= re.findall(r"^(\w+): +(\S+)", line)
 
     def wrong(self, taken: Sequence[tuple[int, int, float]]) -> list[Any]:
         """Frames that show something else than the light for which they were taken: time code, CRC-32 of the picture, time of arrival."""
@@ -96,10 +142,6 @@ class SimulatedRigProcess:
             if sent["timecodes"] != [code]:
                 found.append((code, sent["timecodes"], arrived_s - sent["exposed_from_s"], arrived_s - sent["sent_s"]))
         return found
-
-    def kill(self) -> None:
-        self.process.kill()
-        self.process.wait()
 
 
 def watch_frames(rig: Rig) -> list[tuple[int, int, float]]:
@@ -123,3 +165,10 @@ def eventually(true: Callable[[], bool], seconds: float = CALM_S) -> bool:
     while not (found := true()) and time.monotonic() < until_s:
         time.sleep(0.01)
     return found
+
+
+@pytest.fixture
+def rig_file(tmp_path: Path) -> Path:
+    file = tmp_path / "rig.toml"
+    file.write_text(WHOLE)
+    return file

@@ -12,7 +12,7 @@ from luxloop.loop.rig import blink
 from luxloop.loop.rig.matching import Regularity, shows
 from luxloop.loop.rig.params import TimingParams
 from luxloop.loop.rig.rig import Rig, await_camera, open_rig
-from tests.loop.rig.conftest import Process, eventually
+from tests.loop.rig.conftest import Process, Start, eventually
 
 PERIOD_S, EXPOSURE_S, READOUT_S, LIGHT_S, REST_S = 1 / 30, 0.015, 0.003, 0.004, 0.03
 LEAST_S = LIGHT_S + EXPOSURE_S + READOUT_S + REST_S  # latency without jitter
@@ -95,7 +95,7 @@ def first_s(looks: blink.BlinkPictures) -> float:
 
 
 @pytest.mark.usefixtures("fast")
-def test_a_camera_that_drops_out_voids_its_blinks(small_rig: Callable[..., Process]) -> None:
+def test_a_camera_that_drops_out_voids_its_blinks(small_rig: Start) -> None:
     process = small_rig(dark_s=0.5, mute_after_s=2.0, mute_for_s=0.6)
     darkened = []
     looks = watched(process, 20, lambda rig: darkened.append(rig.keeper.reason))
@@ -105,7 +105,7 @@ def test_a_camera_that_drops_out_voids_its_blinks(small_rig: Callable[..., Proce
 
 
 @pytest.mark.usefixtures("fast")
-def test_black_after_darkness_is_no_change_of_light(small_rig: Callable[..., Process]) -> None:
+def test_black_after_darkness_is_no_change_of_light(small_rig: Start) -> None:
     reasons = list[str]()
 
     def advance(rig: Rig) -> None:
@@ -124,7 +124,7 @@ def test_black_after_darkness_is_no_change_of_light(small_rig: Callable[..., Pro
 
 
 @pytest.mark.usefixtures("fast")
-def test_a_rig_that_stays_away_ends_the_test_in_a_sentence(small_rig: Callable[..., Process]) -> None:
+def test_a_rig_that_stays_away_ends_the_test_in_a_sentence(small_rig: Start) -> None:
     process = small_rig(dark_s=0.5)
     with pytest.raises(blink.LuxloopError, match=r"blink: (camera|light)"):
         watched(process, 10, lambda rig: process.kill())

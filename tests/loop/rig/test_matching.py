@@ -11,6 +11,8 @@ from luxloop.loop.rig.matching import Regularity, draw_mark, limits_beside_mark,
 from luxloop.loop.rig.params import LimitParams, MarkParams, TimingParams
 from luxloop.world.errors import LuxloopError
 
+MARK = MarkParams(row=2, column=4, rows=4, columns=16, u_px=40, v_px=20, width_px=160, height_px=40)
+
 
 def test_a_frame_counts_when_all_earlier_light_must_be_gone() -> None:
     timing = TimingParams(latency_s=0.05, jitter_s=0.02, rolling_s=0.03)
@@ -36,24 +38,22 @@ def test_a_picture_that_is_stuck_is_late_and_so_are_those_behind_it() -> None:
 
 
 def test_a_mark_names_the_exposure_modulo_four_or_none() -> None:
-    where = MarkParams(row=2, column=4, rows=4, columns=16, u_px=40, v_px=20, width_px=160, height_px=40)
     dark = (np.zeros((20, 30), np.float32),)
     images = []
     for number in range(9):
-        light = draw_mark(dark, where, number)[0]
+        light = draw_mark(dark, MARK, number)[0]
         images.append(40 + 150 * cv2.resize(light, None, fx=10, fy=10, interpolation=cv2.INTER_AREA))  # ten camera pixels a lamp pixel
-        assert read_mark(images[-1], where) == number % 4
-    assert read_mark(images[0] * 0 + 40, where) is None
+        assert read_mark(images[-1], MARK) == number % 4
+    assert read_mark(images[0] * 0 + 40, MARK) is None
     for before, after in pairwise(images):  # half of each
-        assert read_mark((before + after) / 2, where) is None
+        assert read_mark((before + after) / 2, MARK) is None
 
 
 def test_a_mark_is_within_the_limit_of_power() -> None:
-    where = MarkParams(row=2, column=4, rows=4, columns=16, u_px=40, v_px=20, width_px=160, height_px=40)
-    limits = limits_beside_mark(LimitParams(power_w=20.0, full_w=80.0), where, ((20, 30),))
+    limits = limits_beside_mark(LimitParams(power_w=20.0, full_w=80.0), MARK, ((20, 30),))
     given = limit(Shine(1, (np.ones((20, 30), np.float32),)), None, 1.0, limits)
-    assert 0.2 < Shine(1, draw_mark(given.shine.pictures, where, 1)).share < 0.25
+    assert 0.2 < Shine(1, draw_mark(given.shine.pictures, MARK, 1)).share < 0.25
     bare = limit(Shine(1, (np.pad(np.ones((4, 30), np.float32), ((16, 0), (0, 0))),)), None, 1.0, limits)  # beside the mark alone
-    assert Shine(1, draw_mark(bare.shine.pictures, where, 1)).share == pytest.approx(0.25)
+    assert Shine(1, draw_mark(bare.shine.pictures, MARK, 1)).share == pytest.approx(0.25)
     with pytest.raises(LuxloopError, match=r"mark: takes 5.3% of the lamp's power, where limits allow 1.0%; make it smaller"):
-        limits_beside_mark(LimitParams(power=0.01), where, ((20, 30),))
+        limits_beside_mark(LimitParams(power=0.01), MARK, ((20, 30),))

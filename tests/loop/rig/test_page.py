@@ -9,16 +9,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from luxloop.loop.rig.calibration.digitise import Nominal
 from luxloop.loop.rig.params import load_rig
 from luxloop.loop.rig.simulated.faults import read
-from luxloop.loop.rig.simulated.lens import distort, focal_px
 from luxloop.loop.rig.simulated.scene import RigScene
 from luxloop.loop.scenario.model import load
 from luxloop.world.headlight import Headlight
 from luxloop.world.lamps import archive
 from tests.loop.rig.conftest import ENVIRONMENT, PROGRAM, ROOT, SimulatedRigProcess
+from tests.loop.rig.simulated.conftest import seen_px
 
 pytestmark = pytest.mark.slow
 WALL_M = 4.0
@@ -96,12 +97,8 @@ def _errors(keys: list[str]) -> tuple[float, float]:
     """Of the pixels that shine, against the lamp as it truly is: root mean squares of their places in px and of their fluxes, relative."""
     rig_scene = RigScene(load("rig_table.toml", keys), read(Path("rig_table_faults.toml")))
     (module,) = rig_scene.modules
-    true, T, nominal = module.headlight, module.T_world_headlight.double().numpy(), Nominal.of(0, "", module.headlight)
-    rays = np.stack([np.ones(true.n_pixels), nominal.y.ravel(), nominal.z.ravel()], 1) @ T[:3, :3].T
-    on_wall = T[:3, 3] + rays * ((WALL_M - T[0, 3]) / rays[:, :1])
-    T_world_view = rig_scene.world.view.T_world_view.numpy()
-    seen = (on_wall - T_world_view[:3, 3]) @ T_world_view[:3, :3]
-    places = distort(rig_scene.lens.params, seen[:, :2] / seen[:, 2:]) * focal_px(rig_scene.lens.camera) + rig_scene.lens.matrix[:2, 2]
+    true, nominal = module.headlight, Nominal.of(0, "", module.headlight)
+    places = seen_px(rig_scene, nominal.y.ravel(), nominal.z.ravel(), WALL_M)
     with np.load("digitised_pixels.npz") as pixels:
         good = ~(pixels["0_dead"] | pixels["0_stuck"]).ravel()
         off = np.hypot(pixels["0_u_px"].ravel() - places[:, 0], pixels["0_v_px"].ravel() - places[:, 1])
@@ -112,7 +109,6 @@ def _errors(keys: list[str]) -> tuple[float, float]:
 
 def _flux(light: Headlight) -> np.ndarray:
     """Luminous flux of each pixel in lm, `[n_p]`."""
-    y = light.left + (np.arange(light.cols) + 0.5) / light.cols * (light.right - light.left)
-    z = light.top + (np.arange(light.rows) + 0.5) / light.rows * (light.bottom - light.top)
+    y, z = (each.numpy() for each in light.tangents(torch.float64, torch.device("cpu")))
     area = (light.left - light.right) / light.cols * (light.top - light.bottom) / light.rows
     return np.asarray(light.matrix.to_scipy().T @ (area * (1 + y**2 + z[:, None] ** 2) ** -1.5).ravel())

@@ -9,23 +9,7 @@ from luxloop.loop.rig.params import (
     load_rig,
 )
 from luxloop.world.errors import LuxloopError
-
-WHOLE = """
-[light]
-kind = "ddp"
-host = "192.168.1.20"
-
-[camera]
-kind = "http"
-url = "http://192.168.1.21:8080/camera"
-"""
-
-
-@pytest.fixture
-def rig_file(tmp_path: Path) -> Path:
-    file = tmp_path / "rig.toml"
-    file.write_text(WHOLE)
-    return file
+from tests.loop.rig.conftest import WHOLE
 
 
 @pytest.mark.parametrize(

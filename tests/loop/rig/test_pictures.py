@@ -3,7 +3,7 @@
 import threading
 import time
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -15,7 +15,7 @@ from luxloop.world.headlight.lamp import Lamp, Module
 from luxloop.world.lamps import archive
 from luxloop.world.lamps.presets import idealised
 from tests.loop.conftest import Lux, assert_one_sentence
-from tests.loop.rig.conftest import Process, eventually
+from tests.loop.rig.conftest import Process, Start, eventually
 
 DARK, BRIGHT = 20, 220  # digital numbers of the small rig's pictures
 SCENARIO = """
@@ -24,26 +24,15 @@ name = "lamp"
 model = "lamp.npz"
 lamps = ["left"]
 """
-FILE = """
-[light]
-kind = "ddp"
-host = "127.0.0.1"
-port = {light}
-dark_after_s = 0.5
-[camera]
-kind = "http"
-url = "http://127.0.0.1:{camera}/camera"
-timeout_s = 0.5
-"""
 
 
 @pytest.fixture
-def rig(lux: Lux, small_rig: Callable[..., Process]) -> tuple[Lux, Process]:
+def rig(lux: Lux, small_rig: Start) -> tuple[Lux, Process]:
     """A command line beside a rig file `rig.toml` of a small rig, and a scenario of its lamp."""
     archive.save(Path("lamp.npz"), Lamp("lamp", (Module("matrix", idealised(12, 16, (2, 2), 3.5, 1.8, -1.8)),)))
     Path("lamp.toml").write_text(SCENARIO)
     process = small_rig(12 * 16, dark_s=0.5)
-    Path("rig.toml").write_text(FILE.format(light=process.light, camera=process.camera))
+    process.file(Path())
     return lux, process
 
 

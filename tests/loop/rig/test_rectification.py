@@ -16,23 +16,7 @@ from luxloop.loop.rig.params import (
 from luxloop.loop.rig.rectification import WrongPicture, grey, rectifier
 from luxloop.perception.camera import CameraParams
 from luxloop.world.errors import LuxloopError
-
-WHOLE = """
-[light]
-kind = "ddp"
-host = "192.168.1.20"
-
-[camera]
-kind = "http"
-url = "http://192.168.1.21:8080/camera"
-"""
-
-
-@pytest.fixture
-def rig_file(tmp_path: Path) -> Path:
-    file = tmp_path / "rig.toml"
-    file.write_text(WHOLE)
-    return file
+from tests.loop.rig.conftest import WHOLE
 
 
 def test_pictures_are_cut_scaled_and_straightened(rig_file: Path, tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -11,10 +11,10 @@ import pytest
 
 from luxloop.loop.rig.blink import evaluate, record
 from luxloop.loop.rig.light import Shine
-from luxloop.loop.rig.rig import Rig, await_camera, open_rig
+from luxloop.loop.rig.rig import Rig, RigFrame, await_camera, open_rig
 from luxloop.perception.camera import CameraParams
 from luxloop.world.errors import LuxloopError
-from tests.loop.rig.conftest import Process, eventually, free_port
+from tests.loop.rig.conftest import DDP, Process, Start, eventually, free_port
 
 GRID = (12, 16)
 PATIENT_S = 0.5  # time-out of a lamp that stays lit also where a busy machine lets the keeper come late
@@ -34,6 +34,11 @@ def rig_of(process: Process, **tables: object) -> Iterator[Rig]:
         yield rig
 
 
+def frame_of(rig: Rig, number: int, share: float | None = None) -> RigFrame:
+    """Show light at least for a moment; its frame."""
+    return rig.expose(shine(number, share), 0.001)[1]
+
+
 def said(image: np.ndarray) -> set[int]:
     """Time codes plus 1 that a picture says it shows, 0 for the dark."""
     return set(np.frombuffer(image[0, :8].astype(np.uint8).tobytes(), "<u4").tolist())
@@ -47,9 +52,8 @@ def camera_sees(rig: Rig, level: float) -> bool:
 @pytest.fixture(scope="module")
 def steady() -> Iterator[Process]:
     """A rig that goes on."""
-    process = Process(192, dark_s=PATIENT_S)
-    yield process
-    process.kill()
+    with Process(192, dark_s=PATIENT_S) as process:
+        yield process
 
 
 def test_each_frame_shows_its_own_exposure_alone(steady: Process) -> None:
@@ -62,21 +66,19 @@ def test_each_frame_shows_its_own_exposure_alone(steady: Process) -> None:
         assert rig.statistics.lateness.quantile_s(0.5) < 0.07  # latency, jitter and two periods of the camera
         time.sleep(0.5)
         assert rig.camera.dropped > 5, "pictures that nobody reads are dropped"
-        _, taken = rig.expose(shine(20), 0.001)
+        taken = frame_of(rig, 20)
         assert taken.image is not None and said(taken.image) == {21}
 
 
-def test_a_loop_that_says_nothing_leaves_the_lamp_dark_and_light_comes_back_slowly(
-    steady: Process, small_rig: Callable[..., Process]
-) -> None:
+def test_a_loop_that_says_nothing_leaves_the_lamp_dark_and_light_comes_back_slowly(steady: Process, small_rig: Start) -> None:
     with rig_of(small_rig(dark_s=PATIENT_S), limits={"loop_s": 0.2}) as rig:
-        rig.expose(shine(0), 0.001)
+        frame_of(rig, 0)
         assert eventually(lambda: rig.keeper.darkened == 1, 2)
         assert eventually(lambda: camera_sees(rig, 20), 1.0)  # of a picture in the dark
-        _, taken = rig.expose(shine(1), 0.001)
+        taken = frame_of(rig, 1)
         assert taken.image is not None and said(taken.image) == {3}  # lit again; the darkness between had a time code of its own
     with rig_of(steady, limits={"loop_s": 0.2, "change_per_s": 0.5}) as rig:
-        rig.expose(shine(0, 0.8), 0.001)
+        frame_of(rig, 0, 0.8)
         assert eventually(lambda: rig.keeper.darkened == 1, 2)
         given, _ = rig.expose(shine(1, 0.8), 0.001)
         assert given.slowed < 0.5 and given.shine.share < 0.4
@@ -97,14 +99,14 @@ def test_power_and_change_are_limited_and_told(steady: Process) -> None:
 def test_a_dry_run_lights_nothing(steady: Process) -> None:
     with open_rig(steady.params(), (GRID,), CAMERA, armed=False) as rig:
         assert await_camera(rig)
-        _, taken = rig.expose(shine(0), 0.001)
+        taken = frame_of(rig, 0)
         assert taken.image is not None and said(taken.image) == {0}
 
 
-def test_with_jitter_and_lost_packets_a_frame_is_right_or_lost(small_rig: Callable[..., Process]) -> None:
+def test_with_jitter_and_lost_packets_a_frame_is_right_or_lost(small_rig: Start) -> None:
     process = small_rig(20_000, jitter_s=0.02, loss=0.01)  # 14 packets a frame, of which one is lost in every seventh
     timing = {"latency_s": 0.02, "jitter_s": 0.03, "rolling_s": 0.03, "wait_s": 0.6}
-    light = {"kind": "ddp", "timecode": True, "host": "127.0.0.1", "port": process.light, "repeats": 4}
+    light = {**DDP, "port": process.light, "repeats": 4}
     with open_rig(process.params(timing=timing, light=light), ((100, 200),), CAMERA, armed=True) as rig:
         assert await_camera(rig)
         came = 0
@@ -116,12 +118,12 @@ def test_with_jitter_and_lost_packets_a_frame_is_right_or_lost(small_rig: Callab
         assert came > 30
 
 
-def test_a_camera_that_stops_darkens_the_lamp_and_comes_back(small_rig: Callable[..., Process]) -> None:
+def test_a_camera_that_stops_darkens_the_lamp_and_comes_back(small_rig: Start) -> None:
     with rig_of(small_rig(dark_s=PATIENT_S, mute_after_s=1.5, mute_for_s=1.2)) as rig:
         reasons, number, until_s = [], 0, time.monotonic() + 4.5
         while time.monotonic() < until_s:
             before = rig.keeper.darkened
-            _, taken = rig.expose(shine(number), 0.001)
+            taken = frame_of(rig, number)
             reasons.append(taken.reason)
             allowed = [{number + 1 + darkened} for darkened in (before, rig.keeper.darkened)]  # which it may be just after the frame
             assert taken.image is None or said(taken.image) in allowed
@@ -130,17 +132,17 @@ def test_a_camera_that_stops_darkens_the_lamp_and_comes_back(small_rig: Callable
         assert reasons[-1] == "" == reasons[0]
 
 
-def test_a_rig_that_is_killed_and_started_again(small_rig: Callable[..., Process]) -> None:
+def test_a_rig_that_is_killed_and_started_again(small_rig: Start) -> None:
     process = small_rig(dark_s=PATIENT_S)
     with rig_of(process) as rig:
-        assert rig.expose(shine(0), 0.001)[1].image is not None
+        assert frame_of(rig, 0).image is not None
         process.kill()
-        _, taken = rig.expose(shine(1), 0.001)
+        taken = frame_of(rig, 1)
         assert taken.image is None and ("camera" in taken.reason or "nobody listens" in taken.reason)
         process.start()
         assert eventually(lambda: rig.camera.alive, 5)
         for number in range(2, 8):
-            _, taken = rig.expose(shine(number), 0.001)
+            taken = frame_of(rig, number)
         assert taken.image is not None and max(said(taken.image)) == min(said(taken.image)) > 0
 
 
@@ -160,38 +162,38 @@ class Relay:
                 self._out.send(packet)
 
 
-def test_a_network_that_is_cut_leaves_the_lamp_dark_and_comes_back(small_rig: Callable[..., Process]) -> None:
+def test_a_network_that_is_cut_leaves_the_lamp_dark_and_comes_back(small_rig: Start) -> None:
     process = small_rig()
     relay = Relay(process.light)
-    with rig_of(process, light={"kind": "ddp", "timecode": True, "host": "127.0.0.1", "port": relay.port}) as rig:
-        assert rig.expose(shine(0), 0.001)[1].image is not None
+    with rig_of(process, light={**DDP, "port": relay.port}) as rig:
+        assert frame_of(rig, 0).image is not None
         relay.cut = True
         assert eventually(lambda: camera_sees(rig, 20), 0.25)
-        _, taken = rig.expose(shine(1), 0.001)
+        taken = frame_of(rig, 1)
         assert taken.image is None or said(taken.image) == {0}  # in the dark no symbol is seen, and none is measured
         relay.cut = False
-        _, taken = rig.expose(shine(2), 0.001)
+        taken = frame_of(rig, 2)
         assert taken.image is not None and said(taken.image) == {3}
 
 
-def test_pictures_that_do_not_fit_do_not_keep_the_lamp_lit(small_rig: Callable[..., Process]) -> None:
+def test_pictures_that_do_not_fit_do_not_keep_the_lamp_lit(small_rig: Start) -> None:
     process = small_rig(dark_s=60.0)
     with rig_of(process) as rig:
-        assert rig.expose(shine(0), 0.001)[1].image is not None
+        assert frame_of(rig, 0).image is not None
         process.kill()
         process.start(width=80)
         with pytest.raises(LuxloopError, match=r"set camera\.width_px and camera\.height_px of the scenario"):
             eventually(rig.refuse_misfit, 5)  # as `luxloop run` does before it lights anything; pictures of before may still wait
-        assert eventually(lambda: "80 x 48 px" in rig.expose(shine(1), 0.001)[1].reason and rig.keeper.dark_since_s is not None, 5)
+        assert eventually(lambda: "80 x 48 px" in frame_of(rig, 1).reason and rig.keeper.dark_since_s is not None, 5)
         process.kill()
         process.start()
-        assert eventually(lambda: rig.expose(shine(2), 0.001)[1].image is not None, 5)
+        assert eventually(lambda: frame_of(rig, 2).image is not None, 5)
 
 
-def test_at_the_end_the_lamp_is_dark_at_once(small_rig: Callable[..., Process]) -> None:
+def test_at_the_end_the_lamp_is_dark_at_once(small_rig: Start) -> None:
     process = small_rig(dark_s=60.0)  # so that it does not darken by itself
     with pytest.raises(KeyboardInterrupt), rig_of(process) as rig:
-        rig.expose(shine(0), 0.001)
+        frame_of(rig, 0)
         raise KeyboardInterrupt
     with open_rig(process.params(), (GRID,), CAMERA, armed=False) as rig:
         assert await_camera(rig) and eventually(lambda: camera_sees(rig, 20), 1.0)
@@ -199,7 +201,7 @@ def test_at_the_end_the_lamp_is_dark_at_once(small_rig: Callable[..., Process]) 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("keys", [{"latency_s": 0.01}, {"latency_s": 0.04, "light_s": 0.02, "exposure_s": 0.015}])
-def test_blinks_find_latency_and_exposure(small_rig: Callable[..., Process], keys: dict[str, float]) -> None:
+def test_blinks_find_latency_and_exposure(small_rig: Start, keys: dict[str, float]) -> None:
     process = small_rig(dark_s=PATIENT_S, **keys)
     with open_rig(process.params(), (GRID,), None, armed=True) as rig:
         assert await_camera(rig)

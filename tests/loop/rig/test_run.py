@@ -1,13 +1,10 @@
 """`luxloop run --rig`: a scenario on a rig process, from the command line."""
 
 import json
-import os
 import signal
 import subprocess
-import sys
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -16,7 +13,9 @@ import pytest
 import torch
 
 from luxloop.loop.commands.rig import write_timing
-from luxloop.loop.rig.params import load_rig
+from luxloop.loop.rig.camera import Camera
+from luxloop.loop.rig.cameras import opener
+from luxloop.loop.rig.rectification import grey
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.build_lamps import mount
 from luxloop.loop.simulation.frames import image_file, read_light, twin_file
@@ -26,25 +25,16 @@ from luxloop.loop.simulation.simulated import simulated_plant
 from luxloop.world.arrays import read_parquet
 from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import Lux, assert_one_sentence
-from tests.loop.rig.conftest import ROOT, Process, eventually
+from tests.loop.rig.conftest import ENVIRONMENT, FILE, PROGRAM, Start, eventually
 
 PIXELS = 332 * 64
 PASSWORD = "Tr0ub4dor"
+SECRET = f"http://someone:{PASSWORD}@127.0.0.1:{{camera}}/camera?pwd={PASSWORD}"
 
 
-def rig_file(process: Process, folder: Path, more: str = "") -> Path:
-    file = folder / "rig.toml"
-    file.write_text(
-        f'[light]\nkind = "ddp"\ntimecode = true\nhost = "127.0.0.1"\nport = {process.light}\n\n[camera]\nkind = "http"\n'
-        f'url = "http://someone:{PASSWORD}@127.0.0.1:{process.camera}/camera?pwd={PASSWORD}"\n\n'
-        f"[timing]\nlatency_s = 0.03\njitter_s = 0.02  # measured\n{more}"
-    )
-    return file
-
-
-def test_a_scenario_runs_on_a_rig_and_is_recorded_with_its_twin(small_rig: Callable[..., Process], lux: Lux, tmp_path: Path) -> None:
+def test_a_scenario_runs_on_a_rig_and_is_recorded_with_its_twin(small_rig: Start, lux: Lux, tmp_path: Path) -> None:
     process, folder = small_rig(PIXELS, width=320, height=180), tmp_path / "runs/rig"
-    given = ("--rig", str(rig_file(process, tmp_path)), "--arm", "--out", "runs/rig", "--set", "camera.bits=8", "--no-video", "--twin")
+    given = ("--rig", process.file(tmp_path, url=SECRET), "--arm", "--out", "runs/rig", "--set", "camera.bits=8", "--no-video", "--twin")
     code, out, error = lux("run", "small.toml", *given)
     assert code == 0, error
     for words in ("control rate", "light to frame", "the rig's own camera", "6 of 6 exposures", "twin, on frames", "twin, off frames"):
@@ -81,15 +71,15 @@ def test_a_scenario_runs_on_a_rig_and_is_recorded_with_its_twin(small_rig: Calla
 
 
 @pytest.mark.parametrize("death", ["light goes to another port", "killed in mid-run"])
-def test_a_run_on_a_dead_rig_fails_and_is_kept(small_rig: Callable[..., Process], lux: Lux, tmp_path: Path, death: str) -> None:
+def test_a_run_on_a_dead_rig_fails_and_is_kept(small_rig: Start, lux: Lux, tmp_path: Path, death: str) -> None:
     process = small_rig(PIXELS, width=320, height=180)
     if death == "killed in mid-run":
         frames = tmp_path / "runs/rig/frames"
         threading.Thread(target=lambda: eventually(lambda: len(list(frames.glob("*.png"))) > 4, 60) and process.kill()).start()
     else:
         process.light = 9
-    file = rig_file(process, tmp_path, "wait_s = 0.2\n")
-    given = ("--rig", str(file), "--arm", "--out", "runs/rig", "--set", "camera.bits=8", "--steps", "20", "--frames", "--no-report")
+    file = process.file(tmp_path, "wait_s = 0.2\n", SECRET)
+    given = ("--rig", file, "--arm", "--out", "runs/rig", "--set", "camera.bits=8", "--steps", "20", "--frames", "--no-report")
     code, out, error = lux("run", "small.toml", *given, "--no-video")
     told = json.loads((tmp_path / "runs/rig/rig.json").read_text())
     came = 40 - sum(told["lost"].values())
@@ -100,9 +90,8 @@ def test_a_run_on_a_dead_rig_fails_and_is_kept(small_rig: Callable[..., Process]
         assert f"at step {judged['exposure'] // 2}," in out and judged["exposure"] <= 40 - told["silent"]
 
 
-def test_a_rig_check_fails_where_the_pictures_do_not_fit(small_rig: Callable[..., Process], lux: Lux, tmp_path: Path) -> None:
-    file = rig_file(small_rig(PIXELS), tmp_path)  # 64 x 48 px
-    code, out, error = lux("rig", "check", str(file), "--scenario", "small.toml")
+def test_a_rig_check_fails_where_the_pictures_do_not_fit(small_rig: Start, lux: Lux, tmp_path: Path) -> None:
+    code, out, error = lux("rig", "check", small_rig(PIXELS).file(tmp_path), "--scenario", "small.toml")  # 64 x 48 px
     assert code == 2 and "64 x 48 px at" in out and "64 x 48 px, where" in error
     assert_one_sentence(error)
 
@@ -117,9 +106,7 @@ def test_a_rig_check_fails_where_the_pictures_do_not_fit(small_rig: Callable[...
     ],
 )
 def test_what_cannot_run_says_so(lux: Lux, tmp_path: Path, arguments: tuple[str, ...], words: str) -> None:
-    (tmp_path / "rig.toml").write_text(
-        '[light]\nkind = "ddp"\ntimecode = true\nhost = "127.0.0.1"\n[camera]\nkind = "http"\nurl = "http://127.0.0.1:9/camera"\n'
-    )
+    Path("rig.toml").write_text(FILE.format(light=4048, url="http://127.0.0.1:9/camera"))
     code, _, error = lux(*arguments)
     assert code == 2 and words in error
     assert_one_sentence(error)
@@ -134,10 +121,8 @@ def test_what_cannot_run_says_so(lux: Lux, tmp_path: Path, arguments: tuple[str,
         ("stream", f"rtsp://a:{PASSWORD}@127.0.0.1:9/"),
     ],
 )
-def test_no_message_tells_a_password(lux: Lux, tmp_path: Path, kind: str, url: str) -> None:
-    (tmp_path / "rig.toml").write_text(
-        f'[light]\nkind = "ddp"\ntimecode = true\nhost = "127.0.0.1"\n[camera]\nkind = "{kind}"\nurl = "{url}"\n'
-    )
+def test_no_message_tells_a_password(lux: Lux, kind: str, url: str) -> None:
+    Path("rig.toml").write_text(FILE.format(light=4048, url=url).replace("http", kind, 1))
     code, out, error = lux("rig", "check", "rig.toml", "--scenario", "small.toml")
     assert code == 2 and "camera" in error and PASSWORD not in out + error
 
@@ -158,18 +143,12 @@ def test_values_are_put_into_a_table_timing_or_nowhere(tmp_path: Path, wrong: st
 
 @pytest.mark.slow
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGHUP])
-def test_a_loop_that_ends_leaves_the_lamp_dark(end: signal.Signals, small_rig: Callable[..., Process], lux: Lux, tmp_path: Path) -> None:
+def test_a_loop_that_ends_leaves_the_lamp_dark(end: signal.Signals, small_rig: Start, lux: Lux, tmp_path: Path) -> None:
     """A killed loop by the lamp's own time-out of 0.1 s; one whose terminal closes by dark packets, which a lamp without it needs."""
     process = small_rig(PIXELS, width=320, height=180, dark_s=60.0 if end == signal.SIGHUP else 0.1)
-    file = rig_file(process, tmp_path)
-    command = [sys.executable, "-m", "luxloop.loop.commands.cli", "run", "small.toml", "--rig", str(file), "--arm", "--steps", "2000"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    loop = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    from luxloop.loop.rig.camera import Camera
-    from luxloop.loop.rig.cameras import opener
-    from luxloop.loop.rig.rectification import grey
-
-    camera = Camera(opener(load_rig(file).camera), 1.0)
+    command = [*PROGRAM, "run", "small.toml", "--rig", process.file(tmp_path), "--arm", "--steps", "2000"]
+    loop = subprocess.Popen(command, cwd=tmp_path, env=ENVIRONMENT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    camera = Camera(opener(process.params().camera), 1.0)
 
     def lit() -> bool:
         picture = camera.next(time.monotonic() + 0.5)

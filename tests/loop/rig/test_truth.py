@@ -1,6 +1,7 @@
 """The loop on a simulated rig of another process: no frame is taken for a measurement of light that it does not show alone."""
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from luxloop.loop.simulation.build_plant import from_zero
 from luxloop.loop.simulation.lamps import lamp_modules
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.validation import validate_model
-from tests.loop.rig.conftest import SimulatedRigProcess, watch_frames
+from tests.loop.rig.conftest import DDP, SimulatedRigProcess, watch_frames
 
 pytestmark = pytest.mark.slow
 SMALL = ("camera.width_px=640", "camera.height_px=360", "camera.oversampling=2", "renderer=raycast", "steps=40")
@@ -30,22 +31,18 @@ class LoopRig(SimulatedRigProcess):
     """The simulated rig of a snowflake, and rig files that name it."""
 
     def params(self, light: Mapping[str, Any] = {}, **tables: Any) -> RigParams:
-        light = {"kind": "ddp", "timecode": True, "host": "127.0.0.1", "port": self.light, "bits": 16, **light}
+        light = {**DDP, "port": self.light, "bits": 16, **light}
         camera = {"kind": "http", "url": f"http://127.0.0.1:{self.camera}/camera", "bits": 12}
         return validate_model(RigParams, {"light": light, "camera": camera, "timing": TIMING, **tables}, "")
 
 
+Start = Callable[..., LoopRig]
+
+
 @pytest.fixture
-def rig_of(tmp_path: Path) -> Iterator[Callable[..., LoopRig]]:
-    started: list[LoopRig] = []
-
-    def start(*keys: str) -> LoopRig:
-        started.append(LoopRig(["snowflake", "--set", *SMALL, *keys], tmp_path))
-        return started[-1]
-
-    yield start
-    for each in started:
-        each.kill()
+def rig_of(tmp_path: Path) -> Iterator[Start]:
+    with ExitStack() as stack:
+        yield lambda *keys: stack.enter_context(LoopRig(["snowflake", "--set", *SMALL, *keys], tmp_path))
 
 
 def run_on(rig_params: RigParams, steps: int = 40) -> tuple[Simulation, list[Any], dict[str, Any], float]:
@@ -67,7 +64,7 @@ def run_on(rig_params: RigParams, steps: int = 40) -> tuple[Simulation, list[Any
     return world, taken, summary, float(verdict.iou)
 
 
-def test_on_a_good_rig_the_symbol_is_as_straight_as_in_simulation(rig_of: Callable[..., LoopRig]) -> None:
+def test_on_a_good_rig_the_symbol_is_as_straight_as_in_simulation(rig_of: Start) -> None:
     rig = rig_of("faults.camera.latency_s=0.02")
     world, taken, summary, iou = run_on(rig.params())
     assert not rig.wrong(taken) and len(taken) >= 70
@@ -77,7 +74,7 @@ def test_on_a_good_rig_the_symbol_is_as_straight_as_in_simulation(rig_of: Callab
     assert abs(summary["judged"]["symbol"]["iou_final"] - iou) < 0.06  # with noise, and by a plane where the road is none
 
 
-def test_with_jitter_lost_packets_and_flicker_no_frame_is_wrong(rig_of: Callable[..., LoopRig]) -> None:
+def test_with_jitter_lost_packets_and_flicker_no_frame_is_wrong(rig_of: Start) -> None:
     rig = rig_of(*HARD)
     _, taken, summary, iou = run_on(rig.params(light={"repeats": 3}))
     assert not rig.wrong(taken) and len(taken) >= 50
@@ -85,7 +82,7 @@ def test_with_jitter_lost_packets_and_flicker_no_frame_is_wrong(rig_of: Callable
     assert iou > 0.88
 
 
-def test_light_that_comes_late_is_told_by_its_mark(rig_of: Callable[..., LoopRig]) -> None:
+def test_light_that_comes_late_is_told_by_its_mark(rig_of: Start) -> None:
     rig = rig_of(*HARD)
     timing = {"latency_s": 0.05, "jitter_s": 0.0, "rolling_s": 0.0}  # far too short: a frame lacks packets until it is sent again
     _, taken, summary, iou = run_on(rig.params(timing=timing, mark=MARK))

@@ -2,7 +2,6 @@
 
 import json
 import socket
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.truth import LampModule
 from luxloop.world.lamps.presets import idealised
 from tests.loop.conftest import Lux, assert_one_sentence
-from tests.loop.rig.conftest import Process, free_port
+from tests.loop.rig.conftest import Process, Start, free_port
 from tests.loop.rig.live.walls import calibration, module, wall
 
 PIXELS = 332 * 64
@@ -35,16 +34,10 @@ def of_lamp(lux: float | None = 100.0) -> Calibration:
 
 
 def rig_file(process: Process, folder: Path, more: str = "") -> str:
-    file = folder / "rig.toml"
-    file.write_text(
-        f'[light]\nkind = "ddp"\ntimecode = true\nhost = "127.0.0.1"\nport = {process.light}\n\n[camera]\nkind = "http"\n'
-        f'url = "http://127.0.0.1:{process.camera}/camera"\n\n[timing]\nlatency_s = 0.03\njitter_s = 0.02\n'
-        f'[calibration]\nfile = "rig.npz"\n{more}'
-    )
-    return str(file)
+    return process.file(folder, '[calibration]\nfile = "rig.npz"\n' + more)
 
 
-def test_a_real_lamp_lights_the_simulated_world(small_rig: Callable[..., Process], lux: Lux, tmp_path: Path) -> None:
+def test_a_real_lamp_lights_the_simulated_world(small_rig: Start, lux: Lux, tmp_path: Path) -> None:
     save(tmp_path / "rig.npz", of_lamp())
     port = free_port(socket.SOCK_DGRAM)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as platform:
@@ -69,7 +62,7 @@ def test_a_real_lamp_lights_the_simulated_world(small_rig: Callable[..., Process
     assert code == 0, error
 
 
-def test_the_night_is_as_bright_as_the_picture(small_rig: Callable[..., Process], lux: Lux, tmp_path: Path) -> None:
+def test_the_night_is_as_bright_as_the_picture(small_rig: Start, lux: Lux, tmp_path: Path) -> None:
     """All pixels of the lamp on: 200 of 255 digital numbers more than in the dark, of which 255 are 100 lx; `I = E d^2 / cos`."""
     save(tmp_path / "rig.npz", of_lamp())
     keys = ("lighting.base={beam='full'}", "functions={}", "steps=2")
@@ -98,7 +91,7 @@ def test_the_night_is_as_bright_as_the_picture(small_rig: Callable[..., Process]
     ],
 )
 def test_what_does_not_fit_is_told_in_a_sentence(
-    small_rig: Callable[..., Process], lux: Lux, tmp_path: Path, more: str, scale: float | None, told: str
+    small_rig: Start, lux: Lux, tmp_path: Path, more: str, scale: float | None, told: str
 ) -> None:
     save(tmp_path / "rig.npz", of_lamp(scale))
     code, _, error = lux("run", "small.toml", "--rig", rig_file(small_rig(PIXELS), tmp_path, more), "--arm", "--out", "runs/live", *GIVEN)

@@ -84,10 +84,9 @@ file = "rig.npz"
 def rig(lux: Lux, tmp_path: Path) -> Iterator[SimulatedRigProcess]:
     archive.save(tmp_path / "lamp.npz", Lamp("lamp", (Module("matrix", LAMP),)))
     (tmp_path / "wall.toml").write_text(WALL)
-    started = SimulatedRigProcess(["wall.toml", "--set", *FAULTS], tmp_path)
-    (tmp_path / "rig.toml").write_text(RIG.format(light=started.light, camera=started.camera))
-    yield started
-    started.kill()
+    with SimulatedRigProcess(["wall.toml", "--set", *FAULTS], tmp_path) as started:
+        (tmp_path / "rig.toml").write_text(RIG.format(light=started.light, camera=started.camera))
+        yield started
 
 
 def test_a_beam_is_digitised_within_three_percent_and_no_frame_is_wrong(rig: SimulatedRigProcess, lux: Lux) -> None:

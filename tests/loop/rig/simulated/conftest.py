@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 import pytest
 
@@ -10,7 +11,6 @@ from luxloop.loop.rig.simulated.scene import RigScene
 from luxloop.loop.rig.wire.ddp import LightFrame
 from luxloop.loop.scenario.model import Scenario, load
 
-SIZE = ("camera.width_px=160", "camera.height_px=120", "camera.oversampling=1", "camera.hfov_deg=40")
 SIZE = ("camera.width_px=160", "camera.height_px=120", "camera.oversampling=1", "camera.hfov_deg=40")
 KEYS = ("renderer=raycast", "headlight.model=ssl-hd-lores", *SIZE)
 DARK = ("light.ambient_lx=0", "camera.noise=false")
@@ -26,6 +26,15 @@ def faults_of(*keys: str) -> FaultParams:
 
 def light(codes: np.ndarray, *timecodes: int) -> LightFrame:
     return LightFrame(codes, timecodes or (0,))
+
+
+def seen_px(rig_scene: RigScene, y: np.ndarray, z: np.ndarray, wall_m: float) -> np.ndarray:
+    """Where OpenCV has a light `[n, 2]` px whose tangents are y and z `[n]`, on a wall at an x; pixel centres at integer + 0.5."""
+    T, T_view = rig_scene.modules[0].T_world_headlight.double().numpy(), rig_scene.world.view.T_world_view.numpy()
+    rays = np.stack([np.ones_like(y), y, z], 1) @ T[:3, :3].T
+    on_wall = T[:3, 3] + rays * ((wall_m - T[0, 3]) / rays[:, :1])
+    in_camera, lens = (on_wall - T_view[:3, 3]) @ T_view[:3, :3], rig_scene.lens
+    return cv2.projectPoints(in_camera, np.zeros(3), np.zeros(3), lens.matrix, lens.params.k)[0][:, 0]
 
 
 @pytest.fixture(scope="session")

@@ -96,40 +96,42 @@ def test_anything_else_is_refused() -> None:
         list(packets(frame(0), 1, (WireCommand(),) * 99))
 
 
-class Wled:
-    """How WLED's receiver takes packets: by its source, it drops those that seem to belong to a frame before the last push."""
+class Receiver:
+    """Stores what packets hold, and lights it at the push. last: number of the packet before the next push."""
 
     def __init__(self, pixels: int) -> None:
-        self.lit, self._data, self._last = bytes(pixels), bytearray(pixels), 0
+        self.lit, self._data, self.last = bytes(pixels), bytearray(pixels), 0
 
     def take(self, packet: bytes) -> None:
-        number = packet[1] & 0xF
-        if self._last and number:
-            late = self._last - 5 < number < self._last if self._last > 5 else number > 10 + self._last or number < self._last
-            if late:
-                return
-        head = 14 if packet[0] & 0x10 else 10
         offset, length = int.from_bytes(packet[4:8], "big"), int.from_bytes(packet[8:10], "big")
-        self._data[offset : offset + length] = packet[head:]
-        if packet[0] & 0x01:
-            self.lit, self._last = bytes(self._data), number
-
-
-class Strict(Wled):
-    """A receiver that wants every number in its turn, as the specification counts them."""
-
-    def take(self, packet: bytes) -> None:
-        assert packet[1] == self._last % 15 + 1, "numbers count packets, over frames"
-        assert not packet[0] & 0x10, "some know the header of 10 bytes only"
-        offset, length = int.from_bytes(packet[4:8], "big"), int.from_bytes(packet[8:10], "big")
-        self._data[offset : offset + length] = packet[10:]
-        self._last = packet[1]
+        self._data[offset : offset + length] = packet[14 if packet[0] & 0x10 else 10 :]
         if packet[0] & 0x01:
             self.lit = bytes(self._data)
 
 
+class Wled(Receiver):
+    """How WLED's receiver takes packets: by its source, it drops those that seem to belong to a frame before the last push."""
+
+    def take(self, packet: bytes) -> None:
+        number, last = packet[1] & 0xF, self.last
+        if last and number and (last - 5 < number < last if last > 5 else number > 10 + last or number < last):
+            return
+        super().take(packet)
+        self.last = number if packet[0] & 0x01 else last
+
+
+class Strict(Receiver):
+    """A receiver that wants every number in its turn, as the specification counts them."""
+
+    def take(self, packet: bytes) -> None:
+        assert packet[1] == self.last % 15 + 1, "numbers count packets, over frames"
+        assert not packet[0] & 0x10, "some know the header of 10 bytes only"
+        super().take(packet)
+        self.last = packet[1]
+
+
 @pytest.mark.parametrize("kind", [Wled, Strict])
-def test_receivers_of_others_light_every_frame_and_go_dark_at_the_end(kind: type[Wled]) -> None:
+def test_receivers_of_others_light_every_frame_and_go_dark_at_the_end(kind: type[Receiver]) -> None:
     receiver = kind(N)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there:
         there.bind(("127.0.0.1", 0))
