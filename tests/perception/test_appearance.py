@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from luxloop.perception.appearance import Axes, appearance, errors, features, image_axes
+from luxloop.perception.appearance import DEGREES, Axes, appearance, errors, features, image_axes
+from luxloop.world.frames import pose_from_degrees
 
 H, W = 60, 80
 AXES = image_axes(H, W, like=torch.zeros((), dtype=torch.float64))
@@ -163,3 +164,9 @@ def test_gradient_against_differences() -> None:
         return torch.cat([features(seen, "quadrants"), features(seen, "moments"), seen.area[None]])
 
     assert torch.autograd.gradcheck(all_features, (image,), eps=1e-5, atol=1e-6)
+
+
+def test_a_pose_gives_back_the_values_it_was_made_of() -> None:
+    T = pose_from_degrees((17.0, -0.4, 0.2), roll_deg=3.0, pitch_deg=-2.0)
+    found = {degree.name: float(degree.of_pose(T)) for degree in DEGREES}
+    assert found == pytest.approx({"x": 17.0, "y": -0.4, "roll": math.radians(3.0), "pitch": math.radians(-2.0)})
