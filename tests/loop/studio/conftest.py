@@ -22,6 +22,7 @@ SMALL = (
     "camera.width_px=320",
     "camera.height_px=180",
     "camera.oversampling=1",
+    "road={kind='flat'}",
     "steps=6",
 )
 

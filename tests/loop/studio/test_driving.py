@@ -18,6 +18,8 @@ from tests.loop.studio.conftest import SMALL, Served, serving
 
 PLAIN = (
     *SMALL,
+    "headlight.model=hd84",
+    "camera={width_px=160, height_px=90, oversampling=1}",
     "rate_hz=30.0",
     "functions={}",
     "checks={}",
@@ -31,6 +33,12 @@ PERIOD_S = 1 / 30
 @pytest.fixture(scope="module")
 def served(page_folder: Path) -> Iterator[Served]:
     yield from serving(Source("gfhb", (*PLAIN, "vehicle.course=[{speed_m_s=10.0}]", "steps=5")), page_folder)
+
+
+@pytest.fixture(autouse=True)
+def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawing that of a recording takes longer than the drive."""
+    monkeypatch.setattr("luxloop.loop.report.page.write_report", lambda *_: None)
 
 
 @pytest.fixture
