@@ -11,6 +11,7 @@ from torch import Tensor
 
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.commands import cli
+from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.result import StepResult
@@ -52,6 +53,13 @@ start = {{ x_m = 18.0, roll_deg = 2.0 }}
 """
 
 Lux = Callable[..., tuple[int, str, str]]
+newest: list[Simulation] = []
+
+
+def simulation_of(scenario: Scenario) -> Simulation:
+    """The simulation of a scenario, with the lamps and the world of the one before where they are the same."""
+    newest[:] = [prepare(scenario, "cpu", *newest)]
+    return newest[0]
 
 
 @pytest.fixture(scope="session")
@@ -73,6 +81,7 @@ def small_results(small_simulation: Simulation) -> list[StepResult]:
 @pytest.fixture
 def own(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The test's `OWN`, the text of a module that a user wrote, can be named in scenarios as `own`."""
+    newest.clear()
     (tmp_path / "own.py").write_text(request.module.OWN)
     monkeypatch.syspath_prepend(tmp_path)
 

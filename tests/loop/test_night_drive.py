@@ -7,7 +7,7 @@ import pytest
 from luxloop.loop.recording.record import row
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import load
-from luxloop.loop.simulation.simulation import Simulation
+from tests.loop.conftest import simulation_of
 
 
 def test_it_runs_with_all_that_it_shows() -> None:
@@ -15,7 +15,7 @@ def test_it_runs_with_all_that_it_shows() -> None:
     assert scenario.steps / scenario.rate_hz < 1 <= load("night_drive").steps / load("night_drive").rate_hz / 12
     kinds = {function.kind for function in scenario.functions.values()}
     assert kinds == {"glare_free", "object_based", "symbol", "path", "lane"} and tuple(scenario.symbols) == ("way",)
-    first, second = (row(result) for result in Simulation.prepare(scenario).evaluations())
+    first, second = (row(result) for result in simulation_of(scenario).evaluations())
     assert first["base_share"] == 1 and first["functions.way.iou"] > 0.5 and second["flux_lm"] > 100
 
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.world.photometry import read_photometry
-from tests.loop.conftest import Lux, assert_one_sentence
+from tests.loop.conftest import Lux, assert_one_sentence, simulation_of
 
 AT_S = 0.3
 SMALL = ["camera.width_px=320", "camera.height_px=133", "renderer=raycast"]
@@ -18,9 +17,9 @@ SMALL = ["camera.width_px=320", "camera.height_px=133", "renderer=raycast"]
 def test_npz_has_the_textures_of_the_modules(lux: Lux, tmp_path: Path) -> None:
     code, out, error = lux("export", "light", "gfhb", "--at", str(AT_S), "--out", "light.npz", "--set", *SMALL)
     assert (code, error, out) == (0, "", "light.npz written: gfhb at 0.3 s, 1 file\n")
-    *_, result = (each for each in prepare(load("gfhb", SMALL, steps=4), "cpu").evaluations())
+    *_, result = (each for each in simulation_of(load("gfhb", SMALL, steps=4)).evaluations())
     assert result.time_s == pytest.approx(AT_S)
-    simulation, arrays = prepare(load("gfhb", SMALL), "cpu"), np.load(tmp_path / "light.npz")
+    simulation, arrays = simulation_of(load("gfhb", SMALL)), np.load(tmp_path / "light.npz")
     for module, u in zip(simulation.world.modules, result.lights, strict=True):
         assert np.array_equal(arrays[f"{module.name}.u"].ravel(), u.numpy())
         assert np.array_equal(arrays[f"{module.name}.candela"], module.headlight.light_texture(u).numpy())
@@ -33,7 +32,7 @@ def test_npz_has_the_textures_of_the_modules(lux: Lux, tmp_path: Path) -> None:
 def test_photometric_files_give_the_same_light(suffix: str, lux: Lux, tmp_path: Path) -> None:
     code, out, _ = lux("export", "light", "gfhb", "--at", str(AT_S), "--out", f"light.{suffix}", "--set", *SMALL)
     assert code == 0 and "2 files" in out
-    simulation = prepare(load("gfhb", SMALL), "cpu")
+    simulation = simulation_of(load("gfhb", SMALL))
     lights, _ = simulation.lights_at(AT_S)
     rng = np.random.default_rng(0)
     for module, u in zip(simulation.world.modules, lights, strict=True):

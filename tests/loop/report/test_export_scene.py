@@ -10,9 +10,8 @@ import pytest
 import trimesh
 
 from luxloop.loop.report.export_scene import SCENE, T_GLTF_WORLD, write_scene
-from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load, validate
-from tests.loop.conftest import Lux, assert_one_sentence
+from tests.loop.conftest import Lux, assert_one_sentence, simulation_of
 
 AT_S = 0.5
 SMALL = ["camera.width_px=320", "camera.height_px=160", "renderer=raycast"]
@@ -22,7 +21,7 @@ def test_scene_opens_in_trimesh_with_every_vertex_where_it_is(lux: Lux, tmp_path
     given = [*SMALL, "vehicle.course=[{speed_m_s=8.0}]", "light.street_lamps=[{position_m=[20.0, 7.0, 6.0], intensity_cd=500.0}]"]
     code, out, error = lux("export", "scene", "night_traffic", "--at", str(AT_S), "--out", "night.glb", "--set", *given)
     assert (code, error) == (0, "") and out.startswith("night.glb written: night_traffic at 0.5 s, ")
-    simulation = prepare(load("night_traffic", given), "cpu")
+    simulation = simulation_of(load("night_traffic", given))
     world, state = simulation.world, simulation.world.motion.at(AT_S)
     opened = trimesh.load(tmp_path / "night.glb")
     graph = opened.graph
@@ -70,7 +69,7 @@ def test_no_name_of_an_object_is_taken_and_albedos_are_exact(tmp_path: Path) -> 
         for k, each in enumerate(names)
     ]
     scenario = validate({"name": "boxes", "renderer": "raycast", "headlight": {"model": "ssl-hd-lores"}, "objects": objects}, "boxes")
-    write_scene(prepare(scenario, "cpu"), 0.0, tmp_path / "boxes.glb")
+    write_scene(simulation_of(scenario), 0.0, tmp_path / "boxes.glb")
     found = tree(tmp_path / "boxes.glb")
     for k, each in enumerate(names):
         (node,) = (node for node in found["nodes"] if node["name"] == each)

@@ -25,7 +25,7 @@ from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.frames import View
 from tests.lamps import SMALL_LAMP
-from tests.loop.conftest import SMALL
+from tests.loop.conftest import SMALL, simulation_of
 
 SYMBOL = SMALL["functions"]["symbol"]
 
@@ -80,7 +80,7 @@ def test_page_of_an_unlucky_run(which: str, tmp_path: Path, small_simulation: Si
 def test_page_of_two_lamps_seen_from_above(tmp_path: Path) -> None:
     lamps = {"model": SMALL_LAMP, "lamps": ["left", "right"]}
     symbol = SYMBOL | {"modules": ["left", "right"], "features": {"view": "birdseye", "shape": "moments"}}
-    simulation = Simulation.prepare(validate(SMALL | {"headlight": lamps, "functions": {"symbol": symbol}, "steps": 2}, "two lamps"))
+    simulation = simulation_of(validate(SMALL | {"headlight": lamps, "functions": {"symbol": symbol}, "steps": 2}, "two lamps"))
     assert len(simulation.symbol.projector.modules) == 2
     assert drawn(tmp_path / "report.png", simulation, list(simulation.evaluations())).shape == size(HIGH_IN)
 
@@ -89,7 +89,7 @@ def test_page_of_two_lamps_seen_from_above(tmp_path: Path) -> None:
 def test_page_has_all_light_and_then_each_symbol(tmp_path: Path) -> None:
     box = {"kind": "box", "name": "box", "category": "car", "size_m": [1.0, 0.5, 0.6], "track": [{"position_m": [25, 0, 0]}]}
     functions = {name: SYMBOL | {"y_m": y_m, "start": {"x_m": 17.0, "y_m": y_m}} for name, y_m in (("left", 1.6), ("right", -1.6))}
-    simulation = Simulation.prepare(validate(SMALL | {"objects": [box], "functions": functions, "steps": 4}, "lit"))
+    simulation = simulation_of(validate(SMALL | {"objects": [box], "functions": functions, "steps": 4}, "lit"))
     results = list(simulation.evaluations())
     assert drawn(tmp_path / "both.png", simulation, results).shape == size(LIGHT_IN + 2 * HIGH_IN)
     without = [replace(result, held={name: each for name, each in result.held.items() if name == "right"}) for result in results]

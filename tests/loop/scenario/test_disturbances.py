@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.pixels.ssc import Utilisation
-from luxloop.loop.run import prepare
 from luxloop.loop.scenario.disturbances import DisturbanceParams, WearParams
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.result import StepResult
@@ -20,7 +19,7 @@ from luxloop.perception.camera import luminance_of, saturation_luminance
 from luxloop.world.errors import LuxloopError
 from luxloop.world.roads.shapes import Flat
 from luxloop.world.scene.vehicle import VehicleParams, drive
-from tests.loop.conftest import SMALL, frames_of
+from tests.loop.conftest import SMALL, frames_of, simulation_of
 
 SYMBOL = SMALL["functions"]["symbol"]
 AT_TARGET: dict[str, Any] = {
@@ -33,7 +32,7 @@ QUIET = {"camera": {**SMALL["camera"], "noise": False}}
 
 
 def prepared(disturbances: dict[str, Any] | None = None, **changes: Any) -> Simulation:
-    return Simulation.prepare(validate({**AT_TARGET, **QUIET, **changes, "disturbances": disturbances or {}}, "disturbed"))
+    return simulation_of(validate({**AT_TARGET, **QUIET, **changes, "disturbances": disturbances or {}}, "disturbed"))
 
 
 def first(simulation: Simulation) -> StepResult:
@@ -171,7 +170,7 @@ def test_a_camera_on_another_place_sees_from_there(small_scenario: Scenario) -> 
 )
 def test_errors_that_leave_nothing_to_see_are_told(disturbances: dict[str, Any], changes: dict[str, Any], words: str) -> None:
     with pytest.raises(LuxloopError, match=words):
-        prepare(validate({**AT_TARGET, **changes, "disturbances": disturbances}, "disturbed"), "cpu")
+        simulation_of(validate({**AT_TARGET, **changes, "disturbances": disturbances}, "disturbed"))
 
 
 def test_a_lamp_aimed_too_high_throws_the_symbol_further() -> None:

@@ -9,12 +9,12 @@ from luxloop.loop.scenario.model import Scenario, load, validate
 from luxloop.loop.simulation.build_lamps import mount
 from luxloop.loop.simulation.build_scene import build_motion, build_scene
 from luxloop.loop.simulation.part_cache import PartCache
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight.lamp import Lamp, Module
 from luxloop.world.lamps import archive
 from luxloop.world.lamps.presets import idealised
+from tests.loop.conftest import simulation_of
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def test_modules_are_where_they_are_mounted_and_the_finest_one_draws(tmp_path: P
     archive.save(tmp_path / "lamp.npz", Lamp("lamp", (Module("wide", wide), Module("fine", fine, aside))))
     small = ["camera={ width_px=320, height_px=180 }", "renderer=raycast", "headlight.lamps=['left', 'right']"]
     scenario = load("flat", [f"headlight.model={tmp_path / 'lamp.npz'}", *small])
-    simulation = Simulation.prepare(scenario)
+    simulation = simulation_of(scenario)
     (module,) = simulation.symbol.projector.modules
     assert module.name == "left fine" and simulation.symbol.drawn_by == (1,)
     expected = pose_from_degrees((0.0, 0.7, 0.8), pitch_deg=0.5)
@@ -53,7 +53,7 @@ def test_modules_are_where_they_are_mounted_and_the_finest_one_draws(tmp_path: P
     assert [bool(u.any()) for u in simulation.at(0).lights] == [False, True, False, False]
     for named, drawing in ((("fine",), (1, 3)), (("right",), (2, 3)), (("right fine",), (3,))):
         symbol = scenario.symbol.model_copy(update={"modules": named})
-        assert Simulation.prepare(scenario.model_copy(update={"functions": {"symbol": symbol}})).symbol.drawn_by == drawing
+        assert simulation_of(scenario.model_copy(update={"functions": {"symbol": symbol}})).symbol.drawn_by == drawing
 
 
 def test_named_modules_of_both_lamps_shine_and_the_brightest_gets_the_intensity(scenario: Scenario) -> None:

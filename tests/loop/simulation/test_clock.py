@@ -5,11 +5,10 @@ from typing import Any
 
 import pytest
 
-from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import validate
 from luxloop.loop.simulation.result import StepResult
 from luxloop.world.errors import LuxloopError
-from tests.loop.conftest import SMALL
+from tests.loop.conftest import SMALL, simulation_of
 
 OWN = """
 from dataclasses import replace
@@ -45,7 +44,7 @@ def results(begins_s: float, **changes: Any) -> list[StepResult]:
     plant = {"kind": "own:Clock", "options": {"begins_s": begins_s}}
     functions = {"symbol": HELD, "late": LATE}
     given = SMALL | {"steps": 8, "conditions": RAIN, "functions": functions, "plant": plant} | changes
-    return list(prepare(validate(given, "clock"), "cpu").evaluations())
+    return list(simulation_of(validate(given, "clock")).evaluations())
 
 
 @pytest.mark.usefixtures("own")

@@ -11,9 +11,9 @@ from luxloop.loop.recording.record import schema
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.result import StepResult
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import REST, ModuleCommand
+from tests.loop.conftest import simulation_of
 
 LAMP = """
 name = "moving"
@@ -60,7 +60,7 @@ def scenario(lamp: str, functions: dict[str, Any], **changes: Any) -> Scenario:
 
 
 def results(*given: Any, **changes: Any) -> list[StepResult]:
-    return list(Simulation.prepare(scenario(*given, **changes)).evaluations())
+    return list(simulation_of(scenario(*given, **changes)).evaluations())
 
 
 def test_commanded_modules_shine_as_those_that_are_mounted_so(lamp: str) -> None:
@@ -89,7 +89,7 @@ def test_levelling_holds_the_beam_over_the_ground_while_the_body_pitches(lamp: s
 
     def heights_m(functions: dict[str, Any]) -> list[float]:
         """Of the beam's axis over the ground, 25 m ahead."""
-        simulation = Simulation.prepare(scenario(lamp, functions, steps=10, vehicle=vehicle))
+        simulation = simulation_of(scenario(lamp, functions, steps=10, vehicle=vehicle))
         heights = []
         for result in simulation.evaluations():
             (command, *_) = result.now.commands or (REST,)
@@ -140,7 +140,7 @@ def test_what_was_commanded_is_recorded_and_played_again(lamp: str, tmp_path: Pa
     assert table["modules.left fine.swivel_deg"].to_pylist() == [each.now.commands[0].swivel_deg for each in shown]
     assert [each.exposures[0].commands for each in shown] == [each.now.commands for each in shown]
     again = given.model_copy(update={"plant": validate({"name": "p", "plant": {"kind": "recording", "folder": str(tmp_path)}}, "p").plant})
-    played = list(Simulation.prepare(again).evaluations())
+    played = list(simulation_of(again).evaluations())
     frames = [frame for each in played for frame in each.reception.frames]
     assert [frame.shown.commands for frame in frames if frame.shown] == [each.now.commands for each in shown]
 
@@ -162,7 +162,7 @@ WRONG: dict[str, tuple[dict[str, Any], dict[str, Any], list[str]]] = {
 
 
 def test_a_module_goes_where_it_is_commanded_within_its_range_and_back(lamp: str) -> None:
-    simulation = Simulation.prepare(scenario(lamp, {"a": COMMAND | {"swivel_deg": 90.0, "stop_s": 0.15}, "patch": PATCH}))
+    simulation = simulation_of(scenario(lamp, {"a": COMMAND | {"swivel_deg": 90.0, "stop_s": 0.15}, "patch": PATCH}))
     first, _, last = (each.now.commands for each in simulation.evaluations())
     (module,) = simulation.modules
     assert first == (ModuleCommand(module.swivel_deg[1], 0.5, 0.5),) and last == (REST,)

@@ -21,6 +21,7 @@ from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError
 from tests.lamps import SMALL_LAMP
+from tests.loop.conftest import simulation_of
 
 WORLD: dict[str, Any] = {
     "name": "held",
@@ -36,7 +37,7 @@ LEFT, RIGHT = FLAKE | {"x_m": 17.5, "y_m": 1.6}, FLAKE | {"image": "chevrons", "
 
 
 def simulation(functions: dict[str, Any], **changes: Any) -> Simulation:
-    return Simulation.prepare(validate(WORLD | {"functions": functions} | changes, "held"))
+    return simulation_of(validate(WORLD | {"functions": functions} | changes, "held"))
 
 
 def run(functions: dict[str, Any], **changes: Any) -> list[StepResult]:

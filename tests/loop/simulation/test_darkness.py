@@ -13,6 +13,7 @@ from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.world.frames import View
 from luxloop.world.light.illumination import illuminance, reach
 from luxloop.world.rendering.gbuffer import gbuffer
+from tests.loop.conftest import simulation_of
 
 SIZES = {  # length, width, height in m
     "pole": (0.05, 0.05, 2.0),
@@ -81,7 +82,7 @@ def most_light(simulation: Simulation, result: StepResult, names: set[str]) -> d
 
 @pytest.mark.parametrize("model", LAMPS)
 def test_masked_bodies_get_exactly_no_light(model: str) -> None:
-    simulation = Simulation.prepare(scenario(model))
+    simulation = simulation_of(scenario(model))
     for step in range(3):
         result = simulation.at(step)
         light = most_light(simulation, result, set(SIZES))
@@ -91,7 +92,7 @@ def test_masked_bodies_get_exactly_no_light(model: str) -> None:
 
 
 def test_without_a_mask_they_are_lit() -> None:
-    simulation = Simulation.prepare(scenario("hd84", functions={}))
+    simulation = simulation_of(scenario("hd84", functions={}))
     light = most_light(simulation, simulation.at(0), set(SIZES))
     assert all(lx > 0.5 for lx in light["camera"].values()), light
 
@@ -103,7 +104,7 @@ def test_a_mask_that_fades_lights_no_other_masked_body() -> None:
         return {"kind": "box", "name": name, "category": "car", "size_m": SIZES["car"], "track": [{"position_m": (x, y, 0.0)}], **track}
 
     boxes = [box("car", 50.0, 0.0), box("before", 20.0, 0.0, vanishes_s=0.1), box("beside", 48.0, 3.0, vanishes_s=0.1)]
-    simulation = Simulation.prepare(scenario("hd84", rate_hz=4, objects=boxes, functions={"guard": {"kind": "glare_free"}}))
+    simulation = simulation_of(scenario("hd84", rate_hz=4, objects=boxes, functions={"guard": {"kind": "glare_free"}}))
     for step in (1, 2):
         result = simulation.at(step)
         assert result.dark_lx_max == 0.0 and result.objects["car"].masked
@@ -113,7 +114,7 @@ def test_a_mask_that_fades_lights_no_other_masked_body() -> None:
 @pytest.mark.parametrize("name", [name for name in scenario_files() if name.startswith("gfhb")])
 def test_shipped_glare_free_scenarios_are_dark_where_they_must_be(name: str) -> None:
     loaded = load(name, camera=CameraParams(width_px=480, height_px=200, hfov_deg=34, pitch_deg=1.5).model_dump(mode="json"))
-    simulation = Simulation.prepare(loaded)
+    simulation = simulation_of(loaded)
     for step in range(0, loaded.steps, max(1, (loaded.steps - 1) // 2)):
         result = simulation.at(step)
         masked = {each for each, light in result.objects.items() if light.masked}

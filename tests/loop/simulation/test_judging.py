@@ -6,7 +6,7 @@ import pytest
 
 from luxloop.loop.recording.record import row
 from luxloop.loop.scenario.model import validate
-from luxloop.loop.simulation.simulation import Simulation
+from tests.loop.conftest import simulation_of
 
 COMING = {"kind": "car", "name": "coming", "seed": 1, "path": {"points_m": [[30, 3.5, 0], [0, 3.5, 0]], "speed_m_s": 10.0}}
 AHEAD = {"kind": "car", "name": "ahead", "seed": 1, "path": {"points_m": [[30, 0, 0], [90, 0, 0]], "speed_m_s": 10.0}}
@@ -23,7 +23,7 @@ def rows(steps: int, **changes: Any) -> list[dict[str, Any]]:
         "detector": {"kind": "truth"},
         "renderer": "raycast",
     }
-    return [row(result) for result in Simulation.prepare(validate(base | changes, "lit")).evaluations()]
+    return [row(result) for result in simulation_of(validate(base | changes, "lit")).evaluations()]
 
 
 @pytest.mark.parametrize(("share", "least", "most"), [(True, 0.8, 1.15), (False, 1.5, 4.1)], ids=["shared", "each gives the whole"])

@@ -7,6 +7,7 @@ from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.simulation.world import World
 from luxloop.world.traffic.tracked import ROAD_USERS
+from tests.loop.conftest import simulation_of
 
 SMALL = ("camera.width_px=240", "camera.height_px=136", "judge_every=0")
 
@@ -14,7 +15,7 @@ SMALL = ("camera.width_px=240", "camera.height_px=136", "judge_every=0")
 @pytest.fixture(scope="module")
 def driven() -> tuple[Simulation, World, float]:
     """A drive with road users, its world where nothing has been rendered yet, and a time at which a car passes the camera's plane."""
-    simulation = Simulation.prepare(load("night_drive", SMALL))
+    simulation = simulation_of(load("night_drive", SMALL))
     given = simulation.world
     return simulation, World(given.scene, given.modules, given.camera, given.source, given.motion, True, given.given), 3.05
 

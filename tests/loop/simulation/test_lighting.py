@@ -9,9 +9,9 @@ import torch
 from luxloop.loop.report.picture import camera_luminance
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario, validate
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import noise_std
 from luxloop.world.errors import LuxloopError
+from tests.loop.conftest import simulation_of
 
 BOX = {
     "kind": "box",
@@ -44,18 +44,18 @@ def scenario(**changes: Any) -> Scenario:
 def test_objects_on_a_road_are_seen_and_tracked_at_its_height() -> None:
     """On 5 % from 10 m on after a curve of 4 m, 40 m ahead is 1.4 m up, and the van sinks by 0.5 m on its way of 10 m."""
     road = {"kind": "grade", "grade_percent": 5.0, "crossfall_percent": 0.0, "start_x_m": 10.0}
-    simulation = Simulation.prepare(scenario(road=road, objects=[BOX | {"on_road": True}]))
+    simulation = simulation_of(scenario(road=road, objects=[BOX | {"on_road": True}]))
     assert not torch.equal(simulation.world.scene.at(0.0).placed[1].T_world_body, simulation.world.scene.at(1.0).placed[1].T_world_body)
     for t_s, height_m in ((0.0, 1.4), (1.0, 0.9)):
         (van,) = simulation.situation(t_s).objects
         foot = simulation.world.scene.at(t_s).placed[1].corners[..., 2].min()
         assert float(van.T_world_object[2, 3]) == pytest.approx(height_m, abs=1e-9) == float(foot)
-    (sunk,) = Simulation.prepare(scenario(road=road)).situation(0.0).objects
+    (sunk,) = simulation_of(scenario(road=road)).situation(0.0).objects
     assert float(sunk.T_world_object[2, 3]) == 0
 
 
 def test_pictures_have_the_cameras_noise_and_measured_light_has_none() -> None:
-    noisy, other, still = (Simulation.prepare(scenario(**each)) for each in ({}, {"seed": 1}, {"camera": {**CAMERA, "noise": False}}))
+    noisy, other, still = (simulation_of(scenario(**each)) for each in ({}, {"seed": 1}, {"camera": {**CAMERA, "noise": False}}))
     result, camera = noisy.at(1), noisy.scenario.camera
     assert torch.equal(result.luminance, other.at(1).luminance) and torch.equal(result.illuminance, other.at(1).illuminance)
     image, exact = camera_luminance(result, noisy), result.luminance
@@ -80,7 +80,7 @@ def test_functions_without_effect_are_told(tmp_path: Path) -> None:
 def test_light_on_an_object_is_that_of_the_law_of_distances() -> None:
     """An upright plate far ahead, in the full beam of one lamp: E = I / d^2 within what its extent makes of it."""
     plate = BOX | {"name": "plate", "size_m": [0.02, 0.2, 0.2], "track": [{"position_m": [20, 0, 0.65]}]}
-    simulation = Simulation.prepare(
+    simulation = simulation_of(
         scenario(
             headlight={"model": "hd84", "lamps": ["left"], "distance_m": 0.0},
             objects=[plate],
@@ -98,7 +98,7 @@ def test_light_on_an_object_is_that_of_the_law_of_distances() -> None:
 
 
 def test_an_object_appears_to_the_tracker_when_it_does_in_the_scene() -> None:
-    simulation = Simulation.prepare(scenario(objects=[BOX | {"appears_s": 0.3, "vanishes_s": 0.5}], steps=4))
+    simulation = simulation_of(scenario(objects=[BOX | {"appears_s": 0.3, "vanishes_s": 0.5}], steps=4))
     results = list(simulation.evaluations())
     assert [result.objects["van"].pixels > 0 for result in results] == [False, False, True, False]
     assert [result.objects["van"].masked for result in results] == [False, False, True, False]
@@ -106,7 +106,7 @@ def test_an_object_appears_to_the_tracker_when_it_does_in_the_scene() -> None:
 
 
 def test_what_stands_still_is_rendered_once() -> None:
-    simulation = Simulation.prepare(scenario(objects=[]))
+    simulation = simulation_of(scenario(objects=[]))
     assert simulation.world.lit(0.0) is simulation.world.lit(5.0)
     torch.testing.assert_close(simulation.at(0).illuminance, simulation.at(2).illuminance)
 
@@ -128,5 +128,5 @@ WRONG = {
 @pytest.mark.parametrize(("changes", "named"), WRONG.values(), ids=WRONG.keys())
 def test_what_is_not_there_is_named_in_a_sentence(changes: dict[str, Any], named: list[str]) -> None:
     with pytest.raises(LuxloopError) as caught:
-        Simulation.prepare(scenario(**changes))
+        simulation_of(scenario(**changes))
     assert all(part in str(caught.value) for part in named), caught.value

@@ -13,10 +13,10 @@ from luxloop.loop.commands import cli
 from luxloop.loop.recording.record import row
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario, validate
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.simulation.world import LitScene
 from luxloop.perception.detection.detector import Detections
 from luxloop.world.errors import LuxloopError
+from tests.loop.conftest import simulation_of
 
 CAMERA = {"width_px": 320, "height_px": 180, "pitch_deg": 1.5, "oversampling": 1, "saturation_e": 2000}
 WALKER = {"kind": "pedestrian", "name": "walker", "seed": 3, "path": {"points_m": [[15, -2, 0], [15, 2, 0]], "speed_m_s": 1.4}}
@@ -65,7 +65,7 @@ def test_everyone_is_found_tracked_placed_and_recorded(tmp_path: Path) -> None:
 
 def test_masks_follow_tracks_and_darken_them() -> None:
     masked = scenario(steps=6, lighting={"base": {"beam": "full"}}, functions={"guard": {"kind": "glare_free"}})
-    results = list(Simulation.prepare(masked).evaluations())
+    results = list(simulation_of(masked).evaluations())
     assert not results[0].masked and results[0].objects["oncoming"].lx_max > 1
     last = results[-1].objects
     assert last["oncoming"].masked and last["parked"].masked and not last["walker"].masked
@@ -74,10 +74,10 @@ def test_masks_follow_tracks_and_darken_them() -> None:
 
 def test_late_frames_make_tracks_late() -> None:
     late = scenario(camera=CAMERA | {"latency_steps": 2}, steps=7)
-    results = list(Simulation.prepare(late).evaluations())
+    results = list(simulation_of(late).evaluations())
     assert [each.frame is None for each in results] == [True, True] + [False] * 5
     assert [each.look is not None and len(each.look.tracks) for each in results] == [0, 0, 0, 0, 3, 3, 3]
-    in_time = list(Simulation.prepare(scenario(steps=5)).evaluations())
+    in_time = list(simulation_of(scenario(steps=5)).evaluations())
     assert results[2].frame is not None and in_time[0].frame is not None
     assert results[2].frame.equal(in_time[0].frame)  # no function has anything to do before a track is confirmed
 
@@ -91,13 +91,13 @@ def test_light_is_computed_once_however_late_its_frame_is_read(monkeypatch: pyte
         return light(lit, *given)
 
     monkeypatch.setattr(LitScene, "light", counted)
-    *_, last = Simulation.prepare(scenario(camera=CAMERA | {"latency_steps": 3}, steps=6)).evaluations()
+    *_, last = simulation_of(scenario(camera=CAMERA | {"latency_steps": 3}, steps=6)).evaluations()
     assert last.frame is not None and len(computed) == 3  # the last three frames have not come
 
 
 def test_a_track_is_predicted_where_frames_are_lost() -> None:
     lost = scenario(disturbances={"drops": [{"from_step": 4, "until_step": 6}]}, steps=6)
-    *_, last = Simulation.prepare(lost).evaluations()
+    *_, last = simulation_of(lost).evaluations()
     assert last.frame is None and last.look is not None and len(last.look.found) == 0 and len(last.look.tracks) == 3
     made = last.look.recognised["walker"]  # whose track goes on as he does: they still overlap
     assert made.track is not None and made.score == 0.0
@@ -106,17 +106,17 @@ def test_a_track_is_predicted_where_frames_are_lost() -> None:
 @pytest.mark.parametrize("late", [{"camera": CAMERA | {"latency_steps": 1}}, {"disturbances": {"drops": [{"until_step": 1}]}}], ids=str)
 def test_what_no_frame_shows_is_recorded_as_unknown(late: dict[str, Any]) -> None:
     functions = {"matter": {"kind": "material", "lights": [{"materials": ["asphalt"], "lx": 5.0}], "road_m": [5, 30]}}
-    simulation = Simulation.prepare(scenario(functions=functions, steps=3, **late))
+    simulation = simulation_of(scenario(functions=functions, steps=3, **late))
     first, *_, last = (row(result) for result in simulation.evaluations())
     assert first["functions.matter.asphalt.lx"] is None and last["functions.matter.asphalt.lx"] > 0
     assert "detections" not in first and "objects.walker.score" not in first and last["detections"] == 3
 
 
 def test_tracks_are_where_objects_are() -> None:
-    simulation = Simulation.prepare(scenario(steps=8))
+    simulation = simulation_of(scenario(steps=8))
     *_, last = simulation.evaluations()
     assert last.look is not None
-    true = {each.name: each for each in Simulation.prepare(scenario(detector=None)).situation(last.time_s).objects}
+    true = {each.name: each for each in simulation_of(scenario(detector=None)).situation(last.time_s).objects}
     for name, length_m in (("walker", 0.5), ("oncoming", 4.0)):
         told = next(each for each in last.now.objects if each.name == f"track_{last.look.recognised[name].track}")
         error = told.T_world_object[:2, 3] - true[name].T_world_object[:2, 3]
@@ -127,18 +127,18 @@ def test_tracks_are_where_objects_are() -> None:
 
 
 def test_a_state_taken_up_again_goes_on_as_the_run_did() -> None:
-    simulation = Simulation.prepare(scenario())
+    simulation = simulation_of(scenario())
     state = simulation.start()
     for _ in range(4):
         state, _ = simulation.step(state)
     _, first = simulation.step(state)
-    _, again = Simulation.prepare(scenario()).step(state)
+    _, again = simulation_of(scenario()).step(state)
     assert all(torch.equal(a, b) for a, b in zip(first.lights, again.lights, strict=True))
     assert first.step == 4 and torch.equal(first.frame, again.frame)
 
 
 def test_the_lights_of_a_time_are_those_of_the_run() -> None:
-    simulation = Simulation.prepare(scenario(steps=6))
+    simulation = simulation_of(scenario(steps=6))
     *_, last = simulation.evaluations()
     assert all(torch.equal(a, b) for a, b in zip(simulation.lights_at(5 / 30)[0], last.lights, strict=True))
 
@@ -147,8 +147,7 @@ def test_a_base_beam_is_dimmed_as_functions_ask() -> None:
     half = {"kind": "object_based", "method": "constant", "share": 0.5, "setpoint_lx": 0.0}
     most = half | {"share": 0.8}
     bright, dim, both = (
-        Simulation.prepare(scenario(objects=[], functions=functions)).at(0)
-        for functions in ({}, {"half": half}, {"half": half, "most": most})
+        simulation_of(scenario(objects=[], functions=functions)).at(0) for functions in ({}, {"half": half}, {"half": half, "most": most})
     )
     for full, one, two in zip(bright.lights, dim.lights, both.lights, strict=True):
         torch.testing.assert_close(one, 0.5 * full)

@@ -10,6 +10,7 @@ from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.frames import inverse, transform
 from tests.lamps import SMALL_LAMP
+from tests.loop.conftest import simulation_of
 
 NODS = {"course": [{"speed_m_s": 20.0}], "oscillation": {"pitch_deg": 1.0, "rate_hz": 1.25}}
 ONCOMING = {
@@ -33,7 +34,7 @@ def simulation(**changes: Any) -> Simulation:
         "lighting": {},
         "renderer": "raycast",
     }
-    return Simulation.prepare(validate(base | changes, "moves"))
+    return simulation_of(validate(base | changes, "moves"))
 
 
 def guarded(**changes: Any) -> list[StepResult]:

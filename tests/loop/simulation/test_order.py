@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from luxloop.loop.scenario.model import Scenario, validate
-from luxloop.loop.simulation.simulation import Simulation
+from tests.loop.conftest import simulation_of
 
 ROAD = {"x_m": 16.0, "width_m": 4.0, "length_m": 8.0}
 FUNCTIONS: dict[str, dict[str, Any]] = {  # all of one priority, and all on the same road and the same walker
@@ -51,7 +51,7 @@ def scenario(functions: dict[str, dict[str, Any]]) -> Scenario:
 
 def lights(given: Scenario) -> list[torch.Tensor]:
     """Utilisations of the first two steps, the second with what functions have learnt."""
-    simulation = Simulation.prepare(given)
+    simulation = simulation_of(given)
     state, first = simulation.step(simulation.start())
     return [*first.lights, *simulation.step(state)[1].lights]
 

@@ -6,8 +6,8 @@ import pytest
 
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario, validate
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
+from tests.loop.conftest import simulation_of
 
 OWN = """
 import torch
@@ -66,7 +66,7 @@ def scenario(**functions: Any) -> Scenario:
 
 
 def lights(**functions: Any) -> list[Any]:
-    return [result.lights[0] for result in Simulation.prepare(scenario(**functions)).evaluations()]
+    return [result.lights[0] for result in simulation_of(scenario(**functions)).evaluations()]
 
 
 @pytest.mark.usefixtures("own")
@@ -86,7 +86,7 @@ def test_it_draws_as_the_others_do(tmp_path: Any) -> None:
 def test_one_that_learns_keeps_its_state_from_step_to_step() -> None:
     first, second, third = lights(a={"kind": "own:Brightening"})
     assert (first.sum(), second.sum()) < (second.sum(), third.sum())
-    simulation = Simulation.prepare(scenario(a={"kind": "own:Brightening"}))
+    simulation = simulation_of(scenario(a={"kind": "own:Brightening"}))
     state, result = simulation.step(simulation.start())
     assert simulation.planner.learns and state.functions == {"a": 1} and result.plan.base.share == 0.5
 

@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from luxloop.loop.scenario.model import Scenario, validate
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
+from tests.loop.conftest import simulation_of
 
 OWN = """
 from dataclasses import replace
@@ -79,7 +79,7 @@ def scenario(**tracker: Any) -> Scenario:
 
 
 def looked(**tracker: Any) -> list[Any]:
-    results = Simulation.prepare(scenario(**tracker)).evaluations()
+    results = simulation_of(scenario(**tracker)).evaluations()
     return [(each.look.tracks.boxes.tolist(), each.look.recognised, [o.name for o in each.now.objects]) for each in results]
 
 

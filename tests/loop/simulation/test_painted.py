@@ -11,8 +11,8 @@ import torch
 from luxloop.controllers.functions.base_beams import PaintedParams, PaintLayer
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.loop.scenario.model import Scenario, validate
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
+from tests.loop.conftest import simulation_of
 
 ROWS, COLUMNS = 3, 28  # pixels of hd84
 RNG = np.random.default_rng(3)
@@ -30,7 +30,7 @@ def scenario(*painted: Any, **changes: Any) -> Scenario:
 
 
 def lights(*painted: Any, **changes: Any) -> list[torch.Tensor]:
-    return list(Simulation.prepare(scenario(*painted, **changes)).at(0).lights)
+    return list(simulation_of(scenario(*painted, **changes)).at(0).lights)
 
 
 def given(share: np.ndarray) -> torch.Tensor:
@@ -72,7 +72,7 @@ def test_outside_the_band_all_is_dark(over: bool, band: slice | None) -> None:
 def test_the_power_limit_holds() -> None:
     all_ = np.full((ROWS, COLUMNS), 255, np.uint8)
     painted = [PaintedParams.of(f"{side} matrix", all_, all_, False) for side in ("left", "right")]
-    result = Simulation.prepare(scenario(*painted, lighting={"power_limit": 0.25, "base": {"beam": "off"}})).at(0)
+    result = simulation_of(scenario(*painted, lighting={"power_limit": 0.25, "base": {"beam": "off"}})).at(0)
     assert all(power.share == pytest.approx(0.25) for power in result.powers.values())
 
 
@@ -93,5 +93,5 @@ WRONG: dict[str, tuple[list[dict[str, Any]], list[str]]] = {
 @pytest.mark.parametrize(("painted", "words"), WRONG.values(), ids=WRONG.keys())
 def test_what_does_not_fit_is_named_in_a_sentence(painted: list[dict[str, Any]], words: list[str]) -> None:
     with pytest.raises(LuxloopError) as caught:
-        Simulation.prepare(scenario(*painted))
+        simulation_of(scenario(*painted))
     assert all(word in str(caught.value) for word in words) and "\n" not in str(caught.value), caught.value

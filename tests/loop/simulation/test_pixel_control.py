@@ -9,8 +9,8 @@ from luxloop.controllers.pixels.jpo import Jpo
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.build_lamps import pixel_controller
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
+from tests.loop.conftest import simulation_of
 
 FLAKE = {"kind": "symbol", "image": "snowflake", "width_m": 4.0, "length_m": 8.0, "controller": "thesis_pid"}
 SYMBOL = {
@@ -85,7 +85,7 @@ def lit(**changes: Any) -> Scenario:
 def test_masks_are_exactly_dark_with_joint_optimisation_too(model: str, objective: str) -> None:
     """Measured on what the camera sees of the bodies; what is not masked is lit, so that darkness is none of the lamps'."""
     jpo = {"objective": objective, "iterations": 10}
-    simulation = Simulation.prepare(lit(headlight={"model": model}, pixel_controller="jpo", jpo=jpo))
+    simulation = simulation_of(lit(headlight={"model": model}, pixel_controller="jpo", jpo=jpo))
     result = simulation.at(0)
     assert all(each.masked and each.pixels > 5 and each.lx_max == 0.0 for each in result.objects.values()), result.objects
     assert result.dark_lx_max == 0.0 and float(result.illuminance.max()) > 1.0
@@ -93,7 +93,7 @@ def test_masks_are_exactly_dark_with_joint_optimisation_too(model: str, objectiv
 
 def test_a_symbol_is_drawn_by_the_controller_that_is_named() -> None:
     ssc, jpo = (
-        Simulation.prepare(validate({**SYMBOL, **named}, "drawn")).symbol.projector
+        simulation_of(validate({**SYMBOL, **named}, "drawn")).symbol.projector
         for named in ({"ssc": {"a_r": 2.0}}, {"ssc": {"a_r": 2.0}, "pixel_controller": "jpo", "jpo": {"iterations": 7}})
     )
     (one,), (other,) = ssc.modules, jpo.modules
@@ -107,7 +107,7 @@ def test_a_symbol_is_drawn_by_the_controller_that_is_named() -> None:
 def test_one_of_the_users_own_drives_functions_and_symbols_that_are_held() -> None:
     for scenario in (lit(), validate(SYMBOL, "drawn")):
         own = validate(scenario.model_dump(mode="json") | {"pixel_controller": "own:Half"}, "own")
-        whole, half = (Simulation.prepare(each).at(0).lights for each in (scenario, own))
+        whole, half = (simulation_of(each).at(0).lights for each in (scenario, own))
         assert any(bool(u.any()) for u in whole)
         for u, full in zip(half, whole, strict=True):
             torch.testing.assert_close(u, 0.5 * full, rtol=0, atol=0)
@@ -126,5 +126,5 @@ WRONG = {
 def test_what_cannot_drive_is_named_in_a_sentence(changes: dict[str, Any], words: list[str]) -> None:
     with pytest.raises(LuxloopError) as caught:
         scenario = lit(**changes)
-        pixel_controller(Simulation.prepare(lit()).modules[0].headlight, scenario.pixel_controller, scenario.ssc, scenario.jpo)
+        pixel_controller(simulation_of(lit()).modules[0].headlight, scenario.pixel_controller, scenario.ssc, scenario.jpo)
     assert all(word in str(caught.value) for word in words), caught.value

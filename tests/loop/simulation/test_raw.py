@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from luxloop.loop.scenario.model import Scenario, validate
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
 from luxloop.world.lamps.utilisations import read_sequence
 from luxloop.world.photometry.distribution import Array
+from tests.loop.conftest import simulation_of
 
 ROWS, COLUMNS, FRAMES = 3, 28, 4  # pixels of hd84
 MASK = {"kind": "glare_free"}
@@ -63,7 +63,7 @@ def test_every_form_gives_the_same_frames(form: str, written: dict[str, Path], s
 def test_both_lamps_show_the_frame_of_the_time(written: dict[str, Path], sequence: Array) -> None:
     """At 10 steps and 5 frames a second each frame stays for two steps; then it starts over, or the last one stays."""
     raw = {"file": str(written["folder"]), "rate_hz": 5.0}
-    again, held = (Simulation.prepare(scenario([raw | {"repeat": repeat}])) for repeat in (True, False))
+    again, held = (simulation_of(scenario([raw | {"repeat": repeat}])) for repeat in (True, False))
     for step in range(10):
         frame = torch.from_numpy(sequence[step // 2 % FRAMES]).flatten().float()
         for u in again.at(step).lights:
@@ -75,7 +75,7 @@ def test_both_lamps_show_the_frame_of_the_time(written: dict[str, Path], sequenc
 def test_functions_draw_over_them_and_limits_hold(written: dict[str, Path]) -> None:
     raw = [{"file": str(written["folder"])}]
     bare, masked, limited = (
-        Simulation.prepare(scenario(raw, objects=[VAN], **changes)).at(0)
+        simulation_of(scenario(raw, objects=[VAN], **changes)).at(0)
         for changes in ({}, {"functions": {"guard": MASK}}, {"lighting": {"power_limit": 0.1}})
     )
     assert bare.objects["van"].lx_max > 0.5 and masked.dark_lx_max == 0.0
@@ -107,5 +107,5 @@ def test_what_does_not_fit_is_named_in_a_sentence(raw: list[dict[str, Any]], wor
     np.savez(tmp_path / "two.npz", np.ones(84), np.ones(84))
     given = [each | ({"file": str(tmp_path / each["file"])} if set("/.") & set(each["file"]) else {}) for each in raw]
     with pytest.raises(LuxloopError) as caught:
-        Simulation.prepare(scenario(given))
+        simulation_of(scenario(given))
     assert all(word in str(caught.value) for word in words), caught.value

@@ -10,6 +10,7 @@ from luxloop.loop.simulation.light_figures import WIDTH_PX, picture_view
 from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from tests.lamps import SMALL_LAMP
+from tests.loop.conftest import simulation_of
 
 CARPET = {"kind": "lane", "quantity": "E_v", "value": 1.0, "lane_width_m": 3.0, "near_m": 14.0, "far_m": 30.0}
 WANTED_LX = 1.0  # a single lamp of 50 kcd can give it up to 33 m ahead
@@ -28,7 +29,7 @@ def run(lighting: dict[str, Any], function: dict[str, Any] = CARPET, **changes: 
         "renderer": "raycast",
     }
     scenario = validate(base | changes, "carpet")
-    simulation = Simulation.prepare(scenario)
+    simulation = simulation_of(scenario)
     return simulation, simulation.at(0)
 
 

@@ -12,7 +12,7 @@ from luxloop.loop.report.picture import marks
 from luxloop.loop.report.run_table import summary_table
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario, validate
-from luxloop.loop.simulation.simulation import Simulation
+from tests.loop.conftest import simulation_of
 
 CAMERA = {"width_px": 320, "height_px": 180, "oversampling": 1, "saturation_e": 2000, "pitch_deg": 1.5}
 WALLS = {0.05: 3.0, 0.2: 0.0, 0.8: -3.0}  # y in m by reflectance
@@ -64,7 +64,7 @@ def test_a_white_wall_in_the_low_beam_settles_as_its_zone_counts_more_than_the_b
     zone = {"kind": "zone", "centre_m": [25, 0, 1.0], "size_m": [0, 1.6, 1.6], "luminance_cd_m2": 0.9}
     wall = {"kind": "box", "name": "white", "albedo": 0.8, "size_m": [0.2, 2, 2], "track": [{"position_m": [25.1, 0, 0]}]}
     zones = {"wall": zone | ({} if weight is None else {"weight": weight})}
-    simulation = Simulation.prepare(scenario(zones, objects=[wall], lighting={"base": {"beam": "low"}}))
+    simulation = simulation_of(scenario(zones, objects=[wall], lighting={"base": {"beam": "low"}}))
     seen = [result.zones["wall"].luminance or 0.0 for result in simulation.evaluations()]
     beyond = [step for step, each in enumerate(seen) if abs(each / 0.9 - 1) > 0.05]
     # with 1 the beam's light at the foot of the wall is more than the zone can take away, and clipped besides
@@ -73,7 +73,7 @@ def test_a_white_wall_in_the_low_beam_settles_as_its_zone_counts_more_than_the_b
 
 def test_zones_are_drawn_where_the_camera_sees_them() -> None:
     zone = {"kind": "zone", "centre_m": [15, 0, 1.0], "size_m": [0, 1.6, 1.6], "luminance_cd_m2": 0.6}
-    simulation = Simulation.prepare(scenario({"to_the_back": zone | {"centre_m": [-15, 0, 1.0]}, "in_front": zone}, objects=[]))
+    simulation = simulation_of(scenario({"to_the_back": zone | {"centre_m": [-15, 0, 1.0]}, "in_front": zone}, objects=[]))
     _, result = simulation.step(simulation.start())
     result = simulation.evaluate(result)
     ahead, behind = marks(result, simulation)

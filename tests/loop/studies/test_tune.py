@@ -21,10 +21,11 @@ from luxloop.loop.studies.gradient import Surrogate, near
 from luxloop.loop.studies.jobs import local
 from luxloop.loop.studies.tune import FINISHED, STUDY, Task, Trace, Tuning, study_in, tune
 from luxloop.loop.studies.tune_report import BEST, PICTURE, REPORT, write
+from tests.lamps import SMALL_LAMP
 from tests.refusal import refusal
 
 SMALL = [
-    *("steps=3", "renderer=raycast", "headlight.model=ssl-hd-lores", "camera={ width_px=160, height_px=90, oversampling=1 }"),
+    *("steps=3", "renderer=raycast", f"headlight.model={SMALL_LAMP}", "camera={ width_px=160, height_px=90, oversampling=1 }"),
     "functions.symbol={ width_m=3.0, length_m=8.0 }",
 ]
 KEYS = ["functions.symbol.controller.position.kp=0.1:2:log", "functions.symbol.controller.losses_to_reset=1:4"]
@@ -301,7 +302,7 @@ SEEN = [
     *(
         "steps=4",
         "functions.symbol.controller.name=thesis_pid",
-        "headlight.model=ssl-hd-lores",
+        f"headlight.model={SMALL_LAMP}",
         "functions.symbol={ width_m=3.0, length_m=8.0 }",
         "functions.symbol.start.x_m=15.0",
     ),

@@ -9,11 +9,10 @@ from torch import Tensor
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.relocalisation import Relocalisation
 from luxloop.controllers.symbol.sensing.road_shape import ray_lengths
-from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.extraction import ExtractionStatus
-from tests.loop.conftest import frames_of
+from tests.loop.conftest import frames_of, simulation_of
 
 SMALL = [
     "camera={width_px=640, height_px=480}",
@@ -29,7 +28,7 @@ def grade(percent: float, crossfall: float = 0.0) -> str:
 
 @lru_cache(1)  # of some 0.4 GB
 def simulation(road: str, *more: str) -> Simulation:
-    return prepare(load("snowflake", [*SMALL, f"road={road}", *more]), "cpu")
+    return simulation_of(load("snowflake", [*SMALL, f"road={road}", *more]))
 
 
 def shown_at_target(prepared: Simulation) -> tuple[Tensor, Tensor]:
@@ -117,5 +116,5 @@ def test_a_symbol_that_is_plainly_in_the_image_is_never_lost() -> None:
 def test_two_looks_lay_the_symbol_straight_on_a_grade(percent: float, least: float) -> None:
     """As well as exact inverse ray tracing onto the true road does, which leaves the light of near parts as bright as it is."""
     changes = [*SMALL[:2], f"road={grade(percent)}", "functions.symbol.controller={name='luxloop'}"]
-    *_, last = prepare(load("snowflake", changes, steps=4), "cpu").evaluations()
+    *_, last = simulation_of(load("snowflake", changes, steps=4)).evaluations()
     assert float(last.symbol.verdict.iou) > least - 0.01

@@ -9,8 +9,8 @@ from luxloop.controllers.symbol.sensing.field import aim, elsewhere
 from luxloop.controllers.symbol.sensing.projector import Projector, SymbolParams
 from luxloop.controllers.symbol.sensing.road_shape import HERE, height
 from luxloop.loop.scenario.model import load
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.frames import inverse, transform
+from tests.loop.conftest import simulation_of
 
 EYE = torch.tensor([0.0, 0.0, 1.3], dtype=torch.float64)
 
@@ -18,7 +18,7 @@ EYE = torch.tensor([0.0, 0.0, 1.3], dtype=torch.float64)
 @cache
 def projector() -> Projector:
     small = ["camera.width_px=320", "camera.height_px=180", "renderer=raycast"]
-    return Simulation.prepare(load("flat", small)).symbol.projector
+    return simulation_of(load("flat", small)).symbol.projector
 
 
 def symbol(target: str) -> SymbolParams:

@@ -13,7 +13,7 @@ from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.egomotion import Ego
 from luxloop.world.frames import inverse, transform
-from tests.loop.conftest import SMALL
+from tests.loop.conftest import SMALL, simulation_of
 
 SYMBOL = SMALL["functions"]["symbol"] | {"controller": {"name": "open"}, "start": {}}
 OPEN = {"functions": {"symbol": SYMBOL}, "steps": 3, "renderer": "auto"}
@@ -26,14 +26,14 @@ def driving(**changes: object) -> Scenario:
 
 
 def run(**changes: object) -> list[StepResult]:
-    return list(Simulation.prepare(driving(**changes)).evaluations())
+    return list(simulation_of(driving(**changes)).evaluations())
 
 
 @pytest.fixture(scope="module")
 def nodding() -> Simulation:
     """A car that drives on a flat road and nods."""
     vehicle = {"course": [{"speed_m_s": 20.0}], "oscillation": {"pitch_deg": PITCH_DEG, "rate_hz": RATE_HZ}}
-    return Simulation.prepare(driving(vehicle=vehicle, sensors=LATE, steps=4))
+    return simulation_of(driving(vehicle=vehicle, sensors=LATE, steps=4))
 
 
 def test_a_flat_road_looks_the_same_from_a_car_that_drives_smoothly():

@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from luxloop.controllers.symbol.heights.feedforward import height_map_of
-from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.perception.birdseye import Region
 from luxloop.world.roads.shapes import Curb, Flat
+from tests.loop.conftest import simulation_of
 
 SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"]
 LIFTED = '{kind="curb", y_m=-8.0, ramp_m=0.03, height_m=0.03}'  # a plane 3 cm too high, from well before the symbol on
@@ -16,7 +16,7 @@ GIVEN = f"{{name='feedforward', road={LIFTED}}}"
 
 def run(controller: str, steps: int, *more: str) -> tuple[torch.Tensor, list[float]]:
     """The judge's centroid errors `[steps, 2]` in % and IoU on a plane 3 cm too high."""
-    simulation = prepare(load("flat", [*SMALL, f"road={LIFTED}", f"functions.symbol.controller={controller}", *more]), "cpu")
+    simulation = simulation_of(load("flat", [*SMALL, f"road={LIFTED}", f"functions.symbol.controller={controller}", *more]))
     state, centroids, ious = simulation.start(), [], []
     for _ in range(steps):
         state, result = simulation.step(state)

@@ -9,12 +9,12 @@ from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
 from luxloop.controllers.symbol.sensing.relocalisation import Relocalisation
 from luxloop.controllers.symbol.stages import LOSSES, Lifting
-from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.perception.metrics import Metrics
 from luxloop.world.frames import inverse, pose, rotation, transform
+from tests.loop.conftest import simulation_of
 
 SMALL = ["camera={width_px=640, height_px=480}", "functions.symbol.start={x_m=17.0, y_m=0.0, roll_deg=0.0, pitch_deg=0.0}"]
 PLANE = torch.tensor([0.21, 0.02, -0.015, 0.0])
@@ -23,7 +23,7 @@ ASIDE = torch.tensor([17.5, 0.3, 0.03, -0.01])  # m and rad
 
 def simulation(percent: float, controller: str, *more: str, steps: int = 15) -> Simulation:
     road = f"road={{kind='grade', grade_percent={percent}, crossfall_percent=0.0, start_x_m=3.0}}"
-    return prepare(load("snowflake", [*SMALL, road, f"functions.symbol.controller={controller}", *more], steps=steps), "cpu")
+    return simulation_of(load("snowflake", [*SMALL, road, f"functions.symbol.controller={controller}", *more], steps=steps))
 
 
 def verdicts(sim: Simulation) -> list[Metrics]:

@@ -17,12 +17,11 @@ from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, War
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
 from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
 from luxloop.controllers.symbol.sensing.road_shape import HERE, ray_lengths
-from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import DisturbanceParams, load
 from luxloop.loop.simulation.result import SimulationState
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.birdseye import Region
-from tests.loop.conftest import frames_of
+from tests.loop.conftest import frames_of, simulation_of
 
 REGION = Region(13.0, 21.0, 2.0, -2.0)
 EYE, LAMP = torch.tensor([-1.6, 0.0, 1.35]), torch.tensor([0.0, 0.6, 0.75])
@@ -115,7 +114,7 @@ def test_each_lamp_has_a_drawing_of_its_own() -> None:
     torch.testing.assert_close(warp.dimming[1], warp.dimming[0].flip(-1), rtol=0, atol=1e-4)
     assert (left[0] - right[0]).abs().max() > 0.04, "3 cm of road over and under the patch move a lamp's light by 2 cm sideways"
     by_both = ['headlight.lamps=["left", "right"]', 'functions.symbol.modules=["left", "right"]']
-    projector = prepare(load("flat", [*SMALL, *by_both]), "cpu").symbol.projector
+    projector = simulation_of(load("flat", [*SMALL, *by_both])).symbol.projector
     both = projector.draw(ProjectionCommand(projector.target, warp=warp))
     for k, light in enumerate(both):
         for_all = replace(warp, source=warp.source[k, None], dimming=warp.dimming[k, None])
@@ -132,7 +131,7 @@ def test_neighbours_settle_what_is_ambiguous() -> None:
 
 @lru_cache(2)  # of some 0.4 GB
 def simulation(road: str, *more: str) -> Simulation:
-    return prepare(load("flat", [*SMALL, f"road={road}", "functions.symbol.controller={name='luxloop'}", *more]), "cpu")
+    return simulation_of(load("flat", [*SMALL, f"road={road}", "functions.symbol.controller={name='luxloop'}", *more]))
 
 
 @pytest.fixture

@@ -17,12 +17,12 @@ from luxloop.controllers.symbol.heights.height_controller import HeightControlle
 from luxloop.controllers.symbol.heights.registration import Heights
 from luxloop.controllers.symbol.heights.road_map import RoadMap
 from luxloop.loop.scenario.model import load
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.birdseye import Region
 from luxloop.perception.egomotion import Ego, Samples, ego_of, newest
 from luxloop.perception.sensors import SensorParams, Sensors
 from luxloop.world.frames import inverse, pose, rotation, transform
 from luxloop.world.scene.vehicle import CourseParams, SuspensionParams, VehicleParams, body_pose, drive, ground_pose
+from tests.loop.conftest import simulation_of
 
 REGION, GRID = Region(14.0, 20.0, 1.5, -1.5), (60, 30)
 EYE, SWUNG = torch.tensor([-1.6, 0.0, 1.35]), torch.tensor([-1.58, 0.01, 1.38])
@@ -204,7 +204,7 @@ def test_what_is_known_of_the_body_stays_a_covariance(speed_m_s: float) -> None:
 def test_a_symbol_is_laid_on_the_ground_from_a_tilted_body(attitude: tuple[float, ...]) -> None:
     body = body_pose(torch.tensor(attitude, dtype=torch.float64), -2.2)
     target = torch.tensor([17.0, 0.5, 0.0, 0.0], dtype=torch.float64)
-    simulation = Simulation.prepare(load("flat", SMALL))
+    simulation = simulation_of(load("flat", SMALL))
     projection = laid(target, inverse(body))
     z = projection.z
     projector = simulation.symbol.projector
@@ -217,7 +217,7 @@ def test_a_symbol_is_laid_on_the_ground_from_a_tilted_body(attitude: tuple[float
 def test_the_off_frame_is_seen_from_where_the_on_frame_was() -> None:
     """Raw frames differ by all the road's texture, which moves by a third of a metre between them."""
     more = ["camera.oversampling=4", "light.ambient_lx=4", "camera.noise=false", "functions.symbol.controller={name='luxloop'}"]
-    simulation = Simulation.prepare(load("driving", [*EXACT, *more]))
+    simulation = simulation_of(load("driving", [*EXACT, *more]))
     _, result = simulation.step(simulation.start())
     world, seer, controller = simulation.world, simulation.symbol.sensor, simulation.symbol.controller
     assert result.frames is not None and isinstance(controller, HeightController)
@@ -238,7 +238,7 @@ def test_the_off_frame_is_seen_from_where_the_on_frame_was() -> None:
 
 def test_the_road_ahead_is_taken_to_bend_on_as_the_ground_does() -> None:
     """On a crest of 1500 m at 20 m/s, in a ground frame that is tilted by then: a parabola that touches it under the rear axle."""
-    controller, radius_m = Simulation.prepare(load("flat", [*SMALL, "functions.symbol.controller=luxloop"])).symbol.controller, 1500.0
+    controller, radius_m = simulation_of(load("flat", [*SMALL, "functions.symbol.controller=luxloop"])).symbol.controller, 1500.0
     assert isinstance(controller, HeightController)
     ego = replace(nodding(1.0), ground=torch.tensor([-0.3, 0.02, -0.4, 20 / radius_m]), speed_m_s=torch.tensor(20.0))
     body = BodyFilter.first(BODY, ego, 16.0, 17.0)
@@ -257,7 +257,7 @@ def test_the_road_ahead_is_taken_to_bend_on_as_the_ground_does() -> None:
 
 def test_a_nodding_car_keeps_its_symbol_in_place() -> None:
     changes = [*SMALL, *EXACT, "road.kind=flat", "vehicle={course=[{speed_m_s=10}], oscillation={pitch_deg=0.3}}", "steps=8"]
-    simulation = Simulation.prepare(load("driving", [*changes, "functions.symbol.controller={name='luxloop'}"]))
+    simulation = simulation_of(load("driving", [*changes, "functions.symbol.controller={name='luxloop'}"]))
     symbol = simulation.symbol
     still = simulation.of_all(symbol, symbol.projector.light(symbol.projector.target))
     for result in simulation.evaluations():

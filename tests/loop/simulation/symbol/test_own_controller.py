@@ -3,9 +3,9 @@
 import pytest
 
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
-from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.world.errors import LuxloopError
+from tests.loop.conftest import simulation_of
 
 OWN = """
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
@@ -30,7 +30,7 @@ SMALL = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
 @pytest.mark.usefixtures("own")
 def test_a_controller_of_ones_own_is_named_in_the_scenario() -> None:
     scenario = load("flat", [*SMALL, "functions.symbol.controller={name='own:Halfway', options={share=0.25}}"])
-    simulation = prepare(scenario, "cpu")
+    simulation = simulation_of(scenario)
     state, first = simulation.step(simulation.start())
     first = simulation.evaluate(first)
     _, second = simulation.step(state)
@@ -55,5 +55,5 @@ def test_a_controller_of_ones_own_is_named_in_the_scenario() -> None:
 )
 def test_what_is_wrong_with_it_is_said_in_a_sentence(controller: str, words: list[str]) -> None:
     with pytest.raises(LuxloopError) as error:
-        prepare(load("flat", [*SMALL, f"functions.symbol.controller={controller}"]), "cpu")
+        simulation_of(load("flat", [*SMALL, f"functions.symbol.controller={controller}"]))
     assert all(word in str(error.value) for word in words), str(error.value)

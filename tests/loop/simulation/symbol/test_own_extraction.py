@@ -6,11 +6,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.extraction import ExtractionParams, OwnExtractionParams, symbol_image
 from luxloop.world.errors import LuxloopError
+from tests.loop.conftest import simulation_of
 
 OWN = """
 import torch
@@ -38,7 +38,7 @@ SMALL = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
 
 def looked(*overrides: Any) -> tuple[Simulation, Tensor]:
     """Errors of three steps on bumps."""
-    simulation = prepare(load("flat", [*SMALL, "road.kind=bumps", *overrides], steps=3), "cpu")
+    simulation = simulation_of(load("flat", [*SMALL, "road.kind=bumps", *overrides], steps=3))
     return simulation, torch.stack([result.symbol.measurement.errors for result in simulation.evaluations()])
 
 

@@ -5,9 +5,9 @@ from typing import Any
 import pytest
 
 from luxloop.controllers.symbol import FeedforwardParams
-from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.world.errors import LuxloopError
+from tests.loop.conftest import simulation_of
 
 OWN = """
 import numpy as np
@@ -47,7 +47,7 @@ def test_it_lies_and_is_believed_in_as_the_same_road_of_ours() -> None:
     for road in (own, ours):
         scenario = load("flat", [*SMALL, f"road={road}", f"functions.symbol.controller={{name='feedforward', road={road}}}"])
         assert isinstance(scenario.symbol.controller, FeedforwardParams)
-        _, result = (simulation := prepare(scenario, "cpu")).step(simulation.start())
+        _, result = (simulation := simulation_of(scenario)).step(simulation.start())
         assert result.frames is not None
         runs.append((scenario, *result.frames, result.lights[0]))
     for one, other in zip(runs[0][1:], runs[1][1:], strict=True):
@@ -69,6 +69,6 @@ def test_it_lies_and_is_believed_in_as_the_same_road_of_ours() -> None:
 )
 def test_what_is_wrong_with_it_is_said_in_a_sentence(road: dict[str, Any], words: list[str]) -> None:
     with pytest.raises(LuxloopError) as error:
-        prepare(load("flat", [*SMALL, {"road": road}]), "cpu")
+        simulation_of(load("flat", [*SMALL, {"road": road}]))
     message = str(error.value)
     assert all(word in message for word in ["road", *words]) and "\n" not in message, message

@@ -6,12 +6,12 @@ import pytest
 import torch
 
 from luxloop.controllers.symbol.sensing.projection import CELLS
-from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.result import StepResult
 from luxloop.perception.birdseye import birds_eye, cells, region_around
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.world.errors import LuxloopError
+from tests.loop.conftest import simulation_of
 
 SMALL = [
     "camera={width_px=640, height_px=480}",
@@ -23,7 +23,7 @@ SMALL = [
 def ends(road: str, steps: int, *more: str) -> StepResult:
     """The last step of a run with the snowflake on the road itself."""
     changes = [*SMALL, "functions.symbol={image='snowflake', target='place'}", f"road={{{road}}}", *more]
-    *_, last = prepare(load("flat", changes, steps=steps), "cpu").evaluations()
+    *_, last = simulation_of(load("flat", changes, steps=steps)).evaluations()
     return last
 
 

@@ -7,16 +7,16 @@ from luxloop.controllers.functions.base_beams import BaseBeamParams
 from luxloop.controllers.symbol.sensing.projector import StartParams
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import Scenario, load
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import luminance_of
 from luxloop.world.errors import LuxloopError
+from tests.loop.conftest import simulation_of
 
 
 def test_the_controller_knows_that_the_road_is_wet(small_scenario: Scenario) -> None:
     surface = small_scenario.surface.model_copy(update={"wet": 1.0})
     functions = {"symbol": small_scenario.symbol.model_copy(update={"start": StartParams()})}
     wet = small_scenario.model_copy(update={"surface": surface, "functions": functions, "steps": 6})
-    verdicts = [result.symbol.verdict for result in Simulation.prepare(wet).evaluations()]
+    verdicts = [result.symbol.verdict for result in simulation_of(wet).evaluations()]
     # At the target light and model agree; noise moves the symbol by a few centimetres then. A model of a dry road has 0.6 throughout.
     assert verdicts[0].iou > 0.98
     assert min(float(verdict.iou) for verdict in verdicts) > 0.85 and verdicts[-1].iou > 0.9

@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from luxloop.controllers.symbol.alignment import Alignment, Placement
-from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
+from tests.loop.conftest import simulation_of
 
 SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2", "functions.symbol.image=snowflake"]
 ROUGH = ["road.kind=bumps", "road.seed=3"]
@@ -16,7 +16,7 @@ BOX = 'objects=[{kind="box", name="box", size_m=[0.4, 0.5, 0.3], albedo=0.2, tra
 
 
 def simulation(*changes: str) -> Simulation:
-    return prepare(load("flat", [*SMALL, *changes]), "cpu")
+    return simulation_of(load("flat", [*SMALL, *changes]))
 
 
 def ious(steps: int, controller: str, *changes: str) -> list[float]:

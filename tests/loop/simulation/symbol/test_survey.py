@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 
 from luxloop.controllers.symbol.heights.feedforward import MeasuringFeedforward
-from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.loop.scenario.overrides import resolve_paths
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
+from tests.loop.conftest import simulation_of
 
 SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"]
 LIFTED = 'road={kind="curb", y_m=-8.0, ramp_m=0.03, height_m=0.03}'  # a plane 3 cm too high
@@ -17,7 +17,7 @@ SURVEY = "functions.symbol.controller={name='feedforward', survey=true}"
 
 
 def simulation(*changes: str) -> Simulation:
-    return prepare(load("flat", [*SMALL, SURVEY, *changes]), "cpu")
+    return simulation_of(load("flat", [*SMALL, SURVEY, *changes]))
 
 
 def test_a_survey_finds_a_lifted_plane_and_draws_for_it() -> None:

@@ -11,11 +11,13 @@ from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.batch import drawing
 from luxloop.loop.studies.batch.copies import Copies, Taken
+from tests.lamps import SMALL_LAMP
+from tests.loop.conftest import simulation_of
 from tests.refusal import refusal
 
 SMALL = [
-    *("functions.symbol.controller.name=thesis_pid", "headlight.model=ssl-hd-lores", "functions.symbol={ width_m=3.0, length_m=8.0 }"),
-    *("camera={ width_px=240, height_px=135, oversampling=1 }", "renderer=raycast", "seed=3", "steps=4"),
+    *("functions.symbol.controller.name=thesis_pid", f"headlight.model={SMALL_LAMP}", "functions.symbol={ width_m=3.0, length_m=8.0 }"),
+    *("camera={ width_px=240, height_px=135, oversampling=1 }", "renderer=raycast", "seed=4", "steps=4"),
 ]
 
 
@@ -23,14 +25,14 @@ SMALL = [
     scope="module",
     params=[
         (),
-        ("headlight.lamps=['left', 'right']", "lighting.base.beam=low"),
+        ("headlight={ model='ssl-hd-lores', lamps=['left', 'right'] }", "lighting.base.beam=low"),
         ("camera.noise=false",),
         ("functions.symbol.features.view=birdseye", "functions.symbol.extraction.edges=binary"),
         ("disturbances.ambient=[{ factor=3.0, from_step=1 }]", "disturbances.noise=[{ factor=1.5, until_step=3 }]"),
     ],
 )
 def simulation(request: pytest.FixtureRequest) -> Simulation:
-    return Simulation.prepare(load("snowflake", [*SMALL, *request.param]))
+    return simulation_of(load("snowflake", [*SMALL, *request.param]))
 
 
 def test_each_copy_is_a_single_run(simulation: Simulation) -> None:
@@ -105,7 +107,7 @@ def test_noise_is_that_of_each_copys_seed_and_step(simulation: Simulation) -> No
 )
 def test_what_is_no_batch_is_said_so(changes: list[str], said: str) -> None:
     with refusal(said):
-        Copies(Simulation.prepare(load("snowflake", [*SMALL, *changes])))
+        Copies(simulation_of(load("snowflake", [*SMALL, *changes])))
 
 
 def test_one_that_stands_beside_what_it_was_prepared_for_is_refused(simulation: Simulation) -> None:

@@ -15,11 +15,13 @@ from luxloop.loop.studies.batch.rollouts import GAINS, check, rollouts, with_gai
 from luxloop.loop.studies.ranges import value_of, with_values
 from luxloop.world.errors import LuxloopError
 from luxloop.world.symbols import load_still
+from tests.lamps import SMALL_LAMP
+from tests.loop.conftest import simulation_of
 
 SMALL = [
     *(
         "functions.symbol.controller.name=thesis_pid",
-        "headlight.model=ssl-hd-lores",
+        f"headlight.model={SMALL_LAMP}",
         "functions.symbol={ width_m=3.0, length_m=8.0 }",
         "functions.symbol.start.x_m=15.0",
     ),
@@ -32,9 +34,12 @@ def scenario(*more: str, steps: int = 5) -> Scenario:
     return load("snowflake", [*SMALL, f"steps={steps}", *more])
 
 
-@pytest.fixture(scope="module", params=[(), ("camera.latency_steps=1",), ("headlight.lamps=['left', 'right']", "lighting.base.beam=low")])
+@pytest.fixture(
+    scope="module",
+    params=[(), ("camera.latency_steps=1",), ("headlight={ model='ssl-hd-lores', lamps=['left', 'right'] }", "lighting.base.beam=low")],
+)
 def simulation(request: pytest.FixtureRequest) -> Simulation:
-    return Simulation.prepare(scenario(*request.param))
+    return simulation_of(scenario(*request.param))
 
 
 def test_each_rollout_is_the_run_with_its_gains(simulation: Simulation) -> None:

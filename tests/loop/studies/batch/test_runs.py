@@ -10,10 +10,11 @@ from luxloop.loop.scenario.model import Scenario, load
 from luxloop.loop.studies import runs as batch
 from luxloop.loop.studies.batch.copies import Copies
 from luxloop.loop.studies.runs import figures_and_trace, ready, with_controllers
+from tests.lamps import SMALL_LAMP
 from tests.refusal import refusal
 
 SMALL = (
-    *("headlight.model=ssl-hd-lores", "functions.symbol={ width_m=3.0, length_m=8.0 }", "functions.symbol.start.x_m=15.0"),
+    *(f"headlight.model={SMALL_LAMP}", "functions.symbol={ width_m=3.0, length_m=8.0 }", "functions.symbol.start.x_m=15.0"),
     *("camera={ width_px=240, height_px=135, oversampling=1 }", "renderer=raycast", "road.kind=flat", "steps=8"),
 )
 SLOW = "functions.symbol.controller={ position={ kp=0.1, ki=0.1, kd=0.0 }, rotation={ kp=0.1, ki=0.05, kd=0.0 } }"
@@ -46,7 +47,12 @@ def close(a: Any, b: Any) -> bool:
 
 @pytest.mark.parametrize(
     ("law", "common"),
-    [("thesis_pid", ()), ("thesis_pid", (SLOW, *LATE)), ("open", LATE), pytest.param("gauss_newton", (), marks=pytest.mark.slow)],
+    [
+        ("thesis_pid", ("headlight.model=ssl-hd-lores",)),
+        ("thesis_pid", (SLOW, *LATE)),
+        ("open", LATE),
+        pytest.param("gauss_newton", (), marks=pytest.mark.slow),
+    ],
 )
 def test_each_of_a_batch_is_the_single_run(law: str, common: tuple[str, ...]) -> None:
     changes = DIFFERENT[law]
@@ -82,7 +88,7 @@ def test_what_searches_for_its_symbol_is_run_alone() -> None:
 
 @pytest.mark.slow
 def test_light_of_whole_lamps_is_run_one_by_one() -> None:
-    given = [scenario("lighting.base.beam=low", seed=k) for k in (0, 1)]
+    given = [scenario("headlight.model=ssl-hd-lores", "lighting.base.beam=low", seed=k) for k in (0, 1)]
     assert [figures for figures, _ in batch.runs(given)] == [figures_and_trace(each, "cpu")[0] for each in given]
 
 

@@ -23,10 +23,11 @@ from luxloop.loop.studies.environment.make import register
 from luxloop.loop.studies.environment.randomised import Randomised, RandomisedVector
 from luxloop.loop.studies.environment.single import SymbolEnv, reward_terms
 from luxloop.perception.extraction import ExtractionStatus
+from tests.lamps import SMALL_LAMP
 from tests.refusal import refusal
 
 SMALL = (
-    *("headlight.model=ssl-hd-lores", "functions.symbol={ width_m=3.0, length_m=8.0 }", "renderer=raycast"),
+    *(f"headlight.model={SMALL_LAMP}", "functions.symbol={ width_m=3.0, length_m=8.0 }", "renderer=raycast", "road={kind='flat'}"),
     *("camera={ width_px=240, height_px=135, oversampling=1 }", "steps=5"),
 )
 LATE = ("camera.latency_steps=2", "camera.drop_probability=0.4")
@@ -145,9 +146,9 @@ def test_heights_move_what_the_symbol_is_drawn_for() -> None:
         ("moves", ()),
         ("gains", LATE),
         pytest.param("moves", LATE, marks=pytest.mark.slow),
-        ("moves", ("lighting.base.beam=low",)),
+        ("moves", ("headlight.model=ssl-hd-lores", "lighting.base.beam=low")),
         pytest.param("gains", (), marks=pytest.mark.slow),
-        pytest.param("gains", ("lighting.base.beam=low",), marks=pytest.mark.slow),
+        pytest.param("gains", ("headlight.model=ssl-hd-lores", "lighting.base.beam=low"), marks=pytest.mark.slow),
     ],
 )
 def test_each_copy_is_the_single_environment(action: str, more: tuple[str, ...]) -> None:
@@ -198,12 +199,12 @@ def test_gymnasium_makes_the_vector_of_copies() -> None:
 
 def test_worlds_are_drawn_from_the_seed_and_shared_by_episodes() -> None:
     keys = ["road.seed=1:50", "camera.latency_steps=0:2", "disturbances.aim[0].yaw_deg=-0.2:0.2"]
-    drawn = Randomised(luxloop.make("snowflake", *SMALL, "disturbances.aim=[{}]"), keys, every=2)
+    drawn = Randomised(luxloop.make("snowflake", *SMALL, "road.kind=mixed", "disturbances.aim=[{}]"), keys, every=2)
     values = [drawn.reset(seed=seed)[1]["values"] for seed in (1, None, None, 1)]
     assert values[0] == values[1] == values[3] != values[2]
     scenario = drawn.unwrapped.simulation.scenario
     assert scenario.road.seed == values[3]["road.seed"] and scenario.camera.latency_steps == values[3]["camera.latency_steps"]
-    many = RandomisedVector(luxloop.make_vec("snowflake", 2, *SMALL), keys[:1])
+    many = RandomisedVector(luxloop.make_vec("snowflake", 2, *SMALL, "road.kind=mixed"), keys[:1])
     seed = many.reset(seed=1)[1]["values"]["road.seed"]
     assert many.unwrapped.copies.simulation.scenario.road.seed == seed
 
