@@ -152,14 +152,15 @@ class Evaluator:
         """The step with its figures. before: the evaluation of the step before, where there is one."""
         clock, now, world, shares = Clock(), result.now, self.world, self.scenario.shares
         known_s = {} if before is None else before.oncoming_s
-        metered = [] if world is None else light_on_objects(world, result.exposures)
         oncoming_s = near_enough(world.lit(now.time_s), known_s, now.time_s) if self.pipeline and world and world.metered else {}
+        metered = [] if world is None else light_on_objects(world, result.exposures)
         look = self._detections(result, metered, [name for name, s in oncoming_s.items() if now.time_s - s >= DUE_S])
         masked = frozenset(each.name for each in now.objects if must_be_dark(self.scenario.functions, each, now))
         told = ids_in_situation(self.recorded_ids, None if look is None else look.recognised)
         shown = now.time_s, result.exposures[0].lights, now.commands
-        luminance = None if world is None else world.image(*shown)
-        illuminance = world.illuminance_image(*shown) if world is not None and metered else None
+        like = result.lights[0]
+        luminance = None if world is None else world.image(like, lambda part: world.luminance(*shown, part)[0])
+        illuminance = world.image(like, lambda part: world.illuminance(*shown)[part]) if world is not None and metered else None
         objects: Mapping[str, OnObject] = {}
         materials: Mapping[str, OnMaterial] = {}
         symbols: tuple[ObservedSymbol, ...] = ()

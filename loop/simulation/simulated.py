@@ -19,7 +19,7 @@ from luxloop.perception.camera import expose, glare
 from luxloop.perception.egomotion import Sample
 from luxloop.perception.noise import FrameNoise
 from luxloop.perception.sensors import EXACT, SensorParams, Sensors
-from luxloop.world.caches import Part, PartialImage
+from luxloop.world.caches import Part
 from luxloop.world.errors import LuxloopError
 from luxloop.world.rendering.surfaces import FirstFound, face_source
 from luxloop.world.scene.vehicle import STANDING, LateBody, Motion
@@ -82,12 +82,12 @@ class SimulatedPlant:
 
     def _frame(self, exposure: Exposure, step: int, frame: int) -> Tensor:
         """Digital numbers `[height, width]`, computed where they are read; at once of measured light, which is not kept for long."""
-        view, shown = self.world.view, (exposure.start_s, exposure.lights, exposure.commands)
+        shown = exposure.start_s, exposure.lights, exposure.commands
 
         def part_of(part: Part) -> Tensor:
             return self.exposed(*self.world.luminance(*shown, part), step, frame, part)
 
-        image = PartialImage.of(view.height, view.width, exposure.lights[0].u.new_empty(0), part_of)
+        image = self.world.image(exposure.lights[0].u, part_of)
         return image if all(module.measured is None for module in self.world.modules) else image[:, :]
 
     def exposed(self, luminance: Tensor, base: Tensor, step: int, frame: int, part: Part | None = None) -> Tensor:

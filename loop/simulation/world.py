@@ -1,10 +1,9 @@
 """The simulated world: a scene, lamps and a camera on a vehicle, and what the camera sees of it."""
 
-import math
 from collections import OrderedDict, deque
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Self
 
 import torch
@@ -16,11 +15,11 @@ from luxloop.loop.simulation.truth import LampModule
 from luxloop.perception.camera import CameraParams, average_rows, camera_view
 from luxloop.perception.detection.detector import Detections, TruthParams
 from luxloop.perception.ground_truth import Box, GroundTruth, ground_truth, material_picture, part_mask, part_picture
-from luxloop.world.caches import Part, PartialImage
+from luxloop.world.caches import Part, PartialImage, keeping
 from luxloop.world.frames import View
 from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand
 from luxloop.world.light.emitters import ambient_luminance
-from luxloop.world.light.illumination import DirectTransport, LastTextures, LightTransport, Shadows, added_light, reach, transport
+from luxloop.world.light.illumination import DirectTransport, LightTransport, Shadows, added_light, reach, transport
 from luxloop.world.materials.library import MaterialName
 from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.rendering.surfaces import FaceSource, SurfaceSource, surface_source
@@ -32,6 +31,7 @@ from luxloop.world.traffic.tracked import EYES, ROAD_USERS, Category
 
 Photometry = tuple[Tensor | None, Tensor]  # illuminance in lx and luminance in cd/m^2
 KEPT_VIEWS = 4  # on and off frame, before and after a change
+KEPT_PARTS = 2  # of a scene: around the symbols and around objects
 KEPT_LIGHTS = 3  # of a scene: on and off exposure, and that with which symbols are compared
 MARGIN_PX = 1  # around objects, whose corners OpenGL rounds
 A_PIXEL: Part = (slice(0, 1), slice(0, 1))
@@ -44,32 +44,87 @@ def categories(objects: Sequence[ObjectParams]) -> tuple[Category | None, ...]:
 
 @dataclass(eq=False)
 class LitScene:
-    """A scene in a view at one time, and what the lamps do to it.
+    """The scene at one time as an eye sees it, or a part of that, and what the lamps do to it; rendered where it is first looked at.
 
-    surfaces: at the centres of the view's pixels. ambient: computes `base`. modules: how many the lamps have. transported: makes a module's
-    light transport as it is turned, which is needed only where it shines. given: parameters of the objects 1, 2, ...
-    exposures: lights and commands of the last ones, with illuminance and luminance.
+    eye: the whole view, of which this is the part, None for all of it. render: gives the surfaces of a part of a view. samples: rows of
+    these a pixel. direct: whether light is traced anew each time, not folded into a matrix. given: parameters of the objects 1, 2, ...
     """
 
-    view: View
+    time_s: float
+    eye: View
     vehicle: VehicleState
     triangles: Triangles
-    surfaces: GBuffer
-    ambient: Callable[[], Tensor]
-    modules: int
-    transported: Callable[[int, ModuleCommand], LightTransport]
+    render: Callable[[Triangles, View, Part | None], GBuffer]
+    scene: Scene
+    modules: tuple[LampModule, ...]
     given: tuple[ObjectParams, ...]
-    exposures: deque[tuple[tuple[Utilisation, ...], Commands, Photometry]] = field(default_factory=lambda: deque(maxlen=KEPT_LIGHTS))
+    samples: int
+    direct: bool
+    part: Part | None = None
+
+    def __post_init__(self) -> None:
+        self._parts = dict[str, LitScene]()
+        self._exposures = deque[tuple[tuple[Utilisation, ...], Commands, Photometry]](maxlen=KEPT_LIGHTS)
+        self._turned = keeping(KEPT_VIEWS * len(self.modules), self._transport)
+        self._shadows = keeping(KEPT_VIEWS * len(self.modules), self._shadows_of)
+
+    @cached_property
+    def view(self) -> View:
+        """That of the part."""
+        return self.eye if self.part is None else self.eye.within(*self.part)
+
+    @cached_property
+    def rendered(self) -> GBuffer:
+        """Surfaces, with `samples` rows a pixel."""
+        part = self.part and (slice(self.samples * self.part[0].start, self.samples * self.part[0].stop), self.part[1])
+        return self.render(self.triangles, self.eye.with_rows(self.samples), part).to(self.modules[0].T_world_headlight.device)
+
+    @cached_property
+    def surfaces(self) -> GBuffer:
+        """At the centres of the view's pixels."""
+        return self.rendered.one_row_of(self.samples)
+
+    @property
+    def is_rendered(self) -> bool:
+        """Whether that has been done."""
+        return "rendered" in vars(self)
+
+    def within(self, part: Part) -> "LitScene":
+        """A part of the whole, with surfaces of its own."""
+        if part == (slice(0, self.eye.height), slice(0, self.eye.width)):
+            return self
+        if (key := str(part)) not in self._parts:
+            self._parts = dict([*self._parts.items()][1 - KEPT_PARTS :]) | {key: replace(self, part=part)}
+        return self._parts[key]
 
     @cached_property
     def base(self) -> Tensor:
         """Luminance `[height, width]` in cd/m^2 without the lamps."""
-        return self.ambient()
+        scene = self.scene
+        lit = ambient_luminance(self.rendered, scene.ambient_lx, scene.street_lamps, scene.spotlights_at(self.time_s))
+        return average_rows(lit, self.samples)
 
     @cached_property
     def transports(self) -> tuple[LightTransport, ...]:
         """Light transport, one a module, of all at rest."""
-        return tuple(self.transported(number, REST) for number in range(self.modules))
+        return tuple(self.transported(number, REST) for number in range(len(self.modules)))
+
+    def transported(self, number: int, command: ModuleCommand) -> LightTransport:
+        """A module's light transport as it is turned."""
+        return self._turned(number, replace(command, intensity=1.0))  # which does not dim the way of light
+
+    def _transport(self, number: int, command: ModuleCommand) -> LightTransport:
+        module, width = self.modules[number], self.view.width
+        T_body_headlight = command.turn(module.T_world_headlight)
+        T_world_headlight = self.vehicle.T_world_body.to(T_body_headlight) @ T_body_headlight
+        if not self.direct:
+            surface = reach(self.rendered, module.headlight, T_world_headlight, self.triangles)
+            return transport(surface, module.headlight, width, self.samples)
+        shadows = self._shadows(*T_world_headlight[:3, 3].tolist())
+        return DirectTransport(self.rendered, module.headlight, T_world_headlight, shadows, width, self.samples, module.measured)
+
+    def _shadows_of(self, *lamp_m: float) -> Shadows:
+        return Shadows(self.rendered.position.flatten(1), torch.tensor(lamp_m, dtype=torch.float64), self.triangles)
 
     def shown(self, lights: Sequence[Utilisation], commands: Commands = (), rows: slice | None = None) -> Tensor:
         """Luminance `[..., height, width]` in cd/m^2 of all light, the lamps' lights `[..., n_p]` included, of all rows or some."""
@@ -83,7 +138,7 @@ class LitScene:
 
     def find_exposure(self, lights: tuple[Utilisation, ...], commands: Commands) -> Photometry | None:
         """Illuminance and luminance of one of the last exposures, None of another one."""
-        return next((found for shown, commanded, found in self.exposures if shown is lights and commanded == commands), None)
+        return next((found for shown, commanded, found in self._exposures if shown is lights and commanded == commands), None)
 
     def expose(self, lights: tuple[Utilisation, ...], commands: Commands, metered: bool) -> Photometry:
         """Illuminance in lx from the lamps alone, None unless metered, and luminance in cd/m^2 of all light, `[height, width]`."""
@@ -93,7 +148,7 @@ class LitScene:
                 found = arriving, leaving + self.base
             else:
                 found = None, self.shown(lights, commands)
-            self.exposures.append((lights, commands, found))
+            self._exposures.append((lights, commands, found))
         return found
 
     def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
@@ -159,6 +214,23 @@ class LitScene:
         scores = torch.nn.functional.one_hot(numbers, len(classes)).double()
         return Detections(self.boxes[found], scores[found])
 
+    @property
+    def around_objects(self) -> Part:
+        """A part of the image outside of which no object is seen, at least a pixel; all of it where one reaches behind the camera."""
+        boxes = [placed.box.T for placed in self.triangles.placed if placed.object_id > 0]
+        if not boxes:
+            return A_PIXEL
+        corners, depth = self.eye.project(torch.stack(boxes))  # [n, 2, 8], [n, 8]
+        ahead, size = (depth > 0)[:, None], corners.new_tensor([self.eye.width, self.eye.height])
+        crossing = ahead.any(-1) & ~ahead.all(-1)
+        low = torch.where(crossing, 0.0, corners.amin(-1).floor() - MARGIN_PX).clamp(min=0)  # [n, 2]
+        high = torch.where(crossing, size, corners.amax(-1).ceil() + MARGIN_PX).minimum(size)
+        seen = ahead.any(-1)[:, 0] & (low < high).all(-1)
+        if not bool(seen.any()):
+            return A_PIXEL
+        (left, top), (right, bottom) = low[seen].amin(0).int().tolist(), high[seen].amax(0).int().tolist()
+        return slice(top, bottom), slice(left, right)
+
     def _inside(self, box: Box) -> Box:
         width, height = self.view.width, self.view.height
         u0, u1 = (min(max(u, 0.0), width) for u in (box[0], box[2]))
@@ -223,9 +295,7 @@ class World:
         self.view = camera_view(camera)
         self.device = self.modules[0].T_world_headlight.device
         self._lit: OrderedDict[Any, LitScene] = OrderedDict()
-        self._asked: tuple[float, Any] = (math.nan, None)
-        self._triangles: tuple[float, Triangles] = (math.nan, NOTHING)  # those looked at last, and when they were there
-        self._textures = tuple(each.measured or LastTextures(each.headlight) for each in self.modules)
+        self._triangles = NOTHING  # the newest, whose bodies serve again where they have not moved
 
     @cached_property
     def surfaces(self) -> SurfaceSource:
@@ -235,7 +305,7 @@ class World:
     def after(self, before: "World | None") -> Self:
         """This world; its bodies that were in another one as well keep what was derived from them there."""
         if before is not None:
-            self._triangles = math.nan, before._triangles[1]
+            self._triangles = before._triangles
             if (before.source, before.moving) == (self.source, self.moving):
                 self.surfaces = before.surfaces
         return self
@@ -254,61 +324,35 @@ class World:
         """Luminances in cd/m^2 at a time, of a part of the image if there is one: `[..., height, width]` of all light, and
         `[height, width]` without the lamps.
         """
-        if part is not None and self._whole(time_s):
-            lit = self.lit(time_s)
-            if not (self.metered or self.moving or lit.find_exposure(lights, commands)):
-                return lit.shown(lights, commands, part[0])[..., part[1]], lit.base[part]
-            everything, base = self.luminance(time_s, lights, commands)
-            return everything[..., *part], base[part]
-        lit = self.lit(time_s, part)
-        return lit.expose(lights, commands, self.metered)[1], lit.base
+        lit = self.lit(time_s)
+        if part is not None and not self._whole(lit):
+            lit, part = lit.within(part), None
+        if part is None:
+            return lit.expose(lights, commands, self.metered)[1], lit.base
+        if self.metered or self.moving or lit.find_exposure(lights, commands):
+            return lit.expose(lights, commands, self.metered)[1][..., *part], lit.base[part]
+        return lit.shown(lights, commands, part[0])[..., part[1]], lit.base[part]
 
-    def image(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
-        """`luminance` of all light, `[height, width]`, computed where it is read."""
-        like = lights[0].u.new_empty(0)
-        return PartialImage.of(self.view.height, self.view.width, like, lambda part: self.luminance(time_s, lights, commands, part)[0])
+    def _whole(self, lit: LitScene) -> bool:
+        """Whether the whole image is at hand, or serves for other times as well."""
+        return lit.is_rendered or not self.moving
+
+    def image(self, like: Tensor, part_of: Callable[[Part], Tensor]) -> PartialImage:
+        """An image `[height, width]` of the camera, computed where it is read. like: in whose dtype."""
+        return PartialImage.of(self.view.height, self.view.width, like[:0], part_of)
 
     def on_objects(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> ObjectLight:
-        """The lamps' light on all objects at a time, from the lamps alone: at the pixels that see them and nowhere else."""
-        part = None if self._whole(time_s) else self._around_objects(time_s)
-        seen = self.lit(time_s, part)
-        pixels = torch.nonzero(seen.surfaces.object_id.flatten() > 0)[:, 0]
-        surfaces = seen.surfaces.at(pixels)
-        if self.metered and (known := seen.find_exposure(lights, commands)) and known[0] is not None:
-            lx = known[0].flatten()[pixels]
-        else:
-            transported = self._transport(surfaces, seen.vehicle, seen.triangles, len(pixels), 1, direct=True)
-            lx = replace(seen, surfaces=surfaces, transported=transported).light([light.u for light in lights], commands)[0][0]
-        return ObjectLight(surfaces.object_id[0], part_mask(surfaces, seen.triangles, EYES)[0], lx)
-
-    def _around_objects(self, t_s: float) -> Part:
-        """A part of the image outside of which no object is seen, at least a pixel; all of it where one reaches behind the camera."""
-        boxes = [placed.box.T for placed in self._triangles_at(t_s).placed if placed.object_id > 0]
-        if not boxes:
-            return A_PIXEL
-        corners, depth = self.view_at(t_s).project(torch.stack(boxes))  # [n, 2, 8], [n, 8]
-        ahead, size = (depth > 0)[:, None], corners.new_tensor([self.view.width, self.view.height])
-        crossing = ahead.any(-1) & ~ahead.all(-1)
-        low = torch.where(crossing, 0.0, corners.amin(-1).floor() - MARGIN_PX).clamp(min=0)  # [n, 2]
-        high = torch.where(crossing, size, corners.amax(-1).ceil() + MARGIN_PX).minimum(size)
-        seen = ahead.any(-1)[:, 0] & (low < high).all(-1)
-        if not bool(seen.any()):
-            return A_PIXEL
-        (left, top), (right, bottom) = low[seen].amin(0).int().tolist(), high[seen].amax(0).int().tolist()
-        return slice(top, bottom), slice(left, right)
-
-    def _whole(self, t_s: float) -> bool:
-        """Whether the whole image is at hand at a time, or serves for others as well."""
-        return not self.moving or (self._key(t_s), None, True) in self._lit
+        """The lamps' light on all objects of a metered world at a time: at the pixels that see them."""
+        lit = self.lit(time_s)
+        seen = lit if self._whole(lit) else lit.within(lit.around_objects)
+        lx, _ = seen.expose(lights, commands, metered=True)
+        pixels = seen.surfaces.object_id > 0
+        assert lx is not None
+        return ObjectLight(seen.surfaces.object_id[pixels], part_mask(seen.surfaces, seen.triangles, EYES)[pixels], lx[pixels])
 
     def added(self, time_s: float, lights: tuple[Utilisation, ...], others: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
         """Luminance `[height, width]` in cd/m^2 at a time of what lights have beyond others."""
         return self.luminance(time_s, lights, commands)[0] - self.luminance(time_s, others, commands)[0]
-
-    def illuminance_image(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
-        """`illuminance`, computed where it is read, which is all of it."""
-        like = lights[0].u.new_empty(0)
-        return PartialImage.of(self.view.height, self.view.width, like, lambda part: self.illuminance(time_s, lights, commands)[part])
 
     def illuminance(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
         """`[height, width]` lx from the lamps alone at a time, at the pixels' centres; also where the world is not metered."""
@@ -316,27 +360,22 @@ class World:
             return lx
         return self.lit(time_s, direct=True).light([light.u for light in lights], commands)[0]
 
-    def lit(self, t_s: float, part: Part | None = None, direct: bool = False) -> LitScene:
-        """The camera's view of the scene at a time, or a part of it; rendered only when geometry or the vehicle has moved.
+    def lit(self, t_s: float, direct: bool = False) -> LitScene:
+        """The camera's view of the scene at a time, another one only when geometry or the vehicle has moved.
 
         direct: whether illuminance is asked for.
         """
-        direct = direct or self.moving or self.metered
-        part = None if part == (slice(0, self.view.height), slice(0, self.view.width)) else part
-        key = self._key(t_s), part and tuple((each.start, each.stop) for each in part), direct
+        vehicle, direct = self.motion.at(t_s), direct or self.moving or self.metered
+        where = () if self.motion is STANDING else tuple(vehicle.T_world_body.flatten().tolist())
+        key = self.scene.key_at(t_s), where, direct
         if key not in self._lit:
-            self._lit[key] = self._render(t_s, self.view_at(t_s), self.camera.oversampling, direct, part)
+            self._triangles = triangles = self.scene.at(t_s, vehicle.T_world_ground, self._triangles)
+            eye, render, parts = self.view_at(t_s), self.surfaces.gbuffer, (self.scene, self.modules, self.given)
+            self._lit[key] = LitScene(t_s, eye, vehicle, triangles, render, *parts, self.camera.oversampling, direct)
             if len(self._lit) > KEPT_VIEWS:
                 self._lit.popitem(last=False)
         self._lit.move_to_end(key)
         return self._lit[key]
-
-    def _key(self, t_s: float) -> Any:
-        """Of what is seen at a time: the same where nothing has moved."""
-        if self._asked[0] != t_s:  # a step asks for the same time again and again
-            where = () if self.motion is STANDING else tuple(self.motion.at(t_s).T_world_body.flatten().tolist())
-            self._asked = t_s, (self.scene.key_at(t_s), where)
-        return self._asked[1]
 
     @property
     def instances(self) -> tuple[str, ...]:
@@ -355,50 +394,5 @@ class World:
 
     def through(self, view: View, t_s: float) -> LitScene:
         """The scene at a time through another view, which is given in the ground frame of that time."""
-        return self._render(t_s, replace(view, T_world_view=self.motion.at(t_s).T_world_ground @ view.T_world_view), 1, direct=True)
-
-    def _render(self, t_s: float, view: View, samples: int, direct: bool, part: Part | None = None) -> LitScene:
-        vehicle, scene, triangles = self.motion.at(t_s), self.scene, self._triangles_at(t_s)
-        sampled = part and (slice(samples * part[0].start, samples * part[0].stop), part[1])
-        surfaces = self.surfaces.gbuffer(triangles, view.with_rows(samples), sampled).to(self.device)
-        view = view.within(*part) if part else view
-
-        def ambient() -> Tensor:
-            lit = ambient_luminance(surfaces, scene.ambient_lx, scene.street_lamps, scene.spotlights_at(t_s))
-            return average_rows(lit, samples)
-
-        transported = self._transport(surfaces, vehicle, triangles, view.width, samples, direct)
-        return LitScene(view, vehicle, triangles, surfaces.one_row_of(samples), ambient, len(self.modules), transported, self.given)
-
-    def _triangles_at(self, t_s: float) -> Triangles:
-        """The scene's triangles at a time, kept until another one is asked for."""
-        then_s, triangles = self._triangles
-        if then_s != t_s:
-            triangles = self.scene.at(t_s, self.motion.at(t_s).T_world_ground, triangles)
-            self._triangles = t_s, triangles
-        return triangles
-
-    def _transport(
-        self, surfaces: GBuffer, vehicle: VehicleState, triangles: Triangles, width: int, samples: int, direct: bool
-    ) -> Callable[[int, ModuleCommand], LightTransport]:
-        """Makes a module's light transport to surfaces as it is turned. width: of their image, which has samples rows a pixel."""
-        modules, textures, T_world_body = self.modules, self._textures, vehicle.T_world_body
-
-        @cache
-        def shadows(*lamp_m: float) -> Shadows:
-            return Shadows(surfaces.position.flatten(1), torch.tensor(lamp_m, dtype=torch.float64), triangles)
-
-        @lru_cache(maxsize=KEPT_VIEWS * len(modules))
-        def turned(number: int, command: ModuleCommand) -> LightTransport:
-            module = modules[number]
-            headlight, T_body_headlight = module.headlight, command.turn(module.T_world_headlight)
-            T_world_headlight = T_world_body.to(T_body_headlight) @ T_body_headlight
-            if direct:
-                cast = shadows(*T_world_headlight[:3, 3].tolist())
-                return DirectTransport(surfaces, headlight, T_world_headlight, cast, width, samples, textures[number])
-            return transport(reach(surfaces, headlight, T_world_headlight, triangles), headlight, width, samples)
-
-        def transported(number: int, command: ModuleCommand) -> LightTransport:
-            return turned(number, replace(command, intensity=1.0))  # which does not dim the way of light
-
-        return transported
+        eye = replace(view, T_world_view=self.motion.at(t_s).T_world_ground @ view.T_world_view)
+        return replace(self.lit(t_s), eye=eye, samples=1, direct=True)

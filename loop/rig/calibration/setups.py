@@ -91,7 +91,7 @@ def simulated_setup(scenario: Scenario, modules: Sequence[LampModule], lens: Len
     bases, columns = [], []
     for start in range(0, finer.height_px, BAND):
         part = slice(start, min(start + BAND, finer.height_px)), slice(0, finer.width_px)
-        lit = world.lit(0.0, part)
+        lit = world.lit(0.0).within(part)
         bases.append(lit.base.numpy())
         columns.append([_spread(transport, lit.base.numel()) for transport in lit.transports])
     base = (resample @ np.concatenate(bases).ravel()).reshape(camera.height_px, camera.width_px)
