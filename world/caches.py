@@ -1,9 +1,8 @@
 """Methods and images that hold their last results: of a method the last few, of an image the part that was read."""
 
-import time
 from collections.abc import Callable, Mapping
 from functools import lru_cache
-from typing import Any, ClassVar, Final, ParamSpec, TypeVar, cast
+from typing import Any, Final, ParamSpec, TypeVar, cast
 from weakref import WeakMethod
 
 from torch import Tensor
@@ -17,7 +16,6 @@ ABOUT: Final = {Tensor.dim, Tensor.size, *(getattr(Tensor, name).__get__ for nam
 class PartialImage(Tensor):
     """An image `[height, width]`: `image[..., rows, columns]` computes that part alone, all else that is done with it the whole."""
 
-    spent_s: ClassVar[tuple[float, ...]] = (0.0, 0.0)  # in which parts of all images were computed: on the wall, and of their thread
     part_of: Callable[[Part], Tensor]
     known: Part | None
     pixels: Tensor
@@ -46,11 +44,7 @@ class PartialImage(Tensor):
         if known is None or any(each.start < have.start or each.stop > have.stop for each, have in zip(asked, known, strict=True)):
             spans = zip(asked, known or asked, AROUND_PX, self.shape, strict=True)
             v, u = (slice(max(min(each.start, have.start) - px, 0), min(max(each.stop, have.stop) + px, n)) for each, have, px, n in spans)
-            started = time.perf_counter(), time.thread_time()
-            self.pixels, known = self.part_of((v, u)), (v, u)
-            self.known, ended = known, (time.perf_counter(), time.thread_time())
-            spans_s = zip(PartialImage.spent_s, started, ended, strict=True)
-            PartialImage.spent_s = tuple(spent + end - start for spent, start, end in spans_s)
+            self.pixels, self.known = self.part_of((v, u)), (known := (v, u))
         (v, u), (top, left) = asked, (each.start for each in known)
         return self.pixels[..., v.start - top : v.stop - top, u.start - left : u.stop - left]
 

@@ -1,10 +1,12 @@
 """Values of a step's acts, the step's result, and the state before the next step."""
 
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
+import numpy as np
 from torch import Tensor
 
 from luxloop.controllers.functions.commands import FunctionCommands
@@ -20,7 +22,7 @@ from luxloop.loop.simulation.lamps import LampPower
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, ExposurePair, Frame, Images
 from luxloop.perception.detection.detector import Detections
 from luxloop.perception.egomotion import Ego, Samples
-from luxloop.world.caches import PartialImage
+from luxloop.world.caches import Part, PartialImage
 from luxloop.world.frames import View
 
 OUTSIDE = ("plant", "look")  # parts of a step that no car computes
@@ -206,28 +208,38 @@ class Rollout:
 
 
 class Clock:
-    """Time by part. ms: so far by the clock on the wall, by name. processing_ms: of the parts that the car computes, on the processor.
-
-    What the plant computes of frames where they are read is its own time.
-    """
+    """Time by part. ms: so far by the clock on the wall, by name. processing_ms: of the parts that the car computes, on the processor."""
 
     def __init__(self) -> None:
         self.ms: dict[str, float] = {}
         self.processing_ms = 0.0
-        self._last = _times_s()
+        self._last, self._of_plant = _now_ms(), np.zeros(2)
+
+    def watch(self, frames: Iterable[Frame]) -> None:
+        """Count what is computed of frames where they are read as time of the plant."""
+        for frame in frames:
+            if isinstance(frame.image, PartialImage):
+                frame.image.part_of = partial(self._compute, frame.image.part_of)
 
     def lap(self, part: str) -> None:
         """Count the time since the last lap as that of a part."""
-        times_s = _times_s()
-        wall, worked, of_plant, worked_by_plant = (1e3 * (now - last) for now, last in zip(times_s, self._last, strict=True))
-        for name, ms in ((part, wall - of_plant), ("plant", of_plant)):
+        now, of_plant = _now_ms(), self._of_plant
+        wall, worked = (now - self._last - of_plant).tolist()
+        for name, ms in ((part, wall), ("plant", float(of_plant[0]))):
             self.ms[name] = self.ms.get(name, 0.0) + ms
-        self.processing_ms += 0.0 if part in OUTSIDE else worked - worked_by_plant
-        self._last = times_s
+        self.processing_ms += 0.0 if part in OUTSIDE else worked
+        self._last, self._of_plant = now, np.zeros(2)
+
+    def _compute(self, part_of: Callable[[Part], Tensor], part: Part) -> Tensor:
+        began = _now_ms()
+        pixels = part_of(part)
+        self._of_plant += _now_ms() - began
+        return pixels
 
 
-def _times_s() -> tuple[float, ...]:
-    return time.perf_counter(), time.thread_time(), *PartialImage.spent_s
+def _now_ms() -> np.ndarray:
+    """`[2]`: by the clock on the wall, and on the processor in this thread."""
+    return 1e3 * np.array([time.perf_counter(), time.thread_time()])
 
 
 def without(drawn: Parts, names: Collection[str]) -> dict[str, Sequence[Primitives]]:

@@ -211,6 +211,7 @@ class Simulation:
         clock.lap("light")
         reception = self._expose(state, drive, sense)
         clock.lap("plant")
+        clock.watch(reception.unpaired)
         perception, control = self._control(state, sense, planning, reception, clock)
         lights = tuple(light.u for light in drive.exposures[0])
         timing = clock.ms, clock.processing_ms

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -14,7 +15,7 @@ from luxloop.perception.camera import CameraParams
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
-from luxloop.world.light.illumination import TextureSource
+from luxloop.world.light.illumination import LastTextures, TextureSource
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +29,11 @@ class LampModule:
     headlight: Headlight
     T_world_headlight: Tensor
     measured: TextureSource | None = None
+
+    @cached_property
+    def textures(self) -> TextureSource:
+        """Where its light textures come from."""
+        return self.measured or LastTextures(self.headlight)
 
 
 def true_camera(scenario: Scenario) -> CameraParams:

@@ -121,7 +121,7 @@ class LitScene:
             surface = reach(self.rendered, module.headlight, T_world_headlight, self.triangles)
             return transport(surface, module.headlight, width, self.samples)
         shadows = self._shadows(*T_world_headlight[:3, 3].tolist())
-        return DirectTransport(self.rendered, module.headlight, T_world_headlight, shadows, width, self.samples, module.measured)
+        return DirectTransport(self.rendered, module.headlight, T_world_headlight, shadows, width, self.samples, module.textures)
 
     def _shadows_of(self, *lamp_m: float) -> Shadows:
         return Shadows(self.rendered.position.flatten(1), torch.tensor(lamp_m, dtype=torch.float64), self.triangles)
@@ -342,13 +342,18 @@ class World:
         return PartialImage.of(self.view.height, self.view.width, like[:0], part_of)
 
     def on_objects(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> ObjectLight:
-        """The lamps' light on all objects of a metered world at a time: at the pixels that see them."""
+        """The lamps' light on all objects at a time, from the lamps alone: at the pixels that see them and nowhere else."""
         lit = self.lit(time_s)
         seen = lit if self._whole(lit) else lit.within(lit.around_objects)
-        lx, _ = seen.expose(lights, commands, metered=True)
-        pixels = seen.surfaces.object_id > 0
-        assert lx is not None
-        return ObjectLight(seen.surfaces.object_id[pixels], part_mask(seen.surfaces, seen.triangles, EYES)[pixels], lx[pixels])
+        pixels = torch.nonzero(seen.surfaces.object_id.flatten() > 0)[:, 0]
+        surfaces = seen.surfaces.at(pixels)
+        if (known := seen.find_exposure(lights, commands)) and known[0] is not None:
+            lx = known[0].flatten()[pixels]
+        else:
+            eye = replace(lit.eye, width=len(pixels), height=1)
+            alone = replace(lit, eye=eye, render=lambda *_: surfaces, samples=1, direct=True)
+            lx = alone.light([light.u for light in lights], commands)[0][0]
+        return ObjectLight(surfaces.object_id[0], part_mask(surfaces, lit.triangles, EYES)[0], lx)
 
     def added(self, time_s: float, lights: tuple[Utilisation, ...], others: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
         """Luminance `[height, width]` in cd/m^2 at a time of what lights have beyond others."""
@@ -366,8 +371,7 @@ class World:
         direct: whether illuminance is asked for.
         """
         vehicle, direct = self.motion.at(t_s), direct or self.moving or self.metered
-        where = () if self.motion is STANDING else tuple(vehicle.T_world_body.flatten().tolist())
-        key = self.scene.key_at(t_s), where, direct
+        key = self.moving and (self.scene.key_at(t_s), tuple(vehicle.T_world_body.flatten().tolist())), direct
         if key not in self._lit:
             self._triangles = triangles = self.scene.at(t_s, vehicle.T_world_ground, self._triangles)
             eye, render, parts = self.view_at(t_s), self.surfaces.gbuffer, (self.scene, self.modules, self.given)

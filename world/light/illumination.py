@@ -4,13 +4,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 import scipy.sparse as sp
 import torch
 from torch import Tensor
 
+from luxloop.world.caches import keeping
 from luxloop.world.frames import inverse, transform, unit
 from luxloop.world.headlight import Headlight
 from luxloop.world.materials.brdf import luminance_factor
@@ -19,6 +20,8 @@ from luxloop.world.rendering.raycast import sees
 from luxloop.world.scene.triangles import Triangles
 from luxloop.world.spmv import Csr, multiply, numbers, row_of_entries, segment_bounds, span_of
 from luxloop.world.texels import bilinear
+
+KEPT_TEXTURES: Final = 2  # of an on and an off exposure
 
 
 @dataclass(frozen=True)
@@ -164,6 +167,25 @@ class TextureSource(Protocol):
         ...
 
 
+class LastTextures:
+    """A headlight's light textures, of which the last are kept: an exposure is looked at in several places."""
+
+    def __init__(self, headlight: Headlight) -> None:
+        self._headlight = headlight
+        self._kept = keeping(KEPT_TEXTURES, self._texture)
+
+    def light_texture(self, utilisation: Tensor, band: slice | None = None) -> Tensor:
+        """As `Headlight.light_texture`."""
+        if band is not None or utilisation.requires_grad:
+            return self._headlight.light_texture(utilisation, band)
+        return self._kept(utilisation)
+
+    def _texture(self, utilisation: Tensor) -> Tensor:
+        if bool(utilisation.any()):
+            return self._headlight.light_texture(utilisation)
+        return utilisation.new_zeros(*utilisation.shape[:-1], self._headlight.rows, self._headlight.cols)
+
+
 class Shadows:
     """Which points `[3, N]` m a lamp at `[3]` m lights past all triangles: a ray is cast to each when it is first asked for."""
 
@@ -208,11 +230,10 @@ class DirectTransport:
         utilisation: `[..., n_p]`. band: all pixels outside of it are dark.
         Shadows are looked for only where the light texture is not dark, and everywhere if it has a gradient.
         """
-        dark = self.textures is None and not utilisation.requires_grad and not bool(utilisation.any())
-        texture = None if dark else (self.textures or self.headlight).light_texture(utilisation, band)
-        if texture is None or not (texture.requires_grad or bool(texture.any())):
-            nothing = utilisation.new_empty(0)
-            return utilisation.new_empty(*utilisation.shape[:-1], 0), nothing.long(), nothing
+        texture = (self.textures or self.headlight).light_texture(utilisation, band)
+        if not (texture.requires_grad or bool(texture.any())):
+            nothing = texture.new_empty(0)
+            return texture.new_empty(*texture.shape[:-2], 0), nothing.long(), nothing
         surface = self.surface if band is None or texture.requires_grad else self._part_of_surface(texture)
         lx = illuminance(surface, texture)
         lit = torch.arange(len(surface.index), device=lx.device)

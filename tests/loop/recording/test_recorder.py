@@ -26,6 +26,7 @@ from luxloop.loop.recording.replay import load
 from luxloop.loop.run import run
 from luxloop.loop.scenario.model import Scenario, validate
 from luxloop.loop.simulation.columns import POSE, SYMBOL, loss_name
+from luxloop.loop.simulation.protocol import Frame
 from luxloop.loop.simulation.result import Clock, StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.extraction import ExtractionStatus
@@ -77,6 +78,7 @@ def test_what_the_plant_computes_of_a_frame_where_it_is_read_is_no_time_of_the_c
         return torch.zeros(9, 16)[part]
 
     clock, frame = Clock(), PartialImage.of(9, 16, torch.zeros(0), slowly)
+    clock.watch([Frame(0, 0.0, 0.0, frame)])
     assert not frame.any()
     clock.lap("control")
     assert clock.ms["plant"] >= 50 > 25 > clock.processing_ms
