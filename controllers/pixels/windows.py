@@ -91,9 +91,15 @@ def projected_windows(primitives: Primitives, grid: TexelGrid, T_world_headlight
     fringe: primitives that reach one texel beyond their outline, by default none. The windows go to the host, so an accelerator would have
     to be waited for.
     """
-    corners = primitives.corners().detach() - T_world_headlight[:3, 3].to(primitives.origin)
-    corners = corners @ T_world_headlight[:3, :3].to(primitives.origin)
-    return [_window(outline, grid, fringed) for outline, fringed in zip(corners.tolist(), fringe or [False] * len(primitives), strict=True)]
+    corners = _corners(primitives, T_world_headlight)
+    return [_window(outline, grid, fringed) for outline, fringed in zip(corners, fringe or [False] * len(primitives), strict=True)]
+
+
+def _corners(primitives: Primitives, T_world_headlight: Tensor) -> list[list[list[float]]]:
+    """Corners `[P, 4, 3]` m in the headlight's frame."""
+    T = T_world_headlight.to(primitives.origin)
+    corners: list[list[list[float]]] = ((primitives.corners().detach() - T[:3, 3]) @ T[:3, :3]).tolist()
+    return corners
 
 
 def _window(corners: list[list[float]], grid: TexelGrid, fringed: bool) -> Window:
@@ -130,9 +136,8 @@ def _before_the_lamp(outline: list[Point]) -> list[Point]:
 
 def row_bands(primitives: Primitives, grid: TexelGrid, T_world_headlight: Tensor, windows: Sequence[Window]) -> list[list[Window]]:
     """The window of each primitive of a single scene in a few bands of rows, each as wide as its outline there."""
-    corners = primitives.corners().detach() - T_world_headlight[:3, 3].to(primitives.origin)
-    corners = corners @ T_world_headlight[:3, :3].to(primitives.origin)
-    return [_bands_of(outline, window, grid) for outline, window in zip(corners.tolist(), windows, strict=True)]
+    corners = _corners(primitives, T_world_headlight)
+    return [_bands_of(outline, window, grid) for outline, window in zip(corners, windows, strict=True)]
 
 
 def _bands_of(corners: list[list[float]], window: Window, grid: TexelGrid) -> list[Window]:

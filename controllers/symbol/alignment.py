@@ -45,12 +45,13 @@ class Placement:
         from kornia.geometry.linalg import transform_points
 
         moved = transform_points(self.homography[None], points.flatten(1).T[None])[0].T.view_as(points)
-        per_m, heights = (self._at(values, points) for values in (self.per_m, self.heights[None]))
+        per_m, heights = (self.at(values, points, "border") for values in (self.per_m, self.heights[None]))
         return moved + per_m * heights
 
-    def _at(self, values: Tensor, points: Tensor) -> Tensor:
+    def at(self, values: Tensor, points: Tensor, beyond: Literal["zeros", "border"] = "zeros") -> Tensor:
+        """Images `[n, rows, cols]` over the whole view at points `[2, h, w]`: `[n, h, w]`."""
         u, v = (axis[None] / end for axis, end in zip(points, self.extent, strict=True))
-        return resample(values[None], u, v, "border", corners=True)[0]
+        return resample(values[None], u, v, beyond, corners=True)[0]
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ class Alignment:
 
     def undone(self, image: Tensor, placement: Placement) -> Tensor:
         """The image `[rows, cols]` with every point of the symbol back in its place."""
-        return self._sample(image, placement.of(self.points))
+        return self.still.at(image[None], placement.of(self.points))[0]
 
     def register(self, image: Tensor, kind: Kind) -> Placement:
         """The placement that leaves the least residual: nothing moved, the homography, or a mesh on either."""
@@ -140,8 +141,8 @@ class Alignment:
             slopes = spatial_gradient(seen)[0, 0] / (self.points[:, 1, 1] - self.points[:, 0, 0])[:, None, None]
             for _ in range(ITERATIONS):
                 where = self._place(start.homography, heights.view(NODES)).of(self.points)
-                slope = sum(self._sample(each, where) * per_m for each, per_m in zip(slopes, self.still.per_m, strict=True))
-                lack = (target[0, 0] - self._sample(seen[0, 0], where)).flatten()
+                slope = (self.still.at(slopes, where) * self.still.per_m).sum(0)
+                lack = (target[0, 0] - self.still.at(seen[0], where)[0]).flatten()
                 J = self.basis * slope.flatten()
                 weight = 1 / (SIGMA * blur) ** 2
                 force = J @ lack * weight - smooth @ heights
@@ -151,7 +152,3 @@ class Alignment:
 
     def _place(self, homography: Tensor, heights: Tensor) -> Placement:
         return Placement(homography.to(self.target), heights, self.still.per_m, self.still.extent)
-
-    def _sample(self, image: Tensor, where: Tensor) -> Tensor:
-        u, v = (axis[None] / end for axis, end in zip(where, self.still.extent, strict=True))
-        return resample(image[None, None], u, v, corners=True)[0, 0]

@@ -63,8 +63,9 @@ class Warping:
 
     def step(self, state: WarpingState, observation: Observation) -> WarpingState:
         """Keep a warp whose symbol lies better than any before, else go half as far; give a lost symbol back to the controller."""
-        lost = observation.measurement.code != ExtractionStatus.SEEN
-        if state.projection is None or (lost and observation.measurement.code != ExtractionStatus.NO_FRAME):
+        code = observation.measurement.code
+        lost = code != ExtractionStatus.SEEN
+        if state.projection is None or (lost and code != ExtractionStatus.NO_FRAME):
             return self._follow(state, observation, bool(lost))
         if lost or not observation.shown.projection.shows(state.projection):
             return state
@@ -152,13 +153,10 @@ class Supervising:
 
     def step(self, state: SupervisingState, observation: Observation) -> SupervisingState:
         """Judge what was seen, then step the controller if it is in charge."""
-        if observation.measurement.code == ExtractionStatus.NO_FRAME:
+        seen = observation.measurement
+        if seen.code == ExtractionStatus.NO_FRAME:
             return state if state.inner is None else replace(state, inner=self.inner.step(state.inner, observation))
-        image = (
-            self.alignment.image(observation.measurement)
-            if observation.measurement.code == ExtractionStatus.SEEN
-            else torch.zeros_like(self.alignment.target)
-        )
+        image = self.alignment.image(seen) if seen.code == ExtractionStatus.SEEN else torch.zeros_like(self.alignment.target)
         residual = float(self.alignment.residual(image))
         opened = observation.shown.projection.shows(self.flat)
         if state.inner is None:
@@ -229,11 +227,12 @@ class Lifting:
         on it.
         """
         moving = observation.ego is not None and not observation.ego.stands
-        if observation.measurement.code.dim() or moving:
+        seen = observation.measurement
+        if seen.code.dim() or moving:
             return None, 0
-        if observation.measurement.code == ExtractionStatus.SEEN:
-            return self._beyond(state.shape, observation) if observation.measurement.acquired is None else observation.measurement.shape, 0
-        losses = state.losses + int(state.shape is not None and observation.measurement.code != ExtractionStatus.NO_FRAME)
+        if seen.code == ExtractionStatus.SEEN:
+            return self._beyond(state.shape, observation) if seen.acquired is None else seen.shape, 0
+        losses = state.losses + int(state.shape is not None and seen.code != ExtractionStatus.NO_FRAME)
         return (None, 0) if losses == LOSSES else (state.shape, losses)
 
     def _beyond(self, known: Tensor | None, observation: Observation) -> Tensor | None:

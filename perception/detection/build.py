@@ -21,7 +21,7 @@ from luxloop.perception.detection.detector import (
     OwnDetector,
     RunParams,
     encode,
-    suppress,
+    surest,
 )
 from luxloop.perception.detection.network import NetworkDetector, load
 from luxloop.perception.detection.onnx import SHARES, OnnxDetector
@@ -159,7 +159,4 @@ class HogDetector:
         half = size * torch.tensor(SHRINK) / 2
         boxes = torch.cat([corner + size / 2 - half, corner + size / 2 + half], 1)
         scores = torch.sigmoid(params.slope * torch.from_numpy(np.ravel(margins).astype(np.float32)))
-        order = scores.argsort(descending=True)
-        boxes, scores = boxes[order].to(frame.device), scores[order, None].to(frame.device)
-        kept = ~suppress(boxes, params.overlap) if len(boxes) else slice(0)
-        return Detections(boxes[kept], scores[kept])
+        return surest(boxes, scores[:, None], 0.0, params.overlap, frame.device)

@@ -70,6 +70,16 @@ def suppress(boxes: Tensor, overlap: float) -> Tensor:
     return overlaps(boxes, boxes).triu(1).amax(-2) > overlap
 
 
+def surest(boxes: Tensor, scores: Tensor, threshold: float, overlap: float, device: torch.device) -> Detections:
+    """The boxes `[n, 4]` whose best score `[n, C]` is at least the threshold, in its order, without those that `suppress` names."""
+    best = scores.amax(1)
+    order = best.argsort(descending=True)
+    order = order[best[order] >= threshold]
+    boxes, scores = boxes[order].to(device), scores[order].to(device)
+    kept = ~suppress(boxes, overlap) if len(boxes) else slice(0)
+    return Detections(boxes[kept], scores[kept])
+
+
 # What COCO's numbers of classes, which most networks of others know, are here; all else that they find is left out.
 COCO: dict[int, Category] = {
     0: "pedestrian",

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import one_hot
 
-from luxloop.perception.detection.detector import COCO, COCO_CLASSES, Detections, Layout, OnnxParams, encode, suppress
+from luxloop.perception.detection.detector import COCO, COCO_CLASSES, Detections, Layout, OnnxParams, encode, surest
 from luxloop.perception.detection.onnx_file import by, open_network, said
 from luxloop.world.errors import LuxloopError
 from luxloop.world.traffic.tracked import Category
@@ -128,12 +128,7 @@ class OnnxDetector:
         scores = self._ours(scores)
         boxes = (boxes - torch.tensor([x, y, x, y])) / scale
         boxes = torch.minimum(boxes.clamp(min=0), torch.tensor([width, height, width, height]).float())
-        best = scores.amax(1) if len(scores) else scores.new_zeros(0)
-        order = best.argsort(descending=True)
-        order = order[best[order] >= params.threshold]
-        boxes, scores = boxes[order].to(frame.device), scores[order].to(frame.device)
-        kept = ~suppress(boxes, params.overlap) if len(boxes) else slice(0)
-        return Detections(boxes[kept], scores[kept])
+        return surest(boxes, scores, params.threshold, params.overlap, frame.device)
 
     def _run(self, picture: np.ndarray) -> Tensor:
         """Output of the network for a picture `[rows, columns]` uint8."""

@@ -19,7 +19,7 @@ from luxloop.controllers.symbol.sensing.projector import SymbolParams
 from luxloop.controllers.symbol.sensing.protocol import Observation
 from luxloop.controllers.symbol.sensing.road_shape import HERE, touching
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
-from luxloop.perception.birdseye import Region
+from luxloop.perception.birdseye import Region, cells
 from luxloop.perception.camera import camera_view
 from luxloop.perception.egomotion import Ego
 from luxloop.world.errors import locate
@@ -218,11 +218,8 @@ def height_map_of(
     z: its heights in m at x and y in m (`Road.z`). offset_m: added to them. T_ground_plane: `[4, 4]`, the plane in whose frame region and
     eye are, and over which heights are returned. Lines of sight that meet no road end FARTHEST_M ahead.
     """
-    rows, cols = (round((far - near) / CELL_M) for far, near in ((region.x_far_m, region.x_near_m), (region.y_left_m, region.y_right_m)))
-    x = region.x_far_m - (torch.arange(rows, dtype=torch.float64)[:, None] + 0.5) * CELL_M
-    y = region.y_left_m - (torch.arange(cols, dtype=torch.float64) + 0.5) * CELL_M
-    cells = torch.stack([x.expand(rows, cols), y.expand(rows, cols), torch.zeros(rows, cols, dtype=torch.float64)])
-    eye, ways = eye.double(), cells - eye.double()[:, None, None]
+    places = cells(replace(region, cell_m=CELL_M))
+    eye, ways = eye.double(), places - eye.double()[:, None, None]
 
     def at(share: Tensor) -> Tensor:  # of the way from the eye to the plane
         return eye[:, None, None, None] + ways[:, None] * share
@@ -241,4 +238,4 @@ def height_map_of(
         is_under = under(middle)
         low, high = torch.where(is_under, low, middle), torch.where(is_under, middle, high)
     heights = at(high)[2, 0]
-    return HeightMap(region, eye.float(), heights.float(), torch.ones(rows, cols))
+    return HeightMap(region, eye.float(), heights.float(), torch.ones(heights.shape))

@@ -37,16 +37,11 @@ class LampSight:
     factor: Tensor
     origin: Tensor
 
-    def rows(self, heights: Tensor) -> tuple[Tensor, Tensor]:
-        """Texture coordinates (row, column) `[..., H, w]` of points at heights `[..., H, w]` m."""
-        ways = zip(self.on_plane, self.per_m, strict=True)
-        x, y, z = (torch.addcmul(plane, per_m, heights) for plane, per_m in ways)  # in the lamp's frame, [..., H, w] each
-        return self.headlight.texel_of(y / x, z / x)  # T eq. 2.3.2
-
     def luminance(self, texture: Tensor, heights: Tensor) -> Tensor:
         """Luminance `[B, H, w]` in cd/m^2 of a light texture `[rows, cols]` on heights `[B, H, w]` m; what is nearer may cast shadows."""
         light = self.headlight
-        row, col = self.rows(heights)  # [B, H, w]
+        x, y, z = map(torch.addcmul, self.on_plane, self.per_m, [heights] * 3)  # in the lamp's frame, [B, H, w] each
+        row, col = light.texel_of(y / x, z / x)  # T eq. 2.3.2, [B, H, w]
         u, v = 2 * col / light.cols - 1, 2 * row / light.rows - 1  # -1..1 from border to border, [B, H, w]
         image = texture.expand(len(heights), 1, -1, -1)  # [B, 1, rows, cols]
         seen = grid_sample(image, torch.stack([u, v], -1), align_corners=False)[:, 0]  # I(ray) in cd, [B, H, w]

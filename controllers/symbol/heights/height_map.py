@@ -9,7 +9,7 @@ from torch.nn.functional import grid_sample, interpolate
 
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from luxloop.controllers.symbol.sensing.projector import SymbolParams
-from luxloop.controllers.symbol.sensing.road_shape import LEAST_HEIGHT_M, below_lamps, holding, pose_of_rectangle
+from luxloop.controllers.symbol.sensing.road_shape import LEAST_HEIGHT_M, below_lamps, cells_of_rectangle, holding, pose_of_rectangle
 from luxloop.perception.birdseye import Region
 from luxloop.world.frames import inverse, pose, transform
 
@@ -104,9 +104,7 @@ def drawn_on(relief: HeightMap, lamps: Tensor, symbol: SymbolParams, T_body_grou
     lamps = lamps.to(relief.heights)
     T, size_m, depth_m = _patch(relief, lamps, symbol, in_place)
     rows, cols = (n // FOLLOWED for n in CELLS)
-    # Centres of blocks of FOLLOWED cells along and across, [rows], [cols] m.
-    x, y = (length * (0.5 - (torch.arange(n).to(lamps) + 0.5) / n) for length, n in zip(size_m, (rows, cols), strict=True))
-    cells = torch.stack([x[:, None].expand(rows, cols), y.expand(rows, cols), torch.zeros(rows, cols).to(lamps)])  # [3, rows, cols]
+    cells = cells_of_rectangle(size_m, (rows, cols), lamps)  # of blocks of FOLLOWED cells along and across, [3, rows, cols]
     points = transform(T, cells.flatten(1)).view_as(cells)
     # Each lamp's light on the plane, [m, rows, cols] each.
     x_seen, y_seen = torch.stack([torch.stack(relief.seen_from(lamp, points, T[:3, 2], depth_m)) for lamp in lamps]).unbind(1)

@@ -16,7 +16,7 @@ from torch.nn.functional import interpolate
 from luxloop.controllers.pixels.primitives import Primitives, Quantity, road_symbol
 from luxloop.controllers.pixels.ssc import PixelController, Utilisation
 from luxloop.controllers.symbol.sensing.projection import CELLS, ProjectionCommand, Warp
-from luxloop.controllers.symbol.sensing.road_shape import below_lamps, holding, pose_of_rectangle, ray_lengths
+from luxloop.controllers.symbol.sensing.road_shape import below_lamps, cells_of_rectangle, holding, pose_of_rectangle, ray_lengths
 from luxloop.perception import appearance
 from luxloop.perception.extraction import Crop
 from luxloop.world.caches import keeping
@@ -42,16 +42,15 @@ def lift(
     ways = torch.stack([_crossed(lamp, transform(T, corners)) for lamp in lamps], 1) - eye[:, None, None]  # [3, m, 4]
     road = eye[:, None, None] + ways * ray_lengths(shape[None], x0_m, eye, ways)[0].clamp(max=FARTHEST)
     patch, size = _patch(road, shape, x0_m, lamps)
-    rows, cols = (n // FOLLOWED for n in CELLS)
-    x, y = (extent * (0.5 - (torch.arange(n).to(lamps) + 0.5) / n) for extent, n in zip(size, (rows, cols), strict=True))
-    cells = torch.stack([x[:, None].expand(rows, cols), y.expand(rows, cols), torch.zeros(rows, cols).to(lamps)]).flatten(1)
+    count = CELLS[0] // FOLLOWED, CELLS[1] // FOLLOWED
+    cells = cells_of_rectangle(size, count, lamps).flatten(1)
     places = []
     for lamp in lamps:
         ways = transform(patch, cells) - lamp[:, None]
         road = lamp[:, None] + ways * ray_lengths(shape[None], x0_m, lamp, ways)[0].clamp(max=NO_ROAD)
         lamp_there, seen = (transform(inverse(T), points) for points in (lamp[:, None], _crossed(eye, road)))
         x_there, y_there, _ = _crossed(lamp_there[:, 0], seen)
-        places.append(torch.stack([-2 * y_there / width, -2 * x_there / length]).view(2, rows, cols))
+        places.append(torch.stack([-2 * y_there / width, -2 * x_there / length]).view(2, *count))
     source = interpolate(torch.stack(places), scale_factor=FOLLOWED, mode="bilinear")
     return ProjectionCommand(*pose_of_rectangle(patch), _compose_warps(projection.warp, source, size))
 

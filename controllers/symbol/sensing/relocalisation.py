@@ -14,9 +14,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, pad
 
-from luxloop.controllers.symbol.sensing.projector import DrawingModule, Projector
+from luxloop.controllers.symbol.sensing.projector import DrawingModule
 from luxloop.controllers.symbol.sensing.road_shape import ray_lengths
-from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.world.frames import View
 from luxloop.world.texels import TexelGrid, resample
 
@@ -98,11 +97,6 @@ class Relocaliser:
     modules: tuple[DrawingModule, ...]
     view: View
     x0_m: float
-
-    @classmethod
-    def prepare(cls, projector: Projector, camera: CameraParams) -> Self:
-        """For the standing vehicle."""
-        return cls(projector.modules, camera_view(camera), projector.params.x_m)
 
     def find(self, symbol: Tensor, textures: Sequence[Tensor]) -> Relocalisation:
         """The shape that explains best where a symbol image `[height, width]` shows the light of textures, one a module."""

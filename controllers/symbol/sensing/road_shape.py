@@ -66,6 +66,12 @@ def holding(T: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, tuple[float, 
     return pose(centre, T[:3, :3]), (length, width)
 
 
+def cells_of_rectangle(size_m: tuple[float, float], count: tuple[int, int], like: Tensor) -> Tensor:
+    """Centres `[3, rows, cols]` m of the cells of a rectangle in its own frame. size_m: length and width. count: rows and columns."""
+    x, y = (length * (0.5 - (torch.arange(n).to(like) + 0.5) / n) for length, n in zip(size_m, count, strict=True))
+    return torch.stack([*torch.meshgrid(x, y, indexing="ij"), torch.zeros(count).to(like)])
+
+
 def pose_of_rectangle(T: Tensor) -> tuple[Tensor, Tensor]:
     """Pose `[n]` (x, y in m, roll, pitch in rad) and height `[]` in m of a rectangle at `[4, 4]`; its yaw is left out.
 

@@ -13,7 +13,7 @@ from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import Projector
 from luxloop.controllers.symbol.sensing.relocalisation import Relocalisation, Relocaliser
 from luxloop.perception.appearance import Appearance, error_indices, errors
-from luxloop.perception.camera import CameraParams
+from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.extraction import Crop, Extraction, ExtractionStatus, difference, gate, symbol_image, symbol_images, threshold
 
 LIT = 0.5  # of a pixel, that counts as the symbol's
@@ -61,7 +61,7 @@ class SymbolSensor:
     @cached_property
     def relocaliser(self) -> Relocaliser:
         """Searches whole images."""
-        return Relocaliser.prepare(self.projector, self.camera)
+        return Relocaliser(self.projector.modules, camera_view(self.camera), self.projector.params.x_m)
 
     def measure(
         self,

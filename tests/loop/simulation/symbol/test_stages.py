@@ -33,7 +33,7 @@ def moved(alignment: Alignment, placement: Placement) -> torch.Tensor:
     """The target as it looks where the placement, which is small, puts it: its inverse to second order."""
     points = alignment.points
     back = 2 * points - placement.of(points)
-    return alignment._sample(alignment.target, points + back - placement.of(back))
+    return alignment.still.at(alignment.target[None], points + back - placement.of(back))[0]
 
 
 TURNED = torch.tensor([[0.97, 0.04, 0.05], [-0.02, 1.04, 0.08], [0.01, 0.02, 1.0]])
