@@ -4,8 +4,9 @@ It is given what does not change from step to step: rays, headlight matrix, geom
 internal model's flat road, its target and gains, and where in the image to look.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,34 +38,16 @@ class Surfaces:
         return cls(buffer.position.flatten(1).numpy(), buffer.normal.flatten(1).numpy(), albedo.astype(np.float32))
 
 
-@dataclass(frozen=True)
-class Pid:
-    """One incremental PID with limits of output and rate and back-calculation, in plain numbers."""
+class Pids(NamedTuple):
+    """State `[4]` of four incremental PIDs; previous: None at the start."""
 
-    kp: float
-    ki: float
-    kd: float
-    lower: float
-    upper: float
-    rate_limit: float
-    tracking_time: float
-    output: float
-    integral: float = 0.0
-    previous: float | None = None
-
-    def step(self, error: float) -> "Pid":
-        derivative = error - (error if self.previous is None else self.previous)
-        integral = self.integral + self.ki * error
-        wanted = self.output + self.kp * error + integral + self.kd * derivative
-        output = min(max(wanted, self.output - self.rate_limit), self.output + self.rate_limit)
-        output = min(max(output, self.lower), self.upper)
-        if 0 < self.tracking_time < np.inf:
-            integral += min(1 / self.tracking_time, 1.0) * (output - wanted)
-        return replace(self, output=output, integral=integral, previous=error)
+    output: Floats
+    integral: Floats | float = 0.0
+    previous: Floats | None = None
 
 
 class Baseline:
-    """The same loop as a simulation's: one lamp, u_abs, the raw image, quadrants, a scene that stands still; its state is four PIDs."""
+    """The same loop as a simulation's: one lamp, u_abs, the raw image, quadrants, a scene that stands still; its state is four PIDs'."""
 
     def __init__(self, simulation: Simulation) -> None:
         self.camera, self.params = simulation.scenario.camera, simulation.scenario.symbol.extraction
@@ -91,27 +74,34 @@ class Baseline:
         self.limit = self.model.limit.numpy()
         self.target, self.gains = self.model.target.numpy(), self.model.gains.numpy()
 
-        bank = symbol.controller.inner.gains
-        names = ("kp", "ki", "kd", "lower", "upper", "rate_limit", "tracking_time")
-        pose = symbol.controller.projection(symbol.start().controller, None).pose.tolist()
-        self.start = [Pid(*(float(getattr(bank, name)[k]) for name in names), output=pose[k]) for k in range(4)]
+        self.bank = symbol.controller.inner.gains
+        self.start = Pids(symbol.controller.projection(symbol.start().controller, None).pose.double().numpy())
 
-    def step(self, pids: Sequence[Pid], lap: Lap) -> tuple[Sequence[Pid], Floats]:
+    def step(self, pids: Pids, lap: Lap) -> tuple[Pids, Floats]:
         """One control step; calls lap with the name of each part when it is done. Returns the next state and the four errors in px."""
-        pose = [pid.output for pid in pids]
-        texture = self._light(*pose)
+        texture = self._light(*pids.output)
         lap("light")
         luminance = self._shade(texture, self.surfaces)
         lap("luminance")
         on, off = self._expose(self.base + luminance), self._expose(self.base)
         lap("camera")
-        errors, ratio = self._perceive(on, off, pose, texture)
+        errors, ratio = self._perceive(on, off, pids.output, texture)
         lap("perceive")
         if self.params.area_low <= ratio <= self.params.area_high:
-            asked = -errors[error_indices()] / self.gains
-            pids = [pid.step(float(error)) for pid, error in zip(pids, asked, strict=True)]
+            pids = self._control(pids, -errors[error_indices()] / self.gains)
         lap("control")
         return pids, errors
+
+    def _control(self, pids: Pids, error: Floats) -> Pids:
+        """Limits of output and rate, with back-calculation."""
+        names = ("kp", "ki", "kd", "lower", "upper", "rate_limit", "tracking_time")
+        kp, ki, kd, lower, upper, rate, time = (getattr(self.bank, name).double().numpy() for name in names)
+        derivative = error - (error if pids.previous is None else pids.previous)
+        integral = pids.integral + ki * error
+        wanted = pids.output + kp * error + integral + kd * derivative
+        limited = np.clip(np.clip(wanted, pids.output - rate, pids.output + rate), lower, upper)
+        share = np.where(time > 0, np.minimum(1 / time, 1.0), 0.0)
+        return Pids(limited, integral + share * (limited - wanted), error)
 
     def _light(self, x: float, y: float, roll: float, pitch: float) -> Floats:
         """SuperSampling Control with all rays and all pixels, then the light texture `[rows, cols]` in cd."""
@@ -158,7 +148,7 @@ class Baseline:
             electrons += np.sqrt(electrons + np.float32(c.read_noise_e**2)) * self.noise.standard_normal(luminance.shape, np.float32)
         return np.round(np.clip(electrons, 0, c.saturation_e) * np.float32((2**c.bits - 1) / c.saturation_e))
 
-    def _perceive(self, on: Floats, off: Floats, pose: list[float], texture: Floats) -> tuple[Floats, float]:
+    def _perceive(self, on: Floats, off: Floats, pose: Floats, texture: Floats) -> tuple[Floats, float]:
         """Errors in px, and the ratio of the seen area to that on a flat road."""
         c = self.camera
         electron = np.float32(1 / (c.exposure_s * c.sensitivity_e_per_cd_s_m2))  # in cd/m^2

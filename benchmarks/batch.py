@@ -5,11 +5,10 @@ by some 0.3 m around the run's pose in that step.
 """
 
 from argparse import Namespace
-from statistics import median
 from typing import Any
 
 import torch
-from bench import Goal, Laps, run, show
+from bench import Goal, Laps, medians, run, show
 
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
@@ -23,14 +22,15 @@ def compare(width: int, height: int, batches: tuple[int, ...], steps: int) -> di
     """Median ms of a step of a single run and of each of B copies, and their ratios."""
     simulation = Simulation.prepare(load("snowflake", [f"camera.width_px={width}", f"camera.height_px={height}", "judge_every=1"]))
     copies, generator = Copies(simulation), torch.Generator().manual_seed(0)
-    state, single = simulation.start(), []
-    many: dict[int, list[dict[str, float]]] = {batch: [] for batch in batches}
+    state = simulation.start()
+    taken = {name: [] for name in ("single run", *map(str, batches))}
     for step in range(steps):
         laps = Laps()
         state, result = simulation.step(state)
         (pose,) = (each.pose for each in result.planning.projections.values())
-        single.append(laps.lap("step"))
-        for batch, taken in many.items():
+        laps.lap("step")
+        taken["single run"].append(laps.parts)
+        for batch in batches:
             poses = pose + torch.randn(batch, 4, generator=generator) * torch.tensor(SPREAD)
             laps = Laps()
             light = copies.show(poses)
@@ -39,13 +39,9 @@ def compare(width: int, height: int, batches: tuple[int, ...], steps: int) -> di
             laps.lap("measure")
             copies.evaluate(light)
             laps.lap("judge")
-            taken.append({part: ms / batch for part, ms in laps.parts.items()})
-    found = {"single run": {"step": median(single)}}
-    for batch, taken in many.items():
-        parts = {part: median(each[part] for each in taken) for part in taken[0]}
-        whole = median(sum(each.values()) for each in taken)
-        found[str(batch)] = parts | {"step": whole, "speed-up": median(single) / whole}
-    return found
+            taken[str(batch)].append({part: ms / batch for part, ms in (laps.parts | {"step": sum(laps.parts.values())}).items()})
+    ms = {name: medians(each) for name, each in taken.items()}
+    return {name: each | {"speed-up": ms["single run"]["step"] / each["step"]} for name, each in ms.items()}
 
 
 def measure(given: Namespace) -> dict[str, Any]:
@@ -54,10 +50,8 @@ def measure(given: Namespace) -> dict[str, Any]:
     for size, each in found.items():
         show(f"ms a step and copy, {size}", each)
     most = str(batches[-1])
-    return {
-        "ms": found,
-        "goals": [Goal(f"speed-up by {most} copies, {size}", each[most]["speed-up"], 4.0, True) for size, each in found.items()],
-    }
+    goals = [Goal(f"speed-up by {most} copies, {size}", each[most]["speed-up"], 4.0, True) for size, each in found.items()]
+    return {"ms": found, "goals": goals}
 
 
 if __name__ == "__main__":

@@ -10,10 +10,10 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
+from statistics import median
 from types import ModuleType
 from typing import Any, NamedTuple
 
-import numpy as np
 import torch
 
 from luxloop.loop.recording.sources import digest_of_code
@@ -21,7 +21,8 @@ from luxloop.loop.report.terminal import markdown_table, number
 from luxloop.loop.studies.jobs import Job, Values, digest_of, local
 from luxloop.loop.studies.jobs import run as run_jobs
 
-OMP, MESA, BLAS = "OMP_NUM_THREADS", "LP_NUM_THREADS", "OPENBLAS_NUM_THREADS"
+OMP, MESA, BLAS = THREADS = ("OMP_NUM_THREADS", "LP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+PACKAGES = ("torch", "numpy", "scipy")
 GPU_ROUNDS, GPU_WARM_UPS = 500, 10  # as in the thesis
 Step = Callable[[], Any]
 
@@ -44,8 +45,7 @@ def run(
     measure: Callable[[argparse.Namespace], dict[str, Any]],
     about: str | None,
     *,
-    packages: Sequence[str] = ("torch",),
-    threads: Sequence[str] = (OMP, MESA),
+    threads: Sequence[str] = THREADS,
     **options: Mapping[str, Any],
 ) -> None:
     """A benchmark's program: parses `--json`, `--quick` and the options, measures on one thread, prints goals, writes JSON.
@@ -62,23 +62,25 @@ def run(
         parser.add_argument(f"--{name}", **option)
     given = parser.parse_args()
     torch.set_num_threads(1)
-    where = machine(*packages)
+    where = machine()
     print(", ".join(f"{key} {value}" for key, value in where.items()))
     found = measure(given)
-    if goals := list(found.get("goals", ())):
-        show("Goals", {goal.what: verdict(goal) for goal in goals})
+    if goals := found.get("goals"):
+        verdicts = {True: "reached", False: "**missed**", None: ""}
+        rows = {
+            each.what: {
+                "measured": "not measured" if each.value is None else f"{each.value:.3g}" + (f" ({each.where})" if each.where else ""),
+                "limit": f"{'≥' if each.least else '≤'} {each.limit:g}",
+                "": verdicts[each.passed],
+            }
+            for each in goals
+        }
+        show("Goals", rows)
         found["goals"] = [each._asdict() | {"passed": each.passed} for each in goals]
     if given.json:
         given.json.write_text(json.dumps({"machine": where, **found}, indent=1) + "\n", "utf-8")
     if failures := found.get("failures"):
         sys.exit("\n".join(f"failed: {key}: {reason}" for key, reason in failures.items()))
-
-
-def verdict(goal: Goal) -> dict[str, str]:
-    """A row of the table of goals."""
-    value = "not measured" if goal.value is None else f"{goal.value:.3g}" + (f" ({goal.where})" if goal.where else "")
-    passed = {True: "reached", False: "**missed**", None: ""}[goal.passed]
-    return {"measured": value, "limit": f"{'≥' if goal.least else '≤'} {goal.limit:g}", "": passed}
 
 
 def show(title: str, rows: Mapping[str, Mapping[str, Any]]) -> None:
@@ -103,16 +105,16 @@ def _cell(value: Any) -> str:
     return number(value, ".3g" if abs(value) < 1000 else ",.0f") if isinstance(value, float) else "–" if value is None else str(value)
 
 
-def machine(*packages: str) -> dict[str, str]:
+def machine() -> dict[str, str]:
     """Date, hardware and versions of a measurement."""
     info = Path("/proc/cpuinfo")
-    models = [line.split(":", 1)[1].strip() for line in (info.read_text().splitlines() if info.exists() else ()) if "model name" in line]
+    models = [line.partition(": ")[2] for line in (info.read_text().splitlines() if info.exists() else ()) if "model name" in line]
     return {
         "date": datetime.date.today().isoformat(),
         "processor": models[0] if models else platform.processor() or platform.machine(),
         "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else "none",
         "python": platform.python_version(),
-        **{name: version(name) for name in packages},
+        **{name: version(name) for name in PACKAGES},
     }
 
 
@@ -120,7 +122,7 @@ class Laps:
     """Process time in ms of the parts of a step, all threads counted."""
 
     def __init__(self) -> None:
-        self.parts: dict[str, float] = {}
+        self.parts = {}
         self.last = time.process_time()
 
     def lap(self, part: str) -> float:
@@ -131,36 +133,51 @@ class Laps:
         return self.parts[part]
 
 
-def interleaved(steps: Mapping[str, Step], rounds: int) -> dict[str, dict[str, float]]:
-    """Process time in ms of each step, in turn, each after a call that does not count: no step profits from the caches of another."""
-    taken: dict[str, list[float]] = {name: [] for name in steps}
+def medians(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """The median over the rows of each of their values."""
+    return {key: median(row[key] for row in rows) for key in rows[0]}
+
+
+def interleaved(steps: Mapping[str, Step], rounds: int) -> dict[str, float]:
+    """Median process time in ms of each step, in turn, each after a call that does not count, so that caches are its own."""
+    rows = []
     for _ in range(rounds):
+        laps = Laps()
         for name, step in steps.items():
             step()
-            before = time.process_time_ns()
+            laps.lap("warm-up")
             step()
-            taken[name].append(1e-6 * (time.process_time_ns() - before))
-    return {name: statistics(times) for name, times in taken.items()}
+            laps.lap(name)
+        rows.append(laps.parts)
+    return {name: ms for name, ms in medians(rows).items() if name != "warm-up"}
 
 
-def on_gpu(steps: Mapping[str, Step], flush: Step = lambda: None) -> dict[str, dict[str, float]]:
-    """Clock time in ms of each step on CUDA, in turn, synchronised before and after. flush: runs before each."""
-    taken: dict[str, list[float]] = {name: [] for name in steps}
-    for number_ in range(GPU_ROUNDS + GPU_WARM_UPS):
-        for name, step in steps.items():
+def on_gpu(steps: Mapping[str, Step], flush: Step = lambda: None) -> dict[str, float]:
+    """Median clock time in ms of each step as a CUDA graph, in turn, synchronised before and after. flush: runs before each."""
+    graphs = {name: captured(step) for name, step in steps.items()}
+    taken = {name: [] for name in steps}
+    for _ in range(GPU_ROUNDS + GPU_WARM_UPS):
+        for name, graph in graphs.items():
             flush()
             torch.cuda.synchronize()
-            before = time.perf_counter_ns()
-            step()
+            before = time.perf_counter()
+            graph.replay()
             torch.cuda.synchronize()
-            if number_ >= GPU_WARM_UPS:
-                taken[name].append(1e-6 * (time.perf_counter_ns() - before))
-    return {name: statistics(times) for name, times in taken.items()}
+            taken[name].append(1e3 * (time.perf_counter() - before))
+    return {name: median(times[GPU_WARM_UPS:]) for name, times in taken.items()}
 
 
-def statistics(times: Sequence[float]) -> dict[str, float]:
-    low, median, high = np.quantile(times, [0.05, 0.5, 0.95]).tolist()
-    return {"min": min(times), "q05": low, "median": median, "q95": high}
+def captured(step: Step) -> torch.cuda.CUDAGraph:
+    """A step as a CUDA graph: one launch each time, reading and writing the same tensors."""
+    side, graph = torch.cuda.Stream(), torch.cuda.CUDAGraph()
+    side.wait_stream(torch.cuda.current_stream())
+    with torch.cuda.stream(side):
+        for _ in range(3):  # libraries make their workspaces in the first calls, which must not be captured
+            step()
+    torch.cuda.current_stream().wait_stream(side)
+    with torch.cuda.graph(graph):
+        step()
+    return graph
 
 
 def study_options(name: str) -> dict[str, dict[str, Any]]:

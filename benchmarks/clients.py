@@ -8,11 +8,10 @@ import multiprocessing
 import time
 from argparse import Namespace
 from multiprocessing.connection import Connection
-from statistics import median
 from typing import Any
 
 import numpy as np
-from bench import BLAS, OMP, run, show
+from bench import medians, run, show
 from websockets.sync.client import connect
 from websockets.sync.server import ServerConnection, serve
 
@@ -44,29 +43,27 @@ def send(port: Connection, width: int, height: int) -> None:
 
 
 def compare(width: int, height: int, rounds: int) -> dict[str, Any]:
-    """Median ms by each way, and median ratio of two that follow each other."""
-    found = dict[str, list[float]](socket=[], memory=[])
+    """Median ms by each way, and the median ratio of two that follow each other."""
+    rows = []
     here, there = multiprocessing.Pipe()
     sender = multiprocessing.get_context("spawn").Process(target=send, args=(there, width, height))
     sender.start()
     mapped = BlockReader()
     with connect(f"ws://127.0.0.1:{here.recv()}", max_size=None, compression=None) as connection:
-        for number in range(rounds + WARM_UPS):
-            for way, taken in found.items():
+        for _ in range(rounds + WARM_UPS):
+            row = {}
+            for way in ("socket", "memory"):
                 began_s = time.perf_counter()
                 connection.send(way)
                 data = connection.recv()
-                assert isinstance(data, bytes)
                 head, arrays = unpack(data)
                 arrays = mapped.arrays(head["shared"], head["id"]) or {} if way == "memory" else arrays
-                if number >= WARM_UPS:
-                    taken.append(1e3 * (time.perf_counter() - began_s))
+                row[way] = 1e3 * (time.perf_counter() - began_s)
+            rows.append(row | {"memory to socket": row["memory"] / row["socket"]})
     size = sum(each.nbytes for each in arrays.values())
     mapped.close()
     sender.terminate()
-    ms = {way: median(taken) for way, taken in found.items()}
-    ratio = median(memory / socket for memory, socket in zip(found["memory"], found["socket"], strict=True))
-    return {"bytes": size, "ms": ms, "MB/s": {way: 1e-3 * size / each for way, each in ms.items()}, "memory to socket": ratio}
+    return {"bytes": size, "ms": medians(rows[WARM_UPS:])}
 
 
 def measure(given: Namespace) -> dict[str, Any]:
@@ -77,4 +74,4 @@ def measure(given: Namespace) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    run(measure, __doc__, packages=("websockets", "numpy"), threads=(OMP, BLAS))
+    run(measure, __doc__)

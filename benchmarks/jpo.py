@@ -1,9 +1,9 @@
 """How near a few iterations of joint pixel optimisation come to the optimum, and what they cost: `python benchmarks/jpo.py [--quick]`.
 
-Prints the tables of docs/jpo.md. Process time of one thread; `--quick` takes three of thirty rectangles.
+Prints the tables of docs/jpo.md. Process time of one thread; `--quick` takes three rectangles. The converged mean MAE is what
+two presets are calibrated by (docs/lamps.md).
 """
 
-import time
 from argparse import Namespace
 from collections.abc import Callable
 from functools import partial
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from bench import interleaved, run, show
+from bench import Laps, interleaved, run, show
 from torch import Tensor
 
 from luxloop.controllers.pixels.jpo_part import PixelGoal, pixel_goal
@@ -49,49 +49,47 @@ def ssc(light: Headlight, tables: PixelMajor, params: MrpcParams, _: PixelGoal |
 
 def ways(light: Headlight, good: dict[str, MrpcParams]) -> dict[str, Way]:
     """Ways to a wanted texture, by name; the joint ones begin at the SSC that is given to them."""
-    joint = {f"joint, MAE, {budget} iterations": (budget, None) for budget in BUDGETS} | {CONVERGED: (20_000, 0.005)}
+
+    def joint(iterations: int, gap: float | None = None) -> Way:
+        return lambda goal, _: least_error(light.matrix, goal, iterations=iterations, gap=gap).u
+
     return {
         START: lambda goal, _: goal.start,
         **{name: partial(ssc, light, pixel_major(light, params), params) for name, params in good.items()},
         "joint, least squares, converged": lambda goal, _: least_squares(light.matrix, goal),
-        **{
-            name: lambda goal, _, n=n, gap=gap: least_error(light.matrix, goal, iterations=n, gap=gap).u  # type: ignore[misc]
-            for name, (n, gap) in joint.items()
-        },
+        **{f"joint, MAE, {budget} iterations": joint(budget) for budget in BUDGETS},
+        CONVERGED: joint(20_000, 0.005),
     }
 
 
-def compare(name: str, every: int) -> dict[str, Any]:
-    """Error and ms of each way to each rectangle; ms of an SpMV pair; the largest proved gap."""
+def compare(name: str, every: int) -> dict[str, dict[str, Any]]:
+    """A row for each way to draw every n-th rectangle; prints them."""
     light, params = lamp(name).modules[0].headlight, MrpcParams()
     tables, all_ways, gaps = pixel_major(light, params), ways(light, GOOD[name]), []
-    found: dict[str, dict[str, list[float]]] = {way: {"error": [], "ms": []} for way in all_ways}
+    errors, times = ({way: [] for way in all_ways} for _ in range(2))
     for rectangle in RECTANGLES[every // 2 :: every]:
         texture = rectangle.texture(light)
         goal = pixel_goal(light, texture, start=ssc(light, tables, params, None, texture))
         for way, draw in all_ways.items():
-            before = time.process_time_ns()
+            laps = Laps()
             u = draw(goal, texture)
-            found[way]["ms"].append(1e-6 * (time.process_time_ns() - before))
-            found[way]["error"].append(float(mae(light.light_texture(u), texture)))
+            times[way].append(laps.lap(way))
+            errors[way].append(float(mae(light.light_texture(u), texture)))
         proof = least_error(light.matrix, goal)
         gaps.append(float(1 - proof.bound / proof.error))
     u, y = torch.rand(light.n_pixels), torch.rand(light.n_texels)
-    pair = interleaved({"pair": lambda: (multiply(light.matrix, u), multiply(light.matrix.transpose, y))}, 15)["pair"]["median"]
-    return {"ways": found, "pair_ms": pair, "gap": max(gaps)}
+    pair_ms = interleaved({"": lambda: (multiply(light.matrix, u), multiply(light.matrix.transpose, y))}, 15)[""]
+    best, rows = np.array(errors[CONVERGED]), {}
+    for way, each in errors.items():
+        ratios = {"over converged": float(np.mean(each) / best.mean()), "worst rectangle": float((each / best).max())}
+        rows[way] = {"mean MAE": float(np.mean(each)), **ratios, "ms": median(times[way]), "SpMV pairs": median(times[way]) / pair_ms}
+    show(f"`{name}`, {len(best)} rectangles, an SpMV pair takes {pair_ms:.2g} ms, largest gap {max(gaps):.2%}", rows)
+    return rows
 
 
 def measure(given: Namespace) -> dict[str, Any]:
-    lamps = {name: compare(name, QUICK_EVERY if given.quick else EVERY) for name in GOOD}
-    for name, each in lamps.items():
-        best, rows = np.array(each["ways"][CONVERGED]["error"]), {}
-        for way, found in each["ways"].items():
-            error, ms = np.array(found["error"]), median(found["ms"])
-            ratios = {"over converged": float(error.mean() / best.mean()), "worst rectangle": float((error / best).max())}
-            rows[way] = {"mean MAE": float(error.mean()), **ratios, "ms": ms, "SpMV pairs": ms / each["pair_ms"]}
-        show(f"`{name}`, {len(best)} rectangles, an SpMV pair takes {each['pair_ms']:.2g} ms, largest gap {each['gap']:.2%}", rows)
-    return {"lamps": lamps}
+    return {"lamps": {name: compare(name, QUICK_EVERY if given.quick else given.every) for name in GOOD}}
 
 
 if __name__ == "__main__":
-    run(measure, __doc__)
+    run(measure, __doc__, every={"type": int, "default": EVERY, "help": f"take every n-th of the 1,215 rectangles ({EVERY})"})

@@ -1,7 +1,6 @@
 """Headlight matrices of any overlap: the lamps of the thesis' tables A.1, A.2 and B.1 to B.4."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,69 +12,45 @@ from luxloop.world.texels import TexelGrid
 OVERLAP = 0.25  # of a pixel's pitch, between neighbours
 
 
-@dataclass(frozen=True)
-class Lamp:
-    """rows x cols pixels over a light texture; matrix `[n_t, n_p]` float32 in cd, int32 indices."""
-
-    name: str
-    rows: int
-    cols: int
-    grid: TexelGrid
-    matrix: sp.csr_matrix
-
-    @property
-    def headlight(self) -> Headlight:
-        matrix = Csr.from_scipy(self.matrix)
-        return Headlight(name=self.name, matrix=matrix, pixel_rows=self.rows, pixel_cols=self.cols, **vars(self.grid))
-
-
 def adaptive_side(cols: int) -> int:
     """Texels along a side, T A.3's rule for `cols` columns of pixels."""
     return 64 * math.ceil(2.2 * cols / 64)
 
 
-def thesis_lamp(rows: int, cols: int, side: int) -> Lamp:
+def thesis_lamp(rows: int, cols: int, side: int) -> Headlight:
     """+-4 x +-8 deg in a square texture of +-8.1 deg."""
     return overlapping(rows, cols, TexelGrid.from_degrees(side, side, 8.1, -8.1, -8.1, 8.1), (4.0, 8.0), 1 + OVERLAP)
 
 
-def wide_lamp(rows: int, cols: int, texel_rows: int, texel_cols: int) -> Lamp:
+def wide_lamp(rows: int, cols: int, texel_rows: int, texel_cols: int) -> Headlight:
     """+-5 x +-10 deg, all of the texture lit."""
     return overlapping(rows, cols, TexelGrid.from_degrees(texel_rows, texel_cols, 10.0, -10.0, -5.0, 5.0), (5.0, 10.0), 1 + OVERLAP)
 
 
-def long_rows(rows: int, cols: int, texel_rows: int, texel_cols: int, entries: int) -> Lamp:
+def long_rows(rows: int, cols: int, texel_rows: int, texel_cols: int, entries: int) -> Headlight:
     """+-5 x +-20 deg, all of the texture lit, each texel by as many pixels."""
     return overlapping(rows, cols, TexelGrid.from_degrees(texel_rows, texel_cols, 20.0, -20.0, -5.0, 5.0), (5.0, 20.0), math.sqrt(entries))
 
 
-def disjoint(cols: int, texel_rows: int) -> Lamp:
+def disjoint(cols: int, texel_rows: int) -> Headlight:
     """Pixels of aspect 4:1 in number that do not overlap and fill their texture, as for T fig. 6.1."""
-    rows = cols // 4
     grid = TexelGrid(rows=texel_rows, cols=4 * texel_rows, left=1.0, right=-1.0, bottom=-0.25, top=0.25)
-    row = np.arange(texel_rows) * rows // texel_rows
-    col = np.arange(4 * texel_rows) * cols // (4 * texel_rows)
-    return _lamp(
-        rows,
-        cols,
-        grid,
-        (np.full(grid.rows * grid.cols, 1000.0), (row[:, None] * cols + col).ravel(), np.arange(grid.rows * grid.cols + 1)),
-    )
+    row, col = np.arange(grid.rows) * (cols // 4) // grid.rows, np.arange(grid.cols) * cols // grid.cols
+    n = grid.rows * grid.cols
+    pixel = (row[:, None] * cols + col).ravel()
+    return _lamp(cols // 4, cols, grid, sp.csr_matrix((np.full(n, 1000.0), pixel, np.arange(n + 1)), shape=(n, cols // 4 * cols)))
 
 
-def overlapping(rows: int, cols: int, grid: TexelGrid, half_deg: tuple[float, float], reach: float) -> Lamp:
+def overlapping(rows: int, cols: int, grid: TexelGrid, half_deg: tuple[float, float], reach: float) -> Headlight:
     """Pixels of equal angles; each lights the texels whose centres lie within `reach` times its pitch. half_deg: vertical, horizontal."""
     z = np.degrees(np.arctan(grid.top + (np.arange(grid.rows) + 0.5) / grid.rows * (grid.bottom - grid.top)))
     y = np.degrees(np.arctan(grid.left + (np.arange(grid.cols) + 0.5) / grid.cols * (grid.right - grid.left)))
     vertical, horizontal = (_axis(*each, reach) for each in ((z, rows, half_deg[0]), (y, cols, half_deg[1])))
-    matrix = sp.csr_matrix(sp.kron(vertical, horizontal, "csr"))
-    matrix.sort_indices()
-    return _lamp(rows, cols, grid, (matrix.data, matrix.indices, matrix.indptr))
+    return _lamp(rows, cols, grid, sp.kron(vertical, horizontal, "csr"))
 
 
-def _lamp(rows: int, cols: int, grid: TexelGrid, csr: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Lamp:
-    arrays = tuple(each.astype(kind) for each, kind in zip(csr, (np.float32, np.int32, np.int32), strict=True))
-    return Lamp(f"{rows} x {cols}", rows, cols, grid, sp.csr_matrix(arrays, shape=(grid.rows * grid.cols, rows * cols)))
+def _lamp(rows: int, cols: int, grid: TexelGrid, matrix: sp.csr_matrix) -> Headlight:
+    return Headlight(name=f"{rows} x {cols}", matrix=Csr.from_scipy(matrix), pixel_rows=rows, pixel_cols=cols, **vars(grid))
 
 
 def _axis(angle_deg: np.ndarray, n: int, half_deg: float, reach: float) -> sp.csr_matrix:

@@ -5,17 +5,17 @@ the lamp of 332 x 1024 pixels before a wall whose geometry is known. A camera of
 """
 
 from argparse import Namespace
+from functools import partial
 from typing import Any
 
 import cv2
 import numpy as np
 import torch
-from bench import BLAS, OMP, interleaved, run, show
-from rig_bench import ALBEDO, Effects, rig, wall
+from bench import interleaved, run, show
+from rig_bench import ALBEDO, rig, wall
 
 from luxloop.loop.rig.arrays import Array
 from luxloop.loop.rig.calibration.calibrate import Calibration
-from luxloop.loop.rig.calibration.setups import SimulatedSetup
 from luxloop.loop.rig.calibration.shots import linear_response
 from luxloop.loop.rig.live.plant import Digitiser
 from luxloop.perception.camera import saturation_luminance
@@ -36,18 +36,13 @@ def patterns(light: Headlight) -> dict[str, Array]:
     return {name: 0.8 * np.asarray(u, np.float32).ravel() for name, u in images.items()}
 
 
-def setup(width: int, height: int) -> tuple[SimulatedSetup, Calibration, Headlight]:
-    """A bench, its calibration with the lens as a board shows it, and the lamp."""
-    found = rig(wall("idealised-332x1024", width, height, 24.0, pitch_deg=4.0), Effects())
-    scale = float(np.pi * saturation_luminance(found.bench.camera) / ALBEDO)
-    response, truth = linear_response(found.bench.levels), found.truth
-    known = Calibration(found.known.camera, response, np.zeros(3), truth.screen, {"left matrix": truth.lamp}, {}, scale)
-    return found.bench, known, found.light
-
-
 def cases(width: int, height: int, repeats: int) -> dict[str, Any]:
-    """A case for each grid of texels."""
-    bench, calibration, light = setup(width, height)
+    """A case for each grid of texels. The lens is known as a board shows it."""
+    of = rig(wall("idealised-332x1024", width, height, 24.0, pitch_deg=4.0))
+    bench, truth, light = of.bench, of.truth, of.light
+    scale = float(np.pi * saturation_luminance(bench.camera) / ALBEDO)
+    response, lamps = linear_response(bench.levels), {"left matrix": truth.lamp}
+    calibration = Calibration(of.known.camera, response, np.zeros(3), truth.screen, lamps, {}, scale)
     found, shown = {}, patterns(light)
     pictures = {name: bench.frames([u], 1, bench.camera.exposure_s)[0] for name, u in shown.items()}
     grey = pictures["smooth"]
@@ -55,8 +50,7 @@ def cases(width: int, height: int, repeats: int) -> dict[str, Any]:
     for texels in TEXELS:
         lamp = idealised(texels_per_pixel=texels)
         reader = Digitiser.of(calibration, "left matrix", lamp)
-        steps = {"grey": lambda reader=reader: reader.texture(grey), "colour": lambda reader=reader: reader.texture(colour)}
-        ms = {name: each["median"] for name, each in interleaved(steps, repeats).items()}
+        ms = interleaved({"grey": partial(reader.texture, grey), "colour": partial(reader.texture, colour)}, repeats)
         errors = {}
         for name, u in shown.items():
             true = lamp.light_texture(torch.from_numpy(u))
@@ -70,7 +64,7 @@ def cases(width: int, height: int, repeats: int) -> dict[str, Any]:
 
 def measure(given: Namespace) -> dict[str, Any]:
     cv2.setNumThreads(1)
-    found: dict[str, Any] = {}
+    found = {}
     for size in CAMERAS[:1] if given.quick else CAMERAS:
         found |= cases(*size, 3 if given.quick else REPEATS)
     show("A live beam", found)
@@ -78,4 +72,4 @@ def measure(given: Namespace) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    run(measure, __doc__, packages=("torch", "numpy", "opencv-contrib-python-headless"), threads=(OMP, BLAS))
+    run(measure, __doc__)

@@ -2,22 +2,19 @@
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 from tracking import Identities
 
 from luxloop.controllers.functions.object_based import ObjectBasedState
 from luxloop.loop.scenario.model import Scenario, load, validate
-from luxloop.loop.scenario.overrides import Override
 from luxloop.loop.simulation.detection import pairs
 from luxloop.loop.simulation.evaluator import Evaluation
 from luxloop.loop.simulation.lamps import flux_by_side
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.loop.simulation.world import LitScene
 from luxloop.perception.camera import expose
 from luxloop.perception.ground_truth import GroundTruth
 from luxloop.perception.noise import FrameNoise
@@ -25,14 +22,14 @@ from luxloop.world.traffic.generator import random_tables
 
 CAMERA = {"width_px": 640, "height_px": 360, "pitch_deg": 1.5, "oversampling": 1, "saturation_e": 2000.0}
 RATE_HZ = 30.0
-WORLD: dict[str, Any] = {
+WORLD = {
     **{"camera": CAMERA, "headlight": {"model": "ssl-hd-lores"}, "ssc": {"a_d": 1.0}},
     **{"detector": {"kind": "network"}, "rate_hz": RATE_HZ},
 }
 FIRST = 2_000_000  # seed of the first scene: the network was trained on scenes from 10,000 on, and judged on those from 1,000,000 on
 OURS = "luxloop"
 SHARE = 0.08  # of the high beam, which is a fifth of the low one's flux
-VARIANTS: dict[str, tuple[Override, ...]] = {  # what each changes in the lighting of the scenario `obl`
+VARIANTS = {  # what each changes in the lighting of the scenario `obl`
     OURS: (),
     "over the low beam": ("lighting.base.beam='low'", "functions.object_light.ambient={first=1.0, least=0.05}"),
     "raising": ("functions.object_light.loop.search={kind='raise'}",),
@@ -102,20 +99,22 @@ def illuminate(scenario: Mapping[str, Any], variants: Mapping[str, Mapping[str, 
     The result: `objects` that count; `flux_lm` of BEAMS; `scores` by beam, of each seed, what the detector says of objects in their light;
     `runs`, by variant, of each seed.
     """
-    torch.set_num_threads(1)  # wherever the job runs
     own = {(name, seed): lit(scenario, tables, seed) for name, tables in variants.items() for seed in range(seeds[name])}
-    shared = Simulation.prepare(next(iter(own.values())))
-    simulations = {key: Simulation.prepare(each, before=shared) for key, each in own.items()}  # in its world, which is rendered once
-    states, runs = {key: each.start() for key, each in simulations.items()}, {key: Run() for key in own}
-    beams, counts, luminance = beam_lights(shared), Counter[str](), dict[str, Tensor]()
-    scores = {beam: [defaultdict[str, list[float]](list) for _ in range(max(seeds.values()))] for beam in beams}
+    simulations = dict(zip(own, in_one_world(own.values()), strict=True))
+    shared, steps = next(iter(simulations.values())), {key: each.evaluations() for key, each in simulations.items()}
+    runs, counts, luminance = {key: Run() for key in own}, Counter(), {}
+    beams = {
+        name: tuple(
+            torch.ones_like(module.flux) if beam is None else module.lamp.beam(beam)[module.number].to(module.flux)
+            for module in shared.modules
+        )
+        for name, beam in BEAMS.items()
+    }
+    scores = {beam: [defaultdict(list) for _ in range(max(seeds.values()))] for beam in beams}
     before, pipeline = None, shared.pipeline
-    assert pipeline is not None and pipeline.detector is not None
     for step in range(STEPS):
         for key in (key for key in own if step < COMES or key[0] == OURS):
-            states[key], result = simulations[key].step(states[key])
-            result = simulations[key].evaluate(result)
-            runs[key].add(result, shared)
+            runs[key].add(next(steps[key]), shared)
         if step not in END and step not in LATE:
             continue
         view = shared.world.lit(step / RATE_HZ)
@@ -131,7 +130,7 @@ def illuminate(scenario: Mapping[str, Any], variants: Mapping[str, Mapping[str, 
                 for k, each in enumerate(view.objects):
                     if each.name in due:
                         by_name[each.name].append(float(found.scores[boxes[k]].max()) if k in boxes else 0.0)
-    names = [name for name, steps in counts.items() if steps == len(LATE if name == NEWCOMER else END)]
+    names = [name for name, seen in counts.items() if seen == len(judged_steps(name))]
     return {
         "objects": names,
         "flux_lm": {beam: sum(flux_by_side(shared.modules, lights).values()) for beam, lights in beams.items()},
@@ -140,15 +139,17 @@ def illuminate(scenario: Mapping[str, Any], variants: Mapping[str, Mapping[str, 
     }
 
 
-def beam_lights(simulation: Simulation) -> dict[str, tuple[Tensor, ...]]:
-    """Utilisations `[n_p]`, one a module, of BEAMS."""
-    return {
-        name: tuple(
-            torch.ones_like(module.flux) if beam is None else module.lamp.beam(beam)[module.number].to(module.flux)
-            for module in simulation.modules
-        )
-        for name, beam in BEAMS.items()
-    }
+def in_one_world(scenarios: Iterable[Scenario]) -> list[Simulation]:
+    """A simulation of each, in the world of the first, which is rendered once."""
+    torch.set_num_threads(1)  # wherever the job runs
+    found = []
+    for each in scenarios:
+        found.append(Simulation.prepare(each, before=found[0] if found else None))
+    return found
+
+
+def judged_steps(name: str) -> range:
+    return LATE if name == NEWCOMER else END
 
 
 def is_clear(each: GroundTruth) -> bool:
@@ -165,50 +166,42 @@ class Run:
     dazzled. searches: first step of a track's loop, and the first in which it had settled."""
 
     def __init__(self) -> None:
-        self.series: dict[str, list[Any]] = {name: [] for name in ("flux_lm", "watts", "eyes_lx", "newcomer_lx", "dazzled")}
-        self.scores: dict[str, list[float]] = defaultdict(list)
-        self.tracked: dict[str, list[int]] = defaultdict(list)
-        self.searches: dict[str, list[int | None]] = {}
+        self.series = {name: [] for name in ("flux_lm", "eyes_lx", "newcomer_lx", "dazzled")}
+        self.scores = defaultdict(list)
+        self.tracked = defaultdict(list)
+        self.searches = {}
 
     def add(self, result: Evaluation, shared: Simulation) -> None:
-        assert result.look is not None
-        own, eyes_lx = self.series, result.look.eyes_lx_max
+        own, step, eyes_lx = self.series, result.step, result.look.eyes_lx_max
         own["flux_lm"].append(round(sum(power.flux_lm for power in result.powers.values()), 2))
-        own["watts"].append(round(sum(power.watts for power in result.powers.values()), 3))
         own["eyes_lx"].append(finite(eyes_lx))
         for name, each in result.look.recognised.items():
             if each.track is not None:
-                self.tracked[name].append(result.step)
-            if result.step in (LATE if name == NEWCOMER else END):
+                self.tracked[name].append(step)
+            if step in judged_steps(name):
                 self.scores[name].append(each.score)
         for state in (each for each in result.planning.functions.values() if isinstance(each, ObjectBasedState)):
             for track, loop in state.loops.items():
-                search = self.searches.setdefault(track, [result.step, None])
+                search = self.searches.setdefault(track, [step, None])
                 if loop.settled and search[1] is None:
-                    search[1] = result.step
+                    search[1] = step
         if (eyes_lx or 0.0) > DAZZLING_LX:
-            own["dazzled"] += dazzled(result, shared.world.lit(result.time_s))
-        if result.step >= COMES:
+            view = shared.world.lit(result.time_s)
+            for seen in view.objects:
+                lx = result.illuminance[view.eyes & (view.surfaces.object_id == seen.object_id)]
+                if len(lx) and float(lx.max()) > DAZZLING_LX:
+                    own["dazzled"].append((step, result.look.recognised[seen.name].track is not None))
+        if step >= COMES:
             own["newcomer_lx"].append(finite(result.objects[NEWCOMER].lx_mean))
 
     def result(self, names: Sequence[str]) -> dict[str, Any]:
         """Plain values. scores, tracked: by name, mean, and share of the steps that are judged. found: first step with a track, if any."""
-        judged = {name: LATE if name == NEWCOMER else END for name in names}
         return self.series | {
             "scores": means(self.scores, names),
-            "tracked": {name: len(set(steps) & set(self.tracked[name])) / len(steps) for name, steps in judged.items()},
+            "tracked": {name: float(np.isin(judged_steps(name), self.tracked[name]).mean()) for name in names},
             "found": {name: next(iter(self.tracked[name]), None) for name in names},
             "searches": list(self.searches.values()),
         }
-
-
-def dazzled(result: Evaluation, view: LitScene) -> Iterator[tuple[int, bool]]:
-    """Of each whose head or windscreen gets more than DAZZLING_LX the step, and whether a track shows it."""
-    assert result.look is not None
-    for each in view.objects:
-        lx = result.illuminance[view.eyes & (view.surfaces.object_id == each.object_id)]
-        if len(lx) and float(lx.max()) > DAZZLING_LX:
-            yield result.step, result.look.recognised[each.name].track is not None
 
 
 def finite(value: float | None) -> float | None:
@@ -228,43 +221,42 @@ def zone_jobs(seeds: int) -> Jobs:
 
 def zones(reflectances: Sequence[float], saturation_e: float, seed: int) -> dict[str, Any]:
     """A job: how bright three walls are, each with a zone, in cd/m^2, `luminance [walls, steps]`."""
-    torch.set_num_threads(1)
     walls, functions = [], {}
     for k, ((x, y), albedo) in enumerate(zip(WALLS_M, reflectances, strict=True)):
-        at = [{"position_m": (x + 0.1, y, 0.0)}]
-        walls.append({"kind": "box", "name": f"wall_{k}", "size_m": (0.2, 2.0, 2.0), "albedo": albedo, "track": at})
+        walls.append(_box(f"wall_{k}", (0.2, 2.0, 2.0), albedo, (x + 0.1, y, 0.0)))
         functions[f"zone_{k}"] = {"kind": "zone", "centre_m": (x, y, 1.0), "size_m": (0.0, 1.6, 1.6), "luminance_cd_m2": LUMINANCE}
     world = {key: value for key, value in WORLD.items() if key != "detector"} | {"camera": CAMERA | {"saturation_e": saturation_e}}
     plain = {"name": "zones", "steps": ZONE_STEPS, **world, "light": {"ambient_lx": 0.1}, "objects": walls}
-    results = list(Simulation.prepare(lit(plain, {"lighting": {"base": {"beam": "low"}}, "functions": functions}, seed)).evaluations())
+    (simulation,) = in_one_world([lit(plain, {"lighting": {"base": {"beam": "low"}}, "functions": functions}, seed)])
+    results = list(simulation.evaluations())
     return {"saturation_e": saturation_e, "luminance": [[each.zones[name].luminance for each in results] for name in functions]}
 
 
-def _walker(name: str, seed: int, kind: str, way: Sequence[tuple[float, float]], speed_m_s: float) -> dict[str, Any]:
-    path = {"points_m": [(x, y, 0.0) for x, y in way], "speed_m_s": speed_m_s}
-    return {"kind": kind, "name": name, "seed": seed, "path": path}
+def _box(name: str, size_m: tuple[float, ...], albedo: float, position_m: tuple[float, ...]) -> dict[str, Any]:
+    return {"kind": "box", "name": name, "size_m": size_m, "albedo": albedo, "track": [{"position_m": position_m}]}
+
+
+def _walker(seed: int, kind: str, begin: tuple[float, float], end: tuple[float, float], speed_m_s: float) -> dict[str, Any]:
+    path = {"points_m": [(*begin, 0.0), (*end, 0.0)], "speed_m_s": speed_m_s}
+    return {"kind": kind, "name": f"{kind}_{seed}", "seed": seed, "path": path}
 
 
 def situations(k: int) -> dict[str, list[dict[str, Any]]]:
     """Objects of the k-th place by situation."""
     seed, crossing_m, walk_m = FIRST + 10 * k, 13.0 + 3 * k, 14.0 + 2 * k
-    pillar = {
-        "kind": "box",
-        "name": "pillar",
-        "size_m": (0.3, 0.85, 2.4),
-        "albedo": 0.2,
-        "track": [{"position_m": (walk_m - 1.5, 0.0, 0.0)}],
-    }
     return {
         "two pedestrians cross": [
-            _walker("from_the_left", seed, "pedestrian", [(crossing_m, 2.0), (crossing_m, -6.0)], 1.4),
-            _walker("from_the_right", seed + 1, "pedestrian", [(crossing_m + 1.5, -2.0), (crossing_m + 1.5, 6.0)], 1.4),
+            _walker(seed, "pedestrian", (crossing_m, 2.0), (crossing_m, -6.0), 1.4),
+            _walker(seed + 1, "pedestrian", (crossing_m + 1.5, -2.0), (crossing_m + 1.5, 6.0), 1.4),
         ],
         "a cyclist overtakes": [
-            _walker("slow", seed + 2, "cyclist", [(16.0 + 2 * k, -1.2), (60.0, -1.2)], 2.0),
-            _walker("fast", seed + 3, "cyclist", [(11.0 + 2 * k, 0.2), (60.0, 0.2)], 6.0),
+            _walker(seed + 2, "cyclist", (16.0 + 2 * k, -1.2), (60.0, -1.2), 2.0),
+            _walker(seed + 3, "cyclist", (11.0 + 2 * k, 0.2), (60.0, 0.2), 6.0),
         ],
-        "10 frames behind a pillar": [_walker("walker", seed + 4, "pedestrian", [(walk_m, -1.6), (walk_m, 6.0)], 1.3), pillar],
+        "10 frames behind a pillar": [
+            _walker(seed + 4, "pedestrian", (walk_m, -1.6), (walk_m, 6.0), 1.3),
+            _box("pillar", (0.3, 0.85, 2.4), 0.2, (walk_m - 1.5, 0.0, 0.0)),
+        ],
     }
 
 
@@ -273,7 +265,7 @@ DENSE = "dense traffic"
 
 def track_jobs(seeds: int, times: int, steps: int) -> Jobs:
     """Each situation so often, each time in another place with others."""
-    found: Jobs = {}
+    found = {}
     for k in range(times):
         plain = {name: {"name": name, "steps": steps, **WORLD, "objects": objects} for name, objects in situations(k).items()}
         traffic = {"seed": k, "pedestrians": 8, "cyclists": 3, "cars": 2, "parked": 2, "moving": True}
@@ -284,17 +276,12 @@ def track_jobs(seeds: int, times: int, steps: int) -> Jobs:
 
 def track(situation: str, scenario: Mapping[str, Any], seeds: int) -> dict[str, Any]:
     """A job: identities in the light of the high beam, with each seed's noise: `tracking.Identities` of each."""
-    torch.set_num_threads(1)
-    own = [lit(scenario, seed=seed) for seed in range(seeds)]
-    shared = Simulation.prepare(own[0])
-    simulations = [Simulation.prepare(each, before=shared) for each in own]
-    states, found = [each.start() for each in simulations], [Identities() for _ in own]
-    for step in range(shared.scenario.steps):
-        view = shared.world.lit(step / RATE_HZ)
+    simulations = in_one_world(lit(scenario, seed=seed) for seed in range(seeds))
+    found = [Identities() for _ in simulations]
+    for results in zip(*(each.evaluations() for each in simulations), strict=True):
+        view = simulations[0].world.lit(results[0].time_s)
         visible = [each.visible * each.inside >= LEAST_VISIBLE for each in view.objects]
-        for k, each in enumerate(simulations):
-            states[k], result = each.step(states[k])
-            assert each.pipeline is not None
-            tracks = each.pipeline.present(result.perception.tracks, result.perception.taken_s)
-            found[k].look([each.name for each in view.objects], view.boxes, visible, tracks.boxes, tracks.number.tolist())
+        for own, result in zip(found, results, strict=True):
+            tracks = result.look.tracks
+            own.look([each.name for each in view.objects], view.boxes, visible, tracks.boxes, tracks.number.tolist())
     return {"situation": situation, "runs": [each.counts() for each in found]}

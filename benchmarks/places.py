@@ -4,20 +4,16 @@ Worlds drawn from a seed, and in each of them all controllers side by side, besi
 earlier run in the same folder was. `--quick`: about an eighth of the worlds. Prints the tables of docs/results/places.md.
 """
 
-import json
 from argparse import Namespace
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import side_by_side
-from bench import Goal, run, show, study, study_options
-from side_by_side import DARK, compare, job, road_of, series
+from bench import Goal, run, show, study_options
+from side_by_side import DARK, SMALL, World, compare_in, road_of, series, table
 
-from luxloop.loop.recording.manifest import digests
 from luxloop.loop.recording.summary import AXES
 from luxloop.loop.scenario import data
 from luxloop.loop.scenario.model import Scenario, load
@@ -25,7 +21,6 @@ from luxloop.loop.scenario.model import Scenario, load
 FEEDFORWARD = "feedforward, true road"
 CONTROLLERS = ("open", "thesis_pid", "gauss_newton", "model_reference", FEEDFORWARD, "luxloop")
 ON_THE_ROAD_CONTROLLERS = ("open", FEEDFORWARD, "luxloop")  # the others compare with what a flat road looks like
-SMALL = "camera={width_px=640, height_px=480}"
 SEED = 4
 STEPS = 25  # and as many more as frames are late; the thesis' controller needs 20 to settle
 
@@ -60,36 +55,12 @@ Road = dict[str, Any]
 Row = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Place:
-    """One world: its kind and name, and the scenario of which each controller gets its turn."""
-
-    kind: str
-    name: str
-    scenario: Scenario
-
-    @property
-    def key(self) -> str:
-        s = self.scenario
-        target = f"{s.symbol.x_m:g} m" + (f", {s.symbol.y_m:+g} m aside" if s.symbol.y_m else "")
-        place = " on the road" if s.symbol.target == "place" else ""
-        return f"{self.name}; {s.symbol.image} at {target}{place}, {s.camera.latency_steps} late"
-
-    @property
-    def parameters(self) -> dict[str, Any]:
-        """Of the job."""
-        names = CONTROLLERS if self.scenario.symbol.target == "appearance" else ON_THE_ROAD_CONTROLLERS
-        tables: dict[str, Any] = {name: {"name": name} for name in names}
-        tables[FEEDFORWARD] = {"name": "feedforward", "road": road_of(self.scenario)}
-        return job(self.scenario, tables, bounded=True)
-
-
-def places(quick: bool) -> Iterator[Place]:
+def places(quick: bool) -> Iterator[World]:
     """All worlds, every eighth of them where it shall be quick, but those whose scan is not here."""
-    for kind, target, grades in ((FROM_3_M, "appearance", GRADES_PERCENT), (ROAD_FROM_3_M, "place", (-4, *GRADES_PERCENT))):
+    for kind, grades in ((FROM_3_M, GRADES_PERCENT), (ROAD_FROM_3_M, (-4, *GRADES_PERCENT))):
         for percent in grades[:: 3 if quick else 1]:
             road = _grade(percent, 0.0, BEGINS_M[0])
-            yield Place(kind, f"{percent:+} % from 3 m on", _scenario(road, "snowflake", (17.0, 0.0), AT_TARGET, 0, target))
+            yield _world(kind, f"{percent:+} % from 3 m on", road, "snowflake", (17.0, 0.0), AT_TARGET, 0)
     for k, (kind, name, road) in list(enumerate(_roads(np.random.default_rng(SEED))))[:: 8 if quick else 1]:
         generator = np.random.default_rng([SEED, k])  # so that a world is the same in both runs
         x, y = TARGETS_M[generator.integers(len(TARGETS_M))]
@@ -100,9 +71,9 @@ def places(quick: bool) -> Iterator[Place]:
             if data.present(road["file"]) is None:
                 continue
             road |= {"at_x_m": x, "at_y_m": y}
-        yield Place(kind, name, _scenario(road, symbol, (x, y), start, latency))
+        yield _world(kind, name, road, symbol, (x, y), start, latency)
         if k % EVERY_ON_ROAD == 0:
-            yield Place(ON_ROAD, name, _scenario(road, symbol, (x, y), start, latency, "place"))
+            yield _world(ON_ROAD, name, road, symbol, (x, y), start, latency)
 
 
 def _roads(generator: np.random.Generator) -> Iterator[tuple[str, str, Road]]:
@@ -136,68 +107,79 @@ def _grade(grade_percent: float, crossfall_percent: float, start_x_m: float) -> 
     return {"kind": "grade", "grade_percent": grade_percent, "crossfall_percent": crossfall_percent, "start_x_m": start_x_m}
 
 
-def _scenario(
-    road: Road, symbol: str, at: tuple[float, float], start: dict[str, float], latency: int, target: str = "appearance"
-) -> Scenario:
+def _world(kind: str, name: str, road: Road, symbol: str, at: tuple[float, float], start: dict[str, float], late: int) -> World:
+    target = "place" if kind.startswith(ON_ROAD) else "appearance"
     function = {"image": symbol, "x_m": at[0], "y_m": at[1], "target": target, "start": start, "controller": {"name": "luxloop"}}
-    changes = {"road": road, "functions": {"symbol": function}, "camera": {"latency_steps": latency}}
-    return load("flat", (SMALL, changes), steps=STEPS + latency)
+    changes = {"road": road, "functions": {"symbol": function}, "camera": {"latency_steps": late}}
+    return world(kind, name, load("flat", (SMALL, changes), steps=STEPS + late))
 
 
-def measures(place: Place, found: Mapping[str, Any]) -> list[Row]:
+def world(kind: str, name: str, scenario: Scenario) -> World:
+    symbol, late, on_road = scenario.symbol, scenario.camera.latency_steps, scenario.symbol.target == "place"
+    target = f"{symbol.x_m:g} m" + (f", {symbol.y_m:+g} m aside" if symbol.y_m else "") + (" on the road" if on_road else "")
+    tables = {each: {"name": each} for each in (ON_THE_ROAD_CONTROLLERS if on_road else CONTROLLERS)}
+    tables[FEEDFORWARD] = {"name": "feedforward", "road": road_of(scenario)}
+    return World(f"{name}; {symbol.image} at {target}, {late} late", {"kind": kind, "latency": late}, scenario, tables, bounded=True)
+
+
+def measures(place: World, found: Mapping[str, Any]) -> list[Row]:
     """A row a controller of a world's result (`side_by_side.compare`).
 
     iou: mean of the last five steps; so are those of the open loop, the feedforward and the bound beside it. centroid: in % of the symbol's
-    size. found: first step at which the symbol was not lost, None for never. lost, lost_later: steps at which it was lost, all, and those
-    after the first looks. below_open, below_thesis: by how much the IoU is lower; None where the thesis' controller does not run.
+    size. found: first step at which the symbol was not lost, None for never. lost, lost_later: share of the steps at which it was lost, and
+    steps after the first looks. below_open, below_thesis: by how much the IoU is lower; None where the thesis' controller does not run.
     """
-    judged, latency = found["judged"], place.scenario.camera.latency_steps
+    judged, late = found["judged"], place.facts["latency"]
     end = {name: float(series(each, "iou", 0.0)[-END:].mean()) for name, each in judged.items()}
-    world = {"kind": place.kind, "world": place.key, "latency": latency, "iou_bound": found["iou_bound"], "visible": found["visible"]}
-    world |= {"iou_open": end["open"], "iou_feedforward": end[FEEDFORWARD]}
-    rows = []
-    for controller, each in judged.items():
-        offset = np.stack([series(each, axis, DARK) for axis in AXES])[:, -END:].mean(1)
-        seen = np.flatnonzero(~np.array(each["lost"]))
-        row = {
+    facts = {**place.facts, "world": place.key, "iou_bound": found["iou_bound"], "visible": found["visible"]}
+    facts |= {"iou_open": end["open"], "iou_feedforward": end[FEEDFORWARD]}
+    return [
+        facts
+        | {
             "controller": controller,
             "iou": end[controller],
-            "found": int(seen[0]) if len(seen) else None,
-            "steps": len(each["lost"]),
-            "lost": sum(each["lost"]),
-            "lost_later": sum(each["lost"][latency + LOOKS :]),
-            "centroid": float(np.abs(offset).max()),
+            "found": next((step for step, lost in enumerate(each["lost"]) if not lost), None),
+            "lost": float(np.mean(each["lost"])),
+            "lost_later": sum(each["lost"][late + LOOKS :]),
+            "centroid": float(max(abs(series(each, axis, DARK)[-END:].mean()) for axis in AXES)),
             "below_open": end["open"] - end[controller],
             "below_thesis": end["thesis_pid"] - end[controller] if "thesis_pid" in end else None,
         }
-        rows.append(world | row)
-    return rows
+        for controller, each in judged.items()
+    ]
 
 
-class Target(NamedTuple):
-    """What holds in at least so large a share of the worlds of which enough is visible. controller: whose rows. kind: of these worlds
-    alone, however much is visible. on_the_road: of worlds with that target, else of those with the other."""
+def goals(rows: Sequence[Row]) -> list[Goal]:
+    """Shares of the worlds in which something holds, where enough is visible, or of a kind, however much is visible."""
+    own = [row for row in rows if row["controller"] == "luxloop"]
+    feedforward = [row for row in rows if row["controller"] == FEEDFORWARD]
 
-    what: str
-    holds: Callable[[Row], bool]
-    share: float = 1.0
-    controller: str = "luxloop"
-    kind: str | None = None
-    on_the_road: bool = False
+    def clear(rows: Sequence[Row], on_road: bool = False) -> list[Row]:
+        return [row for row in rows if row["visible"] >= VISIBLE and row["kind"].startswith(ON_ROAD) == on_road]
 
-    def counts(self, row: Row) -> bool:
-        if row["controller"] != self.controller or self.kind:
-            return row["controller"] == self.controller and row["kind"] == self.kind
-        return row["visible"] >= VISIBLE and row["kind"].startswith(ON_ROAD) == self.on_the_road
+    def goal(what: str, rows: Sequence[Row], holds: Callable[[Row], bool], share: float = 1.0) -> Goal:
+        count = sum(map(bool, map(holds, rows)))
+        return Goal(what, count / len(rows) if rows else None, share, True, f"{count} of {len(rows)}")
 
-    def of(self, rows: Sequence[Row]) -> tuple[int, int]:
-        """In how many worlds it holds, and of how many."""
-        own = [bool(self.holds(row)) for row in rows if self.counts(row)]
-        return sum(own), len(own)
-
-    def goal(self, rows: Sequence[Row]) -> Goal:
-        count, total = self.of(rows)
-        return Goal(self.what, count / total if total else None, self.share, True, f"{count} of {total}")
+    looks, on_road = clear(own), clear(own, on_road=True)
+    from_3_m, on_road_from_3_m = ([row for row in own if row["kind"] == kind] for kind in (FROM_3_M, ROAD_FROM_3_M))
+    return [
+        goal("IoU at least 0.95 x feedforward's", looks, _near_feedforward, 0.95),
+        goal("IoU at least 0.85 x that", looks, lambda r: r["iou"] >= 0.85 * r["iou_feedforward"]),
+        goal("Feedforward within 0.02 of the bound", clear(feedforward), lambda r: r["iou"] >= r["iou_bound"] - 0.02),
+        goal("No more than 0.02 below the open loop", looks, _not_below_open),
+        goal("No more than 0.02 below thesis_pid", looks, lambda r: r["below_thesis"] <= 0.02),
+        goal(f"Found within latency + {LOOKS} steps", looks, lambda r: r["found"] is not None and r["found"] <= r["latency"] + LOOKS),
+        goal("Never lost after that", looks, lambda r: r["lost_later"] == 0),
+        goal("Grades of -3 to +4 % from 3 m on: IoU at least 0.95 x the bound", from_3_m, lambda r: r["iou"] >= 0.95 * r["iou_bound"]),
+        goal("On the road itself: IoU at least 0.95 x feedforward's", on_road, _near_feedforward, 0.95),
+        goal("On the road itself: no more than 0.02 below the open loop", on_road, _not_below_open),
+        goal(
+            "On the road itself, grades from -4 % on: IoU at least 0.85, or 0.95 x the bound",
+            on_road_from_3_m,
+            lambda r: r["iou"] >= min(0.85, 0.95 * r["iou_bound"]),
+        ),
+    ]
 
 
 def _near_feedforward(row: Row) -> bool:
@@ -208,25 +190,8 @@ def _not_below_open(row: Row) -> bool:
     return row["below_open"] <= 0.02
 
 
-TARGETS = (
-    Target("IoU at least 0.95 x feedforward's", _near_feedforward, share=0.95),
-    Target("IoU at least 0.85 x that", lambda r: r["iou"] >= 0.85 * r["iou_feedforward"]),
-    Target("Feedforward within 0.02 of the bound", lambda r: r["iou"] >= r["iou_bound"] - 0.02, controller=FEEDFORWARD),
-    Target("No more than 0.02 below the open loop", _not_below_open),
-    Target("No more than 0.02 below thesis_pid", lambda r: r["below_thesis"] <= 0.02),
-    Target(f"Found within latency + {LOOKS} steps", lambda r: r["found"] is not None and r["found"] <= r["latency"] + LOOKS),
-    Target("Never lost after that", lambda r: r["lost_later"] == 0),
-    Target("Grades of -3 to +4 % from 3 m on: IoU at least 0.95 x the bound", lambda r: r["iou"] >= 0.95 * r["iou_bound"], kind=FROM_3_M),
-    Target("On the road itself: IoU at least 0.95 x feedforward's", _near_feedforward, share=0.95, on_the_road=True),
-    Target("On the road itself: no more than 0.02 below the open loop", _not_below_open, on_the_road=True),
-    Target(
-        "On the road itself, grades from -4 % on: IoU at least 0.85, or 0.95 x the bound",
-        lambda r: r["iou"] >= min(0.85, 0.95 * r["iou_bound"]),
-        kind=ROAD_FROM_3_M,
-    ),
-)
 # What becomes of the symbol where less of it can be seen; the first that is true counts.
-OUTCOMES: dict[str, Callable[[Row], bool]] = {
+OUTCOMES = {
     "nothing, nor has the bound": lambda r: r["iou_bound"] < NOTHING,
     "as good as for the true road": lambda r: r["iou"] >= 0.95 * max(r["iou_feedforward"], r["iou_bound"]),
     "better than the open loop": lambda r: r["below_open"] < -0.02,
@@ -235,38 +200,27 @@ OUTCOMES: dict[str, Callable[[Row], bool]] = {
 }
 
 
-def by_kind(rows: Sequence[Row]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """A row a kind of road: mean IoU of each controller and the bound, and luxloop's worst."""
-    for kind in dict.fromkeys(row["kind"] for row in rows):
-        columns = {name: [row["iou"] for row in rows if (row["kind"], row["controller"]) == (kind, name)] for name in CONTROLLERS}
-        columns["bound"] = [row["iou_bound"] for row in rows if (row["kind"], row["controller"]) == (kind, "luxloop")]
-        means = {name: float(np.mean(each)) for name, each in columns.items() if each}
-        yield kind, {"worlds": len(columns["bound"]), **means, "luxloop's worst": min(columns["luxloop"])}
-
-
 def by_share(rows: Sequence[Row]) -> Iterator[tuple[str, dict[str, int]]]:
     """What becomes of luxloop's symbol where less of it can be seen, counted by visible share."""
     for low, high in pairwise(BINS):
         found = [row for row in rows if low <= row["visible"] < high]
         ends = Counter(next(name for name, holds in OUTCOMES.items() if holds(row)) for row in found)
-        lost = sum(row["lost"] > row["steps"] / 2 for row in found)
         outcomes = {name: ends[name] for name in OUTCOMES}
+        lost = sum(row["lost"] > 0.5 for row in found)
         yield f"{low:g} to {high:g}", {"worlds": len(found), **outcomes, "lost at more than half of the steps": lost}
 
 
 def measure(given: Namespace) -> dict[str, Any]:
-    chosen = [place for place in places(given.quick) if not given.only or place.kind in given.only]
-    files = sorted({file for place in chosen for file in digests(place.scenario).items()})  # scans among them
-    found, failures = study(compare, {place.key: place.parameters for place in chosen}, given, [side_by_side], json.dumps(files))
-    rows = [row for place in chosen if place.key in found for row in measures(place, found[place.key])]
+    found, failures = compare_in(places(given.quick), given)
+    rows = [row for place, result in found for row in measures(place, result)]
     own = [row for row in rows if row["controller"] == "luxloop"]
-    show(f"IoU where the visible share is at least {VISIBLE:g}", dict(by_kind([row for row in rows if row["visible"] >= VISIBLE])))
-    grades = [row for row in own if row["kind"].endswith(FROM_3_M)]
-    show("Grades", {row["world"]: {"luxloop": row["iou"], "bound": row["iou_bound"]} for row in grades})
+    bounds = [row | {"controller": "bound", "iou": row["iou_bound"]} for row in own]
+    table(f"IoU where the visible share is at least {VISIBLE:g}", [row for row in rows + bounds if row["visible"] >= VISIBLE])
+    table("Grades", [row for row in own + bounds if row["kind"].endswith(FROM_3_M)], "world")
     show("By visible share", dict(by_share(own)))
-    return {"rows": rows, "goals": [target.goal(rows) for target in TARGETS], "failures": failures}
+    return {"rows": rows, "goals": goals(rows), "failures": failures}
 
 
 if __name__ == "__main__":
     only = {"nargs": "+", "choices": KINDS, "metavar": "KIND", "help": f"these kinds of roads alone: {', '.join(KINDS)}"}
-    run(measure, __doc__, packages=("torch", "numpy"), threads=(), only=only, **study_options("places"))
+    run(measure, __doc__, only=only, **study_options("places"))

@@ -9,12 +9,11 @@ import multiprocessing
 import socket
 import time
 from argparse import Namespace
-from statistics import median
 from typing import Any
 
 import numpy as np
 import torch
-from bench import BLAS, OMP, run, show
+from bench import Laps, medians, run, show
 from websockets.sync.client import connect
 
 from luxloop.controllers.pixels.ssc import Utilisation
@@ -22,7 +21,6 @@ from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.clock import FromZero
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame, Plant
-from luxloop.loop.simulation.remote import RemotePlant
 from luxloop.loop.studio.inbox import unpack
 from luxloop.world.messages import pack, raw
 
@@ -57,7 +55,6 @@ def answer(address: str, width: int, height: int) -> None:
     with there:
         there.send(pack({"type": "hello", "protocol": 1}))
         for data in there:
-            assert isinstance(data, bytes)
             head, _ = unpack(data)
             if head["type"] == "start":
                 there.send(pack(came))
@@ -68,18 +65,16 @@ def answer(address: str, width: int, height: int) -> None:
                 there.send(pack(arrivals, {f"frame.{head['number']}": raw(image)}))
 
 
-def step_ms(plant: Plant, lights: tuple[Utilisation, ...], steps: int) -> tuple[float, float]:
+def step_ms(plant: Plant, lights: tuple[Utilisation, ...], steps: int) -> dict[str, float]:
     """Median processor time and time by the clock of a step in ms."""
-    state, arrivals = plant.start()
-    ms = []
+    (state, arrivals), rows = plant.start(), []
     for step in range(steps):
-        before = time.process_time(), time.perf_counter()
+        laps, began_s = Laps(), time.perf_counter()
         for part in (0, 1):
             state, arrivals = plant.show(state, Exposure(2 * step + part, arrivals.time_s, PERIOD_S / 2, lights))
             assert arrivals.frames[0].image is not None
-        ms.append((1e3 * (time.process_time() - before[0]), 1e3 * (time.perf_counter() - before[1])))
-    cpu_ms, clock_ms = map(median, zip(*ms, strict=True))
-    return cpu_ms, clock_ms
+        rows.append({"cpu": laps.lap("cpu"), "clock": 1e3 * (time.perf_counter() - began_s)})
+    return medians(rows)
 
 
 def compare(size: tuple[int, int], sends: str, lit: str, steps: int) -> dict[str, Any]:
@@ -89,20 +84,19 @@ def compare(size: tuple[int, int], sends: str, lit: str, steps: int) -> dict[str
     plant = {"kind": "remote", "address": address, "sends": sends, "timeout_s": 60.0}
     simulation = prepare(load("flat", [{"plant": plant, "camera": {"width_px": size[0], "height_px": size[1]}}]), "cpu")
     remote, projector = simulation.plant, simulation.symbol.projector
-    assert isinstance(remote, FromZero) and isinstance(remote.plant, RemotePlant)
     lights = projector.light(projector.target) if lit == "symbol" else tuple(Utilisation(each.u + 1) for each in projector.resting)
     _, arrays = remote.plant.parts(Exposure(0, 0.0, 1.0, lights))
     here = FromZero(LocalPlant(lights[0].u.new_full((size[1], size[0]), 100.0)), "here", simulation.scenario.camera, lights[0].u)
     other = multiprocessing.get_context("spawn").Process(target=answer, args=(f"ws://{address}", *size), daemon=True)
     other.start()
     try:
-        cpu_ms, ms = step_ms(remote, lights, steps)
+        there = step_ms(remote, lights, steps)
     finally:
         remote.close()
         other.kill()
-    here_cpu_ms, _ = step_ms(here, lights, steps)
     megabytes = {"light": 2e-6 * sum(len(each.data) for each in arrays.values()), "frames": 4e-6 * size[0] * size[1]}
-    return {"MB a step": megabytes, "steps/s": 1e3 / ms, "cpu ms a step": cpu_ms, "in this process": here_cpu_ms}
+    own = step_ms(here, lights, steps)
+    return {"MB a step": megabytes, "steps/s": 1e3 / there["clock"], "cpu ms a step": there["cpu"], "in this process": own["cpu"]}
 
 
 def measure(given: Namespace) -> dict[str, Any]:
@@ -113,4 +107,4 @@ def measure(given: Namespace) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    run(measure, __doc__, packages=("websockets", "numpy"), threads=(OMP, BLAS))
+    run(measure, __doc__)

@@ -1,7 +1,7 @@
 """A rig whose every value is known, with effects that its calibration does not model."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 
@@ -16,8 +16,6 @@ from luxloop.loop.simulation.build_lamps import mount
 from luxloop.loop.simulation.lamps import lamp_modules
 from luxloop.perception.camera import camera_view
 from luxloop.world.headlight import Headlight
-from luxloop.world.headlight.lamp import Lamp, Module
-from luxloop.world.lamps import archive
 
 SCREEN_M = 5.95  # of the screen before the lamp
 ALBEDO = 0.8
@@ -35,42 +33,26 @@ SCREEN = {
 CAMERA = {"x_m": -0.3, "y_m": 0.25, "z_m": 1.0, "pitch_deg": 3.0, "yaw_deg": -2.0, "exposure_s": 0.004}
 
 
-@dataclass(frozen=True)
-class Effects:
-    """What the calibration does not know of: optics of the lens, a glossy screen, a lens of the division model (Fitzgibbon 2001)."""
-
-    optics: LensParams | None = None
-    gloss: bool = False
-    division: bool = False
-
-
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """params, focal_px: of the lens, whose pinhole is `truth.camera`. known: as a board shows it, with a lamp that is a few cm off."""
+    """params: of the lens, whose pinhole is `truth.camera`. known: as a board shows it, with a lamp that is a few cm off."""
 
     bench: SimulatedSetup
-    scenario: Scenario
     light: Headlight
     truth: Geometry
     known: Geometry
     params: LensParams
 
-    def pinhole_px(self, u: Array, v: Array) -> tuple[Array, Array]:
-        """From the lens' image to the pinhole's."""
-        return _pinhole_px(self.truth.camera, self.params, u, v)
 
-    def lens_px(self, at: Array) -> Array:
-        """Where the lens shows points of the pinhole's image, `[n, 2]` px."""
-        return _lens_px(self.truth.camera, self.params, at)
-
-
-def _pinhole_px(camera: CameraModel, params: LensParams, u: Array, v: Array) -> tuple[Array, Array]:
+def pinhole_px(camera: CameraModel, params: LensParams, u: Array, v: Array) -> tuple[Array, Array]:
+    """From the lens' image to that of its pinhole."""
     focal, centre = camera.matrix[0, 0], np.array([camera.width, camera.height]) / 2
     straight = undistort(params, (np.stack([u.ravel(), v.ravel()], 1) - centre) / focal, focal) * focal + centre
     return straight[:, 0].reshape(u.shape), straight[:, 1].reshape(v.shape)
 
 
-def _lens_px(camera: CameraModel, params: LensParams, at: Array) -> Array:
+def lens_px(camera: CameraModel, params: LensParams, at: Array) -> Array:
+    """Where the lens shows points of its pinhole's image, `[n, 2]` px."""
     focal, centre = camera.matrix[0, 0], np.array([camera.width, camera.height]) / 2
     return np.asarray(distort(params, (at - centre) / focal) * focal + centre)
 
@@ -90,31 +72,32 @@ def wall(model: str, width: int, height: int, hfov_deg: float, **camera: float) 
     return validate(plain, "wall")
 
 
-def rig(scenario: Scenario, effects: Effects, fine: int = 2, seed: int = 0) -> Rig:
-    """The rig of a scenario with effects; its camera and screen as a board would have shown them."""
+def rig(
+    scenario: Scenario, optics: LensParams | None = None, gloss: bool = False, division: bool = False, fine: int = 2, seed: int = 0
+) -> Rig:
+    """The rig of a scenario; its camera and screen as a board would have shown them.
+
+    What the calibration does not know of: optics of the lens, a glossy screen, a lens of the division model (Fitzgibbon 2001).
+    """
     (module,) = lamp_modules(mount(scenario.headlight))
     pinhole, rng = CameraModel.of(scenario.camera), np.random.default_rng(seed)
     scale = (2 * pinhole.matrix[0, 0] / pinhole.width) ** 2
-    coefficients = DIVISION if effects.division else BROWN
-    params = LensParams(
-        model="division" if effects.division else "opencv", coefficients=tuple(c * scale**k for k, c in enumerate(coefficients, 1))
-    )
-    bench = simulated_setup(scenario, [module], lambda u, v: _pinhole_px(pinhole, params, u, v), fine)
-    T_world_screen = np.eye(4)
-    T_world_screen[:3, :3] = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]]).T
-    T_world_screen[:3, 3] = SCREEN_M, 0.0, 1.0
+    coefficients = tuple(c * scale**k for k, c in enumerate(DIVISION if division else BROWN, 1))
+    params = LensParams(model="division" if division else "opencv", coefficients=coefficients)
+    bench = simulated_setup(scenario, [module], partial(pinhole_px, pinhole, params), fine)
+    T_world_screen = np.array([[0.0, 0, -1, SCREEN_M], [-1, 0, 0, 0], [0, 1, 0, 1], [0, 0, 0, 1]])
     to_camera = np.linalg.inv(camera_view(scenario.camera).T_world_view.numpy())
     screen, lamp = (Pose.of(to_camera @ each) for each in (T_world_screen, module.T_world_headlight.numpy()))
     truth = Geometry(pinhole, screen, lamp)
-    gain = _sheen(truth, params) if effects.gloss else 1.0
-    optics = Lens.of(effects.optics or LensParams(), scenario.camera)
-    bench = replace(bench, optics=lambda luminance: optics.image(gain * luminance)) if effects != Effects() else bench
-    known = replace(truth, camera=lens(_views(pinhole, params, rng), pinhole.width, pinhole.height)[0])
+    if optics or gloss:
+        gain, glass = _sheen(truth, params) if gloss else 1.0, Lens.of(optics or LensParams(), scenario.camera)
+        bench = replace(bench, optics=lambda luminance: glass.image(gain * luminance))
+    camera, _ = lens(views(pinhole, params, rng), pinhole.width, pinhole.height)
     off = Pose(lamp.turn + rng.normal(0, 0.01, 3), lamp.place + rng.normal(0, 0.05, 3))
-    return Rig(bench, scenario, module.headlight, truth, replace(known, lamp=off), params)
+    return Rig(bench, module.headlight, truth, Geometry(camera, screen, off), params)
 
 
-def _views(camera: CameraModel, params: LensParams, rng: np.random.Generator) -> list[Corners]:
+def views(camera: CameraModel, params: LensParams, rng: np.random.Generator) -> list[Corners]:
     """Corners of a board in twenty views."""
     y, x = (each.ravel() * 0.03 for each in np.mgrid[0:10, 0:7])
     board, size = np.stack([x - x.mean(), y - y.mean(), 0 * x], -1), np.array([camera.width, camera.height])
@@ -122,7 +105,7 @@ def _views(camera: CameraModel, params: LensParams, rng: np.random.Generator) ->
     for _ in range(20):
         tilt, way = rng.uniform(0.4, 0.8), rng.uniform(0, 2 * np.pi)
         pose = Pose(tilt * np.array([np.cos(way), np.sin(way), 0.0]), np.array([0.0, 0.0, distance]) * rng.uniform(0.9, 1.4))
-        at = _lens_px(camera, params, camera.project(np.array([*rng.uniform(-0.1, 0.1, 2), 0.0]) + pose.points(board)))
+        at = lens_px(camera, params, camera.project(np.array([*rng.uniform(-0.1, 0.1, 2), 0.0]) + pose.points(board)))
         inside = ((at > 0) & (at < size)).all(1)
         if inside.sum() >= 12:
             views.append(Corners(board[inside, :2], at[inside] + rng.normal(0, CORNER_PX, (int(inside.sum()), 2))))
@@ -132,14 +115,8 @@ def _views(camera: CameraModel, params: LensParams, rng: np.random.Generator) ->
 def _sheen(truth: Geometry, params: LensParams) -> Array:
     """Gain of the luminance of a glossy screen, `[height, width]`."""
     v, u = np.indices((truth.camera.height, truth.camera.width)) + 0.5
-    points, normal = truth.on_screen(*_pinhole_px(truth.camera, params, u, v)), truth.screen.rotation[:, 2]
+    points, normal = truth.on_screen(*pinhole_px(truth.camera, params, u, v)), truth.screen.rotation[:, 2]
     to_lamp, to_eye = ((each / np.linalg.norm(each, axis=-1, keepdims=True)) for each in (truth.lamp.place - points, -points))
     half = to_lamp + to_eye
     cos = np.abs(half @ normal) / np.linalg.norm(half, axis=-1)
     return np.asarray(1 + SHEEN * np.exp(-((np.degrees(np.arccos(cos.clip(max=1))) / SHEEN_DEG) ** 2)))
-
-
-def model(path: Path, light: Headlight) -> str:
-    """A lamp file of one module."""
-    archive.save(path, Lamp(path.stem, (Module("matrix", light),)))
-    return str(path)

@@ -3,47 +3,49 @@
 `python benchmarks/rig_calibration.py small` or `hd` prints a row of the table of docs/rig_calibration.md for each case.
 """
 
+import itertools
 import sys
-from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 import torch
 from bench import show
-from rig_bench import ALBEDO, BLUR, VEIL, Effects, Rig, model, rig, wall
+from rig_bench import ALBEDO, BLUR, VEIL, Rig, lens_px, rig, wall
 
 from luxloop.loop.rig.arrays import Array
 from luxloop.loop.rig.calibration.digitise import ModuleMeasurement, Nominal, Reading, digitise_module, lux, scale_to_lux
 from luxloop.loop.rig.calibration.geometry import Geometry, candela_factor
 from luxloop.loop.rig.calibration.shots import Shots, linear_response
 from luxloop.loop.rig.simulated.faults import LensParams
+from luxloop.loop.scenario.model import Scenario
 from luxloop.world.headlight import Headlight
+from luxloop.world.headlight.lamp import Lamp, Module
+from luxloop.world.lamps import archive
 from luxloop.world.lamps.presets import idealised
 
-CASES = {
-    "nothing": Effects(),
-    "blur": Effects(LensParams(**BLUR)),
-    "veiling glare": Effects(LensParams(**VEIL)),
-    "glossy screen": Effects(gloss=True),
-    "another lens": Effects(division=True),
-    "all four": Effects(LensParams(**BLUR, **VEIL), gloss=True, division=True),
+CASES = {  # arguments of `rig`
+    "nothing": {},
+    "blur": {"optics": LensParams(**BLUR)},
+    "veiling glare": {"optics": LensParams(**VEIL)},
+    "glossy screen": {"gloss": True},
+    "another lens": {"division": True},
+    "all four": {"optics": LensParams(**BLUR, **VEIL), "gloss": True, "division": True},
+}
+LAMPS = {  # arguments of the preset and of the camera that looks at its light
+    "hd": ((), {"width": 1920, "height": 800, "hfov_deg": 24.0, "pitch_deg": 4.0}),
+    "small": ((20, 40, (4, 2), 4.0, 1.8, -2.2), {"width": 160, "height": 120, "hfov_deg": 12.0}),
 }
 
 
-def uneven(light: Headlight, seed: int = 1) -> Headlight:
-    """A lamp whose pixels differ by 15 % and of which two are dead."""
+def uneven_wall(size: str, folder: Path, seed: int = 1) -> Scenario:
+    """A lamp whose pixels differ by 15 % and of which two are dead, before a screen."""
+    arguments, camera = LAMPS[size]
+    light = idealised(*arguments)
     share = np.exp(0.15 * np.random.default_rng(seed).standard_normal(light.n_pixels)).clip(0.5, 1.5)
     share[[light.n_pixels // 3, light.n_pixels // 2 + 5]] = 0
-    return light.dim(torch.from_numpy(share.astype(np.float32)))
-
-
-def lamp(size: str) -> tuple[Headlight, dict[str, Any]]:
-    """A lamp, and the camera that looks at its light."""
-    if size == "hd":
-        return uneven(idealised()), {"width": 1920, "height": 800, "hfov_deg": 24.0, "pitch_deg": 4.0}
-    return uneven(idealised(20, 40, (4, 2), 4.0, 1.8, -2.2)), {"width": 160, "height": 120, "hfov_deg": 12.0}
+    archive.save(folder / f"{size}.npz", Lamp(size, (Module("matrix", light.dim(torch.from_numpy(share.astype(np.float32)))),)))
+    return wall(str(folder / f"{size}.npz"), **camera)
 
 
 def flux(light: Headlight) -> Array:
@@ -54,18 +56,17 @@ def flux(light: Headlight) -> Array:
 
 
 def readings(of: Rig, n: int) -> list[Reading]:
-    """What a luxmeter shows at n places of the screen, one or nine."""
-    rng, found = np.random.default_rng(0), []
-    for a in np.linspace(0.1, 0.9, 3) if n > 1 else [0.5]:
-        for b in np.linspace(0.1, 0.9, 3) if n > 1 else [0.5]:
-            y, z = of.light.left + a * (of.light.right - of.light.left), of.light.top + b * (of.light.bottom - of.light.top)
-            ray = of.truth.lamp.rotation @ np.array([1.0, y, z])
-            normal, screen = of.truth.screen.rotation[:, 2], of.truth.screen.place
-            point = of.truth.lamp.place + ray * (normal @ (screen - of.truth.lamp.place) / (normal @ ray))
-            reading = Reading(1.0, *of.lens_px(of.truth.camera.project(point[None]))[0].tolist())
-            offsets = rng.uniform(-0.005, 0.005, (4000, 2))
-            sensor = point + offsets[np.hypot(*offsets.T) < 0.005] @ of.truth.screen.rotation[:, :2].T
-            found.append(replace(reading, lux=lux(of.light, of.truth.lamp.matrix, sensor, normal)))
+    """What a luxmeter shows at n x n places of the screen."""
+    rng, found, lamp, screen = np.random.default_rng(0), [], of.truth.lamp, of.truth.screen
+    normal = screen.rotation[:, 2]
+    for a, b in itertools.product(np.linspace(0.1, 0.9, n) if n > 1 else [0.5], repeat=2):
+        y, z = of.light.left + a * (of.light.right - of.light.left), of.light.top + b * (of.light.bottom - of.light.top)
+        ray = lamp.rotation @ np.array([1.0, y, z])
+        point = lamp.place + ray * (normal @ (screen.place - lamp.place) / (normal @ ray))
+        offsets = rng.uniform(-0.005, 0.005, (4000, 2))
+        sensor = point + offsets[np.hypot(*offsets.T) < 0.005] @ screen.rotation[:, :2].T
+        u, v = lens_px(of.truth.camera, of.params, of.truth.camera.project(point[None]))[0].tolist()
+        found.append(Reading(lux(of.light, lamp.matrix, sensor, normal), u, v))
     return found
 
 
@@ -94,30 +95,24 @@ def figures(of: Rig, found: ModuleMeasurement) -> dict[str, float]:
     u, v = places(of)
     alive = np.isfinite(u) & ~found.dead.ravel()
     off = np.hypot(found.u.ravel() - u, found.v.ravel() - v)[alive]
-    true = flux(of.light)
-    errors = []
-    for n in (1, 9):
-        (inside,), _ = scale_to_lux([found], readings(of, n))
-        errors.append(flux(inside.light)[alive] / true[alive] - 1)
-        if n == 1:
-            one = inside
-    pitch = (of.light.left - of.light.right) / of.light.pixel_cols, (of.light.top - of.light.bottom) / of.light.pixel_rows
-    nominal, mine = Nominal.of(0, "", of.light), Nominal.of(0, "", one.light)
-    turned = np.hypot((mine.y - nominal.y) / pitch[0], (mine.z - nominal.z) / pitch[1]).ravel()[alive]
-    on = torch.ones(of.light.n_pixels)
+    one, nine = (scale_to_lux([found], readings(of, n))[0][0].light for n in (1, 3))
+    by_one, by_nine = (flux(each)[alive] / flux(of.light)[alive] - 1 for each in (one, nine))
+    nominal, mine = Nominal.of(0, "", of.light), Nominal.of(0, "", one)
+    columns = (mine.y - nominal.y) / (of.light.left - of.light.right) * of.light.pixel_cols
+    rows = (mine.z - nominal.z) / (of.light.top - of.light.bottom) * of.light.pixel_rows
     y, z = of.light.tangents(torch.float64, torch.device("cpu"))
     zz, yy = torch.meshgrid(z, y, indexing="ij")
     rays = torch.stack([torch.ones_like(yy), yy, zz]).flatten(1)
-    a, b = (each.intensity(each.light_texture(on), rays).numpy() for each in (one.light, of.light))
+    a, b = (each.intensity(each.light_texture(torch.ones(each.n_pixels)), rays).numpy() for each in (one, of.light))
 
     def rms(x: Array) -> float:
         return float(np.sqrt(np.mean(np.square(x))))
 
     return {
         "places, px rms": rms(off),
-        "intensities, % rms": 100 * rms(errors[0]),
-        "with 9 readings": 100 * rms(errors[1]),
-        "directions, pixels rms": rms(turned),
+        "intensities, % rms": 100 * rms(by_one),
+        "with 9 readings": 100 * rms(by_nine),
+        "directions, pixels rms": rms(np.hypot(columns, rows).ravel()[alive]),
         "all pixels on, %": 100 * rms(a - b) / rms(b),
         "checked, %": 100 * found.checked["full"],
     }
@@ -125,11 +120,10 @@ def figures(of: Rig, found: ModuleMeasurement) -> dict[str, float]:
 
 if __name__ == "__main__":
     size, *chosen = sys.argv[1:] or ["small"]
-    light, camera = lamp(size)
-    rows = {}
     with TemporaryDirectory() as folder:
-        scenario = wall(model(Path(folder) / "lamp.npz", light), camera.pop("width"), camera.pop("height"), **camera)
+        scenario = uneven_wall(size, Path(folder))
+        rows = {}
         for name in chosen or CASES:
-            of = replace(rig(scenario, CASES[name], 4 if size == "small" else 2), light=light)
+            of = rig(scenario, **CASES[name], fine=4 if size == "small" else 2)
             rows[name] = figures(of, digitise(of))
     show(f"Lamp {size}", rows)

@@ -22,7 +22,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from bench import OMP, Goal, run, show
+from bench import Goal, run, show
 from torch import Tensor
 
 from luxloop.loop.commands.rig_runs import pixel_grids
@@ -56,7 +56,6 @@ def rig_process() -> Iterator[int]:
     ports = ("--light-port", str(LIGHT), "--camera-port", str(CAMERA), "--truth-port", str(TRUTH))
     command = [sys.executable, "-m", "luxloop.loop.commands.cli", "rig", "simulate", "snowflake", "--set", *KEYS, *FAULTS, *ports]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)}) as process:
-        assert process.stdout is not None
         try:
             while "End it" not in (line := process.stdout.readline()):
                 if not line:
@@ -92,7 +91,7 @@ def used_mb() -> float:
 def truth() -> dict[str, Any]:
     """What the rig knows: its last frames, and the lamp's state."""
     with urllib.request.urlopen(f"http://127.0.0.1:{TRUTH}/truth", timeout=20) as answer:
-        told: dict[str, Any] = json.load(answer)
+        told = json.load(answer)
     return told
 
 
@@ -166,7 +165,7 @@ def soak(minutes: int) -> tuple[list[dict[str, Any]], dict[str, Any]]:
             if not await_camera(rig, 20):
                 sys.exit("the rig's camera sends nothing")
 
-            watched, judges = Minutes(rig, process, minutes), list[SymbolEvaluator]()
+            watched, judges = Minutes(rig, process, minutes), []
 
             def plant(simulation: Any) -> Any:
                 modules = lamp_modules(simulation.modules)
@@ -208,4 +207,4 @@ def measure(given: Namespace) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    run(measure, __doc__, threads=(OMP,), minutes={"type": int, "default": 30, "help": "how long (30)"})
+    run(measure, __doc__, minutes={"type": int, "default": 30, "help": "how long (30)"})

@@ -25,9 +25,7 @@ from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.simulation.world import World
 from luxloop.world.frames import View, pose, pose_from_degrees
-from luxloop.world.headlight import Headlight
 from luxloop.world.light.illumination import illuminance, reach
-from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.rendering.raycast import TOLERANCE_M, depths, first_hits, sees
 from luxloop.world.rendering.surfaces import ExactSurfaces, face_source, surface_source
 from luxloop.world.roads.base import Road
@@ -38,7 +36,7 @@ from luxloop.world.scene.ground import RoadTiles, road_mesh
 from luxloop.world.scene.scene import Scene
 from luxloop.world.scene.triangles import Triangles
 
-SHAPES: dict[str, Road] = {
+SHAPES = {
     "flat": Flat(),
     "grade": Grade(),
     "bumps": Bumps(),
@@ -63,18 +61,18 @@ SCANS = {  # the parts in which something is to be seen, m
 PLACES = 1  # along each scan, besides its middle
 DRIVEN_M = (0.0, 11.3, 23.9)  # where the car is that drives
 ABOVE_M, CELL_M = 300.0, 0.02
+QUICK = ("ISO 8608 E", "belgian_block at its middle")
+Place = tuple[Triangles, View, Tensor, bool]  # seen in this view; pose of the lamp; whether the world moves
 
 
-def roads(quick: bool) -> Iterator[tuple[str, str, Road]]:
+def roads() -> Iterator[tuple[str, str, Road]]:
     """Name, name of its kind, and the road itself."""
     rng = np.random.default_rng(14)
     for name, road in SHAPES.items():
-        if not quick or name == "ISO 8608 E":
-            yield name, name, road
+        yield name, name, road
     for name, part in SCANS.items():
         for u_m in [None, *np.round(rng.uniform(*part, PLACES), 2).tolist()]:
-            if not quick or (name, u_m) == ("belgian_block", None):
-                yield f"{name} at {u_m or 'its middle'}", name, OpenCrgRoad(file=str(data.locate(name)), u_m=u_m)
+            yield f"{name} at {u_m or 'its middle'}", name, OpenCrgRoad(file=str(data.locate(name)), u_m=u_m)
 
 
 def from_above() -> View:
@@ -97,12 +95,14 @@ def outlined(triangles: Triangles, view: View, lamp_m: Tensor, pixels: Tensor) -
     return torch.stack(dark).any(0) != torch.stack(dark).all(0)
 
 
-def shares(
-    triangles: Triangles, view: View, true: GBuffer, found: GBuffer, lamp: Headlight, T_world_lamp: Tensor, n: int
-) -> dict[str, float]:
+def shares(place: Place, world: World, n: int) -> dict[str, float]:
     """Shares of one view, true by exact surfaces and found by those of the loop."""
-    texture, n_pixels = lamp.light_texture(torch.ones(lamp.n_pixels)), view.width * view.height
+    triangles, view, T_world_lamp, moves = place
+    lamp, n_pixels = world.modules[0].headlight, view.width * view.height
+    true = ExactSurfaces(face_source("raycast")).gbuffer(triangles, view)
+    found = surface_source(world.source, moving=moves).gbuffer(triangles, view)
     reached, lit = reach(true, lamp, T_world_lamp), reach(found, lamp, T_world_lamp, triangles)
+    texture = lamp.light_texture(torch.ones(lamp.n_pixels))
     light = torch.zeros(n_pixels).index_put((reached.index,), illuminance(reached, texture))
     is_lit = torch.zeros(n_pixels, dtype=torch.bool).index_fill(0, lit.index, True)
     pixels = reached.index[torch.randperm(len(reached.index), generator=torch.Generator().manual_seed(14))[:n]]
@@ -112,7 +112,6 @@ def shares(
     light, is_lit, all_light = light[pixels], is_lit[pixels], float(light[pixels].sum())
     leaked, lost = dark & is_lit & ~crossed, ~dark & ~is_lit & ~crossed
     return {
-        "points": len(pixels),
         "in shadow": float(dark.float().mean()),
         "leaked": float(light[leaked].sum()) / all_light,
         "lost": float(light[lost].sum()) / all_light,
@@ -121,44 +120,33 @@ def shares(
     }
 
 
-def standing(road: Road, world: World, n: int) -> Iterator[tuple[str, dict[str, float]]]:
-    """Figures of a car that stands on a road, by view."""
-    triangles = Scene((Body("road", road_mesh(road), smooth=True),)).at(0.0)
-    (module,) = world.modules
-    for name, view in (("camera", world.view), ("above", from_above())):
-        exact = ExactSurfaces(face_source("raycast")).gbuffer(triangles, view)
-        found = surface_source(world.source, moving=False).gbuffer(triangles, view)
-        yield name, shares(triangles, view, exact, found, module.headlight, module.T_world_headlight, n)
-
-
-def moving(road: Road, world: World, n: int) -> Iterator[tuple[str, dict[str, float]]]:
-    """Figures of a car that drives on a road, by place."""
-    tiles, (module,) = RoadTiles(road, (0.0, 0.0), 0.2, None), world.modules
-    surfaces = surface_source(world.source, moving=True)
+def places(road: Road, world: World) -> Iterator[tuple[str, str, Place]]:
+    """Way and view of a car that stands on a road and of one that drives there."""
+    T_world_lamp, standing = world.modules[0].T_world_headlight, Scene((Body("road", road_mesh(road), smooth=True),)).at(0.0)
+    yield "standing", "camera", (standing, world.view, T_world_lamp, False)
+    yield "standing", "above", (standing, from_above(), T_world_lamp, False)
+    tiles = RoadTiles(road, (0.0, 0.0), 0.2, None)
     for x_m in DRIVEN_M:
         T_world_body = pose_from_degrees((x_m, 0.0, float(road.z(x_m, 0.0))))
-        triangles = Scene((tiles,)).at(0.0, T_world_body)  # type: ignore[arg-type]
         view = replace(world.view, T_world_view=T_world_body @ world.view.T_world_view)
-        exact = ExactSurfaces(face_source("raycast")).gbuffer(triangles, view)
-        T_world_lamp = T_world_body @ module.T_world_headlight
-        yield f"{x_m} m", shares(triangles, view, exact, surfaces.gbuffer(triangles, view), module.headlight, T_world_lamp, n)
+        triangles = Scene((tiles,)).at(0.0, T_world_body)  # type: ignore[arg-type]
+        yield "moving", f"{x_m} m", (triangles, view, T_world_body @ T_world_lamp, True)
 
 
 def measure(given: Namespace) -> dict[str, Any]:
-    n = 1000 if given.quick else given.points
+    n, chosen = (1000, QUICK) if given.quick else (given.points, None)
     world = Simulation.prepare(load("snowflake", ("camera.width_px=640", "camera.height_px=480", "camera.oversampling=1"))).world
     found = [
-        {"road": name, "kind": kind, "way": way, "view": view, **figures}
-        for name, kind, road in roads(given.quick)
-        for way, views in (("standing", standing), ("moving", moving))
-        for view, figures in views(road, world, n)
+        {"road": name, "kind": kind, "way": way, "view": view, **shares(place, world, n)}
+        for name, kind, road in roads()
+        if chosen is None or name in chosen
+        for way, view, place in places(road, world)
     ]
-    rows: dict[str, dict[str, Any]] = {}
-    for kind in dict.fromkeys(each["kind"] for each in found):
-        for way in ("standing", "moving"):
-            own = [each for each in found if (each["kind"], each["way"]) == (kind, way)]
-            means = {key: float(100 * np.mean([each[key] for each in own])) for key in ("in shadow", "outlines")}
-            rows.setdefault(kind, {})[way] = means | {key: 100 * max(each[key] for each in own) for key in ("leaked", "lost", "wrong")}
+    rows = {}
+    for kind, way in dict.fromkeys((each["kind"], each["way"]) for each in found):
+        own = [each for each in found if (each["kind"], each["way"]) == (kind, way)]
+        means = {key: float(100 * np.mean([each[key] for each in own])) for key in ("in shadow", "outlines")}
+        rows.setdefault(kind, {})[way] = means | {key: 100 * max(each[key] for each in own) for key in ("leaked", "lost", "wrong")}
     show("Standing and moving worlds, %; means of what is in shadow and of outlines, the worst of the others", rows)
     limits = (("standing", "leaked", 0.1), ("standing", "wrong", 0.5), ("moving", "leaked", 1.0))
     goals = [Goal(f"{key}, {way}, %", 100 * max(each[key] for each in found if each["way"] == way), limit) for way, key, limit in limits]
@@ -166,4 +154,4 @@ def measure(given: Namespace) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    run(measure, __doc__, packages=("torch", "embreex"), points={"type": int, "default": 3000, "help": "points a view (3000)"})
+    run(measure, __doc__, points={"type": int, "default": 3000, "help": "points a view (3000)"})

@@ -1,13 +1,17 @@
 """All controllers of a symbol in one world: the job of benchmarks/symbol_control.py and places.py, and what lamp and camera allow there."""
 
+import json
 import math
-from collections.abc import Mapping
+import sys
+from argparse import Namespace
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import torch
+from bench import show, study
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import grid_sample, max_pool1d
@@ -15,7 +19,7 @@ from torch.nn.functional import grid_sample, max_pool1d
 from luxloop.controllers.pixels.ssc import Utilisation
 from luxloop.controllers.symbol import build_controller
 from luxloop.controllers.symbol.sensing.projector import DrawingModule
-from luxloop.loop.recording.manifest import table_of
+from luxloop.loop.recording.manifest import digests, table_of
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.recording.summary import AXES, column, overshoot_percent, settle_step
 from luxloop.loop.run import prepare
@@ -29,20 +33,50 @@ from luxloop.perception.metrics import THRESHOLD
 from luxloop.world.rendering.raycast import depths, first_hits
 from luxloop.world.scene.triangles import Triangles
 
+SMALL = "camera={width_px=640, height_px=480}"
 DARK = 100.0  # %: the centroid's error where nothing is lit
 COARSE = 4  # every fourth texel along both axes locates the symbol's light
 OUTSIDE = 9.0  # a place that is not on the symbol, which lies from -1 to 1
 
 
-def job(scenario: Scenario, controllers: Mapping[str, Mapping[str, Any]], bounded: bool = False) -> dict[str, Any]:
-    """Parameters of `compare`."""
-    plain = scenario.model_dump(mode="json", exclude={"functions": {"symbol": {"controller"}}})
-    return {"scenario": plain, "controllers": controllers, **({"bounded": True} if bounded else {})}
+@dataclass(frozen=True)
+class World:
+    """A world in which each controller gets its turn. facts: what its rows have of it. controllers: their tables by name."""
+
+    key: str
+    facts: Mapping[str, Any]
+    scenario: Scenario
+    controllers: Mapping[str, Mapping[str, Any]]
+    bounded: bool = False
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Of the job."""
+        plain = self.scenario.model_dump(mode="json", exclude={"functions": {"symbol": {"controller"}}})
+        return {"scenario": plain, "controllers": self.controllers, "bounded": self.bounded}
+
+
+def compare_in(worlds: Iterable[World], given: Namespace) -> tuple[list[tuple[World, dict[str, Any]]], dict[str, str]]:
+    """Worlds of the kinds `given.only`, by default all, with what `compare` finds there, and reasons of failures; resumes."""
+    every = list(worlds)
+    files = sorted({file for world in every for file in digests(world.scenario).items()})  # roads among them
+    chosen = [world for world in every if not given.only or world.facts["kind"] in given.only]
+    found, failures = study(compare, {world.key: world.parameters for world in chosen}, given, [sys.modules[__name__]], json.dumps(files))
+    return [(world, found[world.key]) for world in chosen if world.key in found], failures
+
+
+def table(title: str, rows: Iterable[Mapping[str, Any]], field: str = "kind", measure: str = "iou") -> None:
+    """Print a row for each value of the field and a column a controller: the mean of a measure, its least in brackets."""
+    lines = {}
+    for each in rows:
+        lines.setdefault(str(each[field]), {}).setdefault(each["controller"], []).append(each[measure])
+    cells = {name: {key: f"{np.mean(each):.2f} ({min(each):.2f})" for key, each in line.items()} for name, line in lines.items()}
+    show(title, cells)
 
 
 def road_of(scenario: Scenario) -> dict[str, Any]:
     """The road's table for a controller that knows it."""
-    road: dict[str, Any] = scenario.road.model_dump(mode="json")
+    road = scenario.road.model_dump(mode="json")
     return road | {"file": str(data.locate(road["file"]))} if "file" in road else road
 
 
@@ -51,15 +85,12 @@ def compare(scenario: Mapping[str, Any], controllers: Mapping[str, Mapping[str, 
     torch.set_num_threads(1)  # wherever the job runs
     own = {name: controlled(scenario, table) for name, table in controllers.items()}
     simulation = prepare(next(iter(own.values())), "cpu")
-    found: dict[str, Any] = {}
-    if bounded:
-        limit = bound(simulation)
-        found = {"iou_bound": limit.iou, "visible": limit.visible}
+    found = bound(simulation)[1] if bounded else {}
     found["judged"] = {}
-    for name, table in side_by_side(simulation, own).items():
-        judged = {axis: [finite(value) for value in column(table, axis)] for axis in (*AXES, "iou")}
-        lost = [loss != "" for loss in table["loss"].to_pylist()]
-        found["judged"][name] = {"settle_step": settle_step(table), "overshoot_percent": overshoot_percent(table), "lost": lost, **judged}
+    for name, steps in side_by_side(simulation, own).items():
+        judged = {axis: [finite(value) for value in column(steps, axis)] for axis in (*AXES, "iou")}
+        lost = [loss != "" for loss in steps["loss"].to_pylist()]
+        found["judged"][name] = {"settle_step": settle_step(steps), "overshoot_percent": overshoot_percent(steps), "lost": lost, **judged}
     return found
 
 
@@ -78,7 +109,7 @@ def side_by_side(simulation: Simulation, own: Mapping[str, Scenario]) -> dict[st
     runs = [
         replace(simulation.with_controller(each), scenario=own[name]).evaluations() for name, each in zip(own, controllers, strict=True)
     ]
-    rows: dict[str, list[dict[str, Any]]] = {name: [] for name in own}
+    rows = {name: [] for name in own}
     for results in zip(*runs, strict=True):
         for name, result in zip(own, results, strict=True):
             rows[name].append(row(result))
@@ -96,18 +127,10 @@ def series(judged: Mapping[str, Any], name: str, missing: float) -> NDArray[np.f
     return np.array([missing if value is None else value for value in judged[name]])
 
 
-@dataclass(frozen=True)
-class Bound:
-    """lights: utilisations, one a module that draws the symbol. iou: of the judge. visible: share of the target's cells in the judge's
-    plane that they light."""
-
-    lights: Lights
-    iou: float
-    visible: float
-
-
-def bound(simulation: Simulation) -> Bound:
+def bound(simulation: Simulation) -> tuple[Lights, dict[str, float]]:
     """The symbol as an appearance that this lamp and camera can have on the true road of a standing world; its value is a share, u_abs.
+
+    Returns utilisations, one a module that draws the symbol, and the judge's IoU of it with the share of the target's cells that it lights.
 
     A texel takes what of the symbol lies where the camera sees its light on the plane z = 0, a pixel the mean of its texels weighted by
     its light: `u = A^T s / A^T 1`.
@@ -118,7 +141,7 @@ def bound(simulation: Simulation) -> Bound:
     judge, all_lights = simulation.symbol.judge, simulation.of_all(simulation.symbol, lights)
     lit = rectify(judge.plane, world.lit(0.0).luminance(all_lights)) > THRESHOLD * judge.goal.median
     visible = (lit & judge.goal.mask).sum() / judge.goal.mask.sum()
-    return Bound(lights, judge.verdict(all_lights, 0.0).iou.item(), visible.item())
+    return lights, {"iou_bound": judge.verdict(all_lights, 0.0).iou.item(), "visible": visible.item()}
 
 
 def _draw(simulation: Simulation, triangles: Triangles, module: DrawingModule) -> Utilisation:

@@ -12,11 +12,11 @@ from typing import Any
 
 import torch
 from bench import Goal, Step, interleaved, on_gpu, run, show
-from lamps import Lamp, adaptive_side, disjoint, long_rows, thesis_lamp
-from sparse.formats import FORMATS, CapturedProduct, build, candidates
+from lamps import adaptive_side, disjoint, long_rows, thesis_lamp
+from sparse.formats import FORMATS, SparseFormat, build, candidates, lit_rows, lit_window
 from sparse.incremental import Bands, ChangedPixels
-from sparse.protocol import SparseFormat, lit_rows
 
+from luxloop.world.headlight import Headlight
 from luxloop.world.lamps import presets
 from luxloop.world.spmv import Csr, zeros
 
@@ -31,179 +31,162 @@ CHANGE, DIRTY = 0.1, 0.05  # share of the pixels, in fig. 6.1 and at one lamp
 FLOAT_TOLERANCE = 1e-4  # float32 sums of up to 50 products in another order
 
 
-def copy_step(quick: bool, device: str = "cpu") -> tuple[Step, int]:
+def copy_step(megabytes: int, device: str = "cpu") -> tuple[Step, int]:
     """A large copy, which shows the memory's bandwidth, and the bytes that it moves."""
-    source = torch.rand(2**18 * (16 if quick else COPY_MB), device=device)
+    source = torch.rand(2**18 * megabytes, device=device)
     target = torch.empty_like(source)
     return lambda: target.copy_(source), 2 * source.nbytes
-
-
-def moved_bytes(form: SparseFormat) -> int:
-    """What one product must move: the format, the utilisation, the rows written; each once."""
-    return form.storage.bytes(form.dtype) + form.dtype.itemsize * (form.n_cols + form.written_rows)
 
 
 def utilisation(n: int) -> torch.Tensor:
     return torch.rand(n, generator=torch.Generator().manual_seed(1))
 
 
-def check(name: str, lamp: Lamp, product: torch.Tensor, expected: torch.Tensor) -> None:
+def check(name: str, product: torch.Tensor, expected: torch.Tensor) -> None:
     """End with a sentence where a format gives another light texture."""
     if not (product.cpu() - expected).abs().max() <= FLOAT_TOLERANCE * expected.max():
-        sys.exit(f"not the same work: {name} differs from SciPy at {lamp.name}")
+        sys.exit(f"not the same work: {name} differs from SciPy")
 
 
-def compare(lamp: Lamp, quick: bool, names: list[str] | None = None, thesis_us: float | None = None) -> dict[str, Any]:
+def best(forms: dict[str, SparseFormat], ms: dict[str, float], copy_bytes: int) -> dict[str, Any]:
+    """The fastest of some formats, its ms, and its throughput as a share of that of a copy.
+
+    A product moves at least the format, the utilisation and the rows that are written, each once.
+    """
+    name = min(forms, key=ms.__getitem__)
+    form = forms[name]
+    moved = form.storage.bytes(form.values.dtype) + form.values.itemsize * (form.n_cols + form.written_rows)
+    return {"fastest": name, "ms": ms[name], "of copy": moved / ms[name] / (copy_bytes / ms["copy"])}
+
+
+def compare(lamp: Headlight, quick: bool, names: list[str] | None = None, thesis_us: float | None = None) -> dict[str, Any]:
     """Every format beside SciPy, and the fastest that can pay; each product is checked."""
-    csr = Csr.from_scipy(lamp.matrix).streamable()
+    csr, matrix = lamp.matrix.streamable(), lamp.matrix.to_scipy()
     u = utilisation(csr.n_cols)
-    expected = torch.from_numpy(lamp.matrix @ u.numpy())
-    copy, copy_bytes = copy_step(quick)
-    steps: dict[str, Step] = {"copy": copy, "SciPy": lambda: lamp.matrix @ u.numpy()}
-    forms = {name: FORMATS[name](csr) for name in names or [*candidates(csr), "coo", "lgc"]}
+    expected = torch.from_numpy(matrix @ u.numpy())
+    copy, copy_bytes = copy_step(16 if quick else COPY_MB)
+    steps = {"copy": copy, "SciPy": lambda: matrix @ u.numpy()}
+    can_pay = names or candidates(csr)
+    forms = {name: FORMATS[name](csr) for name in names or [*can_pay, "coo", "lgc"]}
     out = zeros((csr.n_rows,), u.dtype, u.device)  # of all formats: where it lies in memory shall not decide between them
     for name, form in forms.items():
-        check(name, lamp, form.multiply(u, out.fill_(torch.nan)), expected)
+        check(f"{name} at {lamp.name}", form.multiply(u, out.fill_(torch.nan)), expected)
         steps[name] = partial(form.refresh, u, out)
     ms = interleaved(steps, 3 if quick else ROUNDS)
-    copy_ms = ms.pop("copy")["median"]
-    chosen = min(names or candidates(csr), key=lambda name: ms[name]["median"])
-    moved, best_ms = moved_bytes(forms[chosen]), ms[chosen]["median"]
+    found = best({name: forms[name] for name in can_pay}, ms, copy_bytes)
     return {
-        "name": lamp.name,
-        "pixels": csr.n_cols,
-        "texels": [lamp.grid.rows, lamp.grid.cols],
+        "texels": [lamp.rows, lamp.cols],
         "entries": len(csr.values) / len(lit_rows(csr)),
-        "thesis_us": thesis_us,
-        "ms": ms,
-        "chosen": chosen,
-        "ratio": best_ms / ms["SciPy"]["median"],
-        "bytes": moved,
-        "copy_share": moved / best_ms / (copy_bytes / copy_ms),
-        "copy_gb_s": 1e-6 * copy_bytes / copy_ms,
-        "gpu": gpu(lamp, csr, u, expected, [name for name in forms if name != "scipy"]) if torch.cuda.is_available() else None,
+        **found,
+        "to SciPy": found["ms"] / ms["SciPy"],
+        "thesis, µs": thesis_us,
+        "gpu": gpu(lamp, u, expected, [name for name in forms if name != "scipy"]) if torch.cuda.is_available() else None,
+        "formats, ms": ms,
     }
 
 
-def gpu(lamp: Lamp, csr: Csr, u: torch.Tensor, expected: torch.Tensor, names: list[str]) -> dict[str, Any]:
+def gpu(lamp: Headlight, u: torch.Tensor, expected: torch.Tensor, names: list[str]) -> dict[str, Any]:
     """Captured products. A copy larger than the GPU's caches runs before each, so that all of the matrix comes from memory."""
-    copy, copy_bytes = copy_step(False, "cuda")
-    products = {name: CapturedProduct(build(csr.to(torch.device("cuda")), name)) for name in names}
-    for name, each in products.items():
-        check(f"{name} on the GPU", lamp, each(u.cuda()), expected)
-    ms = on_gpu({"copy": copy, **{name: each.replay for name, each in products.items()}}, flush=copy)
-    copy_ms = ms.pop("copy")["median"]
-    best = min(ms, key=lambda name: ms[name]["median"])
-    moved = moved_bytes(products[best].form)
-    return {"ms": ms, "best": best, "bytes": moved, "copy_share": moved / ms[best]["median"] / (copy_bytes / copy_ms)}
+    copy, copy_bytes = copy_step(COPY_MB, "cuda")
+    there, steps = u.cuda(), {"copy": copy}
+    forms = {name: build(lamp.matrix.to(torch.device("cuda")), name) for name in names}
+    for name, form in forms.items():
+        out = form.multiply(there)
+        check(f"{name} on the GPU at {lamp.name}", out, expected)
+        steps[name] = partial(form.refresh, there, out)
+    return best(forms, on_gpu(steps, flush=copy), copy_bytes)
 
 
-def flatness(lamps: list[Lamp], name: str, rounds: int) -> dict[str, float]:
+def flatness(lamps: list[Headlight], name: str, rounds: int) -> dict[str, float]:
     """Median ms of all lamps in turn in one format: whether time depends on the number of pixels."""
-    forms = {lamp.name: build(Csr.from_scipy(lamp.matrix), name) for lamp in lamps}
-    inputs = {each: utilisation(form.n_cols) for each, form in forms.items()}
-    steps = {each: partial(form.refresh, inputs[each], form.multiply(inputs[each])) for each, form in forms.items()}
-    return {each: ms["median"] for each, ms in interleaved(steps, 3 * rounds).items()}
+    steps = {}
+    for lamp in lamps:
+        form, u = build(lamp.matrix, name), utilisation(lamp.n_pixels)
+        steps[lamp.name] = partial(form.refresh, u, form.multiply(u))
+    return interleaved(steps, 3 * rounds)
 
 
-def updates(lamp: Lamp, share: float, rounds: int) -> dict[str, float]:
+def updates(lamp: Headlight, share: float, rounds: int) -> dict[str, float]:
     """Median ms of a full product, a dirty band of pixel rows, a dirty patch of the same area, and flags for as many pixels."""
-    csr = Csr.from_scipy(lamp.matrix)
+    csr = lamp.matrix
     form, bands, u = build(csr, "window"), Bands(csr), utilisation(csr.n_cols)
-    out, pixel = form.multiply(u), torch.arange(csr.n_cols).view(lamp.rows, lamp.cols)
+    out, pixels = form.multiply(u), torch.arange(csr.n_cols)
+
+    def place(of_rows: float) -> slice:
+        count = max(round(lamp.pixel_rows * of_rows), 1)
+        first = (lamp.pixel_rows - count) // 2
+        return slice(first * lamp.pixel_cols, (first + count) * lamp.pixel_cols)
+
+    def flags(changed: torch.Tensor) -> Step:
+        """Updates by flags that change these pixels there and back."""
+        other = u.clone()
+        other[changed] = 1 - other[changed]
+        changes, both = ChangedPixels(csr, u), [u, other]
+        return lambda: (both.reverse(), changes.refresh(both[0]))
+
+    band, square = place(share), place(share**0.5)
     scattered = torch.randperm(csr.n_cols, generator=torch.Generator().manual_seed(2))[: int(share * csr.n_cols)]
-    places = {}
-    for name, of_rows in (("band", share), ("square", share**0.5)):
-        count = max(round(lamp.rows * of_rows), 1)
-        first = (lamp.rows - count) // 2
-        places[name] = slice(first * lamp.cols, (first + count) * lamp.cols)
-    steps: dict[str, Step] = {
-        "full": lambda: form.refresh(u, out),
-        **{name: partial(bands.refresh, u, out, bands.rows_of(place)) for name, place in places.items()},
-        "band, rows looked up": lambda: bands.refresh(u, out, bands.rows_of(places["band"])),
-        "flags, band": flags(csr, u, pixel.ravel()[places["band"]]),
-        "flags, scattered": flags(csr, u, scattered),
+    steps = {
+        "full": partial(form.refresh, u, out),
+        "band": partial(bands.refresh, u, out, bands.rows_of(band)),
+        "square": partial(bands.refresh, u, out, bands.rows_of(square)),
+        "band, rows looked up": lambda: bands.refresh(u, out, bands.rows_of(band)),
+        "flags, band": flags(pixels[band]),
+        "flags, scattered": flags(scattered),
     }
-    return {name: ms["median"] for name, ms in interleaved(steps, rounds).items()}
-
-
-def flags(csr: Csr, u: torch.Tensor, pixels: torch.Tensor) -> Step:
-    """Updates by flags that change these pixels there and back."""
-    other = u.clone()
-    other[pixels] = 1 - other[pixels]
-    changes, both = ChangedPixels(csr, u), [u, other]
-
-    def step() -> None:
-        both.reverse()
-        changes.refresh(both[0])
-
-    return step
+    return interleaved(steps, rounds)
 
 
 def memory(csr: Csr) -> dict[str, Any]:
-    """Bytes by format, and the share of lit texels that decides between them (T 6.2)."""
-    lit, names = len(lit_rows(csr)), (name for name in FORMATS if name not in ("scipy", "tiles64"))
-    sizes = {name: FORMATS[name].count(csr) for name in names}
-    formats = {name: vars(each) | {"bytes": each.bytes()} for name, each in sizes.items()}
-    return {"texels": csr.n_rows, "lit_share": lit / csr.n_rows, "entries": len(csr.values) / lit, "formats": formats}
+    """MB by format, and the share of lit texels that decides between them (T 6.2)."""
+    sizes = {name: 1e-6 * each.count(csr).bytes() for name, each in FORMATS.items() if name not in ("scipy", "tiles64")}
+    return {"lit share": len(lit_rows(csr)) / csr.n_rows, **sizes}
 
 
 def measure(given: Namespace) -> dict[str, Any]:
     quick, rounds = given.quick, 3 if given.quick else ROUNDS
     sizes = SIZES[:2] if quick else SIZES
     tabled = [thesis_lamp(*size, 256 if quick else FIXED_SIDE) for size in sizes]
-    narrow = ["csr", "window", "scipy"]
-    adaptive = zip(sizes, THESIS_US["A.2"], strict=False)
-    shipped = {name: presets.lamp(name).modules[0].headlight for name in (PRESETS[:1] if quick else PRESETS)}
+    adaptive = [thesis_lamp(*size, adaptive_side(size[1])) for size in sizes]
     long = [long_rows(*(n // 8 if quick else n for n in each), ENTRIES) for each in LONG_ROWS]
-    named = [Lamp(name, each.pixel_rows, each.pixel_cols, each, each.matrix.to_scipy()) for name, each in shipped.items()]
-    sets = {
-        "A.1": [compare(lamp, quick, None, us) for lamp, us in zip(tabled, THESIS_US["A.1"], strict=False)],
-        "A.2": [compare(thesis_lamp(*size, adaptive_side(size[1])), quick, narrow, us) for size, us in adaptive],
-        "long": [compare(lamp, quick) for lamp in long],
-        "shipped": [compare(lamp, quick) for lamp in named],
+    shipped = {name: presets.lamp(name).modules[0].headlight for name in (PRESETS[:1] if quick else PRESETS)}
+    products = {
+        **{f"{lamp.name}, A.1": compare(lamp, quick, None, us) for lamp, us in zip(tabled, THESIS_US["A.1"], strict=False)},
+        **{
+            f"{lamp.name}, A.2": compare(lamp, quick, ["csr", "window", "scipy"], us)
+            for lamp, us in zip(adaptive, THESIS_US["A.2"], strict=False)
+        },
+        **{f"{lamp.name}, long": compare(lamp, quick) for lamp in long},
+        **{name: compare(lamp, quick) for name, lamp in shipped.items()},
     }
-    show_times(sets)
-    flat = flatness(tabled, sets["A.1"][-1]["chosen"], rounds)
+    show("Products", products)
+    short = [products[f"{lamp.name}, A.1"] for lamp in tabled]
+    flat = flatness(tabled, short[-1]["fastest"], rounds)
     changes = updates(tabled[-1], DIRTY, rounds)
     show(f"{tabled[-1].name} pixels, {DIRTY:.0%} changed, ms", {"update": changes})
-    figure = [
-        {"texels": 4 * texels**2, "pixels": n**2 // 4, "ms": updates(disjoint(n, texels), CHANGE, 3 if quick else 9)}
+    figure = {
+        f"{4 * texels**2} texels, {n**2 // 4} pixels": updates(disjoint(n, texels), CHANGE, 3 if quick else 9)
         for texels in FIGURE_TEXELS[: 2 if quick else None]
         for n in FIGURE_PIXELS[: 3 if quick else None]
         if n <= 4 * texels
-    ]
-    points = {f"{each['texels']} texels, {each['pixels']} pixels": each["ms"] for each in figure}
-    ratios = {name: {way: ms[way] / ms["full"] for way in ("band", "flags, scattered")} for name, ms in points.items()}
+    }
+    ratios = {name: {way: ms[way] / ms["full"] for way in ("band", "flags, scattered")} for name, ms in figure.items()}
     show("T fig. 6.1: a tenth of the pixels changed, times a full update", ratios)
-    csr = Csr.from_scipy(tabled[-1].matrix)
-    lit = lit_rows(csr)
-    parts = {"square texture": csr, "its lit rows": csr.band(int(lit[0]), int(lit[-1]) + 1)}
-    counts = {name: memory(each) for name, each in (parts | {name: each.matrix for name, each in shipped.items()}).items()}
-    megabytes = {name: {form: 1e-6 * size["bytes"] for form, size in each["formats"].items()} for name, each in counts.items()}
-    show("MB", {name: {"lit share": each["lit_share"], **megabytes[name]} for name, each in counts.items()})
-    of_gpu = sets["A.1"][-1]["gpu"]
+    csr = tabled[-1].matrix
+    parts = {"square texture": csr, "its lit rows": csr.band(*lit_window(csr)), **{name: each.matrix for name, each in shipped.items()}}
+    sizes_mb = {name: memory(each) for name, each in parts.items()}
+    show("MB", sizes_mb)
+    on_device = short[-1]["gpu"]
     goals = [
-        Goal("short rows, times SciPy's CSR (worst of table A.1)", max(lamp["ratio"] for lamp in sets["A.1"]), 1.0),
-        Goal(f"{ENTRIES} entries a row, times SciPy's CSR", sets["long"][0]["ratio"], 0.6),
-        Goal("share of the copy bandwidth (worst of table A.1)", min(lamp["copy_share"] for lamp in sets["A.1"]), 0.45, True),
+        Goal("short rows, times SciPy's CSR (worst of table A.1)", max(each["to SciPy"] for each in short), 1.0),
+        Goal(f"{ENTRIES} entries a row, times SciPy's CSR", products[f"{long[0].name}, long"]["to SciPy"], 0.6),
+        Goal("share of the copy bandwidth (worst of table A.1)", min(each["of copy"] for each in short), 0.45, True),
         Goal("longest over shortest time over the pixel numbers of table A.1", max(flat.values()) / min(flat.values()), 1.2),
         Goal(f"dirty band of {DIRTY:.0%}, times a full update", changes["band"] / changes["full"], 0.25),
-        Goal("µs on a GPU, largest lamp of table A.1", of_gpu and 1e3 * of_gpu["ms"][of_gpu["best"]]["median"], 60.0),
+        Goal("µs on a GPU, largest lamp of table A.1", on_device and 1e3 * on_device["ms"], 60.0),
     ]
-    return {"sets": sets, "flatness": flat, "updates": changes, "figure": figure, "memory": counts, "goals": goals}
-
-
-def show_times(sets: dict[str, list[dict[str, Any]]]) -> None:
-    """Every lamp beside SciPy, the GPU and the thesis, and every format's ms."""
-    rows, every = {}, {}
-    for name, lamp in ((f"{lamp['name']}, {name}", lamp) for name, lamps in sets.items() for lamp in lamps):
-        best = {"fastest": lamp["chosen"], "GPU ms": lamp["gpu"] and lamp["gpu"]["ms"][lamp["gpu"]["best"]]["median"]}
-        rows[name] = {key: lamp[key] for key in ("texels", "entries", "ratio", "copy_share", "thesis_us")} | best
-        every[name] = {form: each["median"] for form, each in lamp["ms"].items()}
-    show("Products", rows)
-    show("Median ms of every format", every)
+    return {"products": products, "flatness": flat, "updates": changes, "figure": figure, "memory": sizes_mb, "goals": goals}
 
 
 if __name__ == "__main__":
-    run(measure, __doc__, packages=("torch", "numpy", "scipy"))
+    run(measure, __doc__)

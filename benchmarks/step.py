@@ -11,12 +11,11 @@ from argparse import Namespace
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from statistics import median
 from typing import Any
 
 import torch
 from baseline_numpy import Baseline, Lap
-from bench import Goal, Laps, run, show
+from bench import Goal, Laps, medians, run, show
 
 from luxloop.controllers.symbol.sensing.protocol import Observation, Projection
 from luxloop.loop.scenario.model import load
@@ -61,13 +60,14 @@ def parts(simulation: Simulation, state: SimulationState, lap: Lap) -> tuple[Sim
 
 
 def fastest(step: Callable[[Lap], Any]) -> dict[str, float]:
-    """Ms of the parts of the fastest of several takes of the same step, without rendering."""
+    """Ms of the parts of the fastest of several takes of the same step, and of all of them, without rendering."""
     takes = []
     for _ in range(TAKES):
         laps = Laps()
         step(laps.lap)
-        takes.append({part: ms for part, ms in laps.parts.items() if part != "render"})
-    return min(takes, key=lambda each: sum(each.values()))
+        laps.parts.pop("render", None)
+        takes.append({**laps.parts, "step": sum(laps.parts.values())})
+    return min(takes, key=lambda each: each["step"])
 
 
 def difference_px(*overrides: str) -> float:
@@ -82,32 +82,28 @@ def difference_px(*overrides: str) -> float:
     return float(torch.stack(apart).max())
 
 
-def compare(repeats: int, *overrides: str) -> dict[str, Any]:
+def whole(simulation: Simulation, state: SimulationState, lap: Lap) -> tuple[SimulationState, None]:
+    state, _ = simulation.step(state)
+    lap("step")
+    return state, None
+
+
+def compare(repeats: int, *overrides: str) -> dict[str, dict[str, float]]:
     """Median ms of each part over the first steps of all loops, run in turn, and of whole steps of both controllers."""
-    simulation = Simulation.prepare(load("snowflake", [*RAW, *overrides]))
-    baseline, default = Baseline(simulation), Simulation.prepare(load("snowflake", [*RAW, *overrides, DEFAULT]))
-
-    def whole(of: Simulation, state: SimulationState, lap: Lap) -> tuple[SimulationState, None]:
-        state, _ = of.step(state)
-        lap("step")
-        return state, None
-
-    loops: dict[str, Callable[[Any, Lap], tuple[Any, Any]]] = {
-        "numpy": baseline.step,
-        "luxloop": partial(parts, simulation),
-        "run": partial(whole, simulation),
-        "run, default controller": partial(whole, default),
+    simulation, default = (Simulation.prepare(load("snowflake", [*RAW, *overrides, *more])) for more in ((), (DEFAULT,)))
+    baseline = Baseline(simulation)
+    loops = {
+        "numpy": (baseline.step, baseline.start),
+        "luxloop": (partial(parts, simulation), simulation.start()),
+        "run": (partial(whole, simulation), simulation.start()),
+        "run, default controller": (partial(whole, default), default.start()),
     }
-    states = dict(zip(loops, (baseline.start, simulation.start(), simulation.start(), default.start()), strict=True))
-    taken: dict[str, list[dict[str, float]]] = {name: [] for name in loops}
+    taken = {name: [] for name in loops}
     for _ in range(repeats):
-        for name, step in loops.items():
-            taken[name].append(fastest(partial(step, states[name])))
-        states = {name: step(states[name], lambda part: None)[0] for name, step in loops.items()}
-    ms = {name: {part: median(each[part] for each in steps) for part in steps[0]} for name, steps in taken.items()}
-    ms |= {name: each | {"step": median(sum(step.values()) for step in taken[name])} for name, each in ms.items()}
-    whole_ms, default_ms = (ms[name]["step"] for name in ("run", "run, default controller"))
-    return {"ms": ms, "ratio": ms["numpy"]["step"] / whole_ms, "default to thesis_pid": default_ms / whole_ms}
+        for name, (step, state) in loops.items():
+            taken[name].append(fastest(partial(step, state)))
+        loops = {name: (step, step(state, lambda part: None)[0]) for name, (step, state) in loops.items()}
+    return {name: medians(steps) for name, steps in taken.items()}
 
 
 def measure(given: Namespace) -> dict[str, Any]:
@@ -116,18 +112,18 @@ def measure(given: Namespace) -> dict[str, Any]:
         overrides = (f"camera.width_px={width}", f"camera.height_px={height}", *given.set)
         if not (apart := difference_px(*overrides)) <= TOLERANCE_PX:
             sys.exit(f"not the same work: at {width} x {height} px the errors differ by {apart:.3g} px, more than {TOLERANCE_PX} px")
-        each = {"size": [width, height], "errors differ by px": apart, **compare(2 if given.quick else given.repeats, *overrides)}
-        rows = {part: {name: each["ms"][name][part] for name in ("numpy", "luxloop")} for part in each["ms"]["luxloop"]}
-        rows |= {f"step of a {name}": {"luxloop": each["ms"][name]["step"]} for name in list(each["ms"])[2:]}
-        show(f"ms a step, {width} x {height} px; errors differ by {apart:.1g} px, ratio {each['ratio']:.3g}", rows)
-        found.append(each)
-    first = found[0]
-    goals = [Goal("step of a run at 640 x 480 px, times as fast as the baseline", first["ratio"], 24.0, True)]
-    goals += [Goal("step with the default controller, times thesis_pid", first["default to thesis_pid"], 2.5)]
+        ms = compare(2 if given.quick else given.repeats, *overrides)
+        ratios = {"ratio": ms["numpy"]["step"] / ms["run"]["step"], "default": ms["run, default controller"]["step"] / ms["run"]["step"]}
+        show(f"ms a step, {width} x {height} px; errors differ by {apart:.1g} px, ratio {ratios['ratio']:.3g}", ms)
+        found.append({"size": [width, height], "errors differ by px": apart, "ms": ms, **ratios})
+    goals = [
+        Goal("step of a run at 640 x 480 px, times as fast as the baseline", found[0]["ratio"], 24.0, True),
+        Goal("step with the default controller, times thesis_pid", found[0]["default"], 2.5),
+    ]
     return {"set": given.set, "results": found, "goals": goals}
 
 
 if __name__ == "__main__":
     repeats = {"type": int, "default": 10, "help": "steps of the loop to take the median of (10)"}
     keys = {"nargs": "*", "default": [], "metavar": "KEY=VALUE", "help": "change the scenario: camera.oversampling=1"}
-    run(measure, __doc__, packages=("torch", "numpy", "scipy"), repeats=repeats, set=keys)
+    run(measure, __doc__, repeats=repeats, set=keys)

@@ -7,7 +7,6 @@ lengthen. Then bytes and time of a message, and the time from the command to the
 """
 
 import asyncio
-import json
 import multiprocessing
 import subprocess
 import sys
@@ -21,14 +20,14 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from bench import BLAS, OMP, run, show
+from bench import BLAS, OMP, medians, run, show
 
+from luxloop.loop.studio.inbox import unpack
 from luxloop.loop.studio.messages import VIEWS, Button, Request
 from luxloop.loop.studio.server import Studio, Tokens
 from luxloop.loop.studio.session import Session
 from luxloop.loop.studio.sources import Source
 from luxloop.loop.studio.stream import Stream
-from luxloop.world.messages import LENGTH
 
 SMALL = ("camera.width_px=640", "camera.height_px=360", "judge_every=0")
 STEPS, ROUNDS = {"snowflake": 240, "gfhb": 60, "driving": 80}, 5  # some four to eight seconds each
@@ -81,7 +80,6 @@ def watcher(port: int | str, token: str, sleeps_s: float, views: str) -> Iterato
     """A process that has got a step of these views, and sleeps after each."""
     command = [sys.executable, "-c", WATCHER, str(port), token, str(sleeps_s), views]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None
         process.stdout.readline()
         yield
         process.kill()
@@ -107,33 +105,31 @@ def play_ms(session: Session) -> tuple[float, float]:
 
 def messages_of(session: Session) -> dict[str, dict[str, float]]:
     """Median bytes and ms of a message, by type, to a client that gets each step of a run that is over."""
-    found = defaultdict(list)
-    feed, published = Stream(), session.state
+    found, feed, published = defaultdict(list), Stream(), session.state
     for step in range(len(published.runs[0].snapshots)):
-        messages = feed.messages(published, Request(at=(0, step), shown=step))
         began_s = time.perf_counter()
-        for data in messages:
-            (length,) = LENGTH.unpack_from(data)
-            kind = json.loads(data[LENGTH.size : LENGTH.size + length])["type"]
-            found[kind].append((len(data), 1e3 * (time.perf_counter() - began_s)))
+        for message in feed.messages(published, Request(at=(0, step), shown=step)):
+            ms = 1e3 * (time.perf_counter() - began_s)
+            found[unpack(message)[0]["type"]].append({"bytes": len(message), "ms": ms})
             began_s = time.perf_counter()
-    return {kind: dict(zip(("bytes", "ms"), map(median, zip(*each[-8:], strict=True)), strict=True)) for kind, each in found.items()}
+    return {kind: medians(each[-8:]) for kind, each in found.items()}
 
 
 def compare(name: str, steps: int, rounds: int) -> dict[str, Any]:
     """Median ms a step, clock and processor, unwatched and by watcher; median ratios of runs that follow each other; messages."""
-    ms: dict[str, list[tuple[float, float]]] = {kind: [] for kind in ("unwatched", *WATCHERS)}
+    ms = {kind: [] for kind in ("unwatched", *WATCHERS)}
+    ratios = {kind: [] for kind in WATCHERS}
     with studio(name, steps) as (session, port, tokens):
         for _ in range(rounds):
-            ms["unwatched"].append(play_ms(session))
-            for kind, (sleeps_s, views) in WATCHERS.items():
-                with watcher(port, tokens.watch, sleeps_s, views):
-                    ms[kind].append(play_ms(session))
-        found: dict[str, Any] = {kind: median(each[0] for each in runs) for kind, runs in ms.items()}
-        for kind in WATCHERS:
-            pairs = list(zip(ms[kind], ms["unwatched"], strict=True))
-            found[f"{kind}, times"] = {of: median(a[k] / b[k] for a, b in pairs) for k, of in enumerate(("clock", "processor"))}
-        return {**found, "messages": messages_of(session)}
+            wall, busy = play_ms(session)
+            ms["unwatched"].append(wall)
+            for kind, watching in WATCHERS.items():
+                with watcher(port, tokens.watch, *watching):
+                    watched = play_ms(session)
+                ms[kind].append(watched[0])
+                ratios[kind].append({"clock": watched[0] / wall, "processor": watched[1] / busy})
+        times = {f"{kind}, times": medians(each) for kind, each in ratios.items()}
+        return {**{kind: median(each) for kind, each in ms.items()}, **times, "messages": messages_of(session)}
 
 
 def first_picture_s(name: str) -> float:
@@ -141,7 +137,6 @@ def first_picture_s(name: str) -> float:
     began_s = time.perf_counter()
     command = [sys.executable, "-m", "luxloop.loop.commands.cli", "studio", name, "--no-open", "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
-        assert server.stdout is not None
         address = next(line.split()[-1] for line in server.stdout if line.startswith("To watch"))
         port, token = address.rpartition(":")[2].split("/#")
         with watcher(port, token, 0.0, ALL):
@@ -163,4 +158,4 @@ def measure(given: Namespace) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    run(measure, __doc__, packages=("websockets", "torch"), threads=(OMP, BLAS))
+    run(measure, __doc__, threads=(OMP, BLAS))  # OpenGL renders on both cores

@@ -4,18 +4,14 @@ Standing roads, late frames, drives and disturbances, and in each of these world
 earlier run in the same folder was. `--quick`: one seed, two latencies. Prints the tables of docs/results/symbol_control.md.
 """
 
-import json
 from argparse import Namespace
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
-import side_by_side
-from bench import Goal, run, show, study, study_options
-from side_by_side import DARK, compare, job, road_of, series
+from bench import Goal, run, show, study_options
+from side_by_side import DARK, SMALL, World, compare_in, road_of, series, table
 
-from luxloop.loop.recording.manifest import digests
 from luxloop.loop.recording.summary import AXES
 from luxloop.loop.scenario import data
 from luxloop.loop.scenario.model import Scenario, load
@@ -26,7 +22,7 @@ FEEDFORWARD = "feedforward, 3 cm off"
 CONTROLLERS = ("open", "thesis_pid", "gauss_newton", "model_reference", FEEDFORWARD, "luxloop")
 Changes = tuple[str, tuple[Override, ...]]  # a shipped scenario and what changes in it
 
-STANDING: dict[str, Changes] = {
+STANDING = {
     "flat": ("flat", ()),
     "bumps": ("snowflake", ("road={kind='bumps'}",)),
     "grade + cross-fall": ("snowflake", ("road={kind='grade'}",)),
@@ -47,7 +43,7 @@ BELIEVED = "20 m/s, from 3 cm off"
 ASIDE_M = 17.28  # where the symbol for 17 m lies when it is drawn for a road that is 3 cm higher, as both lamp and camera are over it
 NODDING = "vehicle={{course=[{{speed_m_s=0}}], oscillation={{pitch_deg={}, rate_hz=1.2}}}}"
 LATE = "sensors={wheels={delay_s=0.03}, gyro={delay_s=0.03}, attitude={delay_s=0.03}}"
-DRIVING: dict[str, Changes] = {
+DRIVING = {
     "5 m/s": ("driving", ("vehicle.course=[{speed_m_s=5}]",)),
     "10 m/s": ("driving", ("vehicle.course=[{speed_m_s=10}]",)),
     "20 m/s": ("driving", ()),
@@ -58,7 +54,7 @@ DRIVING: dict[str, Changes] = {
 FROM, UNTIL = 20, 30  # steps of a disturbance; the thesis' controller needs 20 to settle
 SPELL = f"from_step={FROM}, until_step={UNTIL}"
 UNDISTURBED = "undisturbed"
-DISTURBED: dict[str, Changes] = {
+DISTURBED = {
     UNDISTURBED: ("snowflake", ()),
     **{
         name: ("snowflake", (f"disturbances.{table}, {SPELL}}}]",))
@@ -71,7 +67,6 @@ DISTURBED: dict[str, Changes] = {
         }.items()
     },
 }
-SMALL = "camera={width_px=640, height_px=480}"
 STEPS, DISTURBED_STEPS, SEEDS = 30, 50, 5
 
 BEGIN = 11  # from this step on the symbol is compared with the open loop, and judged while the car moves
@@ -81,57 +76,43 @@ Row = dict[str, Any]
 Judged = Mapping[str, Mapping[str, Any]]  # by controller
 
 
-@dataclass(frozen=True)
-class Case:
-    """One world: part of the table, scene, frames' latency in steps, seed, and the scenario of which each controller gets its turn."""
-
-    part: str
-    scene: str
-    latency: int
-    seed: int
-    scenario: Scenario
-
-    @property
-    def key(self) -> str:
-        return f"{self.scene}, {self.latency} late, seed {self.seed}"
-
-    @property
-    def parameters(self) -> dict[str, Any]:
-        """Of the job."""
-        tables: dict[str, dict[str, Any]] = {name: {"name": name} for name in CONTROLLERS}
-        road = road_of(self.scenario) if self.scenario.vehicle is None else {"kind": "flat"}
-        tables[FEEDFORWARD] = {"name": "feedforward", "road": road, "offset_m": OFFSET_M}
-        if self.scene == BELIEVED:
-            tables["luxloop"]["start_height_m"] = OFFSET_M
-        return job(self.scenario, tables)
-
-
-def cases(seeds: int, quick: bool) -> Iterator[Case]:
+def worlds(seeds: int, quick: bool) -> Iterator[World]:
     """All worlds but those whose road was measured and is not here."""
     for seed in range(seeds):
-        for scene, (name, changes) in STANDING.items():
+        for kind, (name, changes) in STANDING.items():
             steps = {"steps": STEPS} if load(name).steps == 40 else {}  # boxes need the time that they are given
             for latency in (0, 2) if quick else LATENCIES:
                 scenario = load(name, (SMALL, *changes, f"camera.latency_steps={latency}"), seed=seed, **steps)
                 if scenario.road.kind != "opencrg" or data.present(scenario.road.file) is not None:
-                    yield Case("standing", scene, latency, seed, scenario)
-        for scene, (name, changes) in DRIVING.items():
+                    yield world("standing", kind, scenario)
+        for kind, (name, changes) in DRIVING.items():
             rough = ("road.roughness_class='D'", f"road.seed={ROUGH[seed]}") if name == "driving" else ()
-            yield Case("driving", scene, 0, seed, load(name, (SMALL, *rough, *changes), seed=seed, steps=STEPS))
-        for scene, (name, changes) in DISTURBED.items():
-            yield Case("disturbed", scene, 0, seed, load(name, (SMALL, *changes), seed=seed, steps=DISTURBED_STEPS))
+            yield world("driving", kind, load(name, (SMALL, *rough, *changes), seed=seed, steps=STEPS))
+        for kind, (name, changes) in DISTURBED.items():
+            yield world("disturbed", kind, load(name, (SMALL, *changes), seed=seed, steps=DISTURBED_STEPS))
 
 
-def measures(case: Case, judged: Judged, undisturbed: Judged | None = None) -> list[Row]:
+def world(part: str, kind: str, scenario: Scenario) -> World:
+    tables = {name: {"name": name} for name in CONTROLLERS}
+    road = road_of(scenario) if scenario.vehicle is None else {"kind": "flat"}
+    tables[FEEDFORWARD] = {"name": "feedforward", "road": road, "offset_m": OFFSET_M}
+    if kind == BELIEVED:
+        tables["luxloop"]["start_height_m"] = OFFSET_M
+    latency, seed = scenario.camera.latency_steps, scenario.seed
+    late = f", {latency} late" if latency else ""
+    return World(
+        f"{kind}{late}, seed {seed}", {"part": part, "kind": kind, "latency": latency, "late": late, "seed": seed}, scenario, tables
+    )
+
+
+def measures(facts: Row, judged: Judged, undisturbed: Judged | None = None) -> list[Row]:
     """A row a controller. undisturbed: the same without its disturbance, where it has one."""
-    world = {"part": case.part, "scene": case.scene, "latency": case.latency, "seed": case.seed}
-    open_loop, rows = series(judged["open"], "iou", 0.0), []
+    open_loop, drives, rows = series(judged["open"], "iou", 0.0), facts["part"] == "driving", []
     for controller, each in judged.items():
         iou = series(each, "iou", 0.0)
         offset = np.stack([series(each, axis, DARK) for axis in AXES])
-        drives = case.part == "driving"
         centroid = np.abs(offset[:, BEGIN:]).max(0).mean() if drives else np.abs(offset[:, -END:].mean(1)).max()
-        row = world | {
+        row = facts | {
             "controller": controller,
             "iou": float((iou[BEGIN:] if drives else iou[-END:]).mean()),
             "iou_least": float(iou[BEGIN:].min()),
@@ -147,97 +128,70 @@ def measures(case: Case, judged: Judged, undisturbed: Judged | None = None) -> l
     return rows
 
 
-class Target(NamedTuple):
-    """What luxloop shall reach in some scenes.
+ALL, KIND = "", "{kind}{late}"  # of which the mean counts: everything together, or each kind of world with a latency
+RUN = KIND + ", seed {seed}"
 
-    each: of what the mean over seeds has to reach it; "all": that of all scenes and latencies together; "case": the worst run.
-    """
 
-    what: str
-    measure: str
-    limit: float
-    scenes: tuple[str, ...]
-    least: bool = False
-    each: Literal["all", "scene", "case"] = "scene"
-
-    def goal(self, rows: Sequence[Row]) -> Goal:
-        """The value that counts, and where it is so."""
-        groups: dict[str, list[float]] = {}
-        for row in rows:
-            if row["controller"] == "luxloop" and row["scene"] in self.scenes and row.get(self.measure) is not None:
-                late = f", {row['latency']} late" if row["latency"] else ""
-                name = {"all": "", "scene": row["scene"] + late, "case": f"{row['scene']}{late}, seed {row['seed']}"}[self.each]
-                groups.setdefault(name, []).append(row[self.measure])
-        means = [(float(np.mean(values)), name) for name, values in groups.items()]
-        value, where = (min if self.least else max)(means, default=(None, ""))
-        return Goal(self.what, value, self.limit, self.least, where)
+def goal(rows: Iterable[Row], what: str, measure: str, limit: float, kinds: Collection[str], least: bool = False, each: str = KIND) -> Goal:
+    """The worst mean of luxloop's measure, and where it is so."""
+    groups = {}
+    for row in rows:
+        if row["controller"] == "luxloop" and row["kind"] in kinds and row.get(measure) is not None:
+            groups.setdefault(each.format(**row), []).append(row[measure])
+    means = [(float(np.mean(values)), name) for name, values in groups.items()]
+    value, where = (min if least else max)(means, default=(None, ""))
+    return Goal(what, value, limit, least, where)
 
 
 EVEN, CURVED, STEEP = ("flat",), ("bumps", "grade + cross-fall", "mixed"), ("speed bump", "curb")
 SCANS = ("Belgian block", "half-round bar", "torsion track", "rough course")
 ROADS = (*EVEN, *CURVED, *SCANS, *STEEP)
-WORST = ("overshoot", "centroid", "gap")
-DISTURBANCES = tuple(scene for scene in DISTURBED if scene != UNDISTURBED)
+DISTURBANCES = set(DISTURBED) - {UNDISTURBED}
 NOWHERE = "Nowhere, at no step, below the open loop: "
-TARGETS = (
-    Target("Settling, mean of roads and latencies, steps", "settle", 6, ROADS, each="all"),
-    Target("Overshoot, %", "overshoot", 5, ROADS),
-    Target("Centroid on flat, curved and measured roads, %", "centroid", 1, (*EVEN, *CURVED, *SCANS)),
-    Target("Centroid on speed bump and curb, %", "centroid", 2, STEEP),
-    Target("IoU on the flat road", "iou", 0.99, EVEN, least=True),
-    Target("IoU on bumps, grade + cross-fall and mixed", "iou", 0.95, CURVED, least=True),
-    Target("IoU on speed bump and curb", "iou", 0.85, STEEP, least=True),
-    *(
-        Target(NOWHERE + name, "gap", 0.02, tuple(scenes), each="case")
-        for name, scenes in {"standing": STANDING, "moving": DRIVING, "disturbed": DISTURBED}.items()
-    ),
-    *(
-        Target(f"Mean IoU, {scene}", "iou", least, (scene,), least=True)
-        for scene, least in zip(DRIVING, (0.92, 0.88, 0.80, 0.80, 0.90, 0.60), strict=True)
-    ),
-    Target("Steps to come near the undisturbed IoU after a disturbance", "recovery", 10, DISTURBANCES, each="case"),
+GOALS = (  # arguments of `goal`
+    ("Settling, mean of roads and latencies, steps", "settle", 6, ROADS, False, ALL),
+    ("Overshoot, %", "overshoot", 5, ROADS),
+    ("Centroid on flat, curved and measured roads, %", "centroid", 1, (*EVEN, *CURVED, *SCANS)),
+    ("Centroid on speed bump and curb, %", "centroid", 2, STEEP),
+    ("IoU on the flat road", "iou", 0.99, EVEN, True),
+    ("IoU on bumps, grade + cross-fall and mixed", "iou", 0.95, CURVED, True),
+    ("IoU on speed bump and curb", "iou", 0.85, STEEP, True),
+    (NOWHERE + "standing", "gap", 0.02, STANDING, False, RUN),
+    (NOWHERE + "moving", "gap", 0.02, DRIVING, False, RUN),
+    (NOWHERE + "disturbed", "gap", 0.02, DISTURBED, False, RUN),
+    *((f"Mean IoU, {kind}", "iou", least, (kind,), True) for kind, least in zip(DRIVING, (0.92, 0.88, 0.8, 0.8, 0.9, 0.6), strict=True)),
+    ("Steps to come near the undisturbed IoU after a disturbance", "recovery", 10, DISTURBANCES, False, RUN),
 )
-
-
-def table(title: str, rows: Sequence[Row], field: str, values: Iterable[Any], measure: str = "iou") -> None:
-    """A row for each value of the field and a column a controller: the mean of a measure, its least in brackets."""
-    lines: dict[str, dict[str, str]] = {}
-    for value in values:
-        for name in CONTROLLERS:
-            if own := [row[measure] for row in rows if row[field] == value and row["controller"] == name]:
-                lines.setdefault(str(value), {})[name] = f"{np.mean(own):.2f} ({min(own):.2f})"
-    show(title, lines)
 
 
 def extremes(rows: Sequence[Row]) -> Iterator[tuple[str, dict[str, Any]]]:
     """A row for each controller: the median step of settling, and the worst of the other measures."""
-    for name in dict.fromkeys(row["controller"] for row in rows):
+    for name in CONTROLLERS:
         own = [row for row in rows if row["controller"] == name]
-        worst = {f"{key}, worst": max((row[key] for row in own if row[key] is not None), default=None) for key in WORST}
+        worst = {
+            f"{key}, worst": max((row[key] for row in own if row[key] is not None), default=None)
+            for key in ("overshoot", "centroid", "gap")
+        }
         yield name, {"settled, median": float(np.median([row["settle"] for row in own])), **worst}
 
 
 def measure(given: Namespace) -> dict[str, Any]:
-    chosen = [case for case in cases(1 if given.quick else given.seeds, given.quick) if not given.only or case.scene in given.only]
-    files = sorted({file for case in cases(1, quick=True) for file in digests(case.scenario).items()})  # of all worlds, roads among them
-    found, failures = study(compare, {case.key: case.parameters for case in chosen}, given, [side_by_side], json.dumps(files))
-    judged = [(case, found[case.key]["judged"]) for case in chosen if case.key in found]
-    undisturbed = {case.seed: each for case, each in judged if case.scene == UNDISTURBED}
-    rows = [
-        row for case, each in judged for row in measures(case, each, undisturbed.get(case.seed) if case.scene in DISTURBANCES else None)
-    ]
-    if absent := [] if given.only else [scene for scene in STANDING if all(case.scene != scene for case in chosen)]:
-        print(f"\nMeasured roads that are not here: {', '.join(absent)}")
+    found, failures = compare_in(worlds(1 if given.quick else given.seeds, given.quick), given)
+    undisturbed = {world.facts["seed"]: each["judged"] for world, each in found if world.facts["kind"] == UNDISTURBED}
+    rows = []
+    for each, result in found:
+        rows += measures(each.facts, result["judged"], undisturbed.get(each.facts["seed"]) if each.facts["kind"] in DISTURBANCES else None)
     standing, on_time = [row for row in rows if row["part"] == "standing"], [row for row in rows if row["latency"] == 0]
-    table("IoU", on_time, "scene", STANDING)
+    if absent := {} if given.only else STANDING.keys() - {row["kind"] for row in standing}:
+        print(f"\nMeasured roads that are not here: {', '.join(absent)}")
+    table("IoU, frames on time", [row for row in on_time if row["part"] != "disturbed"])
     show("Standing, frames on time", dict(extremes([row for row in standing if row["latency"] == 0])))
-    table("IoU while driving", on_time, "scene", DRIVING)
-    table("Least IoU from a disturbance on", on_time, "scene", DISTURBANCES, "iou_least")
-    table("IoU of late frames", standing, "latency", LATENCIES)
-    return {"rows": rows, "goals": [target.goal(rows) for target in TARGETS], "failures": failures}
+    table("Least IoU from a disturbance on", [row for row in rows if row["kind"] in DISTURBANCES], measure="iou_least")
+    table("IoU of late frames", standing, "latency")
+    return {"rows": rows, "goals": [goal(rows, *each) for each in GOALS], "failures": failures}
 
 
 if __name__ == "__main__":
     seeds = {"type": int, "choices": range(1, SEEDS + 1), "default": SEEDS, "help": f"by default {SEEDS}"}
-    only = {"nargs": "+", "metavar": "SCENE", "help": "these scenes alone"}
-    run(measure, __doc__, packages=("torch", "numpy"), threads=(), seeds=seeds, only=only, **study_options("symbol_control"))
+    only = {"nargs": "+", "metavar": "KIND", "help": "these kinds of worlds alone"}
+    run(measure, __doc__, seeds=seeds, only=only, **study_options("symbol_control"))

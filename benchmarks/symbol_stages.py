@@ -8,8 +8,8 @@ from argparse import Namespace
 from typing import Any
 
 from bench import run, show
+from side_by_side import World, compare, series
 
-from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
 
 STEPS, LAST = 30, 10
@@ -21,24 +21,20 @@ ROADS = {
     "curb": ("curb", ()),
     "box on a flat road": ("snowflake", ("road.kind=flat", f"objects={BOX}")),
 }
-STAGES = {"alone": "", "warp": ", warp={}", "both": ", warp={}, supervisor={}"}
-CONTROLLERS = {"open loop": '{name="open"}', "survey": '{name="feedforward", survey=true}'} | {
-    f"`{name}` {stage}": f'{{name="{name}"{keys}}}'
-    for name, (stage, keys) in itertools.product(("thesis_pid", "gauss_newton"), STAGES.items())
+STAGES = {"alone": {}, "warp": {"warp": {}}, "both": {"warp": {}, "supervisor": {}}}
+CONTROLLERS = {"open loop": {"name": "open"}, "survey": {"name": "feedforward", "survey": True}} | {
+    f"`{name}` {stage}": {"name": name, **tables}
+    for name, (stage, tables) in itertools.product(("thesis_pid", "gauss_newton"), STAGES.items())
 }
-
-
-def iou(scenario: str, changes: tuple[str, ...], controller: str, steps: int) -> float:
-    """Mean of the last steps."""
-    results = list(prepare(load(scenario, [*changes, f"functions.symbol.controller={controller}", f"steps={steps}"]), "cpu").evaluations())
-    last = [float(result.symbol.verdict.iou) for result in results][-LAST:]
-    return sum(last) / len(last)
 
 
 def measure(given: Namespace) -> dict[str, Any]:
     roads, steps = ({"mixed": ROADS["mixed"]}, 2) if given.quick else (ROADS, STEPS)
     controllers = dict(list(CONTROLLERS.items())[:: 4 if given.quick else 1])
-    found = {road: {name: iou(*case, controller, steps) for name, controller in controllers.items()} for road, case in roads.items()}
+    found = {}
+    for road, case in roads.items():
+        judged = compare(**World(road, {}, load(*case, steps=steps), controllers).parameters)["judged"]
+        found[road] = {name: float(series(each, "iou", 0.0)[-LAST:].mean()) for name, each in judged.items()}
     show(f"IoU of the last {LAST} of {steps} steps", found)
     return {"iou": found}
 

@@ -1,6 +1,6 @@
 """How well identities are kept: `python benchmarks/tracking.py` prints tables for docs/object_based.md.
 
-Made-up boxes are as noisy and missing as a detector's; `--scenes N` adds as many scenes of random traffic with the network's own.
+Made-up boxes are as noisy and missing as a detector's; object_based.py has tracks of the network's own.
 """
 
 from argparse import Namespace
@@ -14,19 +14,17 @@ from bench import run, show
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from luxloop.loop.scenario.model import validate
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.perception.detection.detector import SAME, Detections, overlaps
 from luxloop.perception.tracking import Tracker, TrackerParams
 from luxloop.world.traffic.tracked import Category
 
-CLASSES: tuple[Category, ...] = ("pedestrian", "cyclist", "car", "animal")
+CLASSES = ("pedestrian", "cyclist", "car", "animal")
 CAMERA = {"width_px": 640, "height_px": 360, "hfov_deg": 30.0, "pitch_deg": 1.5, "oversampling": 1, "saturation_e": 2000.0}
 VIEW = camera_view(CameraParams.model_validate(CAMERA))
 RATE_HZ = 30.0
 TRACKER = Tracker(CLASSES, VIEW, TrackerParams())
-SIZES: dict[Category, tuple[float, float]] = {"pedestrian": (0.6, 1.75), "cyclist": (0.7, 1.8), "car": (1.8, 1.5)}
+SIZES = {"pedestrian": (0.6, 1.75), "cyclist": (0.7, 1.8), "car": (1.8, 1.5)}
 EDGES = torch.tensor([VIEW.width, VIEW.height] * 2).double()
 NOISE, MISSES, HIDDEN = 0.04, 0.1, 0.6  # of a box's size, of frames, and the share of a box behind another from which on it is not found
 Road = Callable[[float], tuple[Category, float, float]]  # class, x and y in m at a time
@@ -40,7 +38,7 @@ class Identities:
     """
 
     def __init__(self) -> None:
-        self.numbers, self.owner = defaultdict[Hashable, set[int]](set), dict[Hashable, int]()
+        self.numbers, self.owner = defaultdict(set), {}
         self.seen = self.missed = self.false = self.switches = 0
 
     def look(self, names: Sequence[Hashable], true: Tensor, visible: Sequence[bool], boxes: Tensor, numbers: Sequence[int]) -> None:
@@ -100,16 +98,16 @@ def follow(roads: list[Road], frames: int, seed: int) -> Identities:
     return found
 
 
-def line(category: Category, x: float, y: float, vx: float = 0.0, vy: float = 0.0) -> Road:
+def straight(category: Category, x: float, y: float, vx: float = 0.0, vy: float = 0.0) -> Road:
     return lambda t: (category, x + vx * t, y + vy * t)
 
 
-SCENES: dict[str, list[Road]] = {
-    "two pedestrians cross": [line("pedestrian", 15, 3, vy=-1.4), line("pedestrian", 16, -3, vy=1.4)],
-    "two pedestrians cross 0.2 m apart": [line("pedestrian", 15, 2, vy=-1.4), line("pedestrian", 15.2, -2, vy=1.2)],
-    "a cyclist overtakes": [line("pedestrian", 12, -2, vx=1.2), line("cyclist", 8.5, -1.2, vx=5)],
-    "a car overtakes a cyclist": [line("cyclist", 14, -1.0, vx=4), line("car", 9, 0.5, vx=9)],
-    "ten frames behind a car": [line("car", 14, 0), line("pedestrian", 18, -4.0, vy=4.2)],
+SCENES = {
+    "two pedestrians cross": [straight("pedestrian", 15, 3, vy=-1.4), straight("pedestrian", 16, -3, vy=1.4)],
+    "two pedestrians cross 0.2 m apart": [straight("pedestrian", 15, 2, vy=-1.4), straight("pedestrian", 15.2, -2, vy=1.2)],
+    "a cyclist overtakes": [straight("pedestrian", 12, -2, vx=1.2), straight("cyclist", 8.5, -1.2, vx=5)],
+    "a car overtakes a cyclist": [straight("cyclist", 14, -1.0, vx=4), straight("car", 9, 0.5, vx=9)],
+    "ten frames behind a car": [straight("car", 14, 0), straight("pedestrian", 18, -4.0, vy=4.2)],
 }
 
 
@@ -124,52 +122,23 @@ def crowd(people: int, seed: int) -> list[Road]:
     return [walker() for _ in range(people)]
 
 
-def traffic(seed: int, steps: int) -> Identities:
-    """Random traffic through the whole chain, in a bright beam, with the network's detections."""
-    plain = {
-        "name": "traffic",
-        "steps": steps,
-        "seed": seed,
-        "camera": CAMERA,
-        "headlight": {"model": "ssl-hd-lores"},
-        "light": {"ambient_lx": 5.0},
-        "traffic": {"seed": seed, "pedestrians": 4, "cyclists": 2, "cars": 1, "far_m": 40},
-        "detector": {"kind": "network"},
-        "lighting": {"base": {"beam": "low"}},
-    }
-    simulation, found = Simulation.prepare(validate(plain, f"seed {seed}")), Identities()
-    for result in simulation.evaluations():
-        assert result.look is not None
-        view, tracks = simulation.world.lit(result.time_s), result.look.tracks
-        visible = [
-            each.visible >= 1 - HIDDEN and float(box[3] - box[1]) >= 24 and each.category in CLASSES
-            for each, box in zip(view.objects, view.boxes, strict=True)
-        ]
-        found.look([each.name for each in view.objects], view.boxes, visible, tracks.boxes, tracks.number.tolist())
-    return found
-
-
-def line(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def summary(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """A row of the table, of `Identities.counts`."""
-    total = {key: sum(each[key] for each in runs) for key in ("seen", "missed", "switches", "several")}
-    rate, tracked = 60 * RATE_HZ * total["switches"] / total["seen"], 1 - total["missed"] / total["seen"]
-    counts = {"runs": len(runs), "switches": total["switches"], "objects with more than one track": total["several"]}
-    return counts | {"switches a minute": rate, "frames with a track": tracked, "MOTA": float(np.mean([each["mota"] for each in runs]))}
+    seen, missed, switches = (sum(each[key] for each in runs) for key in ("seen", "missed", "switches"))
+    rate, mota = 60 * RATE_HZ * switches / seen, float(np.mean([each["mota"] for each in runs]))
+    return {"runs": len(runs), "switches": switches, "switches a minute": rate, "frames with a track": 1 - missed / seen, "MOTA": mota}
 
 
 def measure(given: Namespace) -> dict[str, Any]:
     seeds, frames = (1, 30) if given.quick else (given.seeds, 150)
     found = {name: [follow(roads, min(frames, 110), seed) for seed in range(seeds)] for name, roads in SCENES.items()}
     for people in (5, 10, 20):
-        runs = (follow(crowd(people, seed), frames, seed) for seed in range(-(-seeds // 2)))
-        found[f"{people} pedestrians to and fro for {frames / RATE_HZ:g} s"] = list(runs)
-    if given.scenes:
-        found["random traffic for 2 s, with the network"] = [traffic(seed, 60) for seed in range(given.scenes)]
-    rows = {name: line([each.counts() for each in runs]) for name, runs in found.items()}
+        runs = [follow(crowd(people, seed), frames, seed) for seed in range(-(-seeds // 2))]
+        found[f"{people} pedestrians to and fro for {frames / RATE_HZ:g} s"] = runs
+    rows = {name: summary([each.counts() for each in runs]) for name, runs in found.items()}
     show("Identities", rows)
     return {"identities": rows}
 
 
 if __name__ == "__main__":
-    seeds = {"type": int, "default": 20, "help": "runs of each made-up scene"}
-    run(measure, __doc__, seeds=seeds, scenes={"type": int, "default": 0, "help": "scenes of random traffic, with the network"})
+    run(measure, __doc__, seeds={"type": int, "default": 20, "help": "runs of each made-up scene"})

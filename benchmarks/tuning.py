@@ -4,22 +4,17 @@ Tunes by `luxloop tune`, with trials and by gradient, and tries what is found on
 in the same folder was. Prints the tables of docs/tuning.md.
 """
 
-import time
 from argparse import Namespace
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from bench import Goal, run, show, study_options
+from bench import Goal, Laps, run, show, study_options
 from optuna.trial import TrialState
 
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import Scenario, load
-from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies import objective, ranges
 from luxloop.loop.studies.batch.rollouts import rollouts
 from luxloop.loop.studies.jobs import Executor, local
@@ -63,42 +58,34 @@ def figures(tuned: Tuning, seeds: int, execute: Executor) -> dict[str, Any]:
     return {"thesis' gains": given, "tuned": best, "ratio": best / given, **counts}
 
 
-def alone(simulation: Simulation, steps: int) -> None:
-    state = simulation.start()
-    for _ in range(steps):
-        state, _ = simulation.step(state)
-
-
-def together(simulation: Simulation, batch: int) -> None:
-    gains = {"kp": torch.linspace(0.4, 1.0, batch), "ki": torch.linspace(0.1, 0.5, batch)}
-    rollouts(simulation, {f"functions.symbol.controller.position.{name}": values for name, values in gains.items()})
-
-
 def rollout_ms(scenario: Scenario) -> tuple[float, float]:
     """CPU time of a rollout alone, and of one of 64 at once, both in a world that is prepared; best of some."""
     simulation = prepare(scenario.model_copy(update={"judge_every": 0}), "cpu")
 
-    def best_ms(*works: Callable[[], None]) -> float:
-        found = []
-        for work in works * REPEATS:
-            start_s = time.thread_time()
-            work()
-            found.append(1e3 * (time.thread_time() - start_s))
-        return min(found)
+    def together(batch: int) -> float:
+        gains = {"kp": torch.linspace(0.4, 1.0, batch), "ki": torch.linspace(0.1, 0.5, batch)}
+        laps = Laps()
+        rollouts(simulation, {f"functions.symbol.controller.position.{name}": values for name, values in gains.items()})
+        return laps.lap("")
 
-    together(simulation, 1)
-    single = best_ms(partial(alone, simulation, scenario.steps), partial(together, simulation, 1))  # whichever is quicker
-    return single, best_ms(partial(together, simulation, BATCH)) / BATCH
+    def alone() -> float:
+        laps = Laps()
+        list(simulation.run())
+        return laps.lap("")
+
+    together(1)
+    single = min(min(alone(), together(1)) for _ in range(REPEATS))  # whichever is quicker
+    return single, min(together(BATCH) for _ in range(REPEATS)) / BATCH
 
 
 def measure(given: Namespace) -> dict[str, Any]:
     names, trials, seeds = (("snowflake",), 40, 3) if given.quick else (("snowflake", "chevrons"), 60, 5)
-    iterations, execute, out = 4, local(given.jobs), given.out / ("quick" if given.quick else "full")
+    execute, out = local(given.jobs), given.out / ("quick" if given.quick else "full")
     scenarios = tuple(load(name, SETTINGS) for name in names)
     task = Task(scenarios, tuple(ranges.parse(key, scenarios) for key in KEYS), objective.parse(OBJECTIVE))
     ways = {
-        way: figures(do_tune(task, Path(out) / way, count, given.jobs, way == "gradient", names[0]), seeds, execute)
-        for way, count in {"trials": trials, "gradient": iterations}.items()
+        way: figures(do_tune(task, out / way, count, given.jobs, way == "gradient", names[0]), seeds, execute)
+        for way, count in {"trials": trials, "gradient": 4}.items()
     }
     single_ms, batch_ms = rollout_ms(load("snowflake", [SETTINGS[0], f"steps={STEPS}"]))
     by_trials, gradient = ways.values()
@@ -114,4 +101,4 @@ def measure(given: Namespace) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    run(measure, __doc__, packages=("torch", "optuna"), **study_options("tuning"))
+    run(measure, __doc__, **study_options("tuning"))

@@ -265,29 +265,20 @@ def _ground(
     return level, slope, np.gradient(level, dt), np.gradient(slope, dt)
 
 
-def ground_levels(
-    params: VehicleParams,
-    road: Road,
-    way_m: Floats,
-    x: Floats,
-    y: Floats,
-    yaw: Floats,
-    low_pass_m: tuple[float, float] = LOW_PASS_M,
-) -> tuple[Floats, Floats]:
+def ground_levels(params: VehicleParams, road: Road, way_m: Floats, x: Floats, y: Floats, yaw: Floats) -> tuple[Floats, Floats]:
     """Height `[N]` in m of the ground frame's origin and slope `[N]` in rad, nose down, of the plane through the low-passed road.
 
     way_m: `[N]`, that the rear axle has driven from the world's origin on, which goes on straight at both ends. x, y, yaw: of the vehicle
     there, `[N]`, m and rad.
-    low_pass_m: lengths over which the road's height and slope are low-passed.
     """
-    reach = math.ceil(max(low_pass_m) / 2 / PROFILE_M) + 1
+    reach = math.ceil(max(LOW_PASS_M) / 2 / PROFILE_M) + 1
     along = np.arange(math.floor(way_m[0] / PROFILE_M) - reach, math.ceil(way_m[-1] / PROFILE_M) + reach + 2) * PROFILE_M
     at_x, at_y, heading = (np.interp(along, way_m, column) for column in (x, y, yaw))
     beyond = params.rear_x_m + along - np.clip(along, way_m[0], way_m[-1])
     at_x, at_y = at_x + beyond * np.cos(heading), at_y + beyond * np.sin(heading)
     aside = params.track_m / 2 * np.array([[1], [-1]])
     heights = road.z(at_x - aside * np.sin(heading), at_y + aside * np.cos(heading)).mean(0)
-    height, level = (np.convolve(heights, _window(each), mode="same") for each in low_pass_m)
+    height, level = (np.convolve(heights, _window(each), mode="same") for each in LOW_PASS_M)
     learnt = smoothstep(way_m, 0.0, LEARNT_M)
     slope = -np.arctan(learnt * np.interp(way_m, along, np.gradient(level, PROFILE_M)))
     return learnt * np.interp(way_m, along, height) + params.rear_x_m * np.sin(slope), slope

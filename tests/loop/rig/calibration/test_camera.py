@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image as Picture
-from rig_bench import BROWN, _views
+from rig_bench import BROWN, views
 
 from luxloop.loop.rig.calibration.geometry import CameraModel
 from luxloop.loop.rig.calibration.intrinsics import BoardParams, Corners, brightness, corners, lens, picture, print_board, vignetting
@@ -80,7 +80,7 @@ def test_lens_is_found_within_its_uncertainty() -> None:
     camera = CameraModel(640, 480, np.array([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]]))
     scale = (900 / 320) ** 2
     params = LensParams(model="opencv", coefficients=tuple(each * scale**k for k, each in enumerate(BROWN, 1)))
-    found, rms = lens(_views(camera, params, np.random.default_rng(3)), 640, 480)
+    found, rms = lens(views(camera, params, np.random.default_rng(3)), 640, 480)
     std = np.sqrt(np.diag(found.covariance))[:4]
     # Four standard deviations; the noise of the corners is all that differs.
     assert (np.abs(found.values[:4] - camera.values[:4]) < 4 * std).all()
