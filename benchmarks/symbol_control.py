@@ -166,7 +166,7 @@ GOALS = (  # arguments of `goal`
 
 def extremes(rows: Sequence[Row]) -> Iterator[tuple[str, dict[str, Any]]]:
     """A row for each controller: the median step of settling, and the worst of the other measures."""
-    for name in CONTROLLERS:
+    for name in dict.fromkeys(row["controller"] for row in rows):
         own = [row for row in rows if row["controller"] == name]
         worst = {
             f"{key}, worst": max((row[key] for row in own if row[key] is not None), default=None)
