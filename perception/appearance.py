@@ -103,11 +103,12 @@ def _quadrants(seen: Appearance, *signs: int) -> Tensor:
 
 @dataclass(frozen=True)
 class DegreeOfFreedom:
-    """One degree of freedom of the symbol's primitive, and the error of the same name.
+    """A coordinate of the symbol's pose, and the error of the same name, which another coordinate may move: x ahead moves the error e_y.
 
     name, unit: "x" in "m" or "roll" in "rad", say. probe: half the step about the target by which its plant gain is measured, in its unit:
-    wide enough to drown pixel edges. moves: the error that it moves most. feature: `[...]`, of which the error is a difference; its second
-    argument is the key `features.shape`. of_pose: its value in poses `[..., 4, 4]`.
+    wide enough to drown pixel edges. moves: the error that the coordinate moves most. feature: `[...]`, of which the error of this name is
+    a difference; its second argument is the key `features.shape`. of_pose: the coordinate in poses `[..., 4, 4]`. shown, error: of their
+    columns in recordings, the description of the coordinate; the unit and the description of the error.
     """
 
     name: str
@@ -116,6 +117,8 @@ class DegreeOfFreedom:
     moves: str
     feature: Callable[[Appearance, str], Tensor]
     of_pose: Callable[[Tensor], Tensor]
+    shown: str
+    error: tuple[str, str]
 
     @property
     def suffix(self) -> str:
@@ -140,8 +143,26 @@ class DegreeOfFreedom:
 # All degrees of freedom, positions first and then angles as `luxloop.world.frames.rotation` takes them. Whoever adds one here adds its keys
 # to the controllers that limit it and to `start`; poses, features, gains, errors and columns follow.
 DEGREES: tuple[DegreeOfFreedom, ...] = (
-    DegreeOfFreedom("x", "m", 0.3, "y", lambda seen, _: seen.centroids[..., 0, 0], lambda T: T[..., 0, 3]),
-    DegreeOfFreedom("y", "m", 0.1, "x", lambda seen, _: seen.centroids[..., 0, 1], lambda T: T[..., 1, 3]),
+    DegreeOfFreedom(
+        "x",
+        "m",
+        0.3,
+        "y",
+        lambda seen, _: seen.centroids[..., 0, 0],
+        lambda T: T[..., 0, 3],
+        "shown pose of the primitive: centre ahead of the lamps",
+        ("axes", "error of the centre along u, seen minus target"),
+    ),
+    DegreeOfFreedom(
+        "y",
+        "m",
+        0.1,
+        "x",
+        lambda seen, _: seen.centroids[..., 0, 1],
+        lambda T: T[..., 1, 3],
+        "shown pose: centre to the left",
+        ("axes", "error of the centre along v"),
+    ),
     DegreeOfFreedom(
         "roll",
         "rad",
@@ -149,6 +170,8 @@ DEGREES: tuple[DegreeOfFreedom, ...] = (
         "roll",
         lambda seen, shape: _quadrants(seen, 1, -1, 1, -1)[..., 1] if shape == "quadrants" else seen.shear,
         lambda T: torch.atan2(T[..., 2, 1], T[..., 2, 2]),
+        "shown pose: rotation about the forward axis",
+        ("feature", "error of the roll feature"),
     ),
     DegreeOfFreedom(
         "pitch",
@@ -157,6 +180,8 @@ DEGREES: tuple[DegreeOfFreedom, ...] = (
         "pitch",
         lambda seen, shape: _quadrants(seen, 1, 1, -1, -1)[..., 1] if shape == "quadrants" else seen.length,
         lambda T: torch.asin(-T[..., 2, 0]),
+        "shown pose: rotation about the left axis, nose down positive",
+        ("feature", "error of the pitch feature"),
     ),
 )
 

@@ -96,17 +96,17 @@ def _window(size: int, radius: float, like: Tensor) -> Tensor:
     return window.scatter_add(1, columns, (weights / weights.sum()).expand(size, -1))
 
 
-RING_PX = 6  # width of the ring ring an object that counts as its background
+RING_PX = 6  # width of the ring around an object that counts as its background
 
 
 def ring(mask: Tensor, px: int = RING_PX) -> Tensor:
-    """Ring of pixels `[height, width]` bool within a distance of px ring an object. mask: of the object, `[height, width]` bool."""
+    """Ring of pixels `[height, width]` bool within px of an object. mask: of the object, `[height, width]` bool."""
     wider = max_pool2d(mask[None].float(), 2 * px + 1, 1, px)[0] > 0
     return wider & ~mask
 
 
 def weber_contrast(luminance: Tensor, mask: Tensor, floor: float) -> Tensor:
-    """`|L_o - L_b| / (L_b + floor)`, a scalar, of the mean luminances of an object and of the ring ring it.
+    """`|L_o - L_b| / (L_b + floor)`, a scalar, of the mean luminances of an object and of the ring around it.
 
     luminance: `[height, width]` cd/m^2. floor: luminance that cannot be told from black, so that contrast in the dark counts nothing.
     """

@@ -18,15 +18,16 @@ MOST = 0.7  # share of all pixels from which on a part of the matrix costs more 
 
 @dataclass(frozen=True)
 class Sums:
-    """Sums of each pixel in a band, `[..., band]` each. light, weight: numerator and denominator of T eq. 7.4.5 over rays of finite weight;
-    weight is None if it is 1. forced_light, forced_weight: the same over rays of infinite weight, None if there are none. lit: number of
-    lit setpoints. ruled_from: a weight from here on stands for an infinite one of a zero setpoint; None if infinite weights are summed
-    separately.
+    """Sums of each pixel in a band, `[..., band]` each.
+
+    weighted_u, weight: numerator and denominator of T eq. 7.4.5 over rays of finite weight; weight is None if it is 1. forced_u,
+    forced_weight: the same over rays of infinite weight, None if there are none. lit: number of lit setpoints. ruled_from: a weight from
+    here on stands for an infinite one of a zero setpoint; None if infinite weights are summed separately.
     """
 
-    light: Tensor
+    weighted_u: Tensor
     weight: Tensor | None
-    forced_light: Tensor | None = None
+    forced_u: Tensor | None = None
     forced_weight: Tensor | None = None
     lit: Tensor | None = None
     ruled_from: float | None = None
@@ -127,7 +128,7 @@ def by_products(
     """Sums over a band of pixels (T eq. 7.4.5); default: `[n_p]`. dark: whether it is zero. batch: batch dimensions of the setpoints.
 
     Images of the texture, by name. weight: finite weights, 1 without a hit. light: weight times utilisation; of_default: the same for
-    shares of the default. missed: 1 without a hit. forced, forced_light, forced_of_default: as the first three, over infinite weights. lit,
+    shares of the default. missed: 1 without a hit. forced, forced_u, forced_of_default: as the first three, over infinite weights. lit,
     lit_of_default: 1 where a setpoint is not zero.
     """
     unit, finite = (asked.finite is None, asked.forced is None) if isinstance(asked, Setpoints) else (asked.unit, asked.finite)
@@ -140,7 +141,7 @@ def by_products(
         "weight": ruling or not unit,  # unit weights without infinite ones add up to 1, so no sum is needed
         "missed": not dark,
         "forced": apart,
-        "forced_light": apart and not asked.masking,
+        "forced_u": apart and not asked.masking,
         "forced_of_default": apart and not asked.masking and of_default,
         "lit": params.a_ac > 0,
         "lit_of_default": params.a_ac > 0 and of_default,
@@ -178,7 +179,7 @@ def _contributions(piece: _Piece, pixels: PixelMajor, ruling: bool, wanted: Coll
     if "forced" in wanted and piece.forced is not None:
         made |= {
             "forced": piece.forced,
-            "forced_light": _times(absolute, piece.forced),
+            "forced_u": _times(absolute, piece.forced),
             "forced_of_default": _times(of_default, piece.forced),
         }
     if "lit" in wanted:
@@ -222,23 +223,23 @@ def _sums(images: dict[str, Tensor], ruling: bool, pixels: PixelMajor, default: 
         at_once = torch.stack(flat) if len(flat) > 1 else flat[0][None]  # [images, ..., n_t]: one pass over the matrix, and no copy of one
         return dict(zip(there, multiply(matrix.band(band.start, band.stop), at_once), strict=True))  # [images, ..., band]
 
-    finite, infinite = ("light", "of_default", "missed", "weight"), ("forced", "forced_light", "forced_of_default")
+    finite, infinite = ("light", "of_default", "missed", "weight"), ("forced", "forced_u", "forced_of_default")
     if pixels.weight is pixels.full:
         sums = summed(pixels.full, *finite, *infinite)
     else:
         sums = summed(pixels.weight, *finite) | (summed(pixels.full, *infinite) if "forced" in images else {})
-    light, forced_light, forced_weight, lit = sums["light"], None, sums.get("forced"), None
+    light, forced_u, forced_weight, lit = sums["light"], None, sums.get("forced"), None
     for name in ("of_default", "missed"):
         if name in sums:
             light = light + default * sums[name]  # terms of T eq. 7.4.5 with the factor u_def,j, [..., band]
     if forced_weight is not None:
-        forced_light = sums.get("forced_light", torch.zeros_like(forced_weight))
+        forced_u = sums.get("forced_u", torch.zeros_like(forced_weight))
         if "forced_of_default" in sums:
-            forced_light = forced_light + default * sums["forced_of_default"]
+            forced_u = forced_u + default * sums["forced_of_default"]
     if "lit" in images:
         counts = summed(pixels.ones, "lit", "missed", "lit_of_default")
         lit = counts.pop("lit") + sum((default > 0) * count for count in counts.values())  # misses and shares are lit where u_def,j > 0
-    return Sums(light, sums.get("weight"), forced_light, forced_weight, lit, RULED if ruling else None)
+    return Sums(light, sums.get("weight"), forced_u, forced_weight, lit, RULED if ruling else None)
 
 
 def by_entries(setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, default: Tensor, place: Band) -> Sums:
@@ -281,11 +282,11 @@ def by_entries(setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, def
 
     lit = summed((mapped > 0).to(mapped)) if params.a_ac else None
     finite = kept if weight is None else weight * kept  # w_ij I_m,ij^a_r of T eq. 7.4.5, [..., nnz]
-    forced_light = forced_weight = None
+    forced_u = forced_weight = None
     if forced is not None:
         alone = forced * pixels.full.values[own]
-        forced_light, forced_weight = summed(alone * mapped), summed(alone)  # T eq. 7.4.5 over infinite weights, [..., band]
-    return Sums(summed(finite * mapped), summed(finite), forced_light, forced_weight, lit)
+        forced_u, forced_weight = summed(alone * mapped), summed(alone)  # T eq. 7.4.5 over infinite weights, [..., band]
+    return Sums(summed(finite * mapped), summed(finite), forced_u, forced_weight, lit)
 
 
 def _blend(a: Tensor, b: Tensor, portion: Tensor | float) -> Tensor:

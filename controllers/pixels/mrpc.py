@@ -130,9 +130,9 @@ def _reduce(sums: Sums, pixels: PixelMajor, params: MrpcParams, default: Tensor,
     """Utilisation `[..., band]` of sums (T eq. 7.4.5). Infinite weights override; without any weight the default stays; then a_ac
     applies.
     """
-    u, idle = sums.light, None if pixels.idle is None else pixels.idle[band]
+    u, idle = sums.weighted_u, None if pixels.idle is None else pixels.idle[band]
     if sums.weight is not None:
-        u = u / sums.weight.clamp(min=torch.finfo(u.dtype).tiny)  # T eq. 7.4.5: sum_i w_ij I_m,ij^a_r u_ij / sum_i w_ij I_m,ij^a_r
+        u = u / sums.weight.clamp(min=torch.finfo(u.dtype).tiny)  # T eq. 7.4.5: weighted mean of what rays ask; tiny prevents 0 / 0
         idle = None if dark and sums.lit is None else sums.weight == 0
     if idle is not None:
         u = u + default * idle  # all weights vanish: the pixel keeps its default
@@ -141,10 +141,10 @@ def _reduce(sums: Sums, pixels: PixelMajor, params: MrpcParams, default: Tensor,
         u = u * (on if idle is None else on | idle)
     if sums.weight is not None and sums.ruled_from is not None:
         u = u * (sums.weight < sums.ruled_from).to(u)  # an infinite weight of a zero setpoint: dark
-    if sums.forced_light is not None and sums.forced_weight is not None:
+    if sums.forced_u is not None and sums.forced_weight is not None:
         forced = sums.forced_weight > 0
         # T eq. 7.4.5 over infinite weights only, [..., band].
-        u = torch.where(forced, sums.forced_light / torch.where(forced, sums.forced_weight, 1.0), u)
+        u = torch.where(forced, sums.forced_u / torch.where(forced, sums.forced_weight, 1.0), u)
     return u.clamp(0, 1)
 
 

@@ -1,4 +1,7 @@
-"""The watchdog: keeps the light on while loop and camera are alive, and darkens the lamp otherwise."""
+"""The watchdog: a thread that keeps the light on while loop and camera are alive, and darkens the lamp otherwise.
+
+Where the whole process is killed, the lamp's own time-out (`light.dark_after_s`) darkens it.
+"""
 
 import math
 import threading

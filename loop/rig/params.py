@@ -30,7 +30,7 @@ class LightParams(Params):
 
     gamma: float = Field(1.0, ge=0.2, le=5, description="a code is the 1/gamma-th power of a utilisation; 1 is a linear lamp")
     keep_alive_s: float = Field(0.03, ge=0.005, le=1, description="time after which the current light is sent again")
-    dark_after_s: float = Field(0.1, ge=0.02, le=60, description="time-out of the lamp: time without data after which it darkens by itself")
+    dark_after_s: float = Field(0.1, ge=0.02, le=60, description="the lamp's own time-out: time without data until it is dark")
 
     @model_validator(mode="after")
     def _alive(self) -> Self:

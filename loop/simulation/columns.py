@@ -1,9 +1,11 @@
 """What is recorded of a symbol that a controller holds: its columns, and its part of a recording."""
 
+from collections.abc import Sequence
+
 import pyarrow as pa
 
 from luxloop.controllers.symbol.sensing.field import SIDES
-from luxloop.perception.appearance import DEGREES
+from luxloop.perception.appearance import DEGREES, DegreeOfFreedom
 from luxloop.perception.extraction import ExtractionStatus
 
 CUT = tuple(f"cut_{side}" for side in SIDES)
@@ -12,43 +14,43 @@ POSE = tuple(degree.key for degree in DEGREES)
 ERRORS = tuple(f"e_{degree.name}" for degree in DEGREES)
 CENTROIDS = tuple(f"{point}_{axis}" for point in ("c", "tl", "tr", "bl", "br") for axis in "uv")
 
-# of each symbol that a controller holds, name: (unit, description); the shown light is seen camera.latency_steps later
-SYMBOL: dict[str, tuple[str, str]] = {
-    "x_m": ("m", "shown pose of the primitive: centre ahead of the lamps"),
-    "y_m": ("m", "shown pose: centre to the left"),
-    "z_m": ("m", "shown height of the primitive's centre above the assumed road"),
-    "roll_deg": ("deg", "shown pose: rotation about the forward axis"),
-    "pitch_deg": ("deg", "shown pose: rotation about the left axis, nose down positive"),
-    "cut_left": ("1", "share of the shown symbol that is cut: it lies beyond the left border of the lamps' field"),
-    "cut_right": ("1", "share cut at the right border"),
-    "cut_top": ("1", "share cut at the upper border"),
-    "cut_bottom": ("1", "share cut at the lower border"),
-    "aim_x_m": ("m", "place on the road where the symbol is aimed, if its target cannot be lit; null for the target"),
-    "aim_y_m": ("m", "the same to the left"),
-    "e_x": ("axes", "error of the centre along u, seen minus target"),
-    "e_y": ("axes", "error of the centre along v"),
-    "e_roll": ("feature", "error of the roll feature"),
-    "e_pitch": ("feature", "error of the pitch feature"),
-    **{f"pose_error_{each.key}": (each.suffix, f"e_{each.moves} divided by its plant gain") for each in DEGREES},
-    "c_u": ("axes", "centroid of the extracted symbol, u to the right"),
-    "c_v": ("axes", "centroid of the extracted symbol, v down or towards the car"),
-    **{
-        f"{point}_{axis}": ("axes", f"centroid of the {name} quadrant, {axis}")
-        for point, name in (("tl", "top left"), ("tr", "top right"), ("bl", "bottom left"), ("br", "bottom right"))
-        for axis in "uv"
-    },
-    "area_ratio": ("1", "area of the extracted symbol relative to its area on the flat road or on the acquired road"),
-    "loss": (
-        "",
-        "why the symbol was lost: no_frame, nothing, too_small, too_large or covered (by other functions); empty if it was seen",
-    ),
-    "centroid_error_x_percent": ("%", "judge: error of the centroid along x, in % of the symbol's length"),
-    "centroid_error_y_percent": ("%", "judge: error of the centroid along y, in % of the symbol's width"),
-    "iou": ("1", "judge: intersection over union with the target"),
-    "ssim": ("1", "judge: structural similarity to the target"),
-    "length": ("1", "judge: second-moment length relative to the target's"),
-    "shear": ("1", "judge: shear mu11 / mu20 on the road plane"),
-}
+
+def symbol_columns(degrees: Sequence[DegreeOfFreedom]) -> dict[str, tuple[str, str]]:
+    """Unit and description of the columns of a symbol that a controller holds; its light is seen camera.latency_steps later."""
+    return {
+        **{each.key: (each.suffix, each.shown) for each in degrees if each.unit == "m"},
+        "z_m": ("m", "shown height of the primitive's centre above the assumed road"),
+        **{each.key: (each.suffix, each.shown) for each in degrees if each.unit == "rad"},
+        "cut_left": ("1", "share of the shown symbol that is cut: it lies beyond the left border of the lamps' field"),
+        "cut_right": ("1", "share cut at the right border"),
+        "cut_top": ("1", "share cut at the upper border"),
+        "cut_bottom": ("1", "share cut at the lower border"),
+        "aim_x_m": ("m", "place on the road where the symbol is aimed, if its target cannot be lit; null for the target"),
+        "aim_y_m": ("m", "the same to the left"),
+        **{f"e_{each.name}": each.error for each in degrees},
+        **{f"pose_error_{each.key}": (each.suffix, f"e_{each.moves} divided by its plant gain") for each in degrees},
+        "c_u": ("axes", "centroid of the extracted symbol, u to the right"),
+        "c_v": ("axes", "centroid of the extracted symbol, v down or towards the car"),
+        **{
+            f"{point}_{axis}": ("axes", f"centroid of the {name} quadrant, {axis}")
+            for point, name in (("tl", "top left"), ("tr", "top right"), ("bl", "bottom left"), ("br", "bottom right"))
+            for axis in "uv"
+        },
+        "area_ratio": ("1", "area of the extracted symbol relative to its area on the flat road or on the acquired road"),
+        "loss": (
+            "",
+            "why the symbol was lost: no_frame, nothing, too_small, too_large or covered (by other functions); empty if it was seen",
+        ),
+        "centroid_error_x_percent": ("%", "judge: error of the centroid along x, in % of the symbol's length"),
+        "centroid_error_y_percent": ("%", "judge: error of the centroid along y, in % of the symbol's width"),
+        "iou": ("1", "judge: intersection over union with the target"),
+        "ssim": ("1", "judge: structural similarity to the target"),
+        "length": ("1", "judge: second-moment length relative to the target's"),
+        "shear": ("1", "judge: shear mu11 / mu20 on the road plane"),
+    }
+
+
+SYMBOL = symbol_columns(DEGREES)
 
 # of all that lighting functions do: what there is only on a plant that knows the truth
 LOOKING_OF_TRUTH = ("false_positives", "eyes_lx_max", "eyes_lx_peak", "oncoming_lx_max", "road_lx_ratio_max")

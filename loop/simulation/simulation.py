@@ -154,7 +154,7 @@ class Simulation:
 
     @property
     def recorded_ids(self) -> Mapping[str, int]:
-        """See `luxloop.loop.simulation.evaluator.Evaluator.watched`."""
+        """Ids of the recorded objects by name."""
         return self.evaluator.recorded_ids
 
     def situation(self, time_s: float, tracks: Any = None, ego: Ego | None = None, told: Objects | None = None) -> Situation:

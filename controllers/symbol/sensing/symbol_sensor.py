@@ -92,7 +92,7 @@ class SymbolSensor:
         found = self._measure_at(frames, projection, lights, acquired.shape)
         if not found.symbol.numel():
             return replace(seen, acquired=acquired)
-        return replace(found, code=torch.zeros_like(found.code), acquired=acquired)
+        return replace(found, code=torch.full_like(found.code, ExtractionStatus.SEEN), acquired=acquired)
 
     def relocalise(self, frames: tuple[Tensor, Tensor], lights: Sequence[Utilisation]) -> Relocalisation:
         """Search the whole of on and off frames for lights `[n_p]`, one a module."""

@@ -1,6 +1,5 @@
 """One law for the loops of B copies, and rollouts of many sets of gains at once, differentiable from gains to errors."""
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, replace
 from operator import attrgetter
@@ -19,24 +18,20 @@ from luxloop.loop.simulation.result import Rollout
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studies.batch import copies
 from luxloop.loop.studies.batch.copies import Copies, Taken, stack
+from luxloop.perception.appearance import DEGREES
 from luxloop.perception.extraction import ExtractionStatus
 from luxloop.world.errors import LuxloopError, did_you_mean
 
 Look = Callable[[ProjectionCommand, int], Measurement]  # at B projections in a step
 
-# Keys of thesis_pid that are tensors in its law: the gains' field, which of the loops x, y, roll, pitch, and the key's unit in theirs.
+# Keys of thesis_pid that are tensors in its law: the gains' field, which of the loops, and the key's unit in theirs.
 GAINS: dict[str, tuple[str, tuple[int, ...], float]] = {
     **{
-        f"controller.{kind}.{key}": (field, loops, 1.0)
-        for kind, loops in (("position", (0, 1)), ("rotation", (2, 3)))
+        f"controller.{kind}.{key}": (field, tuple(i for i, each in enumerate(DEGREES) if each.unit == unit), 1.0)
+        for kind, unit in (("position", "m"), ("rotation", "rad"))
         for key, field in (("kp", "kp"), ("ki", "ki"), ("kd", "kd"), ("tracking_steps", "tracking_time"))
     },
-    **{
-        f"controller.{key}": ("rate_limit", (loop,), unit)
-        for loop, (key, unit) in enumerate(
-            (("x_rate_m", 1.0), ("y_rate_m", 1.0), ("roll_rate_deg", math.pi / 180), ("pitch_rate_deg", math.pi / 180))
-        )
-    },
+    **{f"controller.{each.name}_rate_{each.suffix}": ("rate_limit", (loop,), each.of_file(1.0)) for loop, each in enumerate(DEGREES)},
 }
 
 

@@ -14,6 +14,7 @@ from luxloop.controllers.symbol.heights.height_map import HeightMap
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.protocol import Observation
 from luxloop.controllers.symbol.sensing.symbol_sensor import SymbolSensor
+from luxloop.perception.appearance import DEGREES
 from luxloop.perception.camera import camera_view
 from luxloop.perception.egomotion import Ego
 
@@ -57,13 +58,13 @@ class Acting(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Moves:
-    """Actions move the symbol in x, y, roll and pitch; 1 is the largest move of `law` in a step."""
+    """Actions move the symbol in all degrees of freedom; 1 is the largest move of `law` in a step."""
 
     law: ThesisPid
 
     @property
     def size(self) -> int:
-        return 4
+        return len(DEGREES)
 
     @property
     def limits(self) -> tuple[Tensor, Tensor]:

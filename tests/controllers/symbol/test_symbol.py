@@ -405,7 +405,10 @@ def test_a_fifth_degree_of_freedom_is_one_entry_and_its_keys(monkeypatch: pytest
         top_left, top_right, bottom_left, bottom_right = seen.centroids[..., 1:, 0].unbind(-1)
         return (top_left + top_right - bottom_left - bottom_right) / 2
 
-    yaw = appearance.DegreeOfFreedom("yaw", "rad", math.radians(2.0), "yaw", lean, lambda T: torch.atan2(T[..., 1, 0], T[..., 0, 0]))
+    def of_pose(T: Tensor) -> Tensor:
+        return torch.atan2(T[..., 1, 0], T[..., 0, 0])
+
+    yaw = appearance.DegreeOfFreedom("yaw", "rad", math.radians(2.0), "yaw", lean, of_pose, "shown yaw", ("feature", "error of yaw"))
     monkeypatch.setattr(appearance, "DEGREES", (*appearance.DEGREES, yaw))
     watcher = sensor.__wrapped__("chevrons")
     target = watcher.projector.target

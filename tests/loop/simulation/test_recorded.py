@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,11 @@ from luxloop.loop.recording.manifest import table_of
 from luxloop.loop.recording.record import row, schema
 from luxloop.loop.run import prepare, run
 from luxloop.loop.scenario.model import Scenario, load, validate
-from luxloop.loop.simulation.columns import of_one
+from luxloop.loop.simulation.columns import SYMBOL, of_one, symbol_columns
 from luxloop.loop.simulation.frames import TABLE, image_file, light_file
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.simulation import Simulation
+from luxloop.perception.appearance import DEGREES
 from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
 
@@ -261,3 +263,10 @@ def test_frames_of_lighting_functions_hold_no_symbol(lamps: str, words: str, tmp
     model = load("gfhb", given).headlight.model
     with pytest.raises(LuxloopError, match=words):
         playing({**SMALL, "steps": 1, "headlight": {"model": model, "lamps": ["left"]}}, tmp_path / "gfhb")
+
+
+def test_a_fifth_degree_of_freedom_has_columns() -> None:
+    yaw = replace(DEGREES[2], name="yaw", shown="shown pose: rotation about the upward axis")
+    columns = symbol_columns((*DEGREES, yaw))
+    assert list(symbol_columns(DEGREES)) == [each for each in columns if "yaw" not in each] and len(columns) == len(SYMBOL) + 3
+    assert columns["yaw_deg"] == ("deg", "shown pose: rotation about the upward axis") and {"e_yaw", "pose_error_yaw_deg"} <= set(columns)
