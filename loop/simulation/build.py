@@ -8,7 +8,7 @@ from luxloop.controllers.functions.planner import Planner
 from luxloop.controllers.pixels.secondary import Light
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.shipped import find_file
-from luxloop.loop.simulation.build_lamps import mount, shining_modules
+from luxloop.loop.simulation.build_lamps import mount, shining_module
 from luxloop.loop.simulation.build_plant import build_plant
 from luxloop.loop.simulation.build_symbols import build_symbols
 from luxloop.loop.simulation.check import check, check_truth
@@ -25,7 +25,7 @@ def build(scenario: Scenario, device: torch.device, cache: PartCache) -> dict[st
     mounts = cache("mounted modules", mount, scenario.headlight, str(device))
     check(scenario, mounts)
     planner = Planner.prepare(scenario.functions, scenario.lighting, lambda image: find_file(image, "symbols"))
-    modules = shining_modules(scenario, mounts, cache)
+    modules = tuple(shining_module(scenario, each, cache) for each in mounts)
     plant = build_plant(scenario, cache("lamp modules", lamp_modules, mounts), cache)
     truth, view, detector = getattr(plant, "truth", None), camera_view(scenario.camera), scenario.detector
     check_truth(scenario, truth is not None)

@@ -1,7 +1,7 @@
 """From a scenario to its lamps: modules mounted and turned, their beams, raw utilisations and pixel controllers."""
 
-from collections.abc import Mapping, Sequence
-from typing import TypeVar, cast
+from collections.abc import Sequence
+from typing import Any, TypeVar, cast
 
 import torch
 from torch import Tensor
@@ -73,37 +73,29 @@ def turn(part: PartOfLamp, side: str, params: HeadlightParams) -> PartOfLamp:
         raise LuxloopError(f"headlight: {side} lamp, {error}{mirrored}") from error
 
 
-def shining_modules(scenario: Scenario, mounts: Sequence[MountedModule], cache: PartCache) -> tuple[ShiningModule, ...]:
-    """The modules with their pixel controllers and beams. Raises LuxloopError where a file of raw utilisations is missing or broken, or a
-    pixel controller of the user's own cannot be made.
+def shining_module(scenario: Scenario, module: MountedModule, cache: PartCache) -> ShiningModule:
+    """A module with its pixel controller and beams. Raises LuxloopError where a file of raw utilisations is missing or broken, or a pixel
+    controller of the user's own cannot be made.
     """
-    return tuple(_shining(scenario, each, cache) for each in mounts)
-
-
-def _shining(scenario: Scenario, module: MountedModule, cache: PartCache) -> ShiningModule:
     light, name, lighting = module.headlight, module.name, scenario.lighting
     flux = cache(f"{name}: flux", pixel_flux, light)
     raw = cache(f"{name}: raw", _raw, lighting.raw, name, light)
-    names = lighting.base.names if raw is None else ()
-    beams: dict[str, Morphing] = {
-        beam: cache(f"{name}: {beam} beam", _beam, module.lamp, module.number, beam, light, flux) for beam in names
-    }
+
+    def morphing(lamp: Lamp, number: int, beam: str, *_: Any) -> Morphing:
+        return Morphing(light, lamp.beam(beam)[number].to(flux))
+
+    names, of_lamp = lighting.base.names if raw is None else (), (module.lamp, module.number)
+    beams: dict[str, Morphing] = {beam: cache(f"{name}: {beam} beam", morphing, *of_lamp, beam, light, flux) for beam in names}
     controller = cache(f"{name}: pixel controller", pixel_controller, light, scenario.pixel_controller, scenario.ssc, scenario.jpo)
     if (lasting := beams.get(lighting.base.beam)) is not None:  # None of a beam by the situation
         controller = cache(
             f"{name}: pixel controller over its beam", lambda controller, beam: controller.over(beam), controller, lasting.beam
         )
-    return cache(f"{name}: module", _module, module, controller, flux, beams, raw)
 
+    def shining(*_: Any) -> ShiningModule:
+        return ShiningModule(**vars(module), controller=controller, flux=flux, flux_lm=float(flux.sum()), beams=beams, raw=raw)
 
-def _module(
-    module: MountedModule, controller: PixelController, flux: Tensor, beams: Mapping[str, Morphing], raw: RawUtilisation | None
-) -> ShiningModule:
-    return ShiningModule(**vars(module), controller=controller, flux=flux, flux_lm=float(flux.sum()), beams=beams, raw=raw)
-
-
-def _beam(lamp: Lamp, number: int, name: str, light: Headlight, flux: Tensor) -> Morphing:
-    return Morphing(light, lamp.beam(name)[number].to(flux))
+    return cache(f"{name}: module", shining, module, controller, flux, beams, raw)
 
 
 def _raw(given: Sequence[RawParams], module: str, headlight: Headlight) -> RawUtilisation | None:

@@ -17,6 +17,11 @@ from luxloop.world.plugin import in_a_line
 
 ROUNDING_S = 1e-6  # of sums of periods and of clocks that count from 1970
 TIME = "give the plant's time in s, as a number"
+KINDS = {  # of what arrives: type, and what to give
+    "frames": (Frame, "luxloop.Frame; give frames=(luxloop.Frame(...),), or () where none has come"),
+    "samples": (Sample, "luxloop.Sample; give samples=(luxloop.Sample(...),), or leave them out"),
+    "objects": (TrackedObject, "TrackedObject; give objects=(...), or leave them out"),
+}
 
 
 def check_arrivals(gave: Any, exposure: Exposure | None, like: Tensor) -> tuple[Any, Arrivals]:
@@ -28,15 +33,6 @@ def check_arrivals(gave: Any, exposure: Exposure | None, like: Tensor) -> tuple[
         what = f"({', '.join(type(each).__name__ for each in gave)})" if isinstance(gave, tuple) else type(gave).__name__
         raise LuxloopError(f"gives {what}; return the state and luxloop.Arrivals, as (state, arrivals)")
     arrivals = gave[1]
-    _check_time(arrivals, exposure)
-    _check_frames(arrivals)
-    _check_samples(arrivals, like)
-    _check_objects(arrivals)
-    return gave
-
-
-def _check_time(arrivals: Arrivals, exposure: Exposure | None) -> None:
-    """Raises LuxloopError where the plant's time is none, or has not gone on since an exposure began."""
     if not _is_time(arrivals.time_s) or not math.isfinite(arrivals.time_s):
         raise LuxloopError(f"gives the time_s {arrivals.time_s!r}; {TIME}")
     if exposure is not None and arrivals.time_s <= exposure.start_s:
@@ -44,32 +40,36 @@ def _check_time(arrivals: Arrivals, exposure: Exposure | None) -> None:
             f"gives the time_s {arrivals.time_s:g} after an exposure that began at {exposure.start_s:g} s; give the time at its end, "
             "such as exposure.start_s + exposure.duration_s"
         )
-
-
-def _check_frames(arrivals: Arrivals) -> None:
-    """Raises LuxloopError where its frames are none."""
-    if not isinstance(arrivals.frames, tuple) or not all(isinstance(frame, Frame) for frame in arrivals.frames):
-        raise LuxloopError("gives frames that are no tuple of luxloop.Frame; give frames=(luxloop.Frame(...),), or () where none has come")
+    for key, (kind, remedy) in KINDS.items():
+        values = getattr(arrivals, key)
+        if not ((key == "objects" and values is None) or (isinstance(values, tuple) and all(isinstance(each, kind) for each in values))):
+            raise LuxloopError(f"gives {key} that are no tuple of {remedy}")
     for frame in arrivals.frames:
         if not isinstance(frame.number, int):
             raise LuxloopError(f"gives a frame of exposure {frame.number!r}; number it as its exposure, exposure.number")
         with locate(f"frame {frame.number}"):
-            if strange := [each for each in (frame.taken_s, frame.arrived_s) if not _is_time(each)]:
-                raise LuxloopError(f"has the time {strange[0]!r}; {TIME}")
+            _check_times(frame.taken_s, frame.arrived_s)
             if not isinstance(frame.shown, Exposure | None):
                 raise LuxloopError(f"has shown = {type(frame.shown).__name__}; give a luxloop.Exposure, or leave it out")
+    _check_samples(arrivals, like)
+    objects = arrivals.objects or ()
+    if twice := [name for name, count in Counter(each.name for each in objects).items() if count > 1]:
+        raise LuxloopError(f"gives two objects of the name {twice[0]!r}; give each a name of its own")
+    for each in objects:
+        try:
+            row_of(each)
+        except ValidationError as error:
+            raise LuxloopError(f"object {each.name}: {in_a_line(error)}") from error
+    return gave
 
 
 def _check_samples(arrivals: Arrivals, like: Tensor) -> None:
-    """Raises LuxloopError where its samples are none, or are not what their sensors tell, as tensors like another one."""
-    if not isinstance(arrivals.samples, tuple) or not all(isinstance(sample, Sample) for sample in arrivals.samples):
-        raise LuxloopError("gives samples that are no tuple of luxloop.Sample; give samples=(luxloop.Sample(...),), or leave them out")
+    """Raises LuxloopError where samples are not what their sensors tell, as tensors like another one."""
     for sample in arrivals.samples:
         if sample.sensor not in VALUES:
             raise LuxloopError(f"gives a sample of {sample.sensor!r}; {did_you_mean(str(sample.sensor), VALUES)}")
         with locate(f"sample of {sample.sensor}"):
-            if strange := [each for each in (sample.measured_s, sample.arrived_s) if not _is_time(each)]:
-                raise LuxloopError(f"has the time {strange[0]!r}; {TIME}")
+            _check_times(sample.measured_s, sample.arrived_s)
             if not sample.measured_s <= sample.arrived_s + ROUNDING_S <= arrivals.time_s + 2 * ROUNDING_S:
                 raise LuxloopError(
                     f"was measured at {sample.measured_s:.10g} s and arrived at {sample.arrived_s:.10g} s, by time_s = "
@@ -82,21 +82,6 @@ def _check_samples(arrivals: Arrivals, like: Tensor) -> None:
                 )
             if not sample.values.isfinite().all():
                 raise LuxloopError(f"has the values {sample.values.tolist()}, which are not finite; give none where it tells nothing")
-
-
-def _check_objects(arrivals: Arrivals) -> None:
-    """Raises LuxloopError where its objects are none, have no pose or size, or two have one name."""
-    if arrivals.objects is None:
-        return
-    if not isinstance(arrivals.objects, tuple) or not all(isinstance(each, TrackedObject) for each in arrivals.objects):
-        raise LuxloopError("gives objects that are no tuple of TrackedObject; give objects=(...), or leave them out")
-    if twice := [name for name, count in Counter(each.name for each in arrivals.objects).items() if count > 1]:
-        raise LuxloopError(f"gives two objects of the name {twice[0]!r}; give each a name of its own")
-    for each in arrivals.objects:
-        try:
-            row_of(each)
-        except ValidationError as error:
-            raise LuxloopError(f"object {each.name}: {in_a_line(error)}") from error
 
 
 def check_frame(frame: Frame, span_s: tuple[float, float], now_s: float, camera: CameraParams, like: Tensor) -> None:
@@ -112,25 +97,26 @@ def check_frame(frame: Frame, span_s: tuple[float, float], now_s: float, camera:
                 f"was taken at {taken_s:.10g} s and arrived at {arrived_s:.10g} s, by time_s = {now_s:.10g}; "
                 "give the plant's time in s, and a frame when it has come"
             )
-        _check_image(frame.image, camera, like)
+        image, size, most = frame.image, (camera.height_px, camera.width_px), 2**camera.bits - 1
+        if not _is_like(image, like) or image.shape != size:
+            raise LuxloopError(
+                f"has an image that is {_described(image)}; give a tensor {list(size)}, as camera.height_px and width_px say, "
+                f"{like.dtype} on {like.device}"
+            )
+        if not image.isfinite().all():
+            raise LuxloopError("has an image that is not finite; a frame that is lost has the image None")
+        low, high = float(image.min()), float(image.max())
+        if low < 0 or high > most:
+            raise LuxloopError(
+                f"has an image from {low:.4g} to {high:.4g}; digital numbers of camera.bits = {camera.bits} are 0 to {most}: scale it, "
+                "and clamp it"
+            )
 
 
-def _check_image(image: Any, camera: CameraParams, like: Tensor) -> None:
-    """Raises LuxloopError where it holds no digital numbers of the camera, or is no tensor like another one."""
-    size, most = (camera.height_px, camera.width_px), 2**camera.bits - 1
-    if not _is_like(image, like) or image.shape != size:
-        raise LuxloopError(
-            f"has an image that is {_described(image)}; give a tensor {list(size)}, as camera.height_px and width_px say, "
-            f"{like.dtype} on {like.device}"
-        )
-    if not image.isfinite().all():
-        raise LuxloopError("has an image that is not finite; a frame that is lost has the image None")
-    low, high = float(image.min()), float(image.max())
-    if low < 0 or high > most:
-        raise LuxloopError(
-            f"has an image from {low:.4g} to {high:.4g}; digital numbers of camera.bits = {camera.bits} are 0 to {most}: scale it, and "
-            "clamp it"
-        )
+def _check_times(*times_s: Any) -> None:
+    """Raises LuxloopError where one is no number."""
+    if strange := [each for each in times_s if not _is_time(each)]:
+        raise LuxloopError(f"has the time {strange[0]!r}; {TIME}")
 
 
 def _is_time(value: Any) -> bool:

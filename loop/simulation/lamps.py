@@ -1,7 +1,7 @@
 """The car's lamps, ready to be driven: every module that shines, with its pixel controller and its base beams."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -111,18 +111,14 @@ class LampPower:
 
 def mean_powers(powers: Sequence[Mapping[str, LampPower]], shares: Sequence[float]) -> Mapping[str, LampPower]:
     """Time means over exposures, by the lamps' sides; the factor is the least. Of one alone, shown for the whole step, that."""
-    first = powers[0]
     if len(powers) == 1:
-        return first
+        return powers[0]
 
-    def mean(side: str, key: str) -> float:
-        return sum(share * getattr(each[side], key) for share, each in zip(shares, powers, strict=True))
+    def of(lamps: Sequence[LampPower]) -> LampPower:
+        mean = {key: sum(s * getattr(each, key) for s, each in zip(shares, lamps, strict=True)) for key in ("flux_lm", "share", "watts")}
+        return LampPower(**mean, factor=min(each.factor for each in lamps), flux_lm_peak=max(each.flux_lm_peak for each in lamps))
 
-    def of(side: str) -> LampPower:
-        factor, peak_lm = min(each[side].factor for each in powers), max(each[side].flux_lm_peak for each in powers)
-        return LampPower(mean(side, "flux_lm"), mean(side, "share"), factor, mean(side, "watts"), peak_lm)
-
-    return {side: of(side) for side in first}
+    return {side: of([each[side] for each in powers]) for side in powers[0]}
 
 
 def under(modules: tuple[ShiningModule, ...], commands: Commands) -> tuple[ShiningModule, ...]:
@@ -158,49 +154,6 @@ def _flux_lm(light: Utilisation, flux: Tensor) -> float:
     return float(light.u[lit] @ flux[lit])
 
 
-def compute_utilisations(
-    modules: Sequence[ShiningModule], plan: Plan, secondary: Sequence[SecondaryRays], more: tuple[Plan, Sequence[Utilisation]] | None = None
-) -> list[Utilisation]:
-    """Utilisations `[n_p]` of a plan before any power limit, one a module.
-
-    secondary: rays of each module. more: another plan with the utilisations that this function gave for it. It must draw the same
-    primitives as this plan, and may draw others besides; modules that draw none of those keep its utilisations.
-    """
-
-    def drawn(by: Plan, module: ShiningModule) -> int:
-        return len(by.for_module(module.name) or ())
-
-    if more is None:
-        return [module.utilisation(plan, rays) for module, rays in zip(modules, secondary, strict=True)]
-    return [
-        known if drawn(more[0], module) == drawn(plan, module) else module.utilisation(plan, rays)
-        for module, rays, known in zip(modules, secondary, more[1], strict=True)
-    ]
-
-
-def limit_utilisations(
-    modules: Sequence[ShiningModule], lights: Sequence[Utilisation], power_limit: float | None, power_w: Callable[[float], float]
-) -> tuple[tuple[Utilisation, ...], Mapping[str, LampPower]]:
-    """Utilisations, one a module, and the power of each lamp by its side, within the limit if there is one.
-
-    lights: utilisations `[n_p]` before the limit, one a module. power_w: electrical power in W of a lamp by its flux in lm.
-    """
-    wanted = dict(zip((module.name for module in modules), lights, strict=True))
-    limited, powers = [], {}
-    for side in dict.fromkeys(module.side for module in modules):
-        mine = [module for module in modules if module.side == side]
-        shown, factor, most = [wanted[module.name] for module in mine], 1.0, sum(each.flux_lm for each in mine)
-        if power_limit is not None:
-            flux = torch.cat([module.intensity * module.flux for module in mine])
-            u, least = limit_power(torch.cat([each.u for each in shown]), flux, most * power_limit)
-            parts, factor = u.split([len(module.flux) for module in mine]), float(least)
-            shown = [Utilisation(part, each.band) for part, each in zip(parts, shown, strict=True)]
-        total = sum(module.intensity * _flux_lm(each, module.flux) for each, module in zip(shown, mine, strict=True))
-        powers[side] = LampPower(total, total / most, factor, power_w(total), total)
-        limited += shown
-    return tuple(limited), powers
-
-
 @dataclass(frozen=True, eq=False)
 class LampDriver:
     """All modules with what limits their light. world: what is true, which street lamps and shadow rays need."""
@@ -219,7 +172,10 @@ class LampDriver:
     def drive(
         self, plan: Plan, now: Situation, more: tuple[Plan, tuple[Utilisation, ...]] | None = None
     ) -> tuple[tuple[Utilisation, ...], Mapping[str, LampPower]]:
-        """Utilisations of all modules and powers by lamp. more: a plan that draws all that this one draws and maybe more, and its light."""
+        """Utilisations of all modules and powers by lamp, within its limit if there is one.
+
+        more: a plan that draws all that this one draws and maybe more, and its light, which modules keep that draw none of the rest.
+        """
         params, modules = self.scenario.lighting, self.aim(now)
         street_lamps: tuple[StreetLamp, ...] = ()
         occluded = None
@@ -227,9 +183,31 @@ class LampDriver:
             T_world_ground = self.world.motion.at(now.time_s).T_world_ground
             street_lamps = tuple(seen_from(T_world_ground, lamp) for lamp in self.world.scene.street_lamps) if params.street_lamps else ()
             occluded = scene_caster(self.world.lit(now.time_s).triangles, T_world_ground) if params.shadow_rays else None
-        secondary = [SecondaryRays(now.lights, own, street_lamps, occluded) for own in range(len(self.modules))]
-        lights = compute_utilisations(modules, plan, secondary, more if params.power_limit is None else None)
-        return limit_utilisations(modules, lights, params.power_limit, self.scenario.headlight.power_w)
+        known = [None] * len(modules) if more is None or params.power_limit is not None else more[1]
+        wanted = {
+            module.name: light
+            if more is not None and light is not None and _drawn(more[0], module) == _drawn(plan, module)
+            else module.utilisation(plan, SecondaryRays(now.lights, own, street_lamps, occluded))
+            for own, (module, light) in enumerate(zip(modules, known, strict=True))
+        }
+        limited, powers = [], {}
+        for side in dict.fromkeys(module.side for module in modules):
+            mine = [module for module in modules if module.side == side]
+            shown, factor, most = [wanted[module.name] for module in mine], 1.0, sum(each.flux_lm for each in mine)
+            if params.power_limit is not None:
+                flux = torch.cat([module.intensity * module.flux for module in mine])
+                u, least = limit_power(torch.cat([each.u for each in shown]), flux, most * params.power_limit)
+                parts, factor = u.split([len(module.flux) for module in mine]), float(least)
+                shown = [Utilisation(part, each.band) for part, each in zip(parts, shown, strict=True)]
+            total = sum(module.intensity * _flux_lm(each, module.flux) for each, module in zip(shown, mine, strict=True))
+            powers[side] = LampPower(total, total / most, factor, self.scenario.headlight.power_w(total), total)
+            limited += shown
+        return tuple(limited), powers
+
+
+def _drawn(plan: Plan, module: ShiningModule) -> int:
+    """How many primitives a module draws."""
+    return len(plan.for_module(module.name) or ())
 
 
 def attitude(ego: Ego | None) -> Tensor:
