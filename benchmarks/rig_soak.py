@@ -31,7 +31,7 @@ from luxloop.loop.rig.plant import RigPlant, SymbolEvaluator
 from luxloop.loop.rig.rig import Rig, await_camera, open_rig
 from luxloop.loop.run import run as run_scenario
 from luxloop.loop.scenario.model import load
-from luxloop.loop.simulation.build_plant import from_zero
+from luxloop.loop.simulation.build import from_zero
 from luxloop.loop.simulation.lamps import lamp_modules
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.world.validation import validate_model

@@ -35,7 +35,7 @@ def run_on_rig(
     from luxloop.loop.rig.params import load_rig
     from luxloop.loop.rig.plant import RigPlant, SymbolEvaluator
     from luxloop.loop.rig.rig import open_rig
-    from luxloop.loop.simulation.build_plant import from_zero
+    from luxloop.loop.simulation.build import from_zero
 
     file, armed, allow_code = rig_file
     params = load_rig(file, allow_code=allow_code)

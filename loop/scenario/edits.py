@@ -76,25 +76,14 @@ def acts(before: Scenario, after: Scenario) -> Acts:
     """When what tells two scenarios apart acts: at the next step; once it is prepared, while the simulation goes on; or in one that starts
     anew.
     """
-    found = {_acts(key) for key in _keys_that_differ(before, after)}
+    found = set[Acts]()
+    for key, value in after:
+        if (old := getattr(before, key)) != value:
+            inner = [f"{key}.{name}" for name, each in value if each != getattr(old, name)] if key in ("headlight", "camera") else [key]
+            found |= {ACTS.get(each) or ACTS.get(key) or ACTS[""] for each in inner}
     if before.shares != after.shares or (before.vehicle is None) != (after.vehicle is None):
         return "restart"
     if "restart" in found or (found - {"step"} and after.plant.kind != "simulated"):
         return "restart"
     longer = before.steps != after.steps and after.vehicle is not None  # for which its motion is integrated
     return "prepared" if "prepared" in found or longer or before.meters_light != after.meters_light else "step"
-
-
-def _keys_that_differ(before: Scenario, after: Scenario) -> list[str]:
-    keys = [key for key in Scenario.model_fields if getattr(before, key) != getattr(after, key)]
-    inner = {key: type(getattr(after, key)).model_fields for key in ("headlight", "camera") if key in keys}
-    within = [f"{key}.{name}" for key, names in inner.items() for name in names if _of(before, key, name) != _of(after, key, name)]
-    return [key for key in keys if key not in inner] + within
-
-
-def _of(scenario: Scenario, key: str, name: str) -> object:
-    return getattr(getattr(scenario, key), name)
-
-
-def _acts(key: str) -> Acts:
-    return ACTS.get(key) or ACTS.get(key.partition(".")[0]) or ACTS[""]

@@ -1,6 +1,7 @@
 """What comes with luxloop, by kind: the name of each and what it is. `luxloop list` shows it."""
 
 import tomllib
+from importlib import import_module
 from typing import Any, Literal, get_args
 
 from luxloop.loop.scenario import data
@@ -17,6 +18,14 @@ USES: dict[Kind, str] = {
     "lamps": "Use one with `--set headlight.model=NAME`; `luxloop headlight info NAME` describes it.",
     "plants": "Use one with `--set plant.kind=NAME`, a recording with `--plant FOLDER`; your own is package.module:Name.",
     "examples": "Copy one with `luxloop new --like NAME`.",
+}
+
+VARIANTS: dict[Kind, str] = {  # of tables of a scenario
+    "controllers": "controllers.symbol.ControllerParams",
+    "functions": "controllers.functions.planner.FunctionParams",
+    "plants": "loop.scenario.plant.PlantParams",
+    "roads": "world.roads.shapes.RoadParams",
+    "detectors": "perception.detection.detector.DetectorParams",
 }
 
 
@@ -36,26 +45,8 @@ def listing(kind: Kind) -> list[dict[str, Any]]:
             from luxloop.world.lamps.presets import SUMMARIES
 
             return [{"name": name, "description": summary} for name, summary in SUMMARIES.items()]
-        case "controllers":
-            from luxloop.controllers.symbol import ControllerParams
-
-            return _variants(ControllerParams)
-        case "functions":
-            from luxloop.controllers.functions.planner import FunctionParams
-
-            return _variants(FunctionParams)
-        case "plants":
-            from luxloop.loop.scenario.plant import PlantParams
-
-            return _variants(PlantParams)
-        case "roads":
-            from luxloop.world.roads.shapes import RoadParams
-
-            return _variants(RoadParams)
-        case "detectors":
-            from luxloop.perception.detection.detector import DetectorParams
-
-            return _variants(DetectorParams)
+        case _:
+            return _variants(VARIANTS[kind])
 
 
 def _scenarios() -> list[dict[str, Any]]:
@@ -95,11 +86,12 @@ def _first_line(text: str) -> str:
     return text.partition("\n")[0].strip('"# .')
 
 
-def _variants(union: Any) -> list[dict[str, Any]]:
+def _variants(name: str) -> list[dict[str, Any]]:
     """The variants of a table that luxloop has, each by its tag and the first sentence of its docstring; own parts have no name to list."""
     from luxloop.world.plugin import OWN, by_tag
 
-    models = by_tag(get_args(union)[0])
+    module, _, union = name.rpartition(".")
+    models = by_tag(get_args(getattr(import_module(f"luxloop.{module}"), union))[0])
     return [{"name": tag, "description": _first_sentence(model.__doc__)} for tag, model in models.items() if tag != OWN]
 
 

@@ -113,7 +113,7 @@ class Scenario(Params):
     vehicle: VehicleParams | None = Field(None, description="how the vehicle drives; left out: it stands")
     sensors: SensorParams = Field(SensorParams(), description="sensors of the vehicle's motion")
     plant: Annotated[PlantParams, Field(description="what shows the light and exposes the frames")] = SimulatedPlantParams()
-    judge_every: int = Field(1, ge=0, le=100_000, description="steps from one judgement of a symbol that is held to the next; 0: none")
+    judge_every: int = Field(1, ge=0, le=100_000, description="steps from one evaluation of a symbol that is held to the next; 0: none")
     off_share: float = Field(0.5, gt=0, lt=1, description="share of a control step for which symbols that are held are off")
     conditions: tuple[RoadConditionParams, ...] = Field(
         (RoadConditionParams(),), min_length=1, description="rain and street lighting, in ascending time"
@@ -321,7 +321,8 @@ def load_data(data: dict[str, Any], path: Path, overrides: Sequence[Override], v
     ]
     scenario = validate(data, f"{path} with {' '.join(given)}" if given else str(path))
     if not allow_code:
-        refuse_code(scenario, scenario.source, typed=set(texts([tables(each) for each in (values, *overrides) if not is_file(each)])))
+        typed = texts([tables(each) for each in (values, *overrides) if not is_file(each)])
+        refuse_code(scenario, scenario.source, typed={text for _, text in typed})
     return scenario
 
 

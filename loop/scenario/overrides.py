@@ -54,13 +54,14 @@ def _variants(changes: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in chosen.items() if value}
 
 
-def texts(data: Any) -> Iterator[str]:
-    """All texts in plain data, keys excepted."""
+def texts(data: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    """All texts in plain data, each after the key that it stands at."""
     if isinstance(data, str):
-        yield data
+        yield key, data
     elif isinstance(data, Mapping | list | tuple):
-        for each in data.values() if isinstance(data, Mapping) else data:
-            yield from texts(each)
+        items = data.items() if isinstance(data, Mapping) else ((None, each) for each in data)
+        for name, each in items:
+            yield from texts(each, key if name is None else f"{key}.{name}".lstrip("."))
 
 
 def toml_key(key: str) -> str:

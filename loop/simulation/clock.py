@@ -1,16 +1,23 @@
-"""A plant's clock, counted from its start: the one place that knows when that was."""
+"""A plant's clock, counted from its start, and what a plant of the user's own hands over: refused in a sentence where the loop could make
+nothing, or something wrong, of it.
+"""
 
+import math
+from collections import Counter
 from dataclasses import dataclass, replace
 from typing import Any
 
+from pydantic import ValidationError
 from torch import Tensor
 
 from luxloop.controllers.situation import TrackedObject
-from luxloop.loop.simulation.checked import check_arrivals, check_frame
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame, Plant
+from luxloop.loop.simulation.remote_messages import row_of
 from luxloop.loop.simulation.world import World
 from luxloop.perception.camera import CameraParams
-from luxloop.world.errors import locate
+from luxloop.perception.egomotion import VALUES, Sample
+from luxloop.world.errors import LuxloopError, did_you_mean, locate
+from luxloop.world.plugin import in_a_line
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,3 +70,119 @@ def _since(start_s: float, arrivals: Arrivals) -> Arrivals:
     samples = (replace(each, measured_s=each.measured_s - start_s, arrived_s=each.arrived_s - start_s) for each in arrivals.samples)
     objects = None if arrivals.objects is None else tuple(map(object_, arrivals.objects))
     return Arrivals(arrivals.time_s - start_s, tuple(map(frame, arrivals.frames)), tuple(samples), objects)
+
+
+ROUNDING_S = 1e-6  # of sums of periods and of clocks that count from 1970
+TIME = "give the plant's time in s, as a number"
+KINDS = {  # of what arrives: type, and what to give
+    "frames": (Frame, "luxloop.Frame; give frames=(luxloop.Frame(...),), or () where none has come"),
+    "samples": (Sample, "luxloop.Sample; give samples=(luxloop.Sample(...),), or leave them out"),
+    "objects": (TrackedObject, "TrackedObject; give objects=(...), or leave them out"),
+}
+
+
+def check_arrivals(gave: Any, exposure: Exposure | None, like: Tensor) -> tuple[Any, Arrivals]:
+    """State and arrivals that a plant gives for an exposure, None at its start. like: a tensor of the dtype and on the device of samples.
+
+    Raises LuxloopError where they are something else, but for frames' times and images, see `check_frame`.
+    """
+    if not isinstance(gave, tuple) or len(gave) != 2 or not isinstance(gave[1], Arrivals):
+        what = f"({', '.join(type(each).__name__ for each in gave)})" if isinstance(gave, tuple) else type(gave).__name__
+        raise LuxloopError(f"gives {what}; return the state and luxloop.Arrivals, as (state, arrivals)")
+    arrivals = gave[1]
+    if not _is_time(arrivals.time_s) or not math.isfinite(arrivals.time_s):
+        raise LuxloopError(f"gives the time_s {arrivals.time_s!r}; {TIME}")
+    if exposure is not None and arrivals.time_s <= exposure.start_s:
+        raise LuxloopError(
+            f"gives the time_s {arrivals.time_s:g} after an exposure that began at {exposure.start_s:g} s; give the time at its end, "
+            "such as exposure.start_s + exposure.duration_s"
+        )
+    for key, (kind, remedy) in KINDS.items():
+        values = getattr(arrivals, key)
+        if not ((key == "objects" and values is None) or (isinstance(values, tuple) and all(isinstance(each, kind) for each in values))):
+            raise LuxloopError(f"gives {key} that are no tuple of {remedy}")
+    for frame in arrivals.frames:
+        if not isinstance(frame.number, int):
+            raise LuxloopError(f"gives a frame of exposure {frame.number!r}; number it as its exposure, exposure.number")
+        with locate(f"frame {frame.number}"):
+            _check_times(frame.taken_s, frame.arrived_s)
+            if not isinstance(frame.shown, Exposure | None):
+                raise LuxloopError(f"has shown = {type(frame.shown).__name__}; give a luxloop.Exposure, or leave it out")
+    _check_samples(arrivals, like)
+    objects = arrivals.objects or ()
+    if twice := [name for name, count in Counter(each.name for each in objects).items() if count > 1]:
+        raise LuxloopError(f"gives two objects of the name {twice[0]!r}; give each a name of its own")
+    for each in objects:
+        try:
+            row_of(each)
+        except ValidationError as error:
+            raise LuxloopError(f"object {each.name}: {in_a_line(error)}") from error
+    return gave
+
+
+def _check_samples(arrivals: Arrivals, like: Tensor) -> None:
+    """Raises LuxloopError where samples are not what their sensors tell, as tensors like another one."""
+    for sample in arrivals.samples:
+        if sample.sensor not in VALUES:
+            raise LuxloopError(f"gives a sample of {sample.sensor!r}; {did_you_mean(str(sample.sensor), VALUES)}")
+        with locate(f"sample of {sample.sensor}"):
+            _check_times(sample.measured_s, sample.arrived_s)
+            if not sample.measured_s <= sample.arrived_s + ROUNDING_S <= arrivals.time_s + 2 * ROUNDING_S:
+                raise LuxloopError(
+                    f"was measured at {sample.measured_s:.10g} s and arrived at {sample.arrived_s:.10g} s, by time_s = "
+                    f"{arrivals.time_s:.10g}; give the plant's time in s, and a sample when it has arrived"
+                )
+            count = VALUES[sample.sensor]
+            if not _is_like(sample.values, like) or sample.values.ndim != 1 or (count and len(sample.values) != count):
+                raise LuxloopError(
+                    f"has values that are {_described(sample.values)}; give a tensor [{count or 'n'}], {like.dtype} on {like.device}"
+                )
+            if not sample.values.isfinite().all():
+                raise LuxloopError(f"has the values {sample.values.tolist()}, which are not finite; give none where it tells nothing")
+
+
+def check_frame(frame: Frame, span_s: tuple[float, float], now_s: float, camera: CameraParams, like: Tensor) -> None:
+    """Raises LuxloopError for a frame that was not taken within a span of time, has not arrived by now, or is not of the camera."""
+    if frame.image is None:
+        return
+    with locate(f"frame {frame.number}"):
+        (start_s, end_s), taken_s, arrived_s = span_s, frame.taken_s, frame.arrived_s
+        if not start_s - ROUNDING_S <= taken_s <= end_s + ROUNDING_S:
+            raise LuxloopError(f"was taken at {taken_s:.10g} s, not from {start_s:.10g} to {end_s:.10g} s; give the plant's time in s")
+        if not taken_s - ROUNDING_S <= arrived_s <= now_s + ROUNDING_S:
+            raise LuxloopError(
+                f"was taken at {taken_s:.10g} s and arrived at {arrived_s:.10g} s, by time_s = {now_s:.10g}; "
+                "give the plant's time in s, and a frame when it has come"
+            )
+        image, size, most = frame.image, (camera.height_px, camera.width_px), 2**camera.bits - 1
+        if not _is_like(image, like) or image.shape != size:
+            raise LuxloopError(
+                f"has an image that is {_described(image)}; give a tensor {list(size)}, as camera.height_px and width_px say, "
+                f"{like.dtype} on {like.device}"
+            )
+        if not image.isfinite().all():
+            raise LuxloopError("has an image that is not finite; a frame that is lost has the image None")
+        low, high = float(image.min()), float(image.max())
+        if low < 0 or high > most:
+            raise LuxloopError(
+                f"has an image from {low:.4g} to {high:.4g}; digital numbers of camera.bits = {camera.bits} are 0 to {most}: scale it, "
+                "and clamp it"
+            )
+
+
+def _check_times(*times_s: Any) -> None:
+    """Raises LuxloopError where one is no number."""
+    if strange := [each for each in times_s if not _is_time(each)]:
+        raise LuxloopError(f"has the time {strange[0]!r}; {TIME}")
+
+
+def _is_time(value: Any) -> bool:
+    return isinstance(value, int | float)
+
+
+def _is_like(value: Any, like: Tensor) -> bool:
+    return isinstance(value, Tensor) and (value.dtype, value.device) == (like.dtype, like.device)
+
+
+def _described(value: Any) -> str:
+    return f"a {value.dtype} {list(value.shape)} on {value.device}" if isinstance(value, Tensor) else f"a {type(value).__name__}"

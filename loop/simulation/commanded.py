@@ -1,48 +1,19 @@
-"""Modules that functions turn and dim: what is commanded in a step."""
+"""Modules that functions turn and dim: which they are, and functions that cannot."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from luxloop.controllers.functions.commands import (
     MOVEMENTS,
     BendingParams,
     CommandParams,
     DirectParams,
-    FunctionCommands,
     LevellingParams,
     Movement,
-    compose,
 )
 from luxloop.controllers.functions.planner import Planner
-from luxloop.controllers.situation import Situation
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.plant import SimulatedPlantParams
-from luxloop.loop.simulation.check import at_rest
-from luxloop.loop.simulation.controlled import ControlledSymbol
 from luxloop.loop.simulation.lamps import ShiningModule
-from luxloop.world.errors import LuxloopError
-from luxloop.world.headlight.lamp import REST
-
-
-def commanded(
-    planner: Planner,
-    modules: Sequence[ShiningModule],
-    controlled: Mapping[str, ControlledSymbol],
-    given: Mapping[str, FunctionCommands],
-    now: Situation,
-) -> tuple[Situation, Mapping[str, FunctionCommands]]:
-    """The situation with modules as functions command them, and what each of these commanded. given: the same before.
-
-    Raises LuxloopError where a function of the user's own commands a module that a controller needs at rest.
-    """
-    given = planner.command(given, now, modules)
-    if not given:
-        return now, given
-    commands = compose(given.values(), modules)
-    for symbol, held in controlled.items():
-        for k in held.drawn_by:
-            if commands[k] != REST:
-                raise LuxloopError(at_rest(symbol, modules[k].name, "turned or dimmed"))
-    return now.under(commands), given
 
 
 def unmoved(scenario: Scenario) -> list[str]:

@@ -18,11 +18,11 @@ from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import Projector
 from luxloop.controllers.symbol.sensing.protocol import Observation, Projection, SymbolController
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement, SymbolSensor
-from luxloop.loop.simulation.feasible import brightness
 from luxloop.loop.simulation.judging import Judge
 from luxloop.loop.simulation.protocol import ExposurePair
 from luxloop.perception.egomotion import Ego
 from luxloop.perception.extraction import Crop, ExtractionStatus
+from luxloop.perception.metrics import THRESHOLD
 
 SAME = 1e-4  # of a utilisation, which more than rounding changes
 
@@ -149,3 +149,11 @@ def turn(
 
 def _meet(a: Crop, b: Crop) -> bool:
     return a.u_start < b.u_stop and b.u_start < a.u_stop and a.v_start < b.v_stop and b.v_start < a.v_stop
+
+
+def brightness(sensor: SymbolSensor, judge: Judge | None) -> Tensor:
+    """Median luminance `[]` in cd/m^2 of the symbol at its target on a flat road."""
+    if judge is not None:
+        return judge.goal.median
+    flat = sensor.model.luminance(sensor.projector.light(sensor.projector.target))
+    return flat[flat > THRESHOLD * flat.max()].median()

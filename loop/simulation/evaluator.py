@@ -28,7 +28,6 @@ from luxloop.loop.simulation.light_figures import (
     ids_in_situation,
     in_white,
     in_zones,
-    light_on_objects,
     must_be_dark,
     near_enough,
     observed_symbols,
@@ -153,7 +152,8 @@ class Evaluator:
         clock, now, world, shares = Clock(), result.now, self.world, self.scenario.shares
         known_s = {} if before is None else before.oncoming_s
         oncoming_s = near_enough(world.lit(now.time_s), known_s, now.time_s) if self.pipeline and world and world.metered else {}
-        metered = [] if world is None else light_on_objects(world, result.exposures)
+        lights = result.exposures if world and world.metered else ()
+        metered = [world.on_objects(each.start_s, each.lights, each.commands) for each in lights] if world else []
         look = self._detections(result, metered, [name for name, s in oncoming_s.items() if now.time_s - s >= DUE_S])
         masked = frozenset(each.name for each in now.objects if must_be_dark(self.scenario.functions, each, now))
         told = ids_in_situation(self.recorded_ids, None if look is None else look.recognised)

@@ -16,7 +16,6 @@ from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.pixels.rthc import masks
 from luxloop.controllers.situation import Situation, TrackedObject
 from luxloop.loop.simulation.detection import LEAST_PX, Recognition, name_of
-from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.world import LitScene, ObjectLight, World
 from luxloop.perception.metrics import iou
 from luxloop.world.frames import View, inverse, transform
@@ -40,12 +39,6 @@ class OnObject:
     lx_max: float
     lx_peak: float
     masked: bool
-
-
-def light_on_objects(world: World, exposures: Sequence[Exposure]) -> list[ObjectLight]:
-    """In each exposure, if somebody asks for it."""
-    shown = ((each.start_s, each.lights, each.commands) for each in exposures)
-    return [world.on_objects(*each) for each in shown] if world.metered else []
 
 
 def ids_in_situation(watched: Mapping[str, int], recognised: Mapping[str, Recognition] | None) -> Mapping[str, int]:

@@ -20,7 +20,7 @@ from websockets.sync.server import ServerConnection, serve
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.scenario.plant import RemotePlantParams
 from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame, Objects
-from luxloop.loop.simulation.remote_messages import PROTOCOL, Answer, Failure, Hello, Message, largest, object_of, read, track_objects
+from luxloop.loop.simulation.remote_messages import PROTOCOL, Answer, Failure, Hello, largest, object_of, read, track_objects
 from luxloop.loop.simulation.truth import LampModule
 from luxloop.perception.camera import camera_view, saturation_luminance
 from luxloop.perception.egomotion import Sample
@@ -75,7 +75,7 @@ class Link:
         assert self._met is not None
         connection, name = self._met
         try:
-            message, frames = _receive(connection, self._timeout_s, self._size)
+            message, frames = read(connection.recv(self._timeout_s), self._size)
             if isinstance(message, Failure):
                 self.close()
                 raise LuxloopError(f"{name}: fails ({message.text})")
@@ -109,7 +109,7 @@ class Link:
         def greet(connection: ServerConnection) -> None:
             try:
                 connection.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, send_timeout)
-                hello, _ = _receive(connection, GREET_S, size)
+                hello, _ = read(connection.recv(GREET_S), size)
                 if not isinstance(hello, Hello) or hello.protocol != PROTOCOL:
                     raise LuxloopError(f"a program must first say hello, with protocol {PROTOCOL}")
             except (LuxloopError, OSError, ConnectionClosed) as error:
@@ -161,10 +161,6 @@ class Link:
         return LuxloopError(f"{name}{text}")
 
 
-def _receive(connection: ServerConnection, timeout_s: float, size: tuple[int, int]) -> tuple[Message, Arrays]:
-    return read(connection.recv(timeout_s), size)
-
-
 def _dismiss(connection: ServerConnection, head: Mapping[str, Any], code: int) -> None:
     with suppress(ConnectionClosed):
         connection.send(pack(head))
@@ -172,14 +168,7 @@ def _dismiss(connection: ServerConnection, head: Mapping[str, Any], code: int) -
 
 
 Window = tuple[int, int, int, int]  # first row, end row, first column, end column
-
-
-@dataclass(frozen=True, eq=False)
-class RemoteState:
-    """What was shown, and which objects were told. shown: number of exposures since the start."""
-
-    shown: int
-    objects: Objects | None
+RemoteState = tuple[int, Objects | None]  # number of exposures that were shown since the start, and objects that were told
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,13 +192,14 @@ class RemotePlant:
 
     def show(self, state: RemoteState, exposure: Exposure) -> tuple[RemoteState, Arrivals]:
         """What has come by the end of an exposure. Raises LuxloopError where the simulator fails or goes away, and for an earlier state."""
-        if exposure.number != state.shown:
+        shown, objects = state
+        if exposure.number != shown:
             raise LuxloopError(
-                f"exposure {exposure.number} does not follow exposure {state.shown - 1}; a simulator goes on from its own state alone"
+                f"exposure {exposure.number} does not follow exposure {shown - 1}; a simulator goes on from its own state alone"
             )
         head, arrays = self.parts(exposure)
         answer, frames = self.link.ask(head, arrays)
-        return self._came(exposure.number + 1, state.objects, answer, frames)
+        return self._came(shown + 1, objects, answer, frames)
 
     def parts(self, exposure: Exposure) -> tuple[dict[str, Any], dict[str, ArrayBytes]]:
         """Head and arrays of the message that shows an exposure."""
@@ -242,7 +232,7 @@ class RemotePlant:
             )
             for each in answer.frames
         )
-        return RemoteState(shown, objects), Arrivals(answer.time_s, tuple(come), tuple(samples), objects)
+        return (shown, objects), Arrivals(answer.time_s, tuple(come), tuple(samples), objects)
 
 
 def remote_plant(scenario: Scenario, params: RemotePlantParams, modules: Sequence[LampModule]) -> RemotePlant:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from luxloop.controllers.functions.base_beams import BaseBeamParams, BeamName
+from luxloop.controllers.functions.commands import compose
 from luxloop.controllers.functions.planner import Planner
 from luxloop.controllers.pixels.secondary import Light
 from luxloop.controllers.pixels.ssc import Utilisation
@@ -22,7 +23,7 @@ from luxloop.loop.scenario.checks import Light as OtherLight
 from luxloop.loop.scenario.model import Scenario, only
 from luxloop.loop.scenario.studio_window import StudioWindow
 from luxloop.loop.simulation.build import build
-from luxloop.loop.simulation.commanded import commanded
+from luxloop.loop.simulation.check import at_rest
 from luxloop.loop.simulation.controlled import ControlledSymbol, turn
 from luxloop.loop.simulation.detection import DetectionPipeline
 from luxloop.loop.simulation.evaluator import Evaluation, Evaluator
@@ -219,12 +220,20 @@ class Simulation:
         return self._following(result), result
 
     def _sense(self, state: SimulationState) -> Sense:
-        """The car's motion, the situation and what functions command, from all that has arrived."""
+        """The car's motion, the situation with modules as functions command them, and what each commanded, from all that has arrived.
+
+        Raises LuxloopError where a function of the user's own commands a module that a controller needs at rest.
+        """
         time_s = state.arrivals.time_s
         ego = self.ego(state.samples, time_s)
         now = self.situation(time_s, state.tracks, ego, state.arrivals.objects)
-        now, commands = commanded(self.planner, self.modules, self.controlled, state.commanded, now)
-        return Sense(ego, now, self._from(attitude(ego)), commands)
+        commanded = self.planner.command(state.commanded, now, self.modules)
+        if commanded:
+            now = now.under(commands := compose(commanded.values(), self.modules))
+            for symbol, held in self.controlled.items():
+                if turned := [self.modules[k].name for k in held.drawn_by if commands[k] != REST]:
+                    raise LuxloopError(at_rest(symbol, turned[0], "turned or dimmed"))
+        return Sense(ego, now, self._from(attitude(ego)), commanded)
 
     def _plan(self, state: SimulationState, sense: Sense) -> StepPlan:
         """Primitives of functions and controllers: all of them, and without the symbols that are measured in this step."""

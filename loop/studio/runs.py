@@ -2,7 +2,7 @@
 
 import gc
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -292,32 +292,34 @@ class Run:
         return {"name": module.name, "side": module.side, **grid, "peak_cd": self.peaks_cd[number], "flux_lm": module.flux_lm, **turns}
 
 
-class Starter:
-    """Starts runs on a device. told: gets what is being done, or None."""
+def start(
+    sources: Iterable[tuple[Source, Scenario | None]],
+    old: Sequence[Run],
+    wanted: Collection[View],
+    told: Callable[[str], None],
+    *,
+    anew: bool,
+    device: str = "cpu",
+    allow_code: bool = False,
+) -> list[Run]:
+    """Runs of sources, each given with a scenario in place of its own, or None to read that.
 
-    def __init__(self, device: str, allow_code: bool, told: Callable[[str | None], None]) -> None:
-        self._device, self._allow_code, self._told = device, allow_code, told
-        torch.set_num_threads(1)  # a step's operations are too small for two
-
-    def runs(
-        self, sources: Sequence[Source], scenarios: Sequence[Scenario | None], old: Sequence[Run], wanted: Collection[View], anew: bool
-    ) -> list[Run]:
-        """Of sources, each with a scenario in place of its own, or None to read that. old: in whose place they come, whose plants are
-        closed once a new one is prepared, and whose parts serve again unless all is made anew. wanted: what is looked at. Raises
-        LuxloopError.
-        """
-        before = None if anew or not old else old[0].simulation
-        given = [source.load(self._allow_code) if each is None else (each, None) for source, each in zip(sources, scenarios, strict=True)]
-        runs = list[Run]()
-        for source, (scenario, recording) in zip(sources, given, strict=True):
-            self._told(f"preparing {scenario.name}")
-            before = prepare(scenario, self._device, before)
-            for run in old:
-                getattr(run.simulation.plant, "close", lambda: None)()  # its address or devices are those of the new one
-            self._told(f"first step of {scenario.name}")
-            playback = Playback(source.recording, recording) if source.recording and recording else None
-            runs.append(Run(before, source.label, source.all, wanted, playback))
-        return runs
+    old: in whose place they come, whose plants are closed once a new one is prepared, and whose parts serve again unless all is made anew.
+    wanted: what is looked at. told: gets what is being done. Raises LuxloopError.
+    """
+    torch.set_num_threads(1)  # a step's operations are too small for two
+    before = None if anew or not old else old[0].simulation
+    given = [(source, *(source.load(allow_code) if scenario is None else (scenario, None))) for source, scenario in sources]
+    runs = list[Run]()
+    for source, scenario, recording in given:
+        told(f"preparing {scenario.name}")
+        before = prepare(scenario, device, before)
+        for run in old:
+            getattr(run.simulation.plant, "close", lambda: None)()  # its address or devices are those of the new one
+        told(f"first step of {scenario.name}")
+        playback = Playback(source.recording, recording) if source.recording and recording else None
+        runs.append(Run(before, source.label, source.all, wanted, playback))
+    return runs
 
 
 def head(runs: Sequence[Run], number: int) -> dict[str, Any]:

@@ -453,12 +453,12 @@ class Session:
         scenarios: in place of the sources' own, None of one that is read, from its files as they are now. Raises LuxloopError.
         """
         self._publish(progress="importing PyTorch and the renderer")
-        from luxloop.loop.studio.runs import Starter, head
+        from luxloop.loop.studio.runs import head, start
 
         self._choose()
         anew = scenarios[0] is None
-        starter = Starter(self._device, self._allow_code, lambda text: self._publish(progress=text))
-        runs = starter.runs(sources, scenarios, self.state.runs, self.wanted, anew=anew)
+        how: dict[str, Any] = {"anew": anew, "device": self._device, "allow_code": self._allow_code}
+        runs = start(zip(sources, scenarios, strict=True), self.state.runs, self.wanted, lambda text: self._publish(progress=text), **how)
         try:
             self._record(None)
         finally:  # a recording that cannot be finished keeps no other run from its start

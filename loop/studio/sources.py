@@ -2,7 +2,7 @@
 
 import re
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -106,7 +106,7 @@ def open_source(message: Open | Compare, given: Sequence[Source], recordings: Co
 def refuse_foreign(overrides: Sequence[str]) -> None:
     """Raises LuxloopError where an override names a file that is not shipped, a module of Python or a plant: the server would open it."""
     from luxloop.loop.scenario import data
-    from luxloop.loop.scenario.overrides import is_file, tables
+    from luxloop.loop.scenario.overrides import is_file, tables, texts
     from luxloop.loop.scenario.shipped import shipped_files
     from luxloop.world.lamps.presets import SUMMARIES
     from luxloop.world.plugin import PATTERN
@@ -115,25 +115,13 @@ def refuse_foreign(overrides: Sequence[str]) -> None:
     for override in overrides:
         if is_file(override):
             raise LuxloopError(f"{override}: the page cannot name a file; give its keys, or start luxloop studio with --allow-code")
-        for key, text in _texts(tables(override)):
+        for key, text in texts(tables(override)):
             if key.startswith("plant"):
                 raise LuxloopError(f"{override}: a plant cannot be chosen from the page; start luxloop studio with --allow-code")
             if re.fullmatch(PATTERN, text):
                 raise LuxloopError(f"{override}: names a module of Python; start luxloop studio with --allow-code for that")
             if key.rpartition(".")[2] in FILES and text not in ours:
                 raise LuxloopError(f"{override}: names a file that is not shipped; start luxloop studio with --allow-code for that")
-
-
-def _texts(values: Any, key: str = "") -> Iterator[tuple[str, str]]:
-    """All texts in plain data, with the keys that they stand at."""
-    if isinstance(values, str):
-        yield key, values
-    elif isinstance(values, Mapping):
-        for name, each in values.items():
-            yield from _texts(each, f"{key}.{name}".lstrip("."))
-    elif isinstance(values, list | tuple):
-        for each in values:
-            yield from _texts(each, key)
 
 
 def choices() -> dict[str, Any]:

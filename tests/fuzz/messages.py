@@ -18,7 +18,7 @@ from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.remote import Link, RemotePlant
 from luxloop.loop.studio.messages import Paint, Place, Set, Wish, read
 from luxloop.loop.studio.painting import paint, place, wish
-from luxloop.loop.studio.runs import Run, Starter
+from luxloop.loop.studio.runs import Run, start
 from luxloop.loop.studio.sources import Source, refuse_foreign
 from luxloop.perception.camera import CameraParams
 from luxloop.world.messages import Arrays
@@ -83,7 +83,7 @@ def damaged(data: bytes, rng: random.Random) -> bytes:
 
 @functools.cache
 def _run() -> Run:
-    return Starter("cpu", False, lambda text: None).runs((Source("snowflake", SMALL),), (None,), (), frozenset(), True)[0]
+    return start([(Source("snowflake", SMALL), None)], (), frozenset(), print, anew=True)[0]
 
 
 def read_studio(path: Path) -> None:

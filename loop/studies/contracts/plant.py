@@ -6,8 +6,8 @@ from typing import Any
 
 from torch import Tensor
 
-from luxloop.loop.simulation.build_plant import KEY
-from luxloop.loop.simulation.checked import check_arrivals, check_frame
+from luxloop.loop.simulation.build import KEY
+from luxloop.loop.simulation.clock import check_arrivals, check_frame
 from luxloop.loop.simulation.lamps import lamp_modules
 from luxloop.loop.simulation.protocol import Arrivals, Exposure
 from luxloop.loop.simulation.simulation import Simulation

@@ -13,7 +13,7 @@ from luxloop.loop.recording.replay import load as recording
 from luxloop.loop.recording.replay import replay
 from luxloop.loop.scenario.model import load
 from luxloop.loop.scenario.text import scenario_text
-from luxloop.loop.studio.runs import Starter
+from luxloop.loop.studio.runs import start
 from luxloop.loop.studio.session import TOGETHER_S
 from luxloop.loop.studio.sources import Source
 from tests.loop.studio.clients import Watcher, watching
@@ -180,12 +180,12 @@ def test_the_file_is_an_editor_as_well(own: Served, editor: Watcher, file: Path)
 
 def test_a_step_that_is_over_takes_little_memory_beside_its_light(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("luxloop.loop.recording.recorder.FOLDED", 5)
-    (run,) = Starter("cpu", False, print).runs((Source(str(file)),), (None,), (), frozenset(), True)
+    (run,) = start([(Source(str(file)), None)], (), frozenset(), print, anew=True)
     while not run.over:
         if len(run.snapshots) == 11:
             tracemalloc.start()
         run.step(frozenset({"marks"}))
-    kept = [tracemalloc.Filter(True, f"*/loop/{each}") for each in ("lighting/record*.py", "studio/*.py")]
+    kept = [tracemalloc.Filter(True, f"*/loop/{each}") for each in ("recording/record*.py", "studio/*.py")]
     taken = tracemalloc.take_snapshot().filter_traces(kept).statistics("filename")
     tracemalloc.stop()
     assert sum(each.size for each in taken) / 19 < 3000, "where rows and poses as Python's values take 10 kB a step"

@@ -12,7 +12,7 @@ from websockets.sync.client import connect
 from luxloop.loop.scenario.edits import with_overrides
 from luxloop.loop.scenario.model import validate
 from luxloop.loop.studio.messages import VIEWS
-from luxloop.loop.studio.runs import Starter
+from luxloop.loop.studio.runs import start
 from luxloop.loop.studio.sources import Source
 from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import SMALL
@@ -48,12 +48,11 @@ def test_edits_go_on_and_what_starts_anew_begins_again() -> None:
     plant = {"kind": "remote", "address": address, "timeout_s": 20}
     patch = {"kind": "primitive", "x_m": 20.0}
     scenario = validate({**SMALL, "functions": {"patch": patch}, "plant": plant}, "studio")
-    starting = Starter("cpu", False, lambda text: None)
     try:
-        (first,) = starting.runs([Source("studio")], [scenario], (), VIEWS, anew=True)
+        (first,) = start([(Source("studio"), scenario)], (), VIEWS, print, anew=True)
         first.edit(first.prepare_edit(with_overrides(scenario, MOVED)), MOVED)
         first.step(VIEWS)
-        (again,) = starting.runs([Source("studio")], [scenario], [first], VIEWS, anew=False)
+        (again,) = start([(Source("studio"), scenario)], [first], VIEWS, print, anew=False)
         again.step(VIEWS)
         with pytest.raises(LuxloopError, match="no simulator is connected any more"):
             first.step(VIEWS)
