@@ -7,14 +7,13 @@ import pytest
 import torch
 
 from luxloop.controllers.functions.symbol import SymbolFunctionParams
-from luxloop.controllers.pixels.homographies import drawing_rectangle, sight
+from luxloop.controllers.pixels.homographies import drawing_rectangle
 from luxloop.controllers.pixels.ssc import Ssc
 from luxloop.controllers.situation import Situation
 from luxloop.perception.metrics import iou
 from luxloop.world.frames import inverse, pose_from_degrees, transform
 from luxloop.world.lamps.presets import lamp
 from luxloop.world.symbols import Still, load_still
-from tests.reference.ssc import seen_at
 
 SYMBOLS = Path(__file__).parents[3] / "scenarios" / "symbols"
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
@@ -46,26 +45,6 @@ def test_what_is_above_the_horizon_cannot_be_drawn() -> None:
     origin, d1, d2, eye = flying()
     above = drawing_rectangle(origin + 2 * UP, d1, d2, eye, torch.zeros(3).double(), UP)
     assert torch.isnan(torch.stack(above)).any()
-
-
-def test_lines_of_sight_are_a_homography_of_rays() -> None:
-    """Both ways of reading the symbol agree on random rays, those that miss it among them."""
-    origin, d1, d2, eye = flying()
-    lamp = torch.tensor([0.2, -0.6, 0.7], dtype=torch.float64)
-    generator = torch.Generator().manual_seed(0)
-    ray = torch.rand(3, 500, generator=generator, dtype=torch.float64) * torch.tensor([[0.0], [0.3], [0.1]]) - torch.tensor(
-        [[-1.0], [0.15], [0.1]]
-    )
-    n, qn = -UP, lamp[2]
-    points = lamp[:, None] + ray * (qn / (n @ ray))
-    across, u, v = (a @ ray for a in sight(eye - lamp, origin - lamp, d1, d2, n, qn))
-    inside = (across > 0) & (torch.maximum(u.abs(), v.abs()) <= across)
-    assert 20 < inside.sum() < 480
-    for k in range(500):
-        at = seen_at(*(each.numpy() for each in (points[:, k], eye, origin, d1, d2)))
-        assert (at is not None) == bool(inside[k])
-        if at is not None:
-            assert at == pytest.approx((float(u[k] / across[k] + 1) / 2, float(v[k] / across[k] + 1) / 2), abs=1e-9)
 
 
 # Eye, and the picture's middle, width and height: as large as the field of the lamp, 14 x 7 deg, lets it be.

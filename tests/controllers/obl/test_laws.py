@@ -86,20 +86,14 @@ def test_what_has_settled_stays_where_nothing_changes(knee: float, noise: float,
     assert len({state.lx for state in states[settled:]}) == 1
 
 
-def test_a_bright_light_that_dazzles_the_detector_is_left() -> None:
-    """Confidence falls by saturation: the best step is not the brightest."""
-    last = followed(ObjectLoopParams(), Knee(5.0, fall=0.1))[-1]
-    assert last.settled and 3.0 < last.lx < 8.0
-
-
-def test_an_object_that_gains_nothing_gets_least() -> None:
-    last = followed(ObjectLoopParams(), lambda lx: 0.6)[-1]
-    assert last.settled and last.lx <= 2.0 * 1.5  # least_lx, and a step of `ratio`
-
-
-def test_an_object_that_gains_to_the_end_stays_bright() -> None:
-    last = followed(ObjectLoopParams(), Knee(100.0, slope=0.15, top=0.9))[-1]
-    assert last.settled and last.lx > 20 / 1.5
+@pytest.mark.parametrize(
+    ("curve", "low", "high"),
+    [(Knee(5.0, fall=0.1), 3.0, 8.0), (lambda lx: 0.6, 0.0, 2.0 * 1.5), (Knee(100.0, slope=0.15, top=0.9), 20 / 1.5, 20.0)],
+)
+def test_the_search_ends_where_confidence_is_best(curve: Curve, low: float, high: float) -> None:
+    """Below a light that dazzles; at least_lx and a step of `ratio` for who gains nothing; bright for who gains to the end."""
+    last = followed(ObjectLoopParams(), curve)[-1]
+    assert last.settled and low < last.lx <= high
 
 
 def test_raising_ends_at_the_best_step() -> None:

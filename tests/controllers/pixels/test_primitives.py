@@ -6,8 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from luxloop.controllers.pixels.primitives import QUANTITIES, Observer, Primitives, concatenate, rectangle, road_symbol
 from luxloop.world.errors import LuxloopError
@@ -38,29 +36,10 @@ def test_signs_of_roll_and_pitch() -> None:
     assert height(pitched, 0) < 0 < height(pitched, 2), "positive pitch: far end down"
 
 
-@settings(deadline=None)
-@given(st.floats(5, 40), st.floats(-5, 5), st.floats(-1, 1), st.floats(-1, 1))
-def test_turning_moves_neither_centre_nor_size(x: float, y: float, roll: float, pitch: float) -> None:
-    p = symbol_at(x, y, roll, pitch, z=0.2)
-    np.testing.assert_allclose(p.corners().mean(-2)[0], [x, y, 0.2], atol=1e-12)
-    np.testing.assert_allclose([p.d1.norm(), p.d2.norm(), p.normal.norm()], [2, 4, 1], atol=1e-12)
-    np.testing.assert_allclose([(p.d1 @ p.d2.T).item(), (p.d1 @ p.normal.T).item(), (p.d2 @ p.normal.T).item()], 0, atol=1e-12)
-
-
 def test_order_is_roll_within_pitch() -> None:
     roll, pitch = 0.3, 0.2
     # R = Ry(pitch) Rx(roll): the forward edge knows pitch only.
     np.testing.assert_allclose(-symbol_at(17, 0, roll, pitch).d2[0] / 4, [math.cos(pitch), 0, -math.sin(pitch)], atol=1e-12)
-
-
-def test_batches_keep_dtype_and_device(device: torch.device) -> None:
-    p = road_symbol(torch.zeros(5, 3, 4, device=device), 0.0, 2.0, 4.0, SYMBOL.to(device), 0.5, "E_v")
-    assert p.origin.shape == p.d1.shape == p.d2.shape == p.normal.shape == (5, 3, 1, 3)
-    assert p.corners().shape == (5, 3, 1, 4, 3)
-    assert p.value.shape == (5, 3, 1)
-    assert [symbol.shape for symbol in p.symbols] == [(2, 3)]
-    assert (p.value == 0.5).all()
-    assert {(t.dtype, t.device.type) for t in (p.origin, p.d1, p.normal, *p.symbols, p.value, p.weight)} == {(torch.float32, device.type)}
 
 
 def board(x: float, **changes) -> Primitives:

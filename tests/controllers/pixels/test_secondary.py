@@ -103,22 +103,6 @@ def test_two_lamps_give_together_what_is_wanted() -> None:
     torch.testing.assert_close(light.sum(0), torch.full((300,), WANTED_LX).double(), rtol=0.03, atol=0)
 
 
-def test_only_modules_that_may_draw_take_a_share() -> None:
-    light = illuminance(inner(), carpet(modules=("left",)))
-    torch.testing.assert_close(light[0], torch.full((300,), WANTED_LX).double(), rtol=0.03, atol=0)
-
-
-def test_the_free_lamp_makes_up_for_the_blocked_one() -> None:
-    occluded = scene_caster(Scene((Body("road", trimesh.creation.box((1, 1, 1))), box(6.0, 0.35, 0.4, (0.1, 0.3, 0.8)))).at(0.0))
-    points = inner()
-    blocked = occluded(points, POSES[0][:3, 3])
-    assert 20 < blocked.sum() < 200
-    light = illuminance(points, carpet(), occluded).sum(0)
-    free = ~occluded(points, POSES[1][:3, 3])
-    # Beside the shadow's edge, pixels average over rays with and without it.
-    assert ((light[free] - WANTED_LX).abs() < 0.05 * WANTED_LX).double().mean() > 0.85
-
-
 def test_street_lamps_are_made_up_to_what_is_wanted() -> None:
     street = (StreetLamp(position_m=(15.0, 0.0, 6.0), intensity_cd=100.0),)
     points = inner()
@@ -133,8 +117,3 @@ def test_utilisations_are_not_shared() -> None:
     lights = tuple((str(k), Light.of(FINE, T)) for k, T in enumerate(POSES))
     assert not SecondaryRays(lights, 0).ask(scene, 0) and SecondaryRays(lights, 0).ask(carpet(), 0)
     assert not SecondaryRays(lights[:1], 0).ask(carpet(), 0)
-
-
-def test_a_primitive_may_turn_sharing_off() -> None:
-    light = illuminance(inner(), carpet(shared=False))
-    torch.testing.assert_close(light, torch.full((2, 300), WANTED_LX).double(), rtol=0.03, atol=0)

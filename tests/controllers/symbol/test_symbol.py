@@ -104,17 +104,6 @@ def test_in_the_birds_eye_view_a_metre_is_a_metre(symbol: str) -> None:
     torch.testing.assert_close(gains[1:2], torch.tensor([-1.0]), rtol=0.01, atol=0)
 
 
-def test_batched_light_is_that_of_singles() -> None:
-    model = sensor().model
-    poses = torch.stack([TARGET, TARGET + torch.tensor([-2.0, 0.8, 0.08, -0.03])])
-    batch = model.luminance(projector().light(poses))
-    assert batch.shape == (2, CAMERA.height_px, CAMERA.width_px)
-    for k, pose in enumerate(poses):
-        single = model.luminance(projector().light(pose))
-        assert single.max() > 0.1
-        torch.testing.assert_close(batch[k], single, rtol=1e-4, atol=1e-4)
-
-
 def test_the_light_of_two_lamps_adds_up_to_that_of_one() -> None:
     both = sensor(n_lamps=2).model
     lights = projector(n_lamps=2).light(TARGET)
@@ -123,11 +112,6 @@ def test_the_light_of_two_lamps_adds_up_to_that_of_one() -> None:
     one = sensor().model.luminance(projector().light(TARGET))
     # The setpoint is shared; the lamps see the symbol from 1.2 m apart, which changes cos / d^2 by less than a hundredth.
     assert both.luminance(lights).sum().item() == pytest.approx(one.sum().item(), rel=0.02)
-
-
-def test_a_symbol_out_of_the_lamps_reach_leaves_the_road_dark() -> None:
-    lights = projector().light(TARGET + torch.tensor([0.0, 30.0, 0.0, 0.0]))
-    assert not sensor().model.luminance(lights).any()
 
 
 # The sensor
@@ -214,12 +198,6 @@ def test_reasons_for_loss() -> None:
     assert lost.code == ExtractionStatus.NOTHING
     assert lost.errors.isnan().all()
     assert lost.symbol.numel() == 0
-
-
-def test_shadows_are_no_symbol() -> None:
-    lights = projector().light(TARGET)
-    on, off = frames(sensor().model.luminance(lights))
-    assert sensor().measure((off, on), ProjectionCommand(TARGET), lights).code == ExtractionStatus.NOTHING
 
 
 # The controllers
