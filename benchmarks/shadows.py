@@ -25,7 +25,7 @@ from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.simulation.world import World
 from luxloop.world.frames import View, pose, pose_from_degrees
-from luxloop.world.light.illumination import illuminance, reach
+from luxloop.world.light.illumination import illuminance, lit_surface
 from luxloop.world.rendering.raycast import TOLERANCE_M, depths, first_hits, sees
 from luxloop.world.rendering.surfaces import ExactSurfaces, face_source, surface_source
 from luxloop.world.roads.base import Road
@@ -101,7 +101,7 @@ def shares(place: Place, world: World, n: int) -> dict[str, float]:
     lamp, n_pixels = world.modules[0].headlight, view.width * view.height
     true = ExactSurfaces(face_source("raycast")).gbuffer(triangles, view)
     found = surface_source(world.source, moving=moves).gbuffer(triangles, view)
-    reached, lit = reach(true, lamp, T_world_lamp), reach(found, lamp, T_world_lamp, triangles)
+    reached, lit = lit_surface(true, lamp, T_world_lamp), lit_surface(found, lamp, T_world_lamp, triangles)
     texture = lamp.light_texture(torch.ones(lamp.n_pixels))
     light = torch.zeros(n_pixels).index_put((reached.index,), illuminance(reached, texture))
     is_lit = torch.zeros(n_pixels, dtype=torch.bool).index_fill(0, lit.index, True)

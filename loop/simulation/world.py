@@ -19,7 +19,7 @@ from luxloop.world.caches import Part, PartialImage, keeping
 from luxloop.world.frames import View
 from luxloop.world.headlight.lamp import REST, Commands, ModuleCommand
 from luxloop.world.light.emitters import ambient_luminance
-from luxloop.world.light.illumination import DirectTransport, LightTransport, Shadows, added_light, reach, transport
+from luxloop.world.light.illumination import DirectTransport, LightTransport, Shadows, added_light, lit_surface, transport
 from luxloop.world.materials.library import MaterialName
 from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.rendering.surfaces import FaceSource, SurfaceSource, surface_source
@@ -118,7 +118,7 @@ class LitScene:
         T_body_headlight = command.turn(module.T_world_headlight)
         T_world_headlight = self.vehicle.T_world_body.to(T_body_headlight) @ T_body_headlight
         if not self.direct:
-            surface = reach(self.rendered, module.headlight, T_world_headlight, self.triangles)
+            surface = lit_surface(self.rendered, module.headlight, T_world_headlight, self.triangles)
             return transport(surface, module.headlight, width, self.samples)
         shadows = self._shadows(*T_world_headlight[:3, 3].tolist())
         return DirectTransport(self.rendered, module.headlight, T_world_headlight, shadows, width, self.samples, module.textures)

@@ -18,7 +18,7 @@ from torch import Tensor
 from luxloop.world.frames import R_ISO_OPENCV, View, pose, pose_from_degrees
 from luxloop.world.headlight import Headlight
 from luxloop.world.lamps.presets import idealised
-from luxloop.world.light.illumination import illuminance, reach
+from luxloop.world.light.illumination import illuminance, lit_surface
 from luxloop.world.rendering.gbuffer import gbuffer
 from luxloop.world.rendering.surfaces import face_source
 from luxloop.world.roads.shapes import Bumps, Iso8608, Mixed
@@ -160,7 +160,7 @@ def our_illuminance(bodies: list[Body], view: View, utilisation: Tensor) -> tupl
     seen = gbuffer(triangles, view, source.face_ids(triangles, view))
     image = torch.zeros(view.height * view.width)
     for T in POSES:
-        lit = reach(seen, LAMP, T, triangles)
+        lit = lit_surface(seen, LAMP, T, triangles)
         image[lit.index] += illuminance(lit, LAMP.light_texture(utilisation))
     return image.view(view.height, view.width).double().numpy(), seen.object_id.numpy()
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from luxloop.world.frames import unit
 from luxloop.world.headlight import Headlight
 from luxloop.world.headlight.lamp import Lamp, direction
-from luxloop.world.light.illumination import illuminance, luminance, reach
+from luxloop.world.light.illumination import illuminance, lit_surface, luminance
 from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.scene.body import Spotlight
 from luxloop.world.scene.scene import StreetLamp
@@ -118,7 +118,7 @@ def surface_light(
     arriving = gbuffer.albedo.new_zeros(*batch, gbuffer.albedo.numel())
     leaving = torch.zeros_like(arriving)
     for source in lit:
-        surface = reach(gbuffer, source.headlight, source.T_world_source, triangles)
+        surface = lit_surface(gbuffer, source.headlight, source.T_world_source, triangles)
         light, shine = illuminance(surface, source.texture), luminance(surface, source.texture)
         if extinction_per_m:
             away = gbuffer.position.flatten(1)[:, surface.index] - source.T_world_source[:3, 3:].to(gbuffer.position)

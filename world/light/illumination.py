@@ -39,7 +39,7 @@ class LitSurface:
     luminance_factor: Tensor
 
 
-def reach(
+def lit_surface(
     gbuffer: GBuffer,
     headlight: Headlight,
     T_world_headlight: Tensor,
@@ -187,14 +187,14 @@ class LastTextures:
 
 
 class Shadows:
-    """Which points `[3, N]` m a lamp at `[3]` m lights past all triangles: a ray is cast to each when it is first asked for."""
+    """Which points `[3, N]` m a lamp at `[3]` m sees past all triangles: a shadow ray is cast to a point at the first question."""
 
     def __init__(self, points: Tensor, lamp_m: Tensor, triangles: Triangles) -> None:
         self.points, self.lamp_m, self.triangles = points, lamp_m, triangles
         self._asked, self._lit = (torch.zeros(points.shape[1], dtype=torch.bool, device=points.device) for _ in range(2))
 
-    def spare(self, index: Tensor) -> Tensor:
-        """`[m]` bool, of points at index `[m]`."""
+    def lit(self, index: Tensor) -> Tensor:
+        """Whether the lamp sees the points at index `[m]`, `[m]` bool."""
         asked = index[~self._asked[index]]
         if len(asked):
             self._lit[asked] = sees(self.triangles, self.lamp_m, self.points.index_select(1, asked))
@@ -222,7 +222,7 @@ class DirectTransport:
     @cached_property
     def surface(self) -> LitSurface:
         """All samples that the lamp reaches, those in shadow included."""
-        return reach(self.gbuffer, self.headlight, self.T_world_headlight)
+        return lit_surface(self.gbuffer, self.headlight, self.T_world_headlight)
 
     def illuminance(self, utilisation: Tensor, band: slice | None = None) -> tuple[Tensor, Tensor, Tensor]:
         """Illuminance `[..., m]` in lx of samples, the others are dark; their flat index `[m]` in the G-buffer and luminance factor `[m]`.
@@ -239,7 +239,7 @@ class DirectTransport:
         lit = torch.arange(len(surface.index), device=lx.device)
         if not lx.requires_grad:
             lit = lit[torch.atleast_2d(lx).flatten(0, -2).any(0)]
-        lit = lit[self.shadows.spare(surface.index[lit])]
+        lit = lit[self.shadows.lit(surface.index[lit])]
         return lx[..., lit], surface.index[lit], surface.luminance_factor[lit]
 
     def luminance(self, utilisation: Tensor, band: slice | None = None, within: slice | None = None) -> tuple[Tensor, Tensor]:
@@ -273,7 +273,7 @@ class DirectTransport:
         lit = (texture != 0).view(-1, *texture.shape[-2:]).any(0)
         ends = (torch.nonzero(lit.any(dim))[:, 0].tolist() or [0] for dim in (1, 0))
         rows, cols = (slice(each[0], each[-1] + 1) for each in ends)
-        return reach(self.gbuffer, self.headlight, self.T_world_headlight, texels=(rows, cols))
+        return lit_surface(self.gbuffer, self.headlight, self.T_world_headlight, texels=(rows, cols))
 
 
 def _camera_pixel(index: Tensor, width: int, oversampling: int) -> Tensor:

@@ -18,7 +18,7 @@ from luxloop.perception.camera import CameraParams, average_rows, camera_view
 from luxloop.perception.extraction import Crop, Extraction, noise_limit, symbol_image
 from luxloop.world.frames import View
 from luxloop.world.light.emitters import ambient_luminance
-from luxloop.world.light.illumination import Transport, added_light, reach, transport
+from luxloop.world.light.illumination import Transport, added_light, lit_surface, transport
 from luxloop.world.materials.library import RoadSurfaceParams
 from luxloop.world.params import Params
 from luxloop.world.rendering.gbuffer import flat_road
@@ -110,7 +110,7 @@ def flat_model(
     transports = []
     for module in projector.modules:
         headlight = module.pixel_controller.headlight
-        transports.append(transport(reach(ground, headlight, module.T_world_headlight), headlight, view.width, samples))
+        transports.append(transport(lit_surface(ground, headlight, module.T_world_headlight), headlight, view.width, samples))
     ambient = average_rows(ambient_luminance(ground, ambient_lx), samples)
     beams = added_light(transports, projector.resting, torch.zeros_like(ambient))
     limit = noise_limit(ambient + beams, camera, params)

@@ -20,7 +20,7 @@ from luxloop.world.files import whole
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
 from luxloop.world.light.emitters import ambient_luminance
-from luxloop.world.light.illumination import luminance, reach
+from luxloop.world.light.illumination import lit_surface, luminance
 from luxloop.world.rendering.gbuffer import GBuffer
 from luxloop.world.rendering.surfaces import SurfaceSource, face_source, surface_source
 from luxloop.world.scene.scene import Ground, Scene
@@ -198,7 +198,7 @@ def _sent_back(surfaces: GBuffer, triangles: Triangles, distance: Tensor) -> Ten
     texture = lamp.light_texture(torch.ones(1))
     for place in LAMPS_M:
         T_world_lamp = pose_from_degrees(place)
-        surface = reach(surfaces, lamp, T_world_lamp, triangles)
+        surface = lit_surface(surfaces, lamp, T_world_lamp, triangles)
         found[surface.index] += luminance(surface, texture) / len(LAMPS_M)
     return found.view_as(distance) * torch.where(distance.isfinite(), distance, 0).square()
 

@@ -15,7 +15,7 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight import Headlight
 from luxloop.world.lamps.presets import idealised
-from luxloop.world.light.illumination import illuminance, reach
+from luxloop.world.light.illumination import illuminance, lit_surface
 from luxloop.world.rendering.gbuffer import GBuffer
 
 LAMP = idealised(10, 16)
@@ -120,7 +120,7 @@ def road(x: Tensor, y: Tensor) -> GBuffer:
 
 
 def lit_road(lamp: Headlight, u: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    surface = reach(road(x, y), lamp, T_LEFT)
+    surface = lit_surface(road(x, y), lamp, T_LEFT)
     light = torch.zeros(x.numel())
     light[surface.index] = illuminance(surface, lamp.light_texture(u))
     return light.view(x.shape)

@@ -11,7 +11,7 @@ from luxloop.loop.simulation.result import StepResult
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.world.frames import View
-from luxloop.world.light.illumination import illuminance, reach
+from luxloop.world.light.illumination import illuminance, lit_surface
 from luxloop.world.rendering.gbuffer import gbuffer
 from tests.loop.conftest import simulation_of
 
@@ -72,7 +72,7 @@ def most_light(simulation: Simulation, result: StepResult, names: set[str]) -> d
         surfaces = gbuffer(triangles, view, simulation.world.source.face_ids(triangles, view))
         light = torch.zeros(surfaces.object_id.numel())
         for module, u in zip(simulation.modules, result.lights, strict=True):
-            surface = reach(surfaces, module.headlight, module.T_world_module)
+            surface = lit_surface(surfaces, module.headlight, module.T_world_module)
             light[surface.index] += illuminance(surface, module.headlight.light_texture(u))
         bodies = {number: body.name for number, body in enumerate(simulation.world.scene.bodies) if body.name in names}
         ids = surfaces.object_id.flatten()

@@ -13,7 +13,7 @@ from torch import Tensor
 from luxloop.world.frames import R_ISO_OPENCV, View, inverse, pose, pose_from_degrees, transform
 from luxloop.world.headlight import Headlight
 from luxloop.world.lamps.presets import idealised
-from luxloop.world.light.illumination import DirectTransport, Shadows, added_light, illuminance, luminance, reach, transport
+from luxloop.world.light.illumination import DirectTransport, Shadows, added_light, illuminance, lit_surface, luminance, transport
 from luxloop.world.rendering.gbuffer import GBuffer, flat_road
 from luxloop.world.scene.body import Body
 from luxloop.world.scene.scene import Scene
@@ -73,7 +73,7 @@ def closed_form(gbuffer: GBuffer, T_world_headlight: Tensor) -> Tensor:
 def light_on(gbuffer: GBuffer, T_world_headlight: Tensor, lamp: Headlight = LAMP, utilisation: Tensor | None = None) -> Tensor:
     """Illuminance `[N]` of a whole G-buffer through the plain path, the lamp at full utilisation by default."""
     u = gbuffer.position.new_ones(lamp.n_pixels) if utilisation is None else utilisation
-    lit = reach(gbuffer, lamp, T_world_headlight)
+    lit = lit_surface(gbuffer, lamp, T_world_headlight)
     image = torch.zeros_like(gbuffer.albedo).flatten()
     image[lit.index] = illuminance(lit, lamp.light_texture(u))
     return image
@@ -149,15 +149,15 @@ def test_a_box_throws_a_shadow_as_long_as_its_height_asks() -> None:
     x = torch.tensor([13.0, 20.0, 26.5, 27.5, 40.0, 20.0])
     y = torch.tensor([0.6, 0.6, 0.6, 0.6, 0.6, 2.5])
     points = surface_at(torch.stack([x, y, torch.zeros(6)]), (0.0, 0.0, 1.0))
-    lit = reach(points, LAMP, T_LEFT, scene.at(0.0))
+    lit = lit_surface(points, LAMP, T_LEFT, scene.at(0.0))
     assert lit.index.tolist() == [3, 4, 5]
-    free = reach(points, LAMP, T_LEFT)
+    free = lit_surface(points, LAMP, T_LEFT)
     torch.testing.assert_close(lit.factor, free.factor[3:])
 
 
 @pytest.fixture(scope="module")
 def folded() -> tuple:
-    lit = reach(flat_road(camera(), 0.2), LAMP, T_LEFT)
+    lit = lit_surface(flat_road(camera(), 0.2), LAMP, T_LEFT)
     return lit, transport(lit, LAMP, 160)
 
 
@@ -203,7 +203,7 @@ def test_the_direct_way_gives_what_the_matrix_gives(device, oversampling):
     u = torch.rand(3, headlight.n_pixels, generator=torch.Generator().manual_seed(1)).to(device)
     u[:, : headlight.n_pixels // 2] = 0
     base = torch.zeros(90, 160, device=device)
-    lit = reach(road, headlight, T_world_lamp, triangles)
+    lit = lit_surface(road, headlight, T_world_lamp, triangles)
     shadows = Shadows(road.position.flatten(1), T_world_lamp[:3, 3], triangles)
     direct = DirectTransport(road, headlight, T_world_lamp, shadows, view.width, oversampling)
     expected = added_light([transport(lit, headlight, view.width, oversampling)], [Light(u)], base)
@@ -217,6 +217,6 @@ def test_the_direct_way_gives_what_the_matrix_gives(device, oversampling):
 
 
 def test_a_lambertian_road_shows_albedo_times_illuminance_over_pi() -> None:
-    lit = reach(flat_road(camera(), 0.2), LAMP, T_LEFT)
+    lit = lit_surface(flat_road(camera(), 0.2), LAMP, T_LEFT)
     texture = LAMP.light_texture(torch.ones(LAMP.n_pixels))
     torch.testing.assert_close(luminance(lit, texture), illuminance(lit, texture) * 0.2 / math.pi)

@@ -8,7 +8,7 @@ from torch.nn.functional import normalize
 
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.lamps.presets import idealised
-from luxloop.world.light.illumination import luminance, reach
+from luxloop.world.light.illumination import lit_surface, luminance
 from luxloop.world.materials.brdf import luminance_factor
 from luxloop.world.materials.library import MATERIALS, WET, RoadSurfaceParams, SpotParams, SpottedTexture
 from luxloop.world.rendering.gbuffer import GBuffer, flat_road, gbuffer
@@ -40,7 +40,7 @@ def see(*bodies: Body) -> GBuffer:
 
 def shown(seen: GBuffer) -> Tensor:
     """Luminance of the G-buffer's image in the left lamp's light."""
-    lit = reach(seen, LAMP, T_LEFT)
+    lit = lit_surface(seen, LAMP, T_LEFT)
     image = torch.zeros(seen.albedo.numel())
     image[lit.index] = luminance(lit, LAMP.light_texture(ALL_ON))
     return image.view(seen.albedo.shape)
@@ -49,7 +49,7 @@ def shown(seen: GBuffer) -> Tensor:
 def test_a_lambertian_scene_carries_no_finish() -> None:
     seen = see(road(markings=True), board())
     assert seen.finish is None
-    lit = reach(seen, LAMP, T_LEFT)
+    lit = lit_surface(seen, LAMP, T_LEFT)
     assert torch.equal(lit.luminance_factor, seen.albedo.flatten()[lit.index])
 
 
