@@ -19,7 +19,6 @@ import reference
 from luxloop.loop.commands import cli
 from luxloop.loop.commands.options import scenario_of
 from luxloop.loop.rig.params import RigParams
-from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import Scenario, load, validate
 from luxloop.loop.scenario.overrides import TAGS
 from luxloop.loop.scenario.shipped import scenario_files
@@ -28,6 +27,8 @@ from luxloop.loop.studio.page import PAGE
 from luxloop.world.lamps import description
 from luxloop.world.lamps.description import LampDescription
 from luxloop.world.validation import validate_model
+from tests.lamps import SMALL_LAMP
+from tests.loop.conftest import simulation_of
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -48,16 +49,18 @@ EXEMPT = {
     r"luxloop (evaluate|campaign|dataset|optimise-beam|train-detector)\b": "takes minutes, and has tests of its own",
 }
 # What makes a command cheap without changing what it shows.
+QUICK = "--steps 3 --no-video --no-report --set camera.width_px=320 camera.height_px=180"
 CHEAP = {
-    r"luxloop run\b": "--steps 3 --no-video --no-report --set camera.width_px=320 camera.height_px=180",
+    r"luxloop run snowflake\b": f"{QUICK} headlight.model={SMALL_LAMP}",
+    r"luxloop run\b": QUICK,
     r"python tune_gains.py\b": "--trials 1 --steps 3",
     r"luxloop tune\b": "--trials 1 --jobs 1 --set steps=3 camera.width_px=320 camera.height_px=180",
 }
 CHEAP_PYTHON = {
-    '("snowflake", steps=40': '("snowflake", overrides=["camera.width_px=320", "camera.height_px=180"], steps=3',
-    '["road.kind=bumps"]': '["road.kind=bumps", "camera.width_px=320", "camera.height_px=180"]',
-    '"camera.width_px=640", "camera.height_px=360"': '"camera.width_px=320", "camera.height_px=180"',
-    'make_vec("snowflake", 32)': 'make_vec("snowflake", 2, "camera.width_px=320", "camera.height_px=180")',
+    '("snowflake", steps=40': '("snowflake", overrides=["camera.width_px=320", "camera.height_px=180", "headlight.model=LAMP"], steps=3',
+    '["road.kind=bumps"]': '["road.kind=bumps", "camera.width_px=320", "camera.height_px=180", "headlight.model=LAMP"]',
+    '"camera.width_px=640", "camera.height_px=360"': '"camera.width_px=320", "camera.height_px=180", "headlight.model=LAMP"',
+    'make_vec("snowflake", 32)': 'make_vec("snowflake", 2, "camera.width_px=320", "camera.height_px=180", "headlight.model=LAMP")',
     "steps=40": "steps=3",
 }
 FULLY_RUN = ("README",)  # pages whose commands the fast tests run, all of them; of others they run what is quick, or needed on the page
@@ -154,7 +157,7 @@ def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.chdir(tmp_path)
     code = "\n".join(blocks(page, "python"))
     for slow, cheap in CHEAP_PYTHON.items():
-        code = code.replace(slow, cheap)
+        code = code.replace(slow, cheap.replace("LAMP", SMALL_LAMP))
     if "luxloop.show(" in code and not (PAGE / "index.html").is_file():
         pytest.skip("the page of the studio is not built; make studio does that")
     if "runs/snowflake" in code:
@@ -176,10 +179,16 @@ def test_parts_of_ones_own_run(code: str, module: str, tables: str, tmp_path: Pa
     (keys := tmp_path / "keys.toml").write_text(tables)
     assert f'"{module}:' in tables
     if re.search(r"^\[(detector|functions\.(?!symbol\b))", tables, re.M):
-        assert len(list(prepare(load("gfhb", [str(keys), "steps=2"], allow_code=True), "cpu").evaluations())) == 2
+        assert len(list(simulation_of(load("gfhb", [str(keys), "steps=2"], allow_code=True)).evaluations())) == 2
         return
-    scenario = load("flat", [str(keys)], steps=16, camera={"width_px": 640, "height_px": 360, "oversampling": 2}, allow_code=True)
-    *_, last = prepare(scenario, "cpu").evaluations()
+    scenario = load(
+        "flat",
+        [str(keys), f"headlight.model={SMALL_LAMP}"],
+        steps=16,
+        camera={"width_px": 640, "height_px": 360, "oversampling": 2},
+        allow_code=True,
+    )
+    *_, last = simulation_of(scenario).evaluations()
     assert last.symbol.measurement.code == 0, "it is seen, by whatever plant"
     verdict = last.symbol.verdict
     assert verdict is None or verdict.iou > 0.7, "each of them brings the symbol to its place, or leaves it there"

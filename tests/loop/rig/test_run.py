@@ -105,7 +105,8 @@ def test_a_rig_check_fails_where_the_pictures_do_not_fit(small_rig: Start, lux: 
         (("run", "small.toml", "--rig", "rig.toml", "--arm"), "Connection refused"),
     ],
 )
-def test_what_cannot_run_says_so(lux: Lux, tmp_path: Path, arguments: tuple[str, ...], words: str) -> None:
+def test_what_cannot_run_says_so(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], words: str) -> None:
+    monkeypatch.setattr("luxloop.loop.rig.rig.await_camera.__defaults__", (0.5,))
     Path("rig.toml").write_text(FILE.format(light=4048, url="http://127.0.0.1:9/camera"))
     code, _, error = lux(*arguments)
     assert code == 2 and words in error
@@ -121,7 +122,8 @@ def test_what_cannot_run_says_so(lux: Lux, tmp_path: Path, arguments: tuple[str,
         ("stream", f"rtsp://a:{PASSWORD}@127.0.0.1:9/"),
     ],
 )
-def test_no_message_tells_a_password(lux: Lux, kind: str, url: str) -> None:
+def test_no_message_tells_a_password(lux: Lux, monkeypatch: pytest.MonkeyPatch, kind: str, url: str) -> None:
+    monkeypatch.setattr("luxloop.loop.rig.rig.await_camera.__defaults__", (0.5,))
     Path("rig.toml").write_text(FILE.format(light=4048, url=url).replace("http", kind, 1))
     code, out, error = lux("rig", "check", "rig.toml", "--scenario", "small.toml")
     assert code == 2 and "camera" in error and PASSWORD not in out + error
