@@ -1,7 +1,5 @@
 """The road's shape from where in the whole image the symbol is: against closed forms, and in worlds where it is far from its place."""
 
-from functools import lru_cache
-
 import pytest
 import torch
 from torch import Tensor
@@ -12,9 +10,11 @@ from luxloop.controllers.symbol.sensing.road_shape import ray_lengths
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.extraction import ExtractionStatus
+from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import frames_of, simulation_of
 
 SMALL = [
+    f"headlight.model={SMALL_LAMP}",
     "camera={width_px=640, height_px=480}",
     "functions.symbol.start={x_m=17.0, y_m=0.0, roll_deg=0.0, pitch_deg=0.0}",
     "functions.symbol.controller={name='open'}",
@@ -26,7 +26,6 @@ def grade(percent: float, crossfall: float = 0.0) -> str:
     return f"{{kind='grade', grade_percent={percent}, crossfall_percent={crossfall}, start_x_m=3.0}}"
 
 
-@lru_cache(1)  # of some 0.4 GB
 def simulation(road: str, *more: str) -> Simulation:
     return simulation_of(load("snowflake", [*SMALL, f"road={road}", *more]))
 

@@ -1,7 +1,5 @@
 """Where a symbol is aimed on a road of known shape: its look where that can be had, its place, or the nearest place that is lit."""
 
-from functools import cache
-
 import pytest
 import torch
 
@@ -10,14 +8,14 @@ from luxloop.controllers.symbol.sensing.projector import Projector, SymbolParams
 from luxloop.controllers.symbol.sensing.road_shape import HERE, height
 from luxloop.loop.scenario.model import load
 from luxloop.world.frames import inverse, transform
+from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import simulation_of
 
 EYE = torch.tensor([0.0, 0.0, 1.3], dtype=torch.float64)
 
 
-@cache
 def projector() -> Projector:
-    small = ["camera.width_px=320", "camera.height_px=180", "renderer=raycast"]
+    small = [f"headlight.model={SMALL_LAMP}", "camera.width_px=320", "camera.height_px=180", "renderer=raycast"]
     return simulation_of(load("flat", small)).symbol.projector
 
 

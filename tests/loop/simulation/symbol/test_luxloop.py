@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +20,12 @@ from luxloop.loop.scenario.model import DisturbanceParams, load
 from luxloop.loop.simulation.result import SimulationState
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.birdseye import Region
+from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import frames_of, simulation_of
 
 REGION = Region(13.0, 21.0, 2.0, -2.0)
 EYE, LAMP = torch.tensor([-1.6, 0.0, 1.35]), torch.tensor([0.0, 0.6, 0.75])
-SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"]
+SMALL = [f"headlight.model={SMALL_LAMP}", "camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"]
 
 
 def relief(height: float, brightness: float = 1.0) -> HeightMap:
@@ -129,7 +129,6 @@ def test_neighbours_settle_what_is_ambiguous() -> None:
     assert (semi_global(costs) == 3).all()
 
 
-@lru_cache(2)  # of some 0.4 GB
 def simulation(road: str, *more: str) -> Simulation:
     return simulation_of(load("flat", [*SMALL, f"road={road}", "functions.symbol.controller={name='luxloop'}", *more]))
 
@@ -152,7 +151,7 @@ def test_one_look_tells_how_high_the_road_is(lifted: Simulation) -> None:
     swept = plane_sweep(fine, seen, textures, limit, controller.tried, registration.unknown().base)
     refined = registration.refine(swept, registration.unknown(), seen, textures, limit)
     found, lit = refined.mean, refined.information.diagonal() > 1 / 0.005**2  # known to half a centimetre by themselves
-    assert lit.sum() > 50
+    assert lit.sum() > 40
     by_whole_matrices = registration.refine(swept, replace(registration.unknown(), spread=True), seen, textures, limit)
     torch.testing.assert_close(by_whole_matrices.mean, found, rtol=0, atol=1e-4)  # rounding, in six iterations
     # heights are tried in steps of 5 mm, and smoothness may cost one
@@ -174,12 +173,6 @@ def course(prepared: Simulation, state: SimulationState, steps: int) -> tuple[li
     return states, seen
 
 
-@cache
-def on_bumps(*more: str) -> tuple[list[SimulationState], list[float]]:
-    prepared = simulation('{kind="bumps"}', *more)
-    return course(prepared, prepared.start(), 11)
-
-
 def disturbed(prepared: Simulation, **disturbances: Any) -> Simulation:
     """The same in the same world, of which nothing is rendered again."""
     return replace(prepared, plant=replace(prepared.plant, disturbances=DisturbanceParams(**disturbances)))
@@ -193,7 +186,8 @@ def opened(prepared: Simulation) -> float:
 
 @pytest.mark.parametrize(("more", "step"), [((), 4), (("camera.latency_steps=2",), 10)])
 def test_the_symbol_lies_right_on_an_uneven_road_at_any_latency(more: tuple[str, ...], step: int) -> None:
-    _, seen = on_bumps(*more)
+    prepared = simulation('{kind="bumps"}', *more)
+    _, seen = course(prepared, prepared.start(), 11)
     # 0.96 is reached at full resolution; half of it leaves edges of half a camera row
     assert seen[step] > 0.9
     assert seen[step] > opened(simulation('{kind="bumps"}')) + 0.05

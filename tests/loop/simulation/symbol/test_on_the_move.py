@@ -22,13 +22,14 @@ from luxloop.perception.egomotion import Ego, Samples, ego_of, newest
 from luxloop.perception.sensors import SensorParams, Sensors
 from luxloop.world.frames import inverse, pose, rotation, transform
 from luxloop.world.scene.vehicle import CourseParams, SuspensionParams, VehicleParams, body_pose, drive, ground_pose
+from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import simulation_of
 
 REGION, GRID = Region(14.0, 20.0, 1.5, -1.5), (60, 30)
 EYE, SWUNG = torch.tensor([-1.6, 0.0, 1.35]), torch.tensor([-1.58, 0.01, 1.38])
 BODY = BodyParams()
 SOFT_AND_STIFF = [0.7, 1.3]  # true natural frequencies over the usual ones: springs of half and 1.7 times the stiffness
-SMALL = ["camera.width_px=320", "camera.height_px=240", "camera.oversampling=2"]
+SMALL = [f"headlight.model={SMALL_LAMP}", "camera.width_px=320", "camera.height_px=240", "camera.oversampling=2"]
 NOISE = ("wheels.noise_m_s", "gyro.yaw_noise_deg_s", "gyro.noise_deg_s", "attitude.noise_deg", "attitude.heave_noise_m")
 EXACT = [f"sensors.{key}=0" for key in NOISE]
 

@@ -5,6 +5,7 @@ import pytest
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.loop.scenario.model import load
 from luxloop.world.errors import LuxloopError
+from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import simulation_of
 
 OWN = """
@@ -24,7 +25,7 @@ class Speechless:
     def __init__(self, sensor):
         pass
 """
-SMALL = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
+SMALL = [f"headlight.model={SMALL_LAMP}", "camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
 
 
 @pytest.mark.usefixtures("own")

@@ -10,6 +10,7 @@ from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.extraction import ExtractionParams, OwnExtractionParams, symbol_image
 from luxloop.world.errors import LuxloopError
+from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import simulation_of
 
 OWN = """
@@ -33,7 +34,7 @@ class Elsewhere(Ours):
 class Blind:
     pass
 """
-SMALL = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
+SMALL = [f"headlight.model={SMALL_LAMP}", "camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
 
 
 def looked(*overrides: Any) -> tuple[Simulation, Tensor]:

@@ -7,6 +7,7 @@ import pytest
 from luxloop.controllers.symbol import FeedforwardParams
 from luxloop.loop.scenario.model import load
 from luxloop.world.errors import LuxloopError
+from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import simulation_of
 
 OWN = """
@@ -35,7 +36,7 @@ class Heightless:
     def grid(self):
         return MeshGrid()
 """
-SMALL = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
+SMALL = [f"headlight.model={SMALL_LAMP}", "camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
 
 
 @pytest.mark.usefixtures("own")

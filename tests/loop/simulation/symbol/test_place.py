@@ -11,9 +11,11 @@ from luxloop.loop.simulation.result import StepResult
 from luxloop.perception.birdseye import birds_eye, cells, region_around
 from luxloop.perception.camera import CameraParams, camera_view
 from luxloop.world.errors import LuxloopError
+from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import simulation_of
 
 SMALL = [
+    f"headlight.model={SMALL_LAMP}",
     "camera={width_px=640, height_px=480}",
     "functions.symbol.start={x_m=17.0, y_m=0.0, roll_deg=0.0, pitch_deg=0.0}",
     "functions.symbol.controller={name='luxloop'}",

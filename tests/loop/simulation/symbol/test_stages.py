@@ -8,9 +8,16 @@ import torch
 from luxloop.controllers.symbol.alignment import Alignment, Placement
 from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.simulation import Simulation
+from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import simulation_of
 
-SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2", "functions.symbol.image=snowflake"]
+SMALL = [
+    f"headlight.model={SMALL_LAMP}",
+    "camera.width_px=640",
+    "camera.height_px=360",
+    "camera.oversampling=2",
+    "functions.symbol.image=snowflake",
+]
 ROUGH = ["road.kind=bumps", "road.seed=3"]
 BOX = 'objects=[{kind="box", name="box", size_m=[0.4, 0.5, 0.3], albedo=0.2, track=[{position_m=[15.5, 0.2, 0.0]}]}]'
 

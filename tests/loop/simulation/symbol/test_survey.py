@@ -9,9 +9,10 @@ from luxloop.loop.scenario.model import load
 from luxloop.loop.scenario.overrides import resolve_paths
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
+from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import simulation_of
 
-SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"]
+SMALL = [f"headlight.model={SMALL_LAMP}", "camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"]
 LIFTED = 'road={kind="curb", y_m=-8.0, ramp_m=0.03, height_m=0.03}'  # a plane 3 cm too high
 SURVEY = "functions.symbol.controller={name='feedforward', survey=true}"
 
