@@ -91,8 +91,7 @@ def used_mb() -> float:
 def truth() -> dict[str, Any]:
     """What the rig knows: its last frames, and the lamp's state."""
     with urllib.request.urlopen(f"http://127.0.0.1:{TRUTH}/truth", timeout=20) as answer:
-        told = json.load(answer)
-    return told
+        return json.load(answer)
 
 
 @dataclass

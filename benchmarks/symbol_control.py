@@ -15,14 +15,12 @@ from side_by_side import DARK, SMALL, World, compare_in, road_of, series, table
 from luxloop.loop.recording.summary import AXES
 from luxloop.loop.scenario import data
 from luxloop.loop.scenario.model import Scenario, load
-from luxloop.loop.scenario.overrides import Override
 
 OFFSET_M = 0.03  # by which the feed-forward's road is too high, and the one that luxloop believes in at a wrong start
 FEEDFORWARD = "feedforward, 3 cm off"
 CONTROLLERS = ("open", "thesis_pid", "gauss_newton", "model_reference", FEEDFORWARD, "luxloop")
-Changes = tuple[str, tuple[Override, ...]]  # a shipped scenario and what changes in it
 
-STANDING = {
+STANDING = {  # by kind, a shipped scenario and what changes in it
     "flat": ("flat", ()),
     "bumps": ("snowflake", ("road={kind='bumps'}",)),
     "grade + cross-fall": ("snowflake", ("road={kind='grade'}",)),
