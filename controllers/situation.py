@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, Protocol, Self, runtime_checkable
+from typing import Annotated, Any, Literal, Protocol, Self, runtime_checkable
 
 import torch
 from pydantic import Field, model_validator
@@ -21,6 +21,8 @@ from luxloop.world.traffic.tracked import Category
 LAYERS = 16  # most layers of primitives that a function may stack
 Side = Literal["left", "right"]
 Indicator = Literal["off", "left", "right", "hazard"]
+Priority = Annotated[int, Field(ge=0, le=100, description="where functions overlap, the higher priority is drawn")]
+DrawingModules = Annotated[tuple[str, ...], Field(description="lamps or modules that draw it; left out: all")]
 MASK = 1000  # priority of masks: above every function's own, which are at most 100
 
 
@@ -232,9 +234,9 @@ class DrawingParams(ScheduleParams):
     )
     value: float = Field(1.0, ge=0, le=1e9, description="setpoint of a white image; black is 0, or 1 for u_rel, which keeps the base beam")
     weight: NotNegative = Field(1.0, description="weight against other light where a pixel lights more than this")
-    priority: int = Field(0, ge=0, le=100, description="where functions overlap, the higher priority is drawn")
+    priority: Priority = 0
     forced: bool = Field(False, description="drawn even behind other primitives, masks excepted")
-    modules: tuple[str, ...] = Field((), description="lamps or modules that draw it; left out: all")
+    modules: DrawingModules = ()
     share: bool = Field(True, description="the modules that draw it give its cd or lx together; false: each gives the whole value")
 
     @model_validator(mode="after")

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from luxloop.controllers.geometry import Place, facing, on_road
 from luxloop.controllers.pixels.primitives import Observer, Primitives, rectangle
-from luxloop.controllers.situation import LAYERS, Category, SelectionParams, Situation
+from luxloop.controllers.situation import LAYERS, Category, DrawingModules, Priority, SelectionParams, Situation
 from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import View
 from luxloop.world.materials.library import MaterialName
@@ -84,8 +84,8 @@ class MaterialParams(SelectionParams):
     )
     road_width_m: Length = Field(16.0, description="width of that part of the road, about the car's centre line")
     margin_m: Distance = Field(0.2, description="margin of an object's rectangle beyond its box on all sides but the foot")
-    priority: int = Field(0, ge=0, le=100, description="where functions overlap, the higher priority is drawn")
-    modules: tuple[str, ...] = Field((), description="lamps or modules that draw it; left out: all")
+    priority: Priority = 0
+    modules: DrawingModules = ()
 
     @model_validator(mode="after")
     def _some_road(self) -> Self:

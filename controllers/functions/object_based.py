@@ -12,7 +12,7 @@ from torch import Tensor
 from luxloop.controllers.functions.object_loop import Ambient, AmbientLoopParams, ObjectLoop, ObjectLoopParams
 from luxloop.controllers.geometry import Place
 from luxloop.controllers.pixels.primitives import Primitives, rectangle
-from luxloop.controllers.situation import LAYERS, MASK, SelectionParams, Situation, TrackedObject, fade
+from luxloop.controllers.situation import LAYERS, MASK, DrawingModules, Priority, SelectionParams, Situation, TrackedObject, fade
 from luxloop.perception.tracking import LINGER_S
 from luxloop.world.frames import transform
 from luxloop.world.params import Distance, NotNegative, Params, Share
@@ -177,8 +177,8 @@ class ObjectBasedParams(SelectionParams):
     )
     light: ObjectLightParams = Field(ObjectLightParams(), description="where and how objects are lit")
     fade_out_s: float = Field(0.6, ge=0, le=LINGER_S, description="time until the light on a vanished object is off")
-    priority: int = Field(20, ge=0, le=100, description="where functions overlap, the higher priority is drawn")
-    modules: tuple[str, ...] = Field((), description="lamps or modules that draw it; left out: all")
+    priority: Priority = 20
+    modules: DrawingModules = ()
 
     def start(self) -> ObjectBasedState:
         return ObjectBasedState(Ambient(self.ambient.first if self.method == "confidence" else self.share))

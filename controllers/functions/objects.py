@@ -16,6 +16,7 @@ from luxloop.controllers.situation import (
     MASK,
     Category,
     DrawingParams,
+    Priority,
     SelectionParams,
     Situation,
     TrackedObject,
@@ -106,7 +107,7 @@ class SignParams(SelectionParams):
     )
     value: float = Field(0.2, ge=0, le=1e9, description="setpoint")
     weight: NotNegative = Field(1.0, description="weight against other light where a pixel lights more than the sign")
-    priority: int = Field(50, ge=0, le=100, description="where functions overlap, the higher priority is drawn")
+    priority: Priority = 50
     margin_m: Distance = Field(0.1, description="margin of the primitive beyond the sign on each side")
 
     @model_validator(mode="after")

@@ -17,7 +17,7 @@ from torch import Tensor
 from luxloop.controllers.geometry import Place, facing
 from luxloop.controllers.pid import PidGains, PidParams, PidState, pid_gains, pid_reset, pid_step
 from luxloop.controllers.pixels.primitives import Primitives, meant, rectangle
-from luxloop.controllers.situation import LAYERS, Situation
+from luxloop.controllers.situation import LAYERS, DrawingModules, Priority, Situation
 from luxloop.world.frames import View, inverse, pose_from_degrees
 from luxloop.world.params import Degrees, Metres, NotNegative, Params, Positive, Slope
 
@@ -75,8 +75,8 @@ class ZoneParams(Params):
         description="PID from the logarithm of luminance to the logarithm of illuminance; its time is in steps",
     )
     weight: NotNegative = Field(20.0, description="weight against other light where a pixel lights more than the zone; the base beam has 1")
-    priority: int = Field(0, ge=0, le=100, description="where functions overlap, the higher priority is drawn")
-    modules: tuple[str, ...] = Field((), description="lamps or modules that light it; left out: all")
+    priority: Priority = 0
+    modules: DrawingModules = ()
 
     @model_validator(mode="after")
     def _box_or_rectangle(self) -> Self:
