@@ -1,6 +1,6 @@
 """What copies at once save: `python benchmarks/batch.py [--quick] [--json FILE]`, a minute of one core.
 
-A step of `snowflake` on the whole simulation beside B copies that are drawn, measured and judged together. The copies' poses scatter
+A step of `snowflake` on the whole simulation beside B copies that are drawn, measured and evaluated together. The copies' poses scatter
 by some 0.3 m around the run's pose in that step.
 """
 
@@ -38,7 +38,7 @@ def compare(width: int, height: int, batches: tuple[int, ...], steps: int) -> di
             copies.measure(light, [Taken(seed, step) for seed in range(batch)])
             laps.lap("measure")
             copies.evaluate(light)
-            laps.lap("judge")
+            laps.lap("evaluate")
             taken[str(batch)].append({part: ms / batch for part, ms in (laps.parts | {"step": sum(laps.parts.values())}).items()})
     ms = {name: medians(each) for name, each in taken.items()}
     return {name: each | {"speed-up": ms["single run"]["step"] / each["step"]} for name, each in ms.items()}

@@ -66,12 +66,12 @@ def run(
     print(", ".join(f"{key} {value}" for key, value in where.items()))
     found = measure(given)
     if goals := found.get("goals"):
-        verdicts = {True: "reached", False: "**missed**", None: ""}
+        words = {True: "reached", False: "**missed**", None: ""}
         rows = {
             each.what: {
                 "measured": "not measured" if each.value is None else f"{each.value:.3g}" + (f" ({each.where})" if each.where else ""),
                 "limit": f"{'≥' if each.least else '≤'} {each.limit:g}",
-                "": verdicts[each.passed],
+                "": words[each.passed],
             }
             for each in goals
         }

@@ -75,7 +75,7 @@ def measure(given: Namespace) -> dict[str, Any]:
     runs = {}
     for part, road, scenario in cases(given.quick):
         tables = {"open": {"name": "open"}, "thesis_pid": scenario.symbol.controller.model_dump(mode="json")}
-        runs.setdefault(part, {}).setdefault(road, []).append(compare(**World("", {}, scenario, tables).parameters)["judged"])
+        runs.setdefault(part, {}).setdefault(road, []).append(compare(**World("", {}, scenario, tables).parameters)["metrics"])
     for part, roads in runs.items():
         show(part, {road: line(each) for road, each in roads.items()})
     lost = sum(sum(each["thesis_pid"]["lost"]) for roads in runs.values() for symbols in roads.values() for each in symbols)

@@ -25,9 +25,9 @@ from luxloop.perception.detection.build import WEIGHTS
 NETWORK = Path(__file__).parents[1] / "perception" / "detection" / WEIGHTS
 SCENES, SEEDS = 64, 5
 QUICK, WHOLE = (1, 45), (3, 75)  # times of the tracker's situations, and frames of each
-FOUND = SURE  # confidence in full light from which on an object counts: what the detector is judged by
+FOUND = SURE  # confidence in full light from which on an object counts: what the detector is evaluated by
 NEAR = 0.05  # confidence that may be lost
-KEPT = 0.5  # share of the judged steps in which a track must show an object, or it is lost
+KEPT = 0.5  # share of the evaluated steps in which a track must show an object, or it is lost
 SETTLED = 0.02  # of the low beam's flux, to which flux comes to stay
 WITHIN = 0.05  # of a zone's luminance
 SECOND = round(RATE_HZ)

@@ -26,7 +26,7 @@ WORLD = {
     **{"camera": CAMERA, "headlight": {"model": "ssl-hd-lores"}, "ssc": {"a_d": 1.0}},
     **{"detector": {"kind": "network"}, "rate_hz": RATE_HZ},
 }
-FIRST = 2_000_000  # seed of the first scene: the network was trained on scenes from 10,000 on, and judged on those from 1,000,000 on
+FIRST = 2_000_000  # seed of the first scene: the network was trained on scenes from 10,000 on, and evaluated on those from 1,000,000 on
 OURS = "luxloop"
 SHARE = 0.08  # of the high beam, which is a fifth of the low one's flux
 VARIANTS = {  # what each changes in the lighting of the scenario `obl`
@@ -130,7 +130,7 @@ def illuminate(scenario: Mapping[str, Any], variants: Mapping[str, Mapping[str, 
                 for k, each in enumerate(view.objects):
                     if each.name in due:
                         by_name[each.name].append(float(found.scores[boxes[k]].max()) if k in boxes else 0.0)
-    names = [name for name, seen in counts.items() if seen == len(judged_steps(name))]
+    names = [name for name, seen in counts.items() if seen == len(evaluated_steps(name))]
     return {
         "objects": names,
         "flux_lm": {beam: sum(flux_by_side(shared.modules, lights).values()) for beam, lights in beams.items()},
@@ -148,7 +148,7 @@ def in_one_world(scenarios: Iterable[Scenario]) -> list[Simulation]:
     return found
 
 
-def judged_steps(name: str) -> range:
+def evaluated_steps(name: str) -> range:
     return LATE if name == NEWCOMER else END
 
 
@@ -178,7 +178,7 @@ class Run:
         for name, each in result.look.recognised.items():
             if each.track is not None:
                 self.tracked[name].append(step)
-            if step in judged_steps(name):
+            if step in evaluated_steps(name):
                 self.scores[name].append(each.score)
         for state in (each for each in result.planning.functions.values() if isinstance(each, ObjectBasedState)):
             for track, loop in state.loops.items():
@@ -195,10 +195,10 @@ class Run:
             own["newcomer_lx"].append(finite(result.objects[NEWCOMER].lx_mean))
 
     def result(self, names: Sequence[str]) -> dict[str, Any]:
-        """Plain values. scores, tracked: by name, mean, and share of the steps that are judged. found: first step with a track, if any."""
+        """Plain values. scores, tracked: by name, mean, and share of the evaluated steps. found: first step with a track, if any."""
         return self.series | {
             "scores": means(self.scores, names),
-            "tracked": {name: float(np.isin(judged_steps(name), self.tracked[name]).mean()) for name in names},
+            "tracked": {name: float(np.isin(evaluated_steps(name), self.tracked[name]).mean()) for name in names},
             "found": {name: next(iter(self.tracked[name]), None) for name in names},
             "searches": list(self.searches.values()),
         }

@@ -69,7 +69,7 @@ def iou(changes: tuple[str, ...], column: str, steps: int) -> np.ndarray:
     simulation = Simulation.prepare(load("driving", (*changes, *more, *keys)))
     if column == BOUND:
         simulation = simulation.with_controller(TruePose(simulation))
-    return np.nan_to_num([float(result.symbol.verdict.iou) for result in simulation.evaluations()])
+    return np.nan_to_num([float(result.symbol.metrics.iou) for result in simulation.evaluations()])
 
 
 def measure(given: Namespace) -> dict[str, Any]:

@@ -129,8 +129,8 @@ def measures(place: World, found: Mapping[str, Any]) -> list[Row]:
     size. found: first step at which the symbol was not lost, None for never. lost, lost_later: share of the steps at which it was lost, and
     steps after the first looks. below_open, below_thesis: by how much the IoU is lower; None where the thesis' controller does not run.
     """
-    judged, late = found["judged"], place.facts["latency"]
-    end = {name: float(series(each, "iou", 0.0)[-END:].mean()) for name, each in judged.items()}
+    metrics, late = found["metrics"], place.facts["latency"]
+    end = {name: float(series(each, "iou", 0.0)[-END:].mean()) for name, each in metrics.items()}
     facts = {**place.facts, "world": place.key, "iou_bound": found["iou_bound"], "visible": found["visible"]}
     facts |= {"iou_open": end["open"], "iou_feedforward": end[FEEDFORWARD]}
     return [
@@ -145,7 +145,7 @@ def measures(place: World, found: Mapping[str, Any]) -> list[Row]:
             "below_open": end["open"] - end[controller],
             "below_thesis": end["thesis_pid"] - end[controller] if "thesis_pid" in end else None,
         }
-        for controller, each in judged.items()
+        for controller, each in metrics.items()
     ]
 
 

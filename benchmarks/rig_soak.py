@@ -27,7 +27,7 @@ from torch import Tensor
 
 from luxloop.loop.commands.rig_runs import pixel_grids
 from luxloop.loop.rig.params import RigParams
-from luxloop.loop.rig.plant import RigPlant, SymbolEvaluator
+from luxloop.loop.rig.plant import RigEvaluator, RigPlant
 from luxloop.loop.rig.rig import Rig, await_camera, open_rig
 from luxloop.loop.run import run as run_scenario
 from luxloop.loop.scenario.model import load
@@ -164,15 +164,15 @@ def soak(minutes: int) -> tuple[list[dict[str, Any]], dict[str, Any]]:
             if not await_camera(rig, 20):
                 sys.exit("the rig's camera sends nothing")
 
-            watched, judges = Minutes(rig, process, minutes), []
+            watched, evaluators = Minutes(rig, process, minutes), []
 
             def plant(simulation: Any) -> Any:
                 modules = lamp_modules(simulation.modules)
-                judge = SymbolEvaluator(simulation.controlled, scenario.camera, None)
-                judges.append(judge)
+                evaluator = RigEvaluator(simulation.controlled, scenario.camera, None)
+                evaluators.append(evaluator)
 
                 def look(exposure: Exposure, image: Tensor | None) -> None:
-                    judge.look(exposure, image)
+                    evaluator.look(exposure, image)
                     watched.look(exposure)
 
                 own = RigPlant.of(rig, modules, scenario.steps * len(scenario.shares))
@@ -181,7 +181,7 @@ def soak(minutes: int) -> tuple[list[dict[str, Any]], dict[str, Any]]:
             with suppress(Enough):
                 run_scenario(scenario, folder, device="cpu", video=False, report=False, plant=plant)
             rig.dark("the time is over")
-            return watched.rows, rig.statistics.summary(len(scenario.shares)) | {"judged": judges[0].summary()}
+            return watched.rows, rig.statistics.summary(len(scenario.shares)) | {"judged": evaluators[0].summary()}
 
 
 def measure(given: Namespace) -> dict[str, Any]:

@@ -81,16 +81,16 @@ def road_of(scenario: Scenario) -> dict[str, Any]:
 
 
 def compare(scenario: Mapping[str, Any], controllers: Mapping[str, Mapping[str, Any]], bounded: bool = False) -> dict[str, Any]:
-    """A job: what the judge says of each controller at each step, when it settled and was lost; the bound."""
+    """A job: metrics of each controller at each step, when it settled and was lost; the bound."""
     torch.set_num_threads(1)  # wherever the job runs
     own = {name: controlled(scenario, table) for name, table in controllers.items()}
     simulation = prepare(next(iter(own.values())), "cpu")
     found = bound(simulation)[1] if bounded else {}
-    found["judged"] = {}
+    found["metrics"] = {}
     for name, steps in side_by_side(simulation, own).items():
-        judged = {axis: [finite(value) for value in column(steps, axis)] for axis in (*AXES, "iou")}
+        metrics = {axis: [finite(value) for value in column(steps, axis)] for axis in (*AXES, "iou")}
         lost = [loss != "" for loss in steps["loss"].to_pylist()]
-        found["judged"][name] = {"settle_step": settle_step(steps), "overshoot_percent": overshoot_percent(steps), "lost": lost, **judged}
+        found["metrics"][name] = {"settle_step": settle_step(steps), "overshoot_percent": overshoot_percent(steps), "lost": lost, **metrics}
     return found
 
 
@@ -122,15 +122,15 @@ def finite(value: float) -> float | None:
     return round(float(value), 4) if math.isfinite(value) else None
 
 
-def series(judged: Mapping[str, Any], name: str, missing: float) -> NDArray[np.float64]:
+def series(metrics: Mapping[str, Any], name: str, missing: float) -> NDArray[np.float64]:
     """Values of all steps, `[steps]`."""
-    return np.array([missing if value is None else value for value in judged[name]])
+    return np.array([missing if value is None else value for value in metrics[name]])
 
 
 def bound(simulation: Simulation) -> tuple[Lights, dict[str, float]]:
     """The symbol as an appearance that this lamp and camera can have on the true road of a standing world; its value is a share, u_abs.
 
-    Returns utilisations, one a module that draws the symbol, and the judge's IoU of it with the share of the target's cells that it lights.
+    Returns utilisations, one a module that draws the symbol, its IoU, and the share of the target's cells that it lights.
 
     A texel takes what of the symbol lies where the camera sees its light on the plane z = 0, a pixel the mean of its texels weighted by
     its light: `u = A^T s / A^T 1`.
@@ -138,10 +138,10 @@ def bound(simulation: Simulation) -> tuple[Lights, dict[str, float]]:
     world = simulation.world
     triangles = world.scene.at(0.0, world.motion.at(0.0).T_world_ground)
     lights = tuple(_draw(simulation, triangles, module) for module in simulation.symbol.projector.modules)
-    judge, all_lights = simulation.symbol.judge, simulation.of_all(simulation.symbol, lights)
-    lit = rectify(judge.plane, world.lit(0.0).luminance(all_lights)) > THRESHOLD * judge.goal.median
-    visible = (lit & judge.goal.mask).sum() / judge.goal.mask.sum()
-    return lights, {"iou_bound": judge.verdict(all_lights, 0.0).iou.item(), "visible": visible.item()}
+    evaluator, all_lights = simulation.symbol.evaluator, simulation.of_all(simulation.symbol, lights)
+    lit = rectify(evaluator.plane, world.lit(0.0).luminance(all_lights)) > THRESHOLD * evaluator.goal.median
+    visible = (lit & evaluator.goal.mask).sum() / evaluator.goal.mask.sum()
+    return lights, {"iou_bound": evaluator.metrics(all_lights, 0.0).iou.item(), "visible": visible.item()}
 
 
 def _draw(simulation: Simulation, triangles: Triangles, module: DrawingModule) -> Utilisation:

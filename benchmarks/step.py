@@ -34,7 +34,7 @@ CHECKED_STEPS, TOLERANCE_PX = 4, 0.01  # sums of float32 in another order turn a
 
 
 def parts(simulation: Simulation, state: SimulationState, lap: Lap) -> tuple[SimulationState, torch.Tensor]:
-    """The symbol's part of `Simulation.step`, without the judge. Returns the next state and the four errors in px."""
+    """The symbol's part of `Simulation.step`, without the evaluator. Returns the next state and the four errors in px."""
     scenario, symbol = simulation.scenario, simulation.symbol
     ((name, held),) = state.symbols.items()
     view = simulation.world.lit(state.arrivals.time_s)

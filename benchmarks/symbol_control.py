@@ -67,11 +67,11 @@ DISTURBED = {
 }
 STEPS, DISTURBED_STEPS, SEEDS = 30, 50, 5
 
-BEGIN = 11  # from this step on the symbol is compared with the open loop, and judged while the car moves
+BEGIN = 11  # from this step on the symbol is compared with the open loop, and evaluated while the car moves
 END = 5  # steps of which the mean is the end, as in summaries
 NEAR = 0.02  # of the undisturbed run's IoU: recovered
 Row = dict[str, Any]
-Judged = Mapping[str, Mapping[str, Any]]  # by controller
+SymbolMetrics = Mapping[str, Mapping[str, Any]]  # by controller
 
 
 def worlds(seeds: int, quick: bool) -> Iterator[World]:
@@ -103,10 +103,10 @@ def world(part: str, kind: str, scenario: Scenario) -> World:
     )
 
 
-def measures(facts: Row, judged: Judged, undisturbed: Judged | None = None) -> list[Row]:
+def measures(facts: Row, metrics: SymbolMetrics, undisturbed: SymbolMetrics | None = None) -> list[Row]:
     """A row a controller. undisturbed: the same without its disturbance, where it has one."""
-    open_loop, drives, rows = series(judged["open"], "iou", 0.0), facts["part"] == "driving", []
-    for controller, each in judged.items():
+    open_loop, drives, rows = series(metrics["open"], "iou", 0.0), facts["part"] == "driving", []
+    for controller, each in metrics.items():
         iou = series(each, "iou", 0.0)
         offset = np.stack([series(each, axis, DARK) for axis in AXES])
         centroid = np.abs(offset[:, BEGIN:]).max(0).mean() if drives else np.abs(offset[:, -END:].mean(1)).max()
@@ -175,10 +175,10 @@ def extremes(rows: Sequence[Row]) -> Iterator[tuple[str, dict[str, Any]]]:
 
 def measure(given: Namespace) -> dict[str, Any]:
     found, failures = compare_in(worlds(1 if given.quick else given.seeds, given.quick), given)
-    undisturbed = {world.facts["seed"]: each["judged"] for world, each in found if world.facts["kind"] == UNDISTURBED}
+    undisturbed = {world.facts["seed"]: each["metrics"] for world, each in found if world.facts["kind"] == UNDISTURBED}
     rows = []
     for each, result in found:
-        rows += measures(each.facts, result["judged"], undisturbed.get(each.facts["seed"]) if each.facts["kind"] in DISTURBANCES else None)
+        rows += measures(each.facts, result["metrics"], undisturbed.get(each.facts["seed"]) if each.facts["kind"] in DISTURBANCES else None)
     standing, on_time = [row for row in rows if row["part"] == "standing"], [row for row in rows if row["latency"] == 0]
     if absent := {} if given.only else STANDING.keys() - {row["kind"] for row in standing}:
         print(f"\nMeasured roads that are not here: {', '.join(absent)}")

@@ -33,8 +33,8 @@ def measure(given: Namespace) -> dict[str, Any]:
     controllers = dict(list(CONTROLLERS.items())[:: 4 if given.quick else 1])
     found = {}
     for road, case in roads.items():
-        judged = compare(**World(road, {}, load(*case, steps=steps), controllers).parameters)["judged"]
-        found[road] = {name: float(series(each, "iou", 0.0)[-LAST:].mean()) for name, each in judged.items()}
+        metrics = compare(**World(road, {}, load(*case, steps=steps), controllers).parameters)["metrics"]
+        found[road] = {name: float(series(each, "iou", 0.0)[-LAST:].mean()) for name, each in metrics.items()}
     show(f"IoU of the last {LAST} of {steps} steps", found)
     return {"iou": found}
 

@@ -152,7 +152,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Metrics:
-    """The judge's metrics, all `[...]`.
+    """The evaluator's metrics, all `[...]`.
 
     centroid_percent: `[..., 2]`, signed error along x in % of the symbol's length and along y in % of its width. iou, ssim: 0..1.
     length: ratio to the target's second-moment length. shear: mu11 / mu20 in the plane.
@@ -176,7 +176,7 @@ def target(luminance: Tensor, view: BirdsEye, length_m: float, width_m: float) -
 
 
 def evaluate(luminance: Tensor, view: BirdsEye, goal: Target, u_start: int = 0, v_start: int = 0) -> Metrics:
-    """Judge the noise-free on-minus-off camera luminance `[..., height, width]` in cd/m^2; NaN where nothing is lit.
+    """SymbolEvaluator the noise-free on-minus-off camera luminance `[..., height, width]` in cd/m^2; NaN where nothing is lit.
 
     luminance: of the whole image, or of a crop that starts at (u_start, v_start) px and is dark beyond. Only the part of the view in which
     this light or the target's lies is computed, the same for all of a batch.

@@ -190,8 +190,8 @@ def test_parts_of_ones_own_run(code: str, module: str, tables: str, tmp_path: Pa
     )
     *_, last = simulation_of(scenario).evaluations()
     assert last.symbol.measurement.code == 0, "it is seen, by whatever plant"
-    verdict = last.symbol.verdict
-    assert verdict is None or verdict.iou > 0.7, "each of them brings the symbol to its place, or leaves it there"
+    metrics = last.symbol.metrics
+    assert metrics is None or metrics.iou > 0.7, "each of them brings the symbol to its place, or leaves it there"
 
 
 def test_lamp_snippets_are_valid() -> None:

@@ -152,7 +152,7 @@ class Supervising:
         return self.flat if state.inner is None else self.inner.projection(state.inner, ego)
 
     def step(self, state: SupervisingState, observation: Observation) -> SupervisingState:
-        """Judge what was seen, then step the controller if it is in charge."""
+        """Check the measurement, then step the controller in charge."""
         seen = observation.measurement
         if seen.code == ExtractionStatus.NO_FRAME:
             return state if state.inner is None else replace(state, inner=self.inner.step(state.inner, observation))

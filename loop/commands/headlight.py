@@ -243,7 +243,7 @@ def check(
     Parameters
     ----------
     lamp
-        Preset, lamp file, description or photometric file, whose own table is judged; all others by their light textures.
+        Preset, lamp file, description or photometric file, whose own table is checked; all others by their light textures.
     beam
         Name of the beam, full or off; by default low for a passing beam's rule, high for a driving beam's, or full where the lamp has none.
     rule
@@ -260,8 +260,8 @@ def check(
     from luxloop.world.regulation import passes
 
     photometric = Path(lamp).suffix.lower() in PHOTOMETRIC
-    judged = for_traffic(measured_lamp(Path(lamp), side) if photometric else load_lamp(lamp, side), traffic)
-    title, results = headlight_tables.judge(judged, beam, rule, aim, traffic)
+    measured = for_traffic(measured_lamp(Path(lamp), side) if photometric else load_lamp(lamp, side), traffic)
+    title, results = headlight_tables.check(measured, beam, rule, aim, traffic)
     tables.show(headlight_tables.results(results, title))
     return 0 if passes(results) else DIFFERS
 

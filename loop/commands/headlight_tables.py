@@ -160,7 +160,7 @@ def _mount(T: torch.Tensor) -> str:
     return ", ".join(words) or "straight ahead"
 
 
-def judge(
+def check(
     lamp: Lamp, beam: str | None = None, rule: str | None = None, aimed: bool = False, traffic: Traffic = "right"
 ) -> tuple[str, tuple[Result, ...]]:
     """Title and results of a check of a beam against a rule. aimed: first aim the lamp by its cut-off or maximum, as the regulation does.
@@ -189,7 +189,7 @@ def compliance(lamp: Lamp) -> list[str]:
     lines = []
     for beam in lamp.beams:
         if beam in RULE_OF_BEAM:
-            asked = [each for each in judge(lamp, beam)[1] if each.verdict != "not applicable"]
+            asked = [each for each in check(lamp, beam)[1] if each.verdict != "not applicable"]
             passed = sum(each.verdict == "pass" for each in asked)
             lines.append(f"{beam}: keeps {'all' if passed == len(asked) else passed} of {len(asked)} of {RULE_OF_BEAM[beam]}")
     return lines

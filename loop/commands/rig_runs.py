@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from luxloop.loop.scenario.model import Scenario
     from luxloop.loop.simulation.simulated import SimulatedPlant
 
-JUDGED = "the rig's own camera, by its view of the plane that it is calibrated to; the truth is not known, and its columns are empty"
+EVALUATOR = "the rig's own camera, by its view of the plane that it is calibrated to; the truth is not known, and its columns are empty"
 
 
 def run_on_rig(
@@ -33,7 +33,7 @@ def run_on_rig(
     from luxloop.loop.commands.runs import run_scenario
     from luxloop.loop.recording.manifest import RIG, write_json
     from luxloop.loop.rig.params import load_rig
-    from luxloop.loop.rig.plant import RigPlant, SymbolEvaluator
+    from luxloop.loop.rig.plant import RigEvaluator, RigPlant
     from luxloop.loop.rig.rig import open_rig
     from luxloop.loop.simulation.build import from_zero
 
@@ -48,30 +48,30 @@ def run_on_rig(
         if not armed:
             tables.say("dry run: the lamp stays dark; give --arm to light it")
 
-        judged: SymbolEvaluator | None = None
+        evaluator: RigEvaluator | None = None
         simulated: SimulatedPlant | None = None
 
         def plant(simulation: Any) -> Any:
             from luxloop.loop.simulation.lamps import lamp_modules
 
-            nonlocal judged, simulated
-            modules, judged = lamp_modules(simulation.modules), SymbolEvaluator(simulation.controlled, scenario.camera, params.mark)
+            nonlocal evaluator, simulated
+            modules, evaluator = lamp_modules(simulation.modules), RigEvaluator(simulation.controlled, scenario.camera, params.mark)
             if twin:
                 from luxloop.loop.rig.calibration.twin import twin_plant
 
                 simulated = twin_plant(scenario, modules)
             own = RigPlant.of(rig, modules, scenario.steps * len(scenario.shares))
-            return from_zero(replace(own, look=judged.look), scenario, modules)
+            return from_zero(replace(own, look=evaluator.look), scenario, modules)
 
         try:
             passed = run_scenario(scenario, out, device, False, {**kept, "plant": plant, "frames": kept["frames"] or twin})
         finally:
             rig.dark("the run has ended")
-            found = of_run(rig, len(scenario.shares)) | {"judged": {} if judged is None else judged.summary()}
+            found = of_run(rig, len(scenario.shares)) | {"judged": {} if evaluator is None else evaluator.summary()}
             told = {"rig": redact(params.model_dump(mode="json")), "armed": armed, **found}
             if out.is_dir() and rig.statistics.exposures:
                 write_json(out / RIG, told)
-            tables.show(tables.facts(in_words(found) | {"judge": JUDGED}))
+            tables.show(tables.facts(in_words(found) | {"evaluator": EVALUATOR}))
     if simulated is not None:
         compared = _twin(out, simulated, params.mark, scenario.steps * len(scenario.shares))
         write_json(out / RIG, told | {"twin": compared})

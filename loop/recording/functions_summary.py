@@ -32,19 +32,19 @@ NAMED = 8  # objects that charts and the closing table tell one by one
 def summary_of(
     simulation: Simulation, table: pa.Table, last: Mapping[str, Evaluation], covered: Mapping[str, Evaluation] | None = None
 ) -> Summary:
-    """The summary of a run's steps. last: of each symbol the last step that shows it, beside which the open loop is judged. covered: of
+    """The summary of a run's steps. last: of each symbol the last step that shows it, beside which the open loop is evaluated. covered: of
     those that were lost as covered the last such step.
     """
     scenario, held = simulation.scenario, dict[str, Summary]()
     for name, symbol in simulation.controlled.items():
         iou = road_m = math.nan
         mine = of_one(table, name)
-        if symbol.judge is not None and name in last:
+        if symbol.evaluator is not None and name in last:
             now, lights = last[name].now, open_loop_lights(simulation, last[name], name)
-            iou = float(symbol.judge.evaluate(simulation.world.added(now.time_s, *lights, now.commands), now.time_s).iou)
-            road_m = symbol.judge.road_m(mine["time_s"].to_pylist())
+            iou = float(symbol.evaluator.evaluate(simulation.world.added(now.time_s, *lights, now.commands), now.time_s).iou)
+            road_m = symbol.evaluator.road_m(mine["time_s"].to_pylist())
         by = covering(simulation, covered[name], name) if covered and name in covered else ()
-        judge_every = None if symbol.judge is None else scenario.judge_every
+        judge_every = None if symbol.evaluator is None else scenario.judge_every
         run = Circumstances(judge_every, scenario.vehicle is not None, road_m, getattr(symbol.params, "highest_m", None))
         held[name] = summarise_symbol(mine, symbol.params.name, iou, by, run)
     summary = summarise(table, scenario.name, reference_power(simulation, table), held)

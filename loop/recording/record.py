@@ -35,7 +35,7 @@ STEP = {
     "dark_lx_max": ("lx", "largest illuminance by the lamps on any object that must be dark; empty while none is in sight"),
     "plan_ms": ("ms", "time from the objects to primitives"),
     "light_ms": ("ms", "time from primitives to utilisations"),
-    "look_ms": ("ms", "time of rendering and judging, which are not part of the car"),
+    "look_ms": ("ms", "time of rendering and evaluation, which are not part of the car"),
     "processing_ms": ("ms", "time of everything that the car computes, without look_ms, on one thread of the processor"),
 }
 CONTROL = {"control_ms": ("ms", "time of measurement and controllers of all held symbols")}
@@ -96,7 +96,7 @@ MODULE = {
 }
 MATERIAL = {"lx": ("lx", "illuminance"), "luminance": ("cd/m^2", "luminance")}
 NAN = torch.tensor(torch.nan)
-NOT_JUDGED = Metrics(NAN.expand(2), NAN, NAN, NAN, NAN)
+NO_METRICS = Metrics(NAN.expand(2), NAN, NAN, NAN, NAN)
 LOOKED_AT = {
     "track": ("", "number of the track that shows it; empty without one"),
     "confidence": (
@@ -185,7 +185,7 @@ def row(result: Evaluation) -> dict[str, Any]:
 
 def of_symbol(held: SymbolStep) -> dict[str, Any]:
     """What is recorded of one symbol in a step, by the names of SYMBOL."""
-    verdict, seen = held.verdict or NOT_JUDGED, held.measurement
+    metrics, seen = held.metrics or NO_METRICS, held.measurement
     tensors = {
         POSE: held.pose,
         ("z_m",): held.z,
@@ -193,8 +193,8 @@ def of_symbol(held: SymbolStep) -> dict[str, Any]:
         tuple(f"pose_error_{name}" for name in POSE): seen.pose_error,
         CENTROIDS: seen.appearance.centroids,
         ("area_ratio",): seen.area_ratio,
-        ("centroid_error_x_percent", "centroid_error_y_percent"): verdict.centroid_percent,
-        ("iou", "ssim", "length", "shear"): torch.stack([verdict.iou, verdict.ssim, verdict.length, verdict.shear]),
+        ("centroid_error_x_percent", "centroid_error_y_percent"): metrics.centroid_percent,
+        ("iou", "ssim", "length", "shear"): torch.stack([metrics.iou, metrics.ssim, metrics.length, metrics.shear]),
         CUT: held.cut,
         AIM: held.aim,
         ("code",): seen.code,

@@ -30,9 +30,9 @@ def why_no_metrics(values: Summary) -> str | None:
         case "not_shown":
             return "never shown"
         case "not_judged" if values["judge_every"] is None:
-            return "not judged, because the plant does not know the truth"
+            return "not evaluated, because the plant does not know the truth"
         case "not_judged":
-            return f"not judged, because judge_every = {values['judge_every']}"
+            return f"not evaluated, because judge_every = {values['judge_every']}"
     return None
 
 
@@ -83,7 +83,7 @@ def _cause(values: Summary) -> str:
         return f"{where}; raise that, to 0.3 at most, or lower NAME.x_m: {why}"
     match values["unsettled"]:
         case "too_short":
-            return "too few steps were judged to show whether the symbol settles; lower judge_every if it is above 1, or raise steps"
+            return "too few steps were evaluated to show whether the symbol settles; lower judge_every if it is above 1, or raise steps"
         case "not_shown":
             return "the symbol was never shown; see NAME.when, NAME.unless, NAME.start_s, NAME.stop_s and NAME.indicated"
         case "not_judged" if values["judge_every"] is None:

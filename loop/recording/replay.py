@@ -96,9 +96,9 @@ def continue_course(simulation: Simulation, scenario: Scenario) -> Simulation | 
     cache = simulation.cache.copy()
     plant, controlled = driven_plant(plant, scenario, cache), {}
     for name, each in simulation.controlled.items():
-        if (judge := each.judge) is not None:
-            judge = replace(judge, world=plant.world)
-        controlled[name] = replace(each, judge=judge)
+        if (evaluator := each.evaluator) is not None:
+            evaluator = replace(evaluator, world=plant.world)
+        controlled[name] = replace(each, evaluator=evaluator)
     cache.end()
     return replace(simulation, scenario=scenario, plant=plant, controlled=controlled, cache=cache)
 

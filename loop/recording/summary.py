@@ -44,7 +44,7 @@ def summarise(
 ) -> Summary:
     """Summary of one symbol's columns (`luxloop.loop.simulation.columns.of_one`), ready for JSON: None where a value does not exist.
 
-    iou_open: what the judge says of the open loop at the last step, NaN where there is none. centroid_error_percent: [x, y], signed, mean
+    iou_open: IoU of the open loop at the last step, NaN without one. centroid_error_percent: [x, y], signed, mean
     of the last five steps.
     unsettled: why there is no settle_step (`settling_failure`). cut: share of the symbol beyond the borders of the lamps' field at the
     last step, and the side where most of it is. aim: [x, y] in m of where the symbol lies at the last step in place of its target, None
@@ -80,7 +80,7 @@ def summarise(
 
 
 def steps_with_metrics(table: pa.Table) -> pa.Table:
-    """The steps of a table that were judged."""
+    """The steps of a table that were evaluated."""
     return table.filter(table["iou"].is_valid())
 
 
@@ -92,7 +92,7 @@ def settle_step(table: pa.Table) -> int | None:
 def settling_failure(table: pa.Table) -> str | None:
     """Why the symbol has not settled on the target; None where it has.
 
-    not_shown: in no step. not_judged: nobody said where it lies. too_short: fewer than ten steps. lost: not seen in most of the last ten;
+    not_shown: in no step. not_judged: no step was evaluated. too_short: fewer than ten steps. lost: not seen in most of the last ten;
     no_frame: as most of their frames were missing; covered: as other functions took most of it. moving: lit, but not steady. off_target:
     nothing lit at the target, or more than 5 % of the symbol's length or width off (mean of the last five steps).
     """

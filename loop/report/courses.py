@@ -102,8 +102,8 @@ def _symbols(axes: Axes, table: pa.Table, held: Sequence[str]) -> None:
     time_s = column(table, "time_s")
     for name, colour in zip(held, cycle(COLOURS), strict=False):
         iou, lost = column(table, f"functions.{name}.iou"), [reason or "" for reason in table[f"functions.{name}.loss"].to_pylist()]
-        judged = np.isfinite(iou)
-        axes.plot(time_s[judged], iou[judged], marker=_mark(table), color=colour, label=spoken(name))
+        evaluated = np.isfinite(iou)
+        axes.plot(time_s[evaluated], iou[evaluated], marker=_mark(table), color=colour, label=spoken(name))
         gone = np.array([reason not in ("", "no_frame") for reason in lost])
         axes.plot(time_s[gone], np.zeros(gone.sum()), "x", color=colour, markersize=4)
     axes.set(ylabel="IoU", ylim=(-0.02, 1.02))

@@ -21,8 +21,8 @@ from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation.columns import loss_name
 from luxloop.loop.simulation.detection import name_of
 from luxloop.loop.simulation.evaluator import Evaluation, FrameDetections, SymbolStep
-from luxloop.loop.simulation.judging import Judge
 from luxloop.loop.simulation.lamps import ShiningModule, under
+from luxloop.loop.simulation.road_metrics import SymbolEvaluator
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.birdseye import rectify
 from luxloop.perception.camera import expose, luminance_of
@@ -182,8 +182,8 @@ def frame_picture(result: Evaluation, simulation: Simulation, white: Tensor) -> 
     for held in result.held.values():
         _outline(picture, held.measurement)
     for name in list(result.held)[:1]:
-        if (judge := simulation.controlled[name].judge) is not None:
-            _paste(picture, _from_above(result, simulation, judge, white, round(ABOVE * height)), margin, left=True)
+        if (evaluator := simulation.controlled[name].evaluator) is not None:
+            _paste(picture, _from_above(result, simulation, evaluator, white, round(ABOVE * height)), margin, left=True)
     wall = wall_light(under(simulation.modules, result.now.commands), result.lights, round(WALL_SHARE * width))
     _paste(picture, tone_map(wall, wall.max().clamp(min=1e-6)), margin, left=False)
     told = captions(result, simulation)
@@ -203,14 +203,14 @@ def _outline(picture: Picture, seen: Measurement) -> None:
         cv2.drawContours(picture, contours, -1, SEEN_RGB, 1)
 
 
-def _from_above(result: Evaluation, simulation: Simulation, judge: Judge, white: Tensor, height: int) -> Picture:
+def _from_above(result: Evaluation, simulation: Simulation, evaluator: SymbolEvaluator, white: Tensor, height: int) -> Picture:
     """The road about a symbol's target, far end on top, with the target outlined; height: px."""
-    symbol, axes = judge.symbol, judge.plane.axes
+    symbol, axes = evaluator.symbol, evaluator.plane.axes
     on, off = (result.exposures[k].lights for k in (0, -1))
     light = simulation.world.added(result.time_s, on, off, result.now.commands)
     rows = (axes.v + symbol.x_m).abs() <= CLOSE * symbol.length_m
     cols = (axes.u + symbol.y_m).abs() <= CLOSE * symbol.width_m
-    plane = rectify(judge.plane_at(result.time_s), light)[rows.to(light.device)][:, cols.to(light.device)]
+    plane = rectify(evaluator.plane_at(result.time_s), light)[rows.to(light.device)][:, cols.to(light.device)]
     flat = tone_map(plane, white)
     picture = cv2.resize(flat, (round(flat.shape[1] * height / flat.shape[0]), height), interpolation=cv2.INTER_AREA)
     px_per_m = height / (float(axes.v[1] - axes.v[0]) * int(rows.sum()))
@@ -249,10 +249,10 @@ def captions(result: Evaluation, simulation: Simulation) -> list[tuple[str, tupl
 
 
 def _of_symbol(name: str, simulation: Simulation, held: SymbolStep) -> tuple[str, tuple[int, int, int]]:
-    loss, lies = loss_name(int(held.measurement.code)), "not judged"
-    if held.verdict is not None:
-        x, y = held.verdict.centroid_percent.tolist()
-        lies = f"centroid error {x:+.1f} %, {y:+.1f} %; IoU {float(held.verdict.iou):.2f}"
+    loss, lies = loss_name(int(held.measurement.code)), "not evaluated"
+    if held.metrics is not None:
+        x, y = held.metrics.centroid_percent.tolist()
+        lies = f"centroid error {x:+.1f} %, {y:+.1f} %; IoU {float(held.metrics.iou):.2f}"
     seen = f"lost: {loss.replace('_', ' ')}" if loss else "seen"
     return f"{name}, {simulation.controlled[name].params.name}: {seen}; {lies}", LOST_RGB if loss else SEEN_RGB
 

@@ -27,7 +27,7 @@ def summary_table(values: Summary, files: str) -> Table:  # noqa: C901 (a row a 
     """The closing table of a run."""
     rows = {"steps": str(values["steps"])}
     if values["shadow_of"] is not None:
-        rows["in shadow"] = f"on the frames of {values['shadow_of']}; the commands of this run were not shown and not judged"
+        rows["in shadow"] = f"on the frames of {values['shadow_of']}; the commands of this run were not shown and not evaluated"
         if told := values.get("shadow"):
             rows["light"] = _in_shadow(told)
     for side, lamp in values["lamps"].items():

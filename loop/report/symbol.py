@@ -25,8 +25,8 @@ from luxloop.loop.scenario.plant import shadow_of
 from luxloop.loop.simulation.columns import ERRORS
 from luxloop.loop.simulation.controlled import ControlledSymbol
 from luxloop.loop.simulation.evaluator import Evaluation
-from luxloop.loop.simulation.judging import Judge
 from luxloop.loop.simulation.redrawn import open_loop_lights
+from luxloop.loop.simulation.road_metrics import SymbolEvaluator
 from luxloop.loop.simulation.simulated import SimulatedPlant
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.birdseye import rectify
@@ -60,13 +60,13 @@ def draw_symbol(figure: SubFigure, simulation: Simulation, gathered: SymbolHisto
     left, right = columns(figure, 4.3, 7.7)
     _courses(left, symbol.function, gathered, table, summary)
     views = _camera_images(simulation, lights, gathered, last)
-    if symbol.judge is None:
+    if symbol.evaluator is None:
         top, beam = rows(right, 2.75, 3.6)
     else:
         top, middle, bottom = rows(right, 2.75, 2.35, 3.6)
         _camera_views(middle, symbol, views)
         plane, beam = columns(bottom, 3.5, 4.2)
-        _birds_eye_views(plane, symbol.judge, lights, last)
+        _birds_eye_views(plane, symbol.evaluator, lights, last)
     _progression(top, symbol, gathered, views["at the end"])
     _beam_patterns(beam, symbol, lights["at the end"][0], "asked for" if shadow else "at the end")
 
@@ -86,11 +86,11 @@ def _title(simulation: Simulation, name: str, summary: Summary, shadow: str | No
 
 
 def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: SymbolHistory, table: pa.Table, summary: Summary) -> None:
-    errors, pose, judged = figure.subplots(3, 1, sharex=True)
+    errors, pose, truth = figure.subplots(3, 1, sharex=True)
     steps = column(table, "step")
     lost = np.array([loss != "" for loss in table["loss"].to_pylist()])
     lost_label = "symbol lost" if lost.any() else "_lost"
-    for axes in (errors, pose, judged):
+    for axes in (errors, pose, truth):
         axes.fill_between(
             steps, 0, 1, where=lost, step="mid", color=LOST, alpha=0.18, lw=0, transform=axes.get_xaxis_transform(), label=lost_label
         )
@@ -127,27 +127,27 @@ def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: SymbolHi
     turned.set_ylabel("deg (dashed)")
     heading(pose, "Pose of the primitive", turned)
 
-    judged.axhspan(-2, 2, color="0.5", alpha=0.15, lw=0)
+    truth.axhspan(-2, 2, color="0.5", alpha=0.15, lw=0)
     for name, colour, label in (("x", FOUR[0], "centroid along"), ("y", FOUR[1], "centroid across")):
-        _line(judged, steps, column(table, f"centroid_error_{name}_percent"), color=colour, label=label)
-    judged.set_yscale("symlog", linthresh=5, linscale=1.2)
-    judged.yaxis.set_major_formatter(PercentFormatter(decimals=0))
-    judged.set_yticks([-100, -20, -5, -2, 0, 2, 5, 20, 100])
-    judged.set_ylabel("error in % of the symbol's size")
-    overlap = _right_axis(judged)
+        _line(truth, steps, column(table, f"centroid_error_{name}_percent"), color=colour, label=label)
+    truth.set_yscale("symlog", linthresh=5, linscale=1.2)
+    truth.yaxis.set_major_formatter(PercentFormatter(decimals=0))
+    truth.set_yticks([-100, -20, -5, -2, 0, 2, 5, 20, 100])
+    truth.set_ylabel("error in % of the symbol's size")
+    overlap = _right_axis(truth)
     _line(overlap, steps, column(table, "iou"), color="black", label="IoU")
     if why := why_no_metrics(summary):
-        judged.text(0.5, 0.5, fill(why, WHY), transform=judged.transAxes, ha="center", va="center", color="0.4")
+        truth.text(0.5, 0.5, fill(why, WHY), transform=truth.transAxes, ha="center", va="center", color="0.4")
     if summary["iou_open"] is not None:
         overlap.axhline(summary["iou_open"], color="black", ls="--", lw=1, label="IoU without control, at the last step")
     overlap.set(ylim=(0, 1), ylabel="IoU with the target")
-    heading(judged, "How the symbol lies, without noise", overlap)
-    judged.set(xlabel="control step", xlim=(steps[0], max(steps[-1], steps[0] + 1)))
-    judged.xaxis.set_major_locator(MaxNLocator(integer=True))
+    heading(truth, "How the symbol lies, without noise", overlap)
+    truth.set(xlabel="control step", xlim=(steps[0], max(steps[-1], steps[0] + 1)))
+    truth.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
 def _line(axes: Axes, steps: Image, values: Image, **style: Any) -> None:
-    """A line over the steps in which there are values, each of them marked where they are few: not all steps are judged."""
+    """A line over the steps in which there are values, each of them marked where they are few: not all steps are evaluated."""
     there = np.isfinite(values)
     axes.plot(steps[there], values[there], marker="o" if there.sum() <= FEW_STEPS else "", ms=2.2, **style)
 
@@ -248,13 +248,13 @@ def _camera_views(figure: SubFigure, symbol: ControlledSymbol, views: dict[str, 
         _look_at(axes, symbol, [], image.shape, aspect=16 / 9)
 
 
-def _birds_eye_views(figure: SubFigure, judge: Judge, lights: Pairs, last: Evaluation) -> None:
-    goal, axes_m, symbol = judge.goal, judge.plane.axes, judge.symbol
+def _birds_eye_views(figure: SubFigure, evaluator: SymbolEvaluator, lights: Pairs, last: Evaluation) -> None:
+    goal, axes_m, symbol = evaluator.goal, evaluator.plane.axes, evaluator.symbol
     y, x = -axes_m.u.cpu().numpy(), -axes_m.v.cpu().numpy()
     mask = goal.mask.float().cpu().numpy()
     figure.suptitle("From above, noise-free", x=0.12, ha="left", weight="bold", fontsize=STYLE["axes.titlesize"])
     for axes, (title, (on, off)) in zip(figure.subplots(1, 2, sharey=True), lights.items(), strict=True):
-        plane = rectify(judge.plane_at(last.time_s), judge.world.added(last.time_s, on, off, last.now.commands)).cpu().numpy()
+        plane = rectify(evaluator.plane_at(last.time_s), evaluator.world.added(last.time_s, on, off, last.now.commands)).cpu().numpy()
         axes.imshow(_night(plane, 1.5 * float(goal.median)), extent=(y[0], y[-1], x[-1], x[0]), **SHARES)
         axes.contour(y, x, mask, levels=[0.5], colors=TARGET, linewidths=0.8)
         axes.set_title(title, weight="normal", loc="center")

@@ -64,8 +64,8 @@ class Camera:
         now_s, misfit = time.monotonic(), self._misfit
         return now_s - self._last_s <= self._timeout_s and (misfit is None or now_s - misfit[0] <= self._timeout_s)
 
-    def judge(self, misfit: str | None) -> None:
-        """Note whether the picture that was looked at last fits the loop, or why not. Only pictures that fit keep the lamp lit."""
+    def note_misfit(self, misfit: str | None) -> None:
+        """Note why the last picture does not fit the loop, None if it does. Only pictures that fit keep the lamp lit."""
         self._misfit = None if misfit is None else (self._misfit[0] if self._misfit else time.monotonic(), misfit)
 
     @property

@@ -17,7 +17,7 @@ from luxloop.loop.rig.light import Picture
 from luxloop.loop.rig.params import LimitParams, MarkParams, TimingParams
 from luxloop.world.errors import LuxloopError
 
-Verdict = Literal["old", "mixed", "clear"]
+FrameContent = Literal["old", "mixed", "clear"]
 GAPS: Final = 61  # between pictures, whose median is the camera's period
 FEWEST: Final = 8  # gaps by which a period is known
 KEPT: Final = 0.9  # of the lateness, from picture to picture: a lost picture looks like lateness, but nothing catches up after it
@@ -25,7 +25,7 @@ CATCHING_UP: Final = 0.5  # of the period: pictures closer together come out of 
 IN_TIME: Final = 0.5  # of jitter_s, by which pictures that came in time may be late themselves
 
 
-def shows(lag_s: float, timing: TimingParams, late_s: float = 0.0) -> Verdict:
+def shows(lag_s: float, timing: TimingParams, late_s: float = 0.0) -> FrameContent:
     """What a free-running camera's frame shows that arrives `lag_s` after light was sent, which has stood since.
 
     A frame whose exposure begins just when the light is there arrives `latency_s` after it was sent, and up to `jitter_s` later, or by

@@ -76,11 +76,11 @@ def _picture(light: Utilisation, grid: tuple[int, int]) -> Image:
 LAST = 10  # pairs of frames
 
 
-class SymbolEvaluator:
-    """The last steps of a run, judged after its end, since judging would delay the steps."""
+class RigEvaluator:
+    """Metrics of a run's last steps, computed after its end so that they delay no step."""
 
     def __init__(self, symbols: Mapping[str, ControlledSymbol], camera: CameraParams, mark: MarkParams | None = None) -> None:
-        """symbols: held symbols by name. camera: the scenario's. mark: in the light, left out of the judgement."""
+        """symbols: held symbols by name. camera: the scenario's. mark: in the light, left out of the evaluation."""
         self._camera, self._mark = camera, mark
         self._goals = {name: _goal(each, camera) for name, each in symbols.items()}
         self._on: tuple[Exposure, Tensor] | None = None
@@ -102,8 +102,8 @@ class SymbolEvaluator:
         for name, pairs in self._pairs.items():
             if not pairs:
                 continue
-            verdicts = [evaluate(self._luminance(on) - self._luminance(off), *self._goals[name]) for _, on, off in pairs]
-            ious, off = [float(each.iou) for each in verdicts], verdicts[-1].centroid_percent.tolist()
+            metrics = [evaluate(self._luminance(on) - self._luminance(off), *self._goals[name]) for _, on, off in pairs]
+            ious, off = [float(each.iou) for each in metrics], metrics[-1].centroid_percent.tolist()
             found[name] = {
                 "exposure": pairs[-1][0],
                 "iou_final": ious[-1],

@@ -239,17 +239,17 @@ class Rig:
         lag_s = picture.arrived_s - since_s
         if self.params.has_trigger:  # which has no rhythm
             return None if lag_s > self.params.timing.clear_s else "old"
-        verdict = shows(lag_s, self.params.timing, picture.late_s)
-        return verdict if verdict != "clear" else None if picture.awaited else "late"
+        content = shows(lag_s, self.params.timing, picture.late_s)
+        return content if content != "clear" else None if picture.awaited else "late"
 
     def _image(self, picture: CameraPicture) -> Image:
         """The scenario's image. Raises WrongPicture if the picture does not fit, which darkens the lamp if it goes on."""
         try:
             image = np.zeros((1, 1), np.float32) if self.rectify is None else self.rectify(picture.data)
         except WrongPicture as error:
-            self.camera.judge(str(error))
+            self.camera.note_misfit(str(error))
             raise
-        self.camera.judge(None)
+        self.camera.note_misfit(None)
         return image
 
     def _looked_at(self, picture: CameraPicture, number: int, since_s: float) -> RigFrame | str:

@@ -1,4 +1,4 @@
-"""From a scenario to its symbols under control: sensor, judge, controller, and whether their light can be drawn and measured at all."""
+"""From a scenario to its symbols under control: sensor, evaluator, controller, and whether their light can be drawn and measured at all."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -23,9 +23,9 @@ from luxloop.loop.scenario.shipped import find_file
 from luxloop.loop.simulation.build_lamps import drawing_modules
 from luxloop.loop.simulation.build_scene import find_road
 from luxloop.loop.simulation.controlled import ControlledSymbol, brightness
-from luxloop.loop.simulation.judging import Judge
 from luxloop.loop.simulation.lamps import ShiningModule
 from luxloop.loop.simulation.part_cache import PartCache
+from luxloop.loop.simulation.road_metrics import SymbolEvaluator
 from luxloop.loop.simulation.world import World
 from luxloop.perception.camera import CameraParams, camera_view, saturation_luminance
 from luxloop.world.errors import LuxloopError, locate
@@ -54,9 +54,9 @@ def build_symbols(
             drawn = function.model_copy(update={"controller": None, "start": None})
             optics = drawn, vars(base), tuple(modules[k] for k in drawn_by), scenario.surface, scenario.light.ambient_lx
             sensor = cache(f"{name}: sensor", _sensor, scenario.camera, *optics)
-            judge = cache(f"{name}: judge", _judge, sensor, world, find_road(scenario.road), *optics)
+            evaluator = cache(f"{name}: evaluator", _symbol_evaluator, sensor, world, find_road(scenario.road), *optics)
             controller = cache(f"{name}: controller", build_symbol_controller, function.controller, sensor)
-            symbols[name] = ControlledSymbol(function, drawn_by, sensor, controller, judge)
+            symbols[name] = ControlledSymbol(function, drawn_by, sensor, controller, evaluator)
     return symbols
 
 
@@ -77,15 +77,15 @@ def _sensor(
     return SymbolSensor(projector, model, camera, function.extraction)
 
 
-def _judge(sensor: SymbolSensor, world: World | None, road: Road, *optics: Any) -> Judge | None:
+def _symbol_evaluator(sensor: SymbolSensor, world: World | None, road: Road, *optics: Any) -> SymbolEvaluator | None:
     """None where the plant does not know the truth. Raises LuxloopError as `check_light`."""
-    judge, (function, base, *_) = None, optics
+    evaluator, (function, base, *_) = None, optics
     if world is not None:
         true_sensor = sensor if world.camera == sensor.camera else _sensor(world.camera, *optics)
         flat_luminance = true_sensor.model.luminance(sensor.projector.light(sensor.projector.target))
-        judge = Judge.of(world, function.held, road, flat_luminance)
-    check_light(sensor, judge, base["name"])
-    return judge
+        evaluator = SymbolEvaluator.of(world, function.held, road, flat_luminance)
+    check_light(sensor, evaluator, base["name"])
+    return evaluator
 
 
 def build_symbol_controller(params: AnyParams, sensor: SymbolSensor) -> SymbolController:
@@ -95,7 +95,7 @@ def build_symbol_controller(params: AnyParams, sensor: SymbolSensor) -> SymbolCo
     return build_controller(params, sensor)
 
 
-def check_light(sensor: SymbolSensor, judge: Judge | None, beam: str) -> None:
+def check_light(sensor: SymbolSensor, evaluator: SymbolEvaluator | None, beam: str) -> None:
     """Raises LuxloopError where lamps cannot draw the symbol at its target, or the camera cannot measure it.
 
     beam: name of the base beam.
@@ -104,7 +104,7 @@ def check_light(sensor: SymbolSensor, judge: Judge | None, beam: str) -> None:
     where = _target(projector.params)
     if projector.params.quantity == "u_rel" and not any(bool(each.u.any()) for each in projector.resting):
         raise LuxloopError('quantity: u_rel is a multiple of the base beam, but there is none; give lighting.base.beam = "low", say')
-    if judge is not None and not judge.goal.mask.any():
+    if evaluator is not None and not evaluator.goal.mask.any():
         if beam != "off" and model.beams.any():
             raise LuxloopError(f"{where} is nowhere brighter than the {beam} beam; raise value, or name a dimmer beam")
         raise LuxloopError(
@@ -116,9 +116,9 @@ def check_light(sensor: SymbolSensor, judge: Judge | None, beam: str) -> None:
             f"{where} cannot be distinguished from noise on a flat road ({_pixels_there(projector)}); raise value or "
             "headlight.intensity_cd, draw the symbol larger or with wider strokes, or take a lamp with finer pixels or a finer camera"
         )
-    brightest = float(brightness(sensor, judge) + model.beams.median())
-    if judge is not None:
-        brightest += float(_without_headlamps(sensor, judge.world).median())
+    brightest = float(brightness(sensor, evaluator) + model.beams.median())
+    if evaluator is not None:
+        brightest += float(_without_headlamps(sensor, evaluator.world).median())
     if brightest > saturation_luminance(camera):
         raise LuxloopError(
             f"the symbol on the road has {brightest:.3g} cd/m^2, but the camera saturates at "

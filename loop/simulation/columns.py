@@ -41,12 +41,12 @@ def symbol_columns(degrees: Sequence[DegreeOfFreedom]) -> dict[str, tuple[str, s
             "",
             "why the symbol was lost: no_frame, nothing, too_small, too_large or covered (by other functions); empty if it was seen",
         ),
-        "centroid_error_x_percent": ("%", "judge: error of the centroid along x, in % of the symbol's length"),
-        "centroid_error_y_percent": ("%", "judge: error of the centroid along y, in % of the symbol's width"),
-        "iou": ("1", "judge: intersection over union with the target"),
-        "ssim": ("1", "judge: structural similarity to the target"),
-        "length": ("1", "judge: second-moment length relative to the target's"),
-        "shear": ("1", "judge: shear mu11 / mu20 on the road plane"),
+        "centroid_error_x_percent": ("%", "evaluator: error of the centroid along x, in % of the symbol's length"),
+        "centroid_error_y_percent": ("%", "evaluator: error of the centroid along y, in % of the symbol's width"),
+        "iou": ("1", "evaluator: intersection over union with the target"),
+        "ssim": ("1", "evaluator: structural similarity to the target"),
+        "length": ("1", "evaluator: second-moment length relative to the target's"),
+        "shear": ("1", "evaluator: shear mu11 / mu20 on the road plane"),
     }
 
 
@@ -59,7 +59,7 @@ OF_TRUTH = {
     "symbol_iou_min",
     "luminance",
     *LOOKING_OF_TRUTH,
-    *(key for key in SYMBOL if SYMBOL[key][1].startswith("judge: ")),
+    *(key for key in SYMBOL if SYMBOL[key][1].startswith("evaluator: ")),
 }
 
 

@@ -18,8 +18,8 @@ from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.projector import Projector
 from luxloop.controllers.symbol.sensing.protocol import Observation, Projection, SymbolController
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement, SymbolSensor
-from luxloop.loop.simulation.judging import Judge
 from luxloop.loop.simulation.protocol import ExposurePair
+from luxloop.loop.simulation.road_metrics import SymbolEvaluator
 from luxloop.perception.egomotion import Ego
 from luxloop.perception.extraction import Crop, ExtractionStatus
 from luxloop.perception.metrics import THRESHOLD
@@ -43,14 +43,14 @@ class SymbolState:
 class ControlledSymbol:
     """A symbol that is held.
 
-    drawn_by: indices of the car's modules that draw it. judge: None where the plant does not know the truth.
+    drawn_by: indices of the car's modules that draw it. evaluator: None where the plant does not know the truth.
     """
 
     function: SymbolFunctionParams
     drawn_by: tuple[int, ...]
     sensor: SymbolSensor
     controller: SymbolController
-    judge: Judge | None
+    evaluator: SymbolEvaluator | None
 
     @property
     def params(self) -> ControllerParams:
@@ -66,7 +66,7 @@ class ControlledSymbol:
     @cached_property
     def brightness(self) -> Tensor:
         """Median luminance `[]` in cd/m^2 at its target on a flat road."""
-        return brightness(self.sensor, self.judge)
+        return brightness(self.sensor, self.evaluator)
 
     def in_open_loop(self) -> "ControlledSymbol":
         """The same without control: drawn at its target for a flat road."""
@@ -151,9 +151,9 @@ def _meet(a: Crop, b: Crop) -> bool:
     return a.u_start < b.u_stop and b.u_start < a.u_stop and a.v_start < b.v_stop and b.v_start < a.v_stop
 
 
-def brightness(sensor: SymbolSensor, judge: Judge | None) -> Tensor:
+def brightness(sensor: SymbolSensor, evaluator: SymbolEvaluator | None) -> Tensor:
     """Median luminance `[]` in cd/m^2 of the symbol at its target on a flat road."""
-    if judge is not None:
-        return judge.goal.median
+    if evaluator is not None:
+        return evaluator.goal.median
     flat = sensor.model.luminance(sensor.projector.light(sensor.projector.target))
     return flat[flat > THRESHOLD * flat.max()].median()

@@ -17,7 +17,6 @@ from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.loop.scenario.model import Scenario, only
 from luxloop.loop.simulation.controlled import ControlledSymbol
 from luxloop.loop.simulation.detection import DetectionPipeline, Recognition, false_positives, recognise
-from luxloop.loop.simulation.judging import over_setpoint
 from luxloop.loop.simulation.lamps import LampDriver
 from luxloop.loop.simulation.light_figures import (
     DUE_S,
@@ -36,6 +35,7 @@ from luxloop.loop.simulation.light_figures import (
     on_objects,
 )
 from luxloop.loop.simulation.result import Clock, StepResult, without
+from luxloop.loop.simulation.road_metrics import over_setpoint
 from luxloop.loop.simulation.world import ObjectLight, World, categories
 from luxloop.perception.detection.detector import Detections
 from luxloop.perception.metrics import Metrics
@@ -45,13 +45,13 @@ from luxloop.perception.tracking import TrackedBoxes
 @dataclass(frozen=True, eq=False)
 class SymbolStep:
     """A held symbol in one step. projection: what was shown. cut: `[4]`, shares beyond the borders of the lamps' field
-    (`luxloop.controllers.symbol.sensing.field`). measurement: from the newest frames. verdict: None where nobody judged.
+    (`luxloop.controllers.symbol.sensing.field`). measurement: from the newest frames. metrics: None in a step without evaluation.
     """
 
     projection: ProjectionCommand
     cut: Tensor
     measurement: Measurement
-    verdict: Metrics | None
+    metrics: Metrics | None
 
     @property
     def pose(self) -> Tensor:
@@ -94,8 +94,8 @@ class Evaluation(StepResult):
     masked: names of objects that must be dark. illuminance: `[height, width]` lx from the lamps alone, None where nobody asks for it.
     luminance: in cd/m^2 with all other light. The camera sees both; they are computed where they are read, None without the truth.
     objects: by name, those that are there and have a category. look: None without a detector. symbols: those meant for an observer, from
-    their eyes. held: those that controllers hold; zones, materials: all by name. road_lx_ratio_max: see `luxloop.loop.simulation.judging`,
-    None where nobody judged. oncoming_s: since when those who come towards the car have been near enough.
+    their eyes. held: those that controllers hold; zones, materials: all by name. road_lx_ratio_max: see `over_setpoint`, None in
+    a step without evaluation. oncoming_s: since when those who come towards the car have been near enough.
     """
 
     masked: frozenset[str]
@@ -188,12 +188,12 @@ class Evaluator:
             oncoming_s=oncoming_s,
         )
 
-    def _judges(self, result: StepResult) -> bool:
+    def _due(self, result: StepResult) -> bool:
         every = self.scenario.judge_every
         return self.world is not None and bool(every) and result.step % every == 0
 
     def _over_setpoint(self, result: StepResult) -> float | None:
-        if self.world is None or not (self._judges(result) and self.pipeline is not None and self.planner.functions):
+        if self.world is None or not (self._due(result) and self.pipeline is not None and self.planner.functions):
             return None
         lit = self.world.lit(result.time_s)
         return over_setpoint(self.lamps.aim(result.now), result.plan, result.exposures[0].lights, lit)
@@ -220,21 +220,21 @@ class Evaluator:
         return observed_symbols(result.plan, result.lights, whitened, world, result.now)
 
     def _symbol_steps(self, result: StepResult) -> Mapping[str, SymbolStep]:
-        planning, verdicts = result.planning, self._verdicts(result) if self._judges(result) else {}
+        planning, metrics = result.planning, self._metrics(result) if self._due(result) else {}
         return {
-            name: SymbolStep(each, cut(self.controlled[name].projector, each), result.control.measurements[name], verdicts.get(name))
+            name: SymbolStep(each, cut(self.controlled[name].projector, each), result.control.measurements[name], metrics.get(name))
             for name, each in planning.projections.items()
         }
 
-    def _verdicts(self, result: StepResult) -> Mapping[str, Metrics]:
+    def _metrics(self, result: StepResult) -> Mapping[str, Metrics]:
         """Of each symbol that is measured, from the light with it and without it."""
-        verdicts, now, planning = {}, result.now, result.planning
+        metrics, now, planning = {}, result.now, result.planning
         on, off = result.exposures[0].lights, result.exposures[-1].lights
         for name in planning.measured:
             if len(planning.measured) > 1:
                 others = without(planning.drawn, [name])
                 off, _ = self.lamps.drive(self.planner.compose(now, planning.functions, others), now)
-            judge = self.controlled[name].judge
-            assert judge is not None and self.world is not None
-            verdicts[name] = judge.evaluate(self.world.added(now.time_s, on, off, now.commands), now.time_s)
-        return verdicts
+            evaluator = self.controlled[name].evaluator
+            assert evaluator is not None and self.world is not None
+            metrics[name] = evaluator.evaluate(self.world.added(now.time_s, on, off, now.commands), now.time_s)
+        return metrics

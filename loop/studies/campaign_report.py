@@ -22,7 +22,7 @@ SHOWN = {
     "residual_percent": ("centroid error in %", False),
     "iou_open": ("IoU without control, at the last step", True),
     "iou_final": ("IoU, at the last step", True),
-    "iou_mean": ("IoU, mean of all judged steps", True),
+    "iou_mean": ("IoU, mean of all evaluated steps", True),
     "dark_lx_max": ("light on masked objects, lx", False),
     "symbol_iou_min": ("least IoU of symbols", True),
     "flux_lm_mean": ("flux of all lamps, lm", False),

@@ -15,7 +15,7 @@ TERMS = {
     "settling": ("settle_step", lambda value, row: value / row["steps"], "settle step, as a share of all steps"),
     "overshoot": ("overshoot_percent", lambda value, row: value / 100, "overshoot, as a share of the initial error"),
     "residual": ("residual_percent", lambda value, row: value / 10, "centroid error at the end, in tenths of the symbol's size"),
-    "iou": ("iou_mean", lambda value, row: 1 - value, "1 - IoU, mean of all judged steps"),
+    "iou": ("iou_mean", lambda value, row: 1 - value, "1 - IoU, mean of all evaluated steps"),
     "energy": ("utilisation_mean", lambda value, row: value, "utilisation of all pixels, mean of all steps"),
 }
 

@@ -51,7 +51,7 @@ def figures(scenario: Scenario, device: str = "auto") -> Figures:
     """Run a scenario and give its summary, flat: `lamps.left.flux_lm_mean`, say; None where a value does not exist.
 
     flux_lm_mean is that of all lamps, utilisation_mean that of all pixels over all steps. Where symbols are held, the figures in `WORST`
-    are also there without a name, those of the symbol that comes off worst; iou_mean is then that of all judged steps, and residual_percent
+    are also there without a name, the worst symbol's; iou_mean is then the mean of all evaluated steps, and residual_percent
     is how far off the centroid ends, of the symbol's size. With a detector there are confidence_final_mean and _min, over the objects in
     sight at the end. Times are left out, so that the same scenario gives the same figures.
     Raises LuxloopError where the scenario cannot run.

@@ -23,7 +23,7 @@ import luxloop
 
 WORLD = ("camera.width_px=640", "camera.height_px=360", "camera.latency_steps=0")
 COPIES, STEPS, WORKERS = 32, 16, 2
-JUDGED_STEPS, LAST = 32, 8  # of the comparison, and its last ones
+EVALUATED_STEPS, LAST = 32, 8  # of the comparison, and its last ones
 GAMMA, LAMBDA, CLIP, EPOCHS, BATCH, RATE = 0.9, 0.9, 0.2, 8, 256, 1e-3
 STARTS = torch.tensor([[13.5, -1.4, -0.09, -0.035], [21.0, 1.4, 0.09, 0.03]])  # least and greatest x, y in m, roll, pitch in rad
 # What the policy sees of an observation (SymbolEnv), so that all numbers are about 1: pose about the target, errors, whether it is seen.
@@ -108,19 +108,19 @@ def learn(policy: Policy, adam: torch.optim.Optimizer, episodes: list[dict[str, 
             adam.step()
 
 
-def judged(act: Callable[[Tensor], Tensor], worlds: int, action: str = "moves") -> tuple[np.ndarray, np.ndarray]:
+def evaluated(act: Callable[[Tensor], Tensor], worlds: int, action: str = "moves") -> tuple[np.ndarray, np.ndarray]:
     """IoU and distance of the centroids in symbol sizes, `[steps, worlds * copies]`, on roads not used in training."""
-    held_out = roads(HELD_OUT, 2 * HELD_OUT, 1, JUDGED_STEPS, action)
+    held_out = roads(HELD_OUT, 2 * HELD_OUT, 1, EVALUATED_STEPS, action)
     iou, away = [], []
     for world in range(worlds):
         seen, _ = held_out.reset(seed=world, options={"start": starts(torch.Generator().manual_seed(world))})
-        for _ in range(JUDGED_STEPS):
+        for _ in range(EVALUATED_STEPS):
             with torch.no_grad():
                 seen, _, _, _, info = held_out.step(act(torch.from_numpy(seen)).numpy())
             iou.append(info["verdict"]["iou"])
             away.append(np.linalg.norm(np.nan_to_num(info["verdict"]["centroid_percent"], nan=100.0), axis=-1) / 100)
-    shape = worlds, JUDGED_STEPS, COPIES
-    return tuple(np.reshape(each, shape).swapaxes(0, 1).reshape(JUDGED_STEPS, -1) for each in (iou, away))
+    shape = worlds, EVALUATED_STEPS, COPIES
+    return tuple(np.reshape(each, shape).swapaxes(0, 1).reshape(EVALUATED_STEPS, -1) for each in (iou, away))
 
 
 def blind(seen: Tensor) -> Tensor:
@@ -130,7 +130,7 @@ def blind(seen: Tensor) -> Tensor:
 
 def settled(away: np.ndarray) -> np.ndarray:
     """The step from which on the centroid stays within 5 % of the symbol, the number of steps where it does not."""
-    return JUDGED_STEPS - (np.cumprod(away[::-1] < SETTLED, 0)).sum(0)
+    return EVALUATED_STEPS - (np.cumprod(away[::-1] < SETTLED, 0)).sum(0)
 
 
 def main() -> None:
@@ -159,9 +159,9 @@ def main() -> None:
         "learned": (lambda seen: policy(seen)[0].mean, "moves"),
     }
     for name, (act, action) in ways.items():
-        iou, away = judged(act, given.worlds, action)
+        iou, away = evaluated(act, given.worlds, action)
         steps = settled(away)
-        never = (steps == JUDGED_STEPS).mean()
+        never = (steps == EVALUATED_STEPS).mean()
         print(f"{name:10}  settled after {np.median(steps):4.1f} steps, never {never:4.0%}, final IoU {iou[-LAST:].mean():.3f}")
         right.plot(iou.mean(1), label=name)
     right.set(xlabel="step", ylabel="IoU, mean of roads not seen", ylim=(0, 1))

@@ -1,6 +1,6 @@
 """Tune thesis_pid on a scenario by random search: `python tune_gains.py snowflake --trials 20`.
 
-The scenario is made ready once; a trial only exchanges the controller. What counts is the mean over all steps of 1 - IoU, as the judge
+The scenario is made ready once; a trial only exchanges the controller. What counts is the mean over all steps of 1 - IoU, as the evaluator
 sees it: slow is bad, and so is a symbol that ends up distorted.
 """
 
@@ -31,7 +31,7 @@ def varied(params: BaseModel, rng: np.random.Generator) -> BaseModel:
 def cost(simulation: Simulation, params: BaseModel) -> float:
     """Mean of 1 - IoU over a run with this controller."""
     controller = build_controller(params, simulation.symbol.sensor)
-    return float(np.mean([1 - float(result.symbol.verdict.iou) for result in simulation.with_controller(controller).evaluations()]))
+    return float(np.mean([1 - float(result.symbol.metrics.iou) for result in simulation.with_controller(controller).evaluations()]))
 
 
 def as_toml(params: BaseModel) -> str:

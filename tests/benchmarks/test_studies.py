@@ -23,7 +23,7 @@ from luxloop.loop.studies.training import scenes
 TINY = ("camera={width_px=320, height_px=240}",)
 
 
-def judged(iou: list[float | None], settle_step: int | None = 3, centroid: float | None = 1.0, lost: int = 0) -> dict[str, Any]:
+def metrics(iou: list[float | None], settle_step: int | None = 3, centroid: float | None = 1.0, lost: int = 0) -> dict[str, Any]:
     offsets = {"centroid_error_x_percent": [-2.0, *[centroid] * (len(iou) - 1)], "centroid_error_y_percent": [0.0] * len(iou)}
     flags = [True] * lost + [False] * (len(iou) - lost)
     return {"settle_step": settle_step, "overshoot_percent": None, "iou": iou, "lost": flags, **offsets}
@@ -31,7 +31,7 @@ def judged(iou: list[float | None], settle_step: int | None = 3, centroid: float
 
 def of_symbol(part: str, own: dict[str, Any], undisturbed: dict[str, Any] | None = None) -> dict[str, Any]:
     """Luxloop's row beside an open loop of 0.5."""
-    open_loop = judged([0.5] * len(own["iou"]))
+    open_loop = metrics([0.5] * len(own["iou"]))
     reference = None if undisturbed is None else {"open": open_loop, "luxloop": undisturbed}
     return symbol_control.measures({"part": part}, {"open": open_loop, "luxloop": own}, reference)[1]
 
@@ -42,10 +42,10 @@ STEPS_OF = [0.1] * 11 + [0.4] * 5 + [0.8] * 5
 @pytest.mark.parametrize(
     ("part", "own", "expected"),
     [
-        ("standing", judged([0.0] * 11 + [0.9] * 8 + [0.3, 0.9]), {"gap": 0.2, "iou_least": 0.3}),
-        ("standing", judged(STEPS_OF), {"iou": 0.8}),
-        ("driving", judged(STEPS_OF), {"iou": 0.6}),
-        ("standing", judged([0.0] * 20, None, None), {"settle": 20, "centroid": 100.0, "iou": 0.0}),
+        ("standing", metrics([0.0] * 11 + [0.9] * 8 + [0.3, 0.9]), {"gap": 0.2, "iou_least": 0.3}),
+        ("standing", metrics(STEPS_OF), {"iou": 0.8}),
+        ("driving", metrics(STEPS_OF), {"iou": 0.6}),
+        ("standing", metrics([0.0] * 20, None, None), {"settle": 20, "centroid": 100.0, "iou": 0.0}),
     ],
 )
 def test_measures_of_symbols_are_of_the_end(part: str, own: dict[str, Any], expected: dict[str, float]) -> None:
@@ -56,7 +56,7 @@ def test_measures_of_symbols_are_of_the_end(part: str, own: dict[str, Any], expe
 @pytest.mark.parametrize(("worse", "steps"), [([], 0), ([31], 2), ([25, 33], 4), ([49], 20)])
 def test_recovered_is_when_the_undisturbed_run_is_reached_for_good(worse: list[int], steps: int) -> None:
     own = [0.7 if step in worse else 0.9 for step in range(50)]
-    assert of_symbol("disturbed", judged(own), judged([0.9] * 50))["recovery"] == steps
+    assert of_symbol("disturbed", metrics(own), metrics([0.9] * 50))["recovery"] == steps
 
 
 def test_goals_take_the_worst_mean_over_seeds_and_of_luxloop_alone() -> None:
@@ -104,9 +104,9 @@ def test_the_bound_of_a_flat_road_is_the_open_loop() -> None:
 
 
 def test_measures_of_places_compare_with_the_same_world() -> None:
-    open_loop, own = judged([0.5] * 20), judged([None] * 15 + [0.8] * 5, centroid=None, lost=7)
-    found = {"open": open_loop, "thesis_pid": judged([0.9] * 20), places.FEEDFORWARD: open_loop, "luxloop": own}
-    *_, last = places.measures(place(), {"judged": found, "iou_bound": 0.95, "visible": 0.9})
+    open_loop, own = metrics([0.5] * 20), metrics([None] * 15 + [0.8] * 5, centroid=None, lost=7)
+    found = {"open": open_loop, "thesis_pid": metrics([0.9] * 20), places.FEEDFORWARD: open_loop, "luxloop": own}
+    *_, last = places.measures(place(), {"metrics": found, "iou_bound": 0.95, "visible": 0.9})
     expected = {"iou": 0.8, "below_open": -0.3, "below_thesis": 0.1, "found": 7, "lost": 7 / 20, "lost_later": 4, "centroid": 100.0}
     assert {name: last[name] for name in expected} == pytest.approx(expected)
 
@@ -164,10 +164,10 @@ def test_controllers_side_by_side_run_as_each_does_alone() -> None:
     """Rendered views are shared, noise and states are not."""
     tables = {name: {"name": name} for name in ("thesis_pid", "luxloop")}
     parameters = side_by_side.World("here", {}, load("snowflake", (*TINY, "camera.latency_steps=1"), steps=5), tables).parameters
-    together = side_by_side.compare(**parameters)["judged"]
+    together = side_by_side.compare(**parameters)["metrics"]
     for name, table in tables.items():
         alone = prepare(side_by_side.controlled(parameters["scenario"], table), "cpu").evaluations()
-        assert together[name]["iou"] == [round(float(result.symbol.verdict.iou), 4) for result in alone]
+        assert together[name]["iou"] == [round(float(result.symbol.metrics.iou), 4) for result in alone]
 
 
 def of_light(own: dict[str, Any], full: dict[str, float]) -> dict[str, Any]:
@@ -238,7 +238,7 @@ def test_scenes_are_others_than_those_of_training_and_newcomers_have_room() -> N
 
 @pytest.mark.slow
 def test_the_jobs_run_through_the_whole_chain(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a few steps each, which judge nothing, over both base beams."""
+    """On a few steps each, which decide nothing, over both base beams."""
     for name, value in {"STEPS": 4, "COMES": 2, "END": range(1, 2), "LATE": range(3, 4)}.items():
         monkeypatch.setattr(jobs, name, value)
     ((_, given),) = jobs.scene_jobs(1, 1).items()

@@ -25,7 +25,7 @@ def examples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def ious(scenario: str, controller: str, steps: int, *more: str) -> list[float]:
     prepared = prepare(load(scenario, [f"steps={steps}", f"functions.symbol.controller={{name='{controller}'}}", *more]), "cpu")
-    return [float(result.symbol.verdict.iou) for result in prepared.evaluations() if result.symbol.verdict is not None]
+    return [float(result.symbol.metrics.iou) for result in prepared.evaluations() if result.symbol.metrics is not None]
 
 
 @pytest.mark.parametrize("name", ["motion_compensation:MotionCompensation", "visual_servo:VisualServo"])
@@ -65,7 +65,7 @@ def test_what_the_body_s_motion_explains_of_a_pose_error_is_taken_out_as_interfa
             seen.append(torch.stack([own, observation.measurement.pose_error])[:, 0])
             return state
 
-    truth = [float(step.symbol.verdict.centroid_percent[0]) / 100 for step in simulation.with_controller(Still()).evaluations()]
+    truth = [float(step.symbol.metrics.centroid_percent[0]) / 100 for step in simulation.with_controller(Still()).evaluations()]
     off = (torch.stack(seen) / simulation.symbol.projector.params.length_m - torch.tensor(truth)[:, None]).abs().amax(0)
     assert off[0] < 0.04 and off[1] > 3 * off[0], f"share of the symbol's length: its own motion is left out, {off}"
 

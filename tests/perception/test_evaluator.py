@@ -1,4 +1,4 @@
-"""The judge: errors in % of the symbol with the sign of the world's axes, whatever the extraction thinks."""
+"""The evaluator: errors in % of the symbol with the sign of the world's axes, whatever the extraction thinks."""
 
 import pytest
 import torch
@@ -29,24 +29,24 @@ def goal() -> Target:
 
 
 def test_the_target_is_perfect(goal: Target) -> None:
-    verdict = evaluate(symbol(), PLANE, goal)
-    assert verdict.centroid_percent.tolist() == [0, 0]
-    assert verdict.iou == 1
-    assert verdict.ssim.item() == pytest.approx(1)
-    assert verdict.length == 1
-    assert verdict.shear == goal.shape.shear
+    metrics = evaluate(symbol(), PLANE, goal)
+    assert metrics.centroid_percent.tolist() == [0, 0]
+    assert metrics.iou == 1
+    assert metrics.ssim.item() == pytest.approx(1)
+    assert metrics.length == 1
+    assert metrics.shear == goal.shape.shear
     # The threshold at a quarter takes a quarter of a pixel more at each edge.
     assert goal.mask.float().sum().item() * 0.04**2 == pytest.approx(4 * 0.8 + 1.4 * 1.2 + 0.5 * 1.2, rel=0.06)
 
 
 @pytest.mark.parametrize(("dx", "dy"), [(0.4, 0.0), (-0.4, 0.0), (0.0, 0.2), (0.0, -0.2), (1.0, 0.5)])
 def test_a_shift_is_given_in_percent_of_the_symbol_forward_and_to_the_left(goal: Target, dx: float, dy: float) -> None:
-    verdict = evaluate(symbol(dx, dy), PLANE, goal)
+    metrics = evaluate(symbol(dx, dy), PLANE, goal)
     # A pixel is 0.11 m long at 17 m; thresholded, its interpolation knows the centre to a sixth of that, 0.5 % of 4 m.
-    assert verdict.centroid_percent[0].item() == pytest.approx(100 * dx / LENGTH, abs=0.5)
-    assert verdict.centroid_percent[1].item() == pytest.approx(100 * dy / WIDTH, abs=0.1)
-    assert verdict.iou < 0.9
-    assert verdict.ssim < 0.98
+    assert metrics.centroid_percent[0].item() == pytest.approx(100 * dx / LENGTH, abs=0.5)
+    assert metrics.centroid_percent[1].item() == pytest.approx(100 * dy / WIDTH, abs=0.1)
+    assert metrics.iou < 0.9
+    assert metrics.ssim < 0.98
 
 
 @pytest.mark.parametrize("stretch", [0.8, 1.25])
@@ -56,11 +56,11 @@ def test_length_is_the_ratio_to_the_target(goal: Target, stretch: float) -> None
 
 @pytest.mark.parametrize("shear", [-0.3, 0.3])
 def test_shear_leaves_length_and_centre(goal: Target, shear: float) -> None:
-    verdict = evaluate(symbol(shear=shear), PLANE, goal)
+    metrics = evaluate(symbol(shear=shear), PLANE, goal)
     # In the plane u = -y and v = -x grow to the right and towards the car.
-    assert verdict.shear.item() == pytest.approx(shear, abs=0.03)
-    assert verdict.length.item() == pytest.approx(1, abs=0.02)
-    assert verdict.centroid_percent.abs().max() < 0.5
+    assert metrics.shear.item() == pytest.approx(shear, abs=0.03)
+    assert metrics.length.item() == pytest.approx(1, abs=0.02)
+    assert metrics.centroid_percent.abs().max() < 0.5
 
 
 @pytest.mark.parametrize("dx", [0.0, 1.5, 9.0])
@@ -74,7 +74,7 @@ def test_similarity_is_that_of_the_whole_plane(goal: Target, dx: float) -> None:
     assert evaluate(luminance, PLANE, goal).ssim.tolist() == pytest.approx(ssim(seen, wanted, SSIM_RADIUS, 1.0).tolist(), abs=2e-6)
 
 
-def test_a_crop_is_judged_as_the_whole_image_that_is_dark_beyond(goal: Target) -> None:
+def test_a_crop_is_evaluated_as_the_whole_image_that_is_dark_beyond(goal: Target) -> None:
     whole = torch.stack([symbol(), symbol(1.0, 0.5), torch.zeros_like(symbol())])
     v, u = whole.any(0).any(1).nonzero(), whole.any(0).any(0).nonzero()
     cut = whole[:, int(v[0]) - 3 : int(v[-1]) + 5, int(u[0]) - 4 : int(u[-1]) + 2]
@@ -87,15 +87,15 @@ def test_a_crop_is_judged_as_the_whole_image_that_is_dark_beyond(goal: Target) -
 def test_brightness_does_not_move_the_symbol(goal: Target) -> None:
     """The threshold is fixed, so edges of a brighter symbol win a little; ten times darker and it is gone."""
     dim, bright = evaluate(symbol(brightness=0.06), PLANE, goal), evaluate(symbol(brightness=0.2), PLANE, goal)
-    for verdict in (dim, bright):
-        assert verdict.iou > 0.95
-        assert verdict.centroid_percent.abs().max() < 1
-        assert verdict.ssim < 0.995
+    for metrics in (dim, bright):
+        assert metrics.iou > 0.95
+        assert metrics.centroid_percent.abs().max() < 1
+        assert metrics.ssim < 0.995
     assert evaluate(symbol(brightness=0.01), PLANE, goal).iou == 0
 
 
 def test_nothing_lit_has_no_centre(goal: Target) -> None:
-    verdict = evaluate(torch.zeros_like(symbol()), PLANE, goal)
-    assert verdict.iou == 0
-    for value in (verdict.centroid_percent, verdict.length, verdict.shear):
+    metrics = evaluate(torch.zeros_like(symbol()), PLANE, goal)
+    assert metrics.iou == 0
+    for value in (metrics.centroid_percent, metrics.length, metrics.shear):
         assert value.isnan().all()

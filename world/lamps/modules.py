@@ -266,13 +266,13 @@ def warn_of_oddities(source: FolderSource | FileSource | TableSource, array: Pix
 
 
 def _reduce_overlap(light: Headlight, params: OverlapParams, given: Sequence[Array]) -> tuple[Headlight, OverlapErrors]:
-    """With fewer entries, judged by random utilisations that were not fitted."""
-    fitted, judged = ([*standard_use_cases(light.pixel_rows, light.pixel_cols, seed=seed), *given] for seed in (0, 1))
+    """The light with fewer matrix entries, and its errors on random utilisations other than the fitted ones."""
+    fitted, evaluated = ([*standard_use_cases(light.pixel_rows, light.pixel_cols, seed=seed), *given] for seed in (0, 1))
     matrix = reduce(light.matrix, params.keep, params.method, fitted, params.bound_cd)
     chroma = light.chroma
     if chroma is not None:
         chroma = chroma[:, torch.from_numpy(strongest(light.matrix, params.keep, params.bound_cd))]
-    return replace(light, matrix=matrix, chroma=chroma), errors(light.matrix, matrix, judged)
+    return replace(light, matrix=matrix, chroma=chroma), errors(light.matrix, matrix, evaluated)
 
 
 def _grid_of_model(model: GaussianPixels | BlurredRectangles) -> TexelGrid:

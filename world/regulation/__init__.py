@@ -1,4 +1,4 @@
-"""Headlamp regulations as numbers: test points and limits, and a beam judged by them. Second-hand figures, not for approval."""
+"""Headlamp regulations as numbers: test points and limits, and a beam checked by them. Second-hand figures, not for approval."""
 
 from luxloop.world.regulation.checking import aim_beam, check_beam
 from luxloop.world.regulation.tables import Requirement, Result, RuleSet, least_margin, passes, rule_set, sets

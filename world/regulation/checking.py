@@ -95,12 +95,12 @@ def inflection(intensity: Intensity, h_deg: float, near_v_deg: float) -> tuple[f
     return float(middle), float(G.max())
 
 
-def judge_cutoff(intensity: Intensity, rules: RuleSet) -> tuple[Result, ...]:
+def check_cutoff(intensity: Intensity, rules: RuleSet) -> tuple[Result, ...]:
     """Sharpness and straightness of the cut-off; none where the set does not ask for one. Of alternatives the better counts."""
-    return max((_judge_one_cutoff(intensity, each, rules.confidence) for each in rules.cutoff), key=least_margin, default=())
+    return max((_check_one_cutoff(intensity, each, rules.confidence) for each in rules.cutoff), key=least_margin, default=())
 
 
-def _judge_one_cutoff(intensity: Intensity, cutoff: Cutoff, confidence: str) -> tuple[Result, ...]:
+def _check_one_cutoff(intensity: Intensity, cutoff: Cutoff, confidence: str) -> tuple[Result, ...]:
     scan_h, least, most, bend_most = cutoff.scan_h_deg, cutoff.sharpness_min, cutoff.sharpness_max, cutoff.straight_within_deg
     at_v, sharpness = inflection(intensity, scan_h, cutoff.at_v_deg)
     heights = [(h, inflection(intensity, h, cutoff.at_v_deg)[0]) for h in cutoff.straight_at_h_deg]
@@ -136,7 +136,7 @@ def check_beam(
     """
     rules = rule_set(set_id)
     seen = turn_lamp(intensity, aim, traffic)
-    results = evaluate(seen, rules, conditional, step_deg) + judge_cutoff(seen, rules)
+    results = evaluate(seen, rules, conditional, step_deg) + check_cutoff(seen, rules)
     sign = -1.0 if traffic == "left" else 1.0
     return tuple(replace(each, where=each.where and (sign * each.where[0], each.where[1])) for each in results)
 
@@ -239,7 +239,7 @@ def aim_beam(intensity: Intensity, set_id: str, *, traffic: Traffic = "right") -
 
     def evaluate_aim(turn: Point, step_deg: float) -> tuple[bool, float]:
         turned = turn_lamp(seen, turn)
-        results = evaluate(turned, rules, step_deg=step_deg) + judge_cutoff(turned, rules)
+        results = evaluate(turned, rules, step_deg=step_deg) + check_cutoff(turned, rules)
         return passes(results), least_margin(results)
 
     best = _nominal(seen, rules)

@@ -115,7 +115,7 @@ class StandingRoad:
 
 LENGTH_M: Final = 6.0  # of a tile
 SIGHT_M: Final = 90.0
-NEAR_M: Final = 30.0  # where light falls that shall be judged
+NEAR_M: Final = 30.0  # nearer than this the light on the road is evaluated
 ALONG_M: Final = (0.1, 0.6)  # spacing of rows, near and far: in a camera at 1.35 m a pixel is 0.2 m long at 17 m, 1 m at 40 m
 ACROSS_M: Final = 0.12
 BESIDE_M: Final = (3.5, 25.0)  # to both sides of the course: finely meshed, and meshed at all

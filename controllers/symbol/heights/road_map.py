@@ -46,8 +46,8 @@ class RoadMap:
 
     T_ground_plane: `[4, 4]` float64, the plane over which heights are; region and eye are in its frame, too. shape: `[4]` of the road, if
     it was acquired. searched: how many searches there were. settled: there need be no further one, since two agree or heights
-    explain the road better. drawn: the newest projections while the vehicle stands, and the heights they were made for, by which a late
-    observation is judged. kept: the best of them.
+    explain the road better. drawn: the newest projections while the vehicle stands, with their heights, which a late observation looks up.
+    kept: the best of them.
     """
 
     heights: Heights

@@ -194,9 +194,9 @@ class Copies:
 
     def evaluate(self, light: Light) -> Metrics:
         """Metrics `[B]` of the symbol on the road."""
-        judge, crop = self.symbol.judge, light.part.crop
-        assert judge is not None
-        found = [evaluate(each, judge.plane, judge.goal, crop.u_start, crop.v_start) for each in light.added.split(TOGETHER)]
+        evaluator, crop = self.symbol.evaluator, light.part.crop
+        assert evaluator is not None
+        found = [evaluate(each, evaluator.plane, evaluator.goal, crop.u_start, crop.v_start) for each in light.added.split(TOGETHER)]
         return Metrics(*(torch.cat(each) for each in zip(*(vars(each).values() for each in found), strict=True)))
 
     def finds_another_road(self, light: Light, k: int, taken: Taken) -> bool:

@@ -1,4 +1,4 @@
-"""One closed loop as an environment of Gymnasium, on the whole simulation: observations within finite bounds, reward by the judge."""
+"""One closed loop as an environment of Gymnasium, on the whole simulation: observations within finite bounds, reward by the evaluator."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -45,16 +45,16 @@ def action_of(given: Any, shape: tuple[int, ...]) -> Tensor:
     return taken.clamp(-1, 1)
 
 
-def reward_terms(verdict: Metrics, action: Tensor) -> dict[str, Tensor]:
-    """The terms `[...]` whose sum is the reward of an action `[..., n]`. verdict: of the judge on the light that follows it.
+def reward_terms(metrics: Metrics, action: Tensor) -> dict[str, Tensor]:
+    """The terms `[...]` whose sum is the reward of an action `[..., n]`. metrics: of the symbol after the action.
 
     iou: overlap of the symbol with its target on the road, 0..1. centroid: -0.5 times the distance of their centroids, relative to the
     symbol's length and width and at most 1. action: -0.01 times the mean square of the action. If nothing is lit, iou is 0 and centroid
     -0.5.
     """
-    away = (verdict.centroid_percent / 100).norm(dim=-1).nan_to_num(1.0).clamp(max=1.0)
+    away = (metrics.centroid_percent / 100).norm(dim=-1).nan_to_num(1.0).clamp(max=1.0)
     return {
-        "iou": verdict.iou.nan_to_num(0.0),
+        "iou": metrics.iou.nan_to_num(0.0),
         "centroid": -CENTROID_WEIGHT * away,
         "action": -ACTION_WEIGHT * action.square().mean(-1).to(away),
     }
@@ -140,8 +140,8 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
     kp, ki, kd of position, then of rotation, are multiplied by 4 ** action. "heights" `[32]`: changes of the assumed road heights, 8 rows
     from far to near with 4 cells from left to right; 1 is 3 cm.
 
-    The reward is the sum of `luxloop.loop.studies.environment.single.reward_terms`, which are in `info["terms"]`; `info["verdict"]` has all
-    values of the judge. An episode is truncated after the scenario's steps and never terminates before. `reset(seed=n)` draws the noise of
+    The reward is the sum of `reward_terms`, which are in `info["terms"]`; `info["verdict"]` has the
+    symbol's metrics. An episode is truncated after the scenario's steps and never terminates before. `reset(seed=n)` draws the noise of
     seed n in the same world; `options={"start": [x, y, roll, pitch]}` sets the start pose (m, rad). A copy, and what is pickled, is made
     anew with the same arguments: call `reset` next.
     """
@@ -215,12 +215,12 @@ class SymbolEnv(gymnasium.Env[Any, Floats], EzPickle):
         acted = replace(held, controller=self.acting.act(held.controller, taken))
         self._state, result = self.simulation.step(replace(self._state, symbols={name: acted}))
         self._result = evaluated = self.simulation.evaluate(result)
-        verdict = evaluated.symbol.verdict
-        assert verdict is not None
-        terms = reward_terms(verdict, taken)
+        metrics = evaluated.symbol.metrics
+        assert metrics is not None
+        terms = reward_terms(metrics, taken)
         info = {
             "terms": {key: float(value) for key, value in terms.items()},
-            "verdict": {key: value.cpu().numpy() for key, value in vars(verdict).items()},
+            "verdict": {key: value.cpu().numpy() for key, value in vars(metrics).items()},
         }
         truncated = self._state.step >= self.simulation.scenario.steps
         if self.render_mode == "human":

@@ -119,9 +119,9 @@ class SymbolVectorEnv(gymnasium.vector.VectorEnv[Any, Floats, npt.NDArray[Any]],
         taken = action_of(actions, (self.num_envs, self.acting.size)).to(self.copies.simulation.device)
         rewards, infos = np.zeros(self.num_envs), dict[str, Any]()
         if not over.all():
-            terms, verdict = self._move(taken)
+            terms, metrics = self._move(taken)
             rewards = np.where(over, 0.0, sum(terms.values(), taken.new_zeros(())).double().cpu().numpy())
-            infos = _infos({"terms": terms, "verdict": vars(verdict)}, ~over)
+            infos = _infos({"terms": terms, "verdict": vars(metrics)}, ~over)
         if over.any():
             self._begin_anew(over)
         truncated = ~over & (self._age >= self.steps)

@@ -1,1 +1,1 @@
-"""Pixel controllers judged by rectangles (T 8.4)."""
+"""Pixel controllers evaluated by rectangles (T 8.4)."""

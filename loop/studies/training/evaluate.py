@@ -18,11 +18,11 @@ from luxloop.perception.detection.detector import Detections, Detector, overlaps
 from luxloop.perception.noise import FrameNoise
 
 ILLUMINANCES_LX = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
-JUDGED_LX = 10.0
+REFERENCE_LX = 10.0
 ALONE_LX, AROUND_LX, EDGE_PX = 20.0, 0.1, 2.0  # of object-based light: on objects, beside them, and the scale of the lamps' blur
 FRAMES = 4  # frames with different noise over which confidences are averaged
 AGREE = 0.05  # loss of confidence from full to object-based light that is accepted
-SURE = 0.5  # least score of what counts as found: at JUDGED_LX rather right than wrong, in less light more often right than that
+SURE = 0.5  # least score of what counts as found: at REFERENCE_LX rather right than wrong, in less light more often right than that
 SCORES = (0.2, 0.3, 0.4, SURE, 0.6, 0.7, 0.8)  # that might do as well
 BINS = (0.1, 0.3, 0.5, 0.7, 0.9, 1.0)  # of scores, whose boxes are asked how many of them are right
 FOUND_IOU = 0.5
@@ -66,7 +66,7 @@ def evaluate(detector: Detector, rows: Sequence[Row]) -> dict[str, Any]:
             times_ms.append(1e3 * (time.process_time() - start) / len(frames))
             in_darkness[lx].append(score_frame(alone, scene.objects, labels_of))
             at_night[lx].append(score_frame(found, scene.objects, labels_of))
-            if lx == JUDGED_LX:
+            if lx == REFERENCE_LX:
                 asked += boxes_right(found, scene.objects, labels_of)
                 for score, of in by_score.items():
                     of.append(score_frame(found, scene.objects, labels_of, score))
@@ -85,7 +85,7 @@ def evaluate(detector: Detector, rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def score_frame(found: Detections, objects: Sequence[SceneObject], labels_of: Sequence[int], sure: float = SURE) -> FrameScores:
-    """The verdict on one frame. labels_of: luxloop's class for each of the detector's."""
+    """Scores of the detections of one frame. labels_of: luxloop's class for each of the detector's."""
     must = [_must(each) for each in objects]
     boxes, scores = found.boxes.cpu(), found.scores.cpu()
     overlap = overlaps(boxes, torch.tensor([each.box for each in objects]).view(-1, 4))
@@ -137,8 +137,8 @@ def agreement(detector: Detector, scene: DarkScene, seed: int) -> list[tuple[int
 
     def means(light: Tensor | float, first: int) -> tuple[tuple[int, ...], list[float]]:
         frames = torch.stack([expose_scene(scene, light, seed, first + k) for k in range(FRAMES)])
-        verdicts = [score_frame(found, scene.objects, labels_of) for found in detector.detect(frames)]
-        return verdicts[0].labels, np.mean([each.confidences for each in verdicts], 0).tolist()
+        frame_scores = [score_frame(found, scene.objects, labels_of) for found in detector.detect(frames)]
+        return frame_scores[0].labels, np.mean([each.confidences for each in frame_scores], 0).tolist()
 
     first = len(ILLUMINANCES_LX)
     (labels, full), (_, dark) = means(ALONE_LX, first), means(light_on_objects(scene), first + FRAMES)
@@ -170,24 +170,24 @@ def _on_any(box: Tensor, objects: Sequence[SceneObject]) -> bool:
     return False
 
 
-def _found(verdicts: Sequence[FrameScores]) -> dict[str, Any]:
+def _found(frame_scores: Sequence[FrameScores]) -> dict[str, Any]:
     def share(hits: Sequence[bool]) -> float | None:
         return round(float(np.mean(hits)), 3) if hits else None
 
-    pairs = [(label, hit, right) for each in verdicts for label, hit, right in zip(each.labels, each.found, each.right, strict=True)]
-    false, true = sum(each.false for each in verdicts), sum(hit for _, hit, _ in pairs)
+    pairs = [(label, hit, right) for each in frame_scores for label, hit, right in zip(each.labels, each.found, each.right, strict=True)]
+    false, true = sum(each.false for each in frame_scores), sum(hit for _, hit, _ in pairs)
     return {
         "objects": len(pairs),
         "recall": share([hit for _, hit, _ in pairs]),
         "precision": round(true / max(true + false, 1), 3),
-        "false_a_frame": round(false / len(verdicts), 3),
+        "false_a_frame": round(false / len(frame_scores), 3),
         "class_accuracy": share([right for _, hit, right in pairs if hit]),
         "recall_by_class": {name: share([hit for label, hit, _ in pairs if label == k]) for k, name in enumerate(CLASSES)},
     }
 
 
 def _right(asked: Sequence[tuple[float, bool]]) -> list[dict[str, Any]]:
-    """Of boxes in light of `JUDGED_LX`, by their scores: how many, their mean score, and the share that is right."""
+    """Of boxes in light of `REFERENCE_LX`, by their scores: how many, their mean score, and the share that is right."""
     rows = []
     for low, high in pairwise(BINS):
         boxes = [(score, right) for score, right in asked if low <= score < high or score == high == BINS[-1]]
@@ -196,12 +196,12 @@ def _right(asked: Sequence[tuple[float, bool]]) -> list[dict[str, Any]]:
     return rows
 
 
-def _confidence(verdicts: Mapping[float, Sequence[FrameScores]]) -> dict[str, Any]:
+def _confidence(frame_scores: Mapping[float, Sequence[FrameScores]]) -> dict[str, Any]:
     """Quartiles over the illuminances, of all objects and of each class."""
     curves: dict[str, Any] = {"lx": list(ILLUMINANCES_LX)}
     for name, labels in {"all": range(len(CLASSES)), **{name: [k] for k, name in enumerate(CLASSES)}}.items():
         of = [
-            [c for each in verdicts[lx] for c, k in zip(each.confidences, each.labels, strict=True) if k in labels]
+            [c for each in frame_scores[lx] for c, k in zip(each.confidences, each.labels, strict=True) if k in labels]
             for lx in ILLUMINANCES_LX
         ]
         quartiles = [np.percentile(each, [25, 50, 75]).round(3).tolist() if each else [None] * 3 for each in of]

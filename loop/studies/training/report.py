@@ -10,7 +10,7 @@ from rich.table import Table
 from luxloop.loop.report import terminal as tables
 from luxloop.loop.report.style import FOUR, drawing
 from luxloop.loop.report.terminal import number
-from luxloop.loop.studies.training.evaluate import AGREE, ALONE_LX, AROUND_LX, FOUND_IOU, HEIGHT_PX, JUDGED_LX, VISIBLE
+from luxloop.loop.studies.training.evaluate import AGREE, ALONE_LX, AROUND_LX, FOUND_IOU, HEIGHT_PX, REFERENCE_LX, VISIBLE
 from luxloop.loop.studies.training.scenes import CLASSES
 from luxloop.world.files import atomic_write
 
@@ -24,10 +24,10 @@ def goals(report: Report) -> list[tuple[str, str, float | None, bool]]:
     at = dict(zip(report["confidence"]["lx"], all_, strict=True))
     change = None if at[40.0] is None else round(abs(at[40.0] - at[20.0]), 3)
     asked: list[tuple[str, Literal["≥", "≤"], float, float | None]] = [
-        (f"recall at {JUDGED_LX:g} lx", "≥", 0.9, found["recall"]),
-        (f"false positives a frame at {JUDGED_LX:g} lx", "≤", 0.3, found["false_a_frame"]),
+        (f"recall at {REFERENCE_LX:g} lx", "≥", 0.9, found["recall"]),
+        (f"false positives a frame at {REFERENCE_LX:g} lx", "≤", 0.3, found["false_a_frame"]),
         ("median confidence at 0.1 lx, without other light", "≤", 0.1, at[0.1]),
-        (f"median confidence at {JUDGED_LX:g} lx", "≥", 0.5, at[JUDGED_LX]),
+        (f"median confidence at {REFERENCE_LX:g} lx", "≥", 0.5, at[REFERENCE_LX]),
         ("its change from 20 to 40 lx", "≤", 0.05, change),
         (f"objects as sure in object-based light, within {AGREE:g}", "≥", 0.8, report["alone"]["kept"]),
     ]
@@ -60,7 +60,7 @@ def page(report: Report) -> str:
     medians = ((name, *(number(each, ".2f") for each in of["median"])) for name, of in curves.items())
     return f"""Trained on {report["date"]} on {learnt or training["scenes"]} scenes, {training["epochs"]} epochs \
 ({training["examples"]} examples), seed {training["seed"]}{f" ({minutes})" if minutes else ""}; calibrated on {asked}; \
-judged on {report["scenes"]} other scenes with {found["objects"]} objects, none of which occurs in the training scenes.
+evaluated on {report["scenes"]} other scenes with {found["objects"]} objects, none of which occurs in the training scenes.
 
 {tables.markdown_table(("", "goal", "measured", "reached"), rows, "llrl")}
 
@@ -72,7 +72,7 @@ Recall by class: {by_class}. A frame takes {report["ms_a_frame"]:g} ms of proces
 Recall at false positives a frame, for other thresholds of the score (in brackets): {others}.
 
 Scores estimate the probability that a box is right (slope {training["slope"]:g} and shift {training["shift"]:g} of the logits). \
-Share of right boxes at {JUDGED_LX:g} lx, by score: {right}.
+Share of right boxes at {REFERENCE_LX:g} lx, by score: {right}.
 
 *x lx* means that every surface that faces the lamps gets x lx at any distance. The curves of confidence, except those *at night*, \
 are for scenes without other light: no sky, street lamps and other cars' lamps, which show many objects without the headlamps. \

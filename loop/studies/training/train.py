@@ -16,7 +16,7 @@ from luxloop.loop.recording.manifest import write_json
 from luxloop.loop.report import terminal as tables
 from luxloop.loop.studies.jobs import Executor, Job, Results, digest_of, local, run
 from luxloop.loop.studies.training import scenes
-from luxloop.loop.studies.training.evaluate import JUDGED_LX, boxes_right, evaluate, expose_scene, light_on_objects
+from luxloop.loop.studies.training.evaluate import REFERENCE_LX, boxes_right, evaluate, expose_scene, light_on_objects
 from luxloop.loop.studies.training.fit import BATCH, fit
 from luxloop.loop.studies.training.report import overview, write_report
 from luxloop.loop.studies.training.scenes import CLASSES, Row, read
@@ -26,7 +26,7 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.files import output_folder, whole
 
 JOBS, FOLDER, WEIGHTS = "scenes.jsonl", "scenes", "detector.pt"
-LEAST_SCORE = 0.01  # of what is asked and judged
+LEAST_SCORE = 0.01  # of detections that are evaluated
 SUREST = 1e-6  # least distance of a score to 1, where the logit diverges
 CALIBRATING = 10  # one in so many scenes is kept for calibration
 VERSION: Final = digest_of(scenes)
@@ -114,7 +114,8 @@ def calibrate(detector: NetworkDetector, rows: Sequence[Row]) -> tuple[float, fl
     asked: list[tuple[float, bool]] = []
     for row in rows:
         scene = read(row)
-        full, alone = expose_scene(scene, JUDGED_LX, int(row["seed"]), 0), expose_scene(scene, light_on_objects(scene), int(row["seed"]), 1)
+        seed = int(row["seed"])
+        full, alone = expose_scene(scene, REFERENCE_LX, seed, 0), expose_scene(scene, light_on_objects(scene), seed, 1)
         for found in detector.detect(torch.stack([full, alone])):
             asked += boxes_right(found, scene.objects, range(len(CLASSES)))
     scores, right = torch.tensor(asked, dtype=torch.float64).view(-1, 2).T

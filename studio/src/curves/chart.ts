@@ -189,7 +189,7 @@ function range(low: number | null, high: number | null): [number, number] {
   return [from < 0 ? from - room : 0, to > 0 || from === to ? to + room : 0];
 }
 
-/** Value of a curve at a step, or shortly before it, as some are not judged in each step. */
+/** Value of a curve at a step, or shortly before it, as some are not evaluated in each step. */
 function lately(curve: Curve, rows: Rows, step: number): number {
   const at = valuesOf(curve, rows);
   for (let back = 0; back < Math.min(LATELY, step + 1); back++) {

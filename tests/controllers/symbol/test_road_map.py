@@ -1,4 +1,4 @@
-"""The road map: heights are judged by looks at what was drawn for them, and the best are kept."""
+"""The road map: each look rates the heights that were drawn for it, and the best are kept."""
 
 import math
 from dataclasses import replace
@@ -53,7 +53,7 @@ def test_road_that_comes_into_the_region_is_as_bright_as_the_assumed_one() -> No
     torch.testing.assert_close(turned.brightness, torch.tensor([1.0, 40.0, 1.0, 40.0]), rtol=0, atol=1.0)
 
 
-def test_a_late_look_judges_the_heights_that_it_shows() -> None:
+def test_a_late_look_rates_the_heights_that_it_shows() -> None:
     road_map = of_heights(of_heights(of_heights(NOTHING, 0.25), 0.5), 0.75)
     road_map = looked(road_map, 0.25, 0.02)
     road_map = looked(road_map, 0.5, 0.01)

@@ -59,7 +59,7 @@ def test_a_beam_goes_out_as_a_photometric_file_and_comes_back(lux: Lux) -> None:
     assert code == 0 and checked.count("pass") == original.count("pass")
 
 
-def test_a_photometric_file_is_judged_by_its_own_table(lux: Lux) -> None:
+def test_a_photometric_file_is_checked_by_its_own_table(lux: Lux) -> None:
     angles = np.arange(-90.0, 91)
     peak = 30_200 * np.exp(-0.12 * (abs(angles)[:, None] + abs(angles)))
     write("hv.ies", Distribution("A", angles, angles, peak))
@@ -76,7 +76,7 @@ def test_a_failing_beam_is_told_by_the_exit_code_and_the_worst_point(lux: Lux) -
     assert "requirements fail" in out and "B50L" in out and "-3.43, +0.57" in out
 
 
-def test_a_rule_without_a_beam_judges_the_beam_that_it_is_for(lux: Lux) -> None:
+def test_a_rule_without_a_beam_checks_the_beam_that_it_is_for(lux: Lux) -> None:
     for rule, beam in (("r149-passing-c", "low"), ("r149-driving-b", "high"), ("r123-oncoming-50m", "high")):
         assert f"hd84, beam {beam}" in lux(f"check hd84 --rule {rule}")[1]
     lux("export hd84 --beam high --out high.ies --step-deg 1")

@@ -81,12 +81,12 @@ def test_what_has_stayed_is_not_made_anew(simulation: Simulation) -> None:
     state = simulation.start()
     after, _ = apply_edit(simulation, state, scenario("functions.symbol.controller.position.kp=0.2"))
     assert after.world is simulation.world and after.modules == simulation.modules
-    assert after.symbol.sensor is simulation.symbol.sensor and after.symbol.judge is simulation.symbol.judge
+    assert after.symbol.sensor is simulation.symbol.sensor and after.symbol.evaluator is simulation.symbol.evaluator
     assert after.symbol.controller is not simulation.symbol.controller
     object_ = 'objects=[{kind = "box", name = "box", size_m = [0.4, 0.4, 0.3], track = [{position_m = [25.0, 3.0, 0.0]}]}]'
     fuller, _ = apply_edit(after, state, scenario("functions.symbol.controller.position.kp=0.2", object_))
     assert fuller.world is not after.world and fuller.world.scene.bodies[0] is after.world.scene.bodies[0]
-    assert fuller.symbol.sensor is after.symbol.sensor and fuller.symbol.judge is not after.symbol.judge
+    assert fuller.symbol.sensor is after.symbol.sensor and fuller.symbol.evaluator is not after.symbol.evaluator
 
 
 def test_the_world_changes_while_a_run_goes_on(simulation: Simulation) -> None:

@@ -63,8 +63,8 @@ def test_row_has_plain_values_in_the_units_of_their_names(small_simulation: Simu
     assert values["z_m"] == 0.0
     assert values["pose_error_roll_deg"] == pytest.approx(math.degrees(result.symbol.measurement.pose_error[2]))
     assert values["br_v"] == result.symbol.measurement.appearance.centroids[4, 1].item()
-    assert result.symbol.verdict is not None
-    assert values["centroid_error_y_percent"] == result.symbol.verdict.centroid_percent[1].item()
+    assert result.symbol.metrics is not None
+    assert values["centroid_error_y_percent"] == result.symbol.metrics.centroid_percent[1].item()
     assert values["loss"] == ""
     assert {f"{part}_ms" for part in ("plan", "light", "look", "control", "processing")} == {name for name in names if name.endswith("_ms")}
     assert all_values["look_ms"] == result.timings["plant"] + result.timings["look"], "rendering is no part of the car"

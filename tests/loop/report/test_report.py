@@ -115,12 +115,12 @@ def test_the_pose_shows_height_on_an_axis_of_a_centimetre_at_least(
     assert low <= -0.01 and least_m <= high < 1.2 * least_m  # matplotlib leaves 5 % of the range free
 
 
-def test_judgements_far_apart_are_joined_and_where_there_are_none_the_chart_says_why(
+def test_evaluations_far_apart_are_joined_and_where_there_are_none_the_chart_says_why(
     small_simulation: Simulation, small_results: list[StepResult]
 ) -> None:
     table = of_one(table_of([row(result) for result in small_results], schema(small_simulation)), "symbol")
     at = table.column_names.index("iou")
-    for iou, unsettled, told in (([0.5, None, None, 0.7] * 3, "too_short", ""), ([None] * 12, "not_judged", "not judged, b")):
+    for iou, unsettled, told in (([0.5, None, None, 0.7] * 3, "too_short", ""), ([None] * 12, "not_judged", "not evaluated, b")):
         figure, values = Figure(), pa.array(iou, pa.float64())
         summary = {"settle_step": None, "iou_open": None, "unsettled": unsettled, "judge_every": None}
         _courses(
@@ -132,7 +132,7 @@ def test_judgements_far_apart_are_joined_and_where_there_are_none_the_chart_says
         )
         (line,) = (line for axes in figure.axes for line in axes.get_lines() if line.get_label() == "IoU")
         assert np.asarray(line.get_ydata()).tolist() == [each for each in iou if each is not None]
-        assert [text.get_text()[:13] for text in figure.axes[2].texts if text.get_text()] == ([told] if told else [])
+        assert [text.get_text()[:16] for text in figure.axes[2].texts if text.get_text()] == ([told] if told else [])
 
 
 def test_light_from_above_is_looked_at_closely_where_it_is() -> None:

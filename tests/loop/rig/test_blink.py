@@ -41,7 +41,7 @@ def drawn(seed: int, jitter_s: float, stuck: float = 0.0, drift: float = 0.0) ->
     return looks, (arrived_s - begins_s - (LEAST_S - LIGHT_S))[kept]
 
 
-def verdicts(found: blink.BlinkResult, looks: blink.BlinkPictures, part: np.ndarray) -> list[str]:
+def contents(found: blink.BlinkResult, looks: blink.BlinkPictures, part: np.ndarray) -> list[str]:
     """Of some pictures, with the timing that was found."""
     timing = TimingParams(**found.timing)
     return [shows(lag_s, timing, late_s) for lag_s, late_s in zip(looks.lag_s[part], looks.late_s[part], strict=True)]
@@ -55,7 +55,7 @@ def test_the_mean_latency_is_found_through_jitter(jitter_s: float) -> None:
     assert max(abs(each.latency_s - LEAST_S - jitter_s / 2) for each in found) < 3 * scatter_s
     assert max(abs(each.rolling_s - EXPOSURE_S - READOUT_S) for each in found) < 4 * scatter_s  # from two of these
     others, _ = drawn(8, jitter_s)
-    assert not any("clear" in verdicts(each, others, others.least < 1 - others.seen) for each in found)
+    assert not any("clear" in contents(each, others, others.least < 1 - others.seen) for each in found)
 
 
 def test_pictures_that_are_stuck_leave_the_latency_as_it_is() -> None:
@@ -63,7 +63,7 @@ def test_pictures_that_are_stuck_leave_the_latency_as_it_is() -> None:
     found = blink.evaluate(looks, BLINKS)
     assert abs(found.latency_s - LEAST_S - 0.005) < 0.003
     assert late_s.max() > 0.05 and found.jitter_s < 0.05  # a run knows of these by the camera's rhythm
-    assert "clear" not in verdicts(found, looks, looks.least < 1 - looks.seen)
+    assert "clear" not in contents(found, looks, looks.least < 1 - looks.seen)
 
 
 @pytest.mark.parametrize("jitter_s", [0.0, 0.01])

@@ -86,8 +86,8 @@ def test_a_run_on_a_dead_rig_fails_and_is_kept(small_rig: Start, lux: Lux, tmp_p
     assert code == 2 and f"{file}: frames of only {came} of 40 exposures came" in error
     assert_one_sentence(error)
     assert PASSWORD not in out + error
-    if judged := told["judged"].get("symbol"):
-        assert f"at step {judged['exposure'] // 2}," in out and judged["exposure"] <= 40 - told["silent"]
+    if metrics := told["judged"].get("symbol"):
+        assert f"at step {metrics['exposure'] // 2}," in out and metrics["exposure"] <= 40 - told["silent"]
 
 
 def test_a_rig_check_fails_where_the_pictures_do_not_fit(small_rig: Start, lux: Lux, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from luxloop.loop.rig.arrays import grids_of
 from luxloop.loop.rig.params import RigParams
-from luxloop.loop.rig.plant import RigPlant, SymbolEvaluator
+from luxloop.loop.rig.plant import RigEvaluator, RigPlant
 from luxloop.loop.rig.rig import await_camera, open_rig
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import load
@@ -53,22 +53,22 @@ def run_on(rig_params: RigParams, steps: int = 40) -> tuple[Simulation, list[Any
     modules = lamp_modules(simulation.modules)
     with open_rig(rig_params, grids_of(modules), scenario.camera, armed=True) as rig:
         assert await_camera(rig, 20)
-        judged = SymbolEvaluator(simulation.controlled, scenario.camera, rig_params.mark)
-        taken, plant = watch_frames(rig), replace(RigPlant.of(rig, modules, 2 * steps), look=judged.look)
+        rig_evaluator = RigEvaluator(simulation.controlled, scenario.camera, rig_params.mark)
+        taken, plant = watch_frames(rig), replace(RigPlant.of(rig, modules, 2 * steps), look=rig_evaluator.look)
         results = list(replace(simulation, plant=from_zero(plant, scenario, modules)).evaluations())
-        summary = {**rig.statistics.summary(2), "interruptions": rig.keeper.interruptions, "judged": judged.summary()}
+        summary = {**rig.statistics.summary(2), "interruptions": rig.keeper.interruptions, "judged": rig_evaluator.summary()}
     on, off = (each.lights for each in results[-1].exposures)
-    judge = world.symbol.judge
-    assert judge is not None
-    verdict = judge.evaluate(world.world.added(0.0, on, off, ()), 0.0)
-    return world, taken, summary, float(verdict.iou)
+    evaluator = world.symbol.evaluator
+    assert evaluator is not None
+    metrics = evaluator.evaluate(world.world.added(0.0, on, off, ()), 0.0)
+    return world, taken, summary, float(metrics.iou)
 
 
 def test_on_a_good_rig_the_symbol_is_as_straight_as_in_simulation(rig_of: Start) -> None:
     rig = rig_of("faults.camera.latency_s=0.02")
     world, taken, summary, iou = run_on(rig.params())
     assert not rig.wrong(taken) and len(taken) >= 70
-    simulated = [float(each.symbol.verdict.iou) for each in world.evaluations()][-1]
+    simulated = [float(each.symbol.metrics.iou) for each in world.evaluations()][-1]
     print(f"\nIoU {iou:.3f}, simulated {simulated:.3f}; {summary}")
     assert iou > simulated - 0.02
     assert abs(summary["judged"]["symbol"]["iou_final"] - iou) < 0.06  # with noise, and by a plane where the road is none

@@ -136,9 +136,9 @@ def test_a_camera_that_looks_elsewhere_moves_the_image_and_not_the_light(plain: 
     off_by = {"yaw_deg": 0.4, "focal_percent": 2.0}
     simulation = prepared({"calibration": off_by})
     right, wrong = first(plain), first(simulation)
-    # the controller expects what it did; the light lies as well as before, and the judge, who knows the true camera, sees that
+    # the controller expects what it did; the light lies as well as before, and the evaluator, who knows the true camera, sees that
     assert torch.equal(simulation.symbol.sensor.model.target, plain.symbol.sensor.model.target)
-    assert wrong.symbol.verdict.centroid_percent.abs().max() < 0.2 and float(wrong.symbol.verdict.iou) > 0.97
+    assert wrong.symbol.metrics.centroid_percent.abs().max() < 0.2 and float(wrong.symbol.metrics.iou) > 0.97
     u, v = right.symbol.measurement.appearance.centroids[0].tolist()
     u_wrong, v_wrong = wrong.symbol.measurement.appearance.centroids[0].tolist()
     fx = plain.world.view.fx
@@ -175,7 +175,7 @@ def test_errors_that_leave_nothing_to_see_are_told(disturbances: dict[str, Any],
 
 def test_a_lamp_aimed_too_high_throws_the_symbol_further() -> None:
     up = math.radians(0.1)
-    x, y = first(prepared({"aim": [{"pitch_deg": -0.1}]})).symbol.verdict.centroid_percent.tolist()
+    x, y = first(prepared({"aim": [{"pitch_deg": -0.1}]})).symbol.metrics.centroid_percent.tolist()
     moved = 0.75 / math.tan(math.atan(0.75 / 17) - up) - 17
     # the symbol grows about its middle ray, which moves its centroid by a tenth of the shift at most; the left lamp's rays go to the right
     assert x == pytest.approx(100 * moved / 4, rel=0.1) and y == pytest.approx(-100 * 0.6 * moved / 17 / 2, rel=0.2)
@@ -186,14 +186,14 @@ def test_two_lamps_draw_one_symbol_until_one_is_aimed_aside(plain: Simulation) -
     both = {"headlight": {**SMALL["headlight"], "lamps": ["left", "right"]}, "functions": {"symbol": drawn}}
     together = prepared(**both)
     shared, alone = first(together), first(plain)
-    assert float(shared.symbol.verdict.iou) > 0.97
+    assert float(shared.symbol.metrics.iou) > 0.97
     runs = ((together, shared), (plain, alone))
     lit = [float(sim.world.lit(0.0).luminance(result.exposures[0].lights).sum()) for sim, result in runs]
     assert lit[0] == pytest.approx(lit[1], rel=0.01)  # each gives half of the setpoint
     apart = first(prepared({"aim": [{"lamp": "right", "yaw_deg": -1.0}]}, **both))
-    y_percent = float(apart.symbol.verdict.centroid_percent[1])
+    y_percent = float(apart.symbol.metrics.centroid_percent[1])
     # half of the light has moved by a degree at 17 m, 30 cm of 2 m to the right
-    assert y_percent == pytest.approx(-100 * math.tan(math.radians(1)) * 17 / 2 / 2, rel=0.2) and float(apart.symbol.verdict.iou) < 0.8
+    assert y_percent == pytest.approx(-100 * math.tan(math.radians(1)) * 17 / 2 / 2, rel=0.2) and float(apart.symbol.metrics.iou) < 0.8
 
 
 def worn_world(plain: Simulation, **wear: Any) -> World:
@@ -252,7 +252,7 @@ def test_a_box_hides_the_road_and_shades_what_lies_behind(plain: Simulation) -> 
     simulation = prepared(objects=[box | {"track": track}])
     symbol = simulation.symbol
     lights = simulation.of_all(symbol, symbol.projector.light(symbol.projector.target))
-    free, hidden, gone = (symbol.judge.verdict(lights, t) for t in (0.0, 0.1, 0.19))
+    free, hidden, gone = (symbol.evaluator.metrics(lights, t) for t in (0.0, 0.1, 0.19))
     assert float(free.iou) > 0.97 and float(gone.iou) == pytest.approx(float(free.iou), abs=0.01)
     # from 0.75 m a box of 0.4 m at 13 m shades to 28 m: all of the symbol, and its own face is no part of it
     assert float(hidden.iou) < 0.1

@@ -186,4 +186,4 @@ def test_a_symbol_is_held_beside_another_lamp_that_moves(lamp: str) -> None:
         "level": {"kind": "levelling", "modules": ["right"], "entries": [{"level_deg": 1.0}]},
     }
     (result, *_) = results(lamp, functions, steps=1, headlight={"lamps": ["left", "right"]}, lighting={"base": {"beam": "off"}})
-    assert result.now.commands == (REST, ModuleCommand(0.0, 1.0)) and float(result.held["flake"].verdict.iou) > 0.5
+    assert result.now.commands == (REST, ModuleCommand(0.0, 1.0)) and float(result.held["flake"].metrics.iou) > 0.5

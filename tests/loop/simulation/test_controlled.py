@@ -45,9 +45,9 @@ def run(functions: dict[str, Any], **changes: Any) -> list[StepResult]:
 
 
 def ious(results: Sequence[StepResult], name: str) -> list[float]:
-    """Of the steps in which it was judged."""
-    verdicts = [each.held[name].verdict for each in results if name in each.held]
-    return [float(each.iou) for each in verdicts if each is not None]
+    """Of the steps in which it was evaluated."""
+    metrics = [each.held[name].metrics for each in results if name in each.held]
+    return [float(each.iou) for each in metrics if each is not None]
 
 
 @pytest.mark.parametrize("controller", ["luxloop", pytest.param("thesis_pid", marks=pytest.mark.slow)])
@@ -78,7 +78,7 @@ def test_a_symbol_under_other_functions_is_lost_as_covered_and_they_are_named(tm
     assert "11, of which guard covered it in 11" in text and "functions.guard took too much light from the symbol to measure it" in text
 
 
-def test_symbols_apart_are_measured_in_each_step_and_each_is_judged_by_itself() -> None:
+def test_symbols_apart_are_measured_in_each_step_and_each_is_evaluated_by_itself() -> None:
     results = run({"left": LEFT, "right": RIGHT})
     for name in ("left", "right"):
         assert len(ious(results, name)) == len(results) and min(ious(results, name)[5:]) > 0.8
@@ -87,7 +87,7 @@ def test_symbols_apart_are_measured_in_each_step_and_each_is_judged_by_itself() 
 def test_symbols_that_meet_take_turns_and_stay_lit_in_the_other_ones() -> None:
     both = simulation({"lower": FLAKE, "upper": FLAKE | {"image": "chevrons", "x_m": 15.0, "y_m": -0.6, "priority": 1}})
     results = list(both.evaluations())
-    turns = [[name for name, held in each.held.items() if held.verdict is not None] for each in results]
+    turns = [[name for name, held in each.held.items() if held.metrics is not None] for each in results]
     assert turns == [["lower"], ["upper"]] * 5
     assert {int(each.held[name].measurement.code) for each in results[2:] for name in each.held} == {
         ExtractionStatus.SEEN,

@@ -69,13 +69,13 @@ def test_the_road_of_a_crest_leaves_the_plane_of_the_ground_with_the_square_of_t
     lamp = {"model": SMALL_LAMP, "lamps": ["left"]}
     vehicle = {"course": [{"speed_m_s": 20.0}]} if drives else None
     symbol = simulation(road=crest, headlight=lamp, vehicle=vehicle, functions={"symbol": held}).symbol
-    assert symbol.judge is not None
+    assert symbol.evaluator is not None
     far_m = symbol.function.x_m + symbol.function.length_m / 2
     if drives:  # the plane touches the road under the rear axle, and its slope, low-passed over 50 m, takes in a part of the curve
         behind = 3.6
-        assert -((far_m + behind) ** 2) / 3000 < symbol.judge.road_m([0.0, 1.5]) < -0.6 * (far_m + behind) ** 2 / 3000
+        assert -((far_m + behind) ** 2) / 3000 < symbol.evaluator.road_m([0.0, 1.5]) < -0.6 * (far_m + behind) ** 2 / 3000
     else:
-        assert symbol.judge.road_m([0.0, 1.5]) == pytest.approx(-(far_m**2) / 3000, abs=1e-3)  # the profile's own grid
+        assert symbol.evaluator.road_m([0.0, 1.5]) == pytest.approx(-(far_m**2) / 3000, abs=1e-3)  # the profile's own grid
 
 
 def test_a_symbol_stays_in_its_place_on_a_steady_climb() -> None:

@@ -106,7 +106,7 @@ def test_frames_that_are_late_by_a_varying_time_find_the_light_that_they_show() 
         assert all(pair.on.number // 2 <= state.step for pair in state.awaiting)
     assert 0 < max(waiting) <= 3 and len(set(waiting)) > 1
     # in time it has 0.93 on these bumps; looks that come in pairs, or not at all, cost it nothing in the end
-    assert result.symbol.verdict is not None and float(result.symbol.verdict.iou) > 0.85
+    assert result.symbol.metrics is not None and float(result.symbol.metrics.iou) > 0.85
 
 
 def test_a_world_tells_commands_of_the_same_light_apart(small_simulation: Simulation) -> None:

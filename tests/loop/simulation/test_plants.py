@@ -104,9 +104,9 @@ def test_a_symbol_is_held_on_a_plant_without_truth() -> None:
     }
     known, blind = list(simulation(**held).evaluations()), list(simulation(**held, plant=BLIND).evaluations())
     assert all(a.held["flake"].pose.equal(b.held["flake"].pose) for a, b in zip(known, blind, strict=True))
-    assert all(each.held["flake"].verdict is None for each in blind)
+    assert all(each.held["flake"].metrics is None for each in blind)
     third = list(simulation(**held, judge_every=3).evaluations())
-    assert [each.held["flake"].verdict is not None for each in third] == [step % 3 == 0 for step in range(8)]
+    assert [each.held["flake"].metrics is not None for each in third] == [step % 3 == 0 for step in range(8)]
 
 
 @pytest.mark.usefixtures("own")
@@ -157,7 +157,7 @@ def test_what_needs_the_truth_is_refused_without_it(key: str) -> None:
     assert_one_sentence(f"error: {refused.value}\n")
 
 
-UNJUDGED = {
+UNREACHABLE = {
     "lit": {"metric": "objects.parked.lx_max", "at_least": 0.0},
     "zone": {"metric": "functions.near.luminance", "at_least": 0.0},
     "dark": {"metric": "dark_lx_max", "at_most": 0.0},
@@ -170,10 +170,10 @@ UNJUDGED = {
 @pytest.mark.parametrize(("plant", "refused"), [("Blind", ["lit", "zone", "dark", "saved"]), ("Knowing", ["saved"])])
 def test_all_checks_that_a_plant_cannot_be_held_to_are_named_with_their_remedies(plant: str, refused: list[str]) -> None:
     with pytest.raises(LuxloopError) as error:
-        simulation(checks=UNJUDGED, plant={"kind": f"own:{plant}"}, objects=[CAR], detector={"kind": "own:Brightest"})
+        simulation(checks=UNREACHABLE, plant={"kind": f"own:{plant}"}, objects=[CAR], detector={"kind": "own:Brightest"})
     *_, last = lines = str(error.value).splitlines()
     assert "checks.saved.compare: needs the simulated world" in last
-    assert [name for name in UNJUDGED if f"--set checks.{name}={{}}" in str(error.value)] == refused
+    assert [name for name in UNREACHABLE if f"--set checks.{name}={{}}" in str(error.value)] == refused
     assert len(lines) == len(refused) + (len(refused) > 1)
 
 

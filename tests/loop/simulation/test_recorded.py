@@ -95,7 +95,7 @@ def test_the_controller_that_was_recorded_asks_for_the_same_again(name: str, dat
     again = asked_and_seen(simulation)
     for each in (*ASKED, *SEEN, "time_s"):
         assert again[each].to_pylist() == table[each].to_pylist(), f"{each}, bit for bit"
-    assert simulation.symbol.judge is None and again["iou"].null_count == len(again)
+    assert simulation.symbol.evaluator is None and again["iou"].null_count == len(again)
     assert None in table["e_x"].to_pylist() or name == "drives", "some frames are lost"
 
 
@@ -148,7 +148,7 @@ def test_a_shadow_is_recorded_beside_and_says_what_it_is(lux: Lux, tmp_path: Pat
     assert lux("run", "small.toml", "--out", "drive", "--frames", "--no-video", "--no-report")[0] == 0
     before = {file.name: file.read_bytes() for file in (tmp_path / "drive").rglob("*") if file.is_file()}
     code, out, _ = lux("run", "small.toml", "--plant", "drive", "--controller", "thesis_pid", "--out", "shadow")
-    words = f"in shadow on the frames of {tmp_path / 'drive'}; the commands of this run were not shown and not judged"
+    words = f"in shadow on the frames of {tmp_path / 'drive'}; the commands of this run were not shown and not evaluated"
     assert code == 0 and "".join(words.split()) in "".join(out.split())
     assert (tmp_path / "shadow/report.png").exists() and (tmp_path / "shadow/video.mp4").exists()
     assert {file.name: file.read_bytes() for file in (tmp_path / "drive").rglob("*") if file.is_file()} == before

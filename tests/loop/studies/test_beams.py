@@ -35,14 +35,14 @@ track = [{ position_m = [14, 0.5, 0] }]
 """)
 
 
-def judge(goal: BeamGoal, params: NetworkParams | HogParams | None = None, **changes: Any) -> BeamEvaluator:
+def evaluator(goal: BeamGoal, params: NetworkParams | HogParams | None = None, **changes: Any) -> BeamEvaluator:
     scenario = validate(SCENE | changes, "beam")
     simulation = Simulation.prepare(scenario)
     return BeamEvaluator.prepare(simulation, goal, None if params is None else detector(params, simulation.device))
 
 
 def test_the_gradient_goes_through_lamps_scene_camera_and_network() -> None:
-    found = judge(BeamGoal(), NetworkParams())
+    found = evaluator(BeamGoal(), NetworkParams())
     lights = tuple(torch.full_like(u, 0.1).requires_grad_(True) for u in begin(found))
     with torch.enable_grad():
         loss = found.evaluate(lights).loss
@@ -59,7 +59,7 @@ def test_the_gradient_goes_through_lamps_scene_camera_and_network() -> None:
 
 
 def test_descent_raises_a_metric_or_saves_energy() -> None:
-    found = judge(BeamGoal(metric="weber_contrast"))
+    found = evaluator(BeamGoal(metric="weber_contrast"))
     start = begin(found)
     first, last = found.evaluate(start), found.evaluate(descend(found, start, 8).lights)
     assert float(last.loss) < float(first.loss) - 0.05
@@ -67,7 +67,7 @@ def test_descent_raises_a_metric_or_saves_energy() -> None:
 
 
 def test_what_has_no_gradient_is_sampled_and_never_gets_worse() -> None:
-    found = judge(BeamGoal(), HogParams())
+    found = evaluator(BeamGoal(), HogParams())
     result = sample(found, begin(found), 4)
     assert min(result.losses) <= result.losses[0] and all(float(u.min()) >= 0 and float(u.max()) <= 1 for u in result.lights)
 
@@ -153,6 +153,6 @@ def test_a_search_that_fails_leaves_no_folder_but_one_that_was_there(
 
 def test_only_the_network_has_a_gradient_and_somebody_must_be_there() -> None:
     with refusal("sampling"):
-        _method("gradient", judge(BeamGoal(), HogParams()))
+        _method("gradient", evaluator(BeamGoal(), HogParams()))
     with refusal("none with a category"):
-        judge(BeamGoal(metric="edges"), objects=[])
+        evaluator(BeamGoal(metric="edges"), objects=[])

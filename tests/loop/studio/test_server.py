@@ -252,7 +252,7 @@ def test_a_wrong_value_is_answered_as_on_the_command_line_and_changes_nothing(se
         assert served.studio.session.state.runs == before
 
 
-def test_a_regulation_judges_the_light_that_is_shown(served: Served) -> None:
+def test_a_regulation_checks_the_light_that_is_shown(served: Served) -> None:
     with watching(served.port, served.tokens.edit) as watcher:
         watcher.of("scenario")
         watcher.say(type="beam", rule="r149-passing-c", side="left")

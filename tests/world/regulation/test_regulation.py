@@ -113,7 +113,7 @@ def test_the_worst_point_of_a_ramp_is_at_the_end_of_its_segment_and_at_the_corne
     assert left["P"].where == pytest.approx((7, 0)) and left["P"].value == pytest.approx(540)
 
 
-def test_the_largest_intensity_is_found_between_samples_and_h_v_is_judged_by_it() -> None:
+def test_the_largest_intensity_is_found_between_samples_and_h_v_is_checked_by_it() -> None:
     peak = field(lambda h, v: 50_000 * torch.exp(-(((h - 0.513) / 2) ** 2) - ((v - 0.227) / 0.5) ** 2))
     found = rows(check_beam(peak, "r149-driving-a"))
     # Refined samples lie 0.01 deg apart: at most 0.005 deg off a peak that is 0.5 deg wide.
@@ -132,8 +132,8 @@ def test_the_cut_off_is_found_at_its_height_and_as_sharp_as_it_is() -> None:
     v_deg, sharpness = inflection(low_beam(-0.8), -2.5, -0.57)
     assert sharpness == pytest.approx(0.25, abs=1e-9)
     assert v_deg == pytest.approx(-0.8, abs=0.05)  # the middle of one decade of constant slope, in steps of 0.05 deg
-    judged = rows(check_beam(low_beam(), "r149-passing-c"))
-    assert judged["Cut-off sharpness"].verdict == judged["Cut-off straightness"].verdict == "pass"
+    checked = rows(check_beam(low_beam(), "r149-passing-c"))
+    assert checked["Cut-off sharpness"].verdict == checked["Cut-off straightness"].verdict == "pass"
     assert rows(check_beam(low_beam(decades_per_deg=6), "r149-passing-c"))["Cut-off sharpness"].verdict == "fail"
     assert rows(check_beam(low_beam(h_kink_deg=-4), "r149-passing-c"))["Cut-off straightness"].verdict == "fail"
 

@@ -75,8 +75,8 @@ def frames_in(folder: Path) -> dict[str, bytes]:
 
 def commanded(table: pa.Table) -> dict[str, list[Any]]:
     """What the controller saw and asked for."""
-    judged = ("iou", "ssim", "length", "shear", "centroid_error", "steady")
-    names = [name for name in table.column_names if name.startswith(("functions.", "ego.")) and not any(each in name for each in judged)]
+    evaluated = ("iou", "ssim", "length", "shear", "centroid_error", "steady")
+    names = [name for name in table.column_names if name.startswith(("functions.", "ego.")) and not any(each in name for each in evaluated)]
     return {name: table[name].to_pylist() for name in names}
 
 

@@ -116,4 +116,4 @@ def test_two_looks_lay_the_symbol_straight_on_a_grade(percent: float, least: flo
     """As well as exact inverse ray tracing onto the true road does, which leaves the light of near parts as bright as it is."""
     changes = [*SMALL[:2], f"road={grade(percent)}", "functions.symbol.controller={name='luxloop'}"]
     *_, last = simulation_of(load("snowflake", changes, steps=4)).evaluations()
-    assert float(last.symbol.verdict.iou) > least - 0.01
+    assert float(last.symbol.metrics.iou) > least - 0.01

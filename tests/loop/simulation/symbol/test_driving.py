@@ -1,4 +1,4 @@
-"""The loop in a car that drives: what lamps, camera and judge see of it."""
+"""The loop in a car that drives: what lamps, camera and evaluator see of it."""
 
 import math
 
@@ -40,12 +40,12 @@ def test_a_flat_road_looks_the_same_from_a_car_that_drives_smoothly():
     (standing,) = run(steps=1)
     for now in run(vehicle={"course": [{"speed_m_s": 20.0}]}):
         # the road's triangles lie in one plane, but float32 in another order and snapped corners remain
-        assert (standing.symbol.verdict.centroid_percent - now.symbol.verdict.centroid_percent).abs().max() < 0.1
-        assert abs(float(standing.symbol.verdict.iou - now.symbol.verdict.iou)) < 0.01 and float(now.symbol.verdict.iou) > 0.97
+        assert (standing.symbol.metrics.centroid_percent - now.symbol.metrics.centroid_percent).abs().max() < 0.1
+        assert abs(float(standing.symbol.metrics.iou - now.symbol.metrics.iou)) < 0.01 and float(now.symbol.metrics.iou) > 0.97
 
 
 def test_a_nose_that_goes_down_brings_the_symbol_nearer(nodding):
-    at = [float(result.symbol.verdict.centroid_percent[0]) for result in nodding.evaluations()]
+    at = [float(result.symbol.metrics.centroid_percent[0]) for result in nodding.evaluations()]
     pitch, to_lamp = math.radians(PITCH_DEG), 2.2
     for sign, seen in ((1, at[1]), (-1, at[3])):
         height = 0.75 - sign * to_lamp * pitch
@@ -55,14 +55,14 @@ def test_a_nose_that_goes_down_brings_the_symbol_nearer(nodding):
     assert abs(at[0]) < 1 and abs(at[2]) < 1
 
 
-def test_the_judge_looks_at_the_ground_under_the_car(nodding):
-    point, judge = torch.tensor([[17.0], [0.5], [0.0]], dtype=torch.float64), nodding.symbol.judge
+def test_the_evaluator_looks_at_the_ground_under_the_car(nodding):
+    point, evaluator = torch.tensor([[17.0], [0.5], [0.0]], dtype=torch.float64), nodding.symbol.evaluator
     for step in range(4):
         time_s = step / 30
         uv, _ = nodding.world.view_from_ground(time_s).project(point)
         in_body = transform(inverse(nodding.world.motion.at(time_s).T_ground_body), point)
         assert torch.allclose(uv, nodding.world.view.project(in_body)[0])
-        moved_px = (judge.plane_at(time_s).map_v - judge.plane.map_v).abs().median()
+        moved_px = (evaluator.plane_at(time_s).map_v - evaluator.plane.map_v).abs().median()
         # 0.3 deg are 3.1 px of focal length 597 px; half the oscillation's period later there are none
         assert moved_px > 2 if step % 2 else moved_px < 0.01
 

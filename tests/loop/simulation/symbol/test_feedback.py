@@ -15,14 +15,14 @@ GIVEN = f"{{name='feedforward', road={LIFTED}}}"
 
 
 def run(controller: str, steps: int, *more: str) -> tuple[torch.Tensor, list[float]]:
-    """The judge's centroid errors `[steps, 2]` in % and IoU on a plane 3 cm too high."""
+    """The evaluator's centroid errors `[steps, 2]` in % and IoU on a plane 3 cm too high."""
     simulation = simulation_of(load("flat", [*SMALL, f"road={LIFTED}", f"functions.symbol.controller={controller}", *more]))
     state, centroids, ious = simulation.start(), [], []
     for _ in range(steps):
         state, result = simulation.step(state)
         result = simulation.evaluate(result)
-        centroids.append(result.symbol.verdict.centroid_percent)
-        ious.append(float(result.symbol.verdict.iou))
+        centroids.append(result.symbol.metrics.centroid_percent)
+        ious.append(float(result.symbol.metrics.iou))
     return torch.stack(centroids), ious
 
 

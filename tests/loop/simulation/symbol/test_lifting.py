@@ -26,8 +26,8 @@ def simulation(percent: float, controller: str, *more: str, steps: int = 15) -> 
     return simulation_of(load("snowflake", [*SMALL, road, f"functions.symbol.controller={controller}", *more], steps=steps))
 
 
-def verdicts(sim: Simulation) -> list[Metrics]:
-    return [result.symbol.verdict for result in sim.evaluations()]
+def metrics(sim: Simulation) -> list[Metrics]:
+    return [result.symbol.metrics for result in sim.evaluations()]
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +88,7 @@ def test_the_eye_sees_each_place_of_the_symbol_where_it_is_on_the_plane(flat: Si
 @pytest.mark.parametrize(("percent", "least"), [(-2.0, 0.70), (2.0, 0.87)])
 def test_feedback_settles_on_a_grade_near_the_bound(name: str, percent: float, least: float) -> None:
     """The bound is 0.72 and 0.90. On rectangles on z = 0 thesis_pid ends with 0.30, which oscillates by 0.05, and 0.69."""
-    ious = [float(verdict.iou) for verdict in verdicts(simulation(percent, f"{{name='{name}'}}"))][-5:]
+    ious = [float(each.iou) for each in metrics(simulation(percent, f"{{name='{name}'}}"))][-5:]
     assert min(ious) > least
     assert max(ious) - min(ious) < 0.02
 

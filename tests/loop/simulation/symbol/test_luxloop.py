@@ -163,13 +163,13 @@ def test_one_look_tells_how_high_the_road_is(lifted: Simulation) -> None:
 
 
 def course(prepared: Simulation, state: SimulationState, steps: int) -> tuple[list[SimulationState], list[float]]:
-    """The states before each step and at the end, and the judge's IoU a step."""
+    """The states before each step and at the end, and the evaluator's IoU a step."""
     states, seen = [state], []
     for _ in range(steps):
         state, result = prepared.step(states[-1])
         result = prepared.evaluate(result)
         states.append(state)
-        seen.append(float(result.symbol.verdict.iou))
+        seen.append(float(result.symbol.metrics.iou))
     return states, seen
 
 
@@ -181,7 +181,7 @@ def disturbed(prepared: Simulation, **disturbances: Any) -> Simulation:
 def opened(prepared: Simulation) -> float:
     """IoU of the open loop."""
     symbol = prepared.symbol
-    return float(symbol.judge.verdict(prepared.of_all(symbol, symbol.projector.light(symbol.projector.target)), 0.0).iou)
+    return float(symbol.evaluator.metrics(prepared.of_all(symbol, symbol.projector.light(symbol.projector.target)), 0.0).iou)
 
 
 @pytest.mark.parametrize(("more", "step"), [((), 4), (("camera.latency_steps=2",), 10)])

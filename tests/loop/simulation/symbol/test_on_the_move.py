@@ -264,5 +264,5 @@ def test_a_nodding_car_keeps_its_symbol_in_place() -> None:
     for result in simulation.evaluations():
         if result.step > 3:
             # edges of half a camera row are left; the open loop's symbol is off by half of its length
-            assert result.symbol.verdict.iou > 0.7
-            assert symbol.judge.verdict(still, result.time_s).iou < 0.5
+            assert result.symbol.metrics.iou > 0.7
+            assert symbol.evaluator.metrics(still, result.time_s).iou < 0.5

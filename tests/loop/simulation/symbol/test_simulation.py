@@ -16,10 +16,10 @@ def test_the_controller_knows_that_the_road_is_wet(small_scenario: Scenario) -> 
     surface = small_scenario.surface.model_copy(update={"wet": 1.0})
     functions = {"symbol": small_scenario.symbol.model_copy(update={"start": StartParams()})}
     wet = small_scenario.model_copy(update={"surface": surface, "functions": functions, "steps": 6})
-    verdicts = [result.symbol.verdict for result in simulation_of(wet).evaluations()]
+    metrics = [result.symbol.metrics for result in simulation_of(wet).evaluations()]
     # At the target light and model agree; noise moves the symbol by a few centimetres then. A model of a dry road has 0.6 throughout.
-    assert verdicts[0].iou > 0.98
-    assert min(float(verdict.iou) for verdict in verdicts) > 0.85 and verdicts[-1].iou > 0.9
+    assert metrics[0].iou > 0.98
+    assert min(float(each.iou) for each in metrics) > 0.85 and metrics[-1].iou > 0.9
 
 
 def in_a_beam(scenario: Scenario, beam: str, steps: int, **symbol: object) -> Scenario:
@@ -39,9 +39,9 @@ def test_a_symbol_settles_in_a_burning_beam(small_scenario: Scenario, symbol: di
     seen = off.mean(0)[lit]
     assert len(seen) > 1000 and seen.median() == pytest.approx(float(shining[lit].median()), rel=0.02)
     # It starts half its size away. In the end noise moves it by 2 %, an eighth of a pixel of this coarse camera along the road.
-    last = torch.stack([each.symbol.verdict.centroid_percent for each in results[-8:]])
-    assert results[0].symbol.verdict.centroid_percent.abs().min() > 50 and last.abs().max() < 2
-    assert min(float(each.symbol.verdict.iou) for each in results[-8:]) > 0.8
+    last = torch.stack([each.symbol.metrics.centroid_percent for each in results[-8:]])
+    assert results[0].symbol.metrics.centroid_percent.abs().min() > 50 and last.abs().max() < 2
+    assert min(float(each.symbol.metrics.iou) for each in results[-8:]) > 0.8
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ def simulation(*changes: str) -> Simulation:
 
 def ious(steps: int, controller: str, *changes: str) -> list[float]:
     sim = simulation(f"functions.symbol.controller={controller}", f"steps={steps}", *changes)
-    return [float(result.symbol.verdict.iou) for result in sim.evaluations()]
+    return [float(result.symbol.metrics.iou) for result in sim.evaluations()]
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +98,6 @@ def test_a_run_goes_on_from_a_stored_state(stage: str) -> None:
         result = prepared.evaluate(result)
         stored, again = prepared.step(pickle.loads(pickle.dumps(stored)))
         again = prepared.evaluate(again)
-        found.append(float(result.symbol.verdict.iou))
-        assert float(again.symbol.verdict.iou) == found[-1]
+        found.append(float(result.symbol.metrics.iou))
+        assert float(again.symbol.metrics.iou) == found[-1]
     assert len(set(found[-6:])) > 1, "the stage has begun to act"

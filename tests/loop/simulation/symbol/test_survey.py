@@ -30,9 +30,9 @@ def test_a_survey_finds_a_lifted_plane_and_draws_for_it() -> None:
     assert isinstance(sim.symbol.controller, MeasuringFeedforward)
     heights = sim.symbol.controller.relief(state.symbols["symbol"].controller.seen).heights
     assert heights.mean() == pytest.approx(0.03, abs=0.002)  # the camera has half a row of the lamp's in a row of its own
-    # the judge's limit for a right symbol: what a camera of 20 cm a row leaves of the edges
-    assert result.symbol.verdict.centroid_percent.abs().max() < 2.0
-    assert result.symbol.verdict.iou > 0.85
+    # the evaluator's limit for a right symbol: what a camera of 20 cm a row leaves of the edges
+    assert result.symbol.metrics.centroid_percent.abs().max() < 2.0
+    assert result.symbol.metrics.iou > 0.85
 
 
 def test_the_road_that_is_believed_in_is_found_as_the_true_one_is(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Poses at once: what each single run sees of them, and what its judge says."""
+"""Poses at once: what each single run sees of them, and what its evaluator says."""
 
 from dataclasses import replace
 
@@ -41,17 +41,17 @@ def test_each_copy_is_a_single_run(simulation: Simulation) -> None:
     poses = torch.stack([each.symbol.pose for each in results])
     light, seed = copies.show(poses), simulation.scenario.seed
     frames = [Taken(seed, step, simulation.scenario.disturbances) for step in range(len(results))]
-    seen, verdict = copies.measure(light, frames), copies.evaluate(light)
+    seen, metrics = copies.measure(light, frames), copies.evaluate(light)
     for k, each in enumerate(results):
-        expected, judged = each.symbol.measurement, each.symbol.verdict
-        assert seen[k].code == expected.code == 0 and judged is not None and seen[k].crop == expected.crop
+        expected, single = each.symbol.measurement, each.symbol.metrics
+        assert seen[k].code == expected.code == 0 and single is not None and seen[k].crop == expected.crop
         # Sums of single precision in another order, which turn a digital number by one at times.
         torch.testing.assert_close(seen[k].pose_error, expected.pose_error, rtol=0, atol=1e-4)
         torch.testing.assert_close(seen[k].area_ratio, expected.area_ratio, rtol=0, atol=1e-4)
         # One cell of ten thousand lies on the threshold.
-        assert verdict.iou[k].item() == pytest.approx(judged.iou.item(), abs=1e-3)
-        assert verdict.ssim[k].item() == pytest.approx(judged.ssim.item(), abs=1e-3)
-        assert verdict.centroid_percent[k].tolist() == pytest.approx(judged.centroid_percent.tolist(), abs=0.05)
+        assert metrics.iou[k].item() == pytest.approx(single.iou.item(), abs=1e-3)
+        assert metrics.ssim[k].item() == pytest.approx(single.ssim.item(), abs=1e-3)
+        assert metrics.centroid_percent[k].tolist() == pytest.approx(single.centroid_percent.tolist(), abs=0.05)
 
 
 def test_bands_of_rays_are_the_rays(simulation: Simulation) -> None:

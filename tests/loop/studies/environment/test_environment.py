@@ -85,9 +85,9 @@ def test_moves_move_the_symbol_as_far_as_the_controller_may(env: SymbolEnv) -> N
 
 def test_the_reward_is_for_overlap_and_against_distance_and_action() -> None:
     said = {"iou": [1.0, 0.3, nan], "centroid_percent": [[0.0, 0.0], [60.0, -80.0], [nan, nan]]}
-    verdict = SimpleNamespace(**{key: torch.tensor(each) for key, each in said.items()})
+    metrics = SimpleNamespace(**{key: torch.tensor(each) for key, each in said.items()})
     action = torch.tensor([[0.0, 0.0], [1.0, -1.0], [0.0, 1.0]])
-    assert sum(reward_terms(verdict, action).values()).tolist() == pytest.approx([1.0, 0.3 - 0.5 - 0.01, -0.5 - 0.005])
+    assert sum(reward_terms(metrics, action).values()).tolist() == pytest.approx([1.0, 0.3 - 0.5 - 0.01, -0.5 - 0.005])
 
 
 def test_a_copy_is_as_made_anew(env: SymbolEnv) -> None:

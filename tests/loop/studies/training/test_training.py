@@ -1,4 +1,4 @@
-"""Training a detector: scenes in the dark, light for them, what is learnt from them, and how it is judged."""
+"""Training a detector: scenes in the dark, light for them, what is learnt from them, and how it is evaluated."""
 
 import json
 import math
@@ -169,7 +169,7 @@ def test_what_is_too_dark_is_not_there_and_what_is_dim_does_not_count() -> None:
     assert fit.example(replace(scene, own=half), torch.zeros(scene.shape), 1.0, np.random.default_rng(0))[2][(0, *middle)] == 0
 
 
-def test_verdicts_count_what_is_found_missed_and_false() -> None:
+def test_metrics_count_what_is_found_missed_and_false() -> None:
     seen = SceneObject(1, 0, (10.0, 10.0, 30.0, 60.0), 1.0, 1.0)
     objects = [seen, replace(seen, label=2, box=(100.0, 10.0, 160.0, 50.0)), replace(seen, box=(200.0, 0.0, 210.0, 20.0))]
     boxes = torch.tensor([[10.0, 10, 30, 58], [11, 10, 30, 60], [101, 10, 160, 50], [200, 0, 210, 20], [300, 300, 340, 380]])

@@ -26,7 +26,7 @@ LEAST_LX = 1.0  # on a surface that faces the lamps: of less nobody on the road 
 
 
 @dataclass(frozen=True, eq=False)
-class Judge:
+class SymbolEvaluator:
     """Compares light with the target, without noise.
 
     world: what is true. road: whose places the target's are unless it is an appearance. plane: of the vehicle as it stands at first, see
@@ -40,14 +40,14 @@ class Judge:
     goal: Target
 
     @classmethod
-    def of(cls, world: World, symbol: SymbolParams, road: Road, flat_luminance: Tensor) -> "Judge":
+    def of(cls, world: World, symbol: SymbolParams, road: Road, flat_luminance: Tensor) -> "SymbolEvaluator":
         """flat_luminance: `[height, width]` cd/m^2 of the symbol at its target on a flat road, as the true camera sees it."""
         flat = _plane(symbol, world.view, None).to(world.device)
         goal = target(flat_luminance, flat, symbol.length_m, symbol.width_m)
         plane = flat if symbol.target == "appearance" else _plane(symbol, world.view, _places(symbol, road, world, 0.0)).to(world.device)
         return cls(world, symbol, road, plane, goal)
 
-    def verdict(self, lights: tuple[Utilisation, ...], time_s: float) -> Metrics:
+    def metrics(self, lights: tuple[Utilisation, ...], time_s: float) -> Metrics:
         """lights: utilisations, one a module, of the on exposure."""
         return self.evaluate(self.world.lit(time_s).luminance(lights), time_s)
 
