@@ -16,11 +16,12 @@ BITS = [8, 10, 12]
 PER_ELECTRON = 1 / (0.015 * 50_000)  # cd/m^2 of the default camera
 
 
-def test_law_of_the_docstring(device: torch.device) -> None:
-    params = CameraParams(bits=8, gamma=2.2, exposure_s=0.03, sensitivity_e_per_cd_s_m2=25_000.0)
+@pytest.mark.parametrize("gamma", [1.0, 2.2])
+def test_law_of_the_docstring(gamma: float, device: torch.device) -> None:
+    params = CameraParams(bits=8, gamma=gamma, exposure_s=0.03, sensitivity_e_per_cd_s_m2=25_000.0)
     electrons = torch.tensor([[0.0, 1.0, 250.0], [999.0, 1000.0, 5000.0]], dtype=torch.float64, device=device)
     dn = expose(electrons * PER_ELECTRON, params)
-    expected = torch.round(255 * (electrons.clamp(max=1000) / 1000) ** (1 / 2.2))
+    expected = torch.round(255 * (electrons.clamp(max=1000) / 1000) ** (1 / gamma))
     torch.testing.assert_close(dn, expected)
     assert dn[0, 0] == 0
     assert dn[1, 1] == dn[1, 2] == 255

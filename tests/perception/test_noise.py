@@ -67,7 +67,7 @@ def test_devices_and_types_give_the_same_numbers(device: torch.device) -> None:
 
 def test_numbers_stay_as_they_are() -> None:
     """Another machine, another torch: recordings hold what these numbers make of them."""
-    assert hashlib.sha256(drawn(dtype=torch.float32).numpy().tobytes()).hexdigest()[:16] == "687139897ecc1d85"
+    assert hashlib.sha256(drawn(1, 2, 1, torch.float32).numpy().tobytes()).hexdigest()[:16] == "db8abf494752843b"
 
 
 @pytest.mark.parametrize("power", [1, 2, 3, 4, 6])
