@@ -149,7 +149,7 @@ def prepare(scenario: Scenario, device: str = "auto", before: Simulation | None 
     plant does not know.
     """
     if before is not None:
-        before = replace(before, cache=before.cache.without("motion"))  # which may have gone on from another one
+        before = replace(before, cache=before.cache.copy("motion"))  # which may have gone on from another one
     simulation = Simulation.prepare(scenario, torch_device(device), before)
     refuse_unknown_columns(simulation)
     return simulation

@@ -82,10 +82,12 @@ def get(name: str, directory: str | Path | None = None) -> Download:
     whole or not at all, and what was fetched before and has changed is fetched again. Raises LuxloopError where there is no connection, no
     such file or another content, in the folder `LUXLOOP_DATA` too, which is the user's own.
     """
+    import pooch
+
     known = entry(name)
     target = (cache_folder() if directory is None else Path(directory)) / known.file
     here = (present(name) if directory is None else None) or target
-    if here.is_file() and _sha256(here) == known.sha256:
+    if here.is_file() and pooch.file_hash(str(here), alg="sha256") == known.sha256:
         return Download(here, downloaded=False)
     if here != target:
         raise LuxloopError(f"{here}: is not {name!r} as registered (SHA-256 differs); move it away, then get {name} again")
@@ -122,9 +124,3 @@ def cache_folder() -> Path:
     import pooch
 
     return Path(pooch.os_cache("luxloop"))
-
-
-def _sha256(path: Path) -> str:
-    import pooch
-
-    return str(pooch.file_hash(str(path), alg="sha256"))

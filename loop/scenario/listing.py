@@ -40,7 +40,9 @@ def listing(kind: Kind) -> list[dict[str, Any]]:
         case "symbols":
             return [{"name": name, "description": f"shown by {', '.join(_showing(name))}"} for name in shipped_files("symbols")]
         case "examples":
-            return [{"name": name, "description": _first_line(path.read_text("utf-8"))} for name, path in examples().items()]
+            return [
+                {"name": name, "description": path.read_text("utf-8").partition("\n")[0].strip('"# .')} for name, path in examples().items()
+            ]
         case "lamps":
             from luxloop.world.lamps.presets import SUMMARIES
 
@@ -50,40 +52,31 @@ def listing(kind: Kind) -> list[dict[str, Any]]:
 
 
 def _scenarios() -> list[dict[str, Any]]:
-    """Read without validation, which the tests have done."""
+    """Read without validation, which the tests have done.
+
+    uses: controllers of symbols and kinds of other lighting functions, or the base beam where there are none.
+    """
     found = []
-    for name, file in scenario_files().items():
-        content = tomllib.loads(file.read_text("utf-8"))
-        road = content.get("road", {}).get("file", "")
+    for name, content in _contents().items():
+        road, lighting = content.get("road", {}).get("file", ""), content.get("lighting", {})
         lacking = road in data.registry() and data.present(road) is None
-        found.append({"name": name, "description": content["description"], "uses": _uses(content), "lacks": road if lacking else None})
+        controllers = ((each, each.get("controller")) for each in content.get("functions", {}).values())
+        kinds = (given["name"] if isinstance(given, dict) else given or each["kind"] for each, given in controllers)
+        uses = list(dict.fromkeys([*(["raw utilisations"] if "raw" in lighting else []), *kinds]))
+        uses = uses or [f"{lighting['base']['beam']} beam"]
+        found.append({"name": name, "description": content["description"], "uses": uses, "lacks": road if lacking else None})
     return found
 
 
-def _uses(content: dict[str, Any]) -> list[str]:
-    """The controllers of symbols and the kinds of other lighting functions, the base beam where there are none."""
-    lighting = content.get("lighting", {})
-    raw = ["raw utilisations"] if "raw" in lighting else []
-    functions = content.get("functions", {}).values()
-    kinds = list(dict.fromkeys([*raw, *(_controller(each) or each["kind"] for each in functions)]))
-    return kinds or [f"{lighting['base']['beam']} beam"]
-
-
-def _controller(function: dict[str, Any]) -> str | None:
-    given = function.get("controller")
-    return given["name"] if isinstance(given, dict) else given
+def _contents() -> dict[str, dict[str, Any]]:
+    """Tables of the shipped scenarios, by name."""
+    return {name: tomllib.loads(file.read_text("utf-8")) for name, file in scenario_files().items()}
 
 
 def _showing(symbol: str) -> list[str]:
     """The scenarios that show a symbol."""
-    contents = {name: tomllib.loads(file.read_text("utf-8")) for name, file in scenario_files().items()}
-    functions = {name: content.get("functions", {}).values() for name, content in contents.items()}
+    functions = {name: content.get("functions", {}).values() for name, content in _contents().items()}
     return [name for name, each in functions.items() if symbol in [function.get("image") for function in each]]
-
-
-def _first_line(text: str) -> str:
-    """What the first line of a program or of a TOML file says."""
-    return text.partition("\n")[0].strip('"# .')
 
 
 def _variants(name: str) -> list[dict[str, Any]]:
@@ -92,8 +85,8 @@ def _variants(name: str) -> list[dict[str, Any]]:
 
     module, _, union = name.rpartition(".")
     models = by_tag(get_args(getattr(import_module(f"luxloop.{module}"), union))[0])
-    return [{"name": tag, "description": _first_sentence(model.__doc__)} for tag, model in models.items() if tag != OWN]
-
-
-def _first_sentence(text: str) -> str:
-    return text.partition("\n")[0].partition(". ")[0].rstrip(".")
+    return [
+        {"name": tag, "description": model.__doc__.partition("\n")[0].partition(". ")[0].rstrip(".")}
+        for tag, model in models.items()
+        if tag != OWN
+    ]

@@ -4,6 +4,7 @@ import copy
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -90,12 +91,11 @@ def _parse(text: str) -> dict[str, Any]:
         raise LuxloopError(f"--set {text}: not of the form key=value; write for example --set camera.bits=8, or name a .toml file of keys")
     key = toml_key(key.strip())
     try:
-        return parsed_toml(f"{key} = {value.strip()}")
-    except ValueError:
-        try:
-            return parsed_toml(f"{key} = {json.dumps(value.strip())}")
-        except ValueError as error:
-            raise LuxloopError(f"--set {text}: not understood ({error}); write for example --set camera.bits=8") from error
+        with suppress(ValueError):
+            return parsed_toml(f"{key} = {value.strip()}")
+        return parsed_toml(f"{key} = {json.dumps(value.strip())}")
+    except ValueError as error:
+        raise LuxloopError(f"--set {text}: not understood ({error}); write for example --set camera.bits=8") from error
 
 
 def _merge(into: dict[str, Any], changes: Mapping[str, Any], within: str = "") -> None:

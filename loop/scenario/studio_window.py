@@ -10,7 +10,7 @@ from luxloop.loop.scenario.edits import with_overrides
 from luxloop.loop.scenario.model import Scenario, load
 from luxloop.loop.scenario.text import scenario_text
 from luxloop.world.errors import LuxloopError
-from luxloop.world.plugin import refuse_code
+from luxloop.world.plugin import own_names
 
 HEIGHT_PX: Final = 720
 PATIENCE_S: Final = 10.0  # with a process that shall end
@@ -42,7 +42,7 @@ class StudioWindow:
         file, told = Path(self._folder.name, "shown.toml"), Path(self._folder.name, "told")
         file.write_text(scenario_text(scenario), "utf-8")
         command = [sys.executable, "-c", SERVE, "studio", str(file), "--no-open", "--port", "0", "--device", device]
-        command += ["--allow-code"] if _has_code(scenario) else []
+        command += ["--allow-code"] if any(own_names(scenario)) else []
         with told.open("w") as errors:
             self._process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True, start_new_session=True
@@ -84,11 +84,3 @@ class StudioWindow:
     def _repr_html_(self) -> str:
         """The page in a frame."""
         return f'<iframe src="{self.address}" width="100%" height="{HEIGHT_PX}" style="border: 0"></iframe>'
-
-
-def _has_code(scenario: Scenario) -> bool:
-    try:
-        refuse_code(scenario, scenario.source)
-    except LuxloopError:
-        return True
-    return False

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from torch import Tensor
 
 from luxloop.controllers.situation import TrackedObject
-from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame, Plant
+from luxloop.loop.simulation.protocol import Arrivals, Exposure, Frame, Plant, close_plant
 from luxloop.loop.simulation.remote_messages import row_of
 from luxloop.loop.simulation.world import World
 from luxloop.perception.camera import CameraParams
@@ -56,7 +56,7 @@ class FromZero:
 
     def close(self) -> None:
         """End what the plant holds open."""
-        getattr(self.plant, "close", lambda: None)()
+        close_plant(self.plant)
 
 
 def _since(start_s: float, arrivals: Arrivals) -> Arrivals:

@@ -16,7 +16,7 @@ from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.controllers.symbol.sensing.symbol_sensor import Measurement
 from luxloop.loop.scenario.model import Scenario, only
 from luxloop.loop.simulation.controlled import ControlledSymbol
-from luxloop.loop.simulation.detection import DetectionPipeline, Recognition, false_positives, recognise
+from luxloop.loop.simulation.detection import DetectionPipeline, Recognition, false_positives, name_of, recognise
 from luxloop.loop.simulation.lamps import LampDriver
 from luxloop.loop.simulation.light_figures import (
     DUE_S,
@@ -24,7 +24,6 @@ from luxloop.loop.simulation.light_figures import (
     ObservedSymbol,
     OnMaterial,
     OnObject,
-    ids_in_situation,
     in_white,
     in_zones,
     must_be_dark,
@@ -156,7 +155,10 @@ class Evaluator:
         metered = [world.on_objects(each.start_s, each.lights, each.commands) for each in lights] if world else []
         look = self._detections(result, metered, [name for name, s in oncoming_s.items() if now.time_s - s >= DUE_S])
         masked = frozenset(each.name for each in now.objects if must_be_dark(self.scenario.functions, each, now))
-        told = ids_in_situation(self.recorded_ids, None if look is None else look.recognised)
+        told = self.recorded_ids  # by the names that functions use: with a detector those of tracks
+        if look is not None:
+            found = ((each.track, told.get(name)) for name, each in look.recognised.items())
+            told = {name_of(track): number for track, number in found if track is not None and number is not None}
         shown = now.time_s, result.exposures[0].lights, now.commands
         like = result.lights[0]
         luminance = None if world is None else world.image(like, lambda part: world.luminance(*shown, part)[0])
@@ -167,10 +169,20 @@ class Evaluator:
         if world is not None and illuminance is not None and luminance is not None:
             objects = on_objects(self.recorded_ids, frozenset(told[name] for name in masked & told.keys()), metered, shares)
             materials = on_materials(self.planner.functions, result.perception.functions, now, told, world, illuminance, luminance)
-            symbols = self._observer_symbols(result, world)
+            if (white := in_white(result.plan)) is not None:
+                whitened = [light.u for light in self.lamps.drive(white, now)[0]]
+                symbols = observed_symbols(result.plan, result.lights, whitened, world, now)
         view = result.sense.view if world is None else world.view_from_ground(now.time_s)
-        held, zones = self._symbol_steps(result), in_zones(self.planner.functions, result.planning.functions, luminance, view)
-        ratio = self._over_setpoint(result) if metered else None
+        zones = in_zones(self.planner.functions, result.planning.functions, luminance, view)
+        due = world is not None and bool(self.scenario.judge_every) and result.step % self.scenario.judge_every == 0
+        metrics = self._metrics(result) if due else {}
+        held = {
+            name: SymbolStep(each, cut(self.controlled[name].projector, each), result.control.measurements[name], metrics.get(name))
+            for name, each in result.planning.projections.items()
+        }
+        ratio = None
+        if world is not None and metered and due and self.pipeline is not None and self.planner.functions:
+            ratio = over_setpoint(self.lamps.aim(now), result.plan, result.exposures[0].lights, world.lit(now.time_s))
         clock.lap("look")
         timings = {part: result.timings.get(part, 0.0) + clock.ms.get(part, 0.0) for part in {**result.timings, **clock.ms}}
         return Evaluation(
@@ -188,16 +200,6 @@ class Evaluator:
             oncoming_s=oncoming_s,
         )
 
-    def _due(self, result: StepResult) -> bool:
-        every = self.scenario.judge_every
-        return self.world is not None and bool(every) and result.step % every == 0
-
-    def _over_setpoint(self, result: StepResult) -> float | None:
-        if self.world is None or not (self._due(result) and self.pipeline is not None and self.planner.functions):
-            return None
-        lit = self.world.lit(result.time_s)
-        return over_setpoint(self.lamps.aim(result.now), result.plan, result.exposures[0].lights, lit)
-
     def _detections(self, result: StepResult, metered: list[ObjectLight], due: list[str]) -> FrameDetections | None:
         """Of the newest frame, None without a detector. metered: light in each exposure of now. due: who must not be dazzled any more."""
         if self.pipeline is None:
@@ -211,20 +213,6 @@ class Evaluator:
         false = false_positives(then, found, self.scenario.tracker.start_score)
         eyes = on_eyes(self.world.given, due, metered, self.scenario.shares)
         return FrameDetections(found, present, recognise(then, present, found, classes), false, *eyes)
-
-    def _observer_symbols(self, result: StepResult, world: World) -> tuple[ObservedSymbol, ...]:
-        """Symbols meant for an observer, compared with an all-white picture."""
-        if (white := in_white(result.plan)) is None:
-            return ()
-        whitened = [light.u for light in self.lamps.drive(white, result.now)[0]]
-        return observed_symbols(result.plan, result.lights, whitened, world, result.now)
-
-    def _symbol_steps(self, result: StepResult) -> Mapping[str, SymbolStep]:
-        planning, metrics = result.planning, self._metrics(result) if self._due(result) else {}
-        return {
-            name: SymbolStep(each, cut(self.controlled[name].projector, each), result.control.measurements[name], metrics.get(name))
-            for name, each in planning.projections.items()
-        }
 
     def _metrics(self, result: StepResult) -> Mapping[str, Metrics]:
         """Of each symbol that is measured, from the light with it and without it."""

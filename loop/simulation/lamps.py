@@ -181,7 +181,9 @@ class LampDriver:
         occluded = None
         if self.world is not None and (params.street_lamps or params.shadow_rays):
             T_world_ground = self.world.motion.at(now.time_s).T_world_ground
-            street_lamps = tuple(seen_from(T_world_ground, lamp) for lamp in self.world.scene.street_lamps) if params.street_lamps else ()
+            for lamp in self.world.scene.street_lamps if params.street_lamps else ():
+                place = transform(inverse(T_world_ground), torch.tensor([lamp.position_m], dtype=torch.float64).T)[:, 0].tolist()
+                street_lamps += (lamp.model_copy(update={"position_m": tuple(place)}),)
             occluded = scene_caster(self.world.lit(now.time_s).triangles, T_world_ground) if params.shadow_rays else None
         known = [None] * len(modules) if more is None or params.power_limit is not None else more[1]
         wanted = {
@@ -215,14 +217,3 @@ def attitude(ego: Ego | None) -> Tensor:
     if ego is None or math.isnan(ego.attitude_s):
         return torch.eye(4, dtype=torch.float64)
     return ego.at(ego.time_s).T_ground_body.double().cpu()
-
-
-def module_pose(T_ground_body: Tensor, T_body_module: Tensor) -> Tensor:
-    """Pose `[4, 4]` of a module in the ground frame."""
-    return T_ground_body.to(T_body_module) @ T_body_module
-
-
-def seen_from(T_world_ground: Tensor, lamp: StreetLamp) -> StreetLamp:
-    """A street lamp in the ground frame."""
-    x, y, z = transform(inverse(T_world_ground), torch.tensor(lamp.position_m, dtype=torch.float64)[:, None])[:, 0].tolist()
-    return lamp.model_copy(update={"position_m": (x, y, z)})

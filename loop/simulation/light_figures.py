@@ -15,7 +15,7 @@ from luxloop.controllers.functions.zone import ZoneParams, region_of
 from luxloop.controllers.pixels.primitives import Primitives
 from luxloop.controllers.pixels.rthc import masks
 from luxloop.controllers.situation import Situation, TrackedObject
-from luxloop.loop.simulation.detection import LEAST_PX, Recognition, name_of
+from luxloop.loop.simulation.detection import LEAST_PX
 from luxloop.loop.simulation.world import LitScene, ObjectLight, World
 from luxloop.perception.metrics import iou
 from luxloop.world.frames import View, inverse, transform
@@ -39,14 +39,6 @@ class OnObject:
     lx_max: float
     lx_peak: float
     masked: bool
-
-
-def ids_in_situation(watched: Mapping[str, int], recognised: Mapping[str, Recognition] | None) -> Mapping[str, int]:
-    """Ids of objects by the names that functions use: their own, or with a detector those of their tracks."""
-    if recognised is None:
-        return watched
-    tracks = {name: each.track for name, each in recognised.items()}
-    return {name_of(track): number for name, number in watched.items() if (track := tracks.get(name)) is not None}
 
 
 def on_objects(

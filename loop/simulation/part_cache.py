@@ -27,16 +27,10 @@ class PartCache:
         known = self._before.get(name)
         return default if known is None else known[1]
 
-    def without(self, name: str) -> "PartCache":
-        """The same parts but one."""
-        after = PartCache()
-        after._parts = {each: part for each, part in self._parts.items() if each != name}
-        return after
-
-    def copy(self) -> "PartCache":
-        """The same parts, some of which are then replaced."""
+    def copy(self, *but: str) -> "PartCache":
+        """The same parts but some, of which others are then replaced."""
         after = PartCache(self)
-        after._parts = dict(self._parts)
+        after._parts = {name: part for name, part in self._parts.items() if name not in but}
         return after
 
     def end(self) -> None:

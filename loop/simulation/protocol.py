@@ -1,8 +1,7 @@
 """What every plant is: it shows light, exposes frames of it and owns time. The loop knows nothing else of the world."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -80,13 +79,9 @@ class Plant(Protocol):
         ...
 
 
-@contextmanager
-def closing_plant(plant: Plant) -> Iterator[None]:
-    """Close a plant that can be closed at the end of a block."""
-    try:
-        yield
-    finally:
-        getattr(plant, "close", lambda: None)()
+def close_plant(plant: Plant) -> None:
+    """End what a plant holds open, if it does."""
+    getattr(plant, "close", lambda: None)()
 
 
 Images = tuple[Tensor, Tensor]  # of an on and an off frame

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Generator, Mapping, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -27,9 +27,9 @@ from luxloop.loop.simulation.check import at_rest
 from luxloop.loop.simulation.controlled import ControlledSymbol, turn
 from luxloop.loop.simulation.detection import DetectionPipeline
 from luxloop.loop.simulation.evaluator import Evaluation, Evaluator
-from luxloop.loop.simulation.lamps import LampDriver, ShiningModule, attitude, in_reach, mean_powers, module_pose
+from luxloop.loop.simulation.lamps import LampDriver, ShiningModule, attitude, in_reach, mean_powers
 from luxloop.loop.simulation.part_cache import PartCache
-from luxloop.loop.simulation.protocol import Arrivals, Exposure, ExposurePair, Objects, Plant, closing_plant, pair_frames
+from luxloop.loop.simulation.protocol import Arrivals, Exposure, ExposurePair, Objects, Plant, close_plant, pair_frames
 from luxloop.loop.simulation.result import (
     Clock,
     Control,
@@ -165,7 +165,8 @@ class Simulation:
         """
         T_ground_body = attitude(ego)
         lights = tuple(
-            (name, replace(each, T_world_headlight=module_pose(T_ground_body, each.T_world_headlight))) for name, each in self.lights
+            (name, replace(each, T_world_headlight=T_ground_body.to(each.T_world_headlight) @ each.T_world_headlight))
+            for name, each in self.lights
         )
         speed, yaw_rate = (0.0, 0.0) if ego is None or ego.stands else (float(ego.speed_m_s), float(ego.yaw_rate_rad_s))
         conditions = self.scenario.conditions_at(time_s)
@@ -173,7 +174,9 @@ class Simulation:
             time_s,
             torch.eye(4, dtype=torch.float64),
             torch.stack([light.T_world_headlight[:3, 3].double().cpu() for _, light in lights]),
-            self._all_objects(time_s, told) if self.pipeline is None else self._objects_of_tracks(tracks, time_s, T_ground_body),
+            self._all_objects(time_s, told)
+            if self.pipeline is None
+            else self._objects_of_tracks(tracks, time_s, self._from(T_ground_body)),
             speed,
             yaw_rate / speed if speed else 0.0,
             conditions.wet,
@@ -393,7 +396,8 @@ class Simulation:
 
     def run(self) -> Generator[StepResult, None, None]:
         """All steps of the scenario, after which the plant is closed."""
-        with closing_plant(self.plant):
+        with ExitStack() as stack:
+            stack.callback(close_plant, self.plant)
             state = self.start()
             for _ in range(self.scenario.steps):
                 with locate(self.scenario.source):
@@ -433,8 +437,8 @@ class Simulation:
         found = (TrackedObject.of(body, category, time_s) for body, category in told if category is not None)
         return tuple(replace(each, T_world_object=T_ground_world @ each.T_world_object) for each in found)
 
-    def _objects_of_tracks(self, tracks: Any, time_s: float, T_ground_body: Tensor) -> Objects:
-        return () if self.pipeline is None or tracks is None else self.pipeline.objects(tracks, time_s, self._from(T_ground_body))
+    def _objects_of_tracks(self, tracks: Any, time_s: float, view: View) -> Objects:
+        return () if self.pipeline is None or tracks is None else self.pipeline.objects(tracks, time_s, view)
 
     def _from(self, T_ground_body: Tensor) -> View:
         """The camera's view from the ground frame, as the car believes."""
@@ -446,5 +450,5 @@ class Simulation:
         luminance, most = luminance_of(image, camera), saturation_luminance(camera)
         looks = any(function.kind == "material" for function in self.scenario.functions.values())
         materials = (then.surfaces.albedo, *then.materials) if looks and then is not None else ()
-        objects = now.objects if self.pipeline is None or tracks is None else self.pipeline.objects(tracks, now.time_s, view)
+        objects = now.objects if self.pipeline is None else self._objects_of_tracks(tracks, now.time_s, view)
         return replace(now, objects=objects, seen=CameraImage(then_s, view, luminance, most, *materials))

@@ -1,6 +1,6 @@
 """Light that clients paint on pixels, or want in the world (T 4.2.2), as another value of `lighting.painted`."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -24,12 +24,12 @@ MOST_LX: Final = 100_000.0
 T_BODY_WALL: Final = torch.tensor([[0.0, 0, -1, WALL_M], [0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1]], dtype=torch.float64)
 
 Layer = tuple[Picture, Picture]  # value and cover `[rows, columns]` of a module's pixels
-Answer = tuple[dict[str, Any], str | None]  # head of the message, and the override that paints
+Answer = tuple[dict[str, Any] | None, str | None]  # head of the message, and the override that paints
 
 
-def paint(simulation: Simulation, message: Paint, arrays: Arrays) -> str:
-    """The override of a message to paint. Raises LuxloopError where there is no such module, or no such pixels."""
-    modules = simulation.modules
+def paint(run: Run, message: Paint, arrays: Arrays) -> Answer:
+    """What a message paints, without an answer. Raises LuxloopError where there is no such module, or no such pixels."""
+    simulation, modules = run.simulation, run.simulation.modules
     if message.module >= len(modules):
         raise LuxloopError(f"paint: there is no module {message.module}; there are {len(modules)}, numbered from 0")
     light = modules[message.module].headlight
@@ -43,10 +43,10 @@ def paint(simulation: Simulation, message: Paint, arrays: Arrays) -> str:
     value, cover = layer(simulation, message.module)
     box = slice(first_row, end_row), slice(first_col, end_col)
     value[box], cover[box] = np.where(arrays["painted"] > 0, arrays["value"], 0), arrays["painted"]
-    return override(simulation, {message.module: (value, cover)}, message.over)
+    return None, override(simulation, {message.module: (value, cover)}, message.over)
 
 
-def place(run: Run, message: Place) -> Answer:
+def place(run: Run, message: Place, arrays: Arrays) -> Answer:
     """The pixels that light a point of the world in the step that was shown last."""
     point, modules, layers = torch.tensor(message.point_m, dtype=torch.float64), list[dict[str, Any]](), dict[int, Layer]()
     for k, (module, pose) in enumerate(zip(run.simulation.modules, _poses(run), strict=True)):
@@ -128,3 +128,6 @@ def _cover(old: Layer, pixels: Tensor, values: np.ndarray | int) -> Layer:
 
 def _poses(run: Run) -> list[Tensor]:
     return [matrix(each["T_world_module"]) for each in run.snapshots[-1].head["modules"]]
+
+
+ACTS: Final[Mapping[str, Callable[[Run, Any, Arrays], Answer]]] = {"paint": paint, "place": place, "wish": wish}  # by type of the message

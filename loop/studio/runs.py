@@ -25,6 +25,7 @@ from luxloop.loop.scenario.driving import repeat
 from luxloop.loop.scenario.edits import ACTS, Edit, differences, replaces
 from luxloop.loop.scenario.model import Scenario
 from luxloop.loop.simulation.evaluator import Evaluation
+from luxloop.loop.simulation.protocol import close_plant
 from luxloop.loop.simulation.redrawn import lights_without_paint
 from luxloop.loop.simulation.result import SimulationState
 from luxloop.loop.simulation.simulation import Simulation
@@ -315,7 +316,7 @@ def start(
         told(f"preparing {scenario.name}")
         before = prepare(scenario, device, before)
         for run in old:
-            getattr(run.simulation.plant, "close", lambda: None)()  # its address or devices are those of the new one
+            close_plant(run.simulation.plant)  # its address or devices are those of the new one
         told(f"first step of {scenario.name}")
         playback = Playback(source.recording, recording) if source.recording and recording else None
         runs.append(Run(before, source.label, source.all, wanted, playback))

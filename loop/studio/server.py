@@ -81,6 +81,11 @@ class Client:
         self.is_here = ip_address(connection.remote_address[0]).is_loopback
         self.changed, self.answers, self.asks = asyncio.Event(), list[dict[str, Any]](), set[tuple[str, int]]()
 
+    def reply(self, head: dict[str, Any]) -> None:
+        """Answer as soon as it takes that."""
+        self.answers.append(head)
+        self.changed.set()
+
     async def send(self, data: bytes) -> None:
         """Raises TimeoutError where the client does not take it."""
         async with asyncio.timeout(DEAF_S):
@@ -97,7 +102,7 @@ class Studio:
         self._clients, self._number = list[Client](), 0
         self._pen: int | None = None
         self._threads = ThreadPoolExecutor(2, "messages")
-        self.session = Session(sources, self._notify, allow_code=allow_code, device=device)
+        self.session = Session(sources, partial(self._later, self._tell), allow_code=allow_code, device=device)
         self._names = frozenset({"localhost", socket.gethostname().lower()})
 
     async def serve(self, host: str, port: int) -> Server:
@@ -185,7 +190,7 @@ class Studio:
             self._tell()
 
     def _receive(self, client: Client, data: bytes | str) -> None:
-        reply = self._reply_to(client)
+        reply = client.reply
         message: Message | None = None
         try:
             message, arrays = read(data)
@@ -227,36 +232,25 @@ class Studio:
         if message.type != "pen" and self._pen != client.number:
             raise LuxloopError(f"{message.type}: another page holds the pen; take it first")
 
-    def _reply_to(self, client: Client) -> Callable[[dict[str, Any]], None]:
-        def reply(head: dict[str, Any]) -> None:
-            client.answers.append(head)
-            client.changed.set()
-
-        return reply
-
     def _inquire(self, client: Client, message: Message) -> None:
         """Have the session answer what watchers may ask as well, one of a kind at a time."""
-        ask, reply = (message.type, getattr(message, "run", 0)), self._reply_to(client)
+        ask = message.type, getattr(message, "run", 0)
+
+        def finish(head: dict[str, Any]) -> None:
+            client.asks.discard(ask)
+            client.reply(head)
+
         if ask in client.asks:
             text = f"{message.type}: the last one is not answered yet"
-            reply({"type": "error", "text": text, "about": message.type, "ask": message.ask})
+            client.reply({"type": "error", "text": text, "about": message.type, "ask": message.ask})
         else:
             client.asks.add(ask)
-            self.session.ask(message, partial(self._later, partial(self._finish, client, ask)))
+            self.session.ask(message, partial(self._later, finish))
 
-    def _finish(self, client: Client, ask: tuple[str, int], head: dict[str, Any]) -> None:
-        client.asks.discard(ask)
-        self._reply_to(client)(head)
-
-    def _notify(self) -> None:
-        """Tell clients, from another thread."""
+    def _later(self, what: Callable[..., None], *arguments: Any) -> None:
+        """Do something for clients, from another thread."""
         with suppress(RuntimeError):  # the loop is closed, and nobody listens
-            self._loop.call_soon_threadsafe(self._tell)
-
-    def _later(self, reply: Callable[[dict[str, Any]], None], head: dict[str, Any]) -> None:
-        """Reply from another thread."""
-        with suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(reply, head)
+            self._loop.call_soon_threadsafe(what, *arguments)
 
     def _let_go(self) -> None:
         """Who drove does not any more."""

@@ -273,16 +273,11 @@ class Session:
     def _paint(self, message: Paint | Place | Wish, task: Task) -> None:
         from luxloop.loop.studio import painting
 
-        run, answer, stroke = self._run(0), None, 0 if isinstance(message, Wish) else message.stroke
-        if isinstance(message, Paint):
-            override: str | None = painting.paint(run.simulation, message, task.arrays)
-        elif isinstance(message, Place):
-            answer, override = painting.place(run, message)
-        else:
+        if isinstance(message, Wish):
             self._publish(progress="finding the pixels for the light wanted")
-            answer, override = painting.wish(run, message, task.arrays)
+        answer, override = painting.ACTS[message.type](self._run(0), message, task.arrays)
         if override is not None:
-            self._edit((override,), stroke)
+            self._edit((override,), getattr(message, "stroke", 0))
         if answer is not None:
             task.reply(answer)
 

@@ -17,8 +17,8 @@ from luxloop.loop.simulation.simulation import Simulation
 from luxloop.loop.studio.messages import View
 from luxloop.world.frames import transform
 from luxloop.world.headlight.lamp import REST
-from luxloop.world.scene.body import Spotlight
 from luxloop.world.scene.triangles import NOTHING, Instance, Triangles
+from luxloop.world.scene.vehicle import STANDING
 
 Pictures = dict[str, np.ndarray]  # `[height, width]` uint8, by name
 
@@ -62,13 +62,9 @@ def snapshot(
     It renders what pictures need, and so runs where the simulation does.
     """
     world, time_s = simulation.truth, result.time_s
-    eye = torch.eye(4, dtype=torch.float64)
-    T_world_ground = T_world_body = eye
-    spotlights: tuple[Spotlight, ...] = ()
-    if world is not None:
-        state = world.motion.at(time_s)
-        T_world_ground, T_world_body = state.T_world_ground, state.T_world_body
-        spotlights = world.scene.spotlights_at(time_s)
+    vehicle = (STANDING if world is None else world.motion).at(time_s)
+    T_world_ground, T_world_body = vehicle.T_world_ground, vehicle.T_world_body
+    spotlights = () if world is None else world.scene.spotlights_at(time_s)
     resting = [each.T_world_headlight for each in world.modules] if world else [each.T_world_module for each in simulation.modules]
     commands = result.now.commands or (REST,) * len(resting)
     lights = tuple(
@@ -96,7 +92,7 @@ def snapshot(
             for each in spotlights
         ],
         "symbols": {name: _symbol(simulation, result, name, T_world_ground) for name in result.held},
-        "marks": _marks(simulation, result) if "marks" in wanted else [],
+        "marks": [vars(each) for each in marks(result, simulation)] if "marks" in wanted else [],
         "notes": [text for text, _ in captions(result, simulation)[2:]],  # without the name and the step, which stand elsewhere
     }
     pictures = _pictures(simulation, result) if "camera" in wanted else {}
@@ -125,10 +121,6 @@ def _symbol(simulation: Simulation, result: Evaluation, name: str, T_world_groun
     there = corners + torch.tensor([[params.x_m], [params.y_m], [0.0]], dtype=torch.float64)
     target = transform(T_world_ground, there).T.tolist()
     return {"pose": held.pose.tolist(), "loss": loss_name(int(held.measurement.code)), "target": target}
-
-
-def _marks(simulation: Simulation, result: Evaluation) -> list[dict[str, Any]]:
-    return [{"lines": each.lines, "kind": each.kind, "text": each.text, "at": each.at} for each in marks(result, simulation)]
 
 
 def _pictures(simulation: Simulation, result: Evaluation) -> Pictures:
