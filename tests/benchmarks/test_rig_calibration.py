@@ -10,7 +10,7 @@ from rig_bench import Rig, rig
 from rig_calibration import CASES, digitise, figures, uneven_wall
 
 from luxloop.loop.rig.calibration.digitise import ModuleMeasurement
-from luxloop.world.errors import LuxloopError
+from tests.refusal import refusal
 
 STUCK = 433
 
@@ -61,7 +61,7 @@ def test_measurement_goes_on_where_it_stopped(small: dict[str, Rig], found: dict
 @pytest.mark.parametrize(("gain", "message"), [(0, "sees none of its pixels"), (100, "saturated at its shortest exposure")])
 def test_a_dark_lamp_and_a_saturated_camera_are_told(small: dict[str, Rig], gain: float, message: str) -> None:
     of = small["all four"]
-    with pytest.raises(LuxloopError, match=message):
+    with refusal(message):
         digitise(replace(of, bench=replace(of.bench, transports=tuple(gain * each for each in of.bench.transports))))
 
 

@@ -7,10 +7,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from luxloop import Detections, LuxloopError, check_detector
+from luxloop import Detections, check_detector
 from luxloop.perception.detection.build import network_detector
 from luxloop.perception.detection.detector import NetworkParams
 from tests.luxloop.variants import assert_refused, variant
+from tests.refusal import refusal
 
 
 class Brightest:
@@ -99,7 +100,7 @@ def test_what_keeps_the_contract_passes(device: torch.device) -> None:
     for detector in (Nothing, Network):
         check_detector(detector, device=device.type)
     check_detector(Brightest, {"size_px": 30}, device.type)
-    with pytest.raises(LuxloopError, match=r"detector\.options\.size: .*did you mean 'size_px'\?"):
+    with refusal(r"detector\.options\.size: .*did you mean 'size_px'\?"):
         check_detector(Brightest, {"size": 30}, device.type)
     with pytest.warns(UserWarning, match=r"nothing found in 3 frames, .*; frames are shares 0\.\.1 of the largest number"):
         check_detector(variant(Nothing, "OfCars", classes=("car",)), device=device.type)

@@ -7,8 +7,9 @@ from typing import Any
 import pytest
 import torch
 
-from luxloop import LuxloopError, ModuleCommand, Situation, check_function, rectangle
+from luxloop import ModuleCommand, Situation, check_function, rectangle
 from tests.luxloop.variants import assert_refused, variant
+from tests.refusal import refusal
 
 
 class Line:
@@ -136,5 +137,5 @@ def test_what_keeps_the_contract_passes(function: type) -> None:
 
 def test_options_are_those_of_the_scenario(device: torch.device) -> None:
     check_function(Line, {"far_m": 16.0}, device.type)
-    with pytest.raises(LuxloopError, match=r"options\.far: .*did you mean 'far_m'\?"):
+    with refusal(r"options\.far: .*did you mean 'far_m'\?"):
         check_function(Line, {"far": 16.0}, device.type)

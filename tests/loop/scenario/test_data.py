@@ -10,7 +10,7 @@ import pytest
 
 from luxloop.loop.scenario import data
 from luxloop.loop.scenario.data import DataFile, Download
-from luxloop.world.errors import LuxloopError
+from tests.refusal import refusal
 
 CONTENT = b"$ROAD_CRG\r\n\x00\xff a scan\n"
 REAL = data.registry()
@@ -56,7 +56,7 @@ def server(tmp_path: Path) -> Iterator[str]:
 
 def test_a_file_is_fetched_once_then_found_and_again_when_it_has_changed(server: str, known: Known, tmp_path: Path) -> None:
     known(server)
-    with pytest.raises(LuxloopError, match="`luxloop data get setts`"):
+    with refusal("`luxloop data get setts`"):
         data.find("setts")
     path = tmp_path / "cache" / "roads" / "setts.crg"
     assert data.get("setts") == Download(path, downloaded=True) and path.read_bytes() == CONTENT
@@ -84,7 +84,7 @@ def test_copies_at_hand_come_first_and_are_left_alone(known: Known, tmp_path: Pa
     monkeypatch.setenv(data.FOLDER_VARIABLE, str(tmp_path / "own"))
     assert data.get("setts") == Download(copy, downloaded=False)
     copy.write_bytes(b"mine")
-    with pytest.raises(LuxloopError, match=r"setts\.crg: is not 'setts' as registered \(SHA-256 differs\); move it away"):
+    with refusal(r"setts\.crg: is not 'setts' as registered \(SHA-256 differs\); move it away"):
         data.get("setts")
     assert copy.read_bytes() == b"mine"
 
@@ -99,7 +99,7 @@ def test_copies_at_hand_come_first_and_are_left_alone(known: Known, tmp_path: Pa
 )
 def test_what_cannot_be_fetched_is_not_kept(server: str, known: Known, tmp_path: Path, wrong: dict, words: str) -> None:
     known(**{"url": server, **wrong})
-    with pytest.raises(LuxloopError, match=words):
+    with refusal(words):
         data.get("setts")
     assert not [path for path in (tmp_path / "cache").rglob("*") if path.is_file()]
 
@@ -107,17 +107,17 @@ def test_what_cannot_be_fetched_is_not_kept(server: str, known: Known, tmp_path:
 def test_a_folder_that_cannot_be_written(server: str, known: Known, tmp_path: Path) -> None:
     known(server)
     (tmp_path / "file").write_text("")
-    with pytest.raises(LuxloopError, match=r"cannot be written .* --dir"):
+    with refusal(r"cannot be written .* --dir"):
         data.get("setts", directory=tmp_path / "file")
 
 
 def test_names(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name, words in (("belgian_blocks", "did you mean 'belgian_block'"), ("xyzzy", "`luxloop data list` shows all")):
-        with pytest.raises(LuxloopError, match=words):
+        with refusal(words):
             data.find(name)
     assert data.locate("roads/own.crg") == Path("roads/own.crg")
     monkeypatch.setenv(data.FOLDER_VARIABLE, str(tmp_path / "nowhere"))
-    with pytest.raises(LuxloopError, match=r"LUXLOOP_DATA names .*nowhere, which is not a folder"):
+    with refusal(r"LUXLOOP_DATA names .*nowhere, which is not a folder"):
         data.find("belgian_block")
 
 

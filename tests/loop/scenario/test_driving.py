@@ -5,8 +5,8 @@ import pytest
 from luxloop.loop.scenario.driving import begin_drive, continue_drive, end_drive, repeat, with_drive
 from luxloop.loop.scenario.edits import Edit, differences, with_overrides
 from luxloop.loop.scenario.model import load
-from luxloop.world.errors import LuxloopError
 from luxloop.world.scene.driver import Controls
+from tests.refusal import refusal
 
 START = load("night_drive")
 
@@ -30,10 +30,10 @@ def test_what_is_taken_back_keeps_the_drive() -> None:
 
 @pytest.mark.parametrize("override", ["functions={}", "vehicle.course[0]={speed_m_s=1.0}", "vehicle.wheelbase_m=3.0", "steps=0"])
 def test_nothing_else_passes_for_driving(override: str) -> None:
-    with pytest.raises(LuxloopError, match="record the run again"):
+    with refusal("record the run again"):
         repeat(begin_drive(START, 3), Edit(step=3, overrides=(override,), driven=True))
 
 
 def test_who_stands_is_not_driven() -> None:
-    with pytest.raises(LuxloopError, match="the vehicle stands"):
+    with refusal("the vehicle stands"):
         begin_drive(load("snowflake"), 1)

@@ -15,6 +15,7 @@ from luxloop.loop.studio import page
 from luxloop.loop.studio.client import connect
 from luxloop.world.errors import LuxloopError
 from tests.loop.studio.conftest import SMALL
+from tests.refusal import refusal
 
 ROOT = Path(__file__).parents[3]
 
@@ -50,7 +51,7 @@ def test_a_program_beside_the_loop_holds_the_brightness_of_the_road() -> None:
 
 
 def test_what_cannot_begin_is_told_in_a_sentence() -> None:
-    with pytest.raises(LuxloopError, match="did you mean 'snowflake'"):
+    with refusal("did you mean 'snowflake'"):
         show("snowflak")
-    with pytest.raises(LuxloopError, match="did you mean 'bits'"):
+    with refusal("did you mean 'bits'"):
         show("snowflake", "camera.bitz=8")

@@ -9,12 +9,12 @@ from luxloop.loop.scenario.model import Scenario, load, validate
 from luxloop.loop.simulation.build_lamps import mount
 from luxloop.loop.simulation.build_scene import build_motion, build_scene
 from luxloop.loop.simulation.part_cache import PartCache
-from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import pose_from_degrees
 from luxloop.world.headlight.lamp import Lamp, Module
 from luxloop.world.lamps import archive
 from luxloop.world.lamps.presets import idealised
 from tests.loop.conftest import simulation_of
+from tests.refusal import refusal
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def test_what_can_turn_is_turned_and_the_rest_stays(scenario: Scenario) -> None:
     ],
 )
 def test_what_the_lamp_has_not_is_named(scenario: Scenario, values: dict, words: str) -> None:
-    with pytest.raises(LuxloopError, match=words):
+    with refusal(words):
         mount(with_headlight(scenario, **values).headlight)
 
 

@@ -19,6 +19,7 @@ from luxloop.loop.simulation.simulation import Simulation
 from luxloop.world.errors import LuxloopError
 from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import Lux, assert_one_sentence
+from tests.refusal import refusal
 
 OWN = """
 from dataclasses import replace
@@ -152,7 +153,7 @@ NEEDS = {
 @pytest.mark.usefixtures("own")
 @pytest.mark.parametrize("key", NEEDS)
 def test_what_needs_the_truth_is_refused_without_it(key: str) -> None:
-    with pytest.raises(LuxloopError, match=f"lit: {key}: needs the truth, which the plant own:Blind does not know") as refused:
+    with refusal(f"lit: {key}: needs the truth, which the plant own:Blind does not know") as refused:
         simulation(**NEEDS[key], plant=BLIND)
     assert_one_sentence(f"error: {refused.value}\n")
 
@@ -181,8 +182,8 @@ def test_a_recording_of_other_exposures_or_of_held_symbols_is_refused(tmp_path: 
     folder = tmp_path / "recorded"
     run(validate(WORLD | {"steps": 4}, "lit"), folder, frames=True, video=False, report=False, device="cpu")
     recording = {"plant": {"kind": "recording", "folder": str(folder)}, "steps": 4}
-    with pytest.raises(LuxloopError, match=r"exposures of 33.33 ms, but those of this scenario take 20 ms"):
+    with refusal(r"exposures of 33.33 ms, but those of this scenario take 20 ms"):
         simulation(**recording, rate_hz=50.0)
-    with pytest.raises(LuxloopError, match="shows none of the symbols that are held here, flake, but none"):
+    with refusal("shows none of the symbols that are held here, flake, but none"):
         simulation(**recording, functions={"flake": {"kind": "symbol", "image": "snowflake", "controller": "luxloop"}})
     assert lights(list(simulation(**recording).evaluations()))[-1].equal(lights(list(simulation(steps=4).evaluations()))[-1])

@@ -22,8 +22,8 @@ from luxloop.loop.simulation.frames import TABLE, image_file, light_file
 from luxloop.loop.simulation.protocol import Exposure
 from luxloop.loop.simulation.simulation import Simulation
 from luxloop.perception.appearance import DEGREES
-from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
+from tests.refusal import refusal
 
 
 def held_by(controller: str) -> dict[str, Any]:
@@ -126,7 +126,7 @@ def test_symbols_that_lie_side_by_side_and_below_a_mask_are_played(recorded: dic
     unknown = playing(TWO, recorded["two"])
     assert not unknown.situation(0.0).objects and run_of(unknown)["functions.flake.x_m"].equals(again["functions.flake.x_m"])
     unlike = {"symbol": SMALL["functions"]["symbol"]}
-    with pytest.raises(LuxloopError, match=r"shows none of the symbols that are held here, symbol, but (flake|way)"):
+    with refusal(r"shows none of the symbols that are held here, symbol, but (flake|way)"):
         playing(TWO, recorded["two"], objects=[], functions=unlike)
 
 
@@ -246,7 +246,7 @@ def test_what_is_damaged_or_lies_elsewhere_is_refused_in_a_sentence(name: str, r
     damage, words = DAMAGE[name]
     folder = shutil.copytree(recorded["drives"], tmp_path / "copy")
     damage(folder)
-    with pytest.raises(LuxloopError, match=words) as caught:
+    with refusal(words) as caught:
         for _ in playing(DRIVES, folder).evaluations():
             pass
     (sentence,) = caught.value.args
@@ -261,7 +261,7 @@ def test_frames_of_lighting_functions_hold_no_symbol(lamps: str, words: str, tmp
     given = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "renderer=raycast", f"headlight.lamps={lamps}"]
     run("gfhb", tmp_path / "gfhb", frames=True, video=False, report=False, overrides=given, steps=2)
     model = load("gfhb", given).headlight.model
-    with pytest.raises(LuxloopError, match=words):
+    with refusal(words):
         playing({**SMALL, "steps": 1, "headlight": {"model": model, "lamps": ["left"]}}, tmp_path / "gfhb")
 
 

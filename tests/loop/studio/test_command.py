@@ -13,7 +13,7 @@ import pytest
 
 from luxloop.loop.studio.page import PAGE
 from luxloop.loop.studio.server import Studio, Tokens
-from luxloop.world.errors import LuxloopError
+from tests.refusal import refusal
 
 MAIN = "import sys; from luxloop.loop.commands.cli import main; sys.exit(main())"
 STUDIO = [sys.executable, "-c", MAIN, "studio", "snowflake", "--port", "0"]
@@ -24,7 +24,7 @@ def test_an_address_that_cannot_be_had_is_refused(host: str, port: int, tmp_path
     async def serve() -> None:
         await Studio((), tmp_path, Tokens()).serve(host, port)
 
-    with pytest.raises(LuxloopError, match=f"--port {port}: cannot listen there"):
+    with refusal(f"--port {port}: cannot listen there"):
         asyncio.run(serve())
 
 

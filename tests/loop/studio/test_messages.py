@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from luxloop.loop.studio.messages import Paint, Set, Speed, read
-from luxloop.world.errors import LuxloopError
 from luxloop.world.messages import LENGTH, encode, grey, pack
 from tests.loop.studio.clients import message, unpacked
+from tests.refusal import refusal
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.uint32, np.float16, np.float32])
@@ -100,7 +100,7 @@ LARGE_PNG = cv2.imencode(".png", np.zeros((4000, 4000), np.uint8))[1].tobytes()
     ],
 )
 def test_a_body_that_is_not_as_it_is_said_to_be_is_refused(data: bytes, told: str) -> None:
-    with pytest.raises(LuxloopError, match=told) as error:
+    with refusal(told) as error:
         read(data)
     assert "\n" not in str(error.value) and str(error.value).startswith("message: ")
 
@@ -123,6 +123,6 @@ def test_a_body_that_is_not_as_it_is_said_to_be_is_refused(data: bytes, told: st
     ],
 )
 def test_what_is_no_message_is_refused_in_a_sentence(data: bytes | str, told: str) -> None:
-    with pytest.raises(LuxloopError, match=told) as error:
+    with refusal(told) as error:
         read(data)
     assert "\n" not in str(error.value) and str(error.value).startswith("message: ")

@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from luxloop.world import files
-from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight import pixels
 from luxloop.world.headlight.pixels import Pixel, PixelArray, _window, assemble, border_share, default_grid
 from luxloop.world.headlight.sources import FileSource
@@ -21,6 +20,7 @@ from luxloop.world.photometry import lm63
 from luxloop.world.photometry.distribution import Aim, Distribution, angles_of, directions_of
 from luxloop.world.photometry.texture import light_texture, solid_angles
 from luxloop.world.texels import TexelGrid
+from tests.refusal import refusal
 
 ANGLES = np.linspace(-3, 3, 25)
 GRID = TexelGrid.from_degrees(60, 80, 4, -4, -3, 3)
@@ -136,7 +136,7 @@ def test_a_matrix_beyond_all_memory_is_refused_before_the_work_with_values_that_
     monkeypatch.setattr(pixels, "BUDGET_BYTES", 64 * 175_000)
     monkeypatch.setattr(files, "BUDGET_BYTES", 64 * 175_000)
     array, seen = PixelArray([Pixel(gaussian())] * 100, 10, 10), []
-    with pytest.raises(LuxloopError, match=r"its 100 pixels, .* of 60 x 80 texels by estimate, .*; set texture.rows") as refused:
+    with refusal(r"its 100 pixels, .* of 60 x 80 texels by estimate, .*; set texture.rows") as refused:
         assemble(array, GRID, on_progress=lambda done, of: seen.append(done))
     assert seen == []
     found = re.search(r"rows = (\d+) and texture.columns = (\d+), or cutoff = ([\d.]+)$", str(refused.value))

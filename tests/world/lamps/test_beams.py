@@ -5,13 +5,13 @@ import math
 import pytest
 import torch
 
-from luxloop.world.errors import LuxloopError
 from luxloop.world.headlight.lamp import Lamp, direction
 from luxloop.world.lamps.fitting import fit
 from luxloop.world.lamps.patterns import PATTERNS, QUICK, RECTANGLES, Pattern, Rectangle, pattern
 from luxloop.world.lamps.presets import lamp
 from luxloop.world.regulation import check_beam, passes
 from luxloop.world.texels import TexelGrid
+from tests.refusal import refusal
 
 DEG15 = math.tan(math.radians(15))
 
@@ -48,7 +48,7 @@ def test_the_beams_differ_as_they_should() -> None:
 
 
 def test_an_unknown_beam_names_its_neighbour() -> None:
-    with pytest.raises(LuxloopError, match=r"'hihg'.*did you mean 'high'"):
+    with refusal(r"'hihg'.*did you mean 'high'"):
         pattern("hihg")
 
 
@@ -133,5 +133,5 @@ def test_turning() -> None:
 
 
 def test_rectangles_beside_the_texture_are_refused() -> None:
-    with pytest.raises(LuxloopError, match="no texel"):
+    with refusal("no texel"):
         Rectangle(40, 0, 1, 1).texture(GRID)

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from luxloop.world.errors import LuxloopError
 from luxloop.world.materials.brdf import Material, luminance_factor
 from luxloop.world.materials.library import MATERIALS, WET
+from tests.refusal import refusal
 
 share = st.sampled_from([0.0, 1.0]) | st.floats(0, 1)
 materials = st.builds(Material, share, share, st.floats(0.02, 1), share, st.floats(0.2, 10))
@@ -132,5 +132,5 @@ def test_a_wet_road_is_dark_to_its_own_lamps_and_mirrors_those_ahead() -> None:
     ],
 )
 def test_numbers_out_of_range_are_refused(name: str, value: float) -> None:
-    with pytest.raises(LuxloopError, match=f"{name} = .*range"):
+    with refusal(f"{name} = .*range"):
         Material(**{name: value})

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from luxloop.world.errors import LuxloopError
 from luxloop.world.opencrg import Crg, CrgSurface, fill_gaps, modify, read_crg
+from tests.refusal import refusal
 from tests.world.opencrg.writer import write_crg
 
 # The library keeps elevations as float32 and its x, y are printed to 1e-9 m, so we differ by 2e-9 m at most; this is the promise.
@@ -190,7 +190,7 @@ def test_a_file_may_refer_to_another(tmp_path: Path) -> None:
     assert crg.modifiers == {"scale_z_grid": 2.0, "grid_nan_mode": 2.0}
     np.testing.assert_array_equal(crg.z, grid().z)
     outer.write_text("$ROAD_CRG_FILE\nouter.crg\n$\n")
-    with pytest.raises(LuxloopError, match="circle"):
+    with refusal("circle"):
         read_crg(outer)
 
 
@@ -199,7 +199,7 @@ def test_a_reference_shows_no_environment_variable(tmp_path: Path, monkeypatch: 
     monkeypatch.setenv("SECRET", "hunter2")
     outer = tmp_path / "outer.crg"
     outer.write_text(f"$ROAD_CRG_FILE\n {path}\n$\n")
-    with pytest.raises(LuxloopError, match=r"outer\.crg: .*\$\{?SECRET.*not expanded; write the path out") as caught:
+    with refusal(r"outer\.crg: .*\$\{?SECRET.*not expanded; write the path out") as caught:
         read_crg(outer)
     assert "hunter2" not in str(caught.value)
 
@@ -235,7 +235,7 @@ def test_broken_files_say_what_and_where(tmp_path: Path, kind: str, old: bytes, 
     content = path.read_bytes()
     assert old in content
     path.write_bytes(content.replace(old, new, 1))
-    with pytest.raises(LuxloopError, match=message) as caught:
+    with refusal(message) as caught:
         read_crg(path)
     assert str(path) in str(caught.value)
 
@@ -279,13 +279,13 @@ def test_damaged_binary_is_refused(tmp_path: Path) -> None:
     write_crg(path, crg, "KRBI")
     content = path.read_bytes()
     path.write_bytes(content[:-333])
-    with pytest.raises(LuxloopError, match="truncated"):
+    with refusal("truncated"):
         read_crg(path)
     path.write_bytes(content.replace(b"\r\n", b"\n"))
-    with pytest.raises(LuxloopError, match=r"implausible|truncated"):
+    with refusal(r"implausible|truncated"):
         read_crg(path)
     path.write_bytes(content.replace(b"\n", b"\r\n"))
-    with pytest.raises(LuxloopError, match="implausible"):
+    with refusal("implausible"):
         read_crg(path)
     path.write_bytes(content[: -240 - 80 * 2])
     with pytest.warns(UserWarning, match="of the 40 rows"):
@@ -295,11 +295,11 @@ def test_damaged_binary_is_refused(tmp_path: Path) -> None:
 def test_not_a_crg(tmp_path: Path) -> None:
     path = tmp_path / "noise.crg"
     path.write_bytes(np.random.default_rng(0).bytes(5000))
-    with pytest.raises(LuxloopError, match="is not an OpenCRG file"):
+    with refusal("is not an OpenCRG file"):
         read_crg(path)
-    with pytest.raises(LuxloopError, match="cannot be read"):
+    with refusal("cannot be read"):
         read_crg(tmp_path / "none.crg")
-    with pytest.raises(LuxloopError, match="kind 'XXXX' is unknown"):
+    with refusal("kind 'XXXX' is unknown"):
         write_crg(tmp_path / "x.crg", grid(), "XXXX")
 
 
@@ -309,7 +309,7 @@ def test_modifiers_of_no_road_are_refused_in_a_sentence(modifier: str, value: fl
     phi = np.linspace(0.0, 0.2, 9)
     crg = Crg(np.full((9, 3), 0.1), np.array([-1.0, 0.0, 1.0]), {"reference_line_increment": 0.5}, phi, modifiers={modifier: value})
     write_crg(tmp_path / "a.crg", crg)
-    with pytest.raises(LuxloopError, match=rf"a\.crg, line \d+: {modifier.upper()} = .* too large for a road"):
+    with refusal(rf"a\.crg, line \d+: {modifier.upper()} = .* too large for a road"):
         read_crg(tmp_path / "a.crg")
 
 
@@ -317,5 +317,5 @@ def test_modifiers_of_no_road_are_refused_in_a_sentence(modifier: str, value: fl
 def test_what_modifiers_make_is_a_road_or_refused_in_a_sentence(changed: dict[str, float]) -> None:
     phi = np.linspace(0.0, 0.2, 9)
     crg = Crg(np.full((9, 3), 0.2), np.array([-1.0, 0.0, 1.0]), {"reference_line_increment": 0.5}, phi)
-    with pytest.raises(LuxloopError, match=r"are not those of a road; correct \$ROAD_CRG and \$ROAD_CRG_MODS"):
+    with refusal(r"are not those of a road; correct \$ROAD_CRG and \$ROAD_CRG_MODS"):
         CrgSurface(modify(crg, changed))

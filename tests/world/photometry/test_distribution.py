@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from luxloop.world.errors import LuxloopError
 from luxloop.world.photometry import Distribution
 from luxloop.world.photometry.distribution import Kind, angles_of
+from tests.refusal import refusal
 
 HALF = math.sqrt(0.5)
 AHEAD, RIGHT, UP, DOWN = (1, 0, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)
@@ -115,5 +115,5 @@ def test_uniform_light_has_the_flux_of_its_solid_angle(distribution: Distributio
     ],
 )
 def test_nonsense_is_refused(kind: Kind, v: list[float], h: list[float], candela: list[list[float]], word: str) -> None:
-    with pytest.raises(LuxloopError, match=word):
+    with refusal(word):
         Distribution(kind, np.array(v), np.array(h), np.array(candela))

@@ -8,6 +8,7 @@ import pytest
 from luxloop.world.errors import LuxloopError
 from luxloop.world.photometry import Distribution, read_photometry, write_eulumdat
 from luxloop.world.photometry.eulumdat import parse
+from tests.refusal import refusal
 from tests.world.photometry.writing import ies, ldt
 
 C, GAMMA = [0, 90, 180, 270], [0, 90, 180]
@@ -58,10 +59,10 @@ def test_separated_thousands_are_refused_or_told(number: int, separator: str) ->
     text = line_changed(number, f"1{separator}000")
     if separator == ",":
         assert "thousands" in str(parsed(text).warnings)
-        with pytest.raises(LuxloopError, match="a decimal point as elsewhere"):
+        with refusal("a decimal point as elsewhere"):
             parsed(line_changed(FIRST_VALUE + 1, "1,000").replace("\n60\n", "\n60.5\n"))
     else:
-        with pytest.raises(LuxloopError, match=r"line \d+: expected .* found"):
+        with refusal(r"line \d+: expected .* found"):
             parsed(text)
 
 
@@ -124,7 +125,7 @@ def test_broken_files_name_the_line_and_what_was_expected(number: int, value: st
 
 @pytest.mark.parametrize("lines", [1, 5, 27, 35, 42, 45, 52])
 def test_truncated_files_name_their_end(lines: int) -> None:
-    with pytest.raises(LuxloopError, match=r"found the file's end|found '\(nothing\)'"):
+    with refusal(r"found the file's end|found '\(nothing\)'"):
         parsed("\n".join(PLAIN.split("\n")[:lines]))
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from luxloop.world.errors import LuxloopError
 from luxloop.world.roads.base import Floats, MeshGrid
 from luxloop.world.roads.shapes import Flat
 from luxloop.world.scene.body import Figure
@@ -14,6 +13,7 @@ from luxloop.world.scene.vehicle import Motion, VehicleParams, drive
 from luxloop.world.traffic.generator import LANE_M, ROLES, TrafficParams
 from luxloop.world.traffic.objects import ObjectParams
 from luxloop.world.traffic.route import OWN_M
+from tests.refusal import refusal
 
 DRIVE_S = 20.0
 SPEEDS = ((0, 14, 0), (2, 14, 0), (4, 11, 0.015), (9, 11, 0.015), (11, 0, 0), (13, 0, 0), (16, 12, -0.01))
@@ -98,7 +98,7 @@ def test_nothing_moves_where_nothing_shall():
 
 
 def test_more_traffic_than_memory_holds_is_refused():
-    with pytest.raises(LuxloopError, match=r"traffic: [\d,]+ objects .* raise far_m"):
+    with refusal(r"traffic: [\d,]+ objects .* raise far_m"):
         TRAFFIC.along(VehicleParams(course=({"speed_m_s": 50.0},)), 1000.0)
 
 

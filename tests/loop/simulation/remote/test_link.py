@@ -19,11 +19,11 @@ from websockets.uri import parse_uri
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import validate
 from luxloop.loop.simulation.remote import Link
-from luxloop.world.errors import LuxloopError
 from luxloop.world.messages import raw
 from tests.loop.conftest import SMALL
 from tests.loop.simulation.remote.test_remote import free_port
 from tests.loop.studio.clients import message, unpacked
+from tests.refusal import refusal
 
 SIZE = (4, 6)
 FRAME = np.arange(24, dtype=np.uint16).reshape(SIZE)
@@ -127,10 +127,10 @@ def test_an_answer_that_is_none_is_refused_here_and_there(name: str) -> None:
     (answer, words), link = WRONG[name], link_of()
     with talking(answering(answer), link) as gave:
         link.meet({})
-        with pytest.raises(LuxloopError, match=words) as caught:
+        with refusal(words) as caught:
             link.ask(START)
         assert str(caught.value).startswith("mine: ") and "\n" not in str(caught.value)
-        with pytest.raises(LuxloopError, match="no simulator is connected any more"):
+        with refusal("no simulator is connected any more"):
             link.ask(START)
     (error,) = gave
     assert isinstance(error, ConnectionClosed) and error.rcvd is not None and error.rcvd.code == 4400
@@ -140,7 +140,7 @@ def test_a_message_beyond_what_frames_can_take_is_not_read() -> None:
     link = link_of()
     with talking(answering(bytes(2**21)), link):
         link.meet({})
-        with pytest.raises(LuxloopError, match=r"mine: has gone \(.*1009 \(message too big\)"):
+        with refusal(r"mine: has gone \(.*1009 \(message too big\)"):
             link.ask(START)
 
 
@@ -148,7 +148,7 @@ def test_a_simulator_says_why_it_fails() -> None:
     link = link_of()
     with talking(answering(message(type="error", text="out of roads")), link) as gave:
         link.meet({})
-        with pytest.raises(LuxloopError, match=r"^mine: fails \(out of roads\)$"):
+        with refusal(r"^mine: fails \(out of roads\)$"):
             link.ask(START)
     assert gave[0][-1] == {"type": "end"}
 
@@ -157,10 +157,10 @@ def test_who_is_silent_or_goes_away_ends_the_wait() -> None:
     link, begun_s = link_of(0.5), time.monotonic()
     with talking(answering(), link):
         link.meet({})
-        with pytest.raises(LuxloopError, match=r"mine: does not answer within 0.5 s; raise plant.timeout_s"):
+        with refusal(r"mine: does not answer within 0.5 s; raise plant.timeout_s"):
             link.ask(START)
     link = link_of()
-    with talking(lambda there: there.send(HELLO), link), pytest.raises(LuxloopError, match="mine: has gone"):
+    with talking(lambda there: there.send(HELLO), link), refusal("mine: has gone"):
         link.meet({})
         link.ask(START)
     assert time.monotonic() - begun_s < 5
@@ -189,25 +189,25 @@ def test_who_does_not_read_ends_the_wait() -> None:
         link.meet({})
         thread.join()
         begun_s = time.monotonic()
-        with pytest.raises(LuxloopError, match=r"mine: has gone, or does not read within 0.5 s"):
+        with refusal(r"mine: has gone, or does not read within 0.5 s"):
             link.ask({"type": "show", "number": 0}, {"light.0": raw(np.zeros(2**24, np.float32))})
         assert time.monotonic() - begun_s < 5
 
 
 def test_nobody_comes_and_others_are_refused() -> None:
     link = link_of(0.3)
-    with pytest.raises(LuxloopError, match=rf"^no simulator has connected to ws://{link.address} within 0.3 s; start one, or raise"):
+    with refusal(rf"^no simulator has connected to ws://{link.address} within 0.3 s; start one, or raise"):
         link.meet({})
     link = link_of(1.0)
     with (
         talking(lambda there: [there.send(message(type="hello", protocol=9)), [*there]], link) as gave,
-        pytest.raises(LuxloopError, match="refused: a program must first say hello, with protocol 1"),
+        refusal("refused: a program must first say hello, with protocol 1"),
     ):
         link.meet({})
     assert isinstance(gave[0], ConnectionClosed)
     for origin in ("https://elsewhere.example", "null"):  # which frames of any site can have
         link = link_of(1.0)
-        with talking(lambda there: None, link, origin=origin) as gave, pytest.raises(LuxloopError, match="no simulator has connected"):
+        with talking(lambda there: None, link, origin=origin) as gave, refusal("no simulator has connected"):
             link.meet({})
         assert isinstance(gave[0], InvalidStatus) and gave[0].response.status_code == 403
 
@@ -221,9 +221,9 @@ def test_one_simulator_is_the_plant_and_another_is_told_so() -> None:
             assert unpacked(second.recv())[0] == {"type": "error", "text": "another simulator is the plant of this run"}
         assert link.ask(START)[0].time_s == 1.5
         other = Link(link.address, 1.0, SIZE)
-        with pytest.raises(LuxloopError, match=r"cannot listen on 127.0.0.1:99999 \(.*\); set plant.address to another port"):
+        with refusal(r"cannot listen on 127.0.0.1:99999 \(.*\); set plant.address to another port"):
             Link("127.0.0.1:99999", 1.0, SIZE).meet({})
-        with pytest.raises(LuxloopError, match=rf"cannot listen on {link.address} \(.*\); set plant.address to another port"):
+        with refusal(rf"cannot listen on {link.address} \(.*\); set plant.address to another port"):
             other.meet({})
 
 
@@ -248,7 +248,7 @@ def test_nothing_is_opened_before_the_start_and_light_comes_as_texture() -> None
         state = simulation.start()
         assert state.arrivals.time_s == 0.0, "its clock began at 99.1 s"
         state, result = simulation.step(state)
-        with pytest.raises(LuxloopError, match="exposure 0 does not follow exposure 1; a simulator goes on from its own state alone"):
+        with refusal("exposure 0 does not follow exposure 1; a simulator goes on from its own state alone"):
             simulation.plant.show(state.plant, result.exposures[0])
     welcome, (head, arrays) = got[0][0], got[2]
     (module,), (top, bottom, left, right) = welcome["modules"], head["windows"][0]

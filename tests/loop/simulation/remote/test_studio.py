@@ -5,7 +5,6 @@ import time
 from typing import Any
 
 import numpy as np
-import pytest
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
@@ -14,10 +13,10 @@ from luxloop.loop.scenario.model import validate
 from luxloop.loop.studio.messages import VIEWS
 from luxloop.loop.studio.runs import start
 from luxloop.loop.studio.sources import Source
-from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import SMALL
 from tests.loop.simulation.remote.conftest import free_port
 from tests.loop.studio.clients import message, unpacked
+from tests.refusal import refusal
 
 MOVED = ("functions.patch.x_m=25.0",)
 
@@ -54,7 +53,7 @@ def test_edits_go_on_and_what_starts_anew_begins_again() -> None:
         first.step(VIEWS)
         (again,) = start([(Source("studio"), scenario)], [first], VIEWS, print, anew=False)
         again.step(VIEWS)
-        with pytest.raises(LuxloopError, match="no simulator is connected any more"):
+        with refusal("no simulator is connected any more"):
             first.step(VIEWS)
         again.simulation.plant.close()  # type: ignore[attr-defined]
     finally:

@@ -4,9 +4,9 @@ import pytest
 
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
 from luxloop.loop.scenario.model import load
-from luxloop.world.errors import LuxloopError
 from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import simulation_of
+from tests.refusal import sentence
 
 OWN = """
 from luxloop.controllers.symbol.sensing.projection import ProjectionCommand
@@ -55,6 +55,5 @@ def test_a_controller_of_ones_own_is_named_in_the_scenario() -> None:
     ],
 )
 def test_what_is_wrong_with_it_is_said_in_a_sentence(controller: str, words: list[str]) -> None:
-    with pytest.raises(LuxloopError) as error:
+    with sentence(*words):
         simulation_of(load("flat", [*SMALL, f"functions.symbol.controller={controller}"]))
-    assert all(word in str(error.value) for word in words), str(error.value)

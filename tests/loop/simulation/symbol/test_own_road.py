@@ -6,9 +6,9 @@ import pytest
 
 from luxloop.controllers.symbol import FeedforwardParams
 from luxloop.loop.scenario.model import load
-from luxloop.world.errors import LuxloopError
 from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import simulation_of
+from tests.refusal import sentence
 
 OWN = """
 import numpy as np
@@ -69,7 +69,5 @@ def test_it_lies_and_is_believed_in_as_the_same_road_of_ours() -> None:
     ],
 )
 def test_what_is_wrong_with_it_is_said_in_a_sentence(road: dict[str, Any], words: list[str]) -> None:
-    with pytest.raises(LuxloopError) as error:
+    with sentence("road", *words):
         simulation_of(load("flat", [*SMALL, {"road": road}]))
-    message = str(error.value)
-    assert all(word in message for word in ["road", *words]) and "\n" not in message, message

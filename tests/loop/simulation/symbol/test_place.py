@@ -10,9 +10,9 @@ from luxloop.loop.scenario.model import load
 from luxloop.loop.simulation.result import StepResult
 from luxloop.perception.birdseye import birds_eye, cells, region_around
 from luxloop.perception.camera import CameraParams, camera_view
-from luxloop.world.errors import LuxloopError
 from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import simulation_of
+from tests.refusal import refusal
 
 SMALL = [
     f"headlight.model={SMALL_LAMP}",
@@ -66,7 +66,7 @@ def test_the_nearest_place_that_is_lit_is_recorded() -> None:
 
 @pytest.mark.parametrize("controller", ["thesis_pid", "gauss_newton", "model_reference"])
 def test_controllers_that_hold_an_appearance_refuse_a_place(controller: str) -> None:
-    with pytest.raises(LuxloopError, match=rf'functions.symbol: target: {controller} .* set controller.name = "luxloop"'):
+    with refusal(rf'functions.symbol: target: {controller} .* set controller.name = "luxloop"'):
         load("flat", ["functions.symbol.target='place'", f"functions.symbol.controller={{name='{controller}'}}"])
 
 

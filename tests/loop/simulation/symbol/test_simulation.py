@@ -8,8 +8,8 @@ from luxloop.controllers.symbol.sensing.projector import StartParams
 from luxloop.loop.run import prepare
 from luxloop.loop.scenario.model import Scenario, load
 from luxloop.perception.camera import luminance_of
-from luxloop.world.errors import LuxloopError
 from tests.loop.conftest import simulation_of
+from tests.refusal import refusal
 
 
 def test_the_controller_knows_that_the_road_is_wet(small_scenario: Scenario) -> None:
@@ -53,5 +53,5 @@ def test_a_symbol_settles_in_a_burning_beam(small_scenario: Scenario, symbol: di
     ],
 )
 def test_a_beam_that_takes_no_symbol_is_refused(changes: list[str], words: str) -> None:
-    with pytest.raises(LuxloopError, match=words):
+    with refusal(words):
         prepare(load("flat", ["camera.width_px=320", "camera.height_px=180", "renderer=raycast", *changes]))

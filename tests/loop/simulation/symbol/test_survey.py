@@ -8,9 +8,9 @@ from luxloop.controllers.symbol.heights.feedforward import MeasuringFeedforward
 from luxloop.loop.scenario.model import load
 from luxloop.loop.scenario.overrides import resolve_paths
 from luxloop.loop.simulation.simulation import Simulation
-from luxloop.world.errors import LuxloopError
 from tests.lamps import SMALL_LAMP
 from tests.loop.conftest import simulation_of
+from tests.refusal import refusal
 
 SMALL = [f"headlight.model={SMALL_LAMP}", "camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"]
 LIFTED = 'road={kind="curb", y_m=-8.0, ramp_m=0.03, height_m=0.03}'  # a plane 3 cm too high
@@ -39,5 +39,5 @@ def test_the_road_that_is_believed_in_is_found_as_the_true_one_is(tmp_path: Path
     road = {"kind": "opencrg", "file": "./mine.crg"}
     resolve_paths({"functions": {"symbol": {"controller": {"name": "feedforward", "road": road}}}}, tmp_path)
     assert road["file"] == str(tmp_path / "mine.crg")
-    with pytest.raises(LuxloopError, match="no data file 'belgian_blok'"):
+    with refusal("no data file 'belgian_blok'"):
         simulation("functions.symbol.controller={name='feedforward', road={kind='opencrg', file='belgian_blok'}}")
