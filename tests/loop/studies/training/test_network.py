@@ -98,7 +98,10 @@ def stored(value: Any) -> bytes:
 def unpacking(value: bytes) -> bytes:
     """An archive of next to nothing that unpacks to 2 GB."""
     buffer = io.BytesIO(value)
-    with zipfile.ZipFile(buffer, "a", zipfile.ZIP_DEFLATED) as archive, archive.open("archive/data/0", "w", force_zip64=True) as entry:
+    with (
+        zipfile.ZipFile(buffer, "a", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("archive/data/0", "w", force_zip64=True) as entry,
+    ):
         for _ in range(20):
             entry.write(bytes(100_000_000))
     return buffer.getvalue()
