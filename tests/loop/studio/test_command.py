@@ -33,7 +33,7 @@ def test_an_address_that_cannot_be_had_is_refused(host: str, port: int, tmp_path
 def test_sigterm_ends_it_and_no_argument_of_its_browser_tells_the_token(before: signal.Handlers, tmp_path: Path) -> None:
     """A shell's background processes ignore SIGINT. The browser is one that runs in the terminal."""
     root, browser, opened = str(Path(__file__).parents[3]), tmp_path / "browser", tmp_path / "opened"
-    browser.write_text(f"#!/bin/sh\necho $1 > {opened}.part; mv {opened}.part {opened}; exec sleep 60\n")
+    browser.write_text(f"#!/bin/sh\necho $1 > {opened}.part; mv {opened}.part {opened}; exec sleep 60 > /dev/null 2>&1\n")
     browser.chmod(0o700)
     ready = subprocess.Popen(
         [*STUDIO, "--set", "renderer=raycast"],
