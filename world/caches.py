@@ -1,4 +1,4 @@
-"""Methods and images that hold their last results: of a method the last few, of an image the part that was read."""
+"""Caches: the last few results of a method; the parts of an image that were read."""
 
 from collections.abc import Callable, Mapping
 from functools import lru_cache
@@ -9,12 +9,12 @@ from torch import Tensor
 from torch.utils._pytree import tree_map_only
 
 Part = tuple[slice, slice]  # rows and columns of an image, with start and stop
-AROUND_PX: Final = (8, 32)  # rows and columns: computed beside what is read, where the next reader often looks
+AROUND_PX: Final = (8, 32)  # rows and columns computed around the part that is read, for the next reader
 ABOUT: Final = {Tensor.dim, Tensor.size, *(getattr(Tensor, name).__get__ for name in ("shape", "dtype", "device", "ndim", "requires_grad"))}
 
 
 class PartialImage(Tensor):
-    """An image `[height, width]`: `image[..., rows, columns]` computes that part alone, all else that is done with it the whole."""
+    """An image `[height, width]` that is computed on access: `image[..., rows, columns]` computes that part, any other use the whole."""
 
     part_of: Callable[[Part], Tensor]
     known: Part | None
@@ -22,7 +22,7 @@ class PartialImage(Tensor):
 
     @staticmethod
     def of(height: int, width: int, like: Tensor, part_of: Callable[[Part], Tensor]) -> "PartialImage":
-        """part_of: computes a part, to the same bits as in the whole, in the dtype and on the device of like."""
+        """part_of: computes a part, equal to the bit to that part of the whole. like: gives dtype and device."""
         image: PartialImage = Tensor._make_subclass(PartialImage, like.new_zeros(()).expand(height, width))
         image.part_of, image.known = part_of, None
         return image
@@ -54,10 +54,9 @@ Result = TypeVar("Result")
 
 
 def keeping(most: int, method: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """A bound method with its last `most` results, to be kept by its object, whose other methods call it. Arguments must be hashable.
+    """A bound method with a cache of its last `most` results; store it on the object. Arguments must be hashable.
 
-    Unlike `lru_cache` of the bound method it holds no reference to the object, whose memory, often hundreds of megabytes, is so free as
-    soon as nobody uses it, and not at some later collection of cycles.
+    Unlike `lru_cache` it holds no reference to the object, whose memory (often hundreds of megabytes) is released with its last reference.
     """
     of_object = WeakMethod(method)
 

@@ -15,8 +15,8 @@ LOGINS: Final = re.compile(
 SECRETS: Final = re.compile(r"pass|pwd|token|secret|auth|header|cookie|credential|api_?key", re.I)  # keys of such values
 MOST_ERRORS: Final = 10  # of a file that are listed
 
-NEAR = 0.7  # share of the letters that two near names have in common, in the same order
-BEGINNING = 3  # letters of a name that are enough of its beginning
+NEAR = 0.7  # share of letters, in order, that two similar names have in common
+BEGINNING = 3  # first letters by which a name is recognised
 
 
 class LuxloopError(ValueError):

@@ -19,14 +19,14 @@ BUDGET_BYTES: Final = 3_000_000_000  # enough for a camera of 1920 x 1080 px at 
 
 
 def afford(what: str, n_bytes: float, remedy: str) -> None:
-    """Raises LuxloopError with the remedy if `what`, the begin of the message, needs more memory than the budget."""
+    """Raises LuxloopError with the remedy if `n_bytes` exceed the memory budget. what: first words of the message."""
     if n_bytes > BUDGET_BYTES:
         needed = min(n_bytes, 1e18) / 1e9  # a declared number may have more digits than a float
         budget = f"more than the budget of {BUDGET_BYTES / 1e9:g} GB"
         raise LuxloopError(f"{what} would take at least {needed:,.3g} GB of memory, {budget}; {remedy}")
 
 
-PARTS: Final = ".*.[0-9]*.part"  # pattern of the names of half-written files
+PARTS: Final = ".*.[0-9]*.part"  # names of temporary files
 BYTES_A_BYTE: Final = 8  # of a file while it is read: its bytes, its text, its numbers
 
 
@@ -60,7 +60,7 @@ def reading(path: Path, otherwise: str = "cannot be read", remedy: str = "check 
 
 
 def files_at(path: Path) -> list[Path]:
-    """All files of a folder in the order of their names, or the file itself; none where there is nothing."""
+    """All files of a folder, sorted by name, or the file itself; none if the path does not exist."""
     return [file for file in (sorted(path.iterdir()) if os.path.isdir(path) else [path]) if os.path.isfile(file)]
 
 
@@ -100,7 +100,7 @@ def writing(place: Path, remedy: str = "give another folder with --out") -> Iter
 
 
 def link(source: Path, target: Path) -> None:
-    """A second name of a file, which takes no room, or a copy where there can be none. Raises OSError where neither can be."""
+    """Link a file under a second name, or copy it where the file system has no links. Raises OSError if both fail."""
     try:
         os.link(source, target)
     except OSError:
@@ -108,7 +108,7 @@ def link(source: Path, target: Path) -> None:
 
 
 def part_of(path: Path) -> Path:
-    """Where a file is written until it is whole."""
+    """Path of the temporary file that later replaces `path`."""
     return path.with_name(f".{path.name}.{os.getpid()}.part")
 
 
@@ -129,10 +129,10 @@ def output_folder(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def shared_folder(folder: Path, journal: Path, mend: Callable[[], None]) -> Iterator[None]:
-    """A folder that several processes write into, which take turns with the journal in it.
+    """A folder that several processes write into, taking turns at its journal.
 
-    mend: called if no other process works in the folder: trials that the journal lists as running were then killed. Raises LuxloopError
-    where another process has locked the folder, or it cannot be made.
+    mend: called if no other process works in the folder, to close trials that the journal still lists as running. Raises LuxloopError where
+    another process has locked the folder, or it cannot be made.
     """
     with _open_folder(folder) as descriptor:
         if not _lock(descriptor, fcntl.LOCK_SH) and not journal.exists():  # before a journal is created in a foreign folder
@@ -148,7 +148,7 @@ def shared_folder(folder: Path, journal: Path, mend: Callable[[], None]) -> Iter
 
 @contextmanager
 def turn(file: Path) -> Iterator[None]:
-    """A block that one process at a time enters; the lock file is created if missing. Raises OSError if that fails."""
+    """Lock a block to one process at a time; creates the lock file if missing. Raises OSError if that fails."""
     descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)

@@ -87,7 +87,7 @@ class View:
         return self.T_world_view[:3, 3]
 
     def with_rows(self, rows: int) -> "View":
-        """The same view with so many rows for each of its own."""
+        """The same view with `rows` rows for each of its own."""
         return replace(self, height=rows * self.height, fy=rows * self.fy, cy=rows * self.cy)
 
     def within(self, rows: slice, columns: slice) -> "View":
@@ -112,7 +112,7 @@ class View:
         return torch.stack([u, v], -2), depth
 
     def project_few(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """`project` of points `[3, N]` on the host, without gradients: of a few in a fifth of the time."""
+        """`project` of a few points `[3, N]` on the host, without gradients, in a fifth of its time."""
         T = self.T_world_view.detach().cpu().numpy()
         x, y, depth = T[:3, :3].T @ (points - T[:3, 3:])
         with np.errstate(divide="ignore", invalid="ignore"):

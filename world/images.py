@@ -1,4 +1,4 @@
-"""Pictures and SVG drawings of others: within the memory budget, and drawings refer to nothing outside of themselves."""
+"""Foreign pictures and SVG drawings: read within the memory budget; drawings must not refer to anything outside."""
 
 import gzip
 import io
@@ -21,10 +21,9 @@ TRANSPOSED: Final = (5, 6, 7, 8)  # orientations of pictures that are transposed
 
 
 def decode(coded: bytes, what: str, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarray | None:
-    """The picture as OpenCV decodes it with `flags`, upright unless they ignore orientation; None where it is none or damaged.
+    """The picture as OpenCV decodes it with `flags`, upright unless they ignore orientation; None if it is damaged or no picture.
 
-    what: the picture, as a message begins.
-    Raises LuxloopError where it declares more pixels than the budget allows.
+    what: the picture in a message. Raises LuxloopError where it declares more pixels than the budget allows.
     """
     orientation = None
     try:
@@ -52,7 +51,7 @@ def decode(coded: bytes, what: str, flags: int = cv2.IMREAD_UNCHANGED) -> np.nda
 
 
 def _complete(jpeg: bytes) -> bool:
-    """Whether nothing of a JPEG is damaged or missing; OpenCV fills with grey what is."""
+    """Whether a JPEG is intact; OpenCV fills damaged or missing parts with grey."""
     import av
 
     decoder: Any = av.CodecContext.create("mjpeg", "r")
@@ -65,7 +64,7 @@ def _complete(jpeg: bytes) -> bool:
 
 
 GZIP: Final = b"\x1f\x8b"
-LONGEST: Final = 30_000_000  # bytes of text: what is drawn from it takes a hundred times as many
+LONGEST: Final = 30_000_000  # bytes of text; drawing takes a hundred times as many
 DEEPEST: Final = 256  # elements within each other; the library that draws overflows its stack at some thousand
 _OUTSIDE: Final = re.compile(r"url\(\s*['\"]?\s*(?!['\"#\s])|@import", re.I)  # in CSS; url(#name) is a part of the drawing
 # Units of lengths, in attributes and CSS, whose shapes resvg leaves out.

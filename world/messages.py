@@ -64,7 +64,7 @@ def grey(array: np.ndarray) -> ArrayBytes:
 
 
 class ArrayHead(Params):
-    """What a client says of an array. start, bytes: where it lies in the body."""
+    """Description of an array by a client. start, bytes: its place in the body."""
 
     dtype: Literal["u1", "u2", "u4", "f2", "f4"]
     shape: tuple[Size, ...] = Field(max_length=3)
@@ -74,10 +74,9 @@ class ArrayHead(Params):
 
 
 def given_arrays(heads: Mapping[str, ArrayHead], body: Any, wanted: Mapping[str, tuple[str, ...]], most_bytes: int = MOST_BYTES) -> Arrays:
-    """The arrays of a client's message. wanted: the dtypes that each may have; all must be there, and nothing else. most_bytes: of one.
+    """The arrays of a client's message. wanted: the dtypes allowed for each; none may be missing or extra. most_bytes: of one array.
 
-    An array is decoded once its size is known to be allowed, and only as far as that size. Raises ValueError where one is not as it is said
-    to be.
+    An array is decoded after its size is checked, and no further than that size. Raises ValueError where one differs from its description.
     """
     if heads.keys() != wanted.keys():
         raise ValueError(f"its arrays are {', '.join(heads) or 'none'}, but it has {', '.join(wanted) or 'none'}")
@@ -145,7 +144,9 @@ def pack(head: Mapping[str, Any], arrays: Mapping[str, ArrayBytes] | None = None
 
 
 def unpack(data: bytes | str) -> tuple[dict[str, Any], Mapping[str, ArrayHead], memoryview]:
-    """Head, what it says of arrays, and body of a message, of which nothing is copied. Raises what `understood` turns into a sentence."""
+    """Head, descriptions of arrays, and body of a message, without copies. Call it within `understood`, which turns its exceptions into
+    sentences.
+    """
     if isinstance(data, str):
         raise ValueError("it is text; messages are binary")
     (length,) = LENGTH.unpack_from(data)
@@ -160,7 +161,7 @@ def unpack(data: bytes | str) -> tuple[dict[str, Any], Mapping[str, ArrayHead], 
 
 @contextmanager
 def understood() -> Iterator[None]:
-    """Turns what a message that cannot be read raises into a LuxloopError that says what is wrong with it."""
+    """Turn the exceptions of an unreadable message into a LuxloopError with the reason."""
     try:
         yield
     except ValidationError as error:

@@ -1,11 +1,11 @@
-"""Base of every parameter model: what a scenario file may say about a thing lives with the thing."""
+"""Base of all parameter models; each model lies beside the code that it configures."""
 
 import re
 from typing import Annotated, Any, Final
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, WithJsonSchema, field_validator
 
-SMALLEST: Final = 1e-12  # least value of a number that has to be positive: what is divided by its square stays finite in single precision
+SMALLEST: Final = 1e-12  # least value of a positive number: division by its square stays finite in single precision
 
 Share = Annotated[float, Field(ge=0, le=1)]
 PositiveShare = Annotated[float, Field(gt=0, le=1)]

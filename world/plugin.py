@@ -28,7 +28,7 @@ PACKAGE: Final = "__init__.py"
 class Name(str):
     """`package.module:Name` in a scenario; `folder/package.module:Name` where the module lies in that folder.
 
-    Only what has this type is imported, and `refuse_code` finds all of this type.
+    Only values of this type are imported, and `refuse_code` finds them all.
     """
 
     @classmethod
@@ -54,7 +54,7 @@ OwnName = Annotated[Name, Field(description="module and class, as package.module
 
 
 class OwnPart(Params):
-    """`Name(**options)` of a user's module, after what luxloop hands over, makes a part."""
+    """A part of a user's module: `Name(*given, **options)`, with arguments given by luxloop first."""
 
     kind: OwnName
     options: dict[str, Any] = Field({}, description="keyword arguments of Name")
@@ -62,7 +62,7 @@ class OwnPart(Params):
 
 @dataclass(frozen=True)
 class KnownOrOwn:
-    """Tells the variants of a table apart by a key of it; all of `package.module:Name` are one, with the tag `OWN`."""
+    """Discriminates a union by a key; all values `package.module:Name` have the tag `OWN`."""
 
     key: str
     default: str | None = None
@@ -72,17 +72,17 @@ class KnownOrOwn:
             given = table.get(self.key, self.default) if isinstance(table, dict) else getattr(table, self.key, None)
             return OWN if isinstance(given, str) and ":" in given else given
 
-        tag.__name__ = self.key  # which is what an error calls it
+        tag.__name__ = self.key  # the name in pydantic's errors
         return tagged_union_schema({name: handler.generate_schema(model) for name, model in by_tag(union).items()}, tag)
 
 
 def by_tag(union: Any) -> dict[str, Any]:
-    """The models of a union by the name that tells each apart, its `kind` or `name`; one of the user's own has the tag `OWN`."""
+    """The models of a union by tag: their `kind` or `name`; a user-defined one has the tag `OWN`."""
     return {name: model for model in get_args(union) for name in tags(model)}
 
 
 def tags(model: type[BaseModel]) -> tuple[Any, ...]:
-    """The names by which a union tells a model apart, none where it has neither `kind` nor `name`."""
+    """The tags of a model in a union, none if it has neither `kind` nor `name`."""
     field = model.model_fields.get("kind") or model.model_fields.get("name")
     return () if field is None else get_args(field.annotation) or (OWN,)
 
@@ -176,16 +176,16 @@ def check_methods(made_by: type, where: str, methods: Sequence[str]) -> None:
 
 
 def make(name: Name, key: str, given: Mapping[str, Any], options: Mapping[str, Any], methods: Sequence[str]) -> Any:
-    """`Name(*given, **options)`, which has all of the methods; given: what luxloop hands over, by what messages call it.
+    """`Name(*given, **options)`, checked for its methods. given: luxloop's arguments, by their names in messages.
 
-    key: that of the scenario which names it; `options` stands beside it. Raises what `load` does, and LuxloopError where an option is not
-    one that it takes or is missing, or it cannot be made.
+    key: that of the scenario which names it; `options` stands beside it. Raises as `load` does, and LuxloopError where an option is unknown
+    or missing, or the construction fails.
     """
     return construct(load(name, key, methods), name, key, given, options)
 
 
 def construct(made_by: type, name: Name, key: str, given: Mapping[str, Any], options: Mapping[str, Any]) -> Any:
-    """The same of a class that is at hand."""
+    """As `make`, for a loaded class."""
     table = f"{key.rpartition('.')[0]}.options".removeprefix(".")
     _fitting(made_by, name, table, tuple(given.values()), options)
     with running(name, key, f"__init__ with {' and '.join([*(f'the {each}' for each in given), table])}"):
@@ -201,7 +201,7 @@ class Guard:
     key: str
 
     def __getattr__(self, attribute: str) -> Any:
-        if attribute.startswith("__"):  # what copy and pickle ask of a value that has no part yet
+        if attribute.startswith("__"):  # copy and pickle ask for these before the part is set
             raise AttributeError(attribute)
         found = getattr(self.part, attribute)
         return self._guard(found) if callable(found) else found
@@ -218,7 +218,7 @@ class Guard:
 
 @contextmanager
 def running(name: Name, key: str, what: str) -> Iterator[None]:
-    """Turns whatever the user's own code raises into a LuxloopError with the file and line of that code."""
+    """Turn exceptions of user code into a LuxloopError with its file and line."""
     try:
         yield
     except LuxloopError:
@@ -243,7 +243,7 @@ def _place(error: Exception, name: Name) -> str:
 
 
 def _fitting(made_by: Callable[..., Any], name: str, table: str, given: Sequence[Any], options: Mapping[str, Any]) -> None:
-    """Raises LuxloopError where options are not what `Name` takes beside what it is given, as far as it tells what that is."""
+    """Raises LuxloopError where options do not fit the signature of `Name`, as far as it has one."""
     if isinstance(made_by, type) and issubclass(made_by, BaseModel):
         made_by.model_rebuild()  # a model that is not built yet has no signature of its own
     try:
@@ -282,7 +282,7 @@ def _number_in(text: str) -> str:
 
 
 def in_a_line(error: Exception) -> str:
-    """What went wrong, for the end of a sentence."""
+    """An error's text for the end of a sentence."""
     if isinstance(error, ValidationError):
         return "; ".join(f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors(include_url=False)[:MOST_ERRORS])
     return " ".join(f"{type(error).__name__}: {error}".split())

@@ -1,9 +1,9 @@
 """Sparse products `i = A u` (T 2.5, 5.3): the headlight matrix as compressed sparse rows with int32 indices, whole or as a band of rows.
 
-Other formats are studied in benchmarks/sparse (docs/results/spmv.md): a run spends too small a share of its time on such products.
+Other formats are compared in benchmarks/sparse (docs/results/spmv.md); products take too small a share of a run to need them.
 
-The solver finds utilisations that come closest to wanted light: weighted least squares within bounds, `min ||W (A u - i)||^2`,
-`0 <= u <= upper`.
+The solver finds utilisations that come closest to wanted light: weighted least squares within bounds, `min ||W (A u - i)||^2`, `0 <= u <=
+upper`.
 """
 
 import math
@@ -27,11 +27,11 @@ LARGE = 2**22  # bytes from which two pages of 2 MiB or more are filled
 
 
 def zeros(shape: tuple[int, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
-    """As `torch.zeros`, on the CPU in large pages, which torch does not ask for and by which products gain up to a fifth."""
+    """As `torch.zeros`, but on the CPU in large pages, which make products up to a fifth faster."""
     bytes_ = math.prod(shape) * dtype.itemsize
     if device.type != "cpu" or bytes_ < LARGE or not hasattr(mmap, "MADV_HUGEPAGE"):
         return torch.zeros(shape, dtype=dtype, device=device)
-    # Fresh from the system: what malloc hands out again keeps the pages that it has.
+    # Fresh from the system, as memory that malloc reuses keeps its pages.
     memory = mmap.mmap(-1, bytes_, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     with suppress(OSError):  # a kernel without them
         memory.madvise(mmap.MADV_HUGEPAGE)
@@ -39,7 +39,7 @@ def zeros(shape: tuple[int, ...], dtype: torch.dtype, device: torch.device) -> T
 
 
 def streamable(tensor: Tensor) -> Tensor:
-    """A copy that will be read again and again."""
+    """A copy in large pages, for repeated reading."""
     return zeros(tuple(tensor.shape), tensor.dtype, tensor.device).copy_(tensor.detach())
 
 
@@ -58,7 +58,7 @@ class Csr:
 
     @classmethod
     def from_scipy(cls, matrix: sp.spmatrix | sp.sparray, dtype: torch.dtype = torch.float32) -> "Csr":
-        """Take any scipy sparse matrix, without the entries that it stores as zero.
+        """Convert a scipy sparse matrix, without stored zeros.
 
         Raises: ValueError where int32 cannot count its rows, columns or entries.
         """
@@ -89,7 +89,7 @@ class Csr:
         return Csr(self.indptr, self.indices, values, self.n_cols)
 
     def streamable(self) -> "Csr":
-        """A copy that will be streamed again and again (see `settled`); itself where it is not on the CPU."""
+        """A copy in large pages for repeated products (see `streamable`); itself if not on the CPU."""
         if self.values.device.type != "cpu":
             return self
         return Csr(streamable(self.indptr), streamable(self.indices), streamable(self.values), self.n_cols)
@@ -103,8 +103,8 @@ class Csr:
         return Csr(indptr - first, self.indices[first:last], self.values[first:last], self.n_cols)
 
     def part(self, rows: Tensor, columns: Tensor, shape: tuple[int, int]) -> "Csr":
-        """Some rows and columns as a matrix of this shape. rows: `[n_rows]`, columns: `[n_cols]` int32, number of each in it, -1 for those
-        that are left out; rows stay in order.
+        """Some rows and columns as a matrix of this shape. rows: `[n_rows]`, columns: `[n_cols]` int32, new number of each, -1 if left out;
+        rows stay in order.
         """
         row, column = rows[row_of_entries(self)], columns[self.indices]
         kept = torch.nonzero((row >= 0) & (column >= 0))[:, 0]
@@ -121,7 +121,7 @@ class Csr:
 
 
 class _Multiply(torch.autograd.Function):
-    """Autograd of torch's CSR products needs the transpose in CSR, which only we have at hand."""
+    """CSR product with autograd; the backward pass needs the transpose in CSR, which torch does not have."""
 
     @staticmethod
     def forward(ctx: Any, matrix: Csr, x: Tensor) -> Tensor:
@@ -169,7 +169,7 @@ def span_of(first: Tensor, last: Tensor, keys: slice) -> tuple[int, int]:
 
 
 def numbers(chosen: Tensor, n: int) -> Tensor:
-    """The number of each of n in chosen `[m]` int64, ascending, and -1 where it is not: `[n]` int32."""
+    """Position `[n]` int32 of each of 0..n-1 in `chosen` `[m]` int64, ascending; -1 if absent."""
     number = torch.full((n,), -1, dtype=torch.int32, device=chosen.device)
     number[chosen] = torch.arange(len(chosen), dtype=torch.int32, device=chosen.device)
     return number
@@ -181,7 +181,7 @@ def row_of_entries(matrix: Csr) -> Tensor:
     return torch.repeat_interleave(torch.arange(matrix.n_rows, device=counts.device), counts)
 
 
-CHECKED_EVERY = 10  # iterations between checks of the progress, each of which waits for the device
+CHECKED_EVERY = 10  # iterations between convergence checks, each of which synchronises the device
 
 
 def solve(
@@ -206,7 +206,7 @@ def solve(
     upper = low.new_ones(matrix.n_cols) if upper is None else upper.to(low)
     u = low.new_zeros(*low.shape[:-1], matrix.n_cols) if start is None else start.to(low).expand(*low.shape[:-1], -1).clone()
     transposed = matrix.transpose
-    # |A|' W^2 |A| 1 on the diagonal dominates A' W^2 A: a step of each pixel's own length that never overshoots, without its norm.
+    # diag(|A|' W^2 |A| 1) dominates A' W^2 A: a step length for each pixel that never overshoots, without the matrix norm.
     size = matrix.with_values(matrix.values.abs())
     curvature = multiply(size.transpose, squared * multiply(size, torch.ones_like(u)))
     step = torch.where(curvature > 0, 1 / curvature, 0.0)

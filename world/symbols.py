@@ -18,12 +18,12 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.files import afford, content, reading, regular
 from luxloop.world.images import decode, svg_text
 
-DRAWN_PX = 512  # longer side of what is drawn from an SVG, and the largest of a video: finer than a lamp can show
-CSS_DPI = 96.0  # px an inch of the units of an SVG (CSS Values and Units 4, 6.2)
-FOLDER_HZ = 25.0  # rate of pictures that do not say one
-FRAME_BYTES = 2  # of a video's pixel: a grey level, and once more while frames are joined
+DRAWN_PX = 512  # longer side of a drawn SVG, and the greatest of a video: finer than any lamp's pixels
+CSS_DPI = 96.0  # px an inch in an SVG (CSS Values and Units 4, 6.2)
+FOLDER_HZ = 25.0  # default rate of a folder of pictures
+FRAME_BYTES = 2  # of a video's pixel: a grey level, and a copy while frames are joined
 DECODED_BYTES = 16  # of a pixel of the frame at work, in the video's own size
-# What is opened: no playlists, which name other files.
+# Formats that are opened; playlists are not, as they name other files.
 CONTAINERS = {"protocol_whitelist": "file", "format_whitelist": "mov,mp4,matroska,webm,avi,gif"}
 DRAWINGS = (".svg", ".svgz")
 PICTURES = (".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
@@ -31,7 +31,7 @@ VIDEOS = (".mp4", ".mkv", ".avi", ".mov", ".webm", ".gif")
 
 
 class SymbolSource(Protocol):
-    """Anything that gives a symbol image over time."""
+    """A symbol image over time."""
 
     def at(self, time_s: float) -> Tensor:
         """`[h, w]` in 0..1, image row 0 at the symbol's far end."""
@@ -61,15 +61,15 @@ class Frames:
 
 
 def frame_at(n: int, time_s: float, rate_hz: float, repeat: bool) -> int:
-    """Number of the frame of n that is shown at a time: the sequence starts over at its end, or its last frame stays."""
-    index = int(max(time_s, 0.0) * rate_hz + 1e-6)  # a time that is meant to be the frame's own may round to just before it
+    """Index of the frame of n at a time; with `repeat` the sequence starts over at its end, else its last frame stays."""
+    index = int(max(time_s, 0.0) * rate_hz + 1e-6)  # rounding may put a frame's own time just before it
     return index % n if repeat else min(index, n - 1)
 
 
 def load(path: Path, rate_hz: float | None = None, repeat: bool = True) -> SymbolSource:
     """Load a symbol by its suffix: a picture, an SVG, a video, or a folder of pictures in the order of their names.
 
-    rate_hz: images a second; left out: a video's own, 25 for a folder. Raises LuxloopError for what cannot be read or is all black.
+    rate_hz: images a second; by default a video's own, 25 for a folder. Raises LuxloopError if it cannot be read or is all black.
     """
     if os.path.isdir(path):
         return _lit(Frames(_sequence(path), rate_hz or FOLDER_HZ, repeat), path)
@@ -84,7 +84,7 @@ def load(path: Path, rate_hz: float | None = None, repeat: bool = True) -> Symbo
 
 
 def load_still(path: Path) -> Tensor:
-    """Image `[h, w]` in 0..1 of a picture or an SVG. Raises LuxloopError for what moves, and as `load` does."""
+    """Image `[h, w]` in 0..1 of a picture or an SVG. Raises LuxloopError for sequences and videos, and as `load` does."""
     if os.path.isdir(path) or path.suffix.lower() in VIDEOS:
         raise LuxloopError(f"symbol {path} moves, but a symbol under control stands still: give a picture or an SVG")
     return load(path).at(0.0)
@@ -121,7 +121,9 @@ def _sequence(folder: Path) -> Tensor:
 
 
 def video(path: Path, largest_px: int | None = DRAWN_PX) -> tuple[Tensor, float]:
-    """All frames of a video `[n, h, w]` uint8, shrunk to a largest side unless that is None, and their rate in Hz."""
+    """All frames of a video `[n, h, w]` uint8 and their rate in Hz. largest_px: greatest side after shrinking, None for the video's own
+    size.
+    """
     import av
 
     frames: list[Tensor] = []

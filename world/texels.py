@@ -61,7 +61,7 @@ class TexelGrid:
         return View(width, height, fx, fy, fx * self.left, fy * self.top, T_world_headlight.double().cpu() @ T_headlight_view)
 
 
-@lru_cache(64)  # every step asks for those of its lamps
+@lru_cache(64)  # used in every step
 def _centres(n: int, first: float, last: float, dtype: torch.dtype, device: torch.device) -> Tensor:
     """Tangents `[n]` in the middle of n texels between two borders."""
     return first + (torch.arange(n, dtype=dtype, device=device) + 0.5) / n * (last - first)
@@ -85,10 +85,9 @@ def bilinear(grid: TexelGrid, row: Tensor, col: Tensor) -> tuple[Tensor, Tensor]
 
 
 def resample(image: Tensor, u: Tensor, v: Tensor, beyond: Literal["zeros", "border"] = "zeros", corners: bool = False) -> Tensor:
-    """An image `[B, channels, H, W]` at places u, v `[B or 1, h, w]`, which run from -1 to 1 over its width and height:
-    `[B, channels, h, w]`.
+    """Sample an image `[B, channels, H, W]` at u, v `[B or 1, h, w]`, -1 to 1 over its width and height: `[B, channels, h, w]`.
 
-    beyond: what is taken beyond its borders. corners: whether -1 and 1 are the middles of the outer pixels, in place of their edges.
+    beyond: padding beyond its borders. corners: -1 and 1 are the centres of the outer pixels instead of their edges.
     """
     places = torch.stack([u, v], -1).expand(len(image), -1, -1, -1)  # [B, h, w, 2]
     return grid_sample(image, places, mode="bilinear", padding_mode=beyond, align_corners=corners)

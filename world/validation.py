@@ -26,11 +26,11 @@ WANTED = {
 }
 TABLE_ERRORS = ("model_type", "model_attributes_type", "dict_type")
 MISSING = ("missing", "union_tag_not_found")
-KEY_ITSELF = "[key]"  # how pydantic calls a key that is none, after it
+KEY_ITSELF = "[key]"  # pydantic's location of an invalid key
 INDEX = r"\[\d+\]"
-TWICE = r"Cannot declare \(('.*'),?\) twice"  # as tomllib says it of [header]
+TWICE = r"Cannot declare \(('.*'),?\) twice"  # tomllib's message for [header]
 SHOWN_CHARACTERS = 60
-HALF_TURN = 180  # deg, to which angles reach that go all round
+HALF_TURN = 180  # deg, bound of angles that go all round
 Model = TypeVar("Model", bound=BaseModel)
 DEEPEST = 50  # levels of tables and lists in a file; a scenario has up to six
 
@@ -46,7 +46,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def parsed_toml(text: str) -> dict[str, Any]:
-    """The tables of a text. Raises ValueError with the reason where it is no TOML, or none that can be worked with."""
+    """The tables of a text. Raises ValueError with the reason if it is no TOML or not usable."""
     try:
         return _workable(lambda: tomllib.loads(text))
     except tomllib.TOMLDecodeError as error:
@@ -57,7 +57,7 @@ def parsed_toml(text: str) -> dict[str, Any]:
 
 
 def parsed_json(text: str | bytes) -> Any:
-    """The value of a text. Raises ValueError with the reason where it is no JSON, or none that can be worked with."""
+    """The value of a text. Raises ValueError with the reason if it is no JSON or not usable."""
     return _workable(lambda: json.loads(text))
 
 
@@ -72,8 +72,7 @@ def _workable(parse: Callable[[], Any]) -> Any:
 
 
 def _unworkable(value: Any, levels: int) -> str:
-    """Why plain data cannot be worked with, empty where it can: all that walks through tables recurs, integers have 64 bits, and
-    no path has a NUL."""
+    """Why plain data is not usable, empty if it is: too deep for recursion, integers beyond 64 bits, NUL in a text."""
     if isinstance(value, int) and value.bit_length() > 64:
         return "an integer has more than 64 bits"
     if isinstance(value, str) and "\0" in value:
@@ -92,7 +91,7 @@ def validate_model(model: type[Model], data: Mapping[str, Any], example: str) ->
     dates = dict.fromkeys(_dates(data))
     wrong = [f"{key}: is a date or a time, which has no meaning here; write a number or a text in quotes" for key in dates]
     try:
-        # By way of JSON, where strict still takes a list for a tuple and a text for a path.
+        # Through JSON, where pydantic's strict mode accepts a list for a tuple and a text for a path.
         valid = model.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
         wrong += [each for each in sentences(error, model, example) if each.partition(": ")[0] not in dates]
@@ -114,7 +113,7 @@ def _dates(data: Any, within: str = "") -> Iterator[str]:
 
 
 def toml(value: Any) -> str:
-    """A value as TOML writes it, on one line; keys of nothing are left out, which TOML has no word for."""
+    """A value as TOML on one line, without keys that are None, which TOML cannot write."""
     if isinstance(value, BaseModel | dict):
         items = value.items() if isinstance(value, dict) else value
         return "{" + ", ".join(f"{key} = {toml(inner)}" for key, inner in items if inner is not None) + "}"
@@ -124,10 +123,10 @@ def toml(value: Any) -> str:
 
 
 def sentences(error: ValidationError, model: type[BaseModel], example: str) -> list[str]:
-    """All that is wrong, a sentence each, unknown keys first. example: as in `validated`, for the first key that is missing.
+    """All errors, a sentence each, unknown keys first. example: as in `validated`, for the first key that is missing.
 
-    An error that another one causes is left out: a list is too short without its wrong items, a key is missing that is misspelt, and
-    a default is not made without the wrong values that it depends on.
+    Consequences of other errors are left out: a list too short without its invalid items, a missing key that is misspelt, a default that
+    depends on invalid values.
     """
     details = [each for each in error.errors(include_url=False) if each["type"] != "default_factory_not_called"]
     unknown = [each["loc"] for each in details if each["type"] == "extra_forbidden"]
@@ -154,7 +153,7 @@ def _is_missing(detail: Any) -> bool:
 
 
 def _remedy(detail: Any, fields: Mapping[str, FieldInfo], variants: Iterable[type[BaseModel]]) -> str:
-    """What to write where a key is missing, or the one that tells the variants of a table apart."""
+    """The remedy for a missing key or a missing tag of a union."""
     if detail["type"] != "missing":
         first, *others = (tag for variant in variants for tag in tags(variant))
         return f"write {_discriminator(detail)} = {toml(first)}, or one of {', '.join(others)}"
@@ -165,7 +164,7 @@ def _remedy(detail: Any, fields: Mapping[str, FieldInfo], variants: Iterable[typ
 
 
 def _what(detail: Any, key: str, fields: dict[str, FieldInfo], variants: Iterable[type[BaseModel]]) -> str:
-    """key: as a file writes it; fields: of the table that it lies in; variants: models that may stand there."""
+    """The error in words. key: as a file writes it; fields: of its table; variants: models allowed there."""
     kind, given, context = detail["type"], detail.get("input"), detail.get("ctx", {})
     table = re.sub(INDEX, "", key)
     name = table.rpartition(".")[2]

@@ -1,4 +1,4 @@
-"""A lamp: modules with their mounts and movements, and the beams that it knows by name (T 2.2, 5.2)."""
+"""A lamp: modules with their mounts and movements, and named beams (T 2.2, 5.2)."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,7 +17,7 @@ _MIRROR = torch.diag(torch.tensor([1.0, -1.0, 1.0, 1.0], dtype=torch.float64))
 
 @dataclass(frozen=True)
 class ModuleCommand:
-    """Turn of a module from its rest, and its dimming; by default at rest and undimmed.
+    """Turn of a module from its rest pose, and dimming; by default at rest and undimmed.
 
     swivel_deg: to the left positive (bending). level_deg: nose down positive (levelling). intensity: limit of its maximum intensity as a
     share, 0..1.
@@ -60,9 +60,9 @@ class Module:
         return ModuleCommand(swivel_deg, level_deg).turn(self.T_lamp_module)
 
     def turn(self, swivel_deg: float, level_deg: float) -> "Module":
-        """The module with a turned pose as its rest, and with the remaining ranges.
+        """The module with the turned pose as its rest pose, and with the remaining ranges.
 
-        Movements that it lacks have no effect. Raises as `pose`.
+        A turn about an axis that the module cannot move has no effect. Raises as `pose`.
         """
         swivel, level = (
             angle if any(movement) else 0.0 for angle, movement in ((swivel_deg, self.swivel_deg), (level_deg, self.level_deg))

@@ -42,14 +42,14 @@ class Headlight(TexelGrid):
         return self if factor == 1 else replace(self, matrix=self.matrix.with_values(self.matrix.values * factor))
 
     def dim(self, left: Tensor) -> "Headlight":
-        """The headlight with each pixel's light multiplied by a share `[n_p]`."""
+        """The headlight with each pixel's light scaled by a factor `[n_p]`."""
         of_entry = left.to(self.matrix.values).index_select(0, self.matrix.indices)
         return replace(self, matrix=self.matrix.with_values(self.matrix.values * of_entry))
 
     def light_texture(self, utilisation: Tensor, band: slice | None = None) -> Tensor:
         """Luminous intensity `[..., rows, cols]` in cd of a utilisation `[..., n_p]` in 0..1: `i = A u` (T eq. 2.4.1, 3.5.1).
 
-        band: range of pixels outside which all are dark, to skip texel rows that they do not reach.
+        band: range of pixels outside which all are dark; texel rows that it does not reach are skipped.
         """
         rows = self.rows_of(band)
         part = self.light_rows(utilisation, rows)
@@ -73,7 +73,7 @@ class Headlight(TexelGrid):
 
     @cached_property
     def pixel_extent(self) -> tuple[int, int]:
-        """How many texels, up and aside, the light of its middle pixel is large where it is more than a tenth of its peak."""
+        """Texels, vertical and horizontal, in which the middle pixel's light exceeds a tenth of its peak."""
         only = torch.zeros(self.n_pixels).to(self.matrix.values)
         only[self.n_pixels // 2 + (self.pixel_cols or 0) // 2] = 1
         light = self.light_texture(only)
@@ -127,7 +127,7 @@ class Headlight(TexelGrid):
 
 
 def _lit(bounds: tuple[Tensor, Tensor], sources: slice) -> slice:
-    """Range of those whose first and last source `[n]` enclose some of a range of sources."""
+    """Range of targets whose first and last sources `[n]` overlap a range of sources."""
     first, last = bounds
     lit = torch.nonzero((first < sources.stop) & (last >= sources.start))[:, 0].tolist()
     return slice(lit[0], lit[-1] + 1) if lit else slice(0, 0)

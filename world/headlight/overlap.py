@@ -15,10 +15,10 @@ from luxloop.world.spmv import Csr
 Method = Literal["threshold", "proportional", "least_squares"]
 Array = npt.NDArray[np.float64]
 
-# Of least squares to the proportional solution, as a share of the use cases' energy. With a millionth they learn the use cases by heart:
-# random utilisations that they have not seen came out half as wrong again as by proportion (64 x 256 pixels, 8 a texel); so, about alike.
+# Regularisation towards the proportional solution, as a share of the use cases' energy. A millionth overfits: errors on unseen random
+# utilisations were half as large again as with proportional sharing (64 x 256 pixels, 8 a texel); with this value they are alike.
 PULL = 0.1
-SWEEPS = 100  # of coordinate descent in rows where a value would turn negative; each can only lower the error
+SWEEPS = 100  # of coordinate descent, in rows where least squares turn a value negative
 CHUNK_ROWS = 16_384  # bounds the memory of least squares: 16,384 rows of 24 entries in 20 use cases are 60 MB
 
 
@@ -67,8 +67,8 @@ def reduce(
 
     threshold: the others' intensity is lost. proportional: the row's remaining entries share it in proportion, which keeps the row's sum (T
     eq. 5.2.1, 5.2.2). least_squares: the remaining entries take the non-negative values that come nearest to the row's intensity in the
-    use_cases (utilisations `[n_p]`), regularised towards the proportional ones: never worse there, and equal where the use cases do not
-    decide. A row whose entries are all below bound_cd turns dark.
+    use_cases (utilisations `[n_p]`), regularised towards the proportional ones: never worse in these, and equal to the proportional ones
+    where no use case decides. A row whose entries are all below bound_cd turns dark.
 
     Raises: LuxloopError where keep or bound_cd make no sense, or least squares have no use cases of n_p pixels.
     """
@@ -127,7 +127,7 @@ def _use_case_table(use_cases: Sequence[npt.ArrayLike], n_pixels: int) -> Array:
 
 
 def _fit_rows(full: sp.csr_matrix, reduced: sp.csr_matrix, rows: npt.NDArray[np.int64], cases: Array) -> None:
-    """Least squares in place, on the rows of `reduced` that are named; rows of one length are solved together."""
+    """Least squares in place on some `rows` of `reduced`; rows of one length are solved together."""
     counts = np.diff(reduced.indptr)[rows]
     for length in np.unique(counts):
         of_length = rows[counts == length]

@@ -7,7 +7,7 @@ profile down the rows and one along the columns. A texel holds the mean over its
 from typing import Annotated, Literal, Self
 
 import numpy as np
-import scipy  # whose parts are loaded when they are first named
+import scipy  # loads its parts on first use
 import scipy.sparse as sp
 import torch
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ Spacing = Literal["angle", "tangent"]
 MOST_PIXELS = 4096  # along a side
 BYTES_AN_ENTRY = 15  # of a headlight matrix while it is made
 BRIGHTEST_CD = 1e9  # of a pixel
-SHARP_DEG = 1e-6  # a blur that no texture shows: as none
+SHARP_DEG = 1e-6  # a smaller blur counts as none
 
 
 PixelCount = Annotated[int, Field(gt=0, le=MOST_PIXELS)]
@@ -172,7 +172,9 @@ def affordable_entries(entries: float) -> None:
 
 
 def _product(vertical: Floats, horizontal: Floats, peak: Floats, cut: float) -> sp.csr_array:
-    """Pixels `[T, P]` from profiles of rows and columns and peaks `[rows, columns]`, without what is below `cut` of a pixel's maximum."""
+    """Pixels `[T, P]` from profiles of rows and columns and peaks `[rows, columns]`; entries below `cut` of a pixel's maximum are
+    dropped.
+    """
     factors = []
     for profile in (vertical, horizontal):
         top = profile.max(axis=0)
@@ -190,8 +192,8 @@ def _product(vertical: Floats, horizontal: Floats, peak: Floats, cut: float) -> 
 def headlight(name: str, model: GaussianPixels | BlurredRectangles, grid: TexelGrid, chromatic_shift: float = 0.0) -> Headlight:
     """A module's light on a texture.
 
-    chromatic_shift: by what share the lens images blue larger than red, about the beam axis (lateral chromatic aberration): a pixel's
-    outer edge turns bluish and its inner edge yellowish (T 5.1). Zero: one colour.
+    chromatic_shift: lateral chromatic aberration about the beam axis, by which the lens images blue larger than red, as a share: a pixel's
+    outer edge turns bluish, its inner edge yellowish (T 5.1). Zero: one colour.
     """
     matrix, pixel_rows, pixel_cols = model.matrix(grid)
     chroma = None
@@ -203,7 +205,7 @@ def headlight(name: str, model: GaussianPixels | BlurredRectangles, grid: TexelG
 
 
 def _luminance_and_chroma(channels: list[sp.csr_array]) -> tuple[sp.csr_array, Tensor]:
-    """The luminance of three channels, and what of each channel comes with an entry `[3, nnz]`."""
+    """Luminance matrix of three channels, and the chroma `[3, nnz]` of its entries."""
     luminance = sp.csr_array(sum(weight * channel for weight, channel in zip(LUMINANCE, channels, strict=True)))
     luminance.sort_indices()
     number = sp.csr_array((np.arange(1.0, luminance.nnz + 1), luminance.indices, luminance.indptr), luminance.shape)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import scipy  # whose parts are loaded when they are first named
+import scipy  # loads its parts on first use
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
@@ -17,25 +17,25 @@ from luxloop.world.photometry.distribution import EDGE_DEG, Aim, Array, Distribu
 from luxloop.world.photometry.texture import PROBES, Window, light_texture, solid_angles, squared_error
 from luxloop.world.texels import LARGEST_ANGLE_DEG, TexelGrid
 
-CUTOFF = 1e-4  # share of a pixel's peak below which its light is left out: fewer entries, and next to nothing is lost
+CUTOFF = 1e-4  # share of a pixel's peak below which its light is dropped, to save entries
 MOST_TEXELS = 2048  # along a side, unless a user wants more
 FEWEST_TEXELS = 255  # along a side of a single pixel, whose table may be coarse; an odd number has a texel on the axis
 TEXELS_A_PIXEL = 4  # along a side at least, since symbols need rays between pixels
 SAMPLED = 8  # pixels, evenly spread, from which the entries of all are estimated
 BYTES_AN_ENTRY = 64  # of the matrix while it is assembled and sorted, at the peak
 BYTES_OF_COLOUR = 60  # of an entry besides, where it has one
-AFFORDABLE = 0.8  # of the budget, for a remedy: other pixels may be wider than those sampled
-MOST_CUTOFF = 0.1  # that is proposed: a larger one would change the shape of a pixel
-FEWEST_PROBES = 1024  # directions in which a pixel is compared with its source, where there are many
-AZIMUTHS_DEG = 15.0  # in which a distribution about an axis is looked at
+AFFORDABLE = 0.8  # share of the budget for a proposed size, as other pixels may be wider than the sampled ones
+MOST_CUTOFF = 0.1  # largest cutoff to propose; a larger one would change the shape of a pixel
+FEWEST_PROBES = 1024  # least number of directions in which each of many pixels is compared with its source
+AZIMUTHS_DEG = 15.0  # steps in which a distribution is scanned about its axis
 
 
 @dataclass(frozen=True, eq=False)
 class Pixel:
     """One pixel at full utilisation.
 
-    turn: `[3, 3]`, takes directions of the distribution's frame to the headlight frame; None where they are one. rgb: the linear sRGB
-    channels of the distribution in cd, None for one colour.
+    turn: `[3, 3]`, rotates the distribution's frame into the headlight frame; None: identity. rgb: the linear sRGB channels of the
+    distribution in cd, None for one colour.
     """
 
     distribution: Distribution
@@ -57,10 +57,9 @@ class PixelArray:
 class PixelMatrix:
     """A headlight matrix and its errors against the source.
 
-    matrix: `[n_texels, n_p]` cd. chroma: `[3, nnz]` or None, as Headlight has it. dropped: share of all light that was cut off.
-    flux, peak: of all textures and the brightest, as shares of those of the sources.
-    rmse_cd: root mean square difference of pixels on the texture and their sources, over the solid angles into which these shine, as
-    world.photometry.texture.rmse has it of one; relative to the brightest of them, rmse.
+    matrix: `[n_texels, n_p]` cd. chroma: `[3, nnz]` or None, as Headlight has it. dropped: share of all light that was cut off. flux, peak:
+    of all textures and the brightest, as shares of those of the sources. rmse_cd: root mean square difference of pixels and their sources
+    over the sources' solid angles (see world.photometry.texture.rmse); rmse: relative to the brightest source.
     """
 
     matrix: sp.csr_array
@@ -141,7 +140,7 @@ def assemble(
 
 
 def _check_entries(lights: Sequence[Array], array: PixelArray, grid: TexelGrid, cutoff: float) -> None:
-    """Estimate the entries of all pixels from the light cd of some at each texel, and refuse too many with sizes that are affordable."""
+    """Estimate the number of entries from the light (cd a texel) of sampled pixels; refuse too many and propose sizes that fit."""
     shares = np.concatenate([light / max(light.max(initial=0), np.finfo(float).tiny) for light in lights])
     each = len(array.pixels) / len(lights)  # that a sample stands for
     entries, most = each * np.count_nonzero(shares > cutoff), BUDGET_BYTES / _bytes_an_entry(array)
@@ -220,7 +219,7 @@ def describe(grid: TexelGrid) -> str:
 
 
 def _window(grid: TexelGrid, axis: Array, reach: float) -> Window:
-    """Rows and columns that a cone crosses; all, where it reaches far from the beam axis."""
+    """Texel rows and columns that a cone crosses; all, if the cone reaches far from the beam axis."""
     found = []
     for along, first, last, n in ((axis[2], grid.top, grid.bottom, grid.rows), (axis[1], grid.left, grid.right, grid.cols)):
         middle, flat = math.atan2(along, axis[0]), math.hypot(along, axis[0])  # of the cone seen from the side or from above
@@ -236,7 +235,9 @@ def _window(grid: TexelGrid, axis: Array, reach: float) -> Window:
 
 @lru_cache(maxsize=4)
 def _nodes(distribution: Distribution, aim: Aim) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Directions `[3, V, H]` in which a distribution was measured, its cd there `[V, H]`, and where it or a neighbour shines."""
+    """Directions `[3, V, H]` of a distribution's measured angles, its cd `[V, H]`, and a mask of the nodes that shine or have a neighbour
+    that does.
+    """
     v, h, _ = distribution.full_table
     if distribution.type == "C":  # one plane may stand for all
         h = np.union1d(h, h[0] + np.arange(0.0, h[-1] - h[0], AZIMUTHS_DEG))
@@ -277,7 +278,7 @@ def _finest(angles_deg: Array) -> float:
 
 
 def _at(wanted: NDArray[np.intp], texel: NDArray[np.intp], light: Array, grid: TexelGrid) -> Array:
-    """The light at wanted texels."""
+    """Light at the `wanted` texels, zero where a texel has none."""
     texture = np.zeros(grid.n_texels)
     texture[texel] = light
     return texture[wanted]

@@ -124,7 +124,7 @@ def _csv_columns(path: Path) -> Mapping[str, Array]:
 
 
 def separators(path: Path) -> tuple[str, str]:
-    """Delimiter and decimal point of a .csv: semicolon and comma where spreadsheets write them so, told by the first line."""
+    """Delimiter and decimal point of a .csv by its first line; some spreadsheets write semicolon and comma."""
     with reading(path), regular(path).open("rb") as stream:
         return (";", ",") if b";" in stream.readline() else (",", ".")
 
@@ -141,7 +141,7 @@ def _numbers(path: Path, table: Mapping[str, Array], name: str) -> NDArray[np.in
 
 
 def _box(nodes: Array, given: Array) -> tuple[Array, NDArray[np.int64]]:
-    """The angles that hold a pixel's own, and one more on each side where it is dark; and where the pixel's are among them."""
+    """The range of table angles around a pixel's light, with one dark angle on each side, and the pixel's indices in it."""
     at = np.searchsorted(nodes, given)
     start = max(int(at.min()) - 1, 0)
     return nodes[start : int(at.max()) + 2], at - start
@@ -180,7 +180,7 @@ def _pixel(path: Path, name: str, v: Any, h: Any, candela: Any, rgb: Any | None)
 
 
 def _distribution(v: Any, h: Any, candela: Any) -> Distribution:
-    """A table as it stands: type A would mirror one whose angles begin at 0, so it is given an edge there."""
+    """A distribution of type A. A table that begins at 0 deg gets a dark edge there, as it would be mirrored otherwise."""
     v, h, candela = (np.asarray(each, np.float64) for each in (v, h, candela))
     if len(h) < 2:
         raise LuxloopError("give at least 2 horizontal angles")
@@ -300,9 +300,9 @@ class FileSource(Params):
 class TableSource(Params):
     """All pixels measured in one table; rows and columns where it numbers its pixels in one dimension.
 
-    `.npz`: `candela` `[n_p, V, H]` or `[rows, columns, V, H]`, `horizontal_deg` `[H]`, `vertical_deg` `[V]`, optionally `rgb`
-    `[..., V, H, 3]`, linear sRGB of any scale. `.csv`: a line a value, with the columns pixel (or row and column), horizontal_deg,
-    vertical_deg, candela, optionally red, green and blue; what is left out is dark. Numbers count from 0 or 1.
+    `.npz`: `candela` `[n_p, V, H]` or `[rows, columns, V, H]`, `horizontal_deg` `[H]`, `vertical_deg` `[V]`, optionally `rgb` `[..., V, H,
+    3]`, linear sRGB of any scale. `.csv`: a line a value, with the columns pixel (or row and column), horizontal_deg, vertical_deg,
+    candela, optionally red, green and blue; missing angles are dark. Numbers count from 0 or 1.
     """
 
     kind: Literal["table"] = "table"

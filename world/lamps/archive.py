@@ -26,7 +26,7 @@ FORMAT: Final = "luxloop lamp"
 VERSION: Final = 1
 WRITER = "`luxloop headlight build` writes it"
 ALWAYS = ("full", "off")  # beams of every lamp
-BYTES_A_PLACE = 16  # of a pixel or texel: of the matrix' row, of textures and utilisations
+BYTES_A_PLACE = 16  # of a pixel or texel, in the matrix' row pointers, textures and utilisations
 RIGID = 1e-6  # tolerance of rotation matrices
 
 

@@ -30,7 +30,7 @@ from luxloop.world.validation import read_toml, validate_model
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredLamp(Lamp):
-    """A lamp of one pixel whose intensity is its file's, interpolated between the file's own angles; it has no module to render.
+    """A lamp of one pixel with the intensity of a photometric file, interpolated between the file's angles; it cannot be rendered.
 
     mirrored: the lamp of the right side, whose light is that of the left one mirrored.
     """
@@ -139,7 +139,7 @@ def build(path: Path, side: Side = "left", on_progress: Progress | None = None) 
 
 
 def lamp_files(name: str) -> Iterator[Path]:
-    """The files that decide a lamp of that name, none for a preset: the file itself, and all that a description names.
+    """The files on which a lamp depends: its own and those that a description names; none for a preset.
 
     Raises LuxloopError where a description is broken.
     """
@@ -188,7 +188,7 @@ def load_lamp(name: str | Path, side: Side = "left") -> Lamp:
 
 
 def for_traffic(lamp: Lamp, traffic: Traffic) -> Lamp:
-    """The lamp with its default beams fitted for traffic on this side; own beams stay, and a warning tells where there are no others."""
+    """The lamp with its default beams fitted for traffic on this side; own beams stay, with a warning if it has no others."""
     if traffic == "right":
         return lamp
     maps = lamp.beams.maps if isinstance(lamp.beams, ChainMap) else [lamp.beams]

@@ -17,10 +17,10 @@ from luxloop.world.spmv import Csr, multiply, solve
 from luxloop.world.texels import bilinear
 
 EVEN_CD = 500.0  # errors count relative to the light, but not below this
-RIM = 0.1  # share of the greatest intensity: where the lamp gives less, at the rim of its field, errors count less
+RIM = 0.1  # share of the greatest intensity; errors count less where the lamp gives less, at the rim of its field
 RULE_STEP_DEG = 0.1
-RESERVE = 0.04  # relative margin to limits that the fit aims at; half of it must be kept
-WEIGHT_OF_LIMITS = 3.0  # relative to the pattern; it grows by as much in each round that misses a limit
+RESERVE = 0.04  # relative margin to limits that the fit aims at; it must keep half of it
+WEIGHT_OF_LIMITS = 3.0  # weight of limits relative to the pattern, multiplied by itself in each round that misses a limit
 ROUNDS = 4
 HANDOVER = 0.2  # share of a module's rows and columns on either side over which it fades into other modules
 LEAST_PIXELS = 8
@@ -59,16 +59,16 @@ class LampFit:
         return u.split([module.headlight.n_pixels for module in self.lamp.modules])
 
     def _first_guess(self, target: Tensor) -> Tensor:
-        """Start of the fit: for each pixel the mean share of the wanted light in its directions; smooth, as the solver keeps what does not
-        matter.
+        """Start of the fit: each pixel's mean share of the target intensity in its directions; smooth, as the solver keeps values that do
+        not matter.
         """
         possible = multiply(self.matrix.transpose, self.full)
         return torch.where(possible > 0, multiply(self.matrix.transpose, target) / possible, 0.0).clamp(0, 1)
 
     def _handover(self, target: Tensor) -> Tensor:
-        """Upper bounds of utilisations: towards its module's border a pixel fades out as far as other modules can replace it.
+        """Upper bounds of utilisations: a pixel fades out towards its module's border as far as other modules can replace its light.
 
-        Otherwise the module's edge and the coarser light of other modules beside it would show as a seam.
+        Otherwise a seam would show between the module's edge and the coarser light of others.
         """
         mean = self.matrix.transpose
         lit = multiply(mean, torch.ones(len(target))).clamp(min=1e-6)
@@ -88,8 +88,8 @@ class LampFit:
     def _within_limits(
         self, pattern_alone: Tensor, target: Tensor, weight: Tensor, pattern: Pattern, mirror: float, upper: Tensor
     ) -> Tensor:
-        """A fit within all limits that the lamp can reach, or the plain fit: a lamp too coarse for all would distort its beam to meet a
-        few.
+        """A fit within all limits that the lamp can reach, else the plain fit: a lamp too coarse for all limits would distort its beam to
+        meet a few.
         """
         points, low, high = _limits(pattern)
         points[0] *= mirror
@@ -154,7 +154,7 @@ def _sampling(module: Module, directions: Tensor) -> sp.csr_matrix:
 def _limits(pattern: Pattern) -> tuple[Tensor, Tensor, Tensor]:
     """Points `[2, N]` in deg with the least and the largest light in cd that the rules allow, a reserve kept.
 
-    Of sums each point bears its share. Limits relative to other values, and on the maximum, are left to the pattern.
+    A limit of a sum is shared among its points. Limits that are relative, conditional, or on flux or maximum are left out.
     """
     parts = []
     for rules in map(rule_set, pattern.rules):
@@ -176,14 +176,14 @@ def _bounds(requirement: Requirement) -> tuple[float, float]:
 
 
 class FittedBeams(Mapping[str, tuple[Tensor, ...]]):
-    """The default beams of a lamp by name: fitting takes seconds, so nobody must pay for a beam that is not shown."""
+    """The default beams of a lamp by name, each fitted on first use, since a fit takes seconds."""
 
     def __init__(self, lamp: Lamp, traffic: Traffic = "right") -> None:
         self._lamp, self._traffic = lamp, traffic
         self._fitted: dict[str, tuple[Tensor, ...]] = {}
 
     def for_traffic(self, traffic: Traffic) -> "FittedBeams":
-        """The same lamp's default beams where traffic drives on this side."""
+        """The same lamp's default beams for traffic on this side."""
         return self if traffic == self._traffic else FittedBeams(self._lamp, traffic)
 
     def __getitem__(self, name: str) -> tuple[Tensor, ...]:

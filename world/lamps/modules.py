@@ -35,9 +35,9 @@ from luxloop.world.photometry.distribution import Array
 from luxloop.world.spmv import Csr
 from luxloop.world.texels import LARGEST_ANGLE_DEG, TexelGrid
 
-DARK_CD = 1e-3  # no lamp is so dim, but what rounding leaves of a model far away
-TOLD = 0.01  # of flux or peak, beyond which it is told that a texture does not hold them
-STILL_SHINES = 0.05  # of its peak: a measurement that ends there was cut off
+DARK_CD = 1e-3  # smaller intensities are rounding residues of a pixel model
+TOLD = 0.01  # relative error of flux or peak above which a warning says so
+STILL_SHINES = 0.05  # of its peak: a measurement brighter at its border was cut off
 BYTES_A_TEXEL = 32  # of a texture while it is made
 SIGMAS = 3.5  # of a Gaussian that a default texture holds: all but 0.2 % of the peak
 
@@ -151,7 +151,7 @@ class ModuleParams(Params):
 
 @dataclass(frozen=True)
 class ModuleReport:
-    """Report on how a module reproduces its source.
+    """How closely a module reproduces its source.
 
     entries_per_texel: before and after overlap reduction. dropped: share of the light below `cutoff`, flux, peak, rmse and rmse_cd: against
     the source (see headlight.pixels.PixelMatrix); all None where the source is no measurement. overlap: None where nothing was reduced.
@@ -174,10 +174,10 @@ class ModuleReport:
 def build_module(
     params: ModuleParams, folder: Path, use_cases: Callable[[int, int], Sequence[Array]], on_progress: Progress | None = None
 ) -> tuple[Module, ModuleReport]:
-    """A module, and what became of its source. folder: of the description, to which paths are relative.
+    """A module and the report on its source. folder: of the description, to which paths are relative.
 
-    use_cases: utilisations `[n_p]` that matter for least squares beside the standard ones, given the pixel rows and columns.
-    Raises: LuxloopError where a file is missing or broken, or the texture or preset makes no sense.
+    use_cases: utilisations `[n_p]` that matter for least squares beside the standard ones, given the pixel rows and columns. Raises:
+    LuxloopError where a file is missing or broken, or the texture or preset makes no sense.
     """
     module, assembled = _with_light(params, folder, on_progress)
     full = module.headlight
@@ -211,7 +211,7 @@ def _dark(light: Headlight) -> bool:
 
 
 def _with_light(params: ModuleParams, folder: Path, on_progress: Progress | None) -> tuple[Module, PixelMatrix | None]:
-    """The module as its source gives it, and how true that is to what was measured."""
+    """The module of a source, and its errors against the measurement."""
     source = params.source
     if isinstance(source, PresetSource):
         lamp = presets.lamp(source.name)

@@ -1,4 +1,4 @@
-"""Wanted light: patterns of beams (low, high and others), and rectangles of even light to evaluate controllers with (T 8.4)."""
+"""Target intensities: patterns of beams (low, high and others), and rectangles of even light for evaluating controllers (T 8.4)."""
 
 import itertools
 import math
@@ -181,7 +181,7 @@ class Rectangle:
 
 RECTANGLES = [Rectangle(*values) for values in itertools.product(H_DEG, V_DEG, WIDTHS_DEG, HEIGHTS_DEG, TURNS_DEG)]
 
-# One a position, so that each width, height and turn comes 15 times, each pair of them 5 times, and all of them in every column and row.
+# One for each position: a balanced design with each width, height and turn 15 times, each pair 5 times, and all in every column and row.
 QUICK = [
     Rectangle(h, v, WIDTHS_DEG[(i + j) % 3], HEIGHTS_DEG[(i // 3 + j) % 3], TURNS_DEG[(i + i // 3 + j) % 3])
     for i, h in enumerate(H_DEG)

@@ -1,4 +1,4 @@
-"""Lamps that come with luxloop; what is published of each and what is guessed stands in its notes and beside its numbers."""
+"""Lamps that come with luxloop; notes and comments tell published numbers from guesses."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -160,7 +160,7 @@ def _ssl_hd(chromatic_shift: float) -> tuple[Module, ...]:
     )
 
 
-# Summary, modules of the left lamp given the chromatic shift, and what is known of them.
+# Summary, modules of the left lamp for a chromatic shift, and notes on their origin.
 _LAMPS: dict[str, tuple[str, Callable[[float], tuple[Module, ...]], str]] = {
     "idealised-332x1024": ("the thesis' idealised lamp: 332 x 1024 pixels on 20 x 5 deg that hardly overlap", _ideal, IDEAL_NOTES),
     "hd84": ("84 Gaussian pixels in three unequal rows on 40 x 10 deg", _alone("matrix", "hd84"), HD84_NOTES),

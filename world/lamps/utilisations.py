@@ -36,7 +36,7 @@ class RawUtilisation:
 
 
 def read_sequence(path: Path, rows: int, columns: int, rate_hz: float | None = None, repeat: bool = True) -> RawUtilisation:
-    """Utilisations over time: what `read_utilisation` reads, an array `[n, rows, columns]`, a folder or pattern of files, or a video.
+    """Utilisations over time from a file of `read_utilisation`, an array `[n, rows, columns]`, a folder or pattern of files, or a video.
 
     rate_hz: frames a second; left out: a video's own, else 25. Raises LuxloopError that names the file and what is wrong in it.
     """

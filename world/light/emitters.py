@@ -1,4 +1,4 @@
-"""What emits light and what it does in views and on walls: modules at work, an overcast sky, street lamps, lamps of other road users."""
+"""Light sources and their light in views and on walls: headlamp modules, overcast sky, street lamps, lamps of other road users."""
 
 import math
 from collections.abc import Sequence
@@ -20,13 +20,13 @@ from luxloop.world.scene.triangles import Triangles
 def ambient_luminance(
     gbuffer: GBuffer, ambient_lx: float, street_lamps: Sequence[StreetLamp] = (), spotlights: Sequence[Spotlight] = ()
 ) -> Tensor:
-    """Luminance `[height, width]` in cd/m^2: that of Lambertian surfaces, and what some shine with themselves.
+    """Luminance `[height, width]` in cd/m^2 of Lambertian surfaces in ambient light, plus that of luminous ones.
 
     ambient_lx: illuminance of a surface that faces up; others see the share (1 + n_z) / 2 of a uniform sky. Street lamps and spotlights (of
     the world, `[3]` vectors) throw no shadows.
     """
     albedo = gbuffer.albedo.flatten()
-    there = torch.nonzero(albedo)[:, 0]  # what reflects, of M pixels
+    there = torch.nonzero(albedo)[:, 0]  # the M pixels that reflect
     position, normal = (each.flatten(1).index_select(1, there) for each in (gbuffer.position, gbuffer.normal))  # [3, M]
     illuminance = ambient_lx * (1 + normal[2]) / 2
     for lamp in street_lamps:
@@ -63,7 +63,7 @@ def _intensity(spot: Spotlight, ray: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A module that shines.
+    """A module that emits light.
 
     headlight: its grid of texels. texture: `[rows, cols]` cd, or `[3, rows, cols]` linear sRGB in cd, float32.
     T_world_source: `[4, 4]` float64, its headlight frame in the world.
@@ -75,7 +75,7 @@ class Source:
 
 
 def sources(lamp: Lamp, utilisations: Sequence[Tensor], T_world_lamp: Tensor, colour: bool = False) -> tuple[Source, ...]:
-    """The modules of a lamp that emit anything under utilisations `[n_p]`, one a module."""
+    """The modules of a lamp that emit light, for one utilisation `[n_p]` a module."""
     return tuple(
         Source(
             module.headlight,
@@ -109,10 +109,9 @@ def wall_illuminance(lit: Sequence[Source], T_world_wall: Tensor, h_deg: Tensor,
 def surface_light(
     gbuffer: GBuffer, lit: Sequence[Source], triangles: Triangles | None = None, extinction_per_m: float = 0.0
 ) -> tuple[Tensor, Tensor]:
-    """Illuminance in lx and luminance in cd/m^2 of what a view sees, `[..., height, width]`, from all sources together.
+    """Illuminance in lx and luminance in cd/m^2, `[..., height, width]`, of a view's surfaces from all sources together.
 
-    Leading dimensions are the textures'. triangles: what may throw shadows. extinction_per_m: of the air that the light
-    comes through.
+    Leading dimensions are the textures'. triangles: of bodies that cast shadows. extinction_per_m: of the air between source and surface.
     """
     batch = lit[0].texture.shape[:-2] if lit else ()
     arriving = gbuffer.albedo.new_zeros(*batch, gbuffer.albedo.numel())

@@ -46,11 +46,11 @@ def lit_surface(
     triangles: Triangles | None = None,
     texels: tuple[slice, slice] | None = None,
 ) -> LitSurface:
-    """Find what of a G-buffer the lamp at `T_world_headlight` `[4, 4]` can light, and with which geometry.
+    """The part of a G-buffer that the lamp at `T_world_headlight` `[4, 4]` can light, with its geometry factors.
 
-    triangles: what may throw shadows, by a ray from the lamp to each point; nothing does where it is None. texels: rows and columns of the
-    light texture outside of which it is dark; None: it may be lit everywhere.
-    The light texture is interpolated bilinearly, clamped within its outer half texel and zero beyond its border.
+    triangles: of bodies that cast shadows, tested by a ray from the lamp to each point; None: no shadows. texels: rows and columns outside
+    of which the light texture is dark; None: all may be lit. The light texture is interpolated bilinearly, clamped within its outer half
+    texel and zero beyond its border.
     """
     position, normal = gbuffer.position.flatten(1), gbuffer.normal.flatten(1)
     x, y, z = transform(inverse(T_world_headlight).to(position), position)
@@ -101,7 +101,7 @@ def luminance(surface: LitSurface, light_texture: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Transport:
-    """Light transport from pixellights to camera pixels: camera sampling times headlight matrix, as long as nothing moves.
+    """Light transport from pixellights to camera pixels of a static scene: camera sampling times headlight matrix.
 
     matrix: `[M, n_p]`, cd/m^2 at full utilisation. index: `[M]` int64, flat image index, ascending.
     first, last: `[n_p]` int64, first and last of the M pixels that pixellight j reaches.
@@ -146,7 +146,7 @@ class Transport:
 def transport(surface: LitSurface, headlight: Headlight, width: int, oversampling: int = 1) -> Transport:
     """Fold sampling, geometry, reflection and the headlight matrix into one sparse matrix (M x n_p).
 
-    width: of the image in px. oversampling: image rows of the G-buffer that a camera pixel takes the mean of.
+    width: of the image in px. oversampling: rows of the G-buffer that are averaged to a camera pixel.
     """
     values = (surface.weight * (surface.factor * surface.luminance_factor / (math.pi * oversampling))).T.cpu().numpy()
     pixel = _camera_pixel(surface.index, width, oversampling).cpu().numpy()
@@ -160,7 +160,7 @@ def transport(surface: LitSurface, headlight: Headlight, width: int, oversamplin
 
 
 class TextureSource(Protocol):
-    """What makes a module's light texture of its utilisation: its headlight matrix, or a lamp elsewhere whose light was measured."""
+    """Gives a module's light texture for a utilisation: its headlight matrix, or the measured light of a real lamp."""
 
     def light_texture(self, utilisation: Tensor, band: slice | None = None) -> Tensor:
         """Luminous intensity `[..., rows, cols]` in cd of a utilisation `[..., n_p]` in 0..1; band: as of `Headlight.light_texture`."""
@@ -168,7 +168,7 @@ class TextureSource(Protocol):
 
 
 class LastTextures:
-    """A headlight's light textures, of which the last are kept: an exposure is looked at in several places."""
+    """Cache of a headlight's last light textures, since one exposure is used in several places."""
 
     def __init__(self, headlight: Headlight) -> None:
         self._headlight = headlight
@@ -187,7 +187,7 @@ class LastTextures:
 
 
 class Shadows:
-    """Which points `[3, N]` m a lamp at `[3]` m sees past all triangles: a shadow ray is cast to a point at the first question."""
+    """Shadow test of points `[3, N]` m for a lamp at `[3]` m; a shadow ray is cast when a point is first asked for."""
 
     def __init__(self, points: Tensor, lamp_m: Tensor, triangles: Triangles) -> None:
         self.points, self.lamp_m, self.triangles = points, lamp_m, triangles
@@ -204,11 +204,11 @@ class Shadows:
 
 @dataclass(frozen=True)
 class DirectTransport:
-    """The same without a matrix: the light texture is made and sampled each time, which pays where a view is lit a few times only, or where
-    illuminance is asked for.
+    """Light transport without a matrix: the light texture is computed and sampled each time, which is faster if a view is lit a few times
+    only or illuminance is needed.
 
-    gbuffer: with `oversampling` rows for each of the image. shadows: from where the headlight is, on all of it. width: of the image in px.
-    textures: what makes light textures on the headlight's texels, None for the headlight.
+    gbuffer: with `oversampling` rows for each of the image. shadows: of the headlight, for all samples. width: of the image in px.
+    textures: source of light textures on the headlight's texels, None for the headlight.
     """
 
     gbuffer: GBuffer
@@ -225,10 +225,10 @@ class DirectTransport:
         return lit_surface(self.gbuffer, self.headlight, self.T_world_headlight)
 
     def illuminance(self, utilisation: Tensor, band: slice | None = None) -> tuple[Tensor, Tensor, Tensor]:
-        """Illuminance `[..., m]` in lx of samples, the others are dark; their flat index `[m]` in the G-buffer and luminance factor `[m]`.
+        """Illuminance `[..., m]` in lx of the lit samples, their flat index `[m]` in the G-buffer and luminance factor `[m]`.
 
-        utilisation: `[..., n_p]`. band: all pixels outside of it are dark.
-        Shadows are looked for only where the light texture is not dark, and everywhere if it has a gradient.
+        utilisation: `[..., n_p]`. band: all pixels outside of it are dark. Shadows are tested only where the light texture is not dark,
+        everywhere if it has a gradient.
         """
         texture = (self.textures or self.headlight).light_texture(utilisation, band)
         if not (texture.requires_grad or bool(texture.any())):
@@ -257,7 +257,7 @@ class DirectTransport:
         return luminance[..., kept], pixels[kept]
 
     def reflect(self, lx: Tensor, luminance_factor: Tensor) -> Tensor:
-        """Luminance `[..., m]` in cd/m^2 that samples of an illuminance `[..., m]` add to their pixels."""
+        """Luminance `[..., m]` in cd/m^2 that lit samples add to their pixels. lx: `[..., m]`."""
         return lx * luminance_factor / (math.pi * self.oversampling)
 
     def pixel(self, samples: Tensor) -> Tensor:
@@ -269,7 +269,7 @@ class DirectTransport:
         return samples // self.width % self.oversampling == self.oversampling // 2
 
     def _part_of_surface(self, texture: Tensor) -> LitSurface:
-        """What a light texture `[..., rows, cols]` reaches of which a part is lit."""
+        """The samples in reach of the lit part of a light texture `[..., rows, cols]`."""
         lit = (texture != 0).view(-1, *texture.shape[-2:]).any(0)
         ends = (torch.nonzero(lit.any(dim))[:, 0].tolist() or [0] for dim in (1, 0))
         rows, cols = (slice(each[0], each[-1] + 1) for each in ends)
@@ -294,7 +294,7 @@ class Light(Protocol):
 
 
 def added_light(transports: Sequence[LightTransport], lights: Sequence[Light], base: Tensor, rows: slice | None = None) -> Tensor:
-    """Luminance `[..., height, width]` in cd/m^2 of a camera's pixels: that of one light a transport on top of a base `[height, width]`.
+    """Luminance `[..., height, width]` in cd/m^2 of a camera's pixels: a base `[height, width]` plus one light for each transport.
 
     rows: of the image, which alone are returned and computed; None for all of them.
     """

@@ -30,7 +30,9 @@ def shadow_map(triangles: Triangles, view: View, source: FaceSource) -> ShadowMa
 
 
 def visible(shadow: ShadowMap, points: Tensor) -> Tensor:
-    """Which world points `[..., 3, N]` in m see the lamp, `[..., N]` bool, to a texel; outside the map all do, having no light from it."""
+    """Whether world points `[..., 3, N]` in m see the lamp, `[..., N]` bool, to one texel; points outside the map get no light and count as
+    visible.
+    """
     image, depth = shadow.view.project(points)
     column, row = image[..., 0, :], image[..., 1, :]
     inside = (depth > 0) & (column >= 0) & (column < shadow.view.width) & (row >= 0) & (row < shadow.view.height)
@@ -73,11 +75,11 @@ def airlight(
     samples: int = 64,
     shadow: ShadowMap | None = None,
 ) -> Tensor:
-    """Luminance `[..., N]` in cd/m^2 of the air between an eye and what it sees; leading dimensions are the texture's.
+    """Luminance `[..., N]` in cd/m^2 of the air between an eye and the surfaces that it sees; leading dimensions are the texture's.
 
-    origin: `[3]` m, directions: `[3, N]` unit, of the world; far_m: `[N]`, length of the rays. The integral along a ray
-    `sigma_s p(theta) I / d^2 exp(-sigma_t (d + s)) V ds` is taken over the angle at the source, in which 1/d^2 ds is uniform and texels
-    are equally large, and only where the ray is in the beam: `samples` midpoints each.
+    origin: `[3]` m, directions: `[3, N]` unit, of the world; far_m: `[N]`, length of the rays. The integral along a ray `sigma_s p(theta) I
+    / d^2 exp(-sigma_t (d + s)) V ds` is taken over the angle at the source, in which 1/d^2 ds is uniform and texels are equally large, and
+    only where the ray is in the beam: `samples` midpoints each.
     """
     T_source_world = inverse(source.T_world_source).to(directions)
     R = T_source_world[:3, :3]

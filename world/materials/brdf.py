@@ -12,7 +12,7 @@ from luxloop.world.errors import LuxloopError
 from luxloop.world.frames import unit
 
 NODES = 128  # of the tables over the angle, even in the root of its cosine, since grazing angles change fastest
-MARGIN = 1e-3  # by which the tables overstate what is reflected, more than quadrature and interpolation are off
+MARGIN = 1e-3  # by which the tables overstate reflection: more than the error of quadrature and interpolation
 
 # of a material's numbers; the others are shares
 RANGES = {"roughness": (0.02, 1), "retro_width_deg": (0.01, 90), "trapped": (0, 0.99), "luminance_cd_m2": (0, 1e7)}
@@ -22,12 +22,11 @@ RANGES = {"roughness": (0.02, 1), "retro_width_deg": (0.01, 90), "trapped": (0, 
 class Material:
     """Material of a surface, besides its albedo. The default is Lambertian.
 
-    interface: share of it 0..1 that is covered by a glossy interface. f0: the interface's reflectance at normal incidence.
-    roughness: alpha of its GGX microfacets, 0.02..1. retro: share 0..1 of the light that gets through and is sent back to where it came
-    from. retro_width_deg: angle from there at which that lobe has fallen to a quarter, 0.01..90. trapped: share 0..0.99 of the light
-    scattered below the interface that is thrown back down by it, where the albedo is that without the interface (a film of water).
-    luminance_cd_m2: what it shines with by itself, the same into all directions, up to 1e7.
-    Raises LuxloopError beyond these ranges.
+    interface: share of it 0..1 that is covered by a glossy interface. f0: the interface's reflectance at normal incidence. roughness: alpha
+    of its GGX microfacets, 0.02..1. retro: share 0..1 of the transmitted light that is reflected back to its source. retro_width_deg: angle
+    at which that lobe has fallen to a quarter, 0.01..90. trapped: share 0..0.99 of the light scattered below the interface that it reflects
+    down again; the albedo is then that without interface (a film of water). luminance_cd_m2: its own luminance, the same in all directions,
+    up to 1e7. Raises LuxloopError beyond these ranges.
     """
 
     interface: float = 0.0
@@ -54,7 +53,7 @@ class Material:
         return 2 * math.sin(math.radians(self.retro_width_deg) / 2) ** 2
 
     def darken(self, albedo: Tensor) -> Tensor:
-        """Albedo under the interface: of what is scattered up, a share is thrown back and scattered again (Lekner & Dorf 1988)."""
+        """Albedo with internal reflection: the interface reflects a share of the scattered light down again (Lekner & Dorf 1988)."""
         below = albedo * (1 - self.trapped) / (1 - self.trapped * albedo)
         return torch.lerp(albedo, below, self.interface)
 
@@ -84,7 +83,7 @@ def luminance_factor(material: Material, albedo: Tensor, normal: Tensor, to_lamp
 
 
 def _cos(normal: Tensor, direction: Tensor) -> Tensor:
-    """Interpolated normals may turn away from an eye that still sees the face: grazing, then."""
+    """Cosine of normal and direction, at least grazing, as interpolated normals may turn away from an eye that sees the face."""
     return (normal * direction).sum(0).clamp(1e-4, 1)
 
 
@@ -111,7 +110,7 @@ def _look_up(table: Tensor, cos: Tensor) -> Tensor:
 
 @lru_cache(maxsize=64)
 def _tables(material: Material) -> tuple[Tensor, Tensor, float]:
-    """What the interface lets through and what interface and beads leave for the ground, `[NODES]` float64 over the angle, and its mean."""
+    """Transmittance of the interface and of interface with beads, `[NODES]` float64 over the angle, and the mean of the latter."""
     cos = torch.linspace(0, 1, NODES, dtype=torch.float64).square()
     glossy = _reflected_by_interface(material, cos)
     through = 1 - glossy

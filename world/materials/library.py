@@ -86,7 +86,7 @@ class Texture:
         return torch.lerp(torch.lerp(a, b, fj), torch.lerp(c, d, fj), fi)
 
     def material_at(self, x: Tensor, y: Tensor) -> Tensor:
-        """Which of the materials is there, of the texel that x and y (m, body frame) lie in, int64 in their shape."""
+        """Index of the material at x and y (m, body frame), int64 in their shape."""
         if self.material is None:
             return torch.zeros_like(x, dtype=torch.int64)
         n_x, n_y = self.material.shape
@@ -167,7 +167,7 @@ def _grain(rng: np.random.Generator, n_x: int, n_y: int) -> np.ndarray:
     return noise / noise.std()
 
 
-SPARE_M = 0.01  # beyond a spot, for rounding in float32 some hundred metres ahead
+SPARE_M = 0.01  # margin around a spot for float32 rounding some hundred metres ahead
 TOGETHER = 64  # neighbouring points
 
 
@@ -193,7 +193,7 @@ class SpotParams(Params):
 
 @dataclass(frozen=True, eq=False)
 class SpottedTexture:
-    """A road's texture, made when somebody looks at it, and spots on it: they are there once, where the texture around them repeats."""
+    """A road's texture, made on first use, with spots on it; the texture repeats, the spots do not."""
 
     surface: RoadSurfaceParams
     spots: tuple[SpotParams, ...]
@@ -213,7 +213,7 @@ class SpottedTexture:
 
     @property
     def names(self) -> tuple[MaterialName, ...]:
-        """Those of the materials; a spot of none is of what is around it."""
+        """Names of the materials; a spot without one has that of its surroundings."""
         return (*self._around.names, *(spot.material or self.surface.ground_name for spot in self.spots))
 
     def at(self, x: Tensor, y: Tensor) -> Tensor:
@@ -226,7 +226,7 @@ class SpottedTexture:
         return albedo.view(shape)
 
     def material_at(self, x: Tensor, y: Tensor) -> Tensor:
-        """Which of the materials is there, int64 in the shape of x and y (m, body frame)."""
+        """Index of the material at x and y (m, body frame), int64 in their shape."""
         shape, x, y = x.shape, x.flatten(), y.flatten()
         number = self._around.material_at(x, y)
         for k, (spot, there) in enumerate(zip(self.spots, self._covers(x, y), strict=True), len(self._around.materials)):
@@ -239,7 +239,7 @@ class SpottedTexture:
         return keeping(1, self._covered_of)  # for albedo and material of the same points
 
     def _covered_of(self, x: Tensor, y: Tensor) -> tuple[Tensor, ...]:
-        """Indices of the points (x, y) `[N]` that lie on each spot; first of neighbours together, most of which lie farther along x."""
+        """Indices of the points (x, y) `[N]` on each spot."""
         if not self.spots:
             return ()
         x, y = (pad(each, (0, -len(each) % TOGETHER), value=torch.inf).view(-1, TOGETHER) for each in (x, y))

@@ -1,4 +1,4 @@
-"""What an OpenCRG file says, as a value."""
+"""The content of an OpenCRG file as a value."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from luxloop.world.errors import LuxloopError
 
 KINDS = {"LRFI": None, "LDFI": None, "KRBI": np.dtype(">f4"), "KDBI": np.dtype(">f8")}
-FINEST_M = 1e-5  # between points of a grid: no road is measured as finely
+FINEST_M = 1e-5  # least spacing of grid points; no road is measured as finely
 TEXT_WIDTH = {"LRFI": 10, "LDFI": 20}
 
 

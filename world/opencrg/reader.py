@@ -22,7 +22,7 @@ _ODD_EXPONENT = re.compile(r"[+-]?[eEdD]?[+-]?\d*")  # "2.000000000+e00" occurs 
 _SECTION = re.compile(rf"long\s+section\s+(?:(at)\s+v\s*=\s*)?({_NUMBER.pattern})")
 _KIND = re.compile(r"#[\s:]*([A-Za-z]{4})")
 _BRACKETS = str.maketrans("[]()", ",,,,")
-# How much of the format's unit (m, rad, m/m) others are, in lower case.
+# Factors of other units to the format's (m, rad, m/m), in lower case.
 LENGTH = {"m": 1.0, "metre": 1.0, "meter": 1.0, "km": 1e3, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "um": 1e-6, "µm": 1e-6}
 LENGTH |= dict.fromkeys(("in", "inch", "inches"), 0.0254) | dict.fromkeys(("ft", "foot", "feet"), 0.3048)
 ANGLE = {"rad": 1.0, "mrad": 1e-3, **dict.fromkeys(("deg", "degree", "degrees", "°"), math.pi / 180), "gon": math.pi / 200}
@@ -69,7 +69,7 @@ def _float(number: str) -> float:
 
 
 def _units_of(key: str) -> Mapping[str, float]:
-    """What a key of the header may be given in."""
+    """Units in which a key of the header may be given, with their factors."""
     last = key.rpartition("_")[2]
     if last in ("phi", "lon", "lat"):
         return ANGLE
@@ -79,7 +79,7 @@ def _units_of(key: str) -> Mapping[str, float]:
 
 
 def _unit(path: Path, line: int, text: str, units: Mapping[str, float]) -> float:
-    """How much of the format's unit one is that a header names, whatever its case and brackets."""
+    """Factor from a unit that a header names, in any case and brackets, to the format's unit."""
     name = text.translate(_BRACKETS).strip(" \t,.").lower()
     if name not in units:
         known = f"give it in {', '.join(units)}" if units else "it has none"
@@ -89,7 +89,7 @@ def _unit(path: Path, line: int, text: str, units: Mapping[str, float]) -> float
 
 @dataclass(frozen=True)
 class Channels:
-    """Columns of the data block: which of them are what."""
+    """Columns of the data block and their meanings."""
 
     kind: str
     scale: list[float]  # of each column, to m, rad or m/m

@@ -20,7 +20,7 @@ from luxloop.world.opencrg.crg import fill_gaps
 Floats = NDArray[np.float64]
 NO_VALUE, ZERO, KEEP, REPEAT, MIRROR = range(5)
 FARTHEST_M, STEEPEST = 1e8, 100.0  # no place and no slope of a road is farther out or steeper
-ROUNDING = 1e-9  # of a step, by which what lies at an end may seem to lie beyond it
+ROUNDING = 1e-9  # of a step, by which a point at an end may seem to lie beyond it
 
 
 class CrgSurface:
@@ -50,7 +50,7 @@ class CrgSurface:
         self._gap = self._closing_gap()
 
     def _check(self) -> None:
-        """Raises LuxloopError where the numbers of a file, or what its modifiers make of them, are no road that can be computed with."""
+        """Raises LuxloopError where the numbers of a file, before or after its modifiers, do not describe a usable road."""
         across, along = np.diff(self.crg.v), np.diff(self.points, axis=0)
         sound = {
             "steps between points of the grid": FINEST_M <= self.u_step <= FARTHEST_M and across.min() >= FINEST_M,
@@ -203,7 +203,7 @@ class CrgSurface:
 
 
 def _integrate(start: Floats, steps: Floats, end: Floats | None, mixing: Floats) -> Floats:
-    """Points from a start and steps `[n - 1, d]`; with an end given the misfit of the backward line fades out as the mixing grows."""
+    """Points from a start and steps `[n - 1, d]`. With an end, the line integrated backwards from it is mixed in with growing weight."""
     forward = np.concatenate([start[None], start + np.cumsum(steps, axis=0)])
     if end is None:
         return forward
@@ -239,7 +239,7 @@ def _cross(a: Floats, b: Floats) -> Floats:
     return cast(Floats, a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
-# What OpenCRG libraries do to a file that has no $ROAD_CRG_MODS: fill NaN, start at the origin with heading 0.
+# Defaults of OpenCRG libraries for a file without $ROAD_CRG_MODS: fill NaN, start at the origin with heading 0.
 LIBRARY_DEFAULTS = {"grid_nan_mode": 2.0, "refpoint_phi": 0.0}
 Point = tuple[float, float]
 NAN_KEEP, NAN_ZERO, NAN_LAST = range(3)

@@ -1,4 +1,4 @@
-"""Photometric files and what is made of them: IES LM-63 and EULUMDAT, distributions on the sphere, light textures (T 2.3, 5.2)."""
+"""Photometric files (IES LM-63, EULUMDAT), intensity distributions on the sphere, and their light textures (T 2.3, 5.2)."""
 
 import warnings
 from collections.abc import Iterable
@@ -17,7 +17,7 @@ __all__ = ["Distribution", "Photometry", "light_texture", "read_all", "read_phot
 
 
 def read_photometry(path: str | Path) -> Photometry:
-    """Read an IES LM-63 or EULUMDAT file at path, by what it holds; where that does not tell, by its suffix, .ies or not.
+    """Read an IES LM-63 or EULUMDAT file; its content decides the format, or, if unclear, its suffix.
 
     Raises LuxloopError with the line and what was expected there.
     """
@@ -28,7 +28,7 @@ def read_photometry(path: str | Path) -> Photometry:
 
 
 def read_all(paths: Iterable[str | Path]) -> list[Photometry]:
-    """Read files as `read` does, and warn of what is odd in them: of each kind once, for the first file and the number of others."""
+    """Read files as `read_photometry` does. Each kind of oddity is warned of once, with the first file and the number of others."""
     files = [read_photometry(path) for path in paths]
     odd: dict[str, list[Path]] = {}
     for file in files:

@@ -15,12 +15,12 @@ from luxloop.world.errors import LuxloopError
 Kind = Literal["A", "B", "C"]
 Aim = Literal["beam", "nadir"]
 Array = NDArray[np.float64]
-# Least and greatest vertical and horizontal angle in deg that mean something.
+# Valid ranges of vertical and horizontal angles in deg.
 VERTICAL_RANGE = {"A": (-90.0, 90.0), "B": (-180.0, 180.0), "C": (0.0, 180.0)}
 HORIZONTAL_RANGE = {"A": (-180.0, 180.0), "B": (-90.0, 90.0), "C": (-360.0, 720.0)}
 BRIGHTEST_CD = 1e15  # no lamp comes near it, and sums and products of a few stay finite
-EDGE_DEG = 1e-6  # a step that is an edge, where light stops at once
-_BEYOND_DEG = 1e-9  # a direction on the table's edge may come out of atan2 by so much beyond it
+EDGE_DEG = 1e-6  # width of an edge, where light stops at once
+_BEYOND_DEG = 1e-9  # rounding of atan2 for a direction on the table's edge
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,9 +28,8 @@ class Distribution:
     """Luminous intensity over two angles, as stored; symmetry is unfolded where values are asked for.
 
     A: vertical polar axis, h to the right, v up. B: horizontal polar axis, v turns the plane about it (up), h runs in the plane, to the
-    right. C: v from the downward axis, h about it, counterclockwise seen from above.
-    Raises LuxloopError where angles do not ascend or lie beyond what the type knows, and where intensities are negative, not finite or
-    beyond reason.
+    right. C: v from the downward axis, h about it, counterclockwise seen from above. Raises LuxloopError where angles do not ascend or
+    exceed the type's range, and where intensities are negative, not finite or beyond BRIGHTEST_CD.
     """
 
     type: Kind
@@ -157,7 +156,7 @@ def _around(h: Array, candela: Array) -> tuple[Array, Array]:
 
 
 def _between(nodes: Array, x: Array) -> tuple[NDArray[np.intp], Array, NDArray[np.bool_]]:
-    """Index of the node before x, the fraction on the way to the next, and whether x lies within the nodes."""
+    """Index of the node before x, the fraction of the step to the next, and whether x lies within the nodes."""
     inside = (x >= nodes[0] - _BEYOND_DEG) & (x <= nodes[-1] + _BEYOND_DEG)
     i = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, len(nodes) - 2)
     return i, np.clip((x - nodes[i]) / (nodes[i + 1] - nodes[i]), 0.0, 1.0), inside

@@ -1,7 +1,6 @@
 """EULUMDAT (.ldt) files: one value a line, planes C and angles gamma of a luminaire that looks down.
 
-Our own reader and writer: the format is a page long, and readers at hand neither name the line of an error nor take a file's oddities with
-a warning.
+The reader names the line of an error and tolerates common oddities with a warning, which available libraries do not.
 """
 
 import re
@@ -19,7 +18,7 @@ _SETS_AT = 26  # line of the number of lamp sets, each of which takes six lines
 _COUNTS = re.compile(r".*\n\s*\d+\s*\n\s*[0-4]\s*\n\s*\d+[.,]?0*\s*\n")  # lines 2 to 4: kind, symmetry, number of planes
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")  # or a decimal comma
 _WHOLE_THOUSANDS = re.compile(r"[1-9]\d{0,2}\.000")  # which is 1, or 1000 where a point separates thousands
-_RATIOS = 10  # lines of direct ratios, which nobody here needs
+_RATIOS = 10  # lines of direct ratios, unused
 
 
 class _Lines:
@@ -55,7 +54,7 @@ class _Lines:
         return int(value)
 
     def optional(self, number: int, what: str) -> float:
-        """A number that is not needed for the light: zero, with a warning, where there is none."""
+        """An optional number: zero, with a warning, if missing."""
         try:
             return self.number(number, what)
         except LuxloopError:
@@ -147,7 +146,7 @@ def _planes(symmetry: int, c: Array, numbers: Numbers) -> Array:
     if symmetry < 2:
         return c if symmetry == 0 else c[:1]
     if symmetry == 3 and (c[0], c[-1]) == (90, 270):
-        return c  # the other half, which some programs store
+        return c  # the other half, as some programs store it
     c = c[c < 360]
     planes = np.concatenate([c[c >= 270] - 360, c[c <= 90]]) if symmetry == 3 else c[c <= (180 if symmetry == 2 else 90)]
     first, last = {2: (0, 180), 3: (-90, 90), 4: (0, 90)}[symmetry]
@@ -162,7 +161,7 @@ def write(path: str | Path, distribution: Distribution, name: str) -> None:
     name: of the luminaire. Its one lamp has the flux of the distribution. Raises LuxloopError where the file cannot be written.
     """
     path, c, gamma = Path(path), distribution.horizontal_deg, distribution.vertical_deg
-    flux = round(distribution.luminous_flux, 3) or 1.0  # of a dark one, whose table is zero
+    flux = round(distribution.luminous_flux, 3) or 1.0  # of a dark luminaire, whose table is zero
     kind, no_symmetry, uneven = 3, 0, 0
     head = ["luxloop (computed)", kind, no_symmetry, len(c), f"{360 / len(c):g}", len(gamma), uneven]
     names = ["none", name, "none", path.name, "none"]

@@ -1,6 +1,6 @@
 """IES LM-63 files, editions 1986, 1991, 1995, 2002 and 2019: read and written.
 
-Numbers are read as tokens, since files break their lines as they like; what is odd but clear is read with a warning.
+Numbers are read as tokens, since files break lines anywhere; unambiguous oddities are read with a warning.
 """
 
 import os
@@ -19,7 +19,7 @@ from luxloop.world.photometry.record import Numbers, Photometry, Tilt, load
 
 FOOT_M = 0.3048
 LAST_BALLAST_LAMP = 1991  # edition in which the number after the ballast factor multiplies the candela; later ones reserve it
-FIRST_ORIGIN = 2019  # edition in which it encodes how the file came about
+FIRST_ORIGIN = 2019  # edition in which it encodes the file's origin
 NOISE = 0.01  # goniophotometers report slightly negative values in the dark: up to this share of the peak they are taken as zero
 _TILT = re.compile(r"^[ \t]*TILT[ \t]*=[ \t]*(.*?)[ \t]*$", re.IGNORECASE | re.MULTILINE)
 _VERSION = re.compile(r"IES(?:NA)?:?\s*(?:LM-63-)?(\d{4}|\d{2})\b", re.IGNORECASE)
@@ -102,7 +102,7 @@ def _tilt(tilt: str, numbers: Numbers, path: Path, warnings: list[str]) -> Tilt 
 
 
 def _figures(numbers: Numbers, path: Path, edition: int, warnings: list[str]) -> dict[str, Any]:
-    """All that follows TILT, in the order of the standard."""
+    """All numbers after TILT, in the standard's order."""
     lamps = numbers.whole("the number of lamps")
     lumens = numbers.one("lumens per lamp, or -1 for absolute photometry")
     if lumens == 0 or (lumens < 0 and lumens != -1):
@@ -180,8 +180,8 @@ def has_tilt(text: str) -> bool:
 def write(path: str | Path, distribution: Distribution, keywords: Mapping[str, str] | None = None) -> None:
     """Write a distribution as LM-63-2019, absolute photometry; the file appears whole or not at all.
 
-    Nine significant digits. keywords: more of them, or other values of those that the standard demands. Raises LuxloopError where
-    the file cannot be written.
+    Nine significant digits. keywords: in addition to, or in place of, those that the standard demands. Raises LuxloopError where the file
+    cannot be written.
     """
     required = {"TEST": "none", "TESTLAB": "luxloop (computed)", "ISSUEDATE": "none", "MANUFAC": "none"}
     labels = [
@@ -191,7 +191,7 @@ def write(path: str | Path, distribution: Distribution, keywords: Mapping[str, s
     ]
     v, h = distribution.vertical_deg, distribution.horizontal_deg
     code = next(code for code, kind in _TYPES.items() if kind == distribution.type)
-    # One lamp of unknown flux; an opening of no size, in metres. 1.00001: how the file came about is not told.
+    # One lamp of unknown flux; an opening of no size, in metres. 1.00001: origin of the file unspecified.
     head = ["IES:LM-63-2019", *labels, "TILT=NONE", f"1 -1 1 {len(v)} {len(h)} {code} 2 0 0 0", "1 1.00001 0"]
     lines = [line for values in (v, h, *distribution.candela) for line in _lines(values)]
     atomic_write(Path(path), "\r\n".join([*head, *lines, ""]))

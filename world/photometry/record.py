@@ -1,4 +1,4 @@
-"""What a photometric file says, and its numbers as a stream of tokens: fast where all is well, with line numbers where it is not."""
+"""The content of a photometric file, and a tokenizer of its numbers: fast for valid files, with line numbers for errors."""
 
 import re
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ from luxloop.world.photometry.distribution import Distribution
 
 @dataclass(frozen=True, eq=False)
 class Tilt:
-    """How the output of a lamp falls with its tilt: offered, never applied to the candela."""
+    """Output of a lamp over its tilt; read, but not applied to the candela."""
 
     geometry: int  # 1 base up or down at nadir, 2 lamp stays horizontal, 3 lamp tilts with the luminaire
     angles_deg: NDArray[np.float64]
@@ -24,7 +24,7 @@ class Tilt:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Photometry:
-    """A photometric file, read."""
+    """The content of a photometric file."""
 
     path: Path
     format: str  # "LM-63-2002", "EULUMDAT"
@@ -68,7 +68,7 @@ def load(path: Path) -> str:
 class Numbers:
     """A cursor over the numbers of `body`, whose first line is line `first_line` of the file.
 
-    comma: what it stands for, a blank or a decimal point.
+    comma: its meaning, a blank or a decimal point.
     """
 
     def __init__(self, path: Path, body: str, first_line: int, comma: str = " ") -> None:
@@ -138,7 +138,9 @@ class Numbers:
         return self._tokens[self._at :]
 
     def end(self, warnings: list[str]) -> None:
-        """Nothing may follow but words, of which it is warned. Raises LuxloopError at a number: then all others may be out of step."""
+        """Check that no number follows, only words, with a warning. Raises LuxloopError at a number, since then all others may be
+        misaligned.
+        """
         rest = self.rest
         if rest and rest[0].lstrip("+-.")[:1].isdigit():
             self._at += 1

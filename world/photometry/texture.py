@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from luxloop.world.photometry.distribution import EDGE_DEG, Aim, Array, Distribution, angles_of, directions_of
 from luxloop.world.texels import TexelGrid, bilinear
 
-FINE_STEPS = 0.52  # of a step, up to which a texel is interpolated: half of one, and a little as texels are seen aslant
+FINE_STEPS = 0.52  # of a step: a texel up to this size is interpolated; half a step, and a margin for oblique texels
 SAMPLES_PER_STEP = 4  # in each direction: the file is bilinear within a step
-MOST_SAMPLES = 256  # a side of a texel; more than that no average needs, and at the pole of type C the azimuth turns without end
-EDGE_STEPS = 4  # an edge, where light stops at once, counts as so many steps
+MOST_SAMPLES = 256  # a side of a texel; at the pole of type C the azimuth would ask for any number
+EDGE_STEPS = 4  # an edge, where light stops at once, counts as this many steps
 PROBES = 1 << 16  # directions in which a texture is compared with its source
 _CHUNK = 1 << 20  # samples in memory at a time
 
@@ -58,7 +58,7 @@ def angles_about(distribution: Distribution, grid: TexelGrid, aim: Aim, turn: Ar
 def samples(distribution: Distribution, v_deg: Array, h_deg: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """How many samples across and down average each texel, `[rows, cols]` twice; 1 where it is interpolated.
 
-    Few numbers (2, 3, 4, 6, 8, 12 and so on), so that many texels can be averaged together v_deg and h_deg: see angles_about.
+    Numbers from 2, 3, 4, 6, 8, 12 and so on, so that many texels are averaged together. v_deg, h_deg: see angles_about.
     """
     v, h, candela = distribution.full_table
     if distribution.type == "C":
@@ -98,9 +98,9 @@ def rmse(distribution: Distribution, grid: TexelGrid, texture: Array, aim: Aim =
 def squared_error(
     distribution: Distribution, grid: TexelGrid, texture: Array, aim: Aim = "beam", turn: Array | None = None, number: int = PROBES
 ) -> tuple[float, float]:
-    """The integral in cd² sr of the squared difference of a texture and its source where that shines, and that solid angle in sr.
+    """Integral in cd² sr of the squared difference of a texture and its source over the source's solid angle, and that solid angle in sr.
 
-    number: of evenly spread directions, which favour no texel and no angle of the file.
+    number: of evenly spread sample directions.
     """
     directions, candela, solid = _probes(distribution, aim, number)
     x, y, z = directions if turn is None else turn @ directions
@@ -158,7 +158,7 @@ def _centres(n: int) -> Array:
 
 
 def _table_steps(x: Array, nodes: Array, light: Array) -> Array:
-    """Where angles lie in the table, counted in its steps; its edges count as more where light stops at once. light: `[nodes, ...]`."""
+    """Positions of angles in the table, in steps; edges, where light stops at once, count as EDGE_STEPS. light: `[nodes, ...]`."""
     count = np.append(0.0, np.cumsum(np.where(np.diff(nodes) <= EDGE_DEG, EDGE_STEPS, 1)))
     before, behind = (EDGE_STEPS if each.any() else 0 for each in (light[0], light[-1]))
     return np.interp(x, nodes, count, left=-before, right=count[-1] + behind)

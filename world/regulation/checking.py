@@ -23,7 +23,7 @@ from luxloop.world.regulation.tables import (
     rule_set,
 )
 
-MOST_SAMPLES = 400_000  # of a zone; a larger one is sampled more coarsely and refined around its extremes
+MOST_SAMPLES = 400_000  # samples of a zone; larger zones are sampled more coarsely and refined around their extremes
 EXTREMES = 8  # samples around which the search is refined
 FINER = 10
 
@@ -79,7 +79,7 @@ def _inside(corners: tuple[Point, ...], points: Tensor) -> Tensor:
 
 SCAN_STEP_DEG = 0.05
 GRADIENT_STEPS = 2  # 0.1 deg
-SCAN_HALF_DEG = 1.5  # how far above and below its place the cut-off is looked for
+SCAN_HALF_DEG = 1.5  # search range of the cut-off above and below its nominal height
 DARK_CD = 6.25  # 0.01 lx at 25 m, a photometer's last digit: logarithms need a floor
 NEARLY_STEEPEST = 0.98  # an exponential slope is steep all along: its middle counts
 
@@ -258,7 +258,7 @@ def _nominal(seen: Intensity, rules: RuleSet) -> Point:
 
 
 def _sideways(seen: Intensity, edge: Cutoff) -> float:
-    """By the line through the cut-off at h = 1, 2, 3, which should meet its flat part at h = 0; not at all if those are not sharp."""
+    """Horizontal aim: the line through the cut-off at h = 1, 2, 3 should meet its flat part at h = 0. Zero if it is not sharp there."""
     heights, sharpness = zip(*(inflection(seen, h, edge.at_v_deg) for h in SHOULDER_H_DEG), strict=True)
     h, v = (torch.tensor(each, dtype=torch.float64) for each in (SHOULDER_H_DEG, heights))
     rise = float(((h - h.mean()) * v).sum() / (h - h.mean()).square().sum())

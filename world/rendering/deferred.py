@@ -1,4 +1,4 @@
-"""Depths and normals straight from OpenGL, for views of a world that moves: no exact intersections, but several times as fast."""
+"""Depths and normals straight from OpenGL for moving worlds: less exact than ray intersections, but several times as fast."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -17,16 +17,16 @@ from luxloop.world.rendering.rasterise import FAR_M, NEAR_M, context
 from luxloop.world.scene.body import Body
 from luxloop.world.scene.triangles import Instance, Triangles
 
-PART_BITS = 6  # of a body: its number and that of a part share a float of 24 bits
+PART_BITS = 6  # body and part numbers share a float's 24 bits
 MOST_PARTS = 2**PART_BITS
-MARGIN_PX = 1  # beyond a part, of what is drawn for it
-_GONE: deque[tuple[int, list[int]]] = deque()  # buffers of bodies that are gone, wherever that was noticed, until something is drawn again
-KEPT = 8  # views of which an image of what stands still is kept
+MARGIN_PX = 1  # margin drawn around a part
+_GONE: deque[tuple[int, list[int]]] = deque()  # buffers of deleted bodies, released at the next draw call
+KEPT = 8  # views with a cached image of static bodies
 
 
 @dataclass(frozen=True)
 class Fragments:
-    """What OpenGL says of each pixel's centre; all zero where there is nothing.
+    """OpenGL's result at each pixel's centre; all zero without a surface.
 
     depth: `[height, width]` m along the optical axis. normal: `[3, height, width]`, unit, in the view's frame.
     object_id: `[height, width]` int32, -1 = none. part: `[height, width]` int32, which of its body's parts.
@@ -41,7 +41,7 @@ class Fragments:
 class DeferredRenderer:
     """Draws placed bodies into a buffer of floats, and reads it back. Corners are snapped to 1/256 px or so.
 
-    Bodies that are where they were when a view was last looked through are drawn once for all further looks.
+    Bodies that have not moved since a view's last image are not drawn again for it.
 
     All instances share the process's one context; use them from one thread.
     """
@@ -50,10 +50,10 @@ class DeferredRenderer:
         """Raises NoOpenGL."""
         context()
         self._arrays: WeakKeyDictionary[Body, tuple[int, int]] = WeakKeyDictionary()
-        self._still: dict[tuple[float, ...], tuple[tuple[Instance, ...], Tensor | None]] = {}  # by the numbers of a view and its part
+        self._still: dict[tuple[float, ...], tuple[tuple[Instance, ...], Tensor | None]] = {}  # key: parameters of the view and its part
 
     def fragments(self, triangles: Triangles, view: View, part: Part | None = None) -> Fragments:
-        """Draw the triangles as `view` sees them, or a part of that to the same bits."""
+        """Draw the triangles as `view` sees them; a part equals that part of the whole to the bit."""
         part = part or (slice(0, view.height), slice(0, view.width))
         depth, number, x, y = self._image(triangles.placed, view, part).permute(2, 0, 1).contiguous()
         code = number.int().abs_()
@@ -71,7 +71,7 @@ class DeferredRenderer:
             image = self._draw(still, view, part)
         moved = tuple(each for each in placed if each not in still)
         if len(self._still) == KEPT:
-            del self._still[next(iter(self._still))]  # which was looked at longest ago
+            del self._still[next(iter(self._still))]  # the least recently used
         self._still[numbers] = (still, image) if still else (placed, None)
         if image is None or not still:
             return self._draw(placed, view, part)
@@ -119,7 +119,7 @@ class DeferredRenderer:
         return _read(part)
 
     def _array_of(self, body: Body) -> tuple[int, int]:
-        """A body's vertex array and its number of corners, uploaded at the first time and deleted with the body."""
+        """A body's vertex array and its number of corners, uploaded on first use and deleted with the body."""
         if body not in self._arrays:
             if body.smooth and body.part_of_face is None:
                 faces, n = np.asarray(body.mesh.faces), len(body.mesh.vertices)
@@ -137,7 +137,9 @@ class DeferredRenderer:
 
 
 def _middle(body: Body) -> Tensor:
-    """Of its bounding box, `[3]` m. Corners count from there: float32 would shift a road 1.5 km from the world's origin by some 0.01 mm."""
+    """Centre of the bounding box, `[3]` m, the origin of uploaded corners: float32 would shift a road 1.5 km from the world's origin by
+    0.01 mm.
+    """
     return body.bounds.mean(0)
 
 
@@ -160,7 +162,7 @@ def _upload(corners: np.ndarray, faces: np.ndarray) -> tuple[int, list[int]]:
 
 
 def _delete_gone() -> None:
-    """The last use of a body may end in a thread to which the context does not belong: its buffers go when that draws again."""
+    """Delete buffers of deleted bodies in the thread of the OpenGL context, as a body may be deleted in another thread."""
     from OpenGL import GL
 
     while _GONE:
@@ -180,7 +182,7 @@ def _projection(view: View) -> np.ndarray:
 
 
 def _in_sight(placed: tuple[Instance, ...], view: View, part: Part) -> tuple[Instance, ...]:
-    """Without the bodies of which the corners of the bounding box lie wholly beyond one edge of a part of a view, or behind it."""
+    """Bodies in the frustum of a part of a view: those whose bounding boxes do not lie wholly beyond one edge or behind the view."""
     if not placed:
         return placed
     corners = torch.stack([each.box for each in placed])  # [n, 8, 3]
@@ -229,7 +231,7 @@ def _framebuffer() -> tuple[int, tuple[int, ...]]:
 
 @lru_cache(1)
 def _sized_framebuffer(width: int, height: int) -> int:
-    """The framebuffer with storage for a view, which is left as it is until a view has another size."""
+    """The framebuffer with storage for a view; reallocated only for another size."""
     from OpenGL import GL
 
     framebuffer, renderbuffers = _framebuffer()

@@ -1,4 +1,4 @@
-"""G-buffer: what a view sees at each pixel, whichever way its faces were found."""
+"""G-buffer: the surface at each pixel of a view."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from luxloop.world.scene.triangles import Instance, Triangles
 
 @dataclass(frozen=True)
 class Finish:
-    """What the surfaces of a view have besides their albedo.
+    """Reflection of a view's surfaces besides albedo.
 
     materials: those in sight, the first Lambertian. material: `[height, width]` int64, which of them. eye: `[3]` m, the view's origin.
     """
@@ -51,11 +51,11 @@ class GBuffer:
         return self._map(lambda image: image.flatten(-2)[..., None, pixels])
 
     def one_row_of(self, rows: int) -> "GBuffer":
-        """The middle one of every so many rows."""
+        """The middle row of every `rows` rows."""
         return self if rows == 1 else self._map(lambda image: image[..., rows // 2 :: rows, :])
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> "GBuffer":
-        """With every image `[..., height, width]` changed."""
+        """Apply a function to every image `[..., height, width]`."""
         finish = None if self.finish is None else replace(self.finish, material=change(self.finish.material))
         part = None if self.part is None else change(self.part)
         position, normal, albedo, object_id = map(change, (self.position, self.normal, self.albedo, self.object_id))
@@ -111,7 +111,7 @@ def _normals(corner_normals: Tensor, barycentric: Tensor) -> Tensor:
 
 
 def flat_road(view: View, albedo: float, dtype: torch.dtype = torch.float32, material: Material = LAMBERTIAN) -> GBuffer:
-    """G-buffer `[3, H, W]` of the plane z = 0 with one albedo (0..1) and material; what looks above the horizon has object id -1."""
+    """G-buffer `[3, H, W]` of the plane z = 0 with one albedo (0..1) and material; object id -1 above the horizon."""
     rays, origin = view.rays(), view.origin[:, None, None]
     down = rays[2] < -1e-9
     distance = torch.where(down, -origin[2] / rays[2].where(down, -1.0), 0.0)

@@ -17,7 +17,7 @@ from luxloop.world.frames import View
 from luxloop.world.scene.body import Body
 from luxloop.world.scene.triangles import Triangles
 
-LEAST_ADDRESSES: Final = 6_000_000_000  # bytes of address space, of which torch, embree and OpenGL use little
+LEAST_ADDRESSES: Final = 6_000_000_000  # bytes of address space that torch, embree and OpenGL need
 
 
 @cache
@@ -96,7 +96,7 @@ def _ordered_scene() -> Any:
     import pyrender
 
     class OrderedScene(pyrender.Scene):
-        """Draws in a fixed order: pyrender's is a set's, and where two surfaces meet the first one drawn wins."""
+        """Draws in a fixed order (pyrender iterates over a set), since where surfaces meet the first one drawn wins."""
 
         @property
         def mesh_nodes(self) -> list[Any]:

@@ -1,4 +1,4 @@
-"""The project's only ray caster: embree scenes of what stands and of what moves, each queried whole."""
+"""The project's only ray caster: one embree scene of static bodies and one of moving bodies."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -9,14 +9,14 @@ from torch import Tensor
 from luxloop.world.frames import View
 from luxloop.world.scene.triangles import Hits, Triangles, intersect, on_planes
 
-TOLERANCE_M = 2e-3  # by which a surface lies before itself, along the ray
-BELOW_M = 1e-5  # and across its face, to float32: a ray that grazes it would meet a point there far before itself
+TOLERANCE_M = 2e-3  # along the ray, within which a hit counts as the surface itself
+BELOW_M = 1e-5  # across the face, for rounding in float32: a grazing ray meets it far before its point
 BESIDE = 1e-4  # of a face, by which a ray may pass beside it
 SPARE = 1 + 1e-5  # of depths, which embree finds in float32
 
 
 class RayCaster:
-    """A face source by ray casting, where no OpenGL is to be had and as its cross-check."""
+    """A face source by ray casting, for machines without OpenGL and as a cross-check."""
 
     name = "embree"
 
@@ -58,9 +58,9 @@ def depths(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: T
 
 
 def sees(triangles: Triangles, eye: Tensor, points: Tensor, tolerance_m: float = TOLERANCE_M) -> Tensor:
-    """Which points `[..., 3, N]` in m an eye or a lamp at `[3]` m has in sight, `[..., N]` bool.
+    """Whether an eye or lamp at `[3]` m sees points `[..., 3, N]` in m, `[..., N]` bool.
 
-    Hidden is what lies deeper than the first face on the way to it, by more than the tolerance along the ray and `BELOW_M` across the face.
+    A point is hidden if it lies behind the first face on its ray by more than the tolerance along the ray and `BELOW_M` across the face.
     """
     eye = eye.double().cpu()
     ways = points.double().cpu().movedim(-2, 0).flatten(1) - eye[:, None]  # [3, ... * N]

@@ -1,4 +1,4 @@
-"""What a view sees: face ids by OpenGL if there is any, else by rays; surfaces exact for worlds that stand, quick for worlds that move."""
+"""Surfaces of a view: face ids by OpenGL if available, else by rays; exact for static worlds, quick for moving ones."""
 
 import warnings
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from luxloop.world.scene.triangles import Instance, Triangles
 
 
 class FaceSource(Protocol):
-    """Tells which triangle each pixel of a view sees; `name` says by what means."""
+    """Finds the triangle at each pixel of a view. name: of the method."""
 
     @property
     def name(self) -> str: ...
@@ -30,11 +30,11 @@ class FaceSource(Protocol):
 
 
 class FirstFound:
-    """OpenGL if there is any, else rays, which is found out when something is first looked at: a context takes half a second to make."""
+    """OpenGL if available, else rays; decided on first use, as an OpenGL context takes half a second to make."""
 
     @cached_property
     def found(self) -> FaceSource:
-        """What it is. Warns where there is no OpenGL."""
+        """The chosen face source. Warns if OpenGL is not available."""
         return face_source("auto")
 
     @property
@@ -42,7 +42,7 @@ class FirstFound:
         return self.found.name
 
     def face_ids(self, triangles: Triangles, view: View) -> Tensor:
-        """As of what it is."""
+        """As of the chosen face source."""
         return self.found.face_ids(triangles, view)
 
 
@@ -107,6 +107,6 @@ def _one_an_object(triangles: Triangles) -> tuple[Instance, ...]:
 
 
 def surface_source(source: FaceSource, moving: bool) -> SurfaceSource:
-    """The quick way where the world moves and faces come from OpenGL, else the exact one."""
+    """Quick surfaces if the world moves and faces come from OpenGL, else exact ones."""
     source = source.found if isinstance(source, FirstFound) else source
     return QuickSurfaces(DeferredRenderer()) if moving and isinstance(source, Rasteriser) else ExactSurfaces(source)

@@ -1,4 +1,4 @@
-"""What every road is: a height over the plane that the vehicle stands on."""
+"""Base of all roads: height over the plane that the vehicle stands on."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -48,5 +48,5 @@ def smoothstep(value: ArrayLike, start: float, end: float) -> Floats:
 
 
 def ahead(x: ArrayLike) -> Floats:
-    """Weight of unevenness: none under the vehicle, which defines z = 0, full from 6 m ahead, before the lamps reach the road."""
+    """Weight of unevenness: 0 under the vehicle, which defines z = 0; 1 from 6 m ahead, nearer than the lamps light the road."""
     return smoothstep(x, 2.0, 6.0)

@@ -21,10 +21,10 @@ _REACH_M = 10.0
 
 
 class OpenCrgRoad(RoadModel):
-    """A measured road: one point of the scan lies under the symbol, the reference line there points ahead or by a heading to the side.
+    """A measured road. One point of the scan lies under the symbol, with the reference line ahead or at a heading.
 
-    A scan that reaches under all four wheels is seen as the vehicle standing on it sees it; any other is levelled to its own mean plane.
-    Where the scan ends, its border is continued and fades into the plane z = 0. NaN is filled outwards in each cross-section.
+    If the scan reaches under all four wheels, the plane z = 0 is that of the wheels, else the scan's mean plane. Where the scan ends, its
+    border is continued and fades into the plane z = 0. NaN is filled outwards in each cross-section.
     """
 
     kind: Literal["opencrg"] = "opencrg"
@@ -50,7 +50,7 @@ class OpenCrgRoad(RoadModel):
         default = MeshGrid()
         x_m, y_m = (_overlap(*limits) for limits in zip((default.x_m, default.y_m), scan.extent(), strict=True))
         fine_along, fine_across = crg.u_step <= 0.02, np.diff(crg.v).min() <= 0.02
-        # What is coarse across needs few columns, so that lengthwise detail can have them.
+        # A scan that is coarse across needs few columns, which leaves more for detail along the road.
         spacing = (0.02 if fine_along else 0.03, 0.02 if fine_across else 0.06 if fine_along else 0.04)
         return MeshGrid(x_m, y_m, spacing)
 
@@ -70,7 +70,7 @@ class _Scan:
         return residual * (weight if self.standing else weight * ahead(x))
 
     def extent(self) -> Floats:
-        """Least and greatest x and y `[2, 2]` in m of the scan, taken as straight."""
+        """Least and greatest x and y `[2, 2]` in m of the scan, as if it were straight."""
         v = self.surface.crg.v
         u, v = np.meshgrid([self.surface.u_start - self.u, self.surface.u_end - self.u], [v[0] - self.road.v_m, v[-1] - self.road.v_m])
         heading = np.deg2rad(self.road.heading_deg)
@@ -103,7 +103,7 @@ class _Scan:
         return self.road.at_x_m + cos * dx + sin * dy, self.road.at_y_m - sin * dx + cos * dy
 
     def level(self) -> "_Scan":
-        """The same with the plane that wheels or scan define."""
+        """The scan levelled to the plane of the wheels or its mean plane."""
         x, y = WHEELS_M.T
         height, outside_m = self._residual(x, y)
         standing = not outside_m.any()

@@ -5,7 +5,7 @@ from itertools import pairwise
 from typing import Annotated, Literal, Self, cast
 
 import numpy as np
-import scipy  # whose parts are loaded when they are first named
+import scipy  # loads its parts on first use
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
@@ -65,7 +65,7 @@ class OwnRoad(plugin.OwnPart, RoadModel):
         return cast(Road, plugin.make(self.kind, "road.kind", {}, self.options, ("z", "grid")))
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """Its heights. Raises LuxloopError where these are not numbers, one a place, and finite."""
+        """Heights in m. Raises LuxloopError unless they are finite numbers, one for each place."""
         x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
         places = np.broadcast_shapes(x.shape, y.shape)
         heights = np.asarray(self.road.z(x, y))
@@ -77,7 +77,7 @@ class OwnRoad(plugin.OwnPart, RoadModel):
             raise LuxloopError(f"road.kind: {self.kind}: z gives heights {heights.shape} for places {places}; give one a place") from error
 
     def grid(self) -> MeshGrid:
-        """Its mesh. Raises LuxloopError where it gives none."""
+        """Its mesh grid. Raises LuxloopError if it has none."""
         grid = self.road.grid()
         if not isinstance(grid, MeshGrid):
             raise LuxloopError(f"road.kind: {self.kind}: grid gives {type(grid).__name__}; give a world.roads.base.MeshGrid")
@@ -88,7 +88,7 @@ RoughnessClass = Literal["A", "B", "C", "D", "E"]
 
 
 class Shape(RoadModel):
-    """Base of the roads of this file, which give their heights in m at places of one shape."""
+    """Base of the roads of this file; subclasses compute heights in m for x and y of one shape."""
 
     def heights(self, x: Floats, y: Floats) -> Floats:
         raise NotImplementedError
@@ -124,7 +124,7 @@ class Grade(Shape):
 
 
 def _rise(beyond: Floats, curve_m: float) -> Floats:
-    """Height of a road so far beyond the beginning of a parabolic vertical curve from level to a grade of 1."""
+    """Height at a distance beyond the start of a parabolic vertical curve from level to a grade of 1."""
     beyond = np.maximum(beyond, 0.0)
     curved = np.minimum(beyond, curve_m)
     return curved**2 / (2 * curve_m) + (beyond - curved)
@@ -175,7 +175,7 @@ class Bumps(Shape):
     def heights(self, x: Floats, y: Floats) -> Floats:
         waves, low, high = _bumps(self.seed)
         share = (_sum_of_waves(waves, x, y) - low) / (high - low)
-        # Beyond the symbol the sum may leave its range there: it then saturates smoothly, a quarter of it further out.
+        # Beyond the symbol the sum may leave its range: it saturates smoothly within a quarter of the range.
         share = 0.5 + 0.75 * np.tanh(np.arctanh(2 / 3) * (2 * share - 1))
         return ahead(x) * (self.lowest_m + (self.highest_m - self.lowest_m) * share)
 

@@ -1,4 +1,4 @@
-"""Bodies: rigid triangle meshes, each on a pose track over time, and figures, whose shape changes with the way that they have come."""
+"""Bodies: rigid triangle meshes on pose tracks over time, and figures, whose shape depends on the distance travelled."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -27,7 +27,7 @@ WHEELS = torch.tensor([[1.0, 1.0, -1.0, -1.0], [1.0, -1.0, 1.0, -1.0]], dtype=to
 
 @dataclass(frozen=True)
 class Part:
-    """What a part of a body looks like. name: such as "head" or "windscreen". albedo: 0..1, as it is seen."""
+    """Appearance of a part of a body. name: such as "head" or "windscreen". albedo: 0..1."""
 
     name: str
     albedo: float
@@ -36,7 +36,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Spotlight:
-    """A lamp of a body, whose light falls off with the angle as a Gaussian curve does, and throws no shadows.
+    """A lamp of a body. Its intensity is Gaussian over the angle; its light casts no shadows.
 
     position, axis: `[3]`, m and unit, in the body frame. width_deg: standard deviations across and up.
     """
@@ -49,11 +49,12 @@ class Spotlight:
 
 @dataclass(frozen=True, eq=False)
 class PoseTrack:
-    """Where a body is and when it is there: position linear, rotation on the shortest arc between keyframes, constant outside.
+    """Pose of a body over time, and the interval in which it exists: position linear, rotation on the shortest arc between keyframes,
+    constant outside.
 
-    times_s: K ascending times. T_world_body: `[K, 4, 4]` float64. The body is there in `[appears_s, vanishes_s)`.
-    road: what heights count from, at the body's x and y; without one they are over z = 0. wheels_m: distance of its wheels along and
-    across the body, with which it tilts as the road under them does; 0 across: it does not roll; None: it stays as the poses say.
+    times_s: K ascending times. T_world_body: `[K, 4, 4]` float64. The body exists in `[appears_s, vanishes_s)`. road: reference of heights
+    at the body's x and y; None: z = 0. wheels_m: wheelbase and track, with which the body tilts as the road does; track 0: no roll; None:
+    no tilt.
     """
 
     times_s: tuple[float, ...]
@@ -65,7 +66,7 @@ class PoseTrack:
 
     @classmethod
     def static(cls, T_world_body: Tensor | None = None) -> "PoseTrack":
-        """Always there, at one pose `[4, 4]` (default: the world's own)."""
+        """A track with one constant pose `[4, 4]` (default: the world's origin)."""
         T = torch.eye(4, dtype=torch.float64) if T_world_body is None else T_world_body.double()
         return cls((0.0,), T[None])
 
@@ -75,14 +76,14 @@ class PoseTrack:
         return np.cumsum([0.0, *np.linalg.norm(steps, axis=1)])
 
     def travelled_m(self, t_s: float) -> float:
-        """Length in m of the way until a time in s."""
+        """Distance travelled in m until a time in s."""
         return float(np.interp(t_s, self.times_s, self._travelled_m))
 
     def visible_at(self, t_s: float) -> bool:
         return self.appears_s <= t_s < self.vanishes_s
 
     def pose_at(self, t_s: float) -> Tensor:
-        """`T_world_body` `[4, 4]` float64 at a time in s; the last ones are kept, since a step asks for the same again and again."""
+        """`T_world_body` `[4, 4]` float64 at a time in s; cached, since a step asks for the same pose repeatedly."""
         return self._pose_cache(t_s)
 
     @cached_property
@@ -120,12 +121,12 @@ class PoseTrack:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A rigid mesh; two bodies are the same only if they are one object, so that what is derived can be cached.
+    """A rigid mesh, compared by identity so that derived values can be cached.
 
-    mesh: in the body frame, m. albedo: 0..1. texture: albedo and material over the body's x and y instead of the constants.
-    smooth: vertex normals interpolated over a face (roads, people) instead of one normal a face (boxes).
-    two_sided: seen from the back as well (sheets, open meshes); else faces are there only where their corners run counter-clockwise.
-    parts: with albedos and materials of their own, in place of the body's. part_of_face: `[F]` int64, which of them a face belongs to.
+    mesh: in the body frame, m. albedo: 0..1. texture: albedo and material over the body's x and y instead of the constants. smooth: vertex
+    normals interpolated over a face (roads, people) instead of one normal a face (boxes). two_sided: faces are visible from both sides
+    (sheets, open meshes), else only where their corners run counter-clockwise. parts: with albedos and materials of their own, in place of
+    the body's. part_of_face: `[F]` int64, which of them a face belongs to.
     """
 
     name: str
@@ -172,7 +173,8 @@ SHAPES: Final = 32  # of a cycle; a walker has one for every 5 cm
 class Figure:
     """A body with a cycle of shapes.
 
-    shape: makes the body of a share 0..1 of the cycle; its track is not used. cycle_m: way of a cycle. start: share at the way's start.
+    shape: makes the body at a phase 0..1 of the cycle; that body's track is not used. cycle_m: distance of a cycle. start: phase at the
+    start of the way.
     """
 
     name: str
@@ -182,7 +184,7 @@ class Figure:
     start: float = 0.0
 
     def phase_at(self, t_s: float) -> float:
-        """Share of the cycle at a time, in steps of one shape."""
+        """Phase 0..1 of the cycle at a time, in steps of one shape."""
         return round((self.start + self.track.travelled_m(t_s) / self.cycle_m) * SHAPES) % SHAPES / SHAPES
 
     def at(self, t_s: float) -> Body:
@@ -197,7 +199,7 @@ class Figure:
 
     @cached_property
     def shape_at(self) -> Callable[[float], Body]:
-        """`shape`, memoised, so that what is derived from a body is used again."""
+        """`shape`, memoised to reuse values derived from a body."""
         return cache(self.shape)
 
 

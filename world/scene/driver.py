@@ -1,4 +1,4 @@
-"""A driver: how a course goes on with accelerator, brake and steering."""
+"""A driver: continues a course by accelerator, brake and steering."""
 
 import math
 from dataclasses import dataclass
@@ -18,14 +18,14 @@ LARGEST_1_M: Final = 0.2  # curvature that a course may have
 
 @dataclass(frozen=True)
 class Controls:
-    """throttle: 1 full acceleration, -1 full brake. steering: 1 as far to the left as the speed allows, -1 to the right."""
+    """throttle: 1 full acceleration, -1 full brake. steering: 1 sharpest left turn at the speed, -1 sharpest right turn."""
 
     throttle: float = 0.0
     steering: float = 0.0
 
 
 def taken_over(course: tuple[CourseParams, ...], now_s: float) -> tuple[CourseParams, ...]:
-    """A course up to now, which stays from then on as it is."""
+    """A course up to now, with constant speed and curvature from then on."""
     past = tuple(takewhile(lambda each: each.time_s <= now_s, course))
     if len(past) == len(course) or not past:
         return past or (course[0].model_copy(update={"time_s": 0.0}),)
@@ -35,7 +35,7 @@ def taken_over(course: tuple[CourseParams, ...], now_s: float) -> tuple[CoursePa
 
 
 def drive_on(params: VehicleParams, now_s: float, until_s: float, controls: Controls) -> tuple[CourseParams, ...]:
-    """What is to be added to a course that stays as it is from now on, so that it is driven until another time; nothing where it stays."""
+    """Entries that continue a course from now until a later time under the controls; none where nothing changes."""
     last, dt = params.course[-1], until_s - now_s
     speed = _speed(last.speed_m_s, controls.throttle, dt)
     curvature = _curvature(params.wheelbase_m, last.curvature_1_m, speed, controls.steering, dt)
@@ -45,7 +45,7 @@ def drive_on(params: VehicleParams, now_s: float, until_s: float, controls: Cont
 
 
 def let_go(params: VehicleParams, now_s: float) -> tuple[CourseParams, ...]:
-    """What is to be added to a course so that it goes straight on from now, as fast as it is, as soon as the wheels are turned back."""
+    """Entries after which the course goes straight on at constant speed, once the wheels have turned back."""
     last = params.course[-1]
     turns_s = abs(math.degrees(math.atan(params.wheelbase_m * last.curvature_1_m))) / STEERS_DEG_S
     if turns_s == 0:

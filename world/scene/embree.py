@@ -8,7 +8,7 @@ STEP_M = 1e-4  # along a ray, past the back of a face; embree's float32 is good 
 
 
 class EmbreeMesh:
-    """Triangles that rays are cast at."""
+    """A mesh as an embree scene for ray casting."""
 
     def __init__(self, vertices: Tensor, faces: Tensor, two_sided: Tensor) -> None:
         """vertices: `[V, 3]` float64 m. faces: `[F, 3]` int64, corners counter-clockwise.

@@ -1,4 +1,4 @@
-"""The road as bodies, meshed on demand: as a whole, in tiles along a drive, in patches around a vehicle that somebody drives."""
+"""The road as bodies, meshed on demand: as a whole, in tiles along a given course, in patches around a vehicle under manual control."""
 
 from typing import TYPE_CHECKING
 
@@ -31,7 +31,7 @@ GROWTH = 1.15  # of the spacing from one row to the next outside the fine part
 
 
 def refuse_broken(road: Road) -> None:
-    """Look at a road of a file or of one's own where its mesh will end. Raises LuxloopError where it has no heights there."""
+    """Raises LuxloopError if a user's road has no heights at the ends of its mesh."""
     if isinstance(road, OpenCrgRoad | OwnRoad):
         road.grid()
         road.z(np.array(SCENE_X_M)[:, None], np.array(SCENE_Y_M))
@@ -51,7 +51,7 @@ def road_mesh(road: Road) -> "trimesh.Trimesh":
 
 def grid_mesh(x: Floats, y: Floats, z: Floats, normals: Floats | None = None) -> "trimesh.Trimesh":
     """Mesh of a grid of vertices `[n_x, n_y]` m. normals: their directions `[n_x, n_y, 3]`, None for those of the faces."""
-    import trimesh  # which takes a seventh of a command's start, and only what is looked at needs it
+    import trimesh  # takes a seventh of a command's start, and only views need it
 
     if normals is not None:
         normals = (normals / np.linalg.norm(normals, axis=-1, keepdims=True)).reshape(-1, 3)
@@ -74,7 +74,7 @@ def axis(scene: tuple[float, float], fine: tuple[float, float], spacing: float, 
     required = np.array(lines, np.float64)
     if not len(required):
         return regular
-    # Lines that the road asks for replace regular ones right beside them, which would make slivers.
+    # Lines that the road requires replace regular ones right beside them, which would make slivers.
     beside = np.abs(regular[:, None] - required).min(axis=1) < 0.2 * spacing
     beside[[0, -1]] = False
     return np.unique(np.concatenate([regular[~beside], required]))
@@ -106,7 +106,7 @@ class StandingRoad:
         return keeping(1, self._make)
 
     def near(self, object_id: int, T_world_ground: Tensor) -> list[tuple[Instance, ...]]:
-        """All of it, wherever the vehicle is, as the body `object_id`."""
+        """The whole road as the body `object_id`."""
         return [(self._road(object_id),)]
 
     def _make(self, object_id: int) -> Instance:
@@ -125,10 +125,10 @@ TILES_IN_SIGHT: Final = 4  # times the tiles that are in sight
 
 @dataclass(frozen=True, eq=False)
 class RoadTiles:
-    """A road meshed where the vehicle comes.
+    """A road meshed along the vehicle's course.
 
-    course_y_m: least and greatest y of its course. albedo, texture: as those of a `Body`. others_y_m: y of what else shall stand on it.
-    sight_m: how far ahead it is there.
+    course_y_m: least and greatest y of its course. albedo, texture: as those of a `Body`. others_y_m: y of other objects on it. sight_m:
+    mesh length ahead.
     """
 
     road: Road
@@ -184,13 +184,13 @@ SIDE_M: Final = 12.0  # of a patch
 PATCH_BESIDE_M: Final = 40.0  # to both sides of where the vehicle heads
 PATCH_NEAR_M: Final = 24.0  # up to which patches are fine
 SPACING_M: Final = (0.2, 1.2)  # of rows and columns, near and far
-SKIRT_M: Final = 0.1  # by which the border goes down, so that nobody sees through between fine patches and coarse ones
+SKIRT_M: Final = 0.1  # height of the skirt that hides gaps between fine and coarse patches
 MOST_PATCHES: Final = 400  # patches, four times those in sight
 
 
 @dataclass(frozen=True, eq=False)
 class RoadPatches:
-    """A road meshed wherever the vehicle is. albedo, texture: as those of a `Body`. sight_m: how far ahead it is there."""
+    """A road meshed around the vehicle. albedo, texture: as those of a `Body`. sight_m: mesh length ahead."""
 
     road: Road
     albedo: float
@@ -231,7 +231,7 @@ class RoadPatches:
 
 
 def _lines(start: float, spacing: float, required: tuple[float, ...]) -> Floats:
-    """Of a patch that starts there in m; those that the road asks for are among them."""
+    """Grid lines in m of a patch from its start, with those that the road requires."""
     regular = np.linspace(start, start + SIDE_M, round(SIDE_M / spacing) + 1)
     return np.unique(np.concatenate([regular, [line for line in required if start < line < start + SIDE_M]]))
 

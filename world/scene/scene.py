@@ -15,7 +15,7 @@ from luxloop.world.scene.triangles import NOTHING, Group, Instance, Triangles
 __all__ = ["Body", "Ground", "PoseTrack", "Scene", "StreetLamp"]
 
 Ground = StandingRoad | RoadTiles | RoadPatches  # roads that are meshed when somebody looks at them
-# (object id, the 16 numbers of T_world_body and the share of its cycle that a figure is at) of every body that is there
+# (object id, the 16 numbers of T_world_body, a figure's phase) of every body that exists
 Key = tuple[tuple[int, tuple[float, ...]], ...]
 
 
@@ -49,7 +49,7 @@ class Scene:
         return any(len(body.track.times_s) > 1 for body in self.bodies)
 
     def key_at(self, t_s: float) -> Key:
-        """Which bodies are there at a time, and where: cheap, and equal as long as nothing moves."""
+        """Key of the bodies that exist at a time and their poses: cheap, and equal as long as nothing moves."""
         return tuple(
             (i, (*body.track.pose_at(t_s).flatten().tolist(), body.phase_at(t_s) if isinstance(body, Figure) else 0.0))
             for i, body in enumerate(self.bodies)
@@ -59,8 +59,8 @@ class Scene:
     def at(self, t_s: float, T_world_ground: Tensor | None = None, before: Triangles = NOTHING) -> Triangles:
         """The scene's triangles at a time.
 
-        T_world_ground: `[4, 4]`, where the vehicle is that looks at it; default: at the world's origin. before: those of another time, of
-        which bodies that have not moved since are reused with all that was derived from them.
+        T_world_ground: `[4, 4]`, ground frame of the observing vehicle; default: the world's origin. before: triangles of another time,
+        whose unmoved bodies are reused with their derived values.
         """
         here = torch.eye(4, dtype=torch.float64) if T_world_ground is None else T_world_ground
         placed_before = {placed.object_id: placed for placed in before.placed}
@@ -84,7 +84,7 @@ class Scene:
         return before if before is not None and rests else Instance(i, shape, T)
 
     def spotlights_at(self, t_s: float) -> tuple[Spotlight, ...]:
-        """The lamps of all bodies that are there at a time, in the world."""
+        """The lamps of all bodies that exist at a time, in world coordinates."""
         return tuple(
             replace(lamp, position=transform(T, lamp.position[:, None])[:, 0], axis=T[:3, :3] @ lamp.axis)
             for body in self.bodies

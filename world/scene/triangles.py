@@ -1,4 +1,4 @@
-"""What a scene looks like at one time, as triangles; and the one place where rays meet their planes."""
+"""Triangles of a scene at one time, and the intersection of rays with their planes."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -51,7 +51,7 @@ class Instance:
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Placed bodies that rays are cast at together, such as all that stand: a group that lasts keeps embree's scene of them."""
+    """Placed bodies with one embree scene, such as all static ones; the group caches that scene."""
 
     placed: tuple[Instance, ...]
 
@@ -115,17 +115,17 @@ class Hits:
     front: Tensor
 
     def only(self, some: Tensor) -> "Hits":
-        """Some of them. some: `[M]` bool."""
+        """The hits that a mask `[M]` bool selects."""
         return Hits(self.placed, self.pixels[some], self.faces[some], self.depth[some], self.barycentric[:, some], self.front[some])
 
 
 def intersect(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: Tensor) -> Iterator[Hits]:
-    """Intersect rays with the planes of the faces that they are known to hit, some rays of a body at a time, exactly (float64).
+    """Intersect rays with the planes of faces that they are known to hit, in float64; yields chunks of rays on one body.
 
     face_ids: `[N]` int64, -1 = none. origin: `[3]` m, common to all rays. directions: `[3, N]`, any length.
 
-    A ray may pass its face by rounding. There the plane is extended, which is right where the neighbour has a similar slope; beyond a tenth
-    of the face (seen edge-on, or tiny) the nearest point of the face counts.
+    A ray may miss its face by rounding. Then the plane is extended, which suits neighbours of similar slope; beyond a tenth of the face
+    (edge-on or tiny) the face's nearest point counts.
     """
     for hits in on_planes(triangles, face_ids, origin, directions):
         beside = torch.nonzero(~(hits.barycentric.amin(0) >= -0.1))[:, 0]

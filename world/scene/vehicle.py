@@ -1,4 +1,4 @@
-"""The vehicle in motion: a course, the ground that follows the road below it, and a body on springs that road and acceleration shake.
+"""The vehicle in motion: its course, the ground frame that follows the road, and the sprung body, excited by road and acceleration.
 
 Three frames, all x forward, y left, z up, which coincide while the vehicle stands, the origin below the middle of its lamps: the *world*;
 the *ground*, which drives along the course on the plane through the low-passed road under the rear axle, x along its slope; and the *body*
@@ -24,9 +24,9 @@ from luxloop.world.frames import pose, rotation
 from luxloop.world.params import NotNegative, Params
 from luxloop.world.roads.base import Floats, Road, smoothstep
 
-BYTES_A_MOMENT: Final = 900  # of the integrated motion: all columns, and as many while they are made
-LOW_PASS_M: Final = (10.0, 50.0)  # of the road's height and slope: a raised cosine leaves half of a wave of that length
-LEARNT_M: Final = 10.0  # of way, after which the ground follows the road: a car that stands at its start is on the world's plane z = 0
+BYTES_A_MOMENT: Final = 900  # of the integrated motion, with temporaries
+LOW_PASS_M: Final = (10.0, 50.0)  # wavelengths of height and slope at which the low-pass, a raised cosine, halves the amplitude
+LEARNT_M: Final = 10.0  # of way, over which the ground frame leaves the world's plane z = 0 of the start for the road
 PROFILE_M: Final = 0.05  # spacing of the road's heights along the way
 
 
@@ -84,12 +84,12 @@ class VehicleParams(Params):
 
     @property
     def pivot_x_m(self) -> float:
-        """Where on the ground the body heaves, pitches and rolls: between the wheels."""
+        """Pivot of heave, pitch and roll on the ground: midway between the axles."""
         return -(self.overhang_m + self.wheelbase_m / 2)
 
     @property
     def rear_x_m(self) -> float:
-        """The rear axle, which goes where the vehicle heads."""
+        """The rear axle, which moves along the vehicle's heading."""
         return -(self.overhang_m + self.wheelbase_m)
 
 
@@ -98,9 +98,9 @@ class VehicleState:
     """The vehicle at one time; poses `[4, 4]` float64, pitch and slope nose down and yaw to the left positive (ISO 8855).
 
     acceleration_m_s2: along, lateral_m_s2: to the left. ground_m: height in the world of the ground frame's origin. slope_rad: of the
-    ground, climb_m_s, bend_rad_s: their rates. heave_m: of the body's point between the wheels over the ground, roll_rad and pitch_rad:
-    of the body over it. rise_m_s: of that point in the world. roll_rate_rad_s, pitch_rate_rad_s: of the body in the world. travel_fl_m to
-    travel_rr_m: how much farther the body is above a wheel than at rest.
+    ground, climb_m_s, bend_rad_s: their rates. heave_m: of the body's point between the wheels over the ground, roll_rad and pitch_rad: of
+    the body over it. rise_m_s: of that point in the world. roll_rate_rad_s, pitch_rate_rad_s: of the body in the world. travel_fl_m to
+    travel_rr_m: rise of the body above a wheel, against rest.
     """
 
     T_world_ground: Tensor
@@ -129,17 +129,16 @@ class VehicleState:
         return self.T_world_ground @ self.T_ground_body
 
 
-# Of the integrated states: where the vehicle is, then all numbers of a VehicleState.
+# Columns of the integrated states: position of the vehicle, then the fields of VehicleState.
 COLUMNS: Final = ("x_m", "y_m", "yaw_rad", *(each.name for each in fields(VehicleState) if not each.name.startswith("T_")))
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A drive, integrated.
+    """The integrated motion of a drive.
 
-    times_s: `[N]`, ascending. states: `[N, 21]`, the COLUMNS. pivot_x_m: where on the ground heave, pitch and roll act, between the wheels.
-    rear_x_m: the rear axle, which goes where the vehicle heads. modes: `[N, 4]`, way in m, and the body's heave in m, pitch and roll in rad
-    over a level plane. of: whose it is, and on which road.
+    times_s: `[N]`, ascending. states: `[N, 21]`, the COLUMNS. pivot_x_m: of heave, pitch and roll. rear_x_m: of the rear axle. modes: `[N,
+    4]`, way in m, and the body's heave in m, pitch and roll in rad over a level plane. of: vehicle and road.
     """
 
     times_s: Floats
@@ -160,7 +159,7 @@ class Motion:
 
     @cached_property
     def _state_cache(self) -> Callable[[float], VehicleState]:
-        """States by time; a control step asks for the same few again and again."""
+        """Cache of states by time, as a control step asks for the same few repeatedly."""
         return keeping(8, self._interpolate)
 
     def _interpolate(self, t_s: float) -> VehicleState:
@@ -196,14 +195,14 @@ def ground_pose(ground: Tensor) -> Tensor:
 def drive(params: VehicleParams, road: Road, duration_s: float, before: Motion = STANDING) -> Motion:
     """Integrate the vehicle's motion over a road from the world's origin on, for `duration_s`.
 
-    The modes of the body answer to wheels and acceleration as linear systems do whose inputs change linearly in each interval.
-    before: another drive. Its moments are kept to the bit for as long as both courses are the same, and the integration goes on from there.
+    The body's modes respond to wheels and acceleration as linear systems whose inputs change linearly in each interval. before: another
+    drive; its states are reused to the bit as long as both courses are equal, and the integration continues from there.
     """
     dt = 1 / params.simulation_hz
     afford(f"vehicle: a drive of {duration_s:.3g} s", BYTES_A_MOMENT * duration_s / dt, "take fewer steps, or raise rate_hz")
     times: Floats = np.arange(math.ceil(duration_s / dt) + 2, dtype=np.float64) * dt
     kept = _moments_alike(before, params, road, times)
-    first = max(kept - 2, 0)  # two moments that are known are what filters and slopes go on from
+    first = max(kept - 2, 0)  # filters and slopes continue from two known moments
     t, start, past = times[first:], before.states[first], before.modes[first:kept].T if kept else None
     x, y, yaw, speed, yaw_rate = course(params, t, start[:3])
     acceleration, lateral = np.gradient(speed, dt), speed * yaw_rate
@@ -232,7 +231,7 @@ def drive(params: VehicleParams, road: Road, duration_s: float, before: Motion =
 
 
 def _moments_alike(before: Motion, params: VehicleParams, road: Road, times: Floats) -> int:
-    """How many moments of another drive are those of this one as well: none, or two at least."""
+    """Number of leading moments that two drives share: none, or at least two."""
     if before.of is None or before.of != (params.model_copy(update={"course": before.of[0].course}), road):
         return 0
     until_s = _same_until(before.of[0].course, params.course)
@@ -241,7 +240,7 @@ def _moments_alike(before: Motion, params: VehicleParams, road: Road, times: Flo
 
 
 def _same_until(a: tuple[CourseParams, ...], b: tuple[CourseParams, ...]) -> float:
-    """Time in s until which two courses are the same, infinite if they always are."""
+    """Time in s until which two courses are equal, infinite if they always are."""
     alike = sum(1 for _ in takewhile(lambda pair: pair[0] is pair[1], zip(a, b, strict=False)))
     first, second = (_knots(each[max(alike - 1, 0) :]) for each in (a, b))
     times = np.union1d(first[0], second[0])
@@ -255,8 +254,8 @@ def _same_until(a: tuple[CourseParams, ...], b: tuple[CourseParams, ...]) -> flo
 def _ground(
     params: VehicleParams, road: Road, dt: float, way_m: Floats, pose: tuple[Floats, Floats, Floats], before: Motion, first: int
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Level, slope and their rates, of moments that end with those of a way and poses. before, first: an earlier drive, and how many of its
-    moments come before them; as many are taken as the low-passes reach back.
+    """Level, slope and their rates at the last moments of a way and poses. before, first: an earlier drive, and the number of its moments
+    before these, as many as the low-passes reach back.
     """
     back = int(np.searchsorted(before.modes[:first, 0], way_m[0] - max(LOW_PASS_M) / 2 - 1))
     along = np.concatenate([before.modes[back:first, 0], way_m])
@@ -268,8 +267,8 @@ def _ground(
 def ground_levels(params: VehicleParams, road: Road, way_m: Floats, x: Floats, y: Floats, yaw: Floats) -> tuple[Floats, Floats]:
     """Height `[N]` in m of the ground frame's origin and slope `[N]` in rad, nose down, of the plane through the low-passed road.
 
-    way_m: `[N]`, that the rear axle has driven from the world's origin on, which goes on straight at both ends. x, y, yaw: of the vehicle
-    there, `[N]`, m and rad.
+    way_m: `[N]`, way of the rear axle from the world's origin, extended straight at both ends. x, y, yaw: of the vehicle there, `[N]`, m
+    and rad.
     """
     reach = math.ceil(max(LOW_PASS_M) / 2 / PROFILE_M) + 1
     along = np.arange(math.floor(way_m[0] / PROFILE_M) - reach, math.ceil(way_m[-1] / PROFILE_M) + reach + 2) * PROFILE_M
@@ -292,7 +291,7 @@ def _window(length_m: float) -> Floats:
 
 
 def course(params: VehicleParams, t: Floats, start: Floats | None = None) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Where the vehicle is on the plane at evenly spaced times `[N]` in s, whatever the road.
+    """Planar motion at evenly spaced times `[N]` in s, independent of the road.
 
     The rear axle of a kinematic bicycle follows its arc in each interval. start: x, y and yaw at the first time, else 0. Returns x and y in
     m, yaw in rad, speed in m/s and yaw rate in rad/s, each `[N]`.
@@ -326,24 +325,24 @@ def _wheel_heights(params: VehicleParams, road: Road, x: Floats, y: Floats, yaw:
 
 @dataclass(frozen=True)
 class _Mode:
-    """A mass on spring and damper, in equilibrium at first, unless its first two values are known."""
+    """A mass on spring and damper, initially in equilibrium unless its first two values are known."""
 
     rate_hz: float
     damping: float
     dt: float
 
     def follows(self, base: Floats, known: Floats | None) -> Floats:
-        """Its place where its other ends move as `base` `[N]`."""
+        """Position of the mass for a base motion `[N]`."""
         omega = 2 * math.pi * self.rate_hz
         return self._response([2 * self.damping * omega, omega**2], base, known)
 
     def answers(self, base: Floats, load: Floats, known: Floats | None) -> Floats:
-        """The same, and a load `[N]` that deflects it by its own value in the end; both add up."""
+        """Position for a base motion and a load, both `[N]`; a constant load deflects the mass by the load's value."""
         omega = 2 * math.pi * self.rate_hz
         return self.follows(base, known) + self._response([omega**2], load, None if known is None else 0 * known)
 
     def _response(self, numerator: list[float], values: Floats, known: Floats | None) -> Floats:
-        from scipy.signal import lfilter, lfilter_zi, lfiltic  # takes a fifth of a command's start, and only vehicles that move need it
+        from scipy.signal import lfilter, lfilter_zi, lfiltic  # takes a fifth of a command's start, and only moving vehicles need it
 
         omega = 2 * math.pi * self.rate_hz
         b, a = _filter(tuple(numerator), (1.0, 2 * self.damping * omega, omega**2), self.dt)
@@ -372,9 +371,9 @@ def _vector(*values: float) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class LateBody(Motion):
-    """A drive whose body heaves, rolls and pitches `late_s` later; way, ground and speed are those of the time.
+    """A drive with heave, roll and pitch delayed by `late_s`; way, ground and speed are undelayed.
 
-    dynamics: the drive as it is, which the sensors feel.
+    dynamics: the undelayed drive, which the sensors measure.
     """
 
     dynamics: Motion = STANDING

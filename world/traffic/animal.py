@@ -1,4 +1,4 @@
-"""Deer, and what walks like them."""
+"""Deer and their gait."""
 
 from dataclasses import replace
 from typing import Literal
@@ -23,7 +23,7 @@ class AnimalParams(RandomParams):
     antlers: bool | None = Field(None, description="whether it has antlers; left out: from the seed, two in five have")
 
     def build(self) -> Body | Figure:
-        """Raises LuxloopError where `parts` names one that there is not."""
+        """Raises LuxloopError where `parts` names an unknown part."""
         rng, track = self.random(), self.pose_track()
         height = rng.uniform(0.7, 1.3) if self.shoulder_m is None else self.shoulder_m
         antlers = rng.random() < 0.4 if self.antlers is None else self.antlers

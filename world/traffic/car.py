@@ -32,7 +32,7 @@ class CarParams(RandomParams):
     lit: bool = Field(True, description="whether headlamps and tail lamps are on; false: parked")
 
     def build(self) -> Body:
-        """Raises LuxloopError where `parts` names one that there is not."""
+        """Raises LuxloopError where `parts` names an unknown part."""
         rng = self.random()
         style: Style = self.style or ("hatchback", "saloon", "van")[int(rng.choice(3, p=[0.45, 0.4, 0.15]))]
         size = np.array(STYLES[style][0]) * rng.uniform(0.95, 1.05, 3)

@@ -20,10 +20,10 @@ from luxloop.world.traffic.people import CyclistParams, PedestrianParams
 from luxloop.world.traffic.route import LANE_M, Met, Route
 from luxloop.world.traffic.tracked import WayParams
 
-SIGHT = 0.26  # of what is placed, |y| / x at most: within 15 deg
+SIGHT = 0.26  # largest |y| / x of an object: within 15 deg
 TRIES = 200
-AWAY_S = 30.0  # for which objects move around a vehicle that stands
-SHOULDER_M = 1.6  # beside both lanes of a drive, for cyclists; all else beside the road stands so much farther out
+AWAY_S = 30.0  # of motion of objects around a standing vehicle
+SHOULDER_M = 1.6  # beside both lanes, for cyclists; other roadside objects stand farther out by as much
 BYTES_AN_OBJECT = 1_000_000  # thousands of faces, with normals and planes
 Place = tuple[float, float, float]  # x and y in m, yaw in deg
 
@@ -58,7 +58,7 @@ class TrafficParams(Params):
 
     @property
     def sight_m(self) -> float:
-        """How far ahead somebody is met on a drive."""
+        """Distance ahead in m at which objects appear on a drive."""
         return 2 * self.far_m
 
     @model_validator(mode="after")
@@ -68,7 +68,7 @@ class TrafficParams(Params):
         return self
 
     def objects(self) -> tuple[ObjectParams, ...]:
-        """All of them, those that move first; fewer than asked for where the road is full."""
+        """All objects, moving ones first; fewer than requested if the road is full."""
         rng = np.random.default_rng(self.seed)
         taken: list[tuple[float, float, float]] = []
         found: list[ObjectParams] = []
@@ -83,18 +83,17 @@ class TrafficParams(Params):
         return tuple(found)
 
     def along(self, vehicle: VehicleParams, duration_s: float) -> tuple[ObjectParams, ...]:
-        """All that a vehicle meets on a drive, on the road's surface; a longer drive meets the same at first.
+        """All objects along a drive, on the road's surface; a longer drive begins with the same objects.
 
-        The way is cut into stretches of `far_m`, each with as many of all as `objects` has. They are there from when the vehicle is two
-        stretches away, and seen from twice `far_m` on. Nothing is ever in the vehicle's way or inside of another. Raises LuxloopError
-        where memory does not hold it.
+        The way is divided into stretches of `far_m`, each with as many objects as `objects` has. They appear when the vehicle is two
+        stretches away. No object ever blocks the vehicle or overlaps another. Raises LuxloopError where memory does not hold it.
         """
         if self.drive is not None:
             vehicle, duration_s = vehicle.model_copy(update={"course": self.drive.course}), self.drive.lasts_s
         return self.objects() if not any(each.speed_m_s for each in vehicle.course) else _along(self, vehicle, duration_s)
 
     def _stretch(self, k: int, route: Route, taken: list[Met]) -> Iterator[tuple[str, int, dict[str, Any], Met]]:
-        """Kinds, seeds and keys of what stands or moves in a stretch of a drive, and how it is met; it is added to what is taken."""
+        """Kinds, seeds, keys and motion of the objects in a stretch of a drive; their places are added to `taken`."""
         rng = np.random.default_rng([self.seed, k])
         for kind, role in ROLES.items():
             for _ in range(getattr(self, role[0])):
@@ -115,22 +114,22 @@ class TrafficParams(Params):
             ahead = kind == "car" and yaw == 0
             if kind != "car":
                 y += float(np.copysign(SHOULDER_M, y))
-            if abs(y) <= SIGHT * x and not (ahead and k):  # cars ahead are as fast, so that none is met later
+            if abs(y) <= SIGHT * x and not (ahead and k):  # cars ahead keep the vehicle's speed, so none is met later
                 place_m, half = np.array([[x], [y]]), np.array(half_m)[:, None]
                 yield keys, route.met(moment_s, place_m, yaw, speed if self.moving else 0.0, half, led=ahead and self.moving)
 
     def _moment_s(self, k: int, route: Route) -> float:
-        """From when on a stretch has traffic: when the vehicle is two stretches away; infinite where it does not come so far."""
+        """Time at which a stretch's traffic appears, with the vehicle two stretches away; infinite if the drive ends before."""
         return route.reached_s(max(k - 2, 0) * self.far_m)
 
     def _distance(self, rng: np.random.Generator) -> float:
-        """Even in the logarithm: as many near as far."""
+        """A distance, uniform in its logarithm."""
         return float(np.exp(rng.uniform(np.log(self.near_m), np.log(self.far_m))))
 
     def _free(
         self, rng: np.random.Generator, taken: list[tuple[float, float, float]], radius_m: float, make: "Maker"
     ) -> Iterator[tuple[dict[str, Any], float, Place]]:
-        """Places in sight that nothing stands on yet."""
+        """Free places in sight."""
         for _ in range(TRIES):
             x = self._distance(rng)
             keys, speed, y, yaw = make(rng)
@@ -141,7 +140,7 @@ class TrafficParams(Params):
 
 Made = tuple[dict[str, Any], float, float, float]  # keys, speed in m/s, y in m, yaw in deg
 Maker = Callable[[np.random.Generator], Made]
-# Key of its number, what it is, radius in m of its place, half its length and width in m, who makes it.
+# Key of its count, kind, radius in m of its place, half its length and width in m, function that makes it.
 Role = tuple[str, Any, float, tuple[float, float], Maker]
 
 
@@ -155,7 +154,7 @@ def _object(kind: str, name: str, seed: int, place: Place, speed_m_s: float, key
     return ROLES[kind][1](name=name, seed=seed, path=path, **keys)
 
 
-@lru_cache(maxsize=8)  # a run asks for its objects again and again
+@lru_cache(maxsize=8)  # used repeatedly in a run
 def _along(params: TrafficParams, vehicle: VehicleParams, duration_s: float) -> tuple[ObjectParams, ...]:
     route = Route.of(vehicle, duration_s, params.sight_m)
     moments_s = tuple(takewhile(math.isfinite, (params._moment_s(k, route) for k in count())))
@@ -178,7 +177,7 @@ def _side(rng: np.random.Generator) -> bool:
 
 
 def _beside(left: bool, away_m: float) -> float:
-    """y of what stands so far from the edge of the road on that side."""
+    """y of a place at a distance from the road's edge on a side."""
     return LANE_M * 1.5 + away_m if left else -LANE_M / 2 - away_m
 
 
@@ -229,7 +228,7 @@ def _clutter(rng: np.random.Generator) -> Made:
     return {"shape": shape}, 0.0, _beside(_side(rng), away), rng.uniform(-180, 180)
 
 
-# in the order in which they take their places: those that move first
+# in the order of placement: moving ones first
 ROLES: dict[str, Role] = {
     "car": ("cars", CarParams, 3.2, (2.6, 1.0), _car),
     "deer": ("animals", AnimalParams, 1.0, (0.9, 0.9), _deer),
@@ -242,7 +241,7 @@ ROLES: dict[str, Role] = {
 
 
 def random_tables(seed: int) -> dict[str, Any]:
-    """Tables `road`, `surface`, `light` and `traffic` of a scenario, from a seed: about level roads, light of the night."""
+    """Random tables `road`, `surface`, `light` and `traffic` of a scenario from a seed: nearly level roads at night."""
     rng = np.random.default_rng([seed, 1])
     roads: list[dict[str, Any]] = [
         {"kind": "flat"},

@@ -1,4 +1,4 @@
-"""Files of triangle meshes. Of glTF 2.0 looks, skins, cameras and animations are left out, so no textures are opened."""
+"""Files of triangle meshes. Materials, skins, cameras and animations of glTF 2.0 are ignored, so no textures are opened."""
 
 import base64
 import io
@@ -149,7 +149,7 @@ MESHES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 def read_nodes(file: Path) -> Mapping[str, trimesh.Trimesh]:
     """The meshes of a file in its frame, by the names of its nodes. Raises LuxloopError where it is missing or unreadable."""
     form = file.suffix.lower()[1:]
-    if f".{form}" not in MESHES:  # archives and documents that trimesh reads as well may hold anything
+    if f".{form}" not in MESHES:  # trimesh also reads archives and documents, which may contain anything
         raise LuxloopError(f"{file}: meshes are {', '.join(MESHES)} files; export it as one of them")
     with reading(file, "not readable as a mesh", "export it again as .obj, .ply, .stl or .glb"):
         data = content(file)  # which gives no more bytes than there are, whatever the file declares

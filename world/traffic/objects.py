@@ -28,7 +28,7 @@ Clutter = Literal["tree", "bush", "post", "bin", "delineator"]
 
 
 class TrafficSignParams(RandomParams):
-    """A traffic sign of retroreflective sheet on a post; it faces the way that its x axis points, its origin is the post's foot."""
+    """A traffic sign of retroreflective sheeting on a post; it faces along its x axis; its origin is the post's foot."""
 
     kind: Literal["traffic_sign"] = "traffic_sign"
     category: Reported = "sign"
@@ -37,7 +37,7 @@ class TrafficSignParams(RandomParams):
     size_m: float = Field(0.6, gt=0.1, le=3, description="diameter, or that of the circle through its corners")
 
     def build(self) -> Body:
-        """Raises LuxloopError where `parts` names one that there is not."""
+        """Raises LuxloopError where `parts` names an unknown part."""
         rng = self.random()
         shape = self.shape or tuple(CORNERS)[int(rng.integers(len(CORNERS)))]
         corners, turn = CORNERS[shape]
@@ -65,7 +65,7 @@ class ClutterParams(RandomParams):
     shape: Clutter = Field("tree", description="kind of object")
 
     def build(self) -> Body:
-        """Raises LuxloopError where `parts` names one that there is not."""
+        """Raises LuxloopError where `parts` names an unknown part."""
         rng = self.random()
         looks: Looks = {
             "trunk": ("bark", rng.uniform(0.08, 0.25)),
@@ -112,7 +112,7 @@ class SolidParams(TrackedParams):
     material: MaterialName | None = Field(None, description="material by name; left out: matt")
 
     def part(self, name: str, given: SurfaceParams | None = None) -> Part:
-        """A part of it; given: what it looks like in place of the whole."""
+        """A part of it. given: surface that replaces the object's own."""
         given = given or SurfaceParams()
         material = given.material or self.material or "matt"
         albedo = torch.tensor(self.albedo if given.albedo is None else given.albedo, dtype=torch.float64)

@@ -19,7 +19,7 @@ SIDES = (1.0, -1.0)  # left, right
 
 @dataclass(frozen=True)
 class Person:
-    """How someone is built and dressed.
+    """Build and clothing of a person.
 
     girth: width as a multiple of the usual. coat: how far it hangs below the hips, as a share of the height. banded: as on a vest.
     """
@@ -50,7 +50,7 @@ class Joints:
 
 
 def someone(rng: np.random.Generator, height_m: float | None, clothing: Clothing | None) -> Person:
-    """Someone at random, of a height and clothing if these are given."""
+    """A random person, of a given height and clothing if not None."""
     clothing = clothing or rng.choice(["dark", "mixed", "light"], p=[0.45, 0.4, 0.15])
     low, high = {"dark": (0.03, 0.1), "mixed": (0.06, 0.45), "light": (0.35, 0.75), "vest": (0.03, 0.3)}[clothing]
     jacket, trousers = rng.uniform(low, high, 2)
@@ -73,7 +73,7 @@ def someone(rng: np.random.Generator, height_m: float | None, clothing: Clothing
 
 
 def dress(who: Person, j: Joints, helmet: bool = False) -> list[Piece]:
-    """The pieces of someone whose joints are there; facing x, left is y."""
+    """The pieces of a person with the given joints; facing x, left is y."""
     h, w = who.height_m, who.girth
     left = np.array([0.0, 1.0, 0.0])
     front = np.cross(left, j.up)
@@ -114,7 +114,7 @@ def dress(who: Person, j: Joints, helmet: bool = False) -> list[Piece]:
 
 
 def upright(who: Person, thigh: Floats, knee: Floats, arm: Floats, elbow: Floats, spread: float = 0.0) -> Joints:
-    """Someone on their feet, the lower of which touches z = 0.
+    """Joints of an upright person; the lower foot touches z = 0.
 
     thigh, arm: `[2]` rad, forward of hanging down. knee, elbow: `[2]` rad, by which they are bent. spread: of legs and arms, rad.
     """
@@ -154,7 +154,7 @@ def standing(who: Person, rng: np.random.Generator) -> Joints:
 def bent(start: Floats, stop: Floats, first: float, second: float, towards: Floats) -> Floats:
     """The joint `[3]` between two bones of lengths `first` and `second` from `start` to `stop`, bent towards a direction `[3]`.
 
-    Stretched out where they do not reach.
+    Stretched out if the bones are too short.
     """
     way = stop - start
     d = float(np.linalg.norm(way))
@@ -172,7 +172,7 @@ def _swung(forward: Floats, out: Floats) -> Floats:
 
 CLOTHING = "Albedo of the clothes: dark to 0.1, mixed to 0.45, light from 0.35 on, vest: with reflective bands; left out: by the seed"
 STRIDE = 0.83  # of a walker's height
-TURN_M = 4.6  # that a bicycle goes for a turn of its cranks
+TURN_M = 4.6  # distance of a bicycle in one turn of its cranks
 CRANK_M, WHEEL_M = 0.17, 0.34
 
 
@@ -186,7 +186,7 @@ class PedestrianParams(RandomParams):
     stance: Literal["walking", "standing"] | None = Field(None, description="stance; left out: walking while it moves, else standing")
 
     def build(self) -> Body | Figure:
-        """Raises LuxloopError where `parts` names one that there is not."""
+        """Raises LuxloopError where `parts` names an unknown part."""
         rng, track = self.random(), self.pose_track()
         who = someone(rng, self.height_m, self.clothing)
         start, moves = rng.random(), len(track.times_s) > 1
@@ -211,7 +211,7 @@ class CyclistParams(RandomParams):
     lit: bool = Field(True, description="whether the bicycle's front and rear lamps are on")
 
     def build(self) -> Body | Figure:
-        """Raises LuxloopError where `parts` names one that there is not."""
+        """Raises LuxloopError where `parts` names an unknown part."""
         rng, track = self.random(), self.pose_track()
         who = someone(rng, self.height_m, self.clothing)
         helmet = rng.random() < 0.5 if self.helmet is None else self.helmet
@@ -231,12 +231,12 @@ class CyclistParams(RandomParams):
 
 
 def _saddle(who: Person) -> Floats:
-    """So high that a leg almost reaches the lower pedal."""
+    """Place `[3]` m of the saddle, from which a leg almost reaches the lower pedal."""
     return np.array([-0.2, 0.0, 0.28 + 0.93 * (THIGH + SHANK) * who.height_m - CRANK_M + SOLE * who.height_m])
 
 
 def _pedals(phase: float) -> Floats:
-    """`[2, 3]` m, going forward at the top."""
+    """Places of the pedals, `[2, 3]` m; the upper one moves forward."""
     angle = 2 * np.pi * phase + np.array([0.0, np.pi])
     return np.stack([-0.03 + CRANK_M * np.sin(angle), [0.1, -0.1], 0.28 + CRANK_M * np.cos(angle)], 1)
 

@@ -1,4 +1,4 @@
-"""The lane that a vehicle drives along, as coordinates for what is met on it: way along the lane's middle, and distance to its left."""
+"""The vehicle's lane as coordinates of objects: way along the lane's centre line, and distance to its left."""
 
 import math
 from dataclasses import dataclass
@@ -13,9 +13,9 @@ from luxloop.world.scene.vehicle import VehicleParams, course
 
 LANE_M: Final = 3.5  # width; the own lane's middle is the way, the oncoming lane lies to its left
 OWN_M: Final = 5.0  # that the own vehicle reaches behind its lamps
-CLEAR_S: Final = 1.0  # of the own way ahead that nobody is in
-PASSED_M: Final = 20.0  # behind the lamps, where nothing is seen any more
-LIFE_S: Final = 60.0  # from its moment on, for which somebody moves; a walker has by then left the sight even of a car that waits
+CLEAR_S: Final = 1.0  # of the own way ahead that stays free
+PASSED_M: Final = 20.0  # behind the lamps, where objects vanish
+LIFE_S: Final = 60.0  # of an object's motion; by then a walker has left the sight even of a waiting car
 STEP_S, KEYFRAME_M, POINT_M = 0.05, 2.0, 1.0  # of the drive in time, and of way from keyframe to keyframe and between points of the lane
 SLACK_M: Final = 0.05  # by which the lane may come nearer to a place than its own distance; points of the lane lie on chords
 BYTES_A_STEP: Final = 150
@@ -23,10 +23,10 @@ BYTES_A_STEP: Final = 150
 
 @dataclass(frozen=True, eq=False)
 class Met:
-    """What is met on a drive: from its step `first` on, at `places_m` `[2, K]` along the lane and to its left, a step each.
+    """An object met on a drive: `places_m` `[2, K]` along the lane and to its left, one for each step from `first` on.
 
-    yaw_deg: where it looks, from the lane's direction. half_m: `[2, 1]`, half of its size along and across the lane.
-    stride: steps from keyframe to keyframe, 0 of what stands.
+    yaw_deg: its heading against the lane's direction. half_m: `[2, 1]`, half of its size along and across the lane. stride: steps from
+    keyframe to keyframe, 0 of what stands.
     """
 
     first: int
@@ -37,16 +37,16 @@ class Met:
 
     @property
     def start_s(self) -> float:
-        """From when on it is there."""
+        """Time at which it appears."""
         return self.first * STEP_S
 
     @property
     def stop_s(self) -> float:
-        """When it is there no more."""
+        """Time at which it vanishes."""
         return (self.first + self.places_m.shape[1]) * STEP_S
 
     def touches(self, other: "Met") -> bool:
-        """Whether the two are in one place at any time."""
+        """Whether two objects overlap at any time."""
         since = max(self.first, other.first)
         until = min(each.first + each.places_m.shape[1] for each in (self, other))
         a, b = (each.places_m[:, max(since - each.first, 0) : max(until - each.first, 0)] for each in (self, other))
@@ -58,7 +58,7 @@ class Route:
     """A drive on the plane, and LIFE_S more.
 
     way_m: `[N]`, where the lamps are along the lane, every STEP_S. rear: `[4, M]`, way in m, x and y in m and yaw in rad of the rear axle,
-    which goes where the vehicle heads; straight on before and after. sight_m: how far ahead things are there.
+    extended straight before and after. sight_m: distance ahead at which objects appear.
     """
 
     way_m: Floats
@@ -79,7 +79,7 @@ class Route:
         return cls(way, np.column_stack([ends[0], rear[:, [True, *(np.diff(way) > 0)]], ends[1]]), duration_s, sight_m)
 
     def reached_s(self, way_m: float) -> float:
-        """When the lamps are so far along, infinite where they do not come so far in the drive."""
+        """Time at which the lamps reach a way, infinite if the drive ends before."""
         time_s = float(np.searchsorted(self.way_m, way_m)) * STEP_S
         return time_s if time_s <= self.duration_s else math.inf
 
@@ -89,10 +89,10 @@ class Route:
         return np.stack([x - places_m[1] * np.sin(yaw), y + places_m[1] * np.cos(yaw), yaw])
 
     def met(self, moment_s: float, place_m: Floats, yaw_deg: float, speed_m_s: float, half_m: Floats, led: bool = False) -> Met | None:
-        """What is at a place `[2, 1]` of the lane from a moment on and moves where it looks; None where it would be in the vehicle's way.
+        """The motion of an object from a place `[2, 1]` of the lane at a moment, along its heading; None if it would block the vehicle.
 
-        None as well where the lane bends so much that the place has another one at its side. half_m: `[2, 1]`. led: it goes ahead of the
-        vehicle at the vehicle's own speed.
+        None also where the lane bends so sharply that a place is ambiguous. half_m: `[2, 1]`. led: it leads the vehicle at the vehicle's
+        speed.
         """
         after_s, yaw = np.arange(len(self.way_m)) * STEP_S - moment_s, math.radians(yaw_deg)
         along = self.way_m if led else speed_m_s * math.cos(yaw) * after_s
@@ -114,7 +114,7 @@ class Route:
         return None if np.any(in_the_way) or self._folds(places[:, :: round(1 / STEP_S)]) else Met(first, places, yaw_deg, half_m, stride)
 
     def keys(self, met: Met) -> dict[str, Any]:
-        """Track of an object that is met, and the time that it is there."""
+        """Track of an object, and the interval in which it exists."""
         last = met.places_m.shape[1] - 1
         steps = np.unique([*range(0, last + 1, met.stride), last]) if met.stride else np.array([0])
         x, y, yaw = self.world(met.places_m[:, steps])

@@ -1,4 +1,4 @@
-"""Closed surfaces that figures are put together from: tubes, limbs, ellipsoids, plates; each a piece that belongs to a named part."""
+"""Closed surfaces of which figures consist: tubes, limbs, ellipsoids, plates; each is a piece of a named part."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """vertices: `[V, 3]` m. faces: `[F, 3]` of vertices, counter-clockwise from outside. part: name of what it belongs to."""
+    """vertices: `[V, 3]` m. faces: `[F, 3]` of vertices, counter-clockwise from outside. part: name of its part."""
 
     part: str
     vertices: Floats
@@ -114,7 +114,7 @@ def blob(part: str, centre: ArrayLike, radii: ArrayLike, rng: np.random.Generato
 
 
 def join(pieces: list[Piece]) -> tuple["trimesh.Trimesh", tuple[str, ...], NDArray[np.int64]]:
-    """One mesh, the names of its parts in the order in which they come, and which of them each face belongs to `[F]`."""
+    """One mesh, the names of its parts in order, and the part index `[F]` of each face."""
     import trimesh
 
     names = tuple(dict.fromkeys(piece.part for piece in pieces))

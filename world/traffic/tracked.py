@@ -116,7 +116,7 @@ class SurfaceParams(Params):
 
 
 def check_parts(owner: str, given: Iterable[str], names: Sequence[str]) -> None:
-    """Raises LuxloopError where an object is given a part that it has not."""
+    """Raises LuxloopError where an object names a part that it does not have."""
     for name in given:
         if name not in names:
             raise LuxloopError(f"object {owner!r}: parts: there is no part {name!r}; {did_you_mean(name, names)}")
@@ -132,7 +132,7 @@ class RandomParams(TrackedParams):
         return np.random.default_rng(self.seed)
 
     def body(self, pieces: Sequence[Piece], looks: Looks, track: PoseTrack, spotlights: tuple[Spotlight, ...] = ()) -> Body:
-        """The body of pieces. Raises LuxloopError where `parts` names one that it has not."""
+        """The body of pieces. Raises LuxloopError where `parts` names an unknown part."""
         mesh, names, of_face = join(list(pieces))
         check_parts(self.name, self.parts, names)
         parts = tuple(self._part(name, *looks[name]) for name in names)
