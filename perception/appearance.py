@@ -103,12 +103,12 @@ def _quadrants(seen: Appearance, *signs: int) -> Tensor:
 
 @dataclass(frozen=True)
 class DegreeOfFreedom:
-    """A coordinate of the symbol's pose, and the error of the same name, which another coordinate may move: x ahead moves the error e_y.
+    """A coordinate of the symbol's pose, and the error of the same name. Another coordinate may move that error: x (ahead) moves e_y.
 
-    name, unit: "x" in "m" or "roll" in "rad", say. probe: half the step about the target by which its plant gain is measured, in its unit:
-    wide enough to drown pixel edges. moves: the error that the coordinate moves most. feature: `[...]`, of which the error of this name is
-    a difference; its second argument is the key `features.shape`. of_pose: the coordinate in poses `[..., 4, 4]`. shown, error: of their
-    columns in recordings, the description of the coordinate; the unit and the description of the error.
+    name, unit: "x" in "m" or "roll" in "rad", say. probe: half the step about the target for measuring its plant gain, in its unit; wide
+    against pixel edges. moves: the error that the coordinate moves most. feature: `[...]`, of which the error of this name is a difference;
+    its second argument is the key `features.shape`. of_pose: the coordinate in poses `[..., 4, 4]`. shown, error: texts of the columns in
+    recordings: description of the coordinate; unit and description of the error.
     """
 
     name: str
@@ -131,17 +131,17 @@ class DegreeOfFreedom:
         return f"{self.name}_{self.suffix}"
 
     def of_file(self, value: float) -> float:
-        """A value of scenarios in its unit."""
+        """A scenario's value in its unit."""
         return value if self.unit == "m" else math.radians(value)
 
     def limits(self, params: object, name: str | None = None) -> tuple[float, float]:
-        """The limits that params give as `<name>_range_<suffix>`, in its unit; infinite where they give none."""
+        """Limits `<name>_range_<suffix>` of params, in its unit; infinite by default."""
         low, high = getattr(params, f"{name or self.name}_range_{self.suffix}", (-math.inf, math.inf))
         return self.of_file(low), self.of_file(high)
 
 
-# All degrees of freedom, positions first and then angles as `luxloop.world.frames.rotation` takes them. Whoever adds one here adds its keys
-# to the controllers that limit it and to `start`; poses, features, gains, errors and columns follow.
+# All degrees of freedom, positions first and then angles in the order of `luxloop.world.frames.rotation`. A new one also needs its keys
+# in the controllers that limit it and in `start`; poses, features, gains, errors and columns follow.
 DEGREES: tuple[DegreeOfFreedom, ...] = (
     DegreeOfFreedom(
         "x",

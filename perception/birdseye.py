@@ -26,7 +26,9 @@ class Region:
 
 
 def region_around(x_m: float, y_m: float, length_m: float, width_m: float, cell_m: float = 0.04) -> Region:
-    """Region in which a symbol of this size, aimed at (x, y), may appear; larger beyond than before it, since light grazes the road."""
+    """Region in which a symbol of this size, aimed at (x, y), may appear; it extends farther behind than before, since light grazes the
+    road.
+    """
     return Region(max(x_m - 2 * length_m, 1.0), x_m + 3.5 * length_m, y_m + 2.5 * width_m, y_m - 2.5 * width_m, cell_m)
 
 
@@ -61,13 +63,13 @@ class BirdsEye:
 
     @cached_property
     def _v_of_rows(self) -> tuple[Tensor, Tensor]:
-        """Least and largest v of each row of cells `[rows]`, without the cells that are hidden."""
+        """Least and largest v of each row of cells `[rows]`, without hidden cells."""
         hidden = self.map_u == NOWHERE_PX
         return self.map_v.masked_fill(hidden, torch.inf).amin(1), self.map_v.masked_fill(hidden, -torch.inf).amax(1)
 
 
 def span(chosen: Tensor) -> slice:
-    """From the first to the last that is chosen of `[n]` bool; empty where none is."""
+    """Slice from the first to the last true of `[n]` bool, empty if none is."""
     found = chosen.nonzero()
     return slice(int(found[0]), int(found[-1]) + 1) if len(found) else slice(0, 0)
 

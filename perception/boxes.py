@@ -1,4 +1,4 @@
-"""Boxes in the image and on the road: where they stand, what of them is hidden, and vehicles by their own lamps."""
+"""Boxes in the image and on the road: their position, their hidden parts, and vehicles by their own lamps."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from luxloop.world.frames import View
 from luxloop.world.traffic.tracked import Category
 
 FARTHEST_M = 150.0  # distance assumed for objects on the horizon
-LOWEST_M = 0.05  # of a camera, below which feet and horizon cannot be distinguished
+LOWEST_M = 0.05  # least height of a camera, to tell feet from the horizon
 LENGTH_M: Mapping[Category, float] = {"pedestrian": 0.5, "cyclist": 1.0, "animal": 1.0, "motorcycle": 1.5, "car": 4.0, "truck": 8.0}
 OTHER_LENGTH_M = 0.2
 
@@ -83,15 +83,15 @@ HEIGHTS_M: Mapping[Category, tuple[float, float]] = {  # of the lowest and of th
 WIDTHS_M: Mapping[Category, tuple[float, float]] = {"pedestrian": (0.3, 1.3), "cyclist": (0.4, 2.1), "motorcycle": (0.5, 2.4)}
 USUAL_HEIGHTS_M: Mapping[Category, float] = {"pedestrian": 1.7, "cyclist": 1.75}
 USUAL_WIDTHS_M: Mapping[Category, float] = {"motorcycle": 0.8, "car": 1.8, "truck": 2.5}
-WHOLE = 0.85  # of the expected width or height: what is smaller is a part
+WHOLE = 0.85  # of the expected width or height: a smaller box is a part
 MEASURED = (0.05, 0.08)  # standard deviation of the foot of a detected box, across and down, in the root of its area
-MISSING = 0.5  # of a part, as a share of what is missing of its width or height
-EDGE_PX = 3.0  # a box that ends so near to the left or the right border is cut off by it
+MISSING = 0.5  # standard deviation of a part, as a share of its missing width or height
+EDGE_PX = 3.0  # a box that ends nearer to the left or right border is cut off
 LEANS = 0.2  # share of the way from there to its own place
-INSIDE = 0.9  # share of a box that lies in a track's, from which on it may be a part of what is tracked
-NEARER = 0.05  # of its height, by which a box may end above what it hides a part of
+INSIDE = 0.9  # least share of a box inside a track's box for it to be a part of that object
+NEARER = 0.05  # of its height, by which a box may end above the object that it occludes
 ALIKE: tuple[frozenset[Category], ...] = (frozenset({"pedestrian", "cyclist", "motorcycle"}), frozenset({"car", "truck"}))  # by their parts
-SOLID: frozenset[Category] = frozenset({"car", "truck"})  # nobody is seen through their boxes
+SOLID: frozenset[Category] = frozenset({"car", "truck"})  # classes with opaque boxes
 
 
 def limits_m(classes: tuple[Category, ...]) -> Tensor:
@@ -102,11 +102,10 @@ def limits_m(classes: tuple[Category, ...]) -> Tensor:
 
 
 def standing(boxes: Tensor, categories: tuple[Category, ...], view: View) -> Tensor:
-    """Boxes `[n, 4]` px as high as somebody of their classes is: a top in the dark is added, and a foot that is hidden or below the image.
+    """Boxes `[n, 4]` px completed to the height of their classes: by a dark top, and by a foot that is hidden or below the image.
 
-    On the road the row of the foot says how large a metre looks. What looks higher than its class is at most stands nearer, on a foot that
-    is hidden; by no more than the box is high, since roads have hills. Of what ends at the lowest row the usual height or width says where
-    it stands.
+    On the road the foot's row gives px per m. A box higher than its class allows stands nearer, on a hidden foot; by at most its own
+    height, since roads have hills. For a box that ends at the lowest row the class's usual height or width gives its place.
     """
     if not len(boxes):
         return boxes
@@ -114,7 +113,9 @@ def standing(boxes: Tensor, categories: tuple[Category, ...], view: View) -> Ten
     horizon, scale = road_rows(view, (left + right) / 2)
 
     def foot(height_m: Tensor) -> Tensor:
-        """Where somebody of that height stands whose head is at the top; the bottom for who is lower than the camera, or of any height."""
+        """Row of the foot of an object of this height with its head at the box's top; the box's bottom if it is lower than the camera or of
+        unknown height.
+        """
         taller = height_m * scale
         return torch.where((taller > 1) & taller.isfinite(), (taller * horizon - top) / (taller - 1).clamp(min=1e-9), bottom)
 
@@ -129,9 +130,10 @@ def standing(boxes: Tensor, categories: tuple[Category, ...], view: View) -> Ten
 
 
 def complete(boxes: Tensor, expected: Tensor) -> Tensor:
-    """Boxes `[..., 4]` px: those much narrower or lower than expected `[..., 4]` as wide or high, moved from there as far as needed.
+    """Boxes `[..., 4]` px; those much narrower or lower than expected `[..., 4]` get the expected width or height, moved as little as
+    needed.
 
-    What was expected may be wrong, so they lean towards the box's own middle and foot as well.
+    As the expectation may be wrong, they lean towards the box's own middle and foot.
     """
     low, high = torch.broadcast_tensors(boxes[..., :2], expected[..., :2])[0], torch.broadcast_tensors(boxes[..., 2:], expected[..., 2:])[0]
     before, behind = low - expected[..., :2], high - expected[..., 2:]
@@ -148,9 +150,9 @@ def are_parts(boxes: Tensor, expected: Tensor) -> Tensor:
 
 
 def uncut(boxes: Tensor, expected: Tensor, width: int) -> Tensor:
-    """Boxes `[..., 4]` px as wide as expected `[..., 4]` where the left or the right border of an image of that width cuts them off.
+    """Boxes `[..., 4]` px, with the expected width `[..., 4]` where the left or right border of an image of this width cuts them off.
 
-    Where both do, nothing tells how wide it is, nor where: those are left as they are.
+    Boxes cut by both borders are left unchanged.
     """
     left, top, right, bottom = torch.broadcast_tensors(boxes, expected)[0].unbind(-1)
     wide = expected[..., 2] - expected[..., 0]
@@ -161,16 +163,16 @@ def uncut(boxes: Tensor, expected: Tensor, width: int) -> Tensor:
 
 
 def spread_of(boxes: Tensor, expected: Tensor) -> Tensor:
-    """`[..., 2]` px^2: variances of the foot that boxes `[..., 4]` tell, which parts of what is expected `[..., 4]` know less well."""
+    """`[..., 2]` px^2: variances of the foot of boxes `[..., 4]`, larger for parts of the expected boxes `[..., 4]`."""
     whole = (expected[..., 2:] - expected[..., :2]).clamp(min=1)
     missing = (whole - (boxes[..., 2:] - boxes[..., :2])).clamp(min=0)
     return torch.tensor(MEASURED).to(whole) ** 2 * whole.prod(-1, keepdim=True) + (MISSING * missing) ** 2
 
 
 def belonging(boxes: Tensor, expected: Tensor, whole: Tensor) -> Tensor:
-    """Which boxes `[m, 4]` may be parts of what is expected `[n, 4]`, `[n, m]` bool: those inside.
+    """Which boxes `[m, 4]` may be parts of the expected boxes `[n, 4]`, `[n, m]` bool: those inside.
 
-    Not so where that is seen whole, `[n]` bool, and the box ends as low as it, or lower: that is somebody before it.
+    Except where the object is seen whole, `[n]` bool, and the box ends as low or lower: that is an object before it.
     """
     ours, theirs = expected[:, None], boxes[None]
     inside = _common(ours, theirs) > INSIDE * _area(theirs)
@@ -179,7 +181,7 @@ def belonging(boxes: Tensor, expected: Tensor, whole: Tensor) -> Tensor:
 
 
 def hiding(boxes: Tensor, expected: Tensor, whole: Tensor) -> Tensor:
-    """Which boxes `[m, 4]` would hide what is expected `[n, 4]`, although that is seen whole, `[n]` bool: `[n, m]` bool.
+    """Which boxes `[m, 4]` would occlude expected boxes `[n, 4]` that are seen whole, `[n]` bool: `[n, m]` bool.
 
     So do boxes that are too large, around the lamps of a car in the dark.
     """
@@ -196,7 +198,7 @@ def _area(boxes: Tensor) -> Tensor:
 
 
 def alike(classes: tuple[Category, ...]) -> Tensor:
-    """`[C, C]`: which classes look like each other in part."""
+    """`[C, C]` bool: classes with similar parts."""
     groups = torch.tensor([next((k for k, each in enumerate(ALIKE) if name in each), -1 - n) for n, name in enumerate(classes)])
     return groups[:, None] == groups[None]
 
@@ -205,8 +207,8 @@ SHINE: frozenset[Category] = frozenset({"car", "truck"})
 BRIGHT = 0.95  # of the largest digital number: threshold of light sources
 ABOVE_M = 0.6  # height of a lamp's middle
 APART = 0.5  # of a box's width: least distance of two lamps
-BETWEEN = 0.1  # of a box's width, to both sides of their middle, where nothing shines: else it is one light
-AROUND = 0.25  # of a box's width, within which its lamps are looked for at its sides
+BETWEEN = 0.1  # of a box's width, the dark gap to both sides of the lamps' middle; else it is one light
+AROUND = 0.25  # of a box's width, search range for its lamps beyond its sides
 
 
 def by_lamps(frame: Tensor, boxes: Tensor, pixels_a_metre: Tensor, others: Tensor) -> Tensor:

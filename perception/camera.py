@@ -157,7 +157,7 @@ Speed = Annotated[float, Field(ge=-200, le=200)]
 
 
 class OncomingParams(Params):
-    """One oncoming headlamp as a source that faces the camera; it lights nothing, and nothing occludes it."""
+    """One oncoming headlamp as a source that faces the camera; it lights no surfaces and is never occluded."""
 
     position_m: tuple[Metres, Metres, Metres] = Field(
         examples=[[40.0, 3.0, 0.7]], description="position in the world at the scenario's start"

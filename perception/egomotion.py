@@ -15,7 +15,7 @@ STANDS_M_S = 0.1  # below any driving speed, and above the noise of a speed sens
 
 Sensor = Literal["wheels", "gyro", "attitude", "accelerometer", "suspension"]
 VALUES: Final[Mapping[Sensor, int | None]] = {"wheels": None, "gyro": 3, "attitude": 8, "accelerometer": 3, "suspension": 4}  # None: any
-# Beyond every vehicle's values, in the units of `Sample`; of an attitude the ground's height in m may be the largest.
+# Bounds of plausible values, in the units of `Sample`; for an attitude the bound of the ground's height in m.
 LARGEST: Final[Mapping[Sensor, float]] = {"wheels": 200.0, "gyro": 100.0, "attitude": 1e4, "accelerometer": 1e3, "suspension": 10.0}
 
 
@@ -40,7 +40,7 @@ Samples = Mapping[Sensor, Sample]
 
 
 def newest(known: Samples, come: Iterable[Sample]) -> Samples:
-    """The newest sample of each sensor, by time of measurement, among known ones and new ones."""
+    """The newest sample of each sensor, by time of measurement, of known and new ones."""
     return {each.sensor: each for each in sorted((*known.values(), *come), key=lambda each: each.measured_s)}
 
 
@@ -118,7 +118,7 @@ class Ego:
 
 
 def ego_of(samples: Samples, vehicle: VehicleParams | None, time_s: float, period_s: float) -> Ego | None:
-    """The motion by the samples at a time; None without wheel speeds, which are needed to know whether the vehicle moves."""
+    """The motion at a time from samples; None without wheel speeds, which tell whether the vehicle moves."""
     if "wheels" not in samples:
         return None
     wheels = samples["wheels"]

@@ -20,7 +20,7 @@ WHOLLY_LIT = 0.6  # share of the brightest contrast nearby above which a pixel c
 
 
 class ExtractionStatus(IntEnum):
-    """SEEN, or why there is no symbol image. COVERED: other light of the lamps covers too much of it for a measurement."""
+    """SEEN, or the reason for a missing symbol image. COVERED: other light of the lamps covers too much of the symbol."""
 
     SEEN = 0
     NO_FRAME = 1
@@ -116,8 +116,8 @@ def difference(on: Tensor, off: Tensor, camera: CameraParams) -> Tensor:
 def threshold(off: Tensor, camera: CameraParams, params: SearchParams) -> Tensor:
     """Absolute threshold `[..., h, w]` in cd/m^2 of each pixel, from the noise of the difference of two frames without a symbol.
 
-    The light without a symbol is the mean of the off frame over 3 x 3 pixels: a single pixel that is dark by chance would underestimate the
-    noise, and a thousand times as much of it would pass as at five sigma.
+    The light without a symbol is the mean of the off frame over 3 x 3 pixels: a pixel that is dark by chance would underestimate the noise,
+    and a thousand times as many would pass five sigma.
     """
     light = luminance_of(off, camera)
     mean = avg_pool2d(light.reshape(-1, 1, *light.shape[-2:]), 3, stride=1, padding=1, count_include_pad=False)
@@ -147,7 +147,7 @@ def symbol_image(contrast: Tensor, limit: Tensor, params: Extraction) -> Tensor:
 
 
 def symbol_images(a: tuple[Tensor, Tensor], b: tuple[Tensor, Tensor], params: Extraction) -> tuple[Tensor, Tensor]:
-    """Symbol images `[..., h, w]` of two pairs of contrast and threshold, `[..., h, w]` each in cd/m^2, made together where that can be."""
+    """Symbol images `[..., h, w]` of two pairs of contrast and threshold, `[..., h, w]` each in cd/m^2, computed together if possible."""
     if isinstance(params, OwnExtractionParams):
         return symbol_image(*a, params), symbol_image(*b, params)
     contrast, limit = (torch.stack(torch.broadcast_tensors(*pair)) for pair in zip(a, b, strict=True))

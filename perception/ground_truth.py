@@ -21,8 +21,8 @@ class GroundTruth:
     """Ground truth of one object in one view.
 
     box: left, top, right, bottom in px of its visible part. whole: the same of the whole object, hidden or outside the image. pixels:
-    number of pixels that see it. visible: share of the pixels that would see it without occlusion. inside: share of `whole` that lies in
-    the image. materials: number of pixels by name of material, for bodies with parts.
+    number of its visible pixels. visible: their share of its pixels without occlusion. inside: share of `whole` that lies in the image.
+    materials: number of pixels by name of material, for bodies with parts.
     """
 
     name: str
@@ -37,7 +37,7 @@ class GroundTruth:
 
 
 def ground_truth(surfaces: GBuffer, triangles: Triangles, view: View, categories: Sequence[Category | None]) -> tuple[GroundTruth, ...]:
-    """All objects that at least one pixel sees, in the order of their ids.
+    """All objects visible in at least one pixel, in the order of their ids.
 
     surfaces: of `triangles` in `view`. categories: those of the objects 1, 2, ...; the road is object 0. Boxes are in px of the view,
     including its oversampling of rows.
@@ -56,7 +56,7 @@ def ground_truth(surfaces: GBuffer, triangles: Triangles, view: View, categories
         width, height = whole[2] - whole[0], whole[3] - whole[1]
         shown = _clip(whole, view)
         inside = (shown[2] - shown[0]) * (shown[3] - shown[1]) / (width * height)
-        # a rasteriser and a ray may take an outline's pixel differently
+        # rasteriser and rays may differ on an outline's pixel
         visible = min(pixels / max(alone, 1), 1.0)
         materials = _materials(surfaces, seen, placed)
         found.append(
@@ -70,7 +70,7 @@ def part_picture(surfaces: GBuffer, triangles: Triangles, names: Sequence[str]) 
     bodies = {placed.object_id: placed.body.parts for placed in triangles.placed if placed.body.parts}
     if surfaces.part is None or not bodies:
         return torch.full_like(surfaces.object_id, -1, dtype=torch.int64)
-    rows = max(placed.object_id for placed in triangles.placed) + 2  # the last is that of no object, -1
+    rows = max(placed.object_id for placed in triangles.placed) + 2  # the last row belongs to no object, -1
     index = {name: k for k, name in enumerate(names)}
     known = torch.full((rows, max(map(len, bodies.values()))), -1)
     for object_id, parts in bodies.items():
@@ -90,7 +90,7 @@ def _box(pixels: Tensor) -> Box:
 
 
 def _whole(placed: Instance, view: View) -> Box:
-    """Box of the corners ahead of the view's plane; an object that crosses the plane reaches out of the image and is clipped there."""
+    """Box of the corners ahead of the view's plane; an object that crosses that plane leaves the image and is clipped."""
     image, depth = view.project(placed.corners.flatten(0, 1).T)
     u, v = image[:, depth > 0.1]
     return float(u.min()), float(v.min()), float(u.max()), float(v.max())
@@ -139,7 +139,7 @@ def material_picture(surfaces: GBuffer, triangles: Triangles) -> tuple[Tensor, t
 
 
 def _body_materials(placed: Instance, surfaces: GBuffer, seen: Tensor) -> tuple[tuple[MaterialName, ...], Tensor]:
-    """Names of a body's materials, and which of them is at each of the pixels where it is seen."""
+    """Names of a body's materials, and the index of the material at each of its visible pixels."""
     body = placed.body
     if body.parts and surfaces.part is not None:
         return tuple(part.material for part in body.parts), surfaces.part[seen].long()

@@ -15,7 +15,7 @@ from luxloop.perception.appearance import Appearance, appearance
 from luxloop.perception.birdseye import BirdsEye, rectify, span
 from luxloop.world.errors import LuxloopError
 
-MARE_OFFSET = 1e-12  # cd; a texel that should be dark counts with its light over this
+MARE_OFFSET = 1e-12  # cd; divisor of the error at texels that should be dark
 
 
 def mae(actual: Tensor, wanted: Tensor) -> Tensor:
@@ -108,7 +108,7 @@ def ring(mask: Tensor, px: int = RING_PX) -> Tensor:
 def weber_contrast(luminance: Tensor, mask: Tensor, floor: float) -> Tensor:
     """`|L_o - L_b| / (L_b + floor)`, a scalar, of the mean luminances of an object and of the ring around it.
 
-    luminance: `[height, width]` cd/m^2. floor: luminance that cannot be told from black, so that contrast in the dark counts nothing.
+    luminance: `[height, width]` cd/m^2. floor: luminance indistinguishable from black, so that contrast in the dark counts nothing.
     """
     own, background = luminance[mask].mean(), luminance[ring(mask)].mean()
     return (own - background).abs() / (background + floor)
@@ -134,10 +134,10 @@ SSIM_RADIUS = 2.0  # pairs of cells
 
 @dataclass(frozen=True)
 class Target:
-    """The symbol as it should lie on a flat road, in the bird's-eye view.
+    """The symbol at its target on a flat road, in the bird's-eye view.
 
-    luminance: `[rows, cols]` cd/m^2. median: `[]` cd/m^2, of its lit cells. mask: `[rows, cols]` bool. shape: the mask's moments.
-    rows, cols: the part of the view that its light reaches.
+    luminance: `[rows, cols]` cd/m^2. median: `[]` cd/m^2, of its lit cells. mask: `[rows, cols]` bool. shape: the mask's moments. rows,
+    cols: the part of the view that its light reaches.
     """
 
     luminance: Tensor
@@ -166,7 +166,7 @@ class Metrics:
 
 
 def target(luminance: Tensor, view: BirdsEye, length_m: float, width_m: float) -> Target:
-    """Take the noise-free camera luminance `[height, width]` of the symbol alone, on a flat road at the target."""
+    """The target from the noise-free camera luminance `[height, width]` of the symbol alone, at its target on a flat road."""
     plane = rectify(view, luminance)
     median = plane[plane > THRESHOLD * plane.max()].median()
     mask = plane > THRESHOLD * median
@@ -176,10 +176,10 @@ def target(luminance: Tensor, view: BirdsEye, length_m: float, width_m: float) -
 
 
 def evaluate(luminance: Tensor, view: BirdsEye, goal: Target, u_start: int = 0, v_start: int = 0) -> Metrics:
-    """SymbolEvaluator the noise-free on-minus-off camera luminance `[..., height, width]` in cd/m^2; NaN where nothing is lit.
+    """Metrics of the noise-free on-minus-off camera luminance `[..., height, width]` in cd/m^2; NaN if nothing is lit.
 
-    luminance: of the whole image, or of a crop that starts at (u_start, v_start) px and is dark beyond. Only the part of the view in which
-    this light or the target's lies is computed, the same for all of a batch.
+    luminance: of the whole image, or of a crop that starts at (u_start, v_start) px and is dark beyond. Only the part of the view with this
+    light or the target's is computed, one part for a whole batch.
     """
     v, u = _lit_part(luminance)
     luminance, u_start, v_start = luminance[..., v, u], u_start + u.start, v_start + v.start
@@ -204,7 +204,7 @@ def evaluate(luminance: Tensor, view: BirdsEye, goal: Target, u_start: int = 0, 
 
 
 def _lit_part(luminance: Tensor) -> tuple[slice, slice]:
-    """Rows and columns beyond which images `[..., height, width]` are dark, the same for all of a batch."""
+    """Rows and columns beyond which all images `[..., height, width]` are dark."""
     image = luminance.detach().abs()
     if not image.numel():
         return slice(0, 0), slice(0, 0)

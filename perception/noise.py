@@ -1,9 +1,9 @@
-"""The noise of frames: a standard normal number of each pixel, which depends on nothing but seed, step, frame and pixel.
+"""The noise of frames: a standard normal number for each pixel, a function of seed, step, frame and pixel.
 
-A part of a frame so has the same bits as that part of the whole, on every device. The integers are those of SplitMix64, a
-counter-based generator (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", 2014), from a key of 64 bits for a frame
-and a counter for two pixels. Of a pixel's 32 bits the upper half chooses one of 65,536 equally probable parts of the normal distribution,
-the lower half one of as many parts of its first and last part, whose tails reach 6.3 standard deviations.
+A part of a frame equals that part of the whole to the bit, on every device. The integers are those of SplitMix64, a counter-based generator
+(Steele, Lea and Flood, "Fast splittable pseudorandom number generators", 2014), from a key of 64 bits for a frame and a counter for two
+pixels. Of a pixel's 32 bits the upper half chooses one of 65,536 equally probable parts of the normal distribution, the lower half one of
+as many parts of its first and last part, whose tails reach 6.3 standard deviations.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ FIRST: Final = 0xBF58476D1CE4E5B9 - 2**64
 SECOND: Final = 0x94D049BB133111EB - 2**64
 PARTS: Final = 2**16
 _30, _27, _31, _FIRST, _SECOND = (np.uint64(each % 2**64) for each in (30, 27, 31, FIRST, SECOND))
-STEP: Final = 2.0**-20  # of tabled numbers: far coarser than errors of the function that gives them, so that they are the same everywhere
+STEP: Final = 2.0**-20  # of tabled numbers: far coarser than rounding errors, so that the table is the same on all machines
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class FrameNoise:
 
     @classmethod
     def of(cls, seed: int, step: int, frame: int) -> "FrameNoise":
-        """Of a step's on frame (0) or off frame (1)."""
+        """The noise of a step's on frame (0) or off frame (1)."""
         return cls(int(np.random.SeedSequence(seed, spawn_key=(step, frame)).generate_state(1, np.uint64)[0]))
 
     def integers(self, part: Part, device: torch.device | str = "cpu") -> Tensor:
@@ -57,7 +57,7 @@ class FrameNoise:
         return drawn.view_as(bits)
 
     def _on_host(self, part: Part, dtype: torch.dtype) -> np.ndarray:
-        """The same in NumPy, which takes half the time: shifts without signs, and tails only where there are some."""
+        """As `part`, in NumPy in half the time: unsigned shifts, and tails only where they occur."""
         rows, columns = part
         height, width, odd = rows.stop - rows.start, columns.stop - columns.start, columns.start % 2
         mixed = _counters_on_host(rows.start, rows.stop, columns.start // 2, (columns.stop + 1) // 2) + np.uint64(self.key)
@@ -75,7 +75,7 @@ class FrameNoise:
         return drawn.reshape(height, width)
 
 
-@lru_cache(2)  # both frames of a step are read in the same part
+@lru_cache(2)  # both frames of a step read the same part
 def _counters(top: int, bottom: int, left: int, right: int, device: torch.device) -> Tensor:
     """The counter of each pair of pixels, multiplied as SplitMix64 does, `[rows, pairs]` int64."""
     v, u = torch.arange(top, bottom, device=device), torch.arange(left, right, device=device)
@@ -84,7 +84,7 @@ def _counters(top: int, bottom: int, left: int, right: int, device: torch.device
 
 @lru_cache(2)
 def _counters_on_host(top: int, bottom: int, left: int, right: int) -> np.ndarray:
-    """`_counted` in numbers without signs."""
+    """`_counters` in unsigned integers."""
     v, u = np.arange(top, bottom, dtype=np.uint64), np.arange(left, right, dtype=np.uint64)
     return ((v[:, None] << np.uint64(32)) + u + np.uint64(1)) * np.uint64(GOLDEN % 2**64)
 

@@ -14,15 +14,15 @@ from luxloop.perception.egomotion import Sample, Sensor
 from luxloop.world.params import Params
 from luxloop.world.scene.vehicle import Motion, VehicleState
 
-NOISE_KEY = 3  # beside the camera's generators of a step
-DRAWN: Final[Mapping[Sensor, list[int]]] = {  # a sensor's places in the noise that is drawn for the number of a sample
+NOISE_KEY = 3  # key besides those of the camera's noise
+DRAWN: Final[Mapping[Sensor, list[int]]] = {  # columns of each sensor in a sample's noise
     "wheels": [0],
     "gyro": [6, 7, 1],
     "attitude": [2, 3, 4, 5, 15, 16, 17, 18],
     "accelerometer": [8, 9, 10],
     "suspension": [11, 12, 13, 14],
 }
-ROUNDING = 1e-6  # of a sample's number, which is a quotient of times
+ROUNDING = 1e-6  # of a sample's index, a quotient of times
 
 Measured = tuple[list[float], list[float]]  # values without noise, and its standard deviations
 
@@ -66,7 +66,7 @@ class GyroParams(SamplingParams):
 
 
 class AttitudeParams(SamplingParams):
-    """A unit that fuses inertial sensors and odometry into the body's attitude over the ground, and the ground's height and slope."""
+    """A unit that fuses inertial sensors and odometry to the body's attitude over the ground and the ground's height and slope."""
 
     heave_noise_m: float = Field(0.0, ge=0, le=1, description="standard deviation of the body's measured height")
     roll_bias_deg: float = Field(0.0, ge=-5, le=5, description="bias of the measured roll")
@@ -142,7 +142,7 @@ class Sensors:
         return tuple(sorted(found, key=lambda each: each.arrived_s))
 
     def _last(self, sensor: Sensor, by_s: float) -> int:
-        """Number of the last sample that has arrived, negative if none has."""
+        """Index of the last sample that has arrived, negative if none has."""
         params, period_s = self._of(sensor)
         return math.floor((by_s - params.delay_s) / period_s + ROUNDING)
 

@@ -21,7 +21,7 @@ METHODS = ("start", "follow", "report")
 
 
 class OwnTracker(plugin.OwnPart):
-    """`Name(classes, view, **options)` of a user's module makes the tracker."""
+    """A user-defined tracker: `Name(classes, view, **options)`."""
 
     start_score: PositiveShare = Field(
         0.5, description="score from which a detection without an object counts as false positive in reports"

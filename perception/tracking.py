@@ -133,15 +133,15 @@ EACH = ("number", "mean", "covariance", "size_m", "frames", "since_s", "seen_s",
 
 STARTS = (4.0, 0.5)  # of a new track's rates, in sizes a second: 4 m/s across for a pedestrian's size, less up and down
 CHANGES = (1.0, 0.3)  # of how rates change, in sizes and the root of a second
-GATE = 4.0  # standard deviations, in u and in v, beyond which a detection is no track's
-OTHER_CLASS = 0.5  # cost of a detection that is nothing like the track's class
-LARGEST_COST = 1.8  # a track rather stays without a detection; the overlap costs 1 at most, a distance of one size 1
+GATE = 4.0  # standard deviations in u and v beyond which a detection belongs to no track
+OTHER_CLASS = 0.5  # cost of a detection with no score for the track's class
+LARGEST_COST = 1.8  # above it a track gets no detection; overlap costs at most 1, a distance of one size 1
 FOLLOWS_S = 1.0  # time constant of sizes
-WEAK = 0.5  # of the score that starts a track: what scores less does not keep one
+WEAK = 0.5  # of the score that starts a track: least score that continues one
 KEPT = 2.0  # longest time without detection, as a multiple of the time with detections
-BOTH = 0.5  # IoU with a track that has no box, from which on another's box may be both's
+BOTH = 0.5  # IoU with a track without box above which another track's box may belong to both
 LINGER_S = 2.0  # time for which a lost track is still reported, so that its light can fade
-SURER = 2.0  # times as sure of another class as of its own: a track changes class
+SURER = 2.0  # ratio of another class's score to its own at which a track changes class
 
 
 class TrackerParams(Params):
@@ -302,7 +302,7 @@ class Tracker:
         whole = self.whole(tracks)
         away = (whole[:, 2] < 0) | (whole[:, 0] > self.view.width)
         kept_s = (KEPT * dt * frames.double()).clamp(max=self.params.keep_s)
-        gone = ~shown & (away | (time_s - tracks.seen_s > kept_s + dt / 2))  # half a frame, for times that are rounded
+        gone = ~shown & (away | (time_s - tracks.seen_s > kept_s + dt / 2))  # half a frame, for rounded times
         return replace(
             tracks,
             frames=frames,

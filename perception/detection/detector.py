@@ -71,7 +71,9 @@ def suppress(boxes: Tensor, overlap: float) -> Tensor:
 
 
 def surest(boxes: Tensor, scores: Tensor, threshold: float, overlap: float, device: torch.device) -> Detections:
-    """The boxes `[n, 4]` whose best score `[n, C]` is at least the threshold, in its order, without those that `suppress` names."""
+    """Detections with a best score of at least the threshold, in its order, without those that `suppress` names. boxes: `[n, 4]`; scores:
+    `[n, C]`.
+    """
     best = scores.amax(1)
     order = best.argsort(descending=True)
     order = order[best[order] >= threshold]
@@ -80,7 +82,7 @@ def surest(boxes: Tensor, scores: Tensor, threshold: float, overlap: float, devi
     return Detections(boxes[kept], scores[kept])
 
 
-# What COCO's numbers of classes, which most networks of others know, are here; all else that they find is left out.
+# luxloop's classes by COCO's class numbers, which most public networks use; other classes are dropped.
 COCO: dict[int, Category] = {
     0: "pedestrian",
     1: "cyclist",

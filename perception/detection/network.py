@@ -20,7 +20,7 @@ from luxloop.world.traffic.tracked import Category
 STRIDE = 8  # px of the frame per cell of the output
 CODE = 0.75  # exponent on the light: between 1, where dark clothes vanish beside bright ones, and 0.5, where shot noise is uniform
 CANDIDATES = 64  # the most objects in a frame
-# All that a file of weights names; others run code or, as bytearray(N), take memory by a number.
+# The only names allowed in a file of weights; others could run code or, as bytearray(N), allocate memory.
 NAMES = {"collections OrderedDict", "torch._utils _rebuild_tensor_v2", "torch HalfStorage", "torch FloatStorage", "torch LongStorage"}
 
 
@@ -138,7 +138,7 @@ def load(file: Path, device: torch.device) -> tuple[Network, tuple[Category, ...
 
 
 def _names(pickled: bytes) -> set[str]:
-    """What a pickle imports: texts that name it, or the opcode where the name is computed."""
+    """Names that a pickle imports, or the opcode where a name is computed."""
     found = ((opcode.name, text) for opcode, text, _ in pickletools.genops(pickled))
     return {str(text or name) for name, text in found if "GLOBAL" in name or name in ("INST", "EXT1", "EXT2", "EXT4")}
 
@@ -147,6 +147,6 @@ def save(network: Network, classes: Sequence[Category], file: Path) -> None:
     """Write the weights in half precision, with their classes."""
     weights: Mapping[str, Any] = network.state_dict()
     halves = {name: each.half() if each.is_floating_point() else each for name, each in weights.items()}
-    content = io.BytesIO()  # torch itself would say of a full disk only that it has failed
+    content = io.BytesIO()  # torch reports a full disk without its reason
     torch.save({"classes": list(classes), "weights": halves}, content)
     file.write_bytes(content.getvalue())

@@ -36,8 +36,8 @@ def one_a_cell(n_boxes: float, input_px: tuple[int, int]) -> bool:
 def read(out: Tensor, layout: Layout, input_px: tuple[int, int]) -> tuple[Tensor, Tensor]:
     """Boxes `[n, 4]` in px of the network's picture (left, top, right, bottom) and scores `[n, C]` in 0..1 of all its classes.
 
-    out: the network's output. input_px: width and height of its picture. Boxes that are not finite are dropped. Raises ValueError that says
-    what was found if the output does not have the layout.
+    out: the network's output. input_px: width and height of its picture. Boxes that are not finite are dropped. Raises ValueError with the
+    actual shape if the output does not have the layout.
     """
     if out.ndim != 3 or len(out) != 1:
         raise ValueError("there must be three dimensions, the first of 1")
@@ -87,7 +87,7 @@ def _whole(numbers: Tensor) -> bool:
     return bool((numbers == numbers.round()).all())
 
 
-GREY = 114  # around a frame that is fitted in, as in training
+GREY = 114  # of the border around a fitted frame, as in training
 
 
 class OnnxDetector:
@@ -174,7 +174,7 @@ class OnnxDetector:
         return found
 
     def _wrong_classes(self, layout: Layout, number: int) -> str | None:
-        """What speaks against that number of classes; those of yolov10 are not known before all are seen."""
+        """Why the number of classes does not fit; yolov10 does not tell it in its shape."""
         if layout == "yolov10":
             return None
         if self.params.classes is None and number != COCO_CLASSES:

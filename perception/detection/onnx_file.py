@@ -1,4 +1,4 @@
-"""ONNX files of the user's own, checked before OpenCV, which does not check them, opens them."""
+"""Checks of a user's ONNX file before OpenCV, which does not check it, opens it."""
 
 import math
 import os
@@ -23,15 +23,15 @@ FROM_1 = {
     "blocksize",
 }  # attributes by which OpenCV and onnx divide, which ends the process
 INTEGERS = (2, 3, 4, 5, 6, 7, 12, 13)  # of onnx.TensorProto.DataType: of 8 to 64 bits
-BYTES_A_BYTE = 4  # of a file while it is read: as it is, as onnx has it, and twice in OpenCV
+BYTES_A_BYTE = 4  # of a file while it is read: the bytes, onnx's copy, two in OpenCV
 FLOATS = ("float32", "float16")  # OpenCV converts to the second itself
 
 
 def open_network(params: OnnxParams) -> cv2.dnn.Net:
     """The network of a file.
 
-    Raises LuxloopError where the file is missing, damaged, or none that OpenCV can read; where it has not one input and one output; and
-    where the input is not of floating-point numbers, 1 x channels x height x width, as the parameters say.
+    Raises LuxloopError where the file is missing, damaged or unreadable for OpenCV, where it has other than one input and one output, and
+    where the input is not floating-point, 1 x channels x height x width, as in the parameters.
     """
     if not os.path.isfile(params.file):
         raise LuxloopError(f"detector.file: {params.file}: there is no such file; check the path")
@@ -61,7 +61,7 @@ def _sound(file: str) -> "onnx.ModelProto":
     afford(f"detector.file: {file}: reading it", BYTES_A_BYTE * os.path.getsize(file), "export a smaller network")
     try:
         model = onnx.load(file, load_external_data=False)
-        if model.functions:  # which call each other, so that checking them may take for ever
+        if model.functions:  # functions may call each other, so that a check might never end
             raise LuxloopError(f"detector.file: {file}: holds functions, {model.functions[0].name} the first; export it with these inlined")
         onnx.checker.check_model(file)
     except (OSError, DecodeError, UnicodeDecodeError, onnx.checker.ValidationError) as error:
@@ -80,14 +80,14 @@ def _sound(file: str) -> "onnx.ModelProto":
 
 
 def _has_zero(tensor: "onnx.TensorProto") -> bool:
-    """Whether it is of integers, one of which is 0."""
+    """Whether an integer tensor contains 0."""
     from onnx import numpy_helper
 
     return tensor.data_type in INTEGERS and not tensor.external_data and not numpy_helper.to_array(tensor).all()
 
 
 def _nodes(graph: "onnx.GraphProto") -> Iterator["onnx.NodeProto"]:
-    """Its nodes and those of the graphs in them."""
+    """Nodes of a graph and of its subgraphs."""
     for node in graph.node:
         yield node
         for attribute in node.attribute:
@@ -130,7 +130,7 @@ def _check(model: "onnx.ModelProto", params: OnnxParams) -> None:
 
 
 def _most_numbers(model: "onnx.ModelProto", where: str) -> int:
-    """In what one layer gives, as far as its shape follows from that of the input; open sizes count as 0."""
+    """Largest number of values in a layer's output, as far as shapes follow from the input; open sizes count as 0."""
     from onnx.shape_inference import InferenceError, infer_shapes
 
     try:
@@ -146,7 +146,7 @@ def _describe(value: "onnx.ValueInfoProto") -> str:
 
 
 def _sizes(value: "onnx.ValueInfoProto") -> tuple[int | str, ...]:
-    """Those that the file leaves open are texts."""
+    """Sizes of a value; open ones are texts."""
     dimensions = value.type.tensor_type.shape.dim
     return tuple(each.dim_value if each.HasField("dim_value") else each.dim_param or "?" for each in dimensions)
 
